@@ -3,26 +3,30 @@ PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.set-up
+DEV := $(VENV)/.set-up-dev
 CLIENTS := $(VENV)/.set-up-clients
+DOCS := $(VENV)/.set-up-docs
 ARGS ?=
 
-.PHONY: help setup swarm test test-clients validate validate-radio validate-antenna codesign campaign article antenna bench bench-radio lint format clean
+.PHONY: help setup swarm wheel test test-clients validate validate-radio validate-antenna codesign campaign article antenna bench bench-radio docs lint format clean
 help:
 	@echo "make swarm [ARGS='--duration 20 --seed 3']   fly scenarios/article.toml"
 	@echo "make test  [ARGS='-k radio']                 run the tests"
-	@echo "make test-clients                            MAVSDK and MAVProxy fly swarms at the clock's pace (docs/ground-control.md)"
-	@echo "make validate [ARGS='--quick | --out docs']   measure how well one vehicle flies (docs/validation.md)"
-	@echo "make validate-radio [ARGS='--quick | --out docs']   compare the radio with ns-3 (docs/radio-validation.md)"
-	@echo "make validate-antenna [ARGS='--quick | --out docs']   hold the antenna's solvers against each other (docs/antenna-validation.md)"
-	@echo "make codesign [ARGS='--quick | --out docs']   measure what ranging does for the formation (docs/codesign.md)"
-	@echo "make article [ARGS='--quick | --out docs']    fly the article's cases and judge its statements (docs/article.md)"
-	@echo "make campaign ARGS='CAMPAIGN.toml --out DIR'  many flights, one table (docs/campaigns.md)"
-	@echo "make antenna ARGS='pattern --wavelength 10'   the antenna alone: pattern, statistics, benchmark (docs/antenna.md)"
-	@echo "make bench [ARGS='--quick | --agents 8 --json']   measure what flying costs (docs/performance.md)"
+	@echo "make test-clients                            MAVSDK and MAVProxy fly swarms at the clock's pace (docs/how-to/ground-control.md)"
+	@echo "make validate [ARGS='--quick | --out docs/results']   measure how well one vehicle flies (docs/results/validation.md)"
+	@echo "make validate-radio [ARGS='--quick | --out docs/results']   compare the radio with ns-3 (docs/results/radio-validation.md)"
+	@echo "make validate-antenna [ARGS='--quick | --out docs/results']   hold the antenna's solvers against each other (docs/results/antenna-validation.md)"
+	@echo "make codesign [ARGS='--quick | --out docs/results']   measure what ranging does for the formation (docs/concepts/codesign.md)"
+	@echo "make article [ARGS='--quick | --out docs/results']    fly the article's cases and judge its statements (docs/results/article.md)"
+	@echo "make campaign ARGS='CAMPAIGN.toml --out DIR'  many flights, one table (docs/how-to/campaigns.md)"
+	@echo "make antenna ARGS='pattern --wavelength 10'   the antenna alone: pattern, statistics, benchmark (docs/concepts/antenna.md)"
+	@echo "make bench [ARGS='--quick | --agents 8 --json']   measure what flying costs (docs/results/performance.md)"
 	@echo "make bench-radio [ARGS='--peer COMMAND']      measure what the radio costs"
+	@echo "make docs                                    build the documentation site into build/site"
+	@echo "make wheel                                   build the wheel, install it elsewhere and fly with it"
 	@echo "make lint | format | setup | clean"
 
-setup: $(STAMP)
+setup: $(DEV)
 
 $(STAMP): pyproject.toml requirements.lock
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -30,13 +34,21 @@ $(STAMP): pyproject.toml requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable '.[nec2]'
 	@touch $@
 
-swarm: $(STAMP)
-	$(BIN)/python scripts/launch_swarm.py scenarios/article.toml $(ARGS)
+$(DEV): requirements-dev.lock $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --requirement requirements-dev.lock
+	@touch $@
 
-test: $(STAMP)
+swarm: $(STAMP)
+	$(BIN)/coflight fly article $(ARGS)
+
+# builds the wheel, installs it into a new environment and flies from a folder outside the checkout
+wheel: $(DEV)
+	$(BIN)/python scripts/try_wheel.py
+
+test: $(DEV)
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder $(ARGS)
 
-$(CLIENTS): requirements-clients.lock $(STAMP)
+$(CLIENTS): requirements-clients.lock $(DEV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --requirement requirements-clients.lock
 	@touch $@
 
@@ -72,13 +84,24 @@ bench: $(STAMP)
 bench-radio: $(STAMP)
 	$(BIN)/python scripts/bench_radio.py $(ARGS)
 
-lint: $(STAMP)
+$(DOCS): requirements-docs.lock $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --requirement requirements-docs.lock
+	@touch $@
+
+docs: $(DOCS)
+	$(BIN)/python scripts/write_reference.py --check
+	$(BIN)/mkdocs build --strict
+
+# checked for words that are kept for people
+PLAIN := coflight foundation antenna netsim scripts scenarios README.md CHANGELOG.md
+lint: $(DEV)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python scripts/lint_prose.py $(PLAIN)
 
-format: $(STAMP)
+format: $(DEV)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 

@@ -1,9 +1,10 @@
-"""``python -m autopilot --instance 3``: one UAV's process, and the only part of it that touches sockets.
+"""``python -m autopilot --instance 3``: the process of one UAV, and the only module of it that uses sockets.
 
-It connects to the simulator as PX4 does (TCP, retrying until it is there) or by a Unix socket that it is told
-of, to the run's radio, and opens its MAVLink links; then each HIL_SENSOR makes one step of the vehicle and
-one answer. While the simulator is silent, for simulated time stands or is slow, the links are answered all
-the same and heartbeats go on by wall clock. It ends when the simulator hangs up.
+It connects to the simulator as PX4 does (TCP, retrying until the port is open) or by a Unix socket that the
+configuration names, to the run's radio, and opens its MAVLink links. Each HIL_SENSOR then causes one step of
+the vehicle and one answer. While the simulator is silent, because simulated time is paused or slow, messages
+on the links are still answered and heartbeats continue by wall clock. The process ends when the simulator
+closes the connection.
 """
 
 import argparse
@@ -23,7 +24,7 @@ from pymavlink.dialects.v20 import common
 
 from foundation.kernels import cache_folder
 
-if "--supervised" not in sys.argv:  # else the launcher has
+if "--supervised" not in sys.argv:  # a supervised process has it from the launcher
     os.environ.update(cache_folder.environment())  # read when numba is imported, which is next
 
 from autopilot.mavlink import signing
@@ -46,23 +47,23 @@ from netsim.transport.lockstep_radio import RadioClient
 
 RETRY_S = 0.1
 LINK_PERIOD_US = 20_000
-"""How often the links are looked at, at the next whole step: two system calls that mostly find nothing."""
+"""Period of polls of the links, at whole steps: two system calls that mostly find nothing."""
 WALL_LINK_PERIOD_S = 0.1
-"""The same by wall clock, for simulated time may be slow."""
+"""The same by wall clock, since simulated time may be slow."""
 SILENCE_S = 0.5
-"""Wall time after which a simulator that says nothing is taken to stand still."""
+"""Wall time without messages after which the simulator is considered paused."""
 HEARTBEAT_S = 1.0
-"""Wall time after which a heartbeat goes out whatever simulated time does: ground stations wait for three."""
+"""Wall time after which a heartbeat is sent even if simulated time is paused: stations time out after 3 s."""
 _SILENCE_MS = round(SILENCE_S * 1e3)
 _LINK_NAMES = {GROUND_STATION: "ground_station", COMPANION: "companion"}
 
 
 class SimulatorUnreachable(ConnectionError):
-    """No simulator where there should be one; the text is one line."""
+    """The simulator cannot be reached; the text is one line."""
 
 
 def connect_simulator(ports: VehiclePorts, wall_timeout_s: float) -> socket.socket:
-    """Connect to the simulator, trying again until its TCP port is there. Raises SimulatorUnreachable."""
+    """Connect to the simulator, retrying until its TCP port is open. Raises SimulatorUnreachable."""
     if ports.simulator_unix is not None:
         return _connect_unix(ports.simulator_unix)
     host, port = ports.host, ports.simulator_tcp
@@ -83,7 +84,7 @@ def connect_simulator(ports: VehiclePorts, wall_timeout_s: float) -> socket.sock
 
 
 def _connect_unix(name: str) -> socket.socket:
-    """Connect to a Unix socket in the abstract namespace; whoever tells its name listens there already."""
+    """Connect to a Unix socket in the abstract namespace; its name is passed only once it is listening."""
     connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         connection.connect(f"\0{name}")
@@ -94,7 +95,7 @@ def _connect_unix(name: str) -> socket.socket:
 
 
 class VehicleProcess:
-    """A vehicle and its edges."""
+    """A vehicle with its sockets."""
 
     def __init__(self, config: VehicleConfig, stack: contextlib.ExitStack) -> None:
         ports = config.ports
@@ -109,27 +110,27 @@ class VehicleProcess:
         self._host = stack.enter_context(contextlib.closing(Host(config, self._radio)))
         self._link_messages = 0
         self._link_active: tuple[bool, ...] = ()
-        """Whether somebody listens, as of what was last received or sent"""
-        self._look_who_listens()
+        """Whether each link has a listener, as of the last receive or send"""
+        self._update_link_active()
         self._poll_us = 0
         self._wall_poll_s = self._wall_heartbeat_s = time.monotonic()
         self._simulator = stack.enter_context(connect_simulator(ports, config.connect_timeout_s))
         self._simulator.sendall(self._host.introduction())
-        self._saying = select.poll()
-        """Tells when the simulator has said something. Waiting in `recv` it would be woken once more in each
-        step: when the simulator takes the answer, which makes room to send."""
-        self._saying.register(self._simulator, select.POLLIN)
-        self._calling = select.poll()
-        """Tells whether something has come on a link: one system call, where reading takes one for each."""
+        self._simulator_poll = select.poll()
+        """Reports input from the simulator. A blocking `recv` would be woken twice in each step, also when
+        the simulator reads the answer, which frees buffer space."""
+        self._simulator_poll.register(self._simulator, select.POLLIN)
+        self._link_poll = select.poll()
+        """Reports input on the links: one system call, where reading takes one per link."""
         for link in self._links:
-            self._calling.register(link, select.POLLIN)
-        self._waiting = stack.enter_context(contextlib.closing(selectors.DefaultSelector()))
-        self._waiting.register(self._simulator, selectors.EVENT_READ)
+            self._link_poll.register(link, select.POLLIN)
+        self._selector = stack.enter_context(contextlib.closing(selectors.DefaultSelector()))
+        self._selector.register(self._simulator, selectors.EVENT_READ)
         for link in self._links:
-            self._waiting.register(link, selectors.EVENT_READ)
+            self._selector.register(link, selectors.EVENT_READ)
 
     def run(self) -> None:
-        """Fly until the simulator hangs up."""
+        """Run until the simulator closes the connection."""
         emit(
             Ready(
                 name=self._host.name,
@@ -140,16 +141,16 @@ class VehicleProcess:
                 },
             )
         )
-        # What lives now lives to the end: no full collection need walk it in flight.
+        # Existing objects live to the end: exempt them from garbage collections in flight.
         gc.collect()
         gc.freeze()
         flight = self._host.vehicle.flight
         with (
             profiled(PROFILE_GROUPS, now_us=lambda: flight.now_us, from_us=self._profile_from_us) as profile,
-            contextlib.suppress(ConnectionResetError, BrokenPipeError),  # a simulator that died hangs up too
+            contextlib.suppress(ConnectionResetError, BrokenPipeError),  # also if the simulator died
         ):
             host, simulator = self._host, self._simulator
-            while size := self._hear():
+            while size := self._receive_simulator():
                 answer = host.inertial_step(size)
                 if answer is not None:
                     simulator.sendall(answer)
@@ -171,77 +172,77 @@ class VehicleProcess:
         )
 
     def _link_counts(self) -> dict[str, dict[str, int]]:
-        """What each link did not take or send, by cause."""
+        """Counts of rejected and dropped messages of each link, by cause."""
         vehicle = self._host.vehicle
         for number, link in enumerate(self._links):
             link.counters.not_addressed = vehicle.messaging.not_addressed[number]
             link.counters.rate_limited = vehicle.messaging.shapers.limited(number)
-        return {name: self._links[number].counters.told() for number, name in _LINK_NAMES.items()}
+        return {name: self._links[number].counters.as_dict() for number, name in _LINK_NAMES.items()}
 
-    def _hear(self) -> int:
-        """Take what the simulator says next; returns how many bytes, 0 if it hung up.
+    def _receive_simulator(self) -> int:
+        """Read from the simulator and return the number of bytes, 0 at the end of the connection.
 
-        Meanwhile the links are attended to.
+        The links are served while waiting.
         """
-        while not self._saying.poll(_SILENCE_MS):
+        while not self._simulator_poll.poll(_SILENCE_MS):
             self._wait()
         return self._simulator.recv_into(self._host.incoming)
 
     def _wait(self) -> None:
-        """Attend to the links until the simulator says something: time stands, so answers are of its last."""
-        while not any(key.fileobj is self._simulator for key, _ in self._waiting.select(WALL_LINK_PERIOD_S)):
+        """Serve the links, with answers as of the last step, until the simulator sends something."""
+        while not any(key.fileobj is self._simulator for key, _ in self._selector.select(WALL_LINK_PERIOD_S)):
             incoming = self._receive()
             if incoming:
                 self._send(self._host.serve_while_paused(incoming))
             self._wall_poll_s = time.monotonic()
-            self._keep_beating()
+            self._send_due_heartbeat()
 
     def _receive(self) -> Links:
-        """What has come on the links, which ends the run's determinism."""
+        """Read messages from the links; the first one ends the run's determinism."""
         incoming = [
             Addressed(Partner(i, number), message)
             for i, link in enumerate(self._links)
             for number, message in link.receive()
         ]
-        self._look_who_listens()
+        self._update_link_active()
         if incoming and not self._link_messages:
             emit(Influenced(name=self._host.name, by="a ground station or companion"))
         self._link_messages += len(incoming)
         return incoming
 
     def _send(self, outgoing: Links) -> None:
-        """Put messages on their links."""
+        """Send messages on their links."""
         if any(to.link == GROUND_STATION and _is_heartbeat(message) for to, message in outgoing):
             self._wall_heartbeat_s = time.monotonic()
         for i, link in enumerate(self._links):
             link.send([(to.number, message) for to, message in outgoing if to.link == i])
-        self._look_who_listens()
+        self._update_link_active()
 
-    def _look_who_listens(self) -> None:
+    def _update_link_active(self) -> None:
         self._link_active = tuple(link.active for link in self._links)
 
-    def _keep_beating(self) -> None:
+    def _send_due_heartbeat(self) -> None:
         """Send a heartbeat if simulated time has been too slow for one."""
         if self._host.vehicle.has_begun and time.monotonic() - self._wall_heartbeat_s >= HEARTBEAT_S:
             beat = self._host.vehicle.heartbeat()
             self._send([Addressed(Partner(link), beat) for link in range(len(self._links))])
 
     def _step(self, simulator_messages: list[Message]) -> bytes:
-        """One step for a HIL_SENSOR and what came before it; returns what goes back to the simulator."""
+        """Run one step for a HIL_SENSOR and the messages before it; return the answer to the simulator."""
         now_us: int = simulator_messages[-1].time_usec
         incoming: Links = []
         wall_s = time.monotonic()
         if now_us >= self._poll_us or wall_s - self._wall_poll_s >= WALL_LINK_PERIOD_S:
             self._poll_us = now_us - now_us % LINK_PERIOD_US + LINK_PERIOD_US
-            if self._calling.poll(0):
+            if self._link_poll.poll(0):
                 incoming = self._receive()
             self._wall_poll_s = wall_s
-            self._keep_beating()
+            self._send_due_heartbeat()
         answer, outgoing = self._host.step(
             simulator_messages, link_messages=incoming, link_active=self._link_active
         )
         if outgoing:
-            # so that whoever looks on without a ground station sees what it is warned of
+            # so that warnings are also visible without a ground station
             for text in warnings(outgoing):
                 emit(Warned(name=self._host.name, time_us=now_us, text=text))
             self._send(outgoing)
@@ -251,7 +252,7 @@ class VehicleProcess:
 def _open_links(config: VehicleConfig) -> Iterator[UdpLink]:
     """Open the links in the order of their numbers. Raises OSError and SigningKeyError."""
     links, ports = config.links, config.ports
-    key, heard = None, signing.SigningStreams()
+    key, received = None, signing.SigningStreams()
     if links.signing_key_file is not None:
         key = signing.key_of(Path(links.signing_key_file).read_bytes())
     remotes = (
@@ -265,12 +266,12 @@ def _open_links(config: VehicleConfig) -> Iterator[UdpLink]:
             remote_host=remote_host,
             remote_port=remote,
             encoder=Encoder(system=config.instance + 1, component=1),
-            signer=None if key is None else signing.Signer(key, link_id=number, heard=heard),
+            signer=None if key is None else signing.Signer(key, link_id=number, received=received),
         )
 
 
 def _is_heartbeat(message: Message) -> bool:
-    """Whether it is the autopilot's."""
+    """Whether a message is the autopilot's heartbeat."""
     return bool(
         message.get_msgId() == common.MAVLINK_MSG_ID_HEARTBEAT
         and message.autopilot == common.MAV_AUTOPILOT_PX4
@@ -278,17 +279,17 @@ def _is_heartbeat(message: Message) -> bool:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Parse a command line, by default the process's, and fly; a failure is a line on stderr and status 2."""
+    """Parse a command line, by default the process's, and run; a failure is a line on stderr and status 2."""
     parser = argparse.ArgumentParser(
         prog="python -m autopilot", description="One UAV's autopilot and on-board application."
     )
     add = parser.add_argument
-    add("--instance", type=int, default=0, help="vehicle number: system id less one, PX4's port offsets")
-    add("--config", type=Path, help="JSON file with everything; without it a lone vehicle on PX4's ports")
-    add("--connect-timeout-s", type=float, default=30.0, help="how long to look for the simulator")
-    add("--params", type=Path, help="parameter file to start with, and to save to, of a lone vehicle")
-    add("--plan", type=Path, help="QGroundControl's .plan to start with, of a lone vehicle")
-    add("--supervised", action="store_true", help="end when stdin does")
+    add("--instance", type=int, default=0, help="vehicle number: system id minus one, PX4's port offset")
+    add("--config", type=Path, help="JSON file with all settings; default: a single vehicle on PX4's ports")
+    add("--connect-timeout-s", type=float, default=30.0, help="how long to retry to connect to the simulator")
+    add("--params", type=Path, help="parameter file of a single vehicle, which is loaded and saved")
+    add("--plan", type=Path, help="initial plan of a single vehicle (QGroundControl's .plan)")
+    add("--supervised", action="store_true", help="exit when stdin is closed")
     given = parser.parse_args(arguments)
     try:
         if given.config is not None:
@@ -309,7 +310,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         PlanError,
         SigningKeyError,
     ) as error:
-        # unreachable simulators and radios are among the first
+        # also unreachable simulators and radios, which are OSErrors
         print(f"uav: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
@@ -318,22 +319,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _yield_to_the_simulator() -> None:
-    """Do not preempt the processes that serve everybody when this one wakes up.
+    """Do not preempt the processes that serve all vehicles when this one wakes up.
 
-    Otherwise the first vehicle that gets its sensors takes the processor from the physics server, which has
-    yet to send the others theirs.
+    Otherwise the first vehicle that receives its sensor data displaces the physics server, which has yet to
+    send the others theirs.
     """
     if sys.platform == "linux":
-        with contextlib.suppress(OSError):  # a sandbox that forbids it costs time, and no flight
+        with contextlib.suppress(OSError):  # not permitted in some sandboxes; only slower
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
 def lone_vehicle(
     instance: int, connect_timeout_s: float, params: Path | None = None, plan: Path | None = None
 ) -> VehicleConfig:
-    """A vehicle that was started by hand: PX4's ports, no radio, and nobody aboard but the ground station.
+    """Return the configuration of a vehicle that was started by hand: PX4's ports, no radio, no application.
 
-    Raises ParameterFileError for a parameter file that is there and wrong, PlanFileError for a plan file.
+    Raises ParameterFileError for an invalid parameter file, PlanFileError for an invalid plan file.
     """
     values = parameter_file.load(params) if params is not None and params.exists() else {}
     plan_text = plan_file.load(plan) if plan is not None else None

@@ -1,5 +1,5 @@
-"""What every package of coflight stands on; it imports no other package of coflight.
+"""Common base of all packages; it imports no other package of coflight.
 
-Types that several packages share are in `foundation.types`; each folder holds one technical service.
-Anything that belongs to a vehicle, the radio or the antenna is left to `autopilot`, `netsim` and `antenna`.
+Types shared by several packages are in `foundation.types`; each folder provides one technical service. Code
+specific to the vehicle, the radio or the antenna is in `autopilot`, `netsim` and `antenna`.
 """

@@ -1,8 +1,8 @@
-"""Values that the parts of the autopilot hand to each other.
+"""Values exchanged between the parts of the autopilot.
 
 Frames: NED (local, from the estimator's origin) and FRD (body). Quaternions are Hamilton, wxyz, and
-``q_ned_frd`` maps FRD into NED. Arrays are float64 and belong to whoever made them: a receiver that keeps
-one copies it. What is made at every step is a msgspec Struct, which costs a fraction of a frozen dataclass.
+``q_ned_frd`` maps FRD to NED. Arrays are float64 and owned by their creator: a receiver that stores one must
+copy it. Values created at every step are msgspec Structs, which are cheaper than frozen dataclasses.
 """
 
 from collections.abc import Sequence
@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
-"""Where what is done is a few sums: an array's operations cost more than they do."""
+"""Vector as a tuple, where array operations would cost more than the arithmetic."""
 Triple = Sequence[float] | Array
-"""Three numbers that are only read one by one"""
+"""Three numbers that are read one by one"""
 
 
 class Course(Enum):
-    """What a mode that flies by itself is about, as far as the ground is concerned."""
+    """Phase of an autonomous flight mode relative to the ground."""
 
     TAKE_OFF = "take off"
     LANDING = "landing"
@@ -29,7 +29,7 @@ class Course(Enum):
 
 
 class ImuSample(Struct, frozen=True, kw_only=True):
-    """One inertial sample, mean over the interval that ends at ``time_us``."""
+    """One inertial sample: mean over the interval that ends at ``time_us``."""
 
     time_us: int
     accel_frd_m_s2: Triple
@@ -40,10 +40,10 @@ class ImuSample(Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GpsFix:
-    """One GPS solution; it describes the moment ``time_us - delay``, the delay being a parameter."""
+    """One GPS solution, valid at ``time_us - delay``, where the delay is a parameter."""
 
     time_us: int
-    """When it arrived."""
+    """Time of arrival."""
     fix_type: int
     """GPS_FIX_TYPE; 3 or more is a 3-D fix."""
     lat_deg: float
@@ -59,10 +59,10 @@ class GpsFix:
 
 @dataclass(slots=True, kw_only=True)
 class EstimatorState:
-    """What the estimator knows at ``time_us``. Positions are from ``origin``, the first good fix.
+    """State estimate at ``time_us``. Positions are relative to ``origin``, the first good fix.
 
-    Not frozen, for the estimator keeps one up to date in place: see `Estimator.live`. Its vectors are copies
-    of those given, and lie together in ``estimate``, so that compiled code is given one array.
+    Not frozen, since the estimator updates one in place: see `Estimator.live`. Its vectors are copies of the
+    arguments and views of ``estimate``, so that compiled code can use one array.
     """
 
     time_us: int
@@ -90,28 +90,28 @@ class EstimatorState:
     """Horizontal position and origin are known."""
     height_valid: bool
     reset_counter: int
-    """Rises by one whenever position, velocity or heading jumped other than by fusion."""
+    """Incremented when position, velocity or heading is reset, that is, changes not by fusion."""
     navigation_failed: bool = False
-    """Velocity and position of every fix were refused for a second: neither is valid then."""
+    """Velocity and position of all fixes were rejected for 1 s; neither is valid then."""
     pos_reset_counter: int = 0
     """Resets of the horizontal position among ``reset_counter``; likewise the next three."""
     height_reset_counter: int = 0
     vel_reset_counter: int = 0
     yaw_reset_counter: int = 0
     pos_reset_delta_ned_m: Array = field(default_factory=lambda: np.zeros(3))
-    """(3,) how far position jumped in the step of the last reset, of whatever kind: new less old."""
+    """(3,) change of position in the step of the last reset of any kind: new minus old."""
     vel_reset_delta_ned_m_s: Array = field(default_factory=lambda: np.zeros(3))
     yaw_reset_delta_rad: float = 0.0
-    """Turn about down of the last reset, in [-pi, pi]"""
+    """Change of yaw, about down, in the last reset, in [-pi, pi]"""
     estimate: Array = field(init=False)
-    """(31,) of which the vectors are views, as `estimation.horizon` lays it out"""
+    """(31,) vectors in the layout of `autopilot.estimation`"""
 
     def __post_init__(self) -> None:
-        """Lay copies of the vectors out in an estimate of its own."""
+        """Copy the vectors into a new ``estimate``."""
         self.lie_over(np.concatenate([getattr(self, name) for name, _ in _LAID_OUT]))
 
     def lie_over(self, estimate: Array) -> None:
-        """Have its vectors be views of another estimate (31,)."""
+        """Make the vectors views of another estimate (31,)."""
         self.estimate, at = estimate, 0
         for name, size in _LAID_OUT:
             setattr(self, name, estimate[at : at + size])
@@ -127,12 +127,12 @@ _LAID_OUT = (
 
 
 class TrajectorySetpoint(Struct, frozen=True, kw_only=True):
-    """Where to go: for each axis a position, else a velocity, else an acceleration.
+    """Trajectory setpoint: for each axis a position, else a velocity, else an acceleration.
 
-    None means that the group is not controlled. A position with a velocity uses the velocity as feed-forward,
-    likewise acceleration. ``pos_axes``, ``vel_axes`` and ``acc_axes`` narrow a group to some of its axes
-    (north, east, down), as to hold a place and descend at a speed. A vector may be a plain tuple, which takes
-    less to make than an array.
+    None means that the group is not controlled. With a position, velocity and acceleration are feed-forward.
+    ``pos_axes``, ``vel_axes`` and ``acc_axes`` limit a group to some of its axes (north, east, down), for
+    example to hold a position and descend at a speed. A vector may be a tuple, which is cheaper than an
+    array.
     """
 
     pos_ned_m: Triple | None = None
@@ -142,29 +142,29 @@ class TrajectorySetpoint(Struct, frozen=True, kw_only=True):
     vel_axes: tuple[bool, bool, bool] = (True, True, True)
     acc_axes: tuple[bool, bool, bool] = (True, True, True)
     yaw_rad: float | None = None
-    """None holds the present yaw setpoint."""
+    """None keeps the present yaw setpoint."""
     yaw_rate_rad_s: float = 0.0
 
 
 class AttitudeSetpoint(Struct, frozen=True, kw_only=True):
-    """What the position controller asks of the attitude controller."""
+    """Setpoint of the attitude controller."""
 
     q_ned_frd: Array
     """(4,) wxyz"""
     yaw_rate_rad_s: float
-    """About NED down, on top of what turns to the attitude"""
+    """Feed-forward yaw rate about NED down"""
     thrust: float
-    """Collective, 0..1 of full, along -z of the body"""
+    """Collective thrust, 0..1, along -z of the body"""
 
 
 class RateSetpoint(Struct, frozen=True, kw_only=True):
-    """What somebody asks of the rate controller, whose limits hold; nobody keeps the attitude."""
+    """Setpoint of the rate controller, within its limits; the attitude is not controlled."""
 
     rate_frd_rad_s: Array
     """(3,)"""
     thrust: float
-    """As `AttitudeSetpoint`'s"""
+    """As in `AttitudeSetpoint`"""
 
 
 Setpoint = TrajectorySetpoint | AttitudeSetpoint | RateSetpoint
-"""Whatever the flight controller follows"""
+"""Setpoint of the flight controller"""

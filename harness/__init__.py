@@ -1,5 +1,5 @@
 """One run: scenario, world, simulator, launch of the processes, records, report, campaigns, command line.
 
-`launch.swarm.Swarm` is the Python interface to a run. The vehicles themselves are left to `autopilot`, the
-channel to `netsim`, and validation of the results to `studies`.
+`launch.swarm.Swarm` is the Python interface to a run. `autopilot` contains the vehicles, `netsim` the
+channel, and `studies` the validation of the results.
 """

@@ -1,4 +1,4 @@
-"""Many flights and one table: ``python scripts/campaign.py CAMPAIGN.toml``. See docs/campaigns.md."""
+"""Many flights and one table: ``python scripts/campaign.py CAMPAIGN.toml``. See docs/how-to/campaigns.md."""
 
 import os
 import sys

@@ -5,6 +5,7 @@ words. All tracked text files are checked without arguments; a justified excepti
 """
 
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -12,8 +13,9 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 SUFFIXES = {".py", ".md", ".toml"}
 WORDS = re.compile(
-    r"\b(who|whom|whoever|(?:no|some|every|any)body|no one|someone|anyone|everyone|anew|in one go|lets? go|as they do|hear(?:s|d|ing)?|tells?|telling|told|know|knows|knew"
-    r"|wants?|wanted|go(?:es)? home|gives? way)\b",
+    r"\b(who|whom|whoever|(?:no|some|every|any)body|no one|someone|anyone|everyone|anew"
+    r"|in one go|lets? go|as they do|hear(?:s|d|ing)?"
+    r"|tells?|telling|told|know|knows|knew|wants?|wanted|go(?:es)? home|gives? way)\b",
     re.IGNORECASE,
 )
 EXCEPTIONS: dict[str, str] = {
@@ -24,7 +26,8 @@ EXCEPTIONS: dict[str, str] = {
 
 def tracked() -> list[Path]:
     """Return the paths of all tracked files of the checkout."""
-    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True)  # noqa: S607
+    git = shutil.which("git") or "git"
+    listed = subprocess.run([git, "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True)
     return [ROOT / name for name in listed.stdout.split("\0") if name]
 
 
@@ -46,7 +49,8 @@ def main(arguments: list[str]) -> int:
     named = [Path(argument) for argument in arguments]
     paths = [file for path in named for file in (sorted(path.rglob("*")) if path.is_dir() else [path])]
     found = [line for path in paths or tracked() if path.is_file() for line in findings(path)]
-    print(*found, sep="\n" if found else "")
+    for line in found:
+        print(line)
     return 1 if found else 0
 
 

@@ -1,4 +1,4 @@
-"""Print the table of the autopilot's parameters, which is docs/parameters.md."""
+"""Print the table of the autopilot's parameters, which is docs/reference/parameters.md."""
 
 import os
 

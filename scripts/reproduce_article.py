@@ -1,4 +1,4 @@
-"""The article's results flown again: ``python scripts/reproduce_article.py``. See docs/article.md."""
+"""The article's results flown again: ``python scripts/reproduce_article.py``. See docs/results/article.md."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""One cache of compiled kernels for this process and all that it starts, keyed by the kernels' sources."""
+"""Set the cache folder of compiled kernels for this process and its children, by the state of the sources."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""What is read from patterns: maxima, features, statistics over many of them, datasets and figures.
+"""Evaluation of patterns: maxima, features, statistics over many patterns, datasets and figures.
 
-Import `patterns.Pattern` and functions on it. Nothing here depends on a solver.
+Import `patterns.Pattern` and the functions on it. This package does not depend on a solver.
 """

@@ -1,8 +1,8 @@
-"""Patterns of many instants as one labelled dataset, and as a NetCDF-4 file that netCDF and HDF5 tools open.
+"""Convert patterns to one labelled dataset, and write and read it as a NetCDF-4 file.
 
-A row is one instant of a flight (``time``) or one draw (``sample``). Elements that touched, or were too near
-for a solution, are rows like all others, with no gains (NaN) and with what touched. Attributes say which
-solver made the gains, how accurate it is, of which antenna, and what the numbers mean.
+A row is one instant of a flight (``time``) or one draw (``sample``). A row whose elements touch, or are too
+near for a solution, has gains of NaN and the indices of these elements. Attributes describe the solver, its
+accuracy, the antenna and the meaning of the numbers.
 """
 
 import os
@@ -35,7 +35,7 @@ _GRIDS = {
 
 
 class NotPatterns(ValueError):
-    """A file is not a dataset of patterns; the text is one line with its name."""
+    """The file is not a dataset of patterns; the text is one line with the path."""
 
 
 def to_dataset(
@@ -45,17 +45,17 @@ def to_dataset(
     accuracy: str,
     time_us: NDArray[np.int64] | None = None,
 ) -> xr.Dataset:
-    """Label results, in order; ``time_us`` (K,) are their simulated times, without which they are samples.
+    """Return results as a dataset, in order; rows are samples, or with ``time_us`` (K,) instants.
 
-    Raises ValueError when none is a pattern, or their grids differ.
+    Raises ValueError if there is no pattern, or their grids differ.
     """  # fmt: skip
     patterns = [result for result in results if isinstance(result, Pattern)]
     if not patterns:
-        raise ValueError("no pattern to keep: in every one of them elements touch")
+        raise ValueError("no pattern to store: elements touch in all results")
     first, row = patterns[0], "sample" if time_us is None else "time"
     shape = first.theta_gain_dbi.shape
     if any(pattern.theta_gain_dbi.shape != shape for pattern in patterns):
-        raise ValueError("patterns of one dataset have one grid")
+        raise ValueError("all patterns of a dataset must have the same grid")
     grids = np.full((2, len(results), *shape), np.nan, np.float32)
     maxima = np.full((len(_MAXIMUM), len(results)), np.nan)
     touching = np.full((2, len(results)), NO_ELEMENT, np.int32)
@@ -117,7 +117,7 @@ def to_dataset(
 
 
 def from_dataset(dataset: xr.Dataset) -> list[Pattern | ElementsTouch]:
-    """Results in the order of the rows: the inverse of `to_dataset`, but for the grids' single precision."""
+    """Return the results by row: the inverse of `to_dataset`, with grids in single precision."""
     theta_deg, phi_deg = (np.asarray(dataset[name].values, float) for name in ("theta", "phi"))
     grids = [np.asarray(dataset[name].values) for name in _GRIDS]
     maxima = np.stack([np.asarray(dataset[name].values) for name in _MAXIMUM], axis=1).tolist()
@@ -141,12 +141,12 @@ def from_dataset(dataset: xr.Dataset) -> list[Pattern | ElementsTouch]:
 
 
 def settings_of(dataset: xr.Dataset) -> AntennaConfig:
-    """Configuration that a dataset was made with."""
+    """Return the settings stored in a dataset."""
     return msgspec.json.decode(str(dataset["settings"].item()), type=AntennaConfig)
 
 
 def write_dataset(dataset: xr.Dataset, path: Path) -> None:
-    """Write a NetCDF-4 file, whole or not at all; its folder is there. Raises OSError."""
+    """Write a NetCDF-4 file atomically; its folder must exist. Raises OSError."""
     encoding = {name: {**COMPRESSION, "chunksizes": _chunk(dataset[name])} for name in _GRIDS}
     try:
         descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
@@ -164,20 +164,20 @@ def write_dataset(dataset: xr.Dataset, path: Path) -> None:
 
 def read_dataset(path: Path) -> xr.Dataset:
     """Read a file of `write_dataset` into memory; raises OSError and NotPatterns."""
-    path.open("rb").close()  # what is not there, or may not be read, says so by itself
+    path.open("rb").close()  # raises OSError if the file is missing or not readable
     try:
         dataset = xr.load_dataset(path, engine="h5netcdf")
     except (OSError, ValueError, KeyError) as error:
         raise NotPatterns(f"{path}: not a NetCDF-4 file ({error.__class__.__name__})") from None
     about_touching = {"touching_first", "touching_second", "touching_distance_m", "too_near"}
-    wanted = {*_GRIDS, *_MAXIMUM, *about_touching, "settings"}
-    if dataset.attrs.get("format") != FORMAT or not wanted <= set(dataset.variables):
-        raise NotPatterns(f"{path}: not patterns of an antenna; expected the attribute format = {FORMAT!r}")
+    expected = {*_GRIDS, *_MAXIMUM, *about_touching, "settings"}
+    if dataset.attrs.get("format") != FORMAT or not expected <= set(dataset.variables):
+        raise NotPatterns(f"{path}: not a dataset of patterns; expected the attribute format = {FORMAT!r}")
     return dataset
 
 
 def describe_element(config: AntennaConfig) -> str:
-    """One line, for people."""
+    """Return a one-line description of the element."""
     match config.element_kind:
         case "dipole" | "loop":
             around = "length" if config.element_kind == "dipole" else "circumference"
@@ -192,7 +192,7 @@ def describe_element(config: AntennaConfig) -> str:
 
 
 def describe_ground(config: AntennaConfig) -> str:
-    """One line, for people."""
+    """Return a one-line description of the ground."""
     if config.ground != "real":
         return {"none": "none: free space", "perfect": "perfect, at z = 0"}[config.ground]
     return (
@@ -209,12 +209,12 @@ def _rows(count: int, time_us: NDArray[np.int64] | None) -> tuple[NDArray[np.int
     if time_us is None:
         return np.arange(count), {"long_name": "draw"}
     if time_us.shape != (count,):
-        raise ValueError(f"{count} results have as many instants, not {time_us.shape}")
-    # CF calls a coordinate time by a unit "since" an epoch; simulated time has none
+        raise ValueError(f"time_us: expected shape ({count},), not {time_us.shape}")
+    # CF time coordinates have a unit "since" an epoch; simulated time has no epoch
     return time_us.astype(np.int64), {"long_name": "simulated time", "unit_of_time": "us"}
 
 
 def _chunk(grids: xr.DataArray) -> tuple[int, int, int]:
-    """Whole patterns, about a megabyte of them: read one by one as well as all together."""
+    """Return the chunk size: whole patterns, about 1 MB."""
     rows, theta, phi = grids.shape
     return max(1, min(rows, 262_144 // (theta * phi))), theta, phi

@@ -1,4 +1,4 @@
-"""What engineers read off a pattern: widths of the main lobe, side lobes, nulls, front to back, pointing."""
+"""Features of a pattern: half-power widths of the main lobe, side lobes, back lobe, null, ambiguity."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,35 +15,37 @@ from antenna.model.geometry import Array
 _BEYOND = 3
 """Rows beyond a pole by which a grid is continued on its other side."""
 LEAST_STEPS = 2.0
-"""Width of a lobe, in steps of the grid, below which splines do not find it: to 1 % from here on."""
+"""Least width of a lobe, in steps of the grid, that splines resolve; the error is 1 % from here on."""
 ALIKE_DB = 1e-4
-"""Gains that differ by less are the same: a solver's own error decides which of them is the greater."""
+"""Gains that differ by less are equal: the difference is below a solver's error."""
 BROADEST_DEG = 20.0
-"""Directions as good as the best that belong to one maximum are no further apart; along the axis of two
-elements in end-fire the gain falls with the fourth power of the angle, and reaches `ALIKE_DB` at 6."""
+"""Largest angle between directions of equal gain that belong to one maximum.
+
+Along the axis of two elements in end-fire the gain falls with the fourth power of the angle and reaches
+`ALIKE_DB` at 6 degrees."""
 
 
 @dataclass(frozen=True, slots=True)
 class Features:
-    """Of one pattern; None where there is no such thing."""
+    """Features of one pattern; None where not defined."""
 
     azimuth_width_deg: float | None
-    """Between the half-power directions at the maximum's theta; None at a pole, and where all is above it, or
-    the grid has less than `LEAST_STEPS` for it."""
+    """Angle between the half-power directions at the maximum's theta; None at a pole, if all gains are above
+    half power, or if it has less than `LEAST_STEPS` steps of the grid."""
     elevation_width_deg: float | None
-    """Between the half-power directions along the great circle through the poles and the maximum; None as
+    """Angle between the half-power directions on the great circle through the poles and the maximum; None as
     above."""
     side_lobe_dbi: float | None
-    """Highest maximum of the grid outside the main lobe; None if there is none, or no direction of the grid
-    is within half power of the maximum, so that what stands beside it is not known."""
+    """Highest maximum of the grid outside the main lobe; None without one, or if no direction of the grid is
+    within half power of the maximum, so that the main lobe is not resolved."""
     back_dbi: float
-    """In the direction opposite to the maximum; over a ground at the same height over the horizon."""
+    """Gain opposite to the maximum; over a ground at the same elevation."""
     null_dbi: float
-    """Least gain of the horizon, on the grid."""
+    """Least gain at the horizon, on the grid."""
 
 
 def features(pattern: Pattern) -> Features:
-    """Measure a pattern, by cubic splines of the linear gain between the grid's directions.
+    """Return the features of a pattern; the linear gain is interpolated by cubic splines.
 
     Over a ground lobes end at the horizon.
     """
@@ -72,12 +74,14 @@ def features(pattern: Pattern) -> Features:
 
 
 def main_lobe(pattern: Pattern) -> NDArray[np.bool_]:
-    """(T, P) grid directions that are within half power of the maximum and connected with it.
+    """Return (T, P) which grid directions are within half power of the maximum and connected with it.
 
-    None are, where the grid is so coarse that the nearest one to the maximum is not within half power.
+    There are none if the grid is so coarse that the direction nearest to the maximum is below half power.
     """
     high = pattern.gain_dbi >= pattern.max_gain_dbi - HALF_POWER_DB
-    lobes, _ = label(np.tile(high, (1, 3)))  # three turns: a lobe across phi = 0 is whole in the middle one
+    lobes, _ = label(
+        np.tile(high, (1, 3))
+    )  # three turns: a lobe across phi = 0 is complete in the middle one
     turn = len(pattern.phi_deg)
     row = int(np.argmin(np.abs(pattern.theta_deg - pattern.max_theta_deg)))
     column = turn + int(np.argmin(np.abs(pattern.phi_deg - pattern.max_phi_deg)))
@@ -87,21 +91,21 @@ def main_lobe(pattern: Pattern) -> NDArray[np.bool_]:
 
 
 def has_one_maximum(pattern: Pattern) -> bool:
-    """Whether directions of the grid that gain as much as its best, to `ALIKE_DB`, are all beside each other.
+    """Whether all grid directions of maximum gain, within `ALIKE_DB`, are close to each other.
 
-    Else the maximum's direction is one of many, such as of a ring, or of two mirror images.
+    If not, the direction of the maximum is ambiguous, as for a ring or two mirror images.
     """
     gain_dbi = pattern.gain_dbi
     row, column = np.nonzero(gain_dbi >= gain_dbi.max() - ALIKE_DB)
     theta, phi = np.radians(pattern.theta_deg[row]), np.radians(pattern.phi_deg[column])
     towards = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
     apart_deg = np.degrees(np.arccos(np.minimum(towards[:, 0] @ towards, 1.0)))
-    across_cell_deg = 1.5 * float(pattern.theta_deg[1])  # its corners may be alike around a maximum
+    across_cell_deg = 1.5 * float(pattern.theta_deg[1])  # the corners of a cell around a maximum may be equal
     return bool(apart_deg.max() <= max(BROADEST_DEG, across_cell_deg))
 
 
 def _tops(gain: Array) -> NDArray[np.bool_]:
-    """(T, P) directions with a gain that none beside them exceeds: a pole is one, beside its whole ring."""
+    """Return (T, P) which directions are local maxima; the neighbours of a pole are a whole ring."""
     tops: NDArray[np.bool_] = (gain > 0.0) & (gain == maximum_filter(gain, size=3, mode=("nearest", "wrap")))
     for pole, ring in ((0, 1), (-1, -2)):
         tops[pole] = gain[pole].max() > 0.0 and gain[pole].max() >= gain[ring].max()
@@ -109,9 +113,9 @@ def _tops(gain: Array) -> NDArray[np.bool_]:
 
 
 def _above_ground(pattern: Pattern, gain: Array) -> Callable[[float, float], float]:
-    """Gain at any theta and phi, nothing below the horizon.
+    """Return the gain at any theta and phi, 0 below the horizon.
 
-    The mirror image continues the grid there, or the spline would swing at the jump.
+    The grid is continued below by its mirror image, since a spline would oscillate at the jump.
     """
     half_rows = len(gain) // 2
     mirrored = _interpolated(pattern, np.concatenate([gain[: half_rows + 1], gain[:half_rows][::-1]]))
@@ -119,7 +123,7 @@ def _above_ground(pattern: Pattern, gain: Array) -> Callable[[float, float], flo
 
 
 def _interpolated(pattern: Pattern, gain: Array) -> Callable[[float, float], float]:
-    """Gain at any theta and phi, beyond the poles and round the circle."""
+    """Return the gain at any theta and phi, continued over the poles and periodic in phi."""
     rows, columns = gain.shape
     opposite = np.roll(gain, columns // 2, axis=1)
     upper, lower = opposite[1 : _BEYOND + 1][::-1], opposite[-_BEYOND - 1 : -1][::-1]
@@ -140,9 +144,9 @@ def _interpolated(pattern: Pattern, gain: Array) -> Callable[[float, float], flo
 
 
 def _width_deg(excess: Callable[[float], float], step_deg: float) -> float | None:
-    """Angle between the first zeros on either side of 0; None if there is none within half a turn.
+    """Return the angle between the first zeros on either side of 0; None without zeros within half a turn.
 
-    None as well if they are less than `LEAST_STEPS` apart.
+    Also None if they are less than `LEAST_STEPS` apart.
     """
     found = []
     for sign in (1.0, -1.0):
@@ -155,5 +159,5 @@ def _width_deg(excess: Callable[[float], float], step_deg: float) -> float | Non
 
 
 def _dbi(gain: float) -> float:
-    """-120 at least: between the grid's directions a spline can swing below no gain at all."""
+    """Return a gain in dBi, at least -120: splines may be negative between the grid's directions."""
     return float(10.0 * np.log10(max(gain, 1e-12)))

@@ -1,8 +1,8 @@
-"""Maximum gain of a pattern beyond its grid, for a solver that gives gains and nothing else.
+"""Maximum gain of a pattern between grid directions, for solvers that return only gains.
 
-Every local maximum of a grid that may belong to the highest lobe is climbed from, by quadratics through 3 x 3
-directions in the tangent plane there. The value found is a gain that was asked for, not the quadratic's: it
-never exceeds the true maximum.
+The search starts at every local maximum of the grid that may belong to the highest lobe, and uses quadratics
+through 3 x 3 directions in the tangent plane. The result is a computed gain, not the value of a quadratic, so
+it never exceeds the true maximum.
 """
 
 import math
@@ -17,18 +17,18 @@ from antenna.model.geometry import Array
 
 Index = NDArray[np.int64]
 Gains = NDArray[np.floating]
-"""Of a solver, in its own precision."""
+"""Gains of a solver, in its precision."""
 GainAt = Callable[[Array, Array], Array]
-"""Gains in dBi in directions theta_deg and phi_deg, all of one shape."""
+"""Function that returns gains in dBi in directions theta_deg and phi_deg, all of one shape."""
 
 PEAK_CANDIDATES = 16
-"""Grid maxima that are refined at most: a lone dipole's equator is one long maximum."""
+"""Most grid maxima that are refined: the whole equator of a single dipole is maximal."""
 REFINED_TO_DEG = 0.1
 """Spacing at which the refinement ends."""
 NEGLIGIBLE_DB = 1e-4
-"""A gain that is higher by less is no reason to go there."""
+"""Gain improvements below this are ignored."""
 STEPS = 24
-"""Four shrink a grid of 5 degrees; the others are for steps across it."""
+"""Most iterations: four shrink a grid of 5 degrees, the others move across it."""
 
 _STENCIL = np.array([(a, b) for a in (-1.0, 0.0, 1.0) for b in (-1.0, 0.0, 1.0)])
 _A, _B = _STENCIL.T
@@ -47,10 +47,10 @@ class Maximum(NamedTuple):
 
 
 def find_maximum(gain_dbi: Array, gain_at: GainAt, margin_db: float) -> Maximum:
-    """Find the maximum of a pattern (T, P) on a grid of `directions_deg`; ValueError if nothing is finite.
+    """Return the maximum of a pattern (T, P) on a grid of `directions_deg`.
 
-    Starts are the grid's local maxima within ``margin_db`` of its highest, since that one need not belong to
-    the highest lobe.
+    The search starts at the grid's local maxima within ``margin_db`` of the highest, since that one may not
+    belong to the highest lobe. Raises ValueError without a finite gain.
     """
     highest = float(np.nanmax(gain_dbi, initial=-np.inf))
     if not math.isfinite(highest):
@@ -67,15 +67,15 @@ def find_maximum(gain_dbi: Array, gain_at: GainAt, margin_db: float) -> Maximum:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def peaks(gain: Gains, least: float, row: Index, column: Index) -> int:
-    """Write where a grid (T, P) has its highest local maxima of at least ``least``; gives how many.
+    """Write the indices of a grid's (T, P) highest local maxima of at least ``least``; return their number.
 
-    Gains are linear or in decibels. ``row`` and ``column`` have room for `PEAK_CANDIDATES`, highest first.
+    Gains are linear or in decibels. ``row`` and ``column`` have `PEAK_CANDIDATES` entries, highest first.
     """
     rows, columns = gain.shape
     count = 0
     for t in range(rows):
         pole = t in (0, rows - 1)
-        for p in range(1 if pole else columns):  # a pole is one direction, and all of its ring is beside it
+        for p in range(1 if pole else columns):  # a pole is one direction, with a ring of neighbours
             value = gain[t, p]
             if not value >= least:
                 continue
@@ -104,7 +104,7 @@ def peaks(gain: Gains, least: float, row: Index, column: Index) -> int:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def grid_loss_db(step_rad: float, centres_m: Array, wavelength_m: float) -> float:
-    """How far the grid's value of a lobe may lie below the lobe's maximum, or a little further.
+    """Return an upper bound of the difference between a lobe's maximum and its highest grid value.
 
     At a maximum of |sum exp(j k r.p_i)|^2, relative to it, the curvature along a direction is -2 k^2 times
     the variance of the p_i along it, which is at most their mean square distance from their centre; the 1 is
@@ -124,7 +124,7 @@ def grid_loss_db(step_rad: float, centres_m: Array, wavelength_m: float) -> floa
 
 
 def _climb(theta_deg: Array, phi_deg: Array, step_deg: float, gain_at: GainAt) -> tuple[Array, Array, Array]:
-    """Nearest maxima to C directions: gain_dbi, theta_deg, phi_deg."""
+    """Return gain_dbi, theta_deg and phi_deg of the nearest maxima to C directions."""
     best = np.stack([np.full(len(theta_deg), -np.inf), theta_deg, phi_deg])
     at = np.stack([theta_deg, phi_deg]).astype(float)
     spacing_deg = np.full(len(theta_deg), step_deg / 2.0)
@@ -157,7 +157,7 @@ def _climb(theta_deg: Array, phi_deg: Array, step_deg: float, gain_at: GainAt) -
 
 
 def _vertices(gains: Array) -> tuple[NDArray[np.bool_], Array]:
-    """Whether the quadratics through gains (C, 9) have a maximum inside, and where (C, 2), in spacings."""
+    """Return whether quadratics through gains (C, 9) have a maximum inside, and where (C, 2), in spacings."""
     fit = gains @ _QUADRATIC_FIT.T
     g_a, g_b, h_aa, h_ab, h_bb = fit[:, 1], fit[:, 2], 2.0 * fit[:, 3], fit[:, 4], 2.0 * fit[:, 5]
     determinant = h_aa * h_bb - h_ab * h_ab
@@ -169,7 +169,7 @@ def _vertices(gains: Array) -> tuple[NDArray[np.bool_], Array]:
 
 
 def offset(theta_deg: Array, phi_deg: Array, south_deg: Array, east_deg: Array) -> tuple[Array, Array]:
-    """Directions at these offsets in the planes tangent at (theta, phi): theta 0 to 180, phi 0 to 360."""
+    """Return directions at offsets in the planes tangent at (theta, phi): theta 0 to 180, phi 0 to 360."""
     theta, phi, a, b = (np.radians(angle) for angle in (theta_deg, phi_deg, south_deg, east_deg))
     outward = np.sin(theta) + a * np.cos(theta)
     x, y = outward * np.cos(phi) - b * np.sin(phi), outward * np.sin(phi) + b * np.cos(phi)

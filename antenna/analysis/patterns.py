@@ -1,7 +1,7 @@
-"""Far-field patterns as data: gains on a grid of directions, their maximum beyond it, lobes and nulls.
+"""Far-field patterns: gains on a grid of directions, with a refined maximum and the average gain.
 
-Nothing here knows a solver: a backend gives partial gains on the grid and, for the maximum, gains in single
-directions. Angles have the article's convention: theta from +z, phi from +x towards +y.
+This module is independent of solvers: a backend supplies partial gains on the grid and, for the maximum,
+gains in single directions. Angles follow the article's convention: theta from +z, phi from +x towards +y.
 """
 
 import math
@@ -14,15 +14,15 @@ from antenna.analysis.maxima import GainAt, Gains, find_maximum, grid_loss_db
 from antenna.model.geometry import Array, Snapshot
 
 FLOOR_DBI = -999.99
-"""Stands for no gain at all, as in NEC2's tables."""
+"""Value for zero gain, as in NEC2's tables."""
 RESOLVED_BEYOND = 12.0
-"""Degrees beyond 2 k R that still count: Bessel functions fall off from there, and the elements' own."""
+"""Additional degree beyond 2 k R: Bessel functions decay from there, as do the elements' patterns."""
 FINEST_TIMES = 8
-"""A pattern costs its square."""
+"""Largest refinement of a grid; the cost of a pattern grows with its square."""
 DECIBEL = math.log(10.0) / 10.0
-"""Of a power, in nepers."""
+"""One decibel of power, in nepers."""
 NOTHING = 2e-38
-"""Linear gains below this are none: less than any number in single precision, and more than `FLOOR_DBI`."""
+"""Linear gains below this count as 0; below normal numbers in single precision, above `FLOOR_DBI`."""
 HALF_POWER_DB = 10.0 * math.log10(2.0)
 
 
@@ -38,18 +38,18 @@ class Pattern:
     """(T, P) gain over input power in the theta polarisation (vertical at the horizon); `FLOOR_DBI` where
     nothing is radiated."""
     phi_gain_dbi: Array
-    """(T, P) the same in the phi polarisation (horizontal)."""
+    """(T, P) gain over input power in the phi polarisation (horizontal)."""
     max_gain_dbi: float
-    """Of both together, over all directions, not only the grid's."""
+    """Maximum of the total gain over all directions, not only those of the grid."""
     max_theta_deg: float
     """0 to 180."""
     max_phi_deg: float
     """0 to 360, excluded."""
     average_gain: float
-    """Radiated over input power, linear: 1 for a lossless array in free space but for the solver's own error.
-    Gain over this is directivity. Summed over a grid that resolves the array, see `times_finer`."""
+    """Radiated over input power, linear: 1 for a lossless array in free space, except for the solver's error.
+    Directivity is gain over this value. Integrated on a grid that resolves the array, see `times_finer`."""
     backend: str
-    """Which solver made it."""
+    """Name of the solver."""
 
     @property
     def gain(self) -> Array:
@@ -63,14 +63,14 @@ class Pattern:
 
 
 def from_dbi(gain_dbi: Array) -> Array:
-    """Linear gains; `FLOOR_DBI` is 0."""
+    """Return linear gains; `FLOOR_DBI` becomes 0."""
     gain = np.asarray(np.exp(gain_dbi * DECIBEL))
     gain[gain < NOTHING] = 0.0
     return gain
 
 
 def to_dbi(gain: Gains, out: Gains | None = None) -> Array:
-    """Gains in dBi of linear ones, `FLOOR_DBI` at least, in an array of their own or in ``out``."""
+    """Return gains in dBi, at least `FLOOR_DBI`, in a new array or in ``out``."""
     with np.errstate(divide="ignore"):
         gain_dbi = np.asarray(np.log10(gain, out=out))
     gain_dbi *= 10.0
@@ -78,9 +78,9 @@ def to_dbi(gain: Gains, out: Gains | None = None) -> Array:
 
 
 def directions_deg(step_deg: float) -> tuple[Array, Array]:
-    """Angles theta (T,) and phi (P,) of the coarsest grid with equal steps of at most ``step_deg``.
+    """Return theta (T,) and phi (P,) of the coarsest grid with equal steps of at most ``step_deg``.
 
-    The horizon is on it.
+    The grid includes the horizon.
     """
     intervals = 2 * math.ceil(90.0 / step_deg - 1e-9)
     return np.linspace(0.0, 180.0, intervals + 1), np.linspace(0.0, 360.0, 2 * intervals, endpoint=False)
@@ -96,9 +96,9 @@ def make_pattern(
     *,
     grounded: bool = False,
 ) -> Pattern:
-    """Complete linear partial gains (T, P) on a grid of `directions_deg` to a pattern.
+    """Return the pattern of linear partial gains (T, P) on a grid of `directions_deg`.
 
-    When ``grounded``, there is nothing below the horizon; ``gain_at`` then gives what mirrors it there, so
+    With ``grounded`` the gain below the horizon is 0; ``gain_at`` then returns the mirror image there, so
     that a maximum at the horizon has two sides.
     """
     theta_deg, phi_deg = directions_deg(180.0 / (len(gain_theta) - 1))
@@ -121,14 +121,14 @@ def times_finer(
     reach_m: float,
     wavelength_m: float,
     step_deg: float,
-    grounded: bool,  # noqa: FBT001  # numba knows no keyword-only arguments
+    grounded: bool,  # noqa: FBT001  # numba has no keyword-only arguments
 ) -> int:
-    """How many times finer than ``step_deg`` a grid has to be that resolves an array (n, 3).
+    """Return the factor by which a grid must be finer than ``step_deg`` to resolve an array (n, 3).
 
-    The intensity of an array within a radius R is of degree 2 k R in the direction, and hardly any higher: on
-    finer grids no lobe is missed, and sums are right. ``reach_m`` is how far an element reaches from its
-    centre; images count. At most `FINEST_TIMES`: of an array that is wider yet, as one is that has lost a
-    vehicle, the highest lobe may be missed, and the average gain is rough.
+    The intensity of an array within a radius R is about of degree 2 k R in the direction; grids that resolve
+    it miss no lobe and have accurate integrals. ``reach_m`` is the reach of an element from its centre;
+    images count. The factor is at most `FINEST_TIMES`: for a wider array, such as one with a lost vehicle,
+    the highest lobe may be missed, and the average gain is approximate.
     """
     n, middle_m, radius_m2 = len(centres_m), np.zeros(3), 0.0
     for x in range(2 if grounded else 3):
@@ -144,7 +144,7 @@ def times_finer(
 
 
 def decimated(pattern: Pattern, times: int) -> Pattern:
-    """Every so manieth direction of a pattern's grid, along theta and phi."""
+    """Return the pattern with every ``times``-th direction of its grid, along theta and phi."""
     if times == 1:
         return pattern
     return replace(
@@ -157,16 +157,16 @@ def decimated(pattern: Pattern, times: int) -> Pattern:
 
 
 def average_gain(gain: Gains, *, grounded: bool) -> float:
-    """Mean over the sphere of linear gains (T, P) on a grid of `directions_deg`."""
+    """Return the mean over the sphere of linear gains (T, P) on a grid of `directions_deg`."""
     return float(gain.mean(axis=1) @ row_weights(len(gain), grounded=grounded))
 
 
 def row_weights(rows: int, *, grounded: bool) -> Array:
-    """(T,) what the mean over each row of a grid of `directions_deg` counts in the mean over the sphere.
+    """Return the weights (T,) of the rows of a grid of `directions_deg` in the mean over the sphere.
 
-    Clenshaw-Curtis quadrature in theta, whose nodes an even grid in theta has: exact up to degree T - 1 in
-    cos(theta) and, with the mean over phi, order P - 1 in phi. When ``grounded`` the lower half is nothing:
-    there the kink at the horizon is where a mirror image continues the pattern smoothly.
+    Clenshaw-Curtis quadrature in theta, exact up to degree T - 1 in cos(theta) and, with the mean over phi,
+    order P - 1 in phi. With ``grounded`` the weights of the lower half are 0, and the upper half has those of
+    a pattern that is continued smoothly by its mirror image.
     """
     weights = _theta_weights(rows - 1)
     if grounded:

@@ -1,7 +1,6 @@
-"""Figures of patterns and of the maximum gain, like the article's figures 3 and 4; cuts and envelopes.
+"""Figures of patterns and of the maximum gain, as the article's figures 3 and 4; cuts and envelopes.
 
-Figures are made by matplotlib's objects alone, without pyplot: no window, no global state. The caller
-saves them.
+Figures use matplotlib's objects without pyplot: no window, no global state. The caller saves them.
 """
 
 from collections.abc import Mapping
@@ -19,14 +18,14 @@ from antenna.analysis.statistics import Envelope, gain_density, gain_statistics,
 from antenna.model.geometry import Array
 
 GAIN_RANGE_DBI = (-30.0, 18.0)
-"""Colours of a pattern: the article's."""
+"""Colour range of a pattern, as in the article."""
 GAIN_STEP_DB = 6.0
 CUT_FLOOR_DBI = -20.0
-"""Middle of a polar cut; what is less lies there."""
+"""Gain at the centre of a polar cut; lower gains are drawn there."""
 
 
 def patterns_figure(patterns: Mapping[str, Pattern]) -> Figure:
-    """One panel for each pattern, titled by its key and its maximum, on one colour scale."""
+    """Return a figure with one panel per pattern, titled by key and maximum, on one colour scale."""
     figure = Figure(figsize=(5.2 * len(patterns) + 1.0, 3.9), layout="constrained")
     panels = figure.subplots(1, len(patterns), sharey=True, squeeze=False)[0]
     for axes, (title, pattern) in zip(panels, patterns.items(), strict=True):
@@ -42,9 +41,9 @@ def patterns_figure(patterns: Mapping[str, Pattern]) -> Figure:
 
 
 def gain_density_figure(series: Mapping[str, Array], ideal_dbi: float | None) -> Figure:
-    """Densities of the maximum gain of one or more flights, (K,) dBi each.
+    """Return a figure of the densities of the maximum gain of one or more flights, (K,) dBi each.
 
-    The ideal formation's gain, unless it has none, stands beside them.
+    A line shows the ideal formation's gain unless it is None.
     """
     figure = Figure(figsize=(6.4, 4.0), layout="constrained")
     axes = figure.subplots()
@@ -52,7 +51,7 @@ def gain_density_figure(series: Mapping[str, Array], ideal_dbi: float | None) ->
         density, colour = gain_density(max_gain_dbi), f"C{i}"
         found = gain_statistics(max_gain_dbi)
         title = f"{name}: {found.mean_dbi:.2f} ± {found.std_db:.2f} dBi"
-        if len(density.gain_dbi) == 0:  # all alike: a line, since a density would be infinite
+        if len(density.gain_dbi) == 0:  # all equal: a line, since the density is infinite
             axes.axvline(float(max_gain_dbi[0]), color=colour, label=title)
             continue
         axes.stairs(density.histogram_per_db, density.bin_edges_dbi, fill=True, alpha=0.25, color=colour)
@@ -69,7 +68,7 @@ def gain_density_figure(series: Mapping[str, Array], ideal_dbi: float | None) ->
 
 
 def cuts_figure(patterns: Mapping[str, Pattern]) -> Figure:
-    """Polar cuts of total gain: the horizon by phi, and the great circle through zenith and end-fire axis."""
+    """Return polar cuts of total gain: the horizon, and the great circle through zenith and end-fire axis."""
     figure = Figure(figsize=(9.6, 5.4), layout="constrained")
     azimuth, elevation = (
         cast("PolarAxes", figure.add_subplot(1, 2, panel, projection="polar")) for panel in (1, 2)
@@ -105,7 +104,7 @@ def cuts_figure(patterns: Mapping[str, Pattern]) -> Figure:
 
 
 def envelope_figure(envelope: Envelope, ideal: Pattern | None = None) -> Figure:
-    """Mean, middle parts and extremes of many patterns in the horizon and through the end-fire axis."""
+    """Return a figure of mean, quantile bands and extremes at the horizon and through the end-fire axis."""
     figure = Figure(figsize=(9.6, 6.4), layout="constrained")
     quantiles = sorted(envelope.quantiles_dbi)
     bands = [
@@ -145,19 +144,19 @@ def envelope_figure(envelope: Envelope, ideal: Pattern | None = None) -> Figure:
 
 
 def horizon_cut(phi_deg: Array, gain_dbi: Array) -> tuple[Array, Array]:
-    """Angles 0 to 360 and gains of (T, P) gains at theta 90."""
+    """Return angles 0 to 360 and the gains at theta 90, from gains (T, P)."""
     return np.append(phi_deg, 360.0), np.append(gain_dbi[len(gain_dbi) // 2], gain_dbi[len(gain_dbi) // 2, 0])
 
 
 def meridian_cut(theta_deg: Array, gain_dbi: Array) -> tuple[Array, Array]:
-    """Angles 0 to 360 from the zenith and gains of (T, P) gains: down at phi 90, and up again at phi 270."""
+    """Return angles 0 to 360 from the zenith and the gains of (T, P): down at phi 90, up at phi 270."""
     quarter = gain_dbi.shape[1] // 4
     down, up = gain_dbi[:, quarter], gain_dbi[::-1, 3 * quarter]
     return np.append(theta_deg, 180.0 + theta_deg[1:]), np.append(down, up[1:])
 
 
 def draw_pattern(axes: Axes, pattern: Pattern) -> QuadMesh:
-    """Gain over phi and theta with the main lobe outlined in black; returns the image, for a colour bar."""
+    """Draw the gain over phi and theta with the main lobe outlined in black; return the image."""
     phi_deg = np.append(pattern.phi_deg, 360.0)
     gain_dbi = np.column_stack([pattern.gain_dbi, pattern.gain_dbi[:, 0]])
     low_dbi, high_dbi = GAIN_RANGE_DBI
@@ -179,9 +178,9 @@ def draw_pattern(axes: Axes, pattern: Pattern) -> QuadMesh:
 
 
 def _outline_main_lobe(axes: Axes, pattern: Pattern) -> None:
-    """Draw the half-power contour of the main lobe alone: other lobes are sunk below the level first.
+    """Draw the half-power contour of the main lobe only: other lobes are lowered below the level first.
 
-    A lobe between the grid's directions has none.
+    Nothing is drawn for a lobe that the grid does not resolve.
     """
     level_dbi, lobe = pattern.max_gain_dbi - HALF_POWER_DB, main_lobe(pattern)
     if not lobe.any():

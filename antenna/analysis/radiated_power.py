@@ -1,4 +1,4 @@
-"""Power that point currents radiate, in closed form.
+"""Radiated power of point currents in closed form.
 
 The intensity in a direction r is |sum_n I_n (u_n - (u_n.r) r) exp(j k r.p_n)|^2. Its mean over the sphere
 follows from mean(exp(j x.r)) = j0(x) and, by the second derivatives of that,
@@ -12,7 +12,7 @@ from antenna.model.geometry import Array, Complex
 
 
 def mean_intensity(places_m: Array, axes: Array, currents: Complex, k_rad_m: float) -> float:
-    """Mean over the sphere, in squares of the current, of dipoles (N, 3) along unit vectors (N, 3)."""
+    """Return the mean intensity over the sphere, in squared current, of dipoles (N, 3) with axes (N, 3)."""
     apart_m = places_m[:, None] - places_m
     distance_m = np.linalg.norm(apart_m, axis=-1)
     x = np.maximum(k_rad_m * distance_m, 1e-6)  # j1(x)/x is 1/3 there to 1e-13, without a division by 0

@@ -1,6 +1,6 @@
-"""Many patterns as statistics: density of maximum gain, gain in one direction, pointing, mean, envelope.
+"""Statistics of many patterns: density of maximum gain, gain in one direction, pointing, mean, envelope.
 
-What concerns whole patterns is kept running: no more than one of them is held.
+Statistics of whole patterns are accumulated, so only one pattern is in memory at a time.
 """
 
 from collections.abc import Sequence
@@ -16,30 +16,30 @@ from antenna.model.geometry import Array
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 LEAST_SPREAD_DB = 1e-3
-"""Below this a series is constant for all purposes, and has no density."""
+"""A series with a smaller range counts as constant and has no density."""
 LEVELS_DBI = (-60.0, 40.0)
-"""Gains that an envelope's quantiles tell apart; what is outside counts as these."""
+"""Range of gains that an envelope's quantiles resolve; gains outside are clipped to it."""
 LEVEL_STEP_DB = 0.25
 _BINS = round((LEVELS_DBI[1] - LEVELS_DBI[0]) / LEVEL_STEP_DB)
 HISTOGRAM_BYTES = 4 * _BINS
-"""Of one direction of an envelope with quantiles."""
+"""Memory per direction of an envelope with quantiles."""
 _AROUND = 8
-"""Directions of the grid, along theta and along phi, between which a gain is interpolated."""
+"""Nodes along theta and along phi for interpolating a gain."""
 
 
 @dataclass(frozen=True, slots=True)
 class GainStatistics:
-    """Of K maximum gains. Means and deviations are those of the decibels, as the article's densities are."""
+    """Statistics of K maximum gains. Means and deviations are of the decibels, as the article's densities."""
 
     samples: int
     mean_dbi: float
     std_db: float
-    """Of the sample, K - 1 in the denominator; 0 for a single one."""
+    """Sample standard deviation, K - 1 in the denominator; 0 for a single gain."""
     min_dbi: float
     max_dbi: float
     quantiles_dbi: dict[float, float]
-    """By `QUANTILES`, of the decibels: that for a part q lies at q (K - 1) among the sorted gains from 0 on,
-    straight between neighbours (R. J. Hyndman and Y. Fan, Sample quantiles, 1996, definition 7)."""
+    """Quantiles of the decibels by `QUANTILES`: that of q is at index q (K - 1) of the sorted gains, from 0,
+    with linear interpolation (R. J. Hyndman and Y. Fan, Sample quantiles, 1996, definition 7)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,26 +51,26 @@ class GainDensity:
     histogram_per_db: Array
     """(B,)"""
     gain_dbi: Array
-    """(G,) where the smooth curve is known; empty when the gains do not differ."""
+    """(G,) gains of the smooth curve; empty when all gains are equal."""
     kernel_per_db: Array
-    """(G,) Gaussian kernels of Scott's width."""
+    """(G,) density from Gaussian kernels of Scott's width."""
 
 
 @dataclass(frozen=True, slots=True)
 class PointingStatistics:
-    """Angles between the directions of K maxima and the wanted one."""
+    """Statistics of the angles between the directions of K maxima and the nominal one."""
 
     samples: int
     mean_deg: float
     rms_deg: float
     max_deg: float
     quantiles_deg: dict[float, float]
-    """By `QUANTILES`."""
+    """Quantiles by `QUANTILES`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Envelope:
-    """What K patterns have in common, for every direction of their grid, total gain."""
+    """Statistics of the total gain of K patterns for every direction of their grid."""
 
     samples: int
     theta_deg: Array
@@ -78,18 +78,18 @@ class Envelope:
     phi_deg: Array
     """(P,)"""
     mean_dbi: Array
-    """(T, P) the mean of the linear gains: the mean power density, as decibels."""
+    """(T, P) mean of the linear gains, in dBi."""
     min_dbi: Array
     """(T, P)"""
     max_dbi: Array
     """(T, P)"""
     quantiles_dbi: dict[float, Array]
-    """(T, P) by `QUANTILES`, defined as those of `GainStatistics`, good to `LEVEL_STEP_DB`; empty unless they
-    were asked for."""
+    """(T, P) by `QUANTILES`, defined as in `GainStatistics`, with resolution `LEVEL_STEP_DB`; empty unless
+    requested."""
 
 
 def gain_statistics(max_gain_dbi: Array) -> GainStatistics:
-    """Summarise (K,) gains; raises ValueError when there are none."""
+    """Return the statistics of (K,) gains; raises ValueError without any."""
     if len(max_gain_dbi) == 0:
         raise ValueError("statistics need at least one gain")
     quantiles = np.quantile(max_gain_dbi, QUANTILES)
@@ -104,7 +104,7 @@ def gain_statistics(max_gain_dbi: Array) -> GainStatistics:
 
 
 def gain_density(max_gain_dbi: Array, *, points: int = 201) -> GainDensity:
-    """Density of (K,) gains, K >= 1; the curve reaches four kernel widths beyond them."""
+    """Return the density of (K,) gains, K >= 1; the curve extends four kernel widths beyond them."""
     low_dbi, high_dbi = float(np.min(max_gain_dbi)), float(np.max(max_gain_dbi))
     if high_dbi - low_dbi < LEAST_SPREAD_DB:
         edges_dbi = (low_dbi + high_dbi) / 2 + np.array([-0.5, 0.5]) * LEAST_SPREAD_DB
@@ -117,10 +117,10 @@ def gain_density(max_gain_dbi: Array, *, points: int = 201) -> GainDensity:
 
 
 class RunningEnvelope:
-    """Takes patterns of one grid one after the other; `Envelope` of all of them at any time.
+    """Accumulates the `Envelope` of patterns on one grid.
 
-    Quantiles come from a histogram in each direction, 1.6 kB of memory each, which is kept only for them;
-    without, there is their mean and what is least and greatest.
+    Quantiles need a histogram per direction, 1.6 kB of memory each. Without quantiles the envelope has mean,
+    minimum and maximum.
     """
 
     def __init__(self, *, quantiles: bool = True) -> None:
@@ -131,7 +131,7 @@ class RunningEnvelope:
         self._counts = np.empty((0, 0, 0), np.uint32)
 
     def add(self, pattern: Pattern) -> None:
-        """Count one pattern; raises ValueError if its grid is not that of the first."""
+        """Add a pattern; raises ValueError if its grid differs from that of the first."""
         if self._samples == 0:
             shape = pattern.theta_gain_dbi.shape
             self._angles_deg = pattern.theta_deg, pattern.phi_deg
@@ -151,7 +151,7 @@ class RunningEnvelope:
             _count_levels(np.asarray(to_dbi(gain), float), LEVELS_DBI[0], LEVEL_STEP_DB, self._counts)
 
     def result(self) -> Envelope:
-        """Of the patterns so far; raises ValueError when there are none."""
+        """Return the envelope of the patterns so far; raises ValueError without any."""
         if self._samples == 0:
             raise ValueError("an envelope needs at least one pattern")
         theta_deg, phi_deg = self._angles_deg
@@ -164,7 +164,7 @@ class RunningEnvelope:
         )  # fmt: skip
 
     def _quantile_levels_dbi(self) -> dict[float, Array]:
-        """(T, P) by `QUANTILES`, row by row of the grid: running sums of all would be as large again."""
+        """Return quantiles (T, P) by `QUANTILES`; computed row by row to save memory."""
         levels_dbi = {q: np.empty(self._counts.shape[:2]) for q in QUANTILES}
         for t, counts in enumerate(self._counts):
             up_to = np.cumsum(counts, axis=-1, dtype=np.uint32)
@@ -179,7 +179,7 @@ class RunningEnvelope:
 
 
 def _sorted_gain_dbi(counts: NDArray[np.uint32], up_to: NDArray[np.uint32], rank: int) -> Array:
-    """(P,) gain number ``rank`` of the sorted ones, from 0; those of one bin are evenly spread over it."""
+    """Return (P,) the gain of index ``rank`` of the sorted gains; gains are evenly spread within a bin."""
     bins = (up_to <= rank).sum(axis=-1)[:, None]
     inside = np.take_along_axis(counts, bins, axis=-1)[:, 0].astype(float)
     before = np.take_along_axis(up_to, bins, axis=-1)[:, 0] - inside
@@ -196,11 +196,11 @@ def _count_levels(gain_dbi: Array, low_dbi: float, step_db: float, counts: NDArr
 
 
 def gain_towards_dbi(patterns: Sequence[Pattern], theta_deg: float, phi_deg: float) -> Array:
-    """(K,) total gains in one direction of patterns of one grid.
+    """Return the total gains (K,) in one direction, of patterns on one grid.
 
-    On the grid, as +y always is, they are the grid's; between its directions they are polynomials of the
-    linear gain through the eight nearest along theta and along phi, over the poles as well. Patterns with
-    nothing below the horizon are continued there by their mirror image, as over perfect ground they are.
+    In a direction of the grid, as +y, these are the grid's gains. In between, they are interpolated by
+    polynomials of the linear gain through the eight nearest directions along theta and along phi, continued
+    over the poles. Patterns without gain below the horizon are continued there by their mirror image.
     """
     if not patterns:
         return np.empty(0)
@@ -229,7 +229,7 @@ def _ends_at_horizon(pattern: Pattern) -> bool:
 
 
 def _lagrange(at: float) -> tuple[NDArray[np.int64], Array]:
-    """The integers around a place, and the weights of values there in the polynomial through them."""
+    """Return the nodes around a position and their Lagrange interpolation weights."""
     nodes = int(np.floor(at)) - _AROUND // 2 + 1 + np.arange(_AROUND)
     weights = np.ones(_AROUND)
     for i in range(_AROUND):
@@ -240,10 +240,10 @@ def _lagrange(at: float) -> tuple[NDArray[np.int64], Array]:
 
 
 def pointing_errors_deg(patterns: Sequence[Pattern], theta_deg: float, phi_deg: float) -> Array:
-    """(K,) angles, 0 to 180, between the direction of each maximum and the wanted one."""
+    """Return the angles (K,), 0 to 180, between the direction of each maximum and the nominal one."""
     at = np.radians([(pattern.max_theta_deg, pattern.max_phi_deg) for pattern in patterns]).reshape(-1, 2)
     theta, phi = np.radians(theta_deg), np.radians(phi_deg)
-    # half angles, since the arc cosine of their product loses small ones
+    # half angles, since an arc cosine is inaccurate for small angles
     square = (
         np.sin((at[:, 0] - theta) / 2.0) ** 2
         + np.sin(at[:, 0]) * np.sin(theta) * np.sin((at[:, 1] - phi) / 2.0) ** 2
@@ -252,7 +252,7 @@ def pointing_errors_deg(patterns: Sequence[Pattern], theta_deg: float, phi_deg: 
 
 
 def pointing_statistics(errors_deg: Array) -> PointingStatistics:
-    """Summarise (K,) angles; raises ValueError when there are none."""
+    """Return the statistics of (K,) angles; raises ValueError without any."""
     if len(errors_deg) == 0:
         raise ValueError("statistics need at least one direction")
     return PointingStatistics(

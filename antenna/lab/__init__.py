@@ -1,1 +1,1 @@
-"""The antenna alone: patterns, statistics and speed on the command line (``scripts/antenna_lab.py``)."""
+"""Antenna patterns, statistics and benchmarks without a flight (``scripts/antenna_lab.py``)."""

@@ -1,9 +1,9 @@
-"""What a pattern costs: the batch solver beside NEC2 on the same machine, in the same minutes, one core each.
+"""Benchmark of the batch solver against NEC2, on one core each.
 
-Both get the same formations of eight dipoles, displaced by 0.5 m and tilted by 10 degrees, and both give
-gains in two polarisations on the same grid of 5 degrees. Solvers are set up and kernels compiled before the
-clock runs. Short spells of both alternate, and medians are compared, so that a machine with other work does
-not favour one; one core's time is the processor time of the calling thread.
+Both solve the same formations of eight dipoles, displaced by 0.5 m and tilted by 10 degrees, and return gains
+in two polarisations on the same grid of 5 degrees. Set-up and compilation are not timed. Short runs of both
+alternate, and medians are compared, so that other load on the machine affects both equally. The time of one
+core is the CPU time of the calling thread.
 """
 
 import statistics
@@ -30,31 +30,31 @@ LEAST_ROUNDS = 3
 
 
 class Speed(Struct, frozen=True, kw_only=True):
-    """Of one kind of element; microseconds of one core for a pattern, medians."""
+    """Times of one kind of element: microseconds of one core per pattern, medians."""
 
     speedup: float
-    """NEC2's time over the batch solver's, both with a refined maximum."""
+    """NEC2's time divided by the batch solver's, both with a refined maximum."""
     speedup_grid_only: float
-    """The same of solution and grid alone, without looking for the maximum."""
+    """The same for solution and grid only, without the search for the maximum."""
     nec2_us: float
     nec2_grid_only_us: float
     batch_us: float
     batch_grid_only_us: float
     batch_solve_us: float
-    """Couplings, and the currents that they make."""
+    """Couplings and currents."""
     batch_far_field_us: float
     """Both polarisations on the grid, in decibels."""
     batch_maximum_us: float
-    """The rest of ``batch_us``: refined maximum, average over the sphere, making of patterns."""
+    """Rest of ``batch_us``: refined maximum, average over the sphere, construction of patterns."""
 
 
 class Benchmark(Struct, frozen=True, kw_only=True):
-    """What ``benchmark`` prints."""
+    """Result of ``benchmark``."""
 
     speedup_short_dipole: float
     speedup_5m_dipole: float
     speedup_two_cores: float
-    """Shortest wall time with one thread over that with two, short dipoles."""
+    """Shortest wall time with one thread divided by that with two, short dipoles."""
     speedup_short_dipole_grid_only: float
     speedup_5m_dipole_grid_only: float
     short_dipole: Speed
@@ -62,11 +62,11 @@ class Benchmark(Struct, frozen=True, kw_only=True):
     elements: int
     directions: int
     rounds: int
-    """Of alternation, for each kind."""
+    """Number of alternations per kind of element."""
 
 
 def benchmark(seconds: float) -> Benchmark:
-    """Measure for about so long, and for `LEAST_ROUNDS` rounds; raises BackendUnavailable without PyNEC."""
+    """Measure for about ``seconds`` and at least `LEAST_ROUNDS` rounds; raises BackendUnavailable."""
     short, rounds = compare(SHORT_DIPOLE, seconds * 0.4)
     long, _ = compare(LONG_DIPOLE, seconds * 0.4)
     return Benchmark(
@@ -84,7 +84,7 @@ def benchmark(seconds: float) -> Benchmark:
 
 
 def compare(config: AntennaConfig, seconds: float) -> tuple[Speed, int]:
-    """Time both solvers in turns; the number of rounds is the second of what is given."""
+    """Time both solvers alternately; return the result and the number of rounds."""
     from antenna.solvers.nec2 import Nec2, PynecFarField  # noqa: PLC0415 - optional: PyNEC
 
     snapshots = formations(config, SNAPSHOTS)
@@ -141,9 +141,9 @@ def compare(config: AntennaConfig, seconds: float) -> tuple[Speed, int]:
 
 
 def two_cores(config: AntennaConfig, seconds: float) -> float:
-    """Wall time of one thread over that of two, on the same snapshots in turns; of each the shortest.
+    """Return the shortest wall time of one thread divided by that of two, on the same snapshots.
 
-    Other work on the machine only ever adds to a wall time, and to that of two threads more.
+    The shortest time is used since other load only increases a wall time, with two threads even more.
     """
     snapshots = formations(config, 4 * SNAPSHOTS)
     solvers = [Batch(config, threads=threads) for threads in (1, 2)]
@@ -161,7 +161,7 @@ def two_cores(config: AntennaConfig, seconds: float) -> float:
 
 
 def formations(config: AntennaConfig, count: int) -> list[Snapshot]:
-    """Draw formations of which no elements touch."""
+    """Return random formations without elements that touch."""
     element, found = config.element(), []
     for snapshot in draws(_places(config), config, DISORDER):
         try:

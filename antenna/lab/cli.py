@@ -1,6 +1,6 @@
-"""The command line of the antenna alone: no flight, one pattern or many, JSON on request.
+"""Command line for antenna patterns without a flight; prints tables, or JSON with ``--json``.
 
-Exit status: 0 fine, 2 bad input, which is one line on stderr, 130 broken off by Ctrl-C.
+Exit status: 0 success, 2 invalid input (one line on stderr), 130 interrupted by Ctrl-C.
 """
 
 import os
@@ -28,19 +28,21 @@ DECK_LIMIT_BYTES = 1_000_000
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, no_args_is_help=True)
 
-Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object to stdout.")]
 Formation = Annotated[
     str,
-    typer.Option("--formation", help="Broadside columns x end-fire rows, as 4x2.", metavar="COLUMNSxROWS"),
+    typer.Option(
+        "--formation", help="Broadside columns x end-fire rows, such as 4x2.", metavar="COLUMNSxROWS"
+    ),
 ]
-Wavelength = Annotated[float, typer.Option(help="Metres.", metavar="L")]
+Wavelength = Annotated[float, typer.Option(help="Wavelength, metres.", metavar="L")]
 Broadside = Annotated[
-    float, typer.Option(help="Between columns, wavelengths.", min=0.0, max=1_000.0, metavar="LAMBDAS")
+    float, typer.Option(help="Spacing of columns, wavelengths.", min=0.0, max=1_000.0, metavar="LAMBDAS")
 ]
 Endfire = Annotated[
-    float, typer.Option(help="Between rows, wavelengths.", min=0.0, max=1_000.0, metavar="LAMBDAS")
+    float, typer.Option(help="Spacing of rows, wavelengths.", min=0.0, max=1_000.0, metavar="LAMBDAS")
 ]
-BackendName = Annotated[Literal["batch", "nec2", "nec2c"], typer.Option(help="Which solver.")]
+BackendName = Annotated[Literal["batch", "nec2", "nec2c"], typer.Option(help="Solver.")]
 Sigma = Annotated[
     float,
     typer.Option(
@@ -56,39 +58,45 @@ Tilt = Annotated[
         metavar="DEG",
     ),
 ]
-Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0, max=2**63 - 1)]
+Seed = Annotated[int, typer.Option(help="Seed of all random numbers.", min=0, max=2**63 - 1)]
 ElementKind = Annotated[
     Literal["dipole", "loop", "deck"] | None,
-    typer.Option("--element", help="dipole, or deck if one is given."),
+    typer.Option("--element", help="Kind of element; default dipole, with --deck deck."),
 ]
 Length = Annotated[
-    float | None, typer.Option(help="Of the dipole, or round the loop, metres; 0.05.", metavar="M")
+    float | None, typer.Option(help="Dipole length or loop circumference, metres; default 0.05.", metavar="M")
 ]
-Radius = Annotated[float | None, typer.Option(help="Of the wire, metres; 0.0002.", metavar="M")]
-Segments = Annotated[int | None, typer.Option(help="Of dipole or loop; 9.", metavar="N")]
+Radius = Annotated[float | None, typer.Option(help="Wire radius, metres; default 0.0002.", metavar="M")]
+Segments = Annotated[int | None, typer.Option(help="Segments of dipole or loop; default 9.", metavar="N")]
 Deck = Annotated[
     Path | None, typer.Option(help="NEC deck with the wires of one element and its source.", metavar="FILE")
 ]
-GroundKind = Annotated[Literal["none", "perfect", "real"], typer.Option(help="Level, at height 0.")]
-Permittivity = Annotated[float | None, typer.Option(help="Of real ground, relative; 13.", metavar="EPS")]
-Conductivity = Annotated[float | None, typer.Option(help="Of real ground, S/m; 0.005.", metavar="S")]
+GroundKind = Annotated[
+    Literal["none", "perfect", "real"], typer.Option(help="Kind of ground, level at height 0.")
+]
+Permittivity = Annotated[
+    float | None, typer.Option(help="Relative permittivity of real ground; default 13.", metavar="EPS")
+]
+Conductivity = Annotated[
+    float | None, typer.Option(help="Conductivity of real ground, S/m; default 0.005.", metavar="S")
+]
 Height = Annotated[
-    float, typer.Option(help="Of the formation over the ground, metres.", min=0.0, max=1e6, metavar="M")
+    float, typer.Option(help="Height of the formation above ground, metres.", min=0.0, max=1e6, metavar="M")
 ]
 ExcitationKind = Annotated[
-    Literal["end_fire", "hansen_woodyard", "optimum"], typer.Option(help="How the elements are fed.")
+    Literal["end_fire", "hansen_woodyard", "optimum"], typer.Option(help="Feeding of the elements.")
 ]
 FeedsFor = Annotated[
     Literal["places", "truth"],
-    typer.Option("--feeds", help="Feeds made for the places, or for what was drawn."),
+    typer.Option("--feeds", help="Positions used for the feeds: nominal places, or those drawn."),
 ]
 Grid = Annotated[float, typer.Option(help="Step of the pattern, degrees.", metavar="DEG")]
-Cores = Annotated[int | None, typer.Option(help="At most; all there are.", min=1, max=1_024)]
-Netcdf = Annotated[Path | None, typer.Option(help="Write the patterns there, NetCDF-4.", metavar="FILE")]
+Cores = Annotated[int | None, typer.Option(help="Most cores to use; default all.", min=1, max=1_024)]
+Netcdf = Annotated[Path | None, typer.Option(help="Write the patterns to a NetCDF-4 file.", metavar="FILE")]
 
 
 def _option_of(field: str) -> str:
-    """Option that sets a field of `AntennaConfig`."""
+    """Return the name of the option that sets a field of `AntennaConfig`."""
     special = {"element_kind": "element", "grid_deg": "grid", "element_deck": "deck"}
     if field in special:
         return special[field]
@@ -96,45 +104,45 @@ def _option_of(field: str) -> str:
 
 
 def _config(*, deck: Path | None, **fields: object) -> AntennaConfig:
-    """Check settings; those that are None keep their defaults. Raises ValueError naming the option."""
-    wanted = {name: value for name, value in fields.items() if value is not None}
-    _refuse_without_effect(wanted, deck)
+    """Return checked settings; None means the default. Raises ValueError with the name of the option."""
+    given = {name: value for name, value in fields.items() if value is not None}
+    _reject_without_effect(given, deck)
     if deck is not None:
-        if wanted.setdefault("element_kind", "deck") != "deck":
-            raise ValueError(f"--deck: {deck} is given for an element that is a {wanted['element_kind']}")
-        wanted["element_deck"] = _deck_text(deck)
-    elif wanted.get("element_kind") == "deck":
-        raise ValueError("--element: deck needs the deck's file, --deck FILE")
+        if given.setdefault("element_kind", "deck") != "deck":
+            raise ValueError(f"--deck: {deck} needs --element deck, not {given['element_kind']}")
+        given["element_deck"] = _deck_text(deck)
+    elif given.get("element_kind") == "deck":
+        raise ValueError("--element: deck requires a deck file, --deck FILE")
     try:
-        return msgspec.convert(wanted, AntennaConfig)
+        return msgspec.convert(given, AntennaConfig)
     except msgspec.ValidationError as error:
-        said, _, path = str(error).partition(" - at `$.")
-        name, colon, rest = said.partition(": ")
+        reason, _, path = str(error).partition(" - at `$.")
+        name, colon, rest = reason.partition(": ")
         if path:
             name = path.rstrip("`")
-            raise ValueError(f"--{_option_of(name)}: {said}, not {wanted[name]}") from None
+            raise ValueError(f"--{_option_of(name)}: {reason}, not {given[name]}") from None
         if colon and name in AntennaConfig.__struct_fields__:
             raise ValueError(f"--{_option_of(name)}: {rest}") from None
         raise
 
 
-def _refuse_without_effect(wanted: Mapping[str, object], deck: Path | None) -> None:
-    """Raise ValueError for the first option of those given that nothing would come of."""
-    if wanted.get("ground") != "real":
+def _reject_without_effect(given: Mapping[str, object], deck: Path | None) -> None:
+    """Raise ValueError for the first given option that has no effect."""
+    if given.get("ground") != "real":
         for name in ("ground_permittivity", "ground_conductivity_s_m"):
-            if name in wanted:
-                raise ValueError(f"--{_option_of(name)}: of real ground alone; expected --ground real")
+            if name in given:
+                raise ValueError(f"--{_option_of(name)}: only for real ground; expected --ground real")
     if deck is not None:
         for name in ("element_length_m", "element_radius_m", "segments"):
-            if name in wanted:
-                raise ValueError(f"--{_option_of(name)}: {deck} has its own; expected no --deck beside it")
+            if name in given:
+                raise ValueError(f"--{_option_of(name)}: not allowed with --deck {deck}, which defines it")
 
 
 def _deck_text(path: Path) -> str:
     with path.open("rb") as file:
         content = file.read(DECK_LIMIT_BYTES + 1)
     if len(content) > DECK_LIMIT_BYTES:
-        raise ValueError(f"{path}: longer than {DECK_LIMIT_BYTES} bytes")
+        raise ValueError(f"{path}: larger than {DECK_LIMIT_BYTES} bytes")
     text = content.decode("latin-1")
     try:
         read_element(text)
@@ -166,13 +174,15 @@ def pattern(
     excitation: ExcitationKind = "end_fire",
     feeds: FeedsFor = "places",
     grid: Grid = 5.0,
-    figure: Annotated[Path | None, typer.Option(help="Draw the pattern.", metavar="PNG")] = None,
-    cuts: Annotated[Path | None, typer.Option(help="Draw its polar cuts.", metavar="PNG")] = None,
-    deck_out: Annotated[Path | None, typer.Option(help="Write it as a NEC deck.", metavar="FILE")] = None,
+    figure: Annotated[Path | None, typer.Option(help="Plot the pattern.", metavar="PNG")] = None,
+    cuts: Annotated[Path | None, typer.Option(help="Plot its polar cuts.", metavar="PNG")] = None,
+    deck_out: Annotated[
+        Path | None, typer.Option(help="Write the array as a NEC deck.", metavar="FILE")
+    ] = None,
     netcdf: Netcdf = None,
     json: Json = False,
 ) -> None:
-    """One formation: ideal, or with --sigma or --tilt drawn by the seed."""
+    """Pattern of one formation: ideal, or random with --sigma or --tilt."""
     from antenna.lab.runs import Files, one_pattern  # noqa: PLC0415  compiles
 
     config = _config(
@@ -200,7 +210,7 @@ def statistics(
     backend: BackendName = "batch",
     sigma: Sigma = 0.0,
     tilt: Tilt = 0.0,
-    samples: Annotated[int, typer.Option(help="Formations drawn.", min=1, max=10_000_000)] = 1000,
+    samples: Annotated[int, typer.Option(help="Number of random formations.", min=1, max=10_000_000)] = 1000,
     seed: Seed = 1,
     element: ElementKind = None,
     length: Length = None,
@@ -216,15 +226,15 @@ def statistics(
     grid: Grid = 5.0,
     cores: Cores = None,
     figure: Annotated[
-        Path | None, typer.Option(help="Draw the maximum gain's density.", metavar="PNG")
+        Path | None, typer.Option(help="Plot the density of the maximum gain.", metavar="PNG")
     ] = None,
     envelope: Annotated[
-        Path | None, typer.Option(help="Draw the patterns' mean and spread.", metavar="PNG")
+        Path | None, typer.Option(help="Plot mean and spread of the patterns.", metavar="PNG")
     ] = None,
     netcdf: Netcdf = None,
     json: Json = False,
 ) -> None:
-    """Many formations, displaced and tilted at random: how their gain spreads."""
+    """Gain statistics of many formations, displaced and tilted at random."""
     from antenna.lab.runs import Files, many_patterns  # noqa: PLC0415  compiles
 
     config = _config(
@@ -247,10 +257,12 @@ def statistics(
 @app.command()
 def benchmark(
     *,
-    seconds: Annotated[float, typer.Option(help="How long it measures, about.", min=0.0, max=3_600.0)] = 20.0,
+    seconds: Annotated[
+        float, typer.Option(help="Approximate duration, seconds.", min=0.0, max=3_600.0)
+    ] = 20.0,
     json: Json = False,
 ) -> None:
-    """The batch solver beside NEC2 (PyNEC), on this machine, one core each; and on two cores."""
+    """Speed of the batch solver and of NEC2 (PyNEC), on one core each, and on two cores."""
     from antenna.lab.benchmark import benchmark as measure  # noqa: PLC0415  compiles
 
     _show(measure(seconds), as_json=json, title="8 dipoles, 5° patterns with refined maximum; µs of one core")
@@ -279,25 +291,25 @@ def _rows(values: dict[str, Any], under: str = "") -> list[tuple[str, str]]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status."""
+    """Run the command line; return the exit status."""
     try:
         status = app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False)
     except typer.TyperException as error:
-        return _refuse(error.format_message())
+        return _reject(error.format_message())
     except OSError as error:  # of a file
-        return _refuse(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+        return _reject(f"{error.filename}: {error.strerror}" if error.filename else str(error))
     except (BackendUnavailable, ElementsTouch, RuntimeError, WorkerError, subprocess.TimeoutExpired) as error:
-        return _refuse(" ".join(str(error).split()))
-    except ValueError as error:  # of settings, each alone or together
-        return _refuse(" ".join(str(error).split()))
+        return _reject(" ".join(str(error).split()))
+    except ValueError as error:  # invalid settings
+        return _reject(" ".join(str(error).split()))
     except MemoryError as error:
-        said = " ".join(str(error).split()) or "none is left"
-        return _refuse(f"out of memory, a coarser --grid needs less: {said}")
+        reason = " ".join(str(error).split()) or "allocation failed"
+        return _reject(f"out of memory, a coarser --grid needs less: {reason}")
     except KeyboardInterrupt:
         return INTERRUPTED
     return status if isinstance(status, int) else FINE
 
 
-def _refuse(line: str) -> int:
+def _reject(line: str) -> int:
     sys.stderr.write(f"coflight: {line}\n")
     return BAD_INPUT

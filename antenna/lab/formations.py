@@ -1,4 +1,4 @@
-"""Formations for the laboratory: the ideal one, and any number whose vehicles are displaced and tilted."""
+"""Formations for the command line: the ideal one, and random ones with displaced and tilted vehicles."""
 
 import re
 from collections.abc import Iterator
@@ -13,25 +13,25 @@ from antenna.solvers.ports import feed
 
 DRAWN_TOGETHER = 256
 MOST_ELEMENTS = 200
-"""Systems grow with the square of their number."""
+"""Most elements; the size of the equations grows with the square."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Disorder:
-    """How vehicles miss their places: Gaussian, independent of each other and of the axis."""
+    """Random position and attitude errors of the vehicles: Gaussian, independent per vehicle and axis."""
 
     sigma_m: float = 0.0
-    """Of the position along x, y and z."""
+    """Standard deviation of the position along x, y and z."""
     tilt_rad: float = 0.0
-    """Of the turn about the horizontal axes, x and y, together one turn about an axis between them."""
+    """Standard deviation of the components of the rotation vector along x and y."""
     seed: int = 1
 
 
 def formation(text: str, *, broadside_m: float, endfire_m: float, height_m: float) -> Array:
-    """(n, 3) places of a grid, A columns along x by B rows along y for ``AxB``; raises ValueError."""
+    """Return the positions (n, 3) of a grid ``AxB``: A columns along x, B rows along y; raises ValueError."""
     found = re.fullmatch(r"(\d{1,3})x(\d{1,3})", text)
     if found is None:
-        raise ValueError(f"--formation: {text!r} is no formation; expected COLUMNSxROWS, as 4x2")
+        raise ValueError(f"--formation: {text!r} is not a formation; expected COLUMNSxROWS, such as 4x2")
     columns, rows = (int(word) for word in found.groups())
     if not 1 <= columns * rows <= MOST_ELEMENTS:
         raise ValueError(f"--formation: {text} has {columns * rows} elements; expected 1 to {MOST_ELEMENTS}")
@@ -41,16 +41,16 @@ def formation(text: str, *, broadside_m: float, endfire_m: float, height_m: floa
 
 
 def ideal(places_m: Array, config: AntennaConfig) -> Snapshot:
-    """All vehicles upright at their places."""
+    """Return the snapshot with all vehicles upright at their places."""
     return upright(places_m, feed(places_m, config))
 
 
 def draws(places_m: Array, config: AntennaConfig, disorder: Disorder) -> Iterator[Snapshot]:
-    """Draw formations without end, the same for a seed however many are taken.
+    """Yield random formations without end; they depend only on the seed.
 
-    Positions and tilts come from streams of their own, so that one does not change with the other's size.
-    Feeds are made for the places, or with ``feeds_for`` truth for positions and attitudes that were drawn.
-    Raises as `feed` does, but not when what was drawn touches.
+    Positions and tilts have separate streams, so that neither changes with the other's standard deviation.
+    Feeds are computed for the places, or with ``feeds_for`` truth for the drawn positions and attitudes.
+    Raises as `feed`, except for drawn elements that touch.
     """
     streams = np.random.SeedSequence(disorder.seed).spawn(2)
     positions, tilts = (np.random.default_rng(stream) for stream in streams)
@@ -66,6 +66,6 @@ def draws(places_m: Array, config: AntennaConfig, disorder: Disorder) -> Iterato
             if voltages is None:
                 try:
                     voltages = feed(centre_m, config, rotation, places_m=places_m)
-                except ElementsTouch:  # whoever computes its pattern finds out as well
+                except ElementsTouch:  # the solver reports it too
                     voltages = np.ones(n, complex)
             yield Snapshot(centre_m, rotation, voltages)

@@ -1,6 +1,6 @@
-"""Directivity of Hertzian dipoles with given currents in closed form: that of short dipoles, exactly.
+"""Closed-form directivity of Hertzian dipoles with given currents, exact for short dipoles.
 
-Below perfect ground stand the images, which take half of the power with them.
+Over perfect ground images are added, which account for half of the power.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ from antenna.model.geometry import Array, Snapshot
 def hertzian_pattern(
     snapshot: Snapshot, wavelength_m: float, *, grid_deg: float, image: bool = False
 ) -> Pattern:
-    """Pattern of dipoles along the elements' own z, with currents in the ratio of the snapshot's voltages."""
+    """Return the pattern of dipoles along the elements' z, with currents proportional to the voltages."""
     places_m, axes, currents = snapshot.centres_m, snapshot.axes, snapshot.voltages
     if image:
         mirror = np.array([1.0, 1.0, -1.0])

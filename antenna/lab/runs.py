@@ -1,4 +1,4 @@
-"""What the laboratory's commands do: solve, measure, write what was asked for, and say what came out."""
+"""Implementation of the commands: solve formations, evaluate patterns, write files, return reports."""
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -35,20 +35,20 @@ from antenna.solvers.ports import MAIN_LOBE_DEG
 from antenna.solvers.selection import make_backend
 
 SHORT_LAMBDA = 0.1
-"""Dipoles up to this length have the pattern of Hertzian ones, to 0.01 dB."""
+"""Longest dipole, in wavelengths, with the pattern of a Hertzian dipole within 0.01 dB."""
 AT_A_TIME = 512
-"""Patterns in memory at most, unless they are to be written."""
+"""Most patterns in memory, unless they are written to a file."""
 LOT_BYTES = 200_000_000
-"""Of patterns in memory, unless a single one is more."""
+"""Most memory of these patterns, unless a single one needs more."""
 MOST_KEPT_BYTES = 4_000_000_000
-"""Of patterns for one file, or of an envelope's histograms."""
+"""Most memory of patterns for one file, or of an envelope's histograms."""
 EXACT_GRID_DEG = 1.0
-"""Least step of the closed form's grid, from which its maximum is looked for."""
+"""Least step of the grid on which the closed form's maximum is searched."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Files:
-    """What is to be written, and where."""
+    """Paths of the files to write; None: not written."""
 
     figure: Path | None = None
     cuts: Path | None = None
@@ -58,11 +58,11 @@ class Files:
 
 
 class PatternReport(Struct, frozen=True, kw_only=True):
-    """One pattern; what there is not is None."""
+    """Report on one pattern; None where not defined."""
 
     max_gain_dbi: float
     theta_deg: float
-    """Of the maximum, as phi_deg."""
+    """Direction of the maximum, with ``phi_deg``."""
     phi_deg: float
     backend: str
     accuracy: str
@@ -73,17 +73,17 @@ class PatternReport(Struct, frozen=True, kw_only=True):
     back_dbi: float
     null_dbi: float
     towards_dbi: float
-    """Gain along +y, for which arrays are fed."""
+    """Gain along +y, the nominal direction of the main lobe."""
     pointing_error_deg: float | None
-    """Of the maximum from +y; None if others on the grid are as high (`has_one_maximum`)."""
+    """Angle of the maximum from +y; None if the maximum is ambiguous (`has_one_maximum`)."""
     exact_directivity_dbi: float | None
-    """Maximum of Hertzian dipoles with currents in the ratio of the voltages, for short dipoles."""
+    """Directivity of Hertzian dipoles with currents proportional to the voltages; for short dipoles."""
     elements: int
     grid_deg: float
 
 
 class Spread(Struct, frozen=True, kw_only=True):
-    """Of decibels."""
+    """Statistics of decibels."""
 
     mean_dbi: float
     std_db: float
@@ -91,7 +91,7 @@ class Spread(Struct, frozen=True, kw_only=True):
 
 
 class Pointing(Struct, frozen=True, kw_only=True):
-    """Of angles between the maxima and +y."""
+    """Statistics of the angles between the maxima and +y."""
 
     mean_deg: float
     rms_deg: float
@@ -100,32 +100,32 @@ class Pointing(Struct, frozen=True, kw_only=True):
 
 
 class StatisticsReport(Struct, frozen=True, kw_only=True):
-    """Many patterns; moments and quantiles are of those whose elements do not touch."""
+    """Report on many patterns; statistics are over those whose elements do not touch."""
 
     mean_dbi: float
-    """Of the maximum gains in decibels, and so std_db and the quantiles, dBi by their share."""
+    """Mean of the maximum gains in decibels; likewise ``std_db`` and ``quantiles``, dBi by probability."""
     std_db: float
     min_dbi: float
     max_dbi: float
     quantiles: dict[str, float]
     ideal_dbi: float | None
-    """Maximum gain of the ideal formation; None if that has no pattern, for one since its elements touch."""
+    """Maximum gain of the ideal formation; None if it has no pattern, for example if elements touch."""
     samples: int
     missing: int
-    """Samples without a pattern, since elements touch, or are too close for the solver."""
+    """Samples without a pattern, because elements touch or are too close for the solver."""
     first_missing: str | None
     towards: Spread
     """Gain along +y."""
     pointing: Pointing
     mean_pattern_max_dbi: float
-    """Greatest of the mean pattern (mean of linear gains) on the grid."""
+    """Maximum of the mean pattern (mean of linear gains) on the grid."""
     backend: str
     accuracy: str
     elements: int
 
 
 def one_pattern(places_m: Array, config: AntennaConfig, disorder: Disorder, files: Files) -> PatternReport:
-    """Solve the ideal formation, or the first that is drawn; raises `ElementsTouch`."""
+    """Solve the ideal formation, or the first random one; raises `ElementsTouch`."""
     backend = make_backend(config)
     drawn = disorder.sigma_m > 0.0 or disorder.tilt_rad > 0.0
     snapshot = next(draws(places_m, config, disorder)) if drawn else ideal(places_m, config)
@@ -166,9 +166,9 @@ def one_pattern(places_m: Array, config: AntennaConfig, disorder: Disorder, file
 def many_patterns(
     places_m: Array, config: AntennaConfig, disorder: Disorder, *, samples: int, cores: int, files: Files
 ) -> StatisticsReport:
-    """Draw and solve; raises ValueError when the elements of all formations touch.
+    """Solve random formations and return their statistics.
 
-    Raises as well as `draws` does, when the formation cannot be fed.
+    Raises ValueError if no formation has a pattern, and as `draws` if the formation cannot be fed.
     """
     solver = make_backend(config, threads=cores)
     size = samples * _pattern_bytes(config)
@@ -196,7 +196,7 @@ def many_patterns(
                 continue
             missing += 1
             if first_missing is None:
-                # elements that all but touch may seem to give power to their sources
+                # for elements that nearly touch a solver may find negative power
                 reason = str(result) if isinstance(result, ElementsTouch) else "the solver found no power"
                 first_missing = f"sample {number + k}: {reason}"
         max_gain_dbi += [pattern.max_gain_dbi for pattern in patterns]
@@ -239,7 +239,7 @@ def many_patterns(
 
 
 def exact_directivity_dbi(snapshot: Snapshot, config: AntennaConfig) -> float | None:
-    """Directivity by the closed form, where it holds: short dipoles, not over real ground."""
+    """Return the closed-form directivity of short dipoles; None for others, or over real ground."""
     short = config.element_kind == "dipole" and config.element_length_m <= SHORT_LAMBDA * config.wavelength_m
     if not short or config.ground == "real":
         return None
@@ -250,7 +250,7 @@ def exact_directivity_dbi(snapshot: Snapshot, config: AntennaConfig) -> float | 
 def _solve(
     solver: Backend, config: AntennaConfig, snapshots: Iterable[Snapshot], cores: int, samples: int
 ) -> Iterator[tuple[int, Sequence[Pattern | ElementsTouch]]]:
-    """Solve all snapshots, some at a time, each lot with the number of its first; progress on stderr."""
+    """Solve all snapshots in lots; yield the number of the first and the results. Progress goes to stderr."""
     source = iter(snapshots)
     console = Console(stderr=True)
     together = max(1, min(AT_A_TIME, LOT_BYTES // _pattern_bytes(config)))
@@ -259,14 +259,14 @@ def _solve(
         firsts, console=console, description="solving", transient=True, disable=not console.is_terminal
     ):
         lot = list(islice(source, together))
-        if solver.name == "batch":  # it has threads of its own; the others take a process for each core
+        if solver.name == "batch":  # it uses threads; the others use one process per core
             yield first, solver.patterns(lot)
         else:
             yield first, compute_patterns(config, lot, workers=cores)
 
 
 def _pattern_bytes(config: AntennaConfig) -> int:
-    """Two grids in single precision."""
+    """Return the size of a pattern: two grids in single precision."""
     return 2 * _directions(config) * np.dtype(np.float32).itemsize
 
 
@@ -276,7 +276,7 @@ def _directions(config: AntennaConfig) -> int:
 
 
 def _ideal_pattern(backend: Backend, places_m: Array, config: AntennaConfig) -> Pattern | None:
-    """Of the formation with all vehicles at their places; None if elements touch there, or cannot be fed."""
+    """Return the pattern of the ideal formation; None if elements touch there, or cannot be fed."""
     try:
         return _solved(backend, ideal(places_m, config))
     except (ElementsTouch, ValueError):
@@ -288,12 +288,12 @@ def _solved(backend: Backend, snapshot: Snapshot) -> Pattern:
     if isinstance(result, ElementsTouch):
         raise result
     if not _sound(result):
-        raise ValueError(f"elements all but touch, and {backend.name} finds no power that is radiated")
+        raise ValueError(f"elements nearly touch, and {backend.name} finds no radiated power")
     return result
 
 
 def _sound(pattern: Pattern) -> bool:
-    """Whether power was radiated at all: of elements that all but touch a solver may find less than none."""
+    """Whether the radiated power is positive; for elements that nearly touch a solver may find less."""
     return math.isfinite(pattern.max_gain_dbi) and pattern.average_gain > 0.0
 
 
@@ -311,6 +311,6 @@ def _write_text(path: Path, text: str) -> None:
 
 
 def _in_folder(path: Path) -> Path:
-    """The path, whose folder is made if it is not there."""
+    """Return the path, after creating its folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
     return path

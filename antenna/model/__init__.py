@@ -1,4 +1,4 @@
-"""What an array is: settings, elements, positions, feeds, clearances, and NEC decks of it. No solver.
+"""Model of an array: settings, elements, positions, feeds, clearances, and NEC decks.
 
-Import `config` for the settings and `geometry` for snapshots. Patterns are left to `antenna.solvers`.
+Import `config` for the settings and `geometry` for snapshots. Patterns are computed in `antenna.solvers`.
 """

@@ -1,4 +1,4 @@
-"""An array at one instant as a NEC deck: its wires, feeds, ground and wavelength by its settings."""
+"""Export an array at one instant as a NEC deck with wires, feeds, ground and wavelength."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ from antenna.model.geometry import Snapshot
 
 
 def ground_of(config: AntennaConfig) -> Ground | None:
-    """Ground as decks have it; None is free space."""
+    """Return the ground of a deck; None is free space."""
     match config.ground:
         case "none":
             return None
@@ -24,7 +24,7 @@ def ground_of(config: AntennaConfig) -> Ground | None:
 def deck_of(
     snapshot: Snapshot, config: AntennaConfig, pattern: Pattern, *, comments: Sequence[str] = ()
 ) -> str:
-    """NEC deck of a snapshot; its comments say which frame it is in and what maximum it has."""
+    """Return the NEC deck of a snapshot, with comments on its frame and the pattern's maximum."""
     maximum = (
         f"{pattern.backend}: {pattern.max_gain_dbi:.2f} dBi at theta {pattern.max_theta_deg:.1f},"
         f" phi {pattern.max_phi_deg:.1f}"

@@ -1,4 +1,4 @@
-"""Where the wires of an array are, and whether its elements are apart: a collision has no antenna pattern."""
+"""Positions of an array's wires, and clearances between its elements: touching elements have no pattern."""
 
 import math
 from typing import NamedTuple
@@ -11,21 +11,21 @@ from antenna.model.elements import Element
 from antenna.model.geometry import Array, ElementsTouch, Snapshot
 
 SEGMENT_MATCH = 1e-3
-"""Wire ends nearer than this part of a segment are one node to NEC2 (User's Guide, structure geometry)."""
+"""Wire ends closer than this part of a segment are one node in NEC2 (User's Guide, structure geometry)."""
 ALIKE_M = 1e-9
-"""Distances no more different than this are one: the first of them counts, whatever the rounding."""
+"""Distances that differ by less are equal: the first counts, independent of rounding."""
 GROUND = -1
-"""Stands for the ground where an element's number is expected."""
+"""Index of the ground in place of an element."""
 NEAR_RAD = 0.45
-"""Phase of the wave over the distance of elements that are near each other."""
+"""Phase of the wave over the distance within which elements count as near."""
 CREDIBLE = 0.8, 1.25
-"""Radiated over input power, within 1 dB of each other."""
+"""Credible range of radiated over input power: within 1 dB."""
 LOSSY = 0.0, 1.05
-"""The same over a ground that takes part of it."""
+"""The same over a lossy ground."""
 
 
 class Nearest(NamedTuple):
-    """Two elements, or one and the `GROUND`, and how far their wires are apart."""
+    """Two elements, or one and the `GROUND`, and the distance of their wires."""
 
     first: int
     second: int
@@ -33,20 +33,20 @@ class Nearest(NamedTuple):
 
 
 def wire_ends_m(element: Element) -> Array:
-    """(W, 2, 3) starts and ends of the wires, in the element's frame."""
+    """Return starts and ends of the wires (W, 2, 3), in the element's frame."""
     return np.array([(wire.start_m, wire.end_m) for wire in element.wires])
 
 
 def placed_wires_m(snapshot: Snapshot, element: Element) -> Array:
-    """(n, W, 2, 3) the same of every element of an array, in its frame."""
+    """Return starts and ends of the wires of all elements (n, W, 2, 3), in the array's frame."""
     turned = np.einsum("nxy,wey->nwex", snapshot.rotations, wire_ends_m(element))
     return np.asarray(turned + snapshot.centres_m[:, None, None])
 
 
 def clearance_m(element: Element) -> float:
-    """Least distance between the axes of wires of two elements.
+    """Return the least allowed distance between the wire axes of two elements.
 
-    NEC2 does not notice wires that overlap in parallel, and joins ends that nearly meet.
+    NEC2 does not detect parallel wires that overlap, and joins ends that nearly meet.
     """
     radii = [2.0 * wire.radius_m for wire in element.wires]
     joined = [SEGMENT_MATCH * wire.length_m / wire.segments for wire in element.wires]
@@ -54,27 +54,27 @@ def clearance_m(element: Element) -> float:
 
 
 def near_m(wavelength_m: float) -> float:
-    """Distance within which elements count as near each other: `NEAR_RAD` of the wave's phase.
+    """Return the distance within which elements count as near each other: `NEAR_RAD` of the wave's phase.
 
-    The near field of an element is stronger than what it radiates by the cube of that phase, so that even the
-    last digits of a coupling count against the power that is radiated.
+    The near field of an element exceeds its radiated field by the cube of that phase, so that small relative
+    errors of a coupling are significant for the radiated power.
     """
     return NEAR_RAD * wavelength_m / (2.0 * math.pi)
 
 
 def credible(average_gain: float, *, lossy: bool = False) -> bool:
-    """Whether a solution radiates what its sources feed in; a ``lossy`` ground takes any part of that."""
+    """Whether the radiated power matches the input power; a ``lossy`` ground may absorb any part of it."""
     least, most = LOSSY if lossy else CREDIBLE
     return least < average_gain < most
 
 
 def reach_m(element: Element) -> float:
-    """How far the farthest end of a wire is from the element's centre."""
+    """Return the distance of the farthest wire end from the element's centre."""
     return float(np.linalg.norm(wire_ends_m(element), axis=-1).max())
 
 
 def check_apart(snapshot: Snapshot, element: Element, *, grounded: bool) -> Nearest:
-    """Find which two elements are nearest; raises `ElementsTouch` if they, or one and the ground, touch."""
+    """Return the two nearest elements; raises `ElementsTouch` if they, or one and the ground, touch."""
     found = nearest(placed_wires_m(snapshot, element), grounded=grounded)
     if found.distance_m <= clearance_m(element):
         raise ElementsTouch(*found)
@@ -82,7 +82,7 @@ def check_apart(snapshot: Snapshot, element: Element, *, grounded: bool) -> Near
 
 
 def nearest(placed_m: Array, *, grounded: bool) -> Nearest:
-    """Find what is nearest to each other of elements' wires (n, W, 2, 3)."""
+    """Return the two nearest elements, or the one nearest to the ground, from their wires (n, W, 2, 3)."""
     n = len(placed_m)
     pair, distance_m = np.empty(2, np.int64), np.empty(1)
     measure(placed_m, grounded, np.empty_like(placed_m), np.empty((n, n)), np.empty((n, n)), pair, distance_m)
@@ -92,19 +92,19 @@ def nearest(placed_m: Array, *, grounded: bool) -> Nearest:
 @njit(cache=True, nogil=True, error_model="numpy")
 def measure(
     ends_m: Array,
-    grounded: bool,  # noqa: FBT001  # numba knows no keyword-only arguments
+    grounded: bool,  # noqa: FBT001  # numba has no keyword-only arguments
     ends_image_m: Array,
     apart_m: Array,
     image_apart_m: Array,
     nearest: NDArray[np.int64],
     nearest_m: Array,
 ) -> None:
-    """Write which two of n elements are nearest to each other, (2,), and the distance of their wires, (1,).
+    """Write the two nearest of n elements, (2,), and the distance of their wires, (1,).
 
-    `GROUND` as the second is the ground, the distance then the height of the first one's lowest point, which
-    may be negative. A lone element in free space is infinitely far from -1. The wires are ``ends_m`` (n, W,
-    2, 3); written too are those of the images in the ground, and for i < j the distances of two elements (n,
-    n), for i <= j of one and the other's image (n, n).
+    If the second is `GROUND`, the distance is the height of the first one's lowest point, which may be
+    negative. For a single element in free space it is `GROUND` at infinite distance. The wires are ``ends_m``
+    (n, W, 2, 3). Also written are the wires of the images in the ground, the distances (n, n) of elements
+    for i < j, and of elements and images (n, n) for i <= j.
     """
     n = len(ends_m)
     nearest[0], nearest[1], nearest_m[0] = 0, GROUND, np.inf
@@ -128,7 +128,7 @@ def measure(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def least_distance_m(wires_m: Array, others_m: Array) -> float:
-    """Least distance of the wires (W, 2, 3) of two elements."""
+    """Return the least distance of the wires (W, 2, 3) of two elements."""
     least_m = np.inf
     for a in range(len(wires_m)):
         for b in range(len(others_m)):
@@ -139,9 +139,9 @@ def least_distance_m(wires_m: Array, others_m: Array) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def segment_distance_m(p_m: Array, q_m: Array, r_m: Array, s_m: Array) -> float:
-    """Least distance between the straight pieces from p to q and from r to s, (3,); none is a point.
+    """Return the least distance between the segments from p to q and from r to s, (3,), of positive length.
 
-    Ericson, Real-Time Collision Detection, 5.1.9: the nearest points of the lines, clamped to the pieces.
+    Ericson, Real-Time Collision Detection, 5.1.9: nearest points of the lines, clamped to the segments.
     """
     aa = bb = ab = ac = bc = 0.0
     for x in range(3):

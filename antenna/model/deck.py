@@ -1,9 +1,8 @@
-"""NEC decks, the text files that nec2c, xnec2c and 4nec2 read: written of arrays, read for an element.
+"""Write arrays to, and read an element from, NEC decks, the text files of nec2c, xnec2c and 4nec2.
 
-Understood when read: CM, CE, GW, GM, GS, GE, EX 0, and EN, behind which nothing is read; what only asks for
-results (FR, RP, XQ, PT, PQ, NE, NH) is passed over. Anything else changes the antenna in ways that are not
-modelled here, and is refused by its line. Numbers stand between blanks or commas; nothing between two commas
-is 0, as in NEC's free format.
+The reader supports CM, CE, GW, GM, GS, GE, EX 0, and EN, after which it stops. It skips cards that only
+request results (FR, RP, XQ, PT, PQ, NE, NH) and rejects all others, with their line number. Numbers are
+separated by blanks or commas; an empty field between two commas is 0, as in NEC's free format.
 """
 
 import math
@@ -24,32 +23,32 @@ _PASSED_OVER = {"CM", "CE", "FR", "RP", "XQ", "PT", "PQ", "NE", "NH"}
 _INTEGERS = {"GW": 2, "GM": 2, "GS": 2, "EX": 4, "GE": 1}
 _MOST_WIRES = 1_000
 _GREATEST = 1e15
-"""Of any number in a deck, before and after a GS: nothing overflows before the sizes are checked."""
+"""Largest absolute number in a deck, before and after GS, to avoid overflow before sizes are checked."""
 
 
 class DeckError(ValueError):
-    """A deck that cannot be read; the text is one line with the deck's line number."""
+    """The deck cannot be read; the text is one line with the deck's line number."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ground:
-    """What a deck's GN card says; ``permittivity`` None is a perfect conductor."""
+    """Ground of a deck's GN card; ``permittivity`` None is a perfect conductor."""
 
     permittivity: float | None = None
     conductivity_s_m: float = 0.0
 
 
 class _Placed(NamedTuple):
-    """A wire of a deck that is being read."""
+    """A wire of a deck while it is read."""
 
     tag: int
     wire: Wire
     line: int
-    """Of its GW card, from 1."""
+    """Line of its GW card, from 1."""
 
 
 def read_element(text: str) -> Element:
-    """Read a deck's wires and its source, of which there is one; raises DeckError."""
+    """Return the element of a deck with wires and one source; raises DeckError."""
     wires: list[_Placed] = []
     source: tuple[int, int] | None = None
     number = 0
@@ -70,15 +69,15 @@ def read_element(text: str) -> Element:
                     wires = _moved(wires, integers, reals)
                 case "GE":
                     if integers[0] != 0:
-                        raise ValueError("an element has no ground of its own: expected GE 0")  # noqa: TRY301  # one place that adds the line
+                        raise ValueError("an element must not have a ground: expected GE 0")  # noqa: TRY301  # line added below
                 case "EX":
                     if source is not None:
-                        raise ValueError("a second source; an element has one")  # noqa: TRY301
+                        raise ValueError("second source; an element must have one")  # noqa: TRY301
                     if integers[0] != 0:
                         raise ValueError(f"source of kind {integers[0]}; expected 0, a voltage")  # noqa: TRY301
                     source = integers[1], integers[2]
                 case _:
-                    raise ValueError(f"card {card!r} is not understood")  # noqa: TRY301
+                    raise ValueError(f"card {card!r} is not supported")  # noqa: TRY301
         except ValueError as error:
             raise DeckError(f"line {number}: {error}") from None
         if len(wires) > _MOST_WIRES:
@@ -105,9 +104,9 @@ def write_deck(
     step_deg: float = 5.0,
     comments: Sequence[str] = (),
 ) -> str:
-    """Write the deck of an array at one instant; it asks for the gain on a grid of the whole sphere.
+    """Return the deck of an array at one instant, with a request for the gain on a grid of the sphere.
 
-    Element k has the tags k W + 1 to (k + 1) W, W being its number of wires.
+    Element k has the tags k W + 1 to (k + 1) W, where W is its number of wires.
     """  # fmt: skip
     cards = [f"CM {comment}" for comment in comments] + ["CE"]
     for k, wires in enumerate(placed_wires_m(snapshot, element)):
@@ -123,7 +122,7 @@ def write_deck(
     cards.append(f"FR 0 1 0 0 {SPEED_OF_LIGHT_M_S / wavelength_m / 1e6:.12g} 0")
     fed, segment = feed(element)
     for k, voltage in enumerate(snapshot.voltages.tolist()):
-        if voltage != 0.0:  # NEC2 takes a source of 0 V for one of 1 V
+        if voltage != 0.0:  # NEC2 treats a source of 0 V as 1 V
             tag = k * len(element.wires) + fed + 1
             cards.append(f"EX 0 {tag} {segment + 1} 0 {voltage.real:.9g} {voltage.imag:.9g}")
     theta_deg, phi_deg = directions_deg(step_deg)
@@ -134,24 +133,24 @@ def write_deck(
 
 
 def feed(element: Element) -> tuple[int, int]:
-    """Wire and segment of it, both from 0, at which an element is fed."""
+    """Return the wire and its segment at which an element is fed, both from 0."""
     segment = element.feed_segment
     for number, wire in enumerate(element.wires):
         if segment < wire.segments:
             return number, segment
         segment -= wire.segments
-    raise AssertionError("an element is fed at one of its segments")
+    raise AssertionError("feed_segment is not a segment of the element")
 
 
 def _fields(card: str, text: str) -> tuple[list[int], list[float]]:
-    """Integers and reals of a card, missing ones being 0."""
+    """Return integers and reals of a card; missing ones are 0."""
     words = [word for field in text.strip().removeprefix(",").split(",") for word in field.split() or ["0"]]
     try:
         numbers = [float(word) for word in words]
     except ValueError:
         raise ValueError(f"{card}: expected numbers, not {text.strip()[:40]!r}") from None
-    if not all(abs(value) <= _GREATEST for value in numbers):  # nor not-a-number
-        raise ValueError(f"{card}: expected finite numbers, none beyond {_GREATEST:g}")
+    if not all(abs(value) <= _GREATEST for value in numbers):  # also rejects NaN
+        raise ValueError(f"{card}: expected finite numbers of at most {_GREATEST:g}")
     count = _INTEGERS.get(card, 0)
     integers, reals = [int(value) for value in numbers[:count]], numbers[count:]
     return integers + [0] * (count - len(integers)), reals + [0.0] * (7 - len(reals))
@@ -162,10 +161,10 @@ def _wire(integers: list[int], reals: list[float], line: int) -> _Placed:
     if not 1 <= segments <= 1_000:
         raise ValueError(f"GW: {segments} segments; expected 1 to 1000")
     if reals[6] <= 0.0:
-        raise ValueError("GW: expected a radius above 0 (tapered wires, GC, are not understood)")
+        raise ValueError("GW: expected a radius above 0 (tapered wires, GC, are not supported)")
     start, end = (reals[0], reals[1], reals[2]), (reals[3], reals[4], reals[5])
     if start == end:
-        raise ValueError("GW: a wire without length")
+        raise ValueError("GW: wire of length 0")
     return _Placed(tag, Wire(start_m=start, end_m=end, radius_m=reals[6], segments=segments), line)
 
 
@@ -174,7 +173,7 @@ def _scaled(wire: Wire, factor: float) -> Wire:
         raise ValueError(f"GS: expected a factor above 0, not {factor:g}")
     (a, b, c), (d, e, f) = wire.start_m, wire.end_m
     if max(abs(value) for value in (*wire.start_m, *wire.end_m, wire.radius_m)) * factor > _GREATEST:
-        raise ValueError(f"GS: expected no length beyond {_GREATEST:g} m")
+        raise ValueError(f"GS: expected lengths of at most {_GREATEST:g} m")
     return Wire(
         start_m=(a * factor, b * factor, c * factor), end_m=(d * factor, e * factor, f * factor),
         radius_m=wire.radius_m * factor, segments=wire.segments,
@@ -182,12 +181,12 @@ def _scaled(wire: Wire, factor: float) -> Wire:
 
 
 def _moved(wires: list[_Placed], integers: list[int], reals: list[float]) -> list[_Placed]:
-    """GM: turn about x, then y, then z, and move; all wires themselves, or that many copies."""
+    """Apply GM: rotate about x, then y, then z, and translate all wires, or add copies of them."""
     increment, copies = integers
     if not 0 <= copies <= _MOST_WIRES:
-        raise ValueError(f"GM: {copies} copies")
+        raise ValueError(f"GM: {copies} copies; expected 0 to {_MOST_WIRES}")
     if reals[6]:
-        raise ValueError("GM: moving wires from a tag on is not understood; expected 0, all of them")
+        raise ValueError("GM: moving wires from a tag on is not supported; expected 0 (all wires)")
     a, b, c = (math.radians(angle) for angle in reals[:3])
     about_x = np.array([[1, 0, 0], [0, math.cos(a), -math.sin(a)], [0, math.sin(a), math.cos(a)]])
     about_y = np.array([[math.cos(b), 0, math.sin(b)], [0, 1, 0], [-math.sin(b), 0, math.cos(b)]])
@@ -211,7 +210,7 @@ def _moved(wires: list[_Placed], integers: list[int], reals: list[float]) -> lis
 
 
 def _segment(wires: list[_Placed], tag: int, number: int) -> int:
-    """Index over all wires of the ``number``-th segment, from 1, of those with a tag; tag 0 is all."""
+    """Return the index over all wires of segment ``number``, from 1, of the wires with a tag; 0: all."""
     first, left = 0, number
     for own, wire, _ in wires:
         if tag in (0, own):
@@ -219,31 +218,31 @@ def _segment(wires: list[_Placed], tag: int, number: int) -> int:
                 return first + left - 1
             left -= wire.segments
         first += wire.segments
-    raise ValueError(f"EX: there is no segment {number} of tag {tag}")
+    raise ValueError(f"EX: tag {tag} has no segment {number}")
 
 
 def _check_size(placed: _Placed) -> None:
-    """Raise DeckError unless a wire is as large and as near to its vehicle as elements may be."""
+    """Raise DeckError unless a wire's size and distance from the vehicle are within the limits."""
     wire = placed.wire
     sizes = (("length", wire.length_m, WIRE_LENGTH_M), ("radius", wire.radius_m, WIRE_RADIUS_M))
     for name, size_m, (least_m, most_m) in sizes:
         if not least_m <= size_m <= most_m:
             raise DeckError(
-                f"line {placed.line}: GW: a {name} of {size_m:g} m; expected {least_m:g} to {most_m:g}"
+                f"line {placed.line}: GW: {name} of {size_m:g} m; expected {least_m:g} to {most_m:g}"
             )
     farthest_m = max(math.hypot(*end_m) for end_m in (wire.start_m, wire.end_m))
     if farthest_m > WIRE_LENGTH_M[1]:
         raise DeckError(
-            f"line {placed.line}: GW: an end {farthest_m:g} m from the vehicle;"
-            f" expected {WIRE_LENGTH_M[1]:g} at most"
+            f"line {placed.line}: GW: end {farthest_m:g} m from the vehicle;"
+            f" expected at most {WIRE_LENGTH_M[1]:g}"
         )
 
 
 def _check_apart(wires: list[_Placed]) -> None:
     """Raise DeckError if two wires touch or cross elsewhere than at an end of both.
 
-    The distance is that of `antenna.model.clearance.clearance_m`. NEC2 takes overlapping wires for apart,
-    even identical ones, and PyNEC refuses those that cross, at segments' ends too.
+    The distance is that of `antenna.model.clearance.clearance_m`. NEC2 does not detect overlapping wires,
+    even identical ones, and PyNEC rejects wires that cross, also at segments' ends.
     """
     ends_m = np.array([(wire.start_m, wire.end_m) for _, wire, _ in wires])
     middles_m, halves_m = ends_m.mean(axis=1), np.array([0.5 * wire.length_m for _, wire, _ in wires])
@@ -261,14 +260,15 @@ def _check_apart(wires: list[_Placed]) -> None:
                 other = "its own copy" if first == second else f"that of line {first}"
                 raise DeckError(
                     f"line {second}: GW: the wire touches or crosses {other};"
-                    " wires meet at ends of both, or nowhere"
+                    " wires may meet only at ends of both"
                 )
 
 
 def _joined(wires_m: Array, other_m: Array, match_m: Array, apart_m: Array) -> NDArray[np.bool_]:
-    """Whether wires (n, 2, 3) have one end in common with another (2, 3), and their other ends are apart.
+    """Return whether wires (n, 2, 3) share one end with another (2, 3), with their other ends apart.
 
-    Apart from each other's wire, by more than ``apart_m`` (n,); ``match_m`` (n,) is how near joined ends are.
+    The other ends are more than ``apart_m`` (n,) from the other wire; ``match_m`` (n,) is the largest
+    distance of joined ends.
     """
     met = np.linalg.norm(wires_m[:, :, None] - other_m, axis=-1) < match_m[:, None, None]
     others_m = np.broadcast_to(other_m, wires_m.shape)
@@ -278,7 +278,7 @@ def _joined(wires_m: Array, other_m: Array, match_m: Array, apart_m: Array) -> N
 
 
 def _distances_m(points_m: Array, wires_m: Array) -> Array:
-    """(n, 2) distances of two points each (n, 2, 3) from wires (n, 2, 3)."""
+    """Return the distances (n, 2) of two points each (n, 2, 3) from wires (n, 2, 3)."""
     along_m, from_m = wires_m[:, 1] - wires_m[:, 0], points_m - wires_m[:, :1]
     share = np.einsum("nex,nx->ne", from_m, along_m) / np.einsum("nx,nx->n", along_m, along_m)[:, None]
     on_m = np.clip(share, 0.0, 1.0)[:, :, None] * along_m[:, None]

@@ -1,21 +1,21 @@
-"""What an antenna is made of: straight wires on the vehicle that carries it, and where it is fed.
+"""Antenna elements: straight wires on a vehicle, and their feed point.
 
-The frame of an element has its origin at the vehicle and z up when the vehicle stands upright.
+The frame of an element has its origin at the vehicle and z up when the vehicle is upright.
 """
 
 import math
 from dataclasses import dataclass
 
 WIRE_LENGTH_M = 1e-6, 1_000.0
-"""Least and greatest, of every wire and of an element."""
+"""Least and greatest length of a wire and of an element."""
 WIRE_RADIUS_M = 1e-9, 10.0
 THIN_WIRE_SLENDERNESS = 8.0
-"""Least segment length over wire radius for errors under 1 % (NEC-2 User's Guide, wire modelling)."""
+"""Least ratio of segment length to wire radius for errors below 1 % (NEC-2 User's Guide, wire modelling)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wire:
-    """A straight wire, cut into equal segments."""
+    """A straight wire, divided into equal segments."""
 
     start_m: tuple[float, float, float]
     end_m: tuple[float, float, float]
@@ -35,28 +35,28 @@ class Wire:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Element:
-    """Wires of one vehicle, fed by one source; ends that meet are joined."""
+    """Wires of one vehicle, fed by one source; coincident ends are connected."""
 
     wires: tuple[Wire, ...]
     feed_segment: int
-    """Segment across which the voltage is, counted from 0 over all wires; positive along its wire."""
+    """Segment of the voltage source, counted from 0 over all wires; positive along its wire."""
 
     def __post_init__(self) -> None:
-        """Raise ValueError unless it can be fed."""
+        """Raise ValueError if the feed segment does not exist."""
         count = sum(wire.segments for wire in self.wires)
         if not 0 <= self.feed_segment < count:
-            raise ValueError(f"an element of {count} segments cannot be fed at segment {self.feed_segment}")
+            raise ValueError(f"feed_segment {self.feed_segment} is out of range for {count} segments")
 
 
 def dipole(length_m: float, radius_m: float, segments: int) -> Element:
-    """Make a vertical dipole about the origin, fed in the middle; ``segments`` is odd."""
+    """Return a vertical dipole centred at the origin, fed in the middle; ``segments`` is odd."""
     half_m = 0.5 * length_m
     wire = Wire(start_m=(0.0, 0.0, -half_m), end_m=(0.0, 0.0, half_m), radius_m=radius_m, segments=segments)
     return Element(wires=(wire,), feed_segment=segments // 2)
 
 
 def loop(radius_m: float, wire_radius_m: float, sides: int) -> Element:
-    """Make a level loop about the origin: a polygon of wires of one segment, fed at the one towards +x."""
+    """Return a level loop about the origin: a polygon of one-segment wires, fed at the one towards +x."""
     corners = [2.0 * math.pi * (k - 0.5) / sides for k in range(sides)]
     corners_m = [(radius_m * math.cos(angle), radius_m * math.sin(angle), 0.0) for angle in corners]
     wires = tuple(

@@ -1,7 +1,7 @@
-"""How an array is fed: phases for its main lobe along +y, and the weights that give the most gain there.
+"""Feeds of an array: phases for a main lobe along +y, and the weights of maximum gain.
 
-Uniform amplitudes, but for the optimum. Positions are those that the feeds are made for, (n, 3) in the
-antenna's frame: of the ideal formation, or of where the vehicles are or believe themselves to be.
+Amplitudes are uniform, except for the optimum. Positions are (n, 3) in the antenna's frame: of the ideal
+formation, or the true or estimated positions of the vehicles.
 """
 
 import numpy as np
@@ -9,21 +9,21 @@ import numpy as np
 from antenna.model.geometry import Array, Complex, Voltages
 
 ROW_APART_LAMBDA = 0.05
-"""Places nearer to each other along y belong to one row."""
+"""Places closer to each other along y belong to one row."""
 
 
 def end_fire(positions_m: Array, wavelength_m: float) -> Voltages:
-    """(n,) exp(-j k y): all contributions add up in phase along +y."""
+    """Return exp(-j k y), (n,): all contributions are in phase along +y."""
     voltages: Voltages = np.exp(-2j * np.pi / wavelength_m * positions_m[:, 1])
     return voltages
 
 
 def hansen_woodyard(positions_m: Array, wavelength_m: float, places_m: Array | None = None) -> Voltages:
-    """(n,) phases that lag by 2.92 / N rad more from each of N rows along y to the next.
+    """Return end-fire voltages (n,) with an additional lag of 2.92 / N rad from each of N rows to the next.
 
-    Rows and the distance between them are those of the formation's places (n, 3), which without them are the
-    positions: noise makes no rows. W. W. Hansen and J. R. Woodyard, "A new principle in directional antenna
-    design", Proc. IRE 26 (1938). Raises ValueError with a single row, which has no end.
+    Rows and their spacing are those of the formation's places (n, 3), by default the positions; with noisy
+    positions rows cannot be identified. W. W. Hansen and J. R. Woodyard, "A new principle in directional
+    antenna design", Proc. IRE 26 (1938). Raises ValueError for a single row.
     """
     places_m = positions_m if places_m is None else places_m
     along_m = np.sort(places_m[:, 1])
@@ -37,11 +37,11 @@ def hansen_woodyard(positions_m: Array, wavelength_m: float, places_m: Array | N
 
 
 def optimum(conductance_s: Array, towards: Complex) -> Voltages:
-    """(n,) voltages of the greatest gain in a direction.
+    """Return the voltages (n,) of maximum gain in a direction.
 
     Gain is v^H B v / v^H G v with G (n, n) the real part of the admittance matrix, symmetric, and B = F^H F
-    of the far fields F (2, n) that 1 V at each element makes there, in two polarisations. The greatest is the
-    greatest eigenvalue of G^-1 B, which has that of the 2 x 2 matrix F G^-1 F^H. (R. F. Harrington, Field
+    of the far fields F (2, n) of 1 V at each element in that direction, in two polarisations. The maximum is
+    the greatest eigenvalue of G^-1 B, equal to that of the 2 x 2 matrix F G^-1 F^H. (R. F. Harrington, Field
     computation by moment methods, 1968, chapter 10.)
     """
     spread = np.linalg.solve(conductance_s, towards.conj().T)

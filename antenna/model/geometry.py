@@ -1,4 +1,4 @@
-"""Where the elements of the synthetic aperture are, how they are fed, and whether they are apart.
+"""Snapshots of the synthetic aperture: positions, attitudes and feeds of its elements.
 
 The antenna's frame has x along the broadside axis, y along the end-fire axis, where the main lobe points,
 and z up. Directions have the article's angles: theta from +z, phi from +x towards +y.
@@ -35,9 +35,9 @@ class ElementsTouch(Exception):
 
 
 class ElementsTooNear(ElementsTouch):
-    """Two elements do not touch, but are so near that their wires' currents have no credible solution.
+    """Two elements do not touch, but are too near for a credible solution of their currents.
 
-    NEC2's thin-wire equations then give a pattern which radiates far more or less than the sources feed in.
+    NEC2's thin-wire equations then result in a radiated power far from the input power.
     """
 
     def __str__(self) -> str:
@@ -49,22 +49,22 @@ class ElementsTooNear(ElementsTouch):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Snapshot:
-    """The array at one instant: n elements alike, each with its place, attitude and feed."""
+    """The array at one instant: n equal elements, each with position, attitude and feed."""
 
     centres_m: Array
     """(n, 3) in the antenna's frame."""
     rotations: Array
-    """(n, 3, 3) map the elements' own frames into the antenna's; a dipole lies along its own z."""
+    """(n, 3, 3) rotations from the elements' frames to the antenna's; a dipole is along its z axis."""
     voltages: Voltages
     """(n,) peak volts."""
 
     def __post_init__(self) -> None:
-        """Raise ValueError unless the three belong together and are finite."""
+        """Raise ValueError unless shapes and values are valid."""
         n = len(self.centres_m)
         shapes = self.centres_m.shape, self.rotations.shape, self.voltages.shape
         if n == 0 or shapes != ((n, 3), (n, 3, 3), (n,)):
             raise ValueError(
-                f"a snapshot of n >= 1 elements has shapes (n, 3), (n, 3, 3), (n,), not {shapes}"
+                f"a snapshot of n >= 1 elements needs shapes (n, 3), (n, 3, 3), (n,), not {shapes}"
             )
         if not np.isfinite(self.centres_m).all():
             raise ValueError("a snapshot's positions are finite")
@@ -75,18 +75,18 @@ class Snapshot:
 
     @property
     def axes(self) -> Array:
-        """(n, 3) the elements' own z axes, antenna's frame."""
+        """(n, 3) z axes of the elements in the antenna's frame."""
         return self.rotations[:, :, 2]
 
 
 @njit(cache=True, nogil=True)
 def _are_rotations(matrices: Array) -> bool:
-    """Whether all (n, 3, 3) have orthogonal columns of length 1, right-handed."""
+    """Whether all matrices (n, 3, 3) are rotations: orthonormal, right-handed columns."""
     for m in matrices:
         for i in range(3):
             for j in range(i, 3):
                 product = m[0, i] * m[0, j] + m[1, i] * m[1, j] + m[2, i] * m[2, j]
-                if not abs(product - (i == j)) < 1e-6:  # a NaN is none
+                if not abs(product - (i == j)) < 1e-6:  # also rejects NaN
                     return False
         x, y = m[1, 0] * m[2, 1] - m[2, 0] * m[1, 1], m[2, 0] * m[0, 1] - m[0, 0] * m[2, 1]
         z = m[0, 0] * m[1, 1] - m[1, 0] * m[0, 1]
@@ -96,7 +96,7 @@ def _are_rotations(matrices: Array) -> bool:
 
 
 def along(axes: Array) -> Array:
-    """(n, 3, 3) rotations that take z to unit vectors (n, 3) by the shortest turn."""
+    """Return the smallest rotations (n, 3, 3) that map z to unit vectors (n, 3)."""
     x, y, z = axes.T
     fold = 1.0 / np.where(z > -1.0 + 1e-12, 1.0 + z, np.inf)
     turned = np.stack([
@@ -109,13 +109,13 @@ def along(axes: Array) -> Array:
 
 
 def grid(count: int, columns: int, broadside_spacing_m: float, endfire_spacing_m: float) -> Array:
-    """(count, 3) places of a planar grid in the antenna's frame, z = 0.
+    """Return the positions (count, 3) of a planar grid in the antenna's frame, z = 0.
 
-    Place k stands in column ``k % columns`` along x and in row ``k // columns`` along y. The origin is the
-    centre of the grid whose last row is full, whether or not ``count`` fills it.
+    Position k is in column ``k % columns`` along x and in row ``k // columns`` along y. The origin is the
+    centre of the grid with a complete last row, also if ``count`` does not fill it.
     """
     if count < 1 or columns < 1:
-        raise ValueError(f"a grid has at least one place and one column, not {count} and {columns}")
+        raise ValueError(f"a grid needs at least one position and one column, not {count} and {columns}")
     row, column = np.divmod(np.arange(count), columns)
     x_m = (column - (columns - 1) / 2) * broadside_spacing_m
     y_m = (row - row[-1] / 2) * endfire_spacing_m
@@ -123,5 +123,5 @@ def grid(count: int, columns: int, broadside_spacing_m: float, endfire_spacing_m
 
 
 def upright(places_m: Array, voltages: Voltages) -> Snapshot:
-    """Make the undisturbed array: elements upright at (n, 3) places."""
+    """Return the ideal array: upright elements at positions (n, 3)."""
     return Snapshot(places_m, np.tile(np.eye(3), (len(places_m), 1, 1)), voltages)

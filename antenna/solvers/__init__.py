@@ -1,5 +1,5 @@
-"""What computes far-field patterns of arrays: `batch` (own method of moments), `nec2` (PyNEC) and `nec2c`.
+"""Solvers for far-field patterns of arrays: `batch` (own method of moments), `nec2` (PyNEC) and `nec2c`.
 
 Import `selection.make_backend` and the protocol `interface.Backend`; `parallel` uses several processes.
-What is read from a pattern is left to `antenna.analysis`.
+Patterns are evaluated in `antenna.analysis`.
 """

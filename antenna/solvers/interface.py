@@ -1,4 +1,4 @@
-"""The interface of all antenna solvers: `Backend`, the accuracy it claims, and why it may be unavailable."""
+"""Interface of all antenna solvers: `Backend`, its stated accuracy, and the error if it is unavailable."""
 
 from collections.abc import Sequence
 from enum import StrEnum
@@ -9,11 +9,11 @@ from antenna.model.geometry import ElementsTouch, Snapshot
 
 
 class BackendUnavailable(ImportError):
-    """What a backend needs is not installed; the text is one line for the user."""
+    """A requirement of a backend is not installed; the text is one line for the user."""
 
 
 class Accuracy(StrEnum):
-    """How far a backend's gains may be from NEC2's on the same wires."""
+    """Differences between a backend's gains and NEC2's for the same wires."""
 
     REFERENCE = "NEC2 itself"
     SMALL_ELEMENTS = "within 0.01 dB of NEC2's maximum, and 0.1 dB of its pattern above -20 dBi"
@@ -31,14 +31,14 @@ class Accuracy(StrEnum):
 
 
 class Backend(Protocol):
-    """A solver, set up for one kind of element, one wavelength and one grid.
+    """A solver for one kind of element, one wavelength and one grid.
 
-    It takes many snapshots at once, since some solvers are fast only then.
+    It solves many snapshots per call, since some solvers are fast only then.
     """
 
     name: str
     accuracy: Accuracy
 
     def patterns(self, snapshots: Sequence[Snapshot]) -> list[Pattern | ElementsTouch]:
-        """One result for each snapshot, in order; that of elements that touch is `ElementsTouch`."""
+        """Return one result per snapshot, in order; `ElementsTouch` if elements touch."""
         ...

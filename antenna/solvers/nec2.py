@@ -1,7 +1,7 @@
-"""NEC2 as backend, through PyNEC: the method of moments on thin wires.
+"""Backend ``nec2``: NEC2 through PyNEC, the method of moments on thin wires.
 
-This is the only import of PyNEC, which is optional. PyNEC keeps the interpreter's lock while it computes:
-several cores take several processes, see `antenna.solvers.parallel`.
+Only this module imports PyNEC, which is optional. PyNEC holds the interpreter lock while it computes, so
+several cores need several processes, see `antenna.solvers.parallel`.
 """
 
 from typing import Any
@@ -61,17 +61,17 @@ class PynecFarField:
         self._context.fr_card(0, 1, SPEED_OF_LIGHT_M_S / config.wavelength_m / 1e6, 0.0)
         fed_wire, segment = feed(element)
         for k, voltage in enumerate(snapshot.voltages.tolist()):
-            if voltage != 0.0:  # NEC2 takes a source of 0 V for one of 1 V
+            if voltage != 0.0:  # NEC2 treats a source of 0 V as 1 V
                 tag = k * len(element.wires) + fed_wire + 1
                 self._context.ex_card(0, tag, segment + 1, 0, voltage.real, voltage.imag, 0.0, 0.0, 0.0, 0.0)
 
     def partial_gains(self, step_deg: float) -> Array:
-        """(2, T, P) linear gains in the theta and phi polarisations on the grid of `directions_deg`."""
+        """Return linear gains (2, T, P) in theta and phi polarisation on the grid of `directions_deg`."""
         theta_deg, phi_deg = directions_deg(step_deg)
         columns = len(phi_deg)
         rows = len(theta_deg) // 2 + 1 if self._grounded else len(theta_deg)
         pattern = self._request(rows, columns, 0.0, 0.0, float(theta_deg[1]))
-        # get_gain_vert and get_gain_horiz are of the polarisation ellipse's axes; the fields are phi-major
+        # get_gain_vert and get_gain_horiz refer to the polarisation ellipse; the fields are phi-major
         powers = np.array([np.abs(f) ** 2 for f in (pattern.get_e_theta(), pattern.get_e_phi())])
         powers = powers.reshape(2, columns, rows).transpose(0, 2, 1)
         share = powers / np.maximum(powers.sum(axis=0), np.finfo(float).tiny)
@@ -80,7 +80,7 @@ class PynecFarField:
         return gains
 
     def gains_dbi(self, theta_deg: Array, phi_deg: Array) -> Array:
-        """Total gains in directions; below a ground those of the mirror image, see `make_pattern`."""
+        """Return total gains in directions; below a ground those of the mirror image, see `make_pattern`."""
         if self._grounded:
             theta_deg = np.minimum(theta_deg, 180.0 - theta_deg)
         pairs = zip(theta_deg.ravel().tolist(), phi_deg.ravel().tolist(), strict=True)
@@ -88,7 +88,7 @@ class PynecFarField:
         return np.array(gains_dbi).reshape(theta_deg.shape)
 
     def _request(self, rows: int, columns: int, theta_deg: float, phi_deg: float, step_deg: float) -> Any:  # noqa: ANN401  PyNEC has no types
-        """Let one RP card in normal mode be computed."""
+        """Compute one RP card in normal mode and return its pattern."""
         self._context.rp_card(0, rows, columns, 0, 0, 0, 0, theta_deg, phi_deg, step_deg, step_deg, 0.0, 0.0)
         self._requests += 1
         return self._context.get_radiation_pattern(self._requests - 1)

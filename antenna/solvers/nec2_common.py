@@ -1,4 +1,4 @@
-"""NEC2 one array at a time, whichever program solves it: what both ask of a snapshot and of its pattern."""
+"""Common part of the NEC2 backends: checks of snapshots and patterns, one array at a time."""
 
 import math
 from abc import ABC, abstractmethod
@@ -12,35 +12,37 @@ from antenna.model.geometry import Array, ElementsTooNear, ElementsTouch, Snapsh
 from antenna.solvers.interface import Accuracy
 
 SMALL_RAD = 0.3
-"""Elements that reach less of the wave's phase radiate so little that NEC2's ground errs."""
+"""Reach in phase below which elements radiate so little that NEC2's real ground is inaccurate."""
 LEAST_HEIGHT_SMALL_LAMBDA = 0.49
-"""Of their lowest point over real ground: from here on PyNEC and nec2c agree to 0.01 dB, at 0.3 to 0.8 dB,
-and lower PyNEC's sources feed in negative power."""
+"""Least height of their lowest point over real ground, in wavelengths.
+
+From here on PyNEC and nec2c agree to 0.01 dB, at 0.3 to 0.8 dB, and lower the input power of PyNEC's sources
+is negative."""
 LEAST_HEIGHT_LAMBDA = 0.25
-"""The same of larger elements, for 0.05 dB."""
+"""Least height of larger elements, for 0.05 dB."""
 
 
 class NoPower(Exception):
-    """The sources feed nothing in, or less."""
+    """The input power of the sources is not positive."""
 
 
 class FarField(Protocol):
-    """One array, as a NEC2 program solves it."""
+    """One array solved by a NEC2 program."""
 
     def partial_gains(self, step_deg: float) -> Array:
-        """(2, T, P) linear gains in the theta and phi polarisations on the grid of `directions_deg`.
+        """Return linear gains (2, T, P) in the theta and phi polarisations on the grid of `directions_deg`.
 
         Raises NoPower.
         """
         ...
 
     def gains_dbi(self, theta_deg: Array, phi_deg: Array) -> Array:
-        """Total gains in directions, all of one shape; below a ground those of the mirror image."""
+        """Return total gains in directions, all of one shape; below a ground those of the mirror image."""
         ...
 
 
 class Nec2Solver(ABC):
-    """Patterns of arrays of alike elements, each solved by itself."""
+    """Patterns of arrays of equal elements, solved one by one."""
 
     name: str
     accuracy = Accuracy.REFERENCE
@@ -52,7 +54,7 @@ class Nec2Solver(ABC):
 
     @abstractmethod
     def far_field(self, snapshot: Snapshot) -> FarField:
-        """Hand an array to the program."""
+        """Return the far field of an array, to be solved by the program."""
 
     def patterns(self, snapshots: Sequence[Snapshot]) -> list[Pattern | ElementsTouch]:
         """See `antenna.solvers.interface.Backend`."""
@@ -65,7 +67,7 @@ class Nec2Solver(ABC):
         return results
 
     def pattern(self, snapshot: Snapshot) -> Pattern:
-        """Pattern of one snapshot; raises `ElementsTouch`, `ElementsTooNear`, and what the program does."""
+        """Return the pattern of one snapshot; raises `ElementsTouch`, `ElementsTooNear`, program errors."""
         config = self._config
         found = check_apart(snapshot, self._element, grounded=self._grounded)
         self._check_height(snapshot)
@@ -97,7 +99,7 @@ class Nec2Solver(ABC):
             raise ElementsTooNear(lowest, GROUND, float(heights_m[lowest]))
 
     def _check_credible(self, pattern: Pattern, found: Nearest) -> None:
-        """Raise `ElementsTooNear` for a pattern without power, or of near elements and out of balance."""
+        """Raise `ElementsTooNear` without radiated power, or with a wrong balance of near elements."""
         lossy = self._config.ground == "real"
         doubtful = lossy or found.distance_m < near_m(self._config.wavelength_m)
         balanced = credible(pattern.average_gain, lossy=lossy)

@@ -1,7 +1,7 @@
-"""nec2c as backend: the program of that name, a second witness beside PyNEC.
+"""Backend ``nec2c``: the program nec2c, an independent check of PyNEC.
 
-A deck goes in, and the radiation patterns of the output come back. Gains are of the printed fields, which
-have four digits more than the printed decibels have places.
+It reads a deck and prints radiation patterns. Gains are computed from the printed fields, which have four
+more digits than the printed decibels.
 """
 
 import shutil
@@ -28,7 +28,7 @@ class Nec2cUnavailable(BackendUnavailable):
 
 
 class Nec2cFailed(RuntimeError):
-    """The program did not give a pattern; the text is one line."""
+    """The program returned no pattern; the text is one line."""
 
 
 class Nec2c(Nec2Solver):
@@ -40,16 +40,16 @@ class Nec2c(Nec2Solver):
         super().__init__(config)
         program = shutil.which("nec2c")
         if program is None:
-            raise Nec2cUnavailable("nec2c patterns need the program nec2c, which Debian has as a package")
+            raise Nec2cUnavailable("nec2c patterns need the program nec2c, available as a Debian package")
         self._program = program
 
     def far_field(self, snapshot: Snapshot) -> "Nec2cFarField":
-        """Keep an array for the program."""
+        """Return the far field of an array, solved at each request."""
         return Nec2cFarField(snapshot, self._config, self._program)
 
 
 class Nec2cFarField:
-    """One array, solved anew by every request; raises Nec2cFailed."""
+    """One array, solved again at every request; raises Nec2cFailed."""
 
     def __init__(self, snapshot: Snapshot, config: AntennaConfig, program: str) -> None:
         self._snapshot = snapshot
@@ -58,35 +58,35 @@ class Nec2cFarField:
         self._ground = ground_of(config)
 
     def partial_gains(self, step_deg: float) -> Array:
-        """See `nec2_common.FarField`; raises Nec2cFailed unless there are as many gains as directions."""
+        """See `antenna.solvers.nec2_common.FarField`; raises Nec2cFailed for a wrong number of gains."""
         theta_deg, phi_deg = directions_deg(step_deg)
-        seen = len(theta_deg) if self._ground is None else len(theta_deg) // 2 + 1
+        rows = len(theta_deg) if self._ground is None else len(theta_deg) // 2 + 1
         found = self._run(self._cards(step_deg))
-        if len(found) != seen * len(phi_deg):
-            raise Nec2cFailed(f"nec2c gave {len(found)} directions; expected {seen} by {len(phi_deg)}")
+        if len(found) != rows * len(phi_deg):
+            raise Nec2cFailed(f"nec2c returned {len(found)} directions; expected {rows} by {len(phi_deg)}")
         gains = np.zeros((2, len(theta_deg), len(phi_deg)))
-        gains[:, :seen] = found.reshape(len(phi_deg), seen, 2).transpose(2, 1, 0)
+        gains[:, :rows] = found.reshape(len(phi_deg), rows, 2).transpose(2, 1, 0)
         return gains
 
     def gains_dbi(self, theta_deg: Array, phi_deg: Array) -> Array:
-        """See `antenna.solvers.nec2_common.Nec2cFarField`."""
+        """See `antenna.solvers.nec2_common.FarField`."""
         if self._ground is not None:
             theta_deg = np.minimum(theta_deg, 180.0 - theta_deg)
-        asked = [
+        requests = [
             f"RP 0 1 1 1000 {theta:.9g} {phi:.9g} 0 0 0 0"
             for theta, phi in zip(theta_deg.ravel().tolist(), phi_deg.ravel().tolist(), strict=True)
         ]
         *array, _, _ = self._cards(self._config.grid_deg)
-        return to_dbi(self._run([*array, *asked, "EN"]).sum(axis=1)).reshape(theta_deg.shape)
+        return to_dbi(self._run([*array, *requests, "EN"]).sum(axis=1)).reshape(theta_deg.shape)
 
     def _cards(self, step_deg: float) -> list[str]:
-        """Deck of the array, the last two cards of which ask for the grid and end it."""
+        """Return the deck of the array; its last two cards request the grid and end the deck."""
         element, wavelength_m = self._config.element(), self._config.wavelength_m
         deck = write_deck(self._snapshot, element, wavelength_m, ground=self._ground, step_deg=step_deg)
         return deck.splitlines()
 
     def _run(self, cards: list[str]) -> Array:
-        """(D, 2) linear gains, theta and phi polarisation, of all directions that a deck asks for."""
+        """Return linear gains (D, 2), theta and phi polarisation, of all directions that a deck requests."""
         with tempfile.TemporaryDirectory() as folder:
             deck, output = Path(folder) / "deck.nec", Path(folder) / "deck.out"
             deck.write_text("\n".join(cards) + "\n", encoding="ascii")
@@ -98,8 +98,8 @@ class Nec2cFarField:
         return _read_gains(text, (ended.stderr or ended.stdout).strip().splitlines())
 
 
-def _read_gains(text: str, said: list[str]) -> Array:
-    """Gains by the fields at 1 m, G = 4 pi |E|^2 / (2 eta P)."""
+def _read_gains(text: str, messages: list[str]) -> Array:
+    """Return the gains from the fields at 1 m, G = 4 pi |E|^2 / (2 eta P)."""
     power_w, fields, inside = 0.0, [], False
     for line in text.splitlines():
         words = line.split()
@@ -108,14 +108,14 @@ def _read_gains(text: str, said: list[str]) -> Array:
         elif "RADIATION PATTERNS" in line:
             inside = True
         elif inside and len(words) in (11, 12) and _is_number(words[0]):
-            # SENSE is a word or, where there is no field, nothing
+            # SENSE is a word or, without a field, empty
             fields.append((float(words[-4]), float(words[-2])))
         elif inside and words and not _is_number(words[0]) and words[0] not in {"----", "THETA", "DEGREES"}:
             inside = False
     if fields and power_w <= 0.0:
-        raise NoPower(f"nec2c gave no pattern: its sources feed in {power_w:g} W")
+        raise NoPower(f"nec2c returned no pattern: the input power is {power_w:g} W")
     if not fields:
-        raise Nec2cFailed(f"nec2c gave no pattern: {said[-1] if said else 'it said nothing'}")
+        raise Nec2cFailed(f"nec2c returned no pattern: {messages[-1] if messages else 'no output'}")
     return np.asarray(np.array(fields) ** 2 * (4.0 * np.pi / (2.0 * ETA_NEC_OHM * power_w)))
 
 

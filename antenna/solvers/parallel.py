@@ -1,7 +1,7 @@
-"""Patterns of many snapshots over worker processes, in the order of the snapshots.
+"""Compute patterns of many snapshots in worker processes, in the order of the snapshots.
 
-A worker is this module run as a program. The standard pools would have each worker import the caller's main
-module, and so fly whatever a plain script flies once more.
+A worker is this module run as a program. The workers of the standard pools would import the caller's main
+module, and so execute a script without a main guard again.
 """
 
 import contextlib
@@ -20,26 +20,25 @@ from antenna.solvers.selection import make_backend
 
 
 class WorkerError(RuntimeError):
-    """A worker ended before it had its results; the text is one line."""
+    """A worker ended without results; the text is one line."""
 
 
 CHUNK = 8
-"""Fewer snapshots than this, a fifth of a second of NEC2, are not worth a worker."""
+"""Least snapshots per worker, a fifth of a second of NEC2."""
 _SIZE_BYTES = 8
 
 
 def compute_patterns(
     config: AntennaConfig, snapshots: Sequence[Snapshot], *, workers: int = 1
 ) -> list[Pattern | ElementsTouch]:
-    """One result for each snapshot, the same whatever ``workers`` is.
+    """Return one result per snapshot; results do not depend on ``workers``.
 
-    One worker computes in this process; more are processes of their own, started and ended here, or for the
-    batch backend, which does not hold the interpreter's lock, threads. Raises BackendUnavailable,
-    WorkerError.
+    One worker computes in this process; more are child processes, which end with the call, or threads for
+    the batch backend, which releases the interpreter lock. Raises BackendUnavailable, WorkerError.
     """
     if config.backend == "batch":
         return make_backend(config, threads=workers).patterns(snapshots)
-    backend = make_backend(config)  # one that cannot be had is said here, not by every worker
+    backend = make_backend(config)  # raises here if unavailable, not in every worker
     workers = min(workers, -(-len(snapshots) // CHUNK))
     if workers <= 1:
         return backend.patterns(snapshots)
@@ -60,7 +59,7 @@ def compute_patterns(
 
 
 def start_worker() -> "subprocess.Popen[bytes]":
-    """Start a worker, which leaves Ctrl-C to its parent and ends when that does, however it does."""
+    """Start a worker, which ignores Ctrl-C of the terminal and ends with its parent in any case."""
     command = [sys.executable, "-P", "-m", "antenna.solvers.parallel"]
     return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
 
@@ -68,9 +67,9 @@ def start_worker() -> "subprocess.Popen[bytes]":
 def _send(worker: "subprocess.Popen[bytes]", work: object) -> None:
     assert worker.stdin is not None  # noqa: S101  started with a pipe
     content = pickle.dumps(work)
-    with contextlib.suppress(BrokenPipeError):  # how it ended is told when its results are wanted
+    with contextlib.suppress(BrokenPipeError):  # its exit status is reported by `_receive`
         worker.stdin.write(len(content).to_bytes(_SIZE_BYTES, "little") + content)
-        worker.stdin.flush()  # and left open: its end is the worker's
+        worker.stdin.flush()  # stays open: the worker ends at its end
 
 
 def _receive(worker: "subprocess.Popen[bytes]") -> list[Pattern | ElementsTouch]:

@@ -1,9 +1,9 @@
-"""The array seen from its sources: admittances, fields for one volt each, voltages of a feeding policy.
+"""Port quantities of an array: admittances, fields for one volt each, voltages of a feeding policy.
 
-By the batch solver, which drives the elements one after the other while the sources of the others are shorts.
-Its currents are the few that one element keeps: those of elements so near that a pattern is solved by all
-segments (`antenna.solvers.batch.near`) are projections on them, good to 0.02 dB of gain (four dipoles of half
-a wavelength, two of them a hundredth of one apart; 0.0002 dB for short dipoles).
+They are computed by the batch solver, which drives one element at a time while the other sources are shorted.
+Its currents are the few per element: currents of near elements, for which patterns use all segments
+(`antenna.solvers.batch.near`), are projected on them, with an error of 0.02 dB of gain (four half-wave
+dipoles, two of them a hundredth of a wavelength apart; 0.0002 dB for short dipoles).
 """
 
 from dataclasses import dataclass
@@ -19,26 +19,26 @@ from antenna.solvers.batch.kind import ElementKind, make_kind
 from antenna.solvers.batch.moments import ETA_OHM
 
 MAIN_LOBE_DEG = (90.0, 90.0)
-"""Theta and phi of +y, for which arrays are fed."""
+"""Theta and phi of +y, the nominal direction of the main lobe."""
 LEAST_GAIN = 1e-6
-"""Linear, of an element whose neighbours are shorts; below it, it radiates nothing in a direction."""
+"""Linear gain of an element with shorted neighbours below which it counts as not radiating in a direction."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ports:
-    """An array of n elements as its sources see it.
+    """Admittances and fields of an array of n elements.
 
-    With voltages v (n,) its gain is 4 pi |F v|^2 / (eta v^H Re(Y) v).
+    With voltages v (n,) the gain is 4 pi |F v|^2 / (eta v^H Re(Y) v).
     """
 
     admittance_s: Complex
-    """(n, n) Y: current into source i for 1 V at source j; symmetric, but for the solver's own
-    error: 1e-3 of the greatest for long dipoles, as matching at points is not quite reciprocal."""
+    """(n, n) Y: current into source i for 1 V at source j; symmetric except for the solver's error of 1e-3 of
+    the greatest for long dipoles, as point matching is not exactly reciprocal."""
     fields: Complex
     """(2, n) F: far field in the theta and phi polarisations, times distance, for 1 V; dimensionless."""
 
     def gain(self, voltages: Voltages) -> float:
-        """Linear gain in the direction of the fields."""
+        """Return the linear gain in the direction of the fields."""
         power_w = 0.5 * float((voltages.conj() @ self.admittance_s @ voltages).real)
         intensity_w = float((np.abs(self.fields @ voltages) ** 2).sum()) / (2.0 * ETA_OHM)
         return 4.0 * np.pi * intensity_w / power_w
@@ -47,13 +47,13 @@ class Ports:
 def ports(
     snapshot: Snapshot, config: AntennaConfig, towards_deg: tuple[float, float] = MAIN_LOBE_DEG
 ) -> Ports:
-    """Sources and fields in a direction (theta, phi) of a snapshot, whose own voltages do not count.
+    """Return the port quantities of a snapshot for a direction (theta, phi); its voltages are not used.
 
-    Raises `ElementsTouch`, and ValueError over real ground, which the batch solver does not know.
+    Raises `ElementsTouch`, and ValueError over real ground, which the batch solver does not support.
     """
     if config.ground == "real":
         raise ValueError(
-            "excitation: port admittances come from the batch solver, which knows no real ground"
+            "excitation: port admittances need the batch solver, which does not support real ground"
         )
     n, image = len(snapshot.voltages), config.ground == "perfect"
     kind = _kind(config)
@@ -90,11 +90,11 @@ def feed(
     *,
     places_m: Array | None = None,
 ) -> Voltages:
-    """(n,) voltages by ``config.excitation`` for elements at (n, 3) positions, for the main lobe along +y.
+    """Return voltages (n,) by ``config.excitation`` for elements at positions (n, 3), main lobe along +y.
 
-    Only the optimum asks for attitudes, (n, 3, 3), without which the elements are upright; only Hansen and
-    Woodyard's phases for the formation's places (n, 3), without which they are the positions. Raises
-    `ElementsTouch` and, where a policy has no answer, ValueError.
+    ``rotations`` (n, 3, 3), by default upright, are used only by the optimum. ``places_m`` (n, 3), by default
+    the positions, are used only by Hansen-Woodyard. Raises `ElementsTouch`, and ValueError if a policy is not
+    applicable.
     """
     match config.excitation:
         case "end_fire":
@@ -109,13 +109,13 @@ def feed(
             seen = ports(array, config)
             if max(seen.gain(one) for one in np.eye(len(positions_m), dtype=complex)) < LEAST_GAIN:
                 raise ValueError(
-                    "excitation: the elements radiate nothing along +y, so no weights are the best"
+                    "excitation: the elements do not radiate along +y, so there are no optimum weights"
                 )
             return optimum(0.5 * (seen.admittance_s + seen.admittance_s.T).real, seen.fields)
 
 
 def _directions(theta_deg: float, phi_deg: float) -> tuple[Array, Array, Array]:
-    """Unit vectors of theta, phi and the direction itself."""
+    """Return the unit vectors of theta, phi and the direction."""
     theta, phi = np.radians(theta_deg), np.radians(phi_deg)
     theta_hat = np.array([np.cos(theta) * np.cos(phi), np.cos(theta) * np.sin(phi), -np.sin(theta)])
     phi_hat = np.array([-np.sin(phi), np.cos(phi), 0.0])
@@ -125,5 +125,5 @@ def _directions(theta_deg: float, phi_deg: float) -> tuple[Array, Array, Array]:
 
 @lru_cache(maxsize=8)
 def _kind(config: AntennaConfig) -> ElementKind:
-    """Response of the elements that a configuration has."""
+    """Return the data of the elements of a configuration."""
     return make_kind(config.element(), config.wavelength_m, image=config.ground == "perfect")

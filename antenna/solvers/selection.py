@@ -1,11 +1,11 @@
-"""The choice of a solver by the settings."""
+"""Selection of a solver by the settings."""
 
 from antenna.model.config import AntennaConfig
 from antenna.solvers.interface import Backend
 
 
 def make_backend(config: AntennaConfig, *, threads: int = 1) -> Backend:
-    """Set up the backend that ``config`` names; ``threads`` are for those that can use them.
+    """Return the backend selected by ``config``; ``threads`` is used by the batch solver.
 
     Raises `BackendUnavailable`: NEC2 needs PyNEC, nec2c the program of that name.
     """
@@ -15,7 +15,7 @@ def make_backend(config: AntennaConfig, *, threads: int = 1) -> Backend:
 
             return Batch(config, threads=threads)
         case "nec2":
-            from antenna.solvers.nec2 import Nec2  # noqa: PLC0415 - optional: PyNEC is needed by those alone who use it
+            from antenna.solvers.nec2 import Nec2  # noqa: PLC0415 - optional: imports PyNEC
 
             return Nec2(config)
         case "nec2c":

@@ -1,6 +1,6 @@
-"""Runs every numerical kernel of the antenna once, so that all are compiled and on disk.
+"""Run every compiled kernel of the antenna once, so that all are in the cache on disk.
 
-What they compute is of no interest, only that they compute it.
+The results are not used.
 """
 
 import numpy as np
@@ -18,19 +18,19 @@ HEIGHT_M = 10.0
 
 
 def warm_up() -> None:
-    """Solve dipoles apart and near each other, in free space and over a ground, and count their gains.
+    """Solve dipoles apart and near each other, in free space and over a ground, and add up their gains.
 
     Raises WarmUpError.
     """
     for ground in ("none", "perfect"):
         config = AntennaConfig(ground=ground, excitation="optimum", grid_deg=30.0)
         places_m = grid(4, 2, 8.5, 2.5) + np.array([0.0, 0.0, HEIGHT_M])
-        places_m[0] += 0.7  # so that the maximum is not in one of the grid's directions
+        places_m[0] += 0.7  # so that the maximum is not in a direction of the grid
         near_m = grid(2, 2, 0.5 * NEAR_RAD * config.wavelength_m / (2.0 * np.pi), 0.0) + HEIGHT_M
         arrays = [upright(places_m, feed(places_m, config)) for places_m in (places_m, near_m)]
         check_apart(arrays[0], config.element(), grounded=ground == "perfect")
         counted = RunningEnvelope()
         for pattern in make_backend(config).patterns(arrays):
             if not isinstance(pattern, Pattern):
-                raise WarmUpError(f"the antenna's rehearsal has no pattern: {pattern}")
+                raise WarmUpError(f"antenna warm-up: no pattern: {pattern}")
             counted.add(pattern)

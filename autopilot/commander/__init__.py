@@ -1,1 +1,1 @@
-"""What the vehicle is allowed to do: arming, modes, failsafes, and whether it stands on the ground."""
+"""Arming, flight modes, failsafes, geofence, battery and land detection of one vehicle."""

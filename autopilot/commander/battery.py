@@ -1,9 +1,8 @@
-"""The battery: a model of the pack, and what the autopilot makes of its voltage and current.
+"""Battery: a model of the pack, and PX4's estimator of its charge.
 
-The simulator interface has no battery, so the autopilot carries the pack's model itself, as PX4 does in
-software in the loop. `BatterySimulator` is that plant, measured ten times a second; `BatteryMonitor` knows
-only the measurements, as a power module gives them, and is PX4's estimator (src/lib/battery). What follows
-from a warning is left to the failsafes.
+The simulator interface has no battery, so the autopilot simulates the pack itself, as PX4 does in software in
+the loop. `BatterySimulator` is the plant, measured at 10 Hz. `BatteryMonitor` uses only the measurements of a
+power module and is PX4's estimator (src/lib/battery). Failsafes act on the warnings.
 """
 
 from collections.abc import Sequence
@@ -16,9 +15,9 @@ from msgspec import Meta, Struct
 US_PER_S = 1_000_000
 AS_PER_MAH = 3.6
 SAMPLE_PERIOD_US = 100_000
-"""The model is evaluated at 10 Hz; the steps between only add up the motors' currents."""
+"""The model is evaluated at 10 Hz; the steps in between only accumulate the motors' currents."""
 IRIS_CAPACITY_MAH = 5_100.0
-"""The pack's charge where BAT1_CAPACITY leaves it unknown."""
+"""Charge of the pack if BAT1_CAPACITY is unknown."""
 
 Fraction = Annotated[float, Meta(ge=0.0, le=1.0)]
 Positive = Annotated[float, Meta(gt=0.0)]
@@ -26,48 +25,49 @@ NonNegative = Annotated[float, Meta(ge=0.0)]
 
 
 class BatteryParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The pack's data sheet and the levels that warn."""
+    """Data sheet of the pack and warning levels."""
 
     cells: Annotated[int, Meta(ge=1, le=16)] = 3
-    """BAT1_N_CELLS, in series (PX4: unknown)"""
+    """BAT1_N_CELLS: number of cells in series (PX4: unknown)"""
     capacity_mah: Annotated[float, Meta(ge=-1.0, le=100_000.0)] = IRIS_CAPACITY_MAH
-    """BAT1_CAPACITY; zero or less is unknown: the voltage alone decides (PX4: unknown)"""
+    """BAT1_CAPACITY: capacity; 0 or less: unknown, the charge is estimated from the voltage only (PX4:
+    unknown)"""
     charged_v: Annotated[float, Meta(ge=2.0, le=5.0)] = 4.05
-    """BAT1_V_CHARGED: of a full cell, without load"""
+    """BAT1_V_CHARGED: voltage of a full cell without load"""
     empty_v: Annotated[float, Meta(ge=2.0, le=5.0)] = 3.6
-    """BAT1_V_EMPTY: of a cell that counts as empty, without load"""
+    """BAT1_V_EMPTY: voltage of an empty cell without load"""
     internal_resistance_ohm: Annotated[float, Meta(ge=-1.0, le=0.2)] = -1.0
-    """BAT1_R_INTERNAL: of one cell; negative lets it be estimated"""
+    """BAT1_R_INTERNAL: resistance of one cell; negative: estimated"""
     average_current_a: Annotated[float, Meta(ge=0.0, le=500.0)] = 15.0
-    """BAT_AVRG_CURRENT: what the remaining time is reckoned with at the beginning"""
+    """BAT_AVRG_CURRENT: initial average current for the remaining time"""
     low: Fraction = 0.15
-    """BAT_LOW_THR"""
+    """BAT_LOW_THR: remaining charge below which the battery is low"""
     critical: Fraction = 0.07
-    """BAT_CRIT_THR"""
+    """BAT_CRIT_THR: remaining charge below which the battery is critical"""
     emergency: Fraction = 0.05
-    """BAT_EMERGEN_THR"""
+    """BAT_EMERGEN_THR: remaining charge below which the battery is empty"""
 
 
 class BatterySimParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The pack as it is, and what draws on it."""
+    """The simulated pack and its load."""
 
     enabled: Annotated[int, Meta(ge=0, le=1)] = 1
-    """SIM_BAT_ENABLE: 0 leaves the vehicle without a battery to measure"""
+    """SIM_BAT_ENABLE: 0 simulates no battery"""
     drain_s: Annotated[float, Meta(ge=0.0, le=86_400.0)] = 0.0
-    """SIM_BAT_DRAIN: above 0 PX4's substitute for a model, a charge that falls from full to empty in this
-    time while armed, is full again when disarmed, and has no current; 0 is the model (PX4: 60 s)"""
+    """SIM_BAT_DRAIN: above 0 PX4's simple model, a charge that falls from full to empty in this time while
+    armed, is full when disarmed, and has no current; 0 uses the model of the pack (PX4: 60 s)"""
     minimum: Fraction = 0.0
-    """SIM_BAT_MIN_PCT (there in percent): the charge never falls below; raising it charges (PX4: 50 %)"""
+    """SIM_BAT_MIN_PCT (there in percent): the charge never falls below it; raising it charges (PX4: 50 %)"""
     initial: Fraction = 1.0
-    """Charge at the beginning"""
+    """Initial charge"""
     resistance_ohm: Annotated[float, Meta(ge=0.0, le=0.2)] = 0.005
-    """Of one cell that is not near empty"""
+    """Resistance of one cell that is not nearly empty"""
     avionics_current_a: NonNegative = 1.0
-    """All but the motors, armed or not"""
+    """Current of everything except the motors, armed or not"""
     hover_motor_current_a: NonNegative = 4.0
-    """Of one motor at the rotor speed below"""
+    """Current of one motor at the rotor speed below"""
     hover_rotor_rad_s: Positive = 806.7
-    """The Iris: 1.55 kg on four rotors of 5.84e-6 N s^2 is 3.80 N each"""
+    """Hover rotor speed; Iris: 1.55 kg on four rotors of 5.84e-6 N s^2, 3.80 N each"""
 
 
 class BatterySample(NamedTuple):
@@ -75,32 +75,32 @@ class BatterySample(NamedTuple):
 
     time_us: int
     voltage_v: float
-    """Of the pack under its load, at ``time_us``"""
+    """Pack voltage under load at ``time_us``"""
     current_a: float | None
-    """Mean since the sample before; None is not measured"""
+    """Mean since the previous sample; None: not measured"""
 
 
 def open_circuit_v(charge: float) -> float:
-    """Voltage of an unloaded lithium-polymer cell at a charge 0..1.
+    """Return the voltage of an unloaded lithium-polymer cell at a charge 0..1.
 
     Chen and Rincon-Mora, "Accurate electrical battery model capable of predicting runtime and I-V
-    performance", IEEE Trans. Energy Conversion 21 (2006), equation 2: 4.10 V full, a plain about 3.7 V, and
-    a cliff below a tenth.
+    performance", IEEE Trans. Energy Conversion 21 (2006), equation 2: 4.10 V full, a plateau near 3.7 V, and
+    a steep drop below a charge of 0.1.
     """
     return 3.685 + charge * (0.2156 + charge * (-0.1178 + charge * 0.3201)) - 1.031 * exp(-35.0 * charge)
 
 
 def resistance_growth(charge: float) -> float:
-    """Resistance of a cell over that of a well charged one (the same, equation 3): 3.1 when empty."""
+    """Return a cell's resistance relative to a well charged one (same source, equation 3): 3.1 empty."""
     return 1.0 + 0.1562 / 0.07446 * exp(-24.37 * charge)
 
 
 class BatterySimulator:
-    """The pack of one vehicle; `update` it several times a second.
+    """Simulated pack of one vehicle; call `update` several times a second.
 
-    A motor draws what its rotor's power needs: the cube of the speed, which is thrust to the power of 1.5.
-    The speed follows the command u as that of the physics' rotors, 1000 u + 100 rad/s. That a lower voltage
-    needs more current for the same power is left out.
+    The motor current is proportional to rotor power: the cube of the speed, or thrust to the power of 1.5.
+    The speed follows the command u as in the physics, 1000 u + 100 rad/s. The model neglects that a lower
+    voltage requires a greater current for the same power.
     """
 
     def __init__(self, params: BatterySimParams, pack: BatteryParams) -> None:
@@ -111,12 +111,12 @@ class BatterySimulator:
         """Sum over the updates and motors of (u + 0.1)^3."""
         self._steps = 0
         self._begin_us: int | None = None
-        """Of the present sample; None before the first step."""
+        """Begin of the present sample; None before the first step."""
         self._due_us = 0
 
     @property
     def capacity_mah(self) -> float:
-        """Charge of the full pack."""
+        """Capacity of the full pack."""
         return self.pack.capacity_mah if self.pack.capacity_mah > 0.0 else IRIS_CAPACITY_MAH
 
     @property
@@ -125,14 +125,14 @@ class BatterySimulator:
         return max(1.0 - self._drawn_mah / self.capacity_mah, self.params.minimum)
 
     def set_params(self, params: BatterySimParams, pack: BatteryParams) -> None:
-        """Change the settings; what was drawn stays drawn, so a smaller pack is at once emptier."""
+        """Change the settings; the drawn charge is kept, so a smaller pack is emptier at once."""
         self.params = params
         self.pack = pack
 
     def update(self, now_us: int, controls: Sequence[float], *, armed: bool) -> BatterySample | None:
-        """Draw what the motor ``controls`` (4,), 0..1, ask for; give a sample when one is due.
+        """Draw the current of the motor ``controls`` (4,), 0..1; return a sample if one is due.
 
-        The controls count for the time since the last update; these are taken to be equally far apart.
+        The controls apply to the time since the last update; updates are assumed to be equally spaced.
         """
         if armed:
             for control in controls:
@@ -166,7 +166,7 @@ class BatterySimulator:
         self._drawn_mah = min(self._drawn_mah + charge_mah, most_mah)
 
     def _drain(self, now_us: int, elapsed_s: float, *, armed: bool) -> BatterySample:
-        """PX4's own: the voltage is the one that the monitor takes for the charge."""
+        """PX4's simple model: the voltage is that which `BatteryMonitor` converts to the same charge."""
         if armed:
             self._draw(self.capacity_mah * elapsed_s / self.params.drain_s)
         else:
@@ -177,7 +177,7 @@ class BatterySimulator:
 
 
 class BatteryWarning(IntEnum):
-    """How urgent it is, in the order of MAV_BATTERY_CHARGE_STATE from OK on."""
+    """Warning levels, in the order of MAV_BATTERY_CHARGE_STATE starting at OK."""
 
     NONE = 0
     LOW = 1
@@ -188,24 +188,24 @@ class BatteryWarning(IntEnum):
 FILTER_S = 1.0
 """Time constant of voltage and current."""
 AVERAGE_S = 50.0
-"""Time constant of the current that the remaining time is reckoned with; it moves only while armed."""
+"""Time constant of the average current for the remaining time, which is filtered only while armed."""
 SETTLING_US = 2 * US_PER_S
-"""From the beginning until the coulombs count."""
+"""Time from the first sample during which the coulomb counter is not used."""
 GAP_US = US_PER_S
-"""Nothing is reckoned over a longer time without a sample, nor filtered: the monitor begins again."""
+"""A longer time without a sample restarts the monitor; no charge is integrated over it."""
 VOLTAGE_RATE_1_S = 3.0
-"""How fast the estimate follows the voltage, times the share that is missing by the voltage: PX4's 0.03 at
-each sample of its 100 Hz. The lower the voltage, the more it is trusted, against deep discharge."""
+"""Rate at which the estimate follows the voltage, multiplied by the missing share according to the voltage.
+PX4: 0.03 per sample at 100 Hz. A lower voltage has a greater weight, to prevent deep discharge."""
 
 
 class BatteryMonitor:
-    """What one vehicle knows of its battery; `update` with every sample.
+    """Battery state estimate of one vehicle; call `update` with every sample.
 
-    The remaining charge begins with that of the open-circuit voltage, counts coulombs, is drawn towards what
-    the voltage says, and is at most what a pack that was full would have left. PX4 takes the open-circuit
-    voltage as linear between empty and charged, so the estimate is up to 0.08 off the charge of a pack like
-    `BatterySimulator`'s. After a gap in the samples and for another number of cells it begins again with the
-    voltage; what was consumed stays consumed.
+    The remaining charge is initialised from the open-circuit voltage, counts coulombs, is corrected towards
+    the charge by voltage, and is limited to what an initially full pack would have left. PX4 assumes a linear
+    open-circuit voltage between empty and charged, so the estimate differs by up to 0.08 from the charge of
+    `BatterySimulator`. A gap in the samples or a change of the number of cells initialises it again from the
+    voltage; the consumed charge is kept.
     """
 
     def __init__(self, params: BatteryParams) -> None:
@@ -213,50 +213,50 @@ class BatteryMonitor:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the battery, as for a fresh one."""
+        """Reset to the state of a fresh battery."""
         self.sampled_us: int | None = None
-        """Time of the last sample; None: there is no battery."""
+        """Time of the last sample; None: no battery."""
         self.voltage_v = 0.0
         self.current_a: float | None = None
-        """Both of the pack, filtered."""
+        """Filtered voltage and current of the pack."""
         self.remaining = 1.0
-        """0..1"""
+        """Remaining charge, 0..1."""
         self.consumed_mah = 0.0
         self.warning = BatteryWarning.NONE
-        """Only gets worse while armed."""
+        """Never improves while armed."""
         self._first_us = 0
         self._cell_v = 0.0
         """Filtered open-circuit voltage."""
         self._average_a = self.params.average_current_a
         self._resistance = ResistanceEstimate(self.params.cells)
-        self._begins = True
-        """With the next sample."""
+        self._needs_begin = True
+        """The next sample initialises the estimate."""
 
     def set_params(self, params: BatteryParams) -> None:
-        """Change the settings; they count from the next sample on."""
+        """Change the settings, in effect from the next sample."""
         if params.cells != self.params.cells:
             self._resistance = ResistanceEstimate(params.cells)
-            self._begins = True
+            self._needs_begin = True
         self.params = params
 
     @property
     def time_remaining_s(self) -> float | None:
-        """How long the charge lasts at the average current; None: no capacity or no current is known."""
+        """Return how long the charge lasts at the average current; None if capacity or current is unknown."""
         if self.params.capacity_mah <= 0.0 or self.current_a is None:
             return None
         return self.remaining * self.params.capacity_mah * AS_PER_MAH / max(self._average_a, 0.01)
 
     @property
     def cell_resistance_ohm(self) -> float:
-        """Internal resistance of one cell: BAT1_R_INTERNAL, else the estimate."""
+        """Return the internal resistance of one cell: BAT1_R_INTERNAL if set, else the estimate."""
         given = self.params.internal_resistance_ohm
         return given if given >= 0.0 else self._resistance.cell_ohm
 
     def update(self, sample: BatterySample, *, armed: bool) -> None:
-        """Take a measurement, later than the last."""
+        """Update with a measurement that is later than the last one."""
         params = self.params
         elapsed_s = 0.0
-        if self._begins or self.sampled_us is None or sample.time_us - self.sampled_us > GAP_US:
+        if self._needs_begin or self.sampled_us is None or sample.time_us - self.sampled_us > GAP_US:
             self._begin(sample)
         else:
             elapsed_s = (sample.time_us - self.sampled_us) / US_PER_S
@@ -282,7 +282,7 @@ class BatteryMonitor:
             self.warning = max(level, self.warning) if armed else level
 
     def _begin(self, sample: BatterySample) -> None:
-        self._begins = False
+        self._needs_begin = False
         self._first_us = sample.time_us
         self.voltage_v, self.current_a = sample.voltage_v, sample.current_a
         current_a = sample.current_a or 0.0
@@ -310,15 +310,15 @@ class BatteryMonitor:
 
 
 def _span_v(pack: BatteryParams) -> float:
-    """Voltage between an empty and a full cell; never zero, however the two are set."""
+    """Return the voltage between an empty and a full cell, at least 0.05 V."""
     return max(pack.charged_v - pack.empty_v, 0.05)
 
 
 class ResistanceEstimate:
-    """Open-circuit voltage and resistance from voltage and current: recursive least squares with forgetting.
+    """Estimate of open-circuit voltage and resistance by recursive least squares with forgetting.
 
-    PX4's: V = (1, -I) (V0, R), and a sample counts only if it makes the covariance smaller, for a steady
-    current says nothing of the resistance and forgetting would let the estimate drift.
+    As in PX4: V = (1, -I) (V0, R). A sample is used only if it reduces the covariance, because a steady
+    current does not make the resistance observable and forgetting would let the estimate drift.
     """
 
     FORGETTING = 0.95
@@ -338,11 +338,11 @@ class ResistanceEstimate:
         return max(self._pack_ohm / self._cells, 0.0)
 
     def begin(self, voltage_v: float, current_a: float) -> None:
-        """Take the first measurement of the pack for the open-circuit voltage."""
+        """Initialise the open-circuit voltage from the first measurement of the pack."""
         self._pack_v = voltage_v + self._pack_ohm * current_a
 
     def update(self, voltage_v: float, current_a: float) -> None:
-        """Take a measurement of the pack."""
+        """Update with a measurement of the pack."""
         to_v = self._v_v - self._v_r * current_a
         to_r = self._v_r - self._r_r * current_a
         scale = 1.0 / (self.FORGETTING + to_v - to_r * current_a)
@@ -360,5 +360,5 @@ class ResistanceEstimate:
 
     @staticmethod
     def _size(v_v: float, v_r: float, r_r: float) -> float:
-        """Frobenius norm."""
+        """Return the Frobenius norm."""
         return hypot(v_v, v_r, v_r, r_r)

@@ -1,7 +1,8 @@
-"""Arming, modes and failsafes of one vehicle: requests, conditions and causes over the tables beside it.
+"""Arming, modes and failsafes of one vehicle, from the tables in `conditions` and `failsafe`.
 
-It decides and says why; it moves nothing. `navigation` turns the mode into setpoints, `protocol` carries
-requests and answers. A request returns None when it was granted, else the reason.
+The commander decides and reports reasons; it does not control. `autopilot.navigation` turns the mode into
+setpoints, `autopilot.services` carries requests and replies. A request returns None if it is granted, else
+the reason.
 """
 
 from typing import NamedTuple
@@ -33,7 +34,7 @@ from autopilot.mavlink.modes import FlightMode
 
 
 class Notice(NamedTuple):
-    """Something to tell people, as STATUSTEXT does."""
+    """Message to the user, sent as STATUSTEXT."""
 
     severity: int
     """MAV_SEVERITY"""
@@ -41,20 +42,23 @@ class Notice(NamedTuple):
 
 
 class Commander:
-    """Holds mode and arming; ask with `arm`, `disarm`, `set_mode`, and `update` it several times a second."""
+    """Mode and arming state; requests are `arm`, `disarm`, `set_mode`.
+
+    Call `update` several times a second.
+    """
 
     def __init__(self, params: CommanderParams) -> None:
         self.params = params
         self.mode = FlightMode.HOLD
-        """What is flown: the mode that was asked for, or the failsafe's."""
+        """Mode in flight: the requested mode or that of the failsafe."""
         self.armed = False
         self.terminated = False
-        """The flight was terminated: the motors stay off for good."""
+        """The flight was terminated: the motors stay off."""
         self.landed = True
         self.failsafe = False
         """The present mode was forced by a failsafe."""
-        self._wanted = FlightMode.HOLD
-        """What was asked for; flown again when a failsafe is over that ends with its cause."""
+        self._requested = FlightMode.HOLD
+        """Requested mode; restored after a failsafe that ends with its cause."""
         self._mode_chosen = False
         self._failsafe = Failsafe()
         self._decision = NOTHING
@@ -63,12 +67,12 @@ class Commander:
         self._armed_us = 0
         self._landed_us = 0
         self._has_flown = False
-        """Since arming."""
+        """Whether the vehicle has flown since arming."""
 
     # ---- requests
 
     def arm(self, now_us: int, *, forced: bool = False) -> Reason | None:
-        """Arm; ``forced`` skips the checks, as MAV_CMD_COMPONENT_ARM_DISARM's 21196 does."""
+        """Arm; ``forced`` skips the checks, like the value 21196 of MAV_CMD_COMPONENT_ARM_DISARM."""
         if self.armed:
             return None
         if self.terminated:
@@ -83,34 +87,34 @@ class Commander:
         return None
 
     def arming_refusals(self) -> list[Reason]:
-        """Give everything for which arming in the present mode would be refused, the most basic first."""
+        """Return all reasons for which arming in the present mode would be refused, the most basic first."""
         reasons = [] if self.params.armable else [Reason.NOT_ARMABLE]
         if self.mode not in MODES_TO_ARM_IN:
             reasons.append(Reason.MODE_CANNOT_ARM)
         if self.mode in MODE_NEEDS:
             reasons += all_missing(arming_needs(self.mode), self._conditions)
         for cause, reason in ARMING_CAUSES:
-            if self._causes & cause and reason not in reasons and self._matters(cause):
+            if self._causes & cause and reason not in reasons and self._prevents_arming(cause):
                 reasons.append(reason)
         return reasons
 
     def disarm(self, *, forced: bool = False) -> Reason | None:
-        """Disarm; only ``forced`` does so in the air."""
+        """Disarm; in the air only if ``forced``."""
         if self.armed and not self.landed and not forced:
             return Reason.IN_AIR
         if self.armed:
             self.armed = False
             if self.failsafe:
-                self._wanted = FlightMode.HOLD
-            self.mode = self._wanted = AFTER_DISARMING.get(self._wanted, self._wanted)
+                self._requested = FlightMode.HOLD
+            self.mode = self._requested = AFTER_DISARMING.get(self._requested, self._requested)
             self.failsafe = False
         return None
 
     def set_mode(self, mode: FlightMode | None) -> Reason | None:
-        """Enter a mode if what it needs is there; during a failsafe this is the pilot taking over.
+        """Enter a mode if its needs are met; during a failsafe this is a takeover by the pilot.
 
-        Disarmed, as in PX4, any mode may be chosen and arming is what is refused; but offboard always needs
-        its setpoints.
+        While disarmed, as in PX4, any mode may be selected, and arming is refused instead; offboard always
+        needs its setpoints.
         """
         if mode not in MODE_NEEDS or mode is FlightMode.DESCEND:
             return Reason.MODE_UNAVAILABLE
@@ -119,21 +123,21 @@ class Commander:
         needs = MODE_NEEDS[mode] if self.armed else MODE_NEEDS[mode] & Condition.SETPOINTS
         missing = first_missing(needs, self._conditions)
         if missing is None:
-            self.mode = self._wanted = mode
+            self.mode = self._requested = mode
             self._mode_chosen = True
             self.failsafe = False
         return missing
 
     def terminate(self) -> None:
-        """Stop the motors for good (MAV_CMD_DO_FLIGHTTERMINATION)."""
+        """Stop the motors permanently (MAV_CMD_DO_FLIGHTTERMINATION)."""
         self.terminated = True
         self.disarm(forced=True)
 
     def spooled_up(self, now_us: int) -> bool:
-        """Whether the rotors have had the time to reach idle speed, so that thrust may rise."""
+        """Return whether the rotors have had time to reach idle speed, so that thrust may rise."""
         return self.armed and now_us - self._armed_us >= self.params.spool_up_s * US_PER_S
 
-    # ---- time
+    # ---- periodic update
 
     def update(
         self,
@@ -144,10 +148,9 @@ class Commander:
         causes: int = 0,
         next_mode: FlightMode | None = None,
     ) -> tuple[Notice, ...]:
-        """Take what holds now (`Condition` bits) and what is wrong (`Cause` bits).
+        """Update arming and mode from the present `Condition` and `Cause` bits, and return the notices.
 
-        ``next_mode`` is what follows where the mode in flight has done what it is for. Returns what happened;
-        in most steps nothing does.
+        ``next_mode`` is the mode that follows a mode that is complete. In most steps there are no notices.
         """
         self._conditions, self._causes = conditions, causes
         notices: tuple[Notice, ...] = ()
@@ -157,11 +160,11 @@ class Commander:
             if self.armed:
                 self._has_flown = True
                 notices += (_info("Landing detected" if landed else "Takeoff detected"),)
-        if next_mode is not None and self.armed and self.mode is self._wanted:
-            self.mode = self._wanted = next_mode
+        if next_mode is not None and self.armed and self.mode is self._requested:
+            self.mode = self._requested = next_mode
         decision = self._failsafe.update(
             now_us, params=self.params, causes=causes, conditions=conditions,
-            mode=self._wanted, armed=self.armed, landed=landed, mode_chosen=self._mode_chosen,
+            mode=self._requested, armed=self.armed, landed=landed, mode_chosen=self._mode_chosen,
         )  # fmt: skip
         self._mode_chosen = False
         if self._failsafe.warnings:
@@ -169,12 +172,12 @@ class Commander:
                 Notice(common.MAV_SEVERITY_WARNING, f"Warning: {text}") for text in self._failsafe.warnings
             )
         if decision is not self._decision:
-            notices += self._obey(decision)
+            notices += self._apply(decision)
         if self.armed and landed:
             notices += self._disarm_when_idle(now_us)
         return notices
 
-    def _obey(self, decision: Decision) -> tuple[Notice, ...]:
+    def _apply(self, decision: Decision) -> tuple[Notice, ...]:
         before, self._decision = self._decision, decision
         if not self.armed:
             return ()
@@ -186,15 +189,17 @@ class Commander:
             self.disarm(forced=True)
         else:
             if self.landed and before.action in MODE_OF and action not in MODE_OF:
-                self._wanted = FlightMode.HOLD  # it came down: what was wanted must not lift it again
-            self.mode = MODE_OF.get(action, self._wanted)
+                self._requested = (
+                    FlightMode.HOLD
+                )  # landed by the failsafe: the earlier mode must not take off again
+            self.mode = MODE_OF.get(action, self._requested)
             self.failsafe = action in MODE_OF
         if decision._replace(delay_s=0.0) != before._replace(delay_s=0.0):
-            notices = _tell(before, decision, self.mode)
+            notices = _notices(before, decision, self.mode)
         return notices
 
-    def _matters(self, cause: Cause) -> bool:
-        """Whether a cause keeps from arming: of some only if the parameters make something of them."""
+    def _prevents_arming(self, cause: Cause) -> bool:
+        """Return whether a cause prevents arming: some do only if a parameter assigns an action to them."""
         if cause is Cause.GCS_LOST:
             return self.params.gcs_loss_action > 0
         if cause is Cause.GEOFENCE:
@@ -215,10 +220,10 @@ class Commander:
 _DONE = {Action.TERMINATE: "flight terminated", Action.DISARM: "disarmed"}
 
 
-def _tell(before: Decision, now: Decision, mode: FlightMode) -> tuple[Notice, ...]:
-    """Say what a failsafe does, when it begins, gets worse, is taken over or ends."""
+def _notices(before: Decision, now: Decision, mode: FlightMode) -> tuple[Notice, ...]:
+    """Return the notices of a failsafe that begins, gets worse, is taken over or ends."""
     action = now.action
-    if action <= Action.WARN:  # warnings are told one by one, whatever else there is
+    if action <= Action.WARN:  # each warning has its own notice
         if now.taken_over and not before.taken_over:
             return (_info(f"Pilot took over, {mode.label}"),)
         return (_info(f"Failsafe over, {mode.label}"),) if before.action > Action.WARN else ()

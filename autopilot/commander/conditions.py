@@ -1,4 +1,4 @@
-"""What the modes and arming need, and the reasons that a request can be refused for. Data, no behaviour."""
+"""Needs of the flight modes and of arming, and the reasons for which a request is refused. Data only."""
 
 from enum import Enum, IntFlag
 
@@ -8,34 +8,35 @@ from autopilot.mavlink.modes import FlightMode
 
 
 class Condition(IntFlag):
-    """Something that holds at the moment; the commander is told all that hold whenever it is asked."""
+    """Preconditions of modes and arming, as bits; `Commander.update` receives all that are met."""
 
     IMU = 1
     BARO = 2
     MAG = 4
     GPS = 8
-    """A sensor's data are complete and fresh."""
+    """The sensor's data are complete and fresh."""
     ATTITUDE = 16
     HEIGHT = 32
     VELOCITY = 64
     POSITION = 128
-    """The estimator vouches for it, within COM_VEL_FS_EVH and COM_POS_FS_EPH."""
+    """The estimate is valid, within COM_VEL_FS_EVH and COM_POS_FS_EPH."""
     HOME = 256
-    """The place to return to is known."""
+    """The home position is known."""
     SETPOINTS = 512
-    """Offboard setpoints have come within COM_OF_LOSS_T."""
+    """Offboard setpoints have arrived within COM_OF_LOSS_T."""
     MANUAL = 1024
-    """Sticks have come within COM_RC_LOSS_T."""
+    """Stick input has arrived within COM_RC_LOSS_T."""
     MISSION = 2048
     """There is a valid mission."""
     CHARGE = 4096
-    """The battery has what COM_ARM_BAT_MIN asks for."""
+    """The remaining charge is at least COM_ARM_BAT_MIN."""
 
 
 class Reason(Enum):
-    """Why a request was refused: the text for people and the MAV_RESULT for the asker.
+    """Why a request was refused: the text of the message and the MAV_RESULT of the reply.
 
-    PX4 answers TEMPORARILY_REJECTED to whatever may be granted later; MAVSDK shows that as CommandDenied.
+    PX4 replies TEMPORARILY_REJECTED if the request may be granted later; MAVSDK reports that as
+    CommandDenied.
     """
 
     NO_IMU = ("no inertial data", common.MAV_RESULT_TEMPORARILY_REJECTED)
@@ -84,13 +85,13 @@ MODE_NEEDS: dict[FlightMode, Condition] = {
     FlightMode.STABILIZED: Condition.ATTITUDE | Condition.MANUAL,
     FlightMode.DESCEND: Condition.ATTITUDE,
 }
-"""The modes that this autopilot flies."""
+"""Needs of each implemented mode."""
 
 MODE_NEED_BITS = {mode: int(needs) for mode, needs in MODE_NEEDS.items()}
-"""Plain integers: the test costs a tenth of the flag type's."""
+"""As plain integers: the test takes a tenth of the time that the flag type takes."""
 
 ARMING_NEEDS = Condition.IMU | Condition.BARO | Condition.MAG | Condition.CHARGE
-"""On top of what the mode needs; a mode that needs the position needs the GPS, too."""
+"""Needs of arming in addition to those of the mode; a mode that needs the position also needs the GPS."""
 
 MODES_TO_ARM_IN = frozenset({
     FlightMode.TAKEOFF, FlightMode.HOLD, FlightMode.MISSION, FlightMode.OFFBOARD,
@@ -107,23 +108,23 @@ AFTER_DISARMING: dict[FlightMode, FlightMode] = {
     FlightMode.ORBIT: FlightMode.HOLD,
     FlightMode.DESCEND: FlightMode.HOLD,
 }
-"""A flight's last mode must not be the next one's first."""
+"""Mode after disarming, so that a flight does not begin in the mode in which the previous one ended."""
 
 _REASONS = {condition: Reason[f"NO_{condition.name}"] for condition in Condition}
 
 
 def arming_needs(mode: FlightMode) -> int:
-    """Give the `Condition` bits without which a vehicle in this mode is not armed."""
+    """Return the `Condition` bits that arming in this mode requires."""
     needs = int(ARMING_NEEDS) | MODE_NEED_BITS[mode]
     return needs | int(Condition.GPS) if needs & Condition.POSITION else needs
 
 
 def first_missing(needs: int, conditions: int) -> Reason | None:
-    """Find the most basic of the needs that the conditions leave unmet; None when all are met."""
+    """Return the reason for the most basic unmet need; None if all needs are met."""
     missing = needs & ~conditions
     return _REASONS[Condition(missing & -missing)] if missing else None
 
 
 def all_missing(needs: int, conditions: int) -> list[Reason]:
-    """Give a reason for each of the needs that the conditions leave unmet, the most basic first."""
+    """Return a reason for each unmet need, the most basic first."""
     return [reason for condition, reason in _REASONS.items() if needs & ~conditions & condition]

@@ -1,9 +1,9 @@
-"""Failsafes: what can go wrong, what the parameters say should then be done, and which of it is done now.
+"""Failsafes: detected causes, the actions that parameters assign to them, and the action in effect.
 
-After PX4's failsafe framework. Every cause has a row in `ROWS`: a parameter, and for each of its values an
-action, when that ends, and whether the pilot may take over. Of all that is active the most drastic action
-wins; what the vehicle cannot do at the moment falls through to the next more drastic one. Pure: time,
-conditions and parameters come in, a decision goes out.
+After PX4's failsafe framework. Each cause has a row in `ROWS`: a parameter, and for each of its values an
+action, when that action ends, and whether the pilot may take over. The most drastic of the active actions is
+selected; an infeasible action falls through to the next more drastic one. Pure: time, conditions and
+parameters are the inputs, a decision is the output.
 """
 
 from collections.abc import Mapping
@@ -19,30 +19,30 @@ US_PER_S = 1_000_000
 
 
 class Cause(IntFlag):
-    """Something that is wrong at the moment."""
+    """Detected faults, as bits."""
 
     GPS_LOST = 1
-    """No fix has come for the time-out of the sensor."""
+    """No fix has arrived within the time-out of the sensor."""
     ESTIMATOR_FAILED = 2
-    """The estimator contradicts its measurements, or has no attitude to give."""
+    """The estimator contradicts its measurements, or has no attitude estimate."""
     GCS_LOST = 4
-    """No ground station has been heard for COM_DL_LOSS_T."""
+    """No message of a ground station has arrived for COM_DL_LOSS_T."""
     MANUAL_LOST = 8
-    """Sticks came once, and have stopped for COM_RC_LOSS_T."""
+    """Stick input was received once, and has stopped for COM_RC_LOSS_T."""
     BATTERY_LOW = 16
     BATTERY_CRITICAL = 32
     BATTERY_EMERGENCY = 64
-    """One of the three at a time."""
+    """At most one of the three is set."""
     GEOFENCE = 128
     MOTOR_FAILED = 256
     TIPPED_OVER = 512
     """Roll or pitch beyond FD_FAIL_R, FD_FAIL_P."""
     MODE_NEEDS = 1024
-    """What the chosen mode needs is not there; found here, not told."""
+    """A condition that the selected mode needs is not met. Detected in this module, not an input."""
 
 
 class Action(IntEnum):
-    """In the order of how drastic they are, as in PX4."""
+    """Failsafe actions in increasing order of severity, as in PX4."""
 
     NONE = 0
     WARN = 1
@@ -58,40 +58,40 @@ class Action(IntEnum):
 
 
 class Ends(Enum):
-    """What ends an action."""
+    """When an action ends."""
 
     WITH_CAUSE = 0
     MODE_CHANGE = 1
-    """The cause is gone, and the pilot chooses a mode."""
+    """After the cause is gone and the pilot has selected a mode."""
     NEVER = 2
-    """Only the end of the flight."""
+    """At the end of the flight."""
 
     @property
     def strictness(self) -> int:
-        """The greater, the longer it lasts."""
+        """Order of the values: a greater one lasts longer."""
         return self.value
 
 
 class FailsafeResponse(NamedTuple):
-    """What a parameter's value stands for."""
+    """Response that one value of a parameter selects."""
 
     action: Action
     ends: Ends = Ends.MODE_CHANGE
     delayed: bool = False
-    """Hold for COM_FAIL_ACT_T first, so that the pilot may take over."""
+    """Hold for COM_FAIL_ACT_T first, so that the pilot can take over."""
 
 
 class Row(NamedTuple):
-    """One failsafe."""
+    """Responses to one cause."""
 
     cause: Cause
     text: str
     parameter: str | None
-    """PX4's name; None where there is nothing to choose."""
+    """Name in PX4; None: the response is fixed."""
     field: str
-    """Of `CommanderParams`."""
+    """Name of the field of `CommanderParams`."""
     responses: Mapping[int, FailsafeResponse]
-    """By the parameter's value; of a value that is not here nothing follows."""
+    """By value of the parameter; other values have no effect."""
 
 
 _WARN = FailsafeResponse(Action.WARN, Ends.WITH_CAUSE)
@@ -130,7 +130,7 @@ ROWS: tuple[Row, ...] = (
     Row(Cause.GCS_LOST, "no ground station", "NAV_DLL_ACT", "gcs_loss_action", _LINK_LOSS),
     Row(Cause.MANUAL_LOST, "no manual control", "NAV_RCL_ACT", "manual_loss_action", _LINK_LOSS),
 )  # fmt: skip
-"""In the order of what is named first when two ask for the same."""
+"""Of two causes with the same action, the text of the earlier row is reported."""
 
 OFFBOARD_LOSS: Mapping[int, FailsafeResponse] = MappingProxyType({
     0: FailsafeResponse(Action.POSITION), 1: FailsafeResponse(Action.ALTITUDE),
@@ -138,8 +138,8 @@ OFFBOARD_LOSS: Mapping[int, FailsafeResponse] = MappingProxyType({
     4: FailsafeResponse(Action.LAND), 5: FailsafeResponse(Action.HOLD),
     6: _TERMINATE, 7: _DISARM,
 })  # fmt: skip
-"""COM_OBL_RC_ACT. A stick mode without sticks falls through to hold; setpoints that come again do not bring
-offboard back by themselves."""
+"""Responses by value of COM_OBL_RC_ACT. A manual mode without stick input falls through to hold. New
+setpoints do not restore offboard mode."""
 
 MODE_OF: Mapping[Action, FlightMode] = MappingProxyType({
     Action.POSITION: FlightMode.POSITION, Action.ALTITUDE: FlightMode.ALTITUDE,
@@ -151,24 +151,25 @@ _AUTO_MODES = frozenset(MODE_NEED_BITS) - MANUAL_MODES - {FlightMode.MISSION, Fl
 _EXCEPT_MISSION, _EXCEPT_AUTO, _EXCEPT_OFFBOARD = 1, 2, 4
 """Bits of COM_RCL_EXCEPT and COM_DLL_EXCEPT."""
 _SETTLING_US = 3 * US_PER_S
-"""After the spool-up a vehicle that tips over is disarmed, where later its flight would be terminated."""
+"""For this time after the spool-up a vehicle that tips over is disarmed; later its flight is terminated."""
 
 
 _TERMINATE_AFTER_US = 500_000
-"""Without anything that can be flown it descends for so long, in case that passes, before the motors stop."""
+"""If no mode is feasible the vehicle descends for this time, in case the fault is transient, before the
+motors stop."""
 
 
 class Decision(NamedTuple):
-    """What is to be done now, and of what it is for."""
+    """Failsafe action in effect and its cause."""
 
     action: Action = Action.NONE
     text: str = ""
     then: Action | None = None
-    """The action that a hold gives the pilot time before."""
+    """Action that follows a delaying hold."""
     delay_s: float = 0.0
-    """Until then."""
+    """Remaining time of the hold."""
     taken_over: bool = False
-    """The pilot flies although something asks for more than a warning."""
+    """The pilot flies although an active failsafe requires more than a warning."""
 
 
 NOTHING = Decision()
@@ -181,72 +182,72 @@ class _Active(NamedTuple):
 
 
 class Failsafe:
-    """The active failsafes of one flight; ask `update` whenever it is decided."""
+    """Active failsafes of one flight; call `update` at every decision."""
 
     def __init__(self) -> None:
         self.decision = NOTHING
         self._active: dict[Cause, _Active] = {}
         self._taken_over = False
         self._act_us: int | None = None
-        """When the hold before a delayed action ends."""
+        """End of the hold before a delayed action."""
         self.warnings: tuple[str, ...] = ()
-        """What has begun since the last call that asks for no more than to be told."""
+        """Texts of the causes that became active in the last call and only require a warning."""
         self._ignored = 0
-        """Causes that were there at arming and so are no news: a low battery, sticks put away."""
+        """Causes that were present at arming and are ignored: a low battery, manual control lost."""
         self._armed_us: int | None = None
-        self._helpless_us: int | None = None
-        """Since when there is nothing that could be flown."""
-        self._asking: tuple[CommanderParams, FlightMode, int] | None = None
+        self._infeasible_us: int | None = None
+        """Since when no mode is feasible."""
+        self._configured: tuple[CommanderParams, FlightMode, int] | None = None
 
     def update(
         self, now_us: int, *, params: CommanderParams, causes: int, conditions: int,
         mode: FlightMode, armed: bool, landed: bool, mode_chosen: bool,
     ) -> Decision:  # fmt: skip
-        """Take what is wrong (`Cause` bits) and what holds (`Condition` bits); returns what to do.
+        """Return the decision for the present `Cause` and `Condition` bits.
 
-        ``mode`` is the one that the pilot wants, ``mode_chosen`` whether that was asked for since the last
-        call: during a failsafe this means that the pilot takes over.
+        ``mode`` is the mode that the pilot has selected, ``mode_chosen`` whether it was requested since the
+        last call: during a failsafe the pilot takes over by a request.
         """
         self.warnings = ()
         if self.decision.action is Action.TERMINATE:
             return self.decision
         if not armed:
             if self._armed_us is not None:
-                self._forget()
+                self._reset()
             return NOTHING
         if self._armed_us is None:
             self._armed_us = now_us
-            self._ignored = causes & _KNOWN_AT_ARMING
-        self._ignored &= causes  # what has gone once is news when it comes back
-        causes &= self._causes_that_ask(params, mode)
+            self._ignored = causes & _IGNORED_AT_ARMING
+        self._ignored &= causes  # a cause that disappeared once is no longer ignored
+        causes &= self._configured_causes(params, mode)
         missing = MODE_NEED_BITS[mode] & ~conditions
         if not causes and not missing and not self._active:
             self._taken_over = False
             self.decision = NOTHING
             return NOTHING
         present = self._responses(now_us, params, causes & ~self._ignored, conditions, mode, missing)
-        self._note(present, now_us, params, mode_chosen=mode_chosen)
+        self._update_active(present, now_us, params, mode_chosen=mode_chosen)
         self.decision = self._decide(now_us, conditions, mode, missing, landed=landed)
         return self.decision
 
-    def _forget(self) -> None:
-        """The flight is over."""
+    def _reset(self) -> None:
+        """Reset at the end of the flight."""
         self.decision = NOTHING
         self._active.clear()
         self._taken_over = False
-        self._act_us = self._armed_us = self._helpless_us = None
+        self._act_us = self._armed_us = self._infeasible_us = None
 
-    # ---- what asks for something
+    # ---- responses to the causes
 
-    def _causes_that_ask(self, params: CommanderParams, mode: FlightMode) -> int:
-        """Bits of the causes of which the parameters make anything in this mode."""
-        known = self._asking
+    def _configured_causes(self, params: CommanderParams, mode: FlightMode) -> int:
+        """Return the bits of the causes that the parameters assign a response to in this mode."""
+        known = self._configured
         if known is None or known[0] is not params or known[1] is not mode:
             bits = 0
             for row in ROWS:
                 if _value(row, params) in row.responses and not _is_excepted(row.cause, mode, params):
                     bits |= int(row.cause)
-            self._asking = known = (params, mode, bits)
+            self._configured = known = (params, mode, bits)
         return known[2]
 
     def _responses(
@@ -270,11 +271,11 @@ class Failsafe:
         armed_us = now_us if self._armed_us is None else self._armed_us
         return now_us - armed_us < params.spool_up_s * US_PER_S + _SETTLING_US
 
-    def _note(
+    def _update_active(
         self, present: Mapping[Cause, tuple[FailsafeResponse, str]], now_us: int, params: CommanderParams,
         *, mode_chosen: bool,
     ) -> None:  # fmt: skip
-        """Bring the active ones up to date, and who flies."""
+        """Update the active failsafes and the takeover by the pilot."""
         active = self._active
         if mode_chosen and Action.HOLD <= self.decision.action <= Action.DESCEND:
             self._taken_over = True
@@ -293,21 +294,21 @@ class Failsafe:
                 if response.action is Action.WARN:
                     self.warnings += (text,)
                 if response.action >= Action.HOLD:
-                    self._taken_over = False  # the pilot took over from something else
+                    self._taken_over = False  # the takeover was from another failsafe
                 if response.delayed and params.action_delay_s > 0.0 and self._act_us is None:
                     self._act_us = now_us + round(params.action_delay_s * US_PER_S)
                 active[cause] = _Active(response, text, present=True)
-            else:  # a changed parameter, or another need of the mode; what ends it only gets stricter
+            else:  # parameter changed, or another need of the mode; the end condition only gets stricter
                 ends = max(known.response.ends, response.ends, key=lambda ends: ends.strictness)
                 active[cause] = _Active(response._replace(ends=ends), text, present=True)
 
-    # ---- what is done
+    # ---- decision
 
     def _decide(
         self, now_us: int, conditions: int, mode: FlightMode, missing: int, *, landed: bool
     ) -> Decision:
         if not self._active:
-            self._act_us = self._helpless_us = None
+            self._act_us = self._infeasible_us = None
             self._taken_over = False
             return NOTHING
         worst = max(self._active.values(), key=lambda active: active.response.action)
@@ -320,34 +321,34 @@ class Failsafe:
         if self._act_us is not None:
             holdable = not MODE_NEED_BITS[FlightMode.HOLD] & ~conditions
             if now_us >= self._act_us or not holdable or self.decision.action > Action.HOLD:
-                self._act_us = now_us  # it is over, and stays so while this failsafe lasts
+                self._act_us = now_us  # the hold is over for the rest of this failsafe
             elif worst.response.delayed and action > Action.HOLD:
                 then, delay_s, action = action, (self._act_us - now_us) / US_PER_S, Action.HOLD
         action = self._possible(now_us, feasible(action, conditions), action, landed=landed)
         if mode is FlightMode.LAND and Action.RETURN in {action, then} and not missing:
-            return Decision(Action.WARN, worst.text)  # it is on its way down already
+            return Decision(Action.WARN, worst.text)  # already descending
         return Decision(action, worst.text, then, delay_s)
 
-    def _possible(self, now_us: int, feasible_action: Action, wanted: Action, *, landed: bool) -> Action:
-        """Put off the end that nothing brings back: what cannot be flown may be a passing glitch."""
-        if feasible_action is not Action.TERMINATE or wanted is Action.TERMINATE:
-            self._helpless_us = None
+    def _possible(self, now_us: int, feasible_action: Action, requested: Action, *, landed: bool) -> Action:
+        """Delay termination, which is irreversible: the lack of a feasible mode may be transient."""
+        if feasible_action is not Action.TERMINATE or requested is Action.TERMINATE:
+            self._infeasible_us = None
             return feasible_action
         if landed:
             return Action.DISARM
-        if self._helpless_us is None:
-            self._helpless_us = now_us
-        helpless_us = now_us - self._helpless_us
-        return Action.TERMINATE if helpless_us >= _TERMINATE_AFTER_US else Action.DESCEND
+        if self._infeasible_us is None:
+            self._infeasible_us = now_us
+        infeasible_us = now_us - self._infeasible_us
+        return Action.TERMINATE if infeasible_us >= _TERMINATE_AFTER_US else Action.DESCEND
 
 
-_KNOWN_AT_ARMING = int(
+_IGNORED_AT_ARMING = int(
     Cause.MANUAL_LOST | Cause.BATTERY_LOW | Cause.BATTERY_CRITICAL | Cause.BATTERY_EMERGENCY
 )
 
 
 def feasible(action: Action, conditions: int) -> Action:
-    """Find the first action, from this one on to the more drastic, whose mode has what it needs."""
+    """Return the first action, in order of severity from this one, whose mode has its needs met."""
     if not Action.POSITION <= action <= Action.DESCEND:
         return action
     able = (
@@ -361,7 +362,7 @@ def feasible(action: Action, conditions: int) -> Action:
 def _mode_response(
     mode: FlightMode, missing: int, conditions: int, params: CommanderParams
 ) -> FailsafeResponse:
-    """Give the way out of a mode that cannot go on."""
+    """Return the response to unmet needs of a mode."""
     if missing & Condition.SETPOINTS:
         return OFFBOARD_LOSS[params.offboard_loss_action]
     if mode in MANUAL_MODES and conditions & Condition.MANUAL:
@@ -372,13 +373,13 @@ def _mode_response(
 
 
 def _value(row: Row, params: CommanderParams) -> int:
-    """Present value of the row's parameter."""
+    """Return the present value of the row's parameter."""
     value: int = getattr(params, row.field) if row.field else 0
     return value
 
 
 def _is_excepted(cause: Cause, mode: FlightMode, params: CommanderParams) -> bool:
-    """Whether a lost link is of no concern in this mode."""
+    """Return whether this mode ignores the loss of a link."""
     if cause is Cause.GCS_LOST:
         mask = params.gcs_loss_except
         if mode is FlightMode.LAND:
@@ -400,5 +401,5 @@ ARMING_CAUSES: tuple[tuple[Cause, Reason], ...] = (
     (Cause.GEOFENCE, Reason.OUTSIDE_GEOFENCE),
     (Cause.GCS_LOST, Reason.NO_GROUND_STATION),
 )
-"""What arming is refused for beside missing conditions; a lost ground station and a left geofence only where
-something follows from them."""
+"""Causes that prevent arming, in addition to missing conditions; a lost ground station and a geofence breach
+only if a parameter assigns an action to them."""

@@ -1,10 +1,10 @@
-"""Geofence: where the vehicle may be, and how far it is from where it may not.
+"""Geofence: where the vehicle is allowed to fly, and its distance from the border.
 
 The rule is PX4's (src/modules/navigator/geofence.cpp): inside every inclusion and outside every exclusion,
-nearer to home than GF_MAX_HOR_DIST and lower above it than GF_MAX_VER_DIST; a limit of 0 is none, and without
-a home the two are not looked at. To be on a border is to be beyond it. MAVLink's groups of inclusions, of
-which one would be enough, are left out as PX4 leaves them out. Shapes reach from the ground to the sky. What
-follows from a breach is left to the failsafes.
+nearer to home than GF_MAX_HOR_DIST and lower above it than GF_MAX_VER_DIST. A limit of 0 is disabled; without
+a home position both limits are ignored. A point on a border is outside the fence. MAVLink's inclusion groups,
+of which the vehicle has to be inside only one, are not supported, as in PX4. Shapes are unlimited in height.
+Failsafes act on a breach.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,12 +20,14 @@ from foundation.geometry.geodesy import geodetic_to_ned, ned_to_geodetic
 from foundation.types import Array
 
 EXTENT_MAX_M = 100_000.0
-"""Of a shape, from its centre or first vertex: further, a plane no longer stands for the earth."""
+"""Greatest extent of a shape from its centre or first vertex; beyond it a plane does not approximate the
+earth."""
 VERTICES_MAX = 1_000
 SAME_PLACE_M = 0.01
 """The resolution of MAVLink's degE7."""
 PATH_SAMPLES = 64
-"""The path of braking is looked at in steps of its length over this, or in longer ones where it is safe."""
+"""The braking path is sampled in steps of its length divided by this number, or in longer ones where it is
+safe."""
 
 Vertex = tuple[float, float]
 Vector = Array | Sequence[float]
@@ -33,18 +35,18 @@ _Ned = tuple[float, float, float]
 
 
 class GeofenceParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Limits about home."""
+    """Limits relative to home."""
 
     max_horizontal_m: Annotated[float, Meta(ge=0.0, le=10_000.0)] = 0.0
-    """GF_MAX_HOR_DIST: from home; 0 none"""
+    """GF_MAX_HOR_DIST: greatest horizontal distance from home; 0: no limit"""
     max_vertical_m: Annotated[float, Meta(ge=0.0, le=10_000.0)] = 0.0
-    """GF_MAX_VER_DIST: above home; 0 none"""
+    """GF_MAX_VER_DIST: greatest height above home; 0: no limit"""
     predict: Annotated[int, Meta(ge=0, le=1)] = 0
-    """GF_PREDICT: 1 asks for `Geofence.check_braking`, 0 for `Geofence.check`"""
+    """GF_PREDICT: 1 checks the braking path, 0 only the present position"""
 
 
 class Origin(NamedTuple):
-    """Where a local NED frame begins."""
+    """Geodetic origin of a local NED frame."""
 
     lat_deg: float
     lon_deg: float
@@ -52,7 +54,7 @@ class Origin(NamedTuple):
 
 
 class FenceCircle(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag="circle"):
-    """A circle to stay inside or outside of. Raises ValueError for what is none."""
+    """Circular fence. Raises ValueError if position or radius is invalid."""
 
     lat_deg: float
     lon_deg: float
@@ -68,15 +70,16 @@ class FenceCircle(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     def of_site(
         cls, north_m: float, east_m: float, radius_m: float, *, inclusion: bool, site: Origin
     ) -> "FenceCircle":
-        """Make one about a place in metres from the site's origin."""
+        """Return a circle whose centre is in metres from the site's origin."""
         ((lat_deg, lon_deg),) = _geodetic([(north_m, east_m)], site)
         return cls(lat_deg=lat_deg, lon_deg=lon_deg, radius_m=radius_m, inclusion=inclusion)
 
 
 class FencePolygon(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag="polygon"):
-    """A simple polygon to stay inside or outside of. Raises ValueError, which counts vertices from 0.
+    """Simple polygonal fence. Raises ValueError if it is not a simple polygon, with vertices counted from 0.
 
-    It closes by itself, may turn either way round and may lie over the antimeridian or a pole.
+    The border closes from the last to the first vertex; either orientation is valid. It may contain the
+    antimeridian or a pole.
     """
 
     vertices: tuple[Vertex, ...]
@@ -88,14 +91,14 @@ class FencePolygon(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
             raise ValueError(f"a fence of {len(self.vertices)} vertices: 3 .. {VERTICES_MAX} make a polygon")
         for i, (lat_deg, lon_deg) in enumerate(self.vertices):
             _require_place(lat_deg, lon_deg, f"vertex {i}")
-        # in the plane at the first vertex neither antimeridian nor poles are special
+        # in the plane at the first vertex neither the antimeridian nor a pole is a special case
         fault = _polygon_fault(_local_m(self.vertices, Origin(*self.vertices[0], 0.0)))
         if fault is not None:
             raise ValueError(f"a fence's {fault}")
 
     @classmethod
     def of_site(cls, vertices_m: Sequence[Vertex], *, inclusion: bool, site: Origin) -> "FencePolygon":
-        """Make one of (north, east) in metres from the site's origin."""
+        """Return a polygon of (north, east) vertices in metres from the site's origin."""
         return cls(vertices=tuple(_geodetic(vertices_m, site)), inclusion=inclusion)
 
 
@@ -103,7 +106,7 @@ FenceShape = FenceCircle | FencePolygon
 
 
 class BreachKind(Enum):
-    """Which of the fence's conditions does not hold."""
+    """Kind of the violated limit."""
 
     MAX_DISTANCE = "too far from home"
     MAX_ALTITUDE = "too high above home"
@@ -112,29 +115,29 @@ class BreachKind(Enum):
 
 
 class Breach(NamedTuple):
-    """A condition that does not hold; of several, the one that is furthest from holding."""
+    """A violated limit; of several, the one with the greatest depth."""
 
     kind: BreachKind
     shape: int | None
     """Index of the shape; None for the limits about home"""
     depth_m: float
-    """How far beyond the border, not negative"""
+    """Distance beyond the border, not negative"""
 
     @property
     def text(self) -> str:
-        """For people."""
+        """Text for messages."""
         return self.kind.value if self.shape is None else f"{self.kind.value} {self.shape}"
 
 
 class _Margin(NamedTuple):
     margin_m: float
-    """Distance to the border, negative beyond it"""
+    """Distance to the border, negative outside the fence"""
     kind: BreachKind
     shape: int | None
 
 
 class Geofence:
-    """The fence of one vehicle. Positions are NED, metres, from ``origin``; made for 10 Hz."""
+    """Geofence of one vehicle, for checks at 10 Hz. Positions are NED, metres, from ``origin``."""
 
     def __init__(self, params: GeofenceParams, shapes: Sequence[FenceShape] = ()) -> None:
         self.params = params
@@ -144,13 +147,13 @@ class Geofence:
         """The shapes in metres from ``_origin``."""
 
     def set_shapes(self, shapes: Sequence[FenceShape]) -> None:
-        """Put other shapes in the place of those that are."""
+        """Replace all shapes."""
         self.shapes = tuple(shapes)
         self._origin = None
 
     @property
     def has_limits(self) -> bool:
-        """Whether there is any place where the vehicle may not be."""
+        """Return whether there is any limit."""
         params = self.params
         return bool(self.shapes) or max(params.max_horizontal_m, params.max_vertical_m) > 0.0
 
@@ -160,7 +163,7 @@ class Geofence:
         home_pos_ned_m: Vector | None,
         origin: Origin,
     ) -> float:
-        """Distance to the nearest border: positive where the vehicle may be, infinite without a fence."""
+        """Return the distance to the nearest border: positive if allowed, infinite without a fence."""
         worst = self._worst(_floats(pos_ned_m), _home(home_pos_ned_m), origin)
         return inf if worst is None else worst.margin_m
 
@@ -170,16 +173,16 @@ class Geofence:
         home_pos_ned_m: Vector | None,
         origin: Origin,
     ) -> Breach | None:
-        """Find what a finite position breaches; None is nothing."""
+        """Return the breach at a finite position, or None."""
         return _breach(self._worst(_floats(pos_ned_m), _home(home_pos_ned_m), origin))
 
     def first_beyond(
         self, places: Sequence[Vertex], down_m: Array, home_pos_ned_m: Vector, origin: Origin
     ) -> int | None:
-        """Index of the first place that a vehicle may not be at, or None.
+        """Return the index of the first place at which a vehicle is not allowed, or None.
 
-        Takes n latitudes and longitudes in degrees and ``down_m`` (n,) from the origin. Upon a polygon's
-        border, to the last bit, is either way.
+        Input: n latitudes and longitudes in degrees and ``down_m`` (n,) from the origin. The result for a
+        place exactly on a polygon's border is unspecified.
         """
         params, home_m = self.params, _floats(home_pos_ned_m)
         north_m, east_m = np.ascontiguousarray(_local_m(places, origin).T)
@@ -203,10 +206,10 @@ class Geofence:
         deceleration_m_s2: float,
         reaction_s: float = 0.0,
     ) -> Breach | None:
-        """Find what the vehicle breaches if it flies on for the reaction and then brakes in a straight line.
+        """Return the breach on the path of a vehicle that brakes in a straight line after ``reaction_s``.
 
-        The margin changes by no more than the way flown, so the path is followed in steps of the margin.
-        Overlaps shorter than the path over `PATH_SAMPLES` may go unseen.
+        The margin changes by at most the flown distance, so the path is sampled in steps of the margin.
+        Overlaps shorter than the path divided by `PATH_SAMPLES` may be missed.
         """
         place_m, home_m = _floats(pos_ned_m), _home(home_pos_ned_m)
         vel_m_s = _floats(vel_ned_m_s)
@@ -266,7 +269,7 @@ def _breach(worst: _Margin | None) -> Breach | None:
 
 def _require_place(lat_deg: float, lon_deg: float, what: str) -> None:
     if not (isfinite(lat_deg) and isfinite(lon_deg) and abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0):
-        raise ValueError(f"a fence's {what}: {lat_deg:g}, {lon_deg:g} is no latitude and longitude")
+        raise ValueError(f"a fence's {what}: {lat_deg:g}, {lon_deg:g} is not a valid latitude and longitude")
 
 
 # ---- shapes in the plane
@@ -278,19 +281,19 @@ class _Circle(NamedTuple):
     radius_m: float
 
     def inside_m(self, north_m: float, east_m: float) -> float:
-        """Distance to the border, negative outside."""
+        """Return the distance to the border, negative outside."""
         return self.radius_m - hypot(north_m - self.north_m, east_m - self.east_m)
 
     def contains(self, north_m: Array, east_m: Array) -> NDArray[np.bool_]:
-        """(n,) whether places lie inside, not upon the border."""
+        """Return for each place, (n,), whether it is inside; on the border is outside."""
         return np.asarray(np.hypot(north_m - self.north_m, east_m - self.east_m) < self.radius_m)
 
 
 class _Polygon:
-    """Edges as arrays, each (n,): where they begin, where they lead, how long they are."""
+    """Edges of a polygon as arrays, each (n,): begin, direction and length."""
 
     def __init__(self, vertices_m: Array) -> None:
-        """Take (n, 2) north and east."""
+        """Compute the edges of (n, 2) north and east."""
         self._north_m, self._east_m = np.ascontiguousarray(vertices_m.T)
         edges_m = np.roll(vertices_m, -1, axis=0) - vertices_m
         self._to_north_m, self._to_east_m = np.ascontiguousarray(edges_m.T)
@@ -299,21 +302,24 @@ class _Polygon:
         self._end_east_m = np.roll(self._east_m, -1)
 
     def inside_m(self, north_m: float, east_m: float) -> float:
-        """Distance to the border, negative outside, where a ray to the north crosses it evenly often."""
+        """Return the distance to the border, negative outside.
+
+        A place is outside if a ray to the north crosses the border an even number of times.
+        """
         from_north_m, from_east_m = north_m - self._north_m, east_m - self._east_m
         along = (from_north_m * self._to_north_m + from_east_m * self._to_east_m) / self._length_squared_m2
         along = np.minimum(np.maximum(along, 0.0), 1.0)
         off_north_m = from_north_m - along * self._to_north_m
         off_east_m = from_east_m - along * self._to_east_m
         distance_m = sqrt(float((off_north_m**2 + off_east_m**2).min()))
-        # the border is north of the point where it passes the point's meridian
+        # the border is north of the point where it crosses the point's meridian
         passes = (self._east_m <= east_m) != (self._end_east_m <= east_m)
         south_of = (from_north_m * self._to_east_m < from_east_m * self._to_north_m) == self._eastward
         inside = int(np.count_nonzero(passes & south_of)) % 2 == 1
         return distance_m if inside else -distance_m
 
     def contains(self, north_m: Array, east_m: Array) -> NDArray[np.bool_]:
-        """(n,) whether places lie inside, by the same rays; edge by edge, for places may be many."""
+        """Return for each place, (n,), whether it is inside, by the same ray test; loops over edges."""
         inside = np.zeros(len(north_m), bool)
         edges = zip(
             self._north_m.tolist(), self._east_m.tolist(), self._to_north_m.tolist(),
@@ -334,10 +340,10 @@ def _localise(shape: FenceShape, origin: Origin) -> _Circle | _Polygon:
 
 
 def _local_m(places: Sequence[Vertex], origin: Origin) -> Array:
-    """(n, 2) north and east of geodetic places, in the local plane.
+    """Return north and east, (n, 2), of geodetic places in the local plane.
 
-    NED has places beyond the horizon come back towards the origin; they are put as far away as they are in
-    space, which changes nothing that is near (3 mm at 10 km) and keeps a fence on the far side there.
+    In NED the horizontal distance of places beyond the horizon decreases again. Here it is scaled to the
+    distance in space: nearby places stay unchanged (3 mm at 10 km), and a distant fence stays distant.
     """
     lat_deg, lon_deg = np.array(places, float).T
     ned_m = geodetic_to_ned(
@@ -355,7 +361,7 @@ def _local_m(places: Sequence[Vertex], origin: Origin) -> Array:
 
 
 def _geodetic(places_m: Sequence[Vertex], site: Origin) -> list[Vertex]:
-    """Latitude and longitude, degrees, of (north, east) in metres on the site's plane."""
+    """Return latitude and longitude, degrees, of (north, east) in metres on the site's plane."""
     ned_m = np.zeros((len(places_m), 3))
     ned_m[:, :2] = places_m
     lat_deg, lon_deg, _ = ned_to_geodetic(
@@ -365,7 +371,7 @@ def _geodetic(places_m: Sequence[Vertex], site: Origin) -> list[Vertex]:
 
 
 def _polygon_fault(vertices_m: Array) -> str | None:
-    """Say why (n, 2) vertices make no simple polygon; None when they do."""
+    """Return why (n, 2) vertices are not a simple polygon, or None if they are."""
     begin, end = vertices_m, np.roll(vertices_m, -1, axis=0)
     count = len(begin)
     if np.hypot(*begin.T).max() > EXTENT_MAX_M:
@@ -394,11 +400,11 @@ def _polygon_fault(vertices_m: Array) -> str | None:
 
 
 def _edges_meet(begin: Array, end: Array) -> NDArray[np.bool_]:
-    """(n, n) whether two edges that are not neighbours have a point in common."""
+    """Return for each pair of edges, (n, n), whether they are not neighbours and have a common point."""
     count = len(begin)
 
     def side(point: Array) -> Array:
-        """(n, n) on which side of edge i the point j lies."""
+        """Return on which side of edge i point j is, (n, n)."""
         along, to = (end - begin)[:, None, :], point[None, :, :] - begin[:, None, :]
         return np.sign(along[..., 0] * to[..., 1] - along[..., 1] * to[..., 0])
 

@@ -1,8 +1,8 @@
-"""Whether the vehicle stands on the ground, from how it moves and what is asked of it.
+"""Land detector: decides from motion and demands whether the vehicle is on the ground.
 
-After PX4's MulticopterLandDetector: on the ground it moves neither up nor down although the controller asks
-for descent, and thrust has run down to little. Three stages in a row keep a gust or a stalled descent from
-being taken for a landing.
+After PX4's MulticopterLandDetector: on the ground the vehicle does not move vertically although the
+controller demands descent, and thrust is low. Three consecutive stages prevent a gust or a stalled descent
+from being detected as a landing.
 """
 
 from enum import IntEnum
@@ -16,17 +16,18 @@ from foundation.types import EstimatorState
 GROUND_CONTACT_US = 350_000
 MAYBE_LANDED_US = 250_000
 LANDED_US = 300_000
-"""How long each stage's conditions must hold, one after the other."""
+"""How long the conditions of each stage must hold, one stage after the other."""
 LOW_THRUST_OF_HOVER = 0.3
 """Share of the hover thrust below which the vehicle cannot be flying."""
 DESCENT_DEMAND_M_S = 0.27
-"""Nine tenths of PX4's slowest landing speed (MPC_LAND_CRWL): from here on standing still means contact."""
+"""0.9 times PX4's slowest landing speed (MPC_LAND_CRWL): at a greater demand no motion means ground
+contact."""
 LEFT_GROUND_HEIGHT_M = 0.15
 LEFT_GROUND_CLIMB_M_S = 0.5
 
 
 class LandStage(IntEnum):
-    """How sure it is that the vehicle is down."""
+    """Stages of landing, in increasing order of certainty."""
 
     AIRBORNE = 0
     GROUND_CONTACT = 1
@@ -35,30 +36,30 @@ class LandStage(IntEnum):
 
 
 class LandDetectorParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Thresholds of motion."""
+    """Motion thresholds."""
 
     vertical_speed_max_m_s: Annotated[float, Meta(gt=0.0)] = 0.25
-    """LNDMC_Z_VEL_MAX"""
+    """LNDMC_Z_VEL_MAX: greatest vertical speed on the ground"""
     horizontal_speed_max_m_s: Annotated[float, Meta(gt=0.0)] = 1.5
-    """LNDMC_XY_VEL_MAX"""
+    """LNDMC_XY_VEL_MAX: greatest horizontal speed on the ground"""
     rotation_max_rad_s: Annotated[float, Meta(gt=0.0)] = radians(20.0)
-    """LNDMC_ROT_MAX"""
+    """LNDMC_ROT_MAX: greatest body rate on the ground"""
 
 
 class LandDetector:
-    """One vehicle's stage between air and ground; `update` it at every look at the flight."""
+    """Landing stage of one vehicle; call `update` at every check of the flight."""
 
     def __init__(self, params: LandDetectorParams) -> None:
         self.params = params
         self.stage = LandStage.LANDED
         self._since_us = 0
-        """Since when the conditions of the next stage hold."""
+        """Since when the conditions of the next stage have held."""
         self._climb_from_down_m: float | None = None
-        """Down position where a climb was first asked for on the ground."""
+        """Down position at which a climb was first demanded on the ground."""
 
     @property
     def landed(self) -> bool:
-        """On the ground for certain."""
+        """Whether the vehicle is on the ground, the last of the stages."""
         return self.stage is LandStage.LANDED
 
     def update(
@@ -70,14 +71,18 @@ class LandDetector:
         down_demand_m_s: float,
         thrust_of_hover: float,
     ) -> None:
-        """Take the estimate, the vertical speed asked for, and thrust as a share of the hover thrust."""
+        """Update the stage.
+
+        ``down_demand_m_s`` is the demanded vertical speed, positive down; ``thrust_of_hover`` is thrust
+        divided by the hover thrust.
+        """
         if not armed:
             self.stage = LandStage.LANDED
             self._climb_from_down_m = None
         elif self.stage is LandStage.LANDED:
             self._watch_for_take_off(now_us, state, down_demand_m_s)
         else:
-            # in flight neither is so, and the motion need not be looked at
+            # in flight neither holds, so the motion is not evaluated
             low_thrust = thrust_of_hover < LOW_THRUST_OF_HOVER
             contact = (low_thrust or down_demand_m_s > DESCENT_DEMAND_M_S) and self._is_still(state)
             resting = contact and low_thrust and not self._rotates(state)

@@ -1,6 +1,6 @@
-"""Flight control in PX4's cascade: position, attitude, rates, allocation; and the moves they follow.
+"""Flight control in PX4's cascade (position, attitude, rates, allocation) and position trajectories.
 
-Pure: estimates, setpoints and time steps go in, motor controls come out.
+Pure: estimates, setpoints and time steps are the inputs, motor controls the output.
 """
 
 from autopilot.control.flight import FlightController

@@ -1,10 +1,10 @@
-"""From thrust and torque to motor controls.
+"""Control allocation: thrust and torque to motor controls.
 
-Demands are normalised as PX4's: collective thrust 0..1 of full, roll and pitch torque such that a demand of 1
-moves the rotors by 0.71 of full thrust (root mean square), yaw such that the most used rotor moves by 1.
-Desaturation gives way in this order: yaw first, then collective thrust, roll and pitch last. The rotors form
-a quadrotor, so thrust and three torques determine four rotor thrusts; collective thrust alone makes no torque
-on a balanced frame.
+Demands are normalised as in PX4: collective thrust 0..1 of full thrust, roll and pitch torque such that a
+demand of 1 changes the rotors by 0.71 of full thrust (root mean square), yaw such that the most used rotor
+changes by 1. Saturation reduces yaw first, then collective thrust, roll and pitch last. The airframe is a
+quadrotor, so thrust and three torques determine the four rotor thrusts; collective thrust alone causes no
+torque on a balanced frame.
 """
 
 from math import sqrt
@@ -19,8 +19,9 @@ from foundation.types import Array
 
 @njit(cache=True)
 def _yaw_bounds(fixed: Array, yaw: Array, low: float, high: float) -> tuple[float, float]:
-    """Yaw demands y for which one collective c in [low, high] keeps all of ``fixed + c + y * yaw`` in 0..1.
+    """Return the interval of feasible yaw demands.
 
+    A demand y is feasible if one collective c in [low, high] keeps all of ``fixed + c + y * yaw`` in 0..1.
     Three conditions: the spread of the rotors is at most 1, none is over 1 at c = low, none under 0 at c =
     high. Each is linear in y, so the set is an interval; it may be empty (lower > upper).
     """
@@ -37,14 +38,14 @@ def _yaw_bounds(fixed: Array, yaw: Array, low: float, high: float) -> tuple[floa
                 upper = min(upper, room / slope)
             elif slope < -1e-9:
                 lower = max(lower, room / slope)
-            elif room < -1e-12:  # yaw cannot help
+            elif room < -1e-12:  # infeasible for every yaw
                 return np.inf, -np.inf
     return lower, upper
 
 
 @njit(cache=True)
 def _extremes(fixed: Array, yaw: Array, y: float) -> tuple[float, float]:
-    """Least and greatest of ``fixed + y * yaw``, (4,) each."""
+    """Return the least and the greatest element of ``fixed + y * yaw``, (4,) each."""
     least = most = fixed[0] + y * yaw[0]
     for i in range(1, 4):
         value = fixed[i] + y * yaw[i]
@@ -63,7 +64,7 @@ def allocate(
     controls: Array,
     unallocated: Array,
 ) -> float:
-    """Fill ``controls`` (4,) and ``unallocated`` (3,); returns the achieved collective.
+    """Compute ``controls`` (4,) and ``unallocated`` (3,); returns the achieved collective.
 
     Torque may raise the collective up to ``highest``.
     """
@@ -91,7 +92,7 @@ def allocate(
     lowest, most = _extremes(fixed, yaw, y)
     collective = max(min(thrust, 1.0 - most), min(-lowest, 1.0 - most))
 
-    # yaw gets what is left at this collective, or at one lower by at most the margin
+    # yaw within the remaining margin at this collective, or at one lower by at most the yaw margin
     y_lower, y_upper = _yaw_bounds(fixed, yaw, max(collective - yaw_margin, 0.0), collective)
     if y_lower <= y_upper:
         y = min(max(torque[2], y_lower), y_upper)
@@ -114,7 +115,7 @@ def allocate(
 
 
 def effectiveness(params: AllocationParams) -> Array:
-    """(4, 4) thrust along -z and torque about x, y, z (FRD), N and N m, per newton of each rotor."""
+    """Return thrust along -z and torque about x, y, z (FRD), N and N m, per newton of each rotor, (4, 4)."""
     rows = []
     for rotor in params.rotors:
         x_m, y_m, _ = rotor.pos_frd_m
@@ -124,10 +125,10 @@ def effectiveness(params: AllocationParams) -> Array:
 
 
 def mixer(params: AllocationParams) -> Array:
-    """(4, 3) relative thrust of each rotor per normalised roll, pitch and yaw torque."""
+    """Return the relative thrust of each rotor per normalised roll, pitch and yaw torque, (4, 3)."""
     matrix = effectiveness(params)
     if np.linalg.matrix_rank(matrix) < 4:
-        raise ValueError("the rotors cannot make thrust, roll, pitch and yaw independently")
+        raise ValueError("the rotors cannot produce thrust, roll, pitch and yaw independently")
     if np.abs(matrix[1:3].sum(axis=1)).max() > 1e-9:
         raise ValueError("the rotors' thrust is not balanced about the centre of mass")
     mix = np.asarray(np.linalg.inv(matrix)[:, 1:], dtype=np.float64)
@@ -137,14 +138,14 @@ def mixer(params: AllocationParams) -> Array:
 
 
 class Allocator:
-    """Motor controls for a demand, and what of the demand they meet."""
+    """Computes motor controls for a demand, and the part of the demand that they do not achieve."""
 
     def __init__(self, params: AllocationParams, block: Block | None = None) -> None:
         block = new_block() if block is None else block
         self.mix: Array = block["mix"][0]
         """(4, 3)"""
         self.unallocated: Array = block["unallocated"][0]
-        """(3,) normalised roll, pitch and yaw torque that the last demand did not get"""
+        """(3,) normalised roll, pitch and yaw torque of the last demand that was not achieved"""
         self._thrust: Array = block["thrust"]
         self._yaw_margin: Array = block["yaw_thrust_margin"]
         self._model_factor: Array = block["thrust_model_factor"]
@@ -152,24 +153,27 @@ class Allocator:
 
     @property
     def thrust(self) -> float:
-        """Collective that was given last, 0..1."""
+        """Collective thrust of the last allocation, 0..1."""
         return self._thrust.item()
 
     def set_params(self, params: AllocationParams) -> None:
-        """Act by these from the next demand on. Raises ValueError for a frame that cannot fly."""
+        """Change the settings, in effect from the next demand.
+
+        Raises ValueError for an infeasible airframe.
+        """
         self.mix[:] = mixer(params)
         self._yaw_margin[0] = params.yaw_thrust_margin
         self._model_factor[0] = params.thrust_model_factor
 
     def reset(self) -> None:
-        """Nothing was asked and nothing given."""
+        """Reset the collective and the unallocated torque to zero."""
         self._thrust[0] = 0.0
         self.unallocated[:] = 0.0
 
     def allocate(self, thrust: float, torque: Array, *, airmode: bool) -> Array:
-        """(4,) motor controls 0..1 for ``thrust`` 0..1 and normalised ``torque`` (3,) about FRD axes.
+        """Return the motor controls (4,), 0..1, for ``thrust`` 0..1 and normalised ``torque`` (3,), FRD.
 
-        ``thrust`` is collective. ``airmode`` lets torque raise it, which must not happen on the ground.
+        ``thrust`` is collective. With ``airmode`` torque may raise it; it must be off on the ground.
         """
         controls = np.empty(4)
         self._thrust[0] = allocate(

@@ -1,7 +1,7 @@
-"""Attitude control: quaternion error to body rates, tilt before yaw.
+"""Attitude control: quaternion error to body rates, with priority of tilt over yaw.
 
-D. Brescianini, M. Hehn, R. D'Andrea, "Nonlinear quadrocopter attitude control", ETH Zurich 2013, as PX4
-applies it.
+D. Brescianini, M. Hehn, R. D'Andrea, "Nonlinear quadrocopter attitude control", ETH Zurich 2013, as
+implemented in PX4.
 """
 
 import math
@@ -26,32 +26,32 @@ def rate_setpoint(
     yaw_weight: float,
     rate_max_rad_s: Array,
 ) -> tuple[Array, float]:
-    """Rate setpoint, and the cosine of the angle between wanted and present thrust axis."""
+    """Return the rate setpoint, and the cosine of the angle between desired and present thrust axis."""
     q_now = (q_ned_frd[0], q_ned_frd[1], q_ned_frd[2], q_ned_frd[3])
     q_goal = (q_ned_setpoint[0], q_ned_setpoint[1], q_ned_setpoint[2], q_ned_setpoint[3])
     a, b, c = rotate(q_now, _DOWN)
     d, e, f = rotate(q_goal, _DOWN)
     cosine = a * d + b * e + c * f
     if 1.0 + cosine < 1e-10:
-        # upside down: every tilt axis is as short as any other, so take the one that also brings the yaw
-        q_wanted = q_goal
+        # upside down: all tilt axes are equally short, so use the rotation that also corrects the yaw
+        q_target = q_goal
     else:
-        # the shortest rotation from the thrust axis of now (a, b, c) to the wanted one (d, e, f), in NED
+        # shortest rotation from the present thrust axis (a, b, c) to the desired one (d, e, f), in NED
         tilt = normalise((1.0 + cosine, b * f - c * e, c * d - a * f, a * e - b * d))
         q_tilted = multiply(tilt, q_now)
-        w, _, _, z = multiply(conjugate(q_tilted), q_goal)  # about body z alone
+        w, _, _, z = multiply(conjugate(q_tilted), q_goal)  # about body z only
         if w < 0.0:
             w, z = -w, -z
         half_yaw_rad = yaw_weight * math.atan2(z, w)
-        q_wanted = multiply(q_tilted, (math.cos(half_yaw_rad), 0.0, 0.0, math.sin(half_yaw_rad)))
+        q_target = multiply(q_tilted, (math.cos(half_yaw_rad), 0.0, 0.0, math.sin(half_yaw_rad)))
 
-    error = multiply(conjugate(q_now), q_wanted)
+    error = multiply(conjugate(q_now), q_target)
     twice_sign = 2.0 if error[0] >= 0.0 else -2.0
     feed_forward = rotate(conjugate(q_now), (0.0, 0.0, yaw_rate_rad_s))
     rate = np.empty(3)
     for i in range(3):
-        wanted = twice_sign * error[1 + i] * gain[i] + feed_forward[i]
-        rate[i] = min(max(wanted, -rate_max_rad_s[i]), rate_max_rad_s[i])
+        demanded = twice_sign * error[1 + i] * gain[i] + feed_forward[i]
+        rate[i] = min(max(demanded, -rate_max_rad_s[i]), rate_max_rad_s[i])
     return rate, cosine
 
 
@@ -69,13 +69,13 @@ class AttitudeController:
 
     @property
     def tilt_cosine(self) -> float:
-        """Cosine of the angle between the wanted and the present thrust axis at the last update."""
+        """Cosine of the angle between the desired and the present thrust axis at the last update."""
         return float(self._tilt_cosine[0])
 
     def set_params(self, params: AttitudeParams) -> None:
-        """Act by these from the next update on."""
+        """Change the settings, in effect from the next update."""
         self._yaw_weight[0] = params.yaw_weight
-        # only the weighted part of a yaw error enters the error quaternion: undo that in the gain
+        # only the weighted part of a yaw error is in the error quaternion: compensate that in the gain
         yaw_gain = params.yaw_p / params.yaw_weight if params.yaw_weight > 1e-4 else 0.0
         self.gain[:] = (params.roll_p, params.pitch_p, yaw_gain)
         self.rate_max_rad_s[:] = (
@@ -83,7 +83,7 @@ class AttitudeController:
         )  # fmt: skip
 
     def update(self, q_ned_frd: Array, setpoint: AttitudeSetpoint) -> Array:
-        """(3,) body rate setpoint, FRD, within the limits; the setpoint's yaw rate is about NED down."""
+        """Return the limited body rate setpoint (3,), FRD; the setpoint's yaw rate is about NED down."""
         rate: Array
         rate, self._tilt_cosine[0] = rate_setpoint(
             q_ned_frd,

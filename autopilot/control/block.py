@@ -1,32 +1,32 @@
-"""Where a vehicle's controllers keep what they go by and what they remember: one block of memory.
+"""One block of memory with the settings and states of a vehicle's controllers.
 
-Compiled code is then given one array instead of forty, each of them an object to be looked into, and what a
-step reads lies together. The controllers have views of it; one that is used alone has a block of its own.
+Compiled code receives one array instead of forty, each of which would have to be unboxed, and the data of one
+step are adjacent. The controllers hold views of the block; a controller used separately has its own block.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
 Block = NDArray[np.void]
-"""(1,) of `CASCADE`"""
+"""(1,) array of `CASCADE`"""
 
 CASCADE = np.dtype(
     [
-        # what is so in a sample, which `FlightController` lays out as a whole
-        ("turn", "f8", 3),  # how it is to turn and may climb, as `cascade.YAW` and the rest have it
+        # inputs of one sample, which `FlightController` writes together
+        ("turn", "f8", 3),  # heading, yaw rate and climb limit: `cascade.YAW` and the following
         ("dt_s", "f8"),  # since the last sample
-        ("velocity_valid", "u1"),  # compiled code knows no truth values within a block
-        ("idles", "u1"),  # on the ground
+        ("velocity_valid", "u1"),  # compiled code has no booleans in a block
+        ("idles", "u1"),  # in the ground phase of the take-off
         ("landed", "u1"),
-        ("flies", "u1"),  # neither that nor taking off
-        # what is followed: `PositionController.take` lays out a trajectory's setpoint
-        ("wanted", "f8", (3, 3)),
+        ("flies", "u1"),  # in the flying phase of the take-off
+        # setpoint: `PositionController.take` writes that of a trajectory
+        ("setpoint", "f8", (3, 3)),
         ("mask", "u1", (3, 3)),
-        # how far the position loop's divider is
+        # state of the position loop's divider
         ("updates", "i8"),
         ("position_divider", "i8"),
         ("since_position_s", "f8"),
-        # settings and memory of one controller after the other, as their kernels have them
+        # settings and memory of each controller, in the layout of its kernel
         ("observer_settings", "f8", 3),
         ("observer", "f8", 4),
         ("hover_settings", "f8", 4),
@@ -56,5 +56,5 @@ CASCADE = np.dtype(
 
 
 def new_block() -> Block:
-    """Zeros."""
+    """Return a block of zeros."""
     return np.zeros(1, CASCADE)

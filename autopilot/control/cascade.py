@@ -1,9 +1,8 @@
-"""The whole cascade of one sample in compiled code, for whoever follows a trajectory: nearly every step.
+"""Control cascade of one sample in compiled code, for trajectory setpoints, which most steps use.
 
-Disturbance observer, hover thrust, position, attitude, rates and allocation are classes of their own that can
-be used alone. Here their kernels run one after the other over the block that holds settings and memories of
-one of each: crossing into compiled code once instead of five times, and leaving the objects alone in between,
-is worth several times their arithmetic.
+Disturbance observer, hover thrust, position, attitude, rates and allocation also have classes that can be
+used separately. Here their kernels run in sequence over the block with the settings and states of all of
+them. One call of compiled code instead of five saves several times the time that the arithmetic takes.
 """
 
 import numpy as np
@@ -29,31 +28,30 @@ from foundation.geometry.rotations import quat_from_euler
 from foundation.types import Array
 
 ABOVE_LEAST = 1.001
-"""A thrust is the least one up to rounding"""
+"""Tolerance for rounding: a thrust up to this multiple of the least thrust counts as the least thrust"""
 BY_TILT = True
-"""Only the thrust along the present axis is given; see `InnerLoop.update`."""
+"""Apply only the thrust along the present axis; see `InnerLoop.update`."""
 YAW, YAW_RATE, CLIMB_MAX = range(3)
-"""Of the block's ``turn``: heading, rad, its rate, rad/s, and the greatest climb, m/s"""
+"""Elements of the block's ``turn``: heading, rad; its rate, rad/s; greatest climb rate, m/s"""
 _HOVER_LEARN_UP = 0.5
-"""Least cosine of the tilt at which the hover thrust is learned"""
+"""Least cosine of the tilt at which the hover thrust estimate is updated"""
 
 
 @njit(cache=True)
 def airmode_above(landed: bool, thr_min: float) -> float:  # noqa: FBT001 - kernels take positions
-    """Give the thrust above which torque may raise the collective.
+    """Return the thrust above which torque may raise the collective.
 
-    At the least thrust it may be touching down: torque against the ground must not lift it again.
+    At the least thrust the vehicle may be touching down, and torque against the ground must not lift it.
     """
     return np.inf if landed else thr_min * ABOVE_LEAST
 
 
 @njit(cache=True)
 def follow_trajectory(block: Block, estimate: Array) -> None:
-    """Fill the block's ``controls`` (4,) 0..1, and what led to them, from what is laid out in it.
+    """Compute the block's ``controls`` (4,), 0..1, and intermediate results from its input fields.
 
-    That is the setpoint and what is so in this sample. ``estimate`` (31,) is as `horizon` lays it out, NED
-    and FRD. The position loop acts at every ``position_divider``-th call. What flight teaches of the hover
-    thrust it teaches from the second on.
+    ``estimate`` (31,) has the layout of `autopilot.estimation.horizon`, NED and FRD. The position loop runs
+    at every ``position_divider``-th call. The hover thrust estimate is updated from its second run on.
     """
     c = block[0]
     q_ned_frd, omega, acc = estimate[:VEL], estimate[OMEGA:STD], estimate[ACC:OMEGA]
@@ -82,7 +80,7 @@ def follow_trajectory(block: Block, estimate: Array) -> None:
             acc_down = decided[ACCELERATION, 2] - disturbance[2]
             position[INTEGRAL, 2] += integral_shift_m_s2(before, hover[HOVER], acc_down)
         control_position(
-            c["wanted"], c["mask"], estimate[POS:GYRO_BIAS], estimate[VEL:POS], acc, disturbance,
+            c["setpoint"], c["mask"], estimate[POS:GYRO_BIAS], estimate[VEL:POS], acc, disturbance,
             hover[HOVER], yaw_rad, turn[CLIMB_MAX], position_dt_s, c["position_gains"], limits, position,
             decided,
         )  # fmt: skip

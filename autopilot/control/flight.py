@@ -1,4 +1,4 @@
-"""The cascade of one vehicle: position, attitude, rates and allocation at their rates."""
+"""Control cascade of one vehicle: position, attitude, rates and allocation, each at its own rate."""
 
 import math
 from struct import Struct
@@ -23,7 +23,7 @@ from autopilot.control.position import (
     PositionController,
 )
 from autopilot.control.rates import RateController
-from autopilot.control.takeoff import TakeoffPhase, TakeoffRamp, wants_climb
+from autopilot.control.takeoff import TakeoffPhase, TakeoffRamp, demands_climb
 from foundation.geometry.rotations import quat_to_euler
 from foundation.types import (
     Array,
@@ -36,16 +36,16 @@ from foundation.types import (
 
 _ALL = (True, True, True)
 _SAMPLE = Struct("=3dd4?")
-"""The block's beginning, up to ``flies``, to which an array is slow to write"""
+"""Fields of the block up to ``flies``, packed at once because single writes to an array are slow"""
 
 
 class FlightController:
-    """Motor controls from an estimate and a setpoint."""
+    """Computes motor controls from an estimate and a setpoint."""
 
     def __init__(self, params: ControlParams) -> None:
         self.params = params
         self.block = block = new_block()
-        """Of all of them, for compiled code"""
+        """Settings and states of all controllers, for compiled code"""
         self._controls: Array = block["controls"][0]
         self._thrust: Array = block["thrust"]
         self._learned: Array = block["hover"][0]
@@ -62,21 +62,21 @@ class FlightController:
         self._inner = InnerLoop(block, self._rates, self._allocator)
         self._takeoff = TakeoffRamp(params.position)
         self._setpoint: TrajectorySetpoint | AttitudeSetpoint | None = None
-        """What is flown; None while the motors idle or rates are flown"""
+        """Setpoint in use; None while the motors idle or a rate setpoint is used"""
         self._decided: Array = block["decided"][0]
-        """What became of the last trajectory setpoint, as `control_position` has it"""
+        """Results of the last trajectory setpoint, with the layout of `control_position`"""
         self._yaw_rad: float | None = None
         self._reset_counter = 0
         block["position_divider"] = params.position_divider
 
     def set_params(self, params: ControlParams) -> None:
-        """Act by these from the next update on, in flight too. Raises ValueError for a frame that cannot fly.
+        """Change the settings, in effect from the next update, also in flight.
 
-        What flight has taught stays: integrals, filters, hover thrust, phase of the take-off. The observer's
-        estimate and the velocity integrals hold the same thing, so switching the observer on or off moves it
-        from one to the other.
+        Integrals, filters, hover thrust and take-off phase are kept. Observer estimate and velocity integrals
+        represent the same disturbance, so enabling or disabling the observer moves it from one to the other.
+        Raises ValueError for an infeasible airframe.
         """
-        self._allocator.set_params(params.allocation)  # the only one that may refuse: nothing has changed yet
+        self._allocator.set_params(params.allocation)  # first: it alone may raise, with nothing changed yet
         was_observing, self.params = self.params.disturbance.enabled, params
         self._position.set_params(params.position, integral_share=_integral_share(params))
         self._disturbance.set_params(params.disturbance)
@@ -90,51 +90,51 @@ class FlightController:
 
     @property
     def thrust(self) -> float:
-        """Collective thrust that the motors were told to give, 0..1 of full."""
+        """Commanded collective thrust, 0..1 of full thrust."""
         return self._thrust.item()
 
     @property
     def rate_setpoint_frd_rad_s(self) -> Array:
-        """(3,) what the rate controller follows."""
+        """Rate setpoint (3,), FRD."""
         return self._inner.rate_setpoint_frd_rad_s.copy()
 
     @property
     def torque(self) -> Array:
-        """(3,) normalised torque asked of the motors, FRD."""
+        """Normalised torque demand (3,), FRD."""
         return self._inner.torque.copy()
 
     @property
     def controls(self) -> list[float]:
-        """(4,) that were given last by an update."""
+        """Motor controls (4,) of the last update."""
         controls: list[float] = self._controls.tolist()
         return controls
 
     @property
     def flies_on(self) -> bool:
-        """Whether `cascade.follow_trajectory` on the block is all that another update would do.
+        """Whether `cascade.follow_trajectory` on the block is equivalent to another update.
 
-        In flight that is, with the setpoint of the last one and nothing changed since but the estimate.
+        This is so in flight, if nothing except the estimate has changed since the last update.
         """
         setpoint = self._setpoint
         return (
             isinstance(setpoint, TrajectorySetpoint)
-            and (setpoint.yaw_rad is not None or setpoint.yaw_rate_rad_s == 0.0)  # else the heading goes on
+            and (setpoint.yaw_rad is not None or setpoint.yaw_rate_rad_s == 0.0)  # else the heading changes
             and self._takeoff.phase is TakeoffPhase.FLYING
         )
 
     @property
     def hover_thrust(self) -> float:
-        """Present estimate of the thrust that hovers, 0..1 of full."""
+        """Hover thrust estimate, 0..1 of full thrust."""
         return self._learned.item(HOVER)
 
     @property
     def disturbance_ned_m_s2(self) -> Array:
-        """(3,) estimated external acceleration, NED."""
+        """Estimated external acceleration (3,), NED."""
         return self._disturbance.acc_ned_m_s2.copy()
 
     @property
     def attitude_setpoint(self) -> AttitudeSetpoint | None:
-        """What the attitude controller follows; None while the motors idle or rates are flown."""
+        """Attitude setpoint; None while the motors idle or a rate setpoint is used."""
         setpoint = self._setpoint
         if not isinstance(setpoint, TrajectorySetpoint):
             return setpoint
@@ -147,7 +147,7 @@ class FlightController:
 
     @property
     def trajectory_setpoint(self) -> TrajectorySetpoint | None:
-        """The setpoint flown, velocity and acceleration as the position controller decided; None without."""
+        """Trajectory setpoint in use, with the position controller's velocity and acceleration; or None."""
         if not isinstance(self._setpoint, TrajectorySetpoint):
             return None
         return replace(
@@ -160,7 +160,7 @@ class FlightController:
         )
 
     def idle(self) -> list[float]:
-        """(4,) zeros, for a disarmed vehicle; forgets everything that flight had taught."""
+        """Return zeros (4,) for a disarmed vehicle, and reset all controllers and estimates."""
         self._leave_position()
         self._yaw_rad = None
         self._disturbance.stop_motors()
@@ -177,16 +177,16 @@ class FlightController:
         dt_s: float,
         landed: bool,
     ) -> list[float]:
-        """(4,) motor controls 0..1, in the order of the airframe's rotors, for the next ``dt_s`` (> 0).
+        """Return the motor controls (4,), 0..1, for the next ``dt_s`` (> 0).
 
-        Call it at every inertial sample: rates and attitude act every time, position every
-        ``position_divider``-th. While ``landed`` nothing integrates, and a `TrajectorySetpoint` spins the
-        motors up only when it asks to climb.
+        Controls are in the order of the airframe's rotors. Call it at every inertial sample: rates and
+        attitude run every time, position every ``position_divider``-th time. While ``landed`` nothing
+        integrates, and a `TrajectorySetpoint` raises the motor controls only if it demands a climb.
         """
         takeoff = self._takeoff
         if landed or takeoff.phase is not TakeoffPhase.FLYING:
-            climb = isinstance(setpoint, TrajectorySetpoint) and landed and wants_climb(state, setpoint)
-            takeoff.update(landed=landed, wants_climb=climb, dt_s=dt_s)
+            climb = isinstance(setpoint, TrajectorySetpoint) and landed and demands_climb(state, setpoint)
+            takeoff.update(landed=landed, demands_climb=climb, dt_s=dt_s)
         if landed:
             self._position.reset()
             self._rates.reset_integral()
@@ -216,7 +216,7 @@ class FlightController:
     def _follow(
         self, state: EstimatorState, setpoint: TrajectorySetpoint, *, dt_s: float, landed: bool
     ) -> None:
-        """All of the cascade, the position loop at its divider."""
+        """Run the whole cascade, the position loop at its divider."""
         phase = self._takeoff.phase
         if setpoint.yaw_rad is not None:
             self._yaw_rad = setpoint.yaw_rad
@@ -239,18 +239,18 @@ class FlightController:
         follow_trajectory(self.block, state.estimate)
 
     def _hand_over_disturbance(self, *, to_observer: bool) -> None:
-        """Let the integrals hold what the observer held, or the other way round: the demand stays."""
+        """Move the disturbance between observer and integrals, so that the demand stays the same."""
         held_ned_m_s2 = self._disturbance.acc_ned_m_s2.copy()
         if to_observer:
             held_ned_m_s2 = self._position.integral
             norm_m_s2 = math.sqrt(held_ned_m_s2 @ held_ned_m_s2)
             held_ned_m_s2 *= min(self.params.disturbance.acc_max_m_s2 / max(norm_m_s2, 1e-12), 1.0)
-        if self._updates[0] > 0:  # else nobody flies by the integrals, and they stay empty
+        if self._updates[0] > 0:  # else the integrals are not in use and stay zero
             self._position.add_to_integral(-held_ned_m_s2)
         self._disturbance.acc_ned_m_s2[:] = -held_ned_m_s2 if to_observer else 0.0
 
     def _leave_position(self) -> None:
-        """Forget the position loop: idle, or somebody else commands attitude or rates."""
+        """Reset the position loop: the vehicle idles or receives attitude or rate setpoints."""
         self._setpoint = None
         if self._updates[0] > 0:
             self._position.reset()
@@ -259,5 +259,5 @@ class FlightController:
 
 
 def _integral_share(params: ControlParams) -> float:
-    """Give the part of the velocity integral gains that acts beside the observer."""
+    """Return the scale of the velocity integral gains."""
     return params.disturbance.integral_share if params.disturbance.enabled else 1.0

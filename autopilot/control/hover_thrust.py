@@ -1,4 +1,4 @@
-"""Estimate of the thrust that hovers: a Kalman filter of one state on the vertical acceleration, as PX4's."""
+"""Hover thrust estimate: a Kalman filter with one state on the vertical acceleration, as in PX4."""
 
 from numba import njit
 
@@ -13,16 +13,17 @@ _ACC_VARIANCE_START = 5.0
 _ACC_VARIANCE_MIN = 1.0
 _ACC_VARIANCE_MAX = 400.0
 HOVER, VARIANCE, ACC_VARIANCE, RESIDUAL_MEAN, HAS_LEARNED = range(5)
-"""What is remembered: the estimate, its variance, the measurement's variance and mean residual, 1 or 0."""
+"""Elements of the memory: the estimate, its variance, the measurement's variance and mean residual, 1 or
+0."""
 LOWEST, HIGHEST, NOISE, GATE = range(4)
-"""The settings: least and greatest estimate, process noise in 1/s, gate in sigma."""
+"""Elements of the settings: least and greatest estimate, process noise in 1/s, gate in sigma."""
 
 
 @njit(cache=True)
 def learn_hover_thrust(
     memory: Array, settings: Array, acc_up_m_s2: float, thrust_up: float, dt_s: float
 ) -> None:
-    """Learn from acceleration over ground and the vertical part of the thrust given; ``memory`` changes."""
+    """Update with the acceleration over ground and the vertical thrust, 0..1; changes ``memory``."""
     memory[HAS_LEARNED] = 1.0
     noise = settings[NOISE] * dt_s
     memory[VARIANCE] += noise * noise
@@ -48,25 +49,25 @@ class HoverThrustEstimator:
     """Hover thrust as a fraction of full thrust.
 
     Measurement model: upward acceleration = g (thrust / hover - 1), so its derivative by the state is
-    -g thrust / hover^2. The measurement's variance is learned from the residuals.
+    -g thrust / hover^2. The variance of the measurement is estimated from the residuals.
     """
 
     def __init__(self, params: HoverThrustParams, *, start: float, block: Block | None = None) -> None:
         block = new_block() if block is None else block
         self.memory: Array = block["hover"][0]
-        """As `learn_hover_thrust` has it, like the settings"""
+        """Layout as in `learn_hover_thrust`, like the settings"""
         self.settings: Array = block["hover_settings"][0]
         self._set(params, start)
         self.reset()
 
     def set_params(self, params: HoverThrustParams, *, start: float) -> None:
-        """Act by these from the next update on; what was learned stays, as far as their range lets it."""
+        """Change the settings, in effect from the next update; an estimate is kept, within the new range."""
         self._set(params, start)
         if not self.memory[HAS_LEARNED]:
             self.reset()
 
     def reset(self) -> None:
-        """Back to the start, for the next take-off from nothing known."""
+        """Reset to the initial estimate, for the next take-off."""
         self.memory[:] = (self._start, self._initial_variance, _ACC_VARIANCE_START, 0.0, 0.0)
 
     @property
@@ -75,7 +76,7 @@ class HoverThrustEstimator:
         return self.memory.item(HOVER)
 
     def update(self, *, acc_up_m_s2: float, thrust_up: float, dt_s: float) -> float:
-        """Learn from acceleration over ground and the vertical part of the thrust given; the new estimate."""
+        """Update with the acceleration over ground and the vertical thrust; returns the new estimate."""
         learn_hover_thrust(self.memory, self.settings, acc_up_m_s2, thrust_up, dt_s)
         return self.hover_thrust
 

@@ -1,7 +1,7 @@
-"""Attitude, rates and allocation in one step of compiled code.
+"""Attitude, rates and allocation in one compiled step.
 
-Each stage is a class of its own that can be used alone. In flight all three run at every inertial sample, and
-crossing into compiled code once instead of three times is worth more than all of their arithmetic.
+Each stage also has a class that can be used separately. In flight all three run at every inertial sample, and
+one call of compiled code instead of three saves more time than the arithmetic takes.
 """
 
 import numpy as np
@@ -23,7 +23,7 @@ def follow_attitude(
     thrust: float, dt_s: float,
     by_tilt: bool, integrate: bool, airmode_above: float,  # noqa: FBT001 - kernels take positions
 ) -> None:  # fmt: skip
-    """Fill the block's ``controls``, and what led to them, from an attitude and a collective thrust."""
+    """Compute the block's ``controls`` and intermediate results from an attitude and a collective thrust."""
     c = block[0]
     rate, cosine = rate_setpoint(
         q_ned_frd, q_setpoint, yaw_rate_rad_s, c["attitude_gain"], c["yaw_weight"], c["rate_max_rad_s"]
@@ -37,16 +37,16 @@ def follow_attitude(
 
 @njit(cache=True)
 def follow_rates(
-    block: Block, omega_frd_rad_s: Array, wanted_frd_rad_s: Array, thrust: float, dt_s: float,
+    block: Block, omega_frd_rad_s: Array, demanded_frd_rad_s: Array, thrust: float, dt_s: float,
     integrate: bool, airmode_above: float,  # noqa: FBT001 - kernels take positions
 ) -> None:  # fmt: skip
-    """Do as `follow_attitude`, with rates that were asked for in place of those towards an attitude."""
+    """Compute the same as `follow_attitude`, but from demanded body rates."""
     c = block[0]
     rate_max_rad_s = c["rate_max_rad_s"]
     rate = np.empty(3)
     for i in range(3):
-        rate[i] = min(max(wanted_frd_rad_s[i], -rate_max_rad_s[i]), rate_max_rad_s[i])
-    c["tilt_cosine"] = 1.0  # there is no tilt to miss
+        rate[i] = min(max(demanded_frd_rad_s[i], -rate_max_rad_s[i]), rate_max_rad_s[i])
+    c["tilt_cosine"] = 1.0  # there is no tilt error
     highest = 1.0 if thrust > airmode_above else 0.0
     _follow_rate(block, omega_frd_rad_s, rate, thrust, highest, dt_s, integrate)
 
@@ -56,7 +56,10 @@ def _follow_rate(
     block: Block, omega_frd_rad_s: Array, rate_frd_rad_s: Array, thrust: float, highest: float, dt_s: float,
     integrate: bool,  # noqa: FBT001 - kernels take positions
 ) -> None:  # fmt: skip
-    """Rates to torque, and torque with collective thrust to controls; torque may raise it to ``highest``."""
+    """Convert rates to torque, and torque with collective thrust to controls.
+
+    Torque may raise the collective thrust to ``highest``.
+    """
     c = block[0]
     torque = rate_torque(
         omega_frd_rad_s, rate_frd_rad_s, c["unallocated"], dt_s,
@@ -72,7 +75,7 @@ def _follow_rate(
 
 
 class InnerLoop:
-    """The three stages over the block that their controllers, of which it resets two, have in common."""
+    """The three stages over a shared block; `reset` resets rate controller and allocator."""
 
     def __init__(self, block: Block, rates: RateController, allocator: Allocator) -> None:
         self._block = block
@@ -81,12 +84,12 @@ class InnerLoop:
         self._stages: Array = block["stages"][0]
         self._controls: Array = block["controls"][0]
         self.rate_setpoint_frd_rad_s: Array = self._stages[RATE_SETPOINT]
-        """(3,) of the last step, like the torque rewritten in place"""
+        """(3,) of the last step; overwritten in place, like the torque"""
         self.torque: Array = self._stages[TORQUE]
         """(3,) normalised, FRD"""
 
     def reset(self) -> None:
-        """Forget what was flown."""
+        """Reset setpoints, rate controller and allocator."""
         self._stages[:] = 0.0
         self._rates.reset()
         self._allocator.reset()
@@ -95,16 +98,16 @@ class InnerLoop:
         self, q_ned_frd: Array, omega_frd_rad_s: Array, setpoint: AttitudeSetpoint, *, dt_s: float,
         by_tilt: bool, integrate: bool, airmode_above: float,
     ) -> Array:  # fmt: skip
-        """(4,) motor controls 0..1.
+        """Return the motor controls (4,), 0..1.
 
         Args:
             q_ned_frd: (4,) present attitude.
             omega_frd_rad_s: (3,) present rates.
             setpoint: attitude, yaw rate and collective thrust.
-            dt_s: since the last call.
-            by_tilt: give the share of the thrust that lies along the present axis, none while upside down.
-            integrate: let the rate integrators learn.
-            airmode_above: a thrust above this lets torque raise the collective.
+            dt_s: time since the last call.
+            by_tilt: apply only the component of the thrust along the present axis, none while upside down.
+            integrate: update the rate integrators.
+            airmode_above: above this thrust, torque may raise the collective thrust.
 
         """
         self._rates.start(omega_frd_rad_s)
@@ -118,9 +121,9 @@ class InnerLoop:
         self, omega_frd_rad_s: Array, setpoint: RateSetpoint, *, dt_s: float, integrate: bool,
         airmode_above: float,
     ) -> Array:  # fmt: skip
-        """(4,) motor controls 0..1 for body rates, within the attitude controller's limits, and thrust.
+        """Return the motor controls (4,), 0..1, for a collective thrust and body rates.
 
-        The arguments are those of `update`.
+        The rates are limited to those of the attitude controller. The arguments are those of `update`.
         """
         self._rates.start(omega_frd_rad_s)
         follow_rates(

@@ -1,7 +1,7 @@
-"""Position and velocity control: from a trajectory setpoint to an attitude and a collective thrust.
+"""Position and velocity control: trajectory setpoint to attitude and collective thrust.
 
-PX4's structure (mc_pos_control): P on position, PID on velocity with acceleration feed-forward, acceleration
-to thrust by the hover thrust, limits in which the vertical goes before the horizontal.
+PX4's structure (mc_pos_control): P on position, PID on velocity with acceleration feed-forward, conversion of
+acceleration to thrust by the hover thrust, and limits with priority of the vertical over the horizontal.
 """
 
 import math
@@ -17,20 +17,20 @@ from autopilot.control.params import PositionParams
 from foundation.geometry.rotations import quat_from_dcm
 from foundation.types import Array, AttitudeSetpoint, EstimatorState, TrajectorySetpoint
 
-# rows of what `control_position` decides, and the place of the thrust's length beside it
+# rows of the results of `control_position`, and the column of the thrust's magnitude
 VELOCITY, ACCELERATION, THRUST, ATTITUDE = range(4)
 COLLECTIVE = 3
-# rows of what it remembers
+# rows of its memory
 INTEGRAL, ACC_FILTERED = range(2)
 # its limits
 TILT_MAX, THR_MIN, THR_MAX, THR_XY_MARGIN, VEL_XY_MAX, VEL_UP_MAX, VEL_DOWN_MAX, ACC_CUTOFF = range(8)
 LEAST_THRUST = 1e-6
-"""Of full thrust; less has no direction."""
+"""As a fraction of full thrust; a smaller thrust vector has no defined direction."""
 
 
 @njit(cache=True)
 def _velocity_setpoint(
-    wanted: Array,
+    setpoint: Array,
     mask: NDArray[np.bool_],
     pos: Array,
     gain: Array,
@@ -38,17 +38,17 @@ def _velocity_setpoint(
     up_max: float,
     down_max: float,
 ) -> Array:
-    """(3,) NED: position error times gain, plus feed-forward as far as the limits leave room for it.
+    """Return the velocity setpoint (3,), NED: position error times gain, plus feed-forward within the limits.
 
-    ``wanted`` and ``mask`` (3, 3): rows position, velocity, acceleration.
+    ``setpoint`` and ``mask`` (3, 3): rows position, velocity, acceleration.
     """
     vel = np.zeros(3)
     feed = np.zeros(3)
     for i in range(3):
         if mask[0, i]:
-            vel[i] = (wanted[0, i] - pos[i]) * gain[i]
+            vel[i] = (setpoint[0, i] - pos[i]) * gain[i]
         if mask[1, i]:
-            feed[i] = wanted[1, i]
+            feed[i] = setpoint[1, i]
     speed = math.hypot(vel[0], vel[1])
     if speed >= xy_max:
         vel[0] *= xy_max / speed
@@ -70,32 +70,33 @@ def _velocity_setpoint(
 def _limited_thrust(
     acc: Array, hover: float, tilt_max: float, thr_min: float, thr_max: float, xy_margin: float
 ) -> tuple[Array, bool]:
-    """(3,) NED thrust vector for an acceleration over ground, and whether limits cut its horizontal part.
+    """Return the NED thrust vector (3,), and whether its horizontal part is limited.
 
-    The tilt gives the horizontal acceleration as if the thrust's vertical part were the weight
-    (MPC_ACC_DECOUPLE), so a climb does not change it. The margin is worth at most what full thrust has at the
-    steepest tilt: beyond it vertical thrust would be given up for nothing.
+    ``acc`` is the acceleration over ground. The tilt follows from the horizontal acceleration as if the
+    vertical thrust were equal to the weight (MPC_ACC_DECOUPLE), so a climb does not change it. The horizontal
+    margin is limited to the horizontal part of full thrust at the greatest tilt: a greater one would reduce
+    vertical thrust without effect.
     """
     steepest = math.tan(tilt_max)
-    wanted_tan = math.hypot(acc[0], acc[1]) / GRAVITY_M_S2
-    tilt_tan = min(wanted_tan, steepest)
+    demanded_tan = math.hypot(acc[0], acc[1]) / GRAVITY_M_S2
+    tilt_tan = min(demanded_tan, steepest)
     cosine = 1.0 / math.sqrt(1.0 + tilt_tan * tilt_tan)
     up = max(hover * (1.0 - acc[2] / GRAVITY_M_S2), thr_min * cosine)
-    wanted = up * wanted_tan
+    unlimited = up * demanded_tan
     horizontal = up * tilt_tan
     kept = min(horizontal, xy_margin, thr_max * math.sin(tilt_max))
     up = min(up, math.sqrt(thr_max * thr_max - kept * kept))
     horizontal = min(horizontal, math.sqrt(max(thr_max * thr_max - up * up, 0.0)), up * steepest)
     north, east = 0.0, 0.0
-    if wanted_tan > 0.0:
-        north = horizontal * acc[0] / (GRAVITY_M_S2 * wanted_tan)
-        east = horizontal * acc[1] / (GRAVITY_M_S2 * wanted_tan)
-    return np.array([north, east, -up]), horizontal < wanted * (1.0 - 1e-9)
+    if demanded_tan > 0.0:
+        north = horizontal * acc[0] / (GRAVITY_M_S2 * demanded_tan)
+        east = horizontal * acc[1] / (GRAVITY_M_S2 * demanded_tan)
+    return np.array([north, east, -up]), horizontal < unlimited * (1.0 - 1e-9)
 
 
 @njit(cache=True)
 def _attitude(thrust_ned: Array, yaw_rad: float) -> Array:
-    """(4,) q_ned_frd with -z along the thrust and x over the heading; level where there is no thrust."""
+    """Return q_ned_frd (4,) with -z along the thrust and x along the heading; level if no thrust."""
     norm = math.sqrt(
         thrust_ned[0] * thrust_ned[0] + thrust_ned[1] * thrust_ned[1] + thrust_ned[2] * thrust_ned[2]
     )
@@ -117,35 +118,37 @@ def _attitude(thrust_ned: Array, yaw_rad: float) -> Array:
 
 @njit(cache=True)
 def integral_shift_m_s2(old_hover: float, new_hover: float, acc_down_m_s2: float) -> float:
-    """What the vertical integral must change by for a new hover thrust to leave the present thrust alone.
+    """Return the change of the vertical integral that keeps thrust constant for a new hover thrust.
 
-    Thrust is hover (g - acc) / g; equal before and after with acc shifted by (g - acc)(1 - old / new).
+    Thrust is hover (g - acc) / g; it is equal before and after if acc changes by (g - acc)(1 - old / new).
     """
     return (GRAVITY_M_S2 - acc_down_m_s2) * (1.0 - old_hover / new_hover)
 
 
 @njit(cache=True)
 def control_position(
-    wanted: Array, mask: NDArray[np.bool_], pos: Array, vel: Array, acc: Array, disturbance: Array,
+    setpoint: Array, mask: NDArray[np.bool_], pos: Array, vel: Array, acc: Array, disturbance: Array,
     hover: float, yaw_rad: float, climb_max: float, dt_s: float,
     gains: Array, limits: Array, memory: Array, decided: Array,
 ) -> None:  # fmt: skip
-    """Fill ``decided`` (4, 4): velocity, acceleration, thrust (3,) with its length, attitude (4,).
+    """Compute ``decided`` (4, 4): velocity, acceleration, thrust (3,) with its magnitude, attitude (4,).
 
-    ``gains`` (4, 3): position P, velocity P, I, D; ``limits`` as `TILT_MAX` and the rest have them;
-    ``memory`` (2, 3): integrals and filtered acceleration, which change.
+    ``gains`` (4, 3): position P, velocity P, I, D; ``limits``: elements `TILT_MAX` and the following;
+    ``memory`` (2, 3), updated in place: integrals and filtered acceleration.
     """
     integral, acc_filtered = memory[INTEGRAL], memory[ACC_FILTERED]
     alpha = 1.0 - math.exp(-2.0 * math.pi * limits[ACC_CUTOFF] * dt_s)
     for i in range(3):
         acc_filtered[i] += alpha * (acc[i] - acc_filtered[i])
     up_max = min(limits[VEL_UP_MAX], climb_max)
-    vel_sp = _velocity_setpoint(wanted, mask, pos, gains[0], limits[VEL_XY_MAX], up_max, limits[VEL_DOWN_MAX])
+    vel_sp = _velocity_setpoint(
+        setpoint, mask, pos, gains[0], limits[VEL_XY_MAX], up_max, limits[VEL_DOWN_MAX]
+    )
     acc_sp = np.zeros(3)
     error = np.zeros(3)
     for i in range(3):
         if mask[2, i]:
-            acc_sp[i] = wanted[2, i]
+            acc_sp[i] = setpoint[2, i]
         if mask[0, i] or mask[1, i]:
             error[i] = vel_sp[i] - vel[i]
             acc_sp[i] += gains[1, i] * error[i] + integral[i] + gains[3, i] * (acc_sp[i] - acc_filtered[i])
@@ -153,7 +156,7 @@ def control_position(
     thr_min, thr_max = limits[THR_MIN], limits[THR_MAX]
     thrust, cut = _limited_thrust(demand, hover, limits[TILT_MAX], thr_min, thr_max, limits[THR_XY_MARGIN])
 
-    # anti-windup: while a limit holds back thrust, the integral does not follow an error that asks for more
+    # anti-windup: while thrust is limited, the integral does not follow an error that demands more
     collective = math.sqrt(thrust[0] * thrust[0] + thrust[1] * thrust[1] + thrust[2] * thrust[2])
     at_least = collective <= thr_min * (1.0 + 1e-9)
     at_most = collective >= thr_max * (1.0 - 1e-9)
@@ -179,20 +182,20 @@ def control_position(
 _NO_AXES = (False, False, False)
 _ZERO = (0.0, 0.0, 0.0)
 _ROWS = Struct("=9d")
-"""The block's ``wanted``, to which an array is slow to write"""
+"""The block's setpoint, packed at once because single writes to an array are slow"""
 
 
 class PositionOutput:
-    """What the position controller decided: each stage, for telemetry."""
+    """Results of the position controller, for telemetry."""
 
     def __init__(self, decided: Array, yaw_rate_rad_s: float) -> None:
-        """Look at what `control_position` has filled, (4, 4)."""
+        """Use the results (4, 4) of `control_position`."""
         self._decided = decided
         self._yaw_rate_rad_s = yaw_rate_rad_s
 
     @property
     def attitude(self) -> AttitudeSetpoint:
-        """What the attitude controller is to follow."""
+        """Setpoint of the attitude controller."""
         return AttitudeSetpoint(
             q_ned_frd=self._decided[ATTITUDE],
             yaw_rate_rad_s=self._yaw_rate_rad_s,
@@ -201,17 +204,17 @@ class PositionOutput:
 
     @property
     def vel_ned_m_s(self) -> Array:
-        """(3,) velocity setpoint; 0 on axes whose velocity is not controlled."""
+        """Velocity setpoint (3,); 0 on axes whose velocity is not controlled."""
         return self._decided[VELOCITY, :3]
 
     @property
     def acc_ned_m_s2(self) -> Array:
-        """(3,) wanted acceleration over ground, before the disturbance is taken off."""
+        """Acceleration setpoint (3,) over ground, before the disturbance is subtracted."""
         return self._decided[ACCELERATION, :3]
 
     @property
     def thrust_ned(self) -> Array:
-        """(3,) of full thrust."""
+        """Thrust vector (3,), NED, as a fraction of full thrust."""
         return self._decided[THRUST, :3]
 
 
@@ -223,20 +226,20 @@ class PositionController:
     ) -> None:
         block = new_block() if block is None else block
         self.gains: Array = block["position_gains"][0]
-        """As `control_position` has them, like limits and memory"""
+        """Layout as in `control_position`, like limits and memory"""
         self.limits: Array = block["position_limits"][0]
         self.memory: Array = block["position"][0]
-        self.wanted: Array = block["wanted"][0]
-        """Rows position, velocity, acceleration; ``mask`` says which of them are asked for"""
+        self.setpoint: Array = block["setpoint"][0]
+        """Rows position, velocity, acceleration; ``mask`` has the axes in use"""
         self.mask: NDArray[np.bool_] = block["mask"][0].view(np.bool_)
-        self._wanted_octets = self.wanted.reshape(9).data
+        self._setpoint_octets = self.setpoint.reshape(9).data
         self._mask_octets = block["mask"][0].reshape(9).data
         self.set_params(params, integral_share=integral_share)
         self._taken: tuple[TrajectorySetpoint, bool, bool, bool] | None = None
-        """What ``wanted`` and ``mask`` were made of."""
+        """Setpoint and validity flags that ``setpoint`` and ``mask`` were written from."""
 
     def set_params(self, params: PositionParams, *, integral_share: float = 1.0) -> None:
-        """Act by these from the next update on; integrals and the acceleration filter stay."""
+        """Change the settings, in effect from the next update; integrals and acceleration filter are kept."""
         p = params
         self.gains[:] = (
             (p.xy_p, p.xy_p, p.z_p),
@@ -252,44 +255,44 @@ class PositionController:
 
     @property
     def integral(self) -> Array:
-        """(3,) acceleration held by the integrators, NED, m/s^2."""
+        """Acceleration (3,) of the integrators, NED, m/s^2."""
         integral: Array = self.memory[INTEGRAL].copy()
         return integral
 
     def reset(self) -> None:
-        """Empty the integrators and the acceleration filter."""
+        """Reset the integrators and the acceleration filter."""
         self.memory[:] = 0.0
 
     def add_to_integral(self, acc_ned_m_s2: Array) -> None:
-        """Take over (3,) m/s^2, NED, that something else held so far."""
+        """Add an acceleration (3,), m/s^2, NED, to the integrators."""
         self.memory[INTEGRAL] += acc_ned_m_s2
 
     def hover_thrust_changed(self, *, old: float, new: float, acc_down_m_s2: float) -> None:
-        """Shift the vertical integral so that a new hover thrust leaves the present thrust alone."""
+        """Change the vertical integral so that a new hover thrust does not change the present thrust."""
         self.memory[INTEGRAL, 2] += integral_shift_m_s2(old, new, acc_down_m_s2)
 
     def update(
         self, state: EstimatorState, setpoint: TrajectorySetpoint, *, yaw_rad: float, hover_thrust: float,
         disturbance_ned_m_s2: Array, climb_max_m_s: float, dt_s: float,
     ) -> PositionOutput:  # fmt: skip
-        """Attitude and thrust towards ``setpoint``.
+        """Compute attitude and thrust for ``setpoint``.
 
-        An axis without any group keeps its velocity (acceleration 0). Where the position is not known, its
-        axes follow the velocity setpoint, or stop; where velocity is not known either, the acceleration
-        alone counts. A known height means a known vertical velocity. ``climb_max_m_s`` limits the climb
-        further than the parameters; negative while a take-off ramps up.
+        An axis without setpoint keeps its velocity (acceleration 0). Without a valid position estimate the
+        position axes follow the velocity setpoint, or stop; without a valid velocity estimate only the
+        acceleration is used. A valid height implies a valid vertical velocity. ``climb_max_m_s`` limits the
+        climb in addition to the parameters; it is negative early in the take-off ramp.
         """
         self.take(state, setpoint)
         decided = np.zeros((4, 4))
         control_position(
-            self.wanted, self.mask, state.pos_ned_m, state.vel_ned_m_s, state.acc_ned_m_s2,
+            self.setpoint, self.mask, state.pos_ned_m, state.vel_ned_m_s, state.acc_ned_m_s2,
             disturbance_ned_m_s2, hover_thrust, yaw_rad, climb_max_m_s, dt_s,
             self.gains, self.limits, self.memory, decided,
         )  # fmt: skip
         return PositionOutput(decided, setpoint.yaw_rate_rad_s)
 
     def take(self, state: EstimatorState, setpoint: TrajectorySetpoint) -> None:
-        """Lay a setpoint out for the kernel, unless that was done, without what the estimate cannot serve."""
+        """Write a changed setpoint to the kernel's arrays, without the axes whose estimate is invalid."""
         taken = self._taken
         if (
             taken is not None
@@ -300,7 +303,7 @@ class PositionController:
         self._taken = (setpoint, state.position_valid, state.height_valid, state.velocity_valid)
         pos, vel, acc = setpoint.pos_ned_m, setpoint.vel_ned_m_s, setpoint.acc_ned_m_s2
         _ROWS.pack_into(
-            self._wanted_octets, 0,
+            self._setpoint_octets, 0,
             *(_ZERO if pos is None else pos),
             *(_ZERO if vel is None else vel),
             *(_ZERO if acc is None else acc),
@@ -313,10 +316,10 @@ class PositionController:
         if not (state.position_valid and state.height_valid):
             known = np.array((state.position_valid, state.position_valid, state.height_valid))
             lost = self.mask[0] & ~known
-            self.wanted[1, lost & ~self.mask[1]] = 0.0
+            self.setpoint[1, lost & ~self.mask[1]] = 0.0
             self.mask[1] |= lost
             self.mask[0] &= known
         if not state.velocity_valid:
-            # the vertical one comes from barometer and accelerometer and is known as long as the height is
+            # the vertical one comes from barometer and accelerometer and is valid as long as the height is
             self.mask[:2, :2] = False
             self.mask[:2, 2] &= state.height_valid

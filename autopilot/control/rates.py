@@ -1,4 +1,4 @@
-"""Rate control: PID with feed-forward from body rates to normalised torque, D on the filtered gyro."""
+"""Rate control: PID with feed-forward from body rates to normalised torque; D acts on the filtered gyro."""
 
 import math
 
@@ -10,7 +10,7 @@ from autopilot.control.params import RateParams
 from foundation.types import Array
 
 _ERROR_FADE_RAD_S = math.radians(400.0)
-"""Rate error at which the integrator stops: a flip is no steady torque (PX4: the same)."""
+"""Rate error at which the integrator stops, for instance during a flip (same in PX4)."""
 
 
 @njit(cache=True)
@@ -18,9 +18,10 @@ def rate_torque(
     rate: Array, setpoint: Array, unallocated: Array, dt_s: float, gains: Array, integral_max: float,
     cutoff_hz: float, state: Array, integrate: bool,  # noqa: FBT001 - kernels take positions
 ) -> Array:  # fmt: skip
-    """``state`` (3, 3): previous rate, filtered angular acceleration, integral; updated in place.
+    """Return the normalised torque (3,), FRD, and update ``state``.
 
-    ``gains`` (4, 3): P, I, D, feed-forward. Without ``integrate`` the integral stays.
+    ``state`` (3, 3): previous rate, filtered angular acceleration, integral. ``gains`` (4, 3): P, I, D,
+    feed-forward. The integral is constant unless ``integrate``.
     """
     p, i, d, ff = gains[0], gains[1], gains[2], gains[3]
     alpha = dt_s / (dt_s + 1.0 / (2.0 * math.pi * cutoff_hz))
@@ -30,7 +31,7 @@ def rate_torque(
         state[0, k] = rate[k]
         error = setpoint[k] - rate[k]
         torque[k] = p[k] * error + state[2, k] - d[k] * state[1, k] + ff[k] * setpoint[k]
-        # where the motors have no more to give the integral must not follow
+        # anti-windup: do not integrate in the direction of a saturated axis
         if integrate and error * unallocated[k] <= 0.0:
             share = error / _ERROR_FADE_RAD_S
             fade = max(0.0, 1.0 - share * share)
@@ -47,14 +48,14 @@ class RateController:
         self.gains: Array = block["rate_gains"][0]
         """(4, 3) P, I, D, feed-forward about FRD axes"""
         self.state: Array = block["rate_state"][0]
-        """Rows as `rate_torque` has them"""
+        """Rows as in `rate_torque`"""
         self._integral_max: Array = block["integral_max"]
         self._cutoff_hz: Array = block["rate_cutoff_hz"]
         self.set_params(params)
         self._started = False
 
     def set_params(self, params: RateParams) -> None:
-        """Act by these from the next update on; integrals and the gyro's history stay."""
+        """Change the settings, in effect from the next update; integrals and gyro history are kept."""
         k = np.array((params.roll_k, params.pitch_k, params.yaw_k))
         self.gains[:] = (
             k * (params.roll_p, params.pitch_p, params.yaw_p),
@@ -67,25 +68,25 @@ class RateController:
 
     @property
     def integral(self) -> Array:
-        """(3,) normalised torque held by the integrators, FRD."""
+        """Normalised torque (3,) of the integrators, FRD."""
         return np.array(self.state[2])
 
     def reset(self) -> None:
-        """Forget integrals and the gyro's history."""
+        """Reset the integrals and the gyro history."""
         self.state[:] = 0.0
         self._started = False
 
     def reset_integral(self) -> None:
-        """Empty the integrators alone."""
+        """Reset the integrals only."""
         self.state[2] = 0.0
 
     def update(
         self, rate_rad_s: Array, setpoint_rad_s: Array, unallocated: Array, *, dt_s: float, integrate: bool
     ) -> Array:
-        """(3,) normalised torque about FRD axes.
+        """Return the normalised torque (3,) about FRD axes.
 
-        ``unallocated`` (3,) is the torque that the last demand did not get (`Allocator.unallocated`): an
-        integrator does not grow in its direction.
+        ``unallocated`` (3,) is the part of the last torque demand that was not achieved
+        (`Allocator.unallocated`); an integrator does not grow in its direction.
         """
         self.start(rate_rad_s)
         torque: Array = rate_torque(
@@ -95,7 +96,7 @@ class RateController:
         return torque
 
     def start(self, rate_rad_s: Array) -> None:
-        """Take the first rate (3,) since a reset for the one before it; later ones change nothing."""
+        """Use the first rate (3,) after a reset also as the previous rate; later calls have no effect."""
         if not self._started:
             self.state[0] = rate_rad_s
             self._started = True

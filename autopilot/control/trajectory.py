@@ -1,9 +1,9 @@
-"""Jerk-limited moves to a position.
+"""Jerk-limited trajectories to a position.
 
-Along a line the reference takes, at every step, the greatest jerk after which it can still stop at the
-target: it speeds up, cruises and brakes in minimum time, from any state and to a target that may change at
-any time. The line leads from the reference to the target; across it the reference comes to rest on the line
-by the same rule.
+At every step the reference uses the greatest jerk after which it can still stop at the target along a line.
+It accelerates, cruises and brakes in minimum time, from any state and to a target that may change at any
+time. The line leads from the reference to the target; across it the same rule brings the reference to rest on
+the line.
 """
 
 import math
@@ -15,18 +15,18 @@ from autopilot.control.params import TrajectoryParams
 from foundation.types import Array, TrajectorySetpoint
 
 _BISECTIONS = 30
-"""Jerk to 2e-9 of its limit"""
+"""Resolves the jerk to 2e-9 of its limit"""
 _REST_M = 1e-6
 _YAW_JERK_TIME_S = 0.25
-"""Time in which the yaw acceleration builds up"""
+"""Time in which the yaw acceleration reaches its limit"""
 
 
 @njit(cache=True)
 def stopping_distance(vel: float, acc: float, acc_min: float, acc_max: float, jerk: float) -> float:
-    """Signed distance to rest (velocity and acceleration 0) in minimum time; acc_min < 0 < acc_max.
+    """Return the signed distance to rest (velocity and acceleration 0) in minimum time.
 
-    The acceleration goes to a peak against the motion at full jerk, stays there if the peak is the limit, and
-    returns to 0 at full jerk.
+    acc_min < 0 < acc_max. The acceleration changes at full jerk to a peak against the motion, stays there if
+    the peak is the limit, and returns to 0 at full jerk.
     """
     sign, brake = 1.0, -acc_min
     if vel + acc * abs(acc) / (2.0 * jerk) < 0.0:
@@ -53,17 +53,17 @@ def stopping_distance(vel: float, acc: float, acc_min: float, acc_max: float, je
 
 @njit(cache=True)
 def _speed_after(vel: float, acc: float, jerk: float) -> float:
-    """Speed reached when the acceleration returns to 0 at full jerk."""
+    """Return the speed after the acceleration has returned to 0 at full jerk."""
     return vel + acc * abs(acc) / (2.0 * jerk)
 
 
 @njit(cache=True)
 def line_jerk(pos: float, vel: float, acc: float, target: float, limits: Array, dt_s: float) -> float:
-    """Jerk for the next ``dt_s``. ``limits``: vel_min, vel_max, acc_min, acc_max, jerk; minima negative.
+    """Return the jerk for the next ``dt_s``.
 
-    Where the reference would stop, and the speed it would reach, both rise with the jerk applied now, so each
-    condition is one bound found by bisection. Being able to stop at the target goes first, then the speed
-    limit, then the acceleration limit.
+    ``limits``: vel_min, vel_max, acc_min, acc_max, jerk; minima are negative. Stopping position and final
+    speed both increase with the present jerk, so bisection finds one bound for each condition. Priority:
+    stopping at the target, the speed limit, the acceleration limit.
     """
     vel_min, vel_max, acc_min, acc_max, jerk = limits[0], limits[1], limits[2], limits[3], limits[4]
     low, high = -jerk, jerk
@@ -80,7 +80,7 @@ def line_jerk(pos: float, vel: float, acc: float, target: float, limits: Array, 
             high = j
         else:
             low = j
-    wanted = 0.5 * (low + high)
+    demanded = 0.5 * (low + high)
     for bound in (vel_min, vel_max):
         low, high = -jerk, jerk
         for _ in range(_BISECTIONS):
@@ -89,14 +89,14 @@ def line_jerk(pos: float, vel: float, acc: float, target: float, limits: Array, 
                 high = j
             else:
                 low = j
-        wanted = max(wanted, low) if bound == vel_min else min(wanted, high)
-    wanted = min(max(wanted, (acc_min - acc) / dt_s), (acc_max - acc) / dt_s)
-    return float(min(max(wanted, -jerk), jerk))
+        demanded = max(demanded, low) if bound == vel_min else min(demanded, high)
+    demanded = min(max(demanded, (acc_min - acc) / dt_s), (acc_max - acc) / dt_s)
+    return float(min(max(demanded, -jerk), jerk))
 
 
 @njit(cache=True)
 def _advance_line(motion: Array, target: float, limits: Array, dt_s: float) -> Array:
-    """(4,) position, velocity, acceleration after ``dt_s`` and the jerk over it; ``motion``: before."""
+    """Return position, velocity and acceleration after ``dt_s``, and the jerk, (4,), from ``motion``."""
     pos, vel, acc = motion[0], motion[1], motion[2]
     jerk = line_jerk(pos, vel, acc, target, limits, dt_s)
     moved = np.empty(4)
@@ -104,7 +104,7 @@ def _advance_line(motion: Array, target: float, limits: Array, dt_s: float) -> A
     moved[1] = vel + (acc + 0.5 * jerk * dt_s) * dt_s
     moved[2] = acc + jerk * dt_s
     moved[3] = jerk
-    reach = limits[4] * dt_s  # within one step of full jerk from rest at the target: be there
+    reach = limits[4] * dt_s  # within one step of full jerk from rest at the target: snap to it
     if (
         abs(moved[2]) <= reach
         and abs(moved[1]) <= reach * dt_s
@@ -117,7 +117,7 @@ def _advance_line(motion: Array, target: float, limits: Array, dt_s: float) -> A
 
 @njit(cache=True)
 def _limits_along(direction: Array, p: Array) -> Array:
-    """Limits of a line with NED ``direction`` (unit): each of its parts stays in its own limit.
+    """Return the limits along a line with NED ``direction`` (unit); each component respects its own limit.
 
     ``p``: xy speed, up speed, down speed, xy acceleration, up acceleration, down acceleration, jerk.
     """
@@ -136,10 +136,10 @@ def _limits_along(direction: Array, p: Array) -> Array:
 
 @njit(cache=True)
 def _advance(motion: Array, target: Array, p: Array, dt_s: float) -> None:
-    """``motion`` (4, 3): rows position, velocity, acceleration, jerk, NED; moved on in place."""
+    """Advance ``motion`` (4, 3) in place: rows position, velocity, acceleration, jerk, NED."""
     axes = np.eye(3)
     line = target - motion[0]
-    if np.abs(line).max() < _REST_M:  # there, but for the last of the motion
+    if np.abs(line).max() < _REST_M:  # at the target, with residual motion
         line = motion[1].copy()
     length = math.sqrt(line[0] * line[0] + line[1] * line[1] + line[2] * line[2])
     if length > 0.0:
@@ -158,7 +158,7 @@ def _advance(motion: Array, target: Array, p: Array, dt_s: float) -> None:
 
 
 class PositionTrajectory:
-    """Reference that moves to a target and comes to rest there, with a yaw that turns the short way."""
+    """Reference that moves to a target and comes to rest there; yaw takes the shorter turn."""
 
     def __init__(self, params: TrajectoryParams) -> None:
         self.set_params(params)
@@ -167,7 +167,7 @@ class PositionTrajectory:
         self._yaw_target = 0.0
 
     def set_params(self, params: TrajectoryParams) -> None:
-        """Move by these from the next update on; a motion beyond new limits is brought within them."""
+        """Change the settings, in effect from the next update; motion beyond new limits is reduced."""
         p = params
         self._params = p
         self._packed: Array = np.array((
@@ -188,7 +188,7 @@ class PositionTrajectory:
         vel_ned_m_s: Array | None = None,
         acc_ned_m_s2: Array | None = None,
     ) -> None:
-        """Put the reference here, at rest unless told otherwise: for a new mode or an estimator's reset."""
+        """Reset the reference to a position, by default at rest: for a new mode or an estimator reset."""
         self._motion[0] = pos_ned_m
         self._motion[1] = 0.0 if vel_ned_m_s is None else vel_ned_m_s
         self._motion[2] = 0.0 if acc_ned_m_s2 is None else acc_ned_m_s2
@@ -204,11 +204,11 @@ class PositionTrajectory:
         yaw_rad: float | None = None,
         vehicle_pos_ned_m: Array | None = None,
     ) -> TrajectorySetpoint:
-        """Move on by ``dt_s`` (> 0) towards ``target_ned_m`` (3,); yaw None keeps the last one.
+        """Advance by ``dt_s`` (> 0) towards ``target_ned_m`` (3,) and return the setpoint.
 
-        The acceleration leads by the attitude loop's lag, so that the vehicle's own is in time. With
-        ``vehicle_pos_ned_m`` the reference slows its time once the vehicle is half of ``xy_error_max_m`` away
-        from it horizontally, to a stand-still at the whole.
+        Without ``yaw_rad`` the last target yaw is kept. The acceleration leads by the lag of the attitude
+        loop. With ``vehicle_pos_ned_m`` the reference slows down once the vehicle is half of
+        ``xy_error_max_m`` away from it horizontally, and stops at ``xy_error_max_m``.
         """
         p = self._params
         pace = 1.0

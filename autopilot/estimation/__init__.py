@@ -1,4 +1,4 @@
-"""What the vehicle knows of its own motion: an error-state Kalman filter in the manner of PX4's EKF2.
+"""State estimation: an error-state Kalman filter after PX4's EKF2.
 
-``estimator.Estimator`` is the door; ``rotation`` and ``atmosphere`` stand alone and serve others too.
+The entry point is ``estimator.Estimator``. ``atmosphere`` is independent and is also used by other packages.
 """

@@ -1,7 +1,7 @@
-"""The first second: attitude, biases and height reference from sensors at rest, with their covariance.
+"""Initial alignment: attitude, biases, height reference and covariance from one second at rest.
 
-The accelerometer cannot tell a tilt from a horizontal bias of its own. That ambiguity goes into the
-covariance as a correlation, so that the first turn or manoeuvre in flight resolves both at once.
+Tilt and horizontal accelerometer bias are not separately observable at rest. The covariance represents this
+as a correlation, so that the first turn or manoeuvre in flight resolves both.
 """
 
 import math
@@ -21,17 +21,17 @@ MIN_SAMPLES = 10
 """Of each sensor in a window."""
 MAX_ACCEL_STD_M_S2 = 0.5
 MAX_GYRO_STD_RAD_S = 0.1
-"""More unrest than this, on any axis, is motion: the noises of the Iris are 0.1 m/s^2 and 0.014 rad/s."""
+"""A greater spread, on any axis, counts as motion; the Iris has noises of 0.1 m/s^2 and 0.014 rad/s."""
 MAX_GRAVITY_ERROR_M_S2 = 0.6
 INIT_VEL_STD_M_S = 0.1
 INIT_POS_STD_M = 0.1
 FLAT_HEADING_VAR_RAD2 = 10.0
-"""Knows nothing of the heading, next to what the magnetometer then says."""
+"""Uninformative prior of the heading, before the magnetometer's heading is fused."""
 
 
 @dataclass(frozen=True, slots=True)
 class Aligned:
-    """Where the filter starts, at the end of the window."""
+    """Initial state of the filter, at the end of the window."""
 
     x: Array
     """(16,) nominal state"""
@@ -42,12 +42,12 @@ class Aligned:
 
 
 class Alignment:
-    """Collects windows of one second until one is quiet and holds every sensor."""
+    """Collects windows of one second until one is at rest and contains every sensor."""
 
     def __init__(self, params: EstimatorParams) -> None:
         self._params = params
         self.field_rejected = False
-        """Whether the last window's magnetic field was not the site's."""
+        """Whether the last window's magnetic field differed from the site's."""
         self._start_us: int | None = None
         self._accels_m_s2: list[Array] = []
         self._gyros_rad_s: list[Array] = []
@@ -60,19 +60,19 @@ class Alignment:
             samples.clear()
 
     def set_params(self, params: EstimatorParams) -> None:
-        """Take other settings; they hold for the present window too."""
+        """Change the settings, also for the present window."""
         self._params = params
 
     def add_mag(self, field_frd_gauss: Array) -> None:
-        """Take a magnetometer sample, (3,)."""
+        """Add a magnetometer sample, (3,)."""
         self._fields_gauss.append(field_frd_gauss.copy())
 
     def add_baro(self, altitude_m: float) -> None:
-        """Take a pressure altitude."""
+        """Add a pressure altitude."""
         self._altitudes_m.append(altitude_m)
 
     def add_imu(self, sample: ImuSample) -> Aligned | None:
-        """Take an inertial sample; it may complete the alignment."""
+        """Add an inertial sample; return the result once the alignment is complete."""
         if self._start_us is None:
             self._start_us = sample.time_us
         self._accels_m_s2.append(np.array(sample.accel_frd_m_s2))
@@ -115,9 +115,9 @@ def align_at_rest(
     field_frd_gauss: Array,
     window_s: float,
 ) -> tuple[Array, Array]:
-    """State (16,) and covariance (15, 15) of a body at rest, from its sensors' means over ``window_s``.
+    """Return state (16,) and covariance (15, 15) at rest, from the sensors' means over ``window_s``.
 
-    Along gravity the accelerometer's bias is seen, across it only the sum of bias and tilt.
+    Along gravity the accelerometer bias is observable, across it only the sum of bias and tilt.
     """
     x = np.zeros(kernels.STATES)
     force_m_s2 = float(np.linalg.norm(accel_frd_m_s2))
@@ -132,7 +132,8 @@ def align_at_rest(
     x[kernels.GYRO_BIAS : kernels.ACCEL_BIAS] = gyro_frd_rad_s
     x[kernels.ACCEL_BIAS :] = bias_down_m_s2 * dcm_ned_frd[2]
 
-    # errors of attitude and accelerometer bias (NED) from the true horizontal bias and the noise of the mean
+    # errors of attitude and accelerometer bias (NED) due to the true horizontal bias and the noise of the
+    # mean
     sources = np.zeros((6, 5))
     sources[0, [1, 3]] = 1.0 / GRAVITY_M_S2
     sources[1, [0, 2]] = -1.0 / GRAVITY_M_S2
@@ -149,6 +150,6 @@ def align_at_rest(
     np.fill_diagonal(cov[3:6, 3:6], INIT_VEL_STD_M_S**2)
     np.fill_diagonal(cov[6:9, 6:9], INIT_POS_STD_M**2)
     np.fill_diagonal(cov[9:12, 9:12], gyro_psd / window_s)
-    # heading came from the mean field, so its innovation is zero; the update correlates it with tilt
+    # the heading is from the mean field, so its innovation is zero; the update correlates it with tilt
     kernels.fuse_heading(x, cov, 0.0, field_ned, params.heading_noise_rad**2, 1.0, np.full(2, np.inf))
     return x, cov

@@ -1,6 +1,6 @@
-"""The standard atmosphere below 11 km (ISO 2533): barometers are simulated with it and read with it.
+"""The standard atmosphere below 11 km (ISO 2533), used to simulate barometers and to convert their readings.
 
-All functions are pure and take floats or float64 arrays; compiled code may call them, with floats. Altitudes
+All functions are pure and accept floats or float64 arrays; compiled code may call them with floats. Altitudes
 are geopotential, above mean sea level.
 """
 
@@ -22,13 +22,13 @@ _PRESSURE_EXPONENT = GRAVITY_M_S2 / (AIR_GAS_CONSTANT_J_KG_K * LAPSE_RATE_K_M)
 
 @register_jitable
 def temperature_k(altitude_m: FloatOrArray) -> FloatOrArray:
-    """Give the air temperature."""
+    """Return the air temperature."""
     return SEA_LEVEL_TEMPERATURE_K - LAPSE_RATE_K_M * altitude_m
 
 
 @register_jitable
 def pressure_pa(altitude_m: FloatOrArray) -> FloatOrArray:
-    """Give the static pressure, p0 (T / T0)^(g / (R L))."""
+    """Return the static pressure, p0 (T / T0)^(g / (R L))."""
     pressure: FloatOrArray = (
         SEA_LEVEL_PRESSURE_PA * (temperature_k(altitude_m) / SEA_LEVEL_TEMPERATURE_K) ** _PRESSURE_EXPONENT
     )
@@ -36,13 +36,13 @@ def pressure_pa(altitude_m: FloatOrArray) -> FloatOrArray:
 
 
 def density_kg_m3(altitude_m: FloatOrArray) -> FloatOrArray:
-    """Give the density of dry air, p / (R T)."""
+    """Return the density of dry air, p / (R T)."""
     return pressure_pa(altitude_m) / (AIR_GAS_CONSTANT_J_KG_K * temperature_k(altitude_m))
 
 
 @register_jitable
 def altitude_m(pressure_pa: FloatOrArray) -> FloatOrArray:
-    """Give the pressure altitude, the inverse of ``pressure_pa``; pressures must be positive."""
+    """Return the pressure altitude, the inverse of ``pressure_pa``; pressures must be positive."""
     ratio = pressure_pa / SEA_LEVEL_PRESSURE_PA
     altitude: FloatOrArray = (1.0 - ratio ** (1.0 / _PRESSURE_EXPONENT)) * (
         SEA_LEVEL_TEMPERATURE_K / LAPSE_RATE_K_M

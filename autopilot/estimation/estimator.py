@@ -1,9 +1,9 @@
-"""The estimator: an error-state Kalman filter in the manner of PX4's EKF2, 15 errors at a delayed horizon.
+"""The estimator: an error-state Kalman filter after PX4's EKF2, with 15 errors at a delayed horizon.
 
-Aligns on the ground at rest, takes the first good GPS fixes as its origin, and then fuses GPS velocity and
-horizontal position, barometric height and magnetic heading. This module holds the sensors' queues and says
-what of the state is valid and how it jumped; what is fused, refused and reset is decided in ``fusion``, the
-arithmetic is in ``kernels``, the delay in ``horizon``, the first second in ``alignment``.
+It aligns at rest on the ground, sets its origin from the first good GPS fixes, and then fuses GPS velocity
+and horizontal position, barometric height and magnetic heading. This module has the sensors' queues and
+determines validity and reset deltas of the state. ``fusion`` decides what is fused, rejected and reset;
+``kernels`` has the arithmetic, ``horizon`` the delay, ``alignment`` the initial second.
 """
 
 import math
@@ -32,16 +32,17 @@ from foundation.types import EstimatorState, GpsFix, ImuSample
 
 DEAD_RECKONING_US = 1_000_000
 WAITING_MAX = 256
-"""Measurements waiting for the horizon, of each kind: beyond it the inertial sensor has failed anyway."""
+"""Waiting measurements of each kind; more can only wait if the inertial sensor has failed."""
 TILT_STD_MAX_RAD = math.radians(20.0)
-"""A tilt known worse than this is no attitude to fly by."""
+"""Greatest standard deviation of tilt of a valid attitude."""
 
 
 class Estimator:
-    """Attitude, velocity, position and inertial biases of one vehicle from its sensors.
+    """Estimates attitude, velocity, position and inertial biases of one vehicle from its sensors.
 
-    Measurements may come in any order within a step, before the inertial sample that ends it. What is not
-    finite is dropped, and so are inertial samples that no sensor can read or not later than the one before.
+    Measurements may arrive in any order within a step, before its inertial sample. Measurements that are not
+    finite are dropped, and so are inertial samples outside the range of sensors or not later than the last
+    one.
     """
 
     def __init__(self, params: EstimatorParams) -> None:
@@ -58,18 +59,18 @@ class Estimator:
         self._aids: deque[Aid] = deque(maxlen=WAITING_MAX)
         self._time_us = -1
         self._due_us = 0
-        """Nothing is to be fused while the horizon is before this."""
+        """Nothing is fused while the horizon is before this time."""
         self._aided_until_us = self._height_until_us = -1
-        """Up to which horizon velocity and position, and the height, count as known."""
+        """Horizon until which velocity and position, and the height, are valid."""
         self.live = _unknown_state()
-        """The state at the last inertial sample: the one object, rewritten by the next sample, for those who
-        read it and keep nothing."""
+        """State at the last inertial sample: one object that every sample overwrites, for readers that do not
+        store it."""
         self._state: EstimatorState | None = None
 
     # -- sensors
 
     def on_imu(self, sample: ImuSample) -> None:
-        """Take the inertial sample of the interval that ends at its time, and bring the state there."""
+        """Process the inertial sample of the interval that ends at its time, and update the state."""
         if not self._time_us < sample.time_us < NEVER_US:
             return
         if self.filter is None or self._fusion is None:
@@ -87,19 +88,19 @@ class Estimator:
         self._time_us = time_us
         if horizon_us >= self._due_us:
             self._fuse_due(self.filter, fusion, horizon_us)
-        self._bring_up_to_date(horizon_us)
+        self._update_live(horizon_us)
 
     def on_gps(self, fix: GpsFix) -> None:
-        """Take a fix; it is fused when the horizon reaches ``fix.time_us`` less the delay."""
+        """Queue a fix; it is fused when the horizon reaches ``fix.time_us`` minus the delay."""
         if self.filter is not None:
             self._fixes.append(fix)
             self._due_us = 0
 
     def on_baro(self, time_us: int, pressure_hpa: float, temperature_degc: float) -> None:  # noqa: ARG002
-        """Take a static pressure.
+        """Queue a static pressure.
 
-        The temperature is that of the sensor on its warm board, not of the air, and is left unused: heights
-        are those of the standard atmosphere, as in PX4.
+        The temperature is not used: it is that of the sensor on its warm board, not of the air. Heights are
+        those of the standard atmosphere, as in PX4.
         """
         if not (math.isfinite(pressure_hpa) and pressure_hpa > 0.0):
             return
@@ -114,7 +115,7 @@ class Estimator:
             self._due_us = 0
 
     def on_mag(self, time_us: int, field_frd_gauss: Sequence[float]) -> None:
-        """Take a magnetic field, (3,) FRD."""
+        """Queue a magnetic field, (3,) FRD."""
         x, y, z = field_frd_gauss
         if not math.isfinite(x + y + z):
             return
@@ -128,14 +129,14 @@ class Estimator:
 
     @property
     def params(self) -> EstimatorParams:
-        """The settings in force."""
+        """The settings in effect."""
         return self._params
 
     def set_params(self, params: EstimatorParams) -> None:
-        """Take other noises, gates and limits, which act from the next measurement on.
+        """Change noises, gates and limits, in effect from the next measurement.
 
-        Raises ValueError for another GPS delay once the alignment is done: the horizon would have to move.
-        `restart` takes it.
+        Raises ValueError for another GPS delay after the alignment, because the horizon would have to move;
+        use `restart` for that.
         """
         if self.filter is not None and params.gps_delay_us != self._params.gps_delay_us:
             raise ValueError("the GPS delay cannot change while the estimator runs")
@@ -145,9 +146,9 @@ class Estimator:
             self._fusion.set_params(params)
 
     def restart(self, params: EstimatorParams | None = None) -> None:
-        """Begin anew with an alignment, for a vehicle that rests on the ground, disarmed.
+        """Restart with an alignment, for a disarmed vehicle at rest on the ground.
 
-        Origin and height reference stay, so that the local frame is the one before; what was estimated goes.
+        Origin and height reference are kept, so the local frame does not change; the estimates are discarded.
         """
         self._params = params or self._params
         self._alignment = Alignment(self._params)
@@ -157,25 +158,25 @@ class Estimator:
             waiting.clear()
         self._aided_until_us = self._height_until_us = -1
         self.live.attitude_valid = self.live.navigation_failed = False
-        self._bring_up_to_date(self._time_us)
+        self._update_live(self._time_us)
 
     def on_landed(self) -> None:
-        """Note that the vehicle came to rest on the ground: a compass found faulty gets another chance."""
+        """Clear the fault of the compass after the vehicle has come to rest on the ground."""
         if self._fusion is not None:
             self._fusion.compass.clear()
 
-    # -- steps of inertial samples alone, which compiled code makes on the filter's memory
+    # -- fast steps: inertial samples only, processed by compiled code on the filter's memory
 
     @property
     def valid_until_us(self) -> int:
-        """Up to when a horizon finds nothing to fuse, and all of the state stays known; -1: not even now."""
+        """Horizon until which nothing is to be fused and the whole state stays valid; -1: not valid now."""
         live = self.live
         if self._failed or not (live.velocity_valid and live.position_valid and live.height_valid):
             return -1
         return min(self._due_us, self._aided_until_us + 1, self._height_until_us + 1)
 
     def catch_up(self, time_us: int) -> None:
-        """Note that inertial samples up to this one have gone to the filter, within `valid_until_us`."""
+        """Record that the filter has processed inertial samples up to this time, within `valid_until_us`."""
         self._time_us = self.live.time_us = time_us
         self._state = None
 
@@ -183,12 +184,12 @@ class Estimator:
 
     @property
     def numerical_failure(self) -> bool:
-        """The filter's numbers are none any more: only `restart` helps."""
+        """Whether the filter's state is no longer finite, which requires `restart`."""
         return self._failed
 
     @property
     def state(self) -> EstimatorState:
-        """The state at the last inertial sample, to keep; its deviations are the delayed horizon's."""
+        """Copy of the state at the last inertial sample; standard deviations refer to the delayed horizon."""
         if self._state is None:
             live = self.live
             self._state = replace(
@@ -200,7 +201,7 @@ class Estimator:
 
     @property
     def diagnostics(self) -> EstimatorDiagnostics | None:
-        """How the filter does, once it is aligned. The records of aiding are live, the arrays copies."""
+        """Diagnostics of an aligned filter. The `Aiding` objects are live, the arrays are copies."""
         if self.filter is None or self._fusion is None:
             return None
         fusion = self._fusion
@@ -226,7 +227,7 @@ class Estimator:
 
     @property
     def aidings(self) -> dict[str, Aiding]:
-        """Live records of the measurements by name, as in `EstimatorDiagnostics`, once it is aligned."""
+        """Live `Aiding` objects by name, as in `EstimatorDiagnostics`; empty before the alignment."""
         fusion = self._fusion
         if fusion is None:
             return {}
@@ -239,13 +240,13 @@ class Estimator:
 
     @property
     def compass_usable(self) -> bool:
-        """Whether the magnetometer is believed: neither disturbed nor contradicted by GPS."""
+        """Whether the magnetometer is used: neither disturbed nor contradicted by GPS."""
         compass = self._fusion.compass if self._fusion is not None else None
         return compass is not None and not (compass.disturbed or compass.faulty)
 
     @property
     def compass_rejected(self) -> bool:
-        """Whether the alignment waits because the magnetic field is not the site's."""
+        """Whether the alignment waits because the magnetic field differs from the site's."""
         return self.filter is None and self._alignment.field_rejected
 
     # -- parts of a step
@@ -260,7 +261,7 @@ class Estimator:
         if aligned is not None:
             self._start(aligned)
             self.live.omega_frd_rad_s[:] = gyro_frd_rad_s - self.live.gyro_bias_rad_s
-        self._bring_up_to_date(self._time_us)
+        self._update_live(self._time_us)
 
     def _start(self, aligned: Aligned) -> None:
         if self._ground_altitude_m is None:
@@ -284,8 +285,8 @@ class Estimator:
             self._note_jump(before, Jump.POSITION | Jump.HEIGHT | Jump.VELOCITY | Jump.YAW)
         self._note_validity(self._fusion)
 
-    def _bring_up_to_date(self, horizon_us: int) -> None:
-        """Set what the kernels do not write of the live state."""
+    def _update_live(self, horizon_us: int) -> None:
+        """Update the fields of the live state that kernels do not write."""
         live = self.live
         live.time_us = self._time_us
         aided = horizon_us <= self._aided_until_us
@@ -295,7 +296,7 @@ class Estimator:
         self._state = None
 
     def _note_validity(self, fusion: Fusion) -> None:
-        """Set until when the state counts as known, from what was accepted last."""
+        """Set until when the state is valid, from the last accepted measurements."""
         live = self.live
         live.navigation_failed = fusion.navigation.failed
         if live.navigation_failed:
@@ -308,7 +309,7 @@ class Estimator:
             self._height_until_us = fusion.height.accepted_us + HEIGHT_RESET_US
 
     def _fuse_due(self, delayed: DelayedHorizon, fusion: Fusion, horizon_us: int) -> None:
-        """Fuse what the horizon has reached."""
+        """Fuse the measurements that the horizon has reached."""
         aids, fixes = self._aids, self._fixes
         delay_us = self._params.gps_delay_us
         corrected = False
@@ -347,7 +348,7 @@ class Estimator:
         )
 
     def _carry_jump(self, delayed: DelayedHorizon, fusion: Fusion) -> None:
-        """Carry a reset to the estimate of now, and tell what it did there."""
+        """Propagate a reset to the present estimate, and record its deltas there."""
         if self._origin is None and fusion.origin is not None:
             self._origin = fusion.origin
             self.live.origin_lat_deg, self.live.origin_lon_deg, self.live.origin_alt_m = fusion.origin
@@ -357,7 +358,7 @@ class Estimator:
         fusion.jumps = Jump.NONE
 
     def _note_jump(self, before: EstimatorState, kinds: Jump) -> None:
-        """Count a reset and tell by how much it moved the live state."""
+        """Count a reset and record the deltas of the live state."""
         live = self.live
         live.reset_counter += 1
         live.pos_reset_counter += Jump.POSITION in kinds
@@ -370,7 +371,7 @@ class Estimator:
         live.yaw_reset_delta_rad = math.remainder(2.0 * math.atan2(turn[3], turn[0]), 2.0 * math.pi)
 
     def _fail(self, delayed: DelayedHorizon) -> None:
-        """End a filter whose numbers broke: nothing is valid, and what it leaves behind is finite."""
+        """Stop the filter after a numerical failure: nothing is valid, and the estimate is finite."""
         self._failed = True
         self._aided_until_us = self._height_until_us = -1
         live, estimate = self.live, delayed.estimate
@@ -380,17 +381,17 @@ class Estimator:
             live.q_ned_frd[0] = 1.0
 
     def _coast(self, sample: ImuSample) -> None:
-        """After a failure: the rates alone."""
+        """Update the body rates only, after a failure."""
         gyro_frd_rad_s = np.array(sample.gyro_frd_rad_s)
         if not kernels.is_plausible(gyro_frd_rad_s, np.array(sample.accel_frd_m_s2)):
             return
         self._time_us = sample.time_us
         self.live.omega_frd_rad_s[:] = gyro_frd_rad_s - self.live.gyro_bias_rad_s
-        self._bring_up_to_date(self._time_us)
+        self._update_live(self._time_us)
 
 
 def _unknown_state() -> EstimatorState:
-    """Give a state in which nothing is valid, level and at rest."""
+    """Return a state in which nothing is valid, level and at rest."""
     zero = np.zeros(3)
     return EstimatorState(
         time_us=0,

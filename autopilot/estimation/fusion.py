@@ -1,8 +1,8 @@
-"""What becomes of each measurement: fused, refused, or believed after all and the state reset to it.
+"""Decides for each measurement whether it is fused or rejected, or whether the state is reset to it.
 
-One `Fusion` lives from an alignment to the next. It works on the filter at its delayed horizon and keeps the
-record of every kind of measurement; queues and validity are ``estimator``'s, the judgements of longer breath
-``health``'s, the arithmetic ``kernels``'.
+One `Fusion` exists from one alignment to the next. It works on the filter at its delayed horizon and records
+every kind of measurement. ``estimator`` has queues and validity, ``health`` the checks over time, ``kernels``
+the arithmetic.
 """
 
 import math
@@ -31,32 +31,32 @@ from foundation.types import Array, GpsFix, Triple, Vector
 
 HORIZONTAL_RESET_US = 7_000_000
 HEIGHT_RESET_US = 5_000_000
-"""Refused for longer, a measurement is believed and the state reset to it; PX4's times."""
+"""After a longer time of rejections the state is reset to the measurement; PX4's times."""
 YAW_EMERGENCY_US = 1_000_000
-"""Velocity or position refused for longer, the heading is asked for; PX4's EKFGSF_reset_delay."""
+"""After a longer time of rejected velocity or position the heading is checked; PX4's EKFGSF_reset_delay."""
 BARO_FRESH_US = 500_000
-"""Older, a pressure has no say in what a fix means."""
+"""An older pressure is not used to check a fix."""
 BAD_ACCEL_NOISE_M_S2 = 4.9
-"""In place of EKF2_ACC_NOISE while the accelerometer is contradicted; PX4's number."""
+"""Replaces EKF2_ACC_NOISE while the accelerometer is contradicted; PX4's value."""
 EMERGENCY_TILT_STD_RAD = math.radians(3.0)
 EMERGENCY_GYRO_BIAS_STD_RAD_S = 0.003
-"""What a yaw emergency leaves known of tilt and gyro bias."""
+"""Standard deviations of tilt and gyro bias after a yaw emergency."""
 FIX_3D = 3
 ORIGIN_FIXES = 5
 HOLD_PERIOD_US = 200_000
 VERTICAL_VELOCITY_NOISE_RATIO = 1.5
-"""GPS velocity is worse vertically; PX4's ratio."""
+"""GPS velocity is less accurate vertically; PX4's ratio."""
 
 NEVER_US = 1 << 62
 _NO_FIELD: Vector = (0.0, 0.0, 0.0)
 Aid = tuple[int, Vector | None, float | None]
-"""A moment, the magnetic field (3,) FRD in gauss and the pressure altitude in metres that describe it."""
+"""Time, and the magnetic field (3,) FRD in gauss and pressure altitude in metres measured at that time."""
 Origin = tuple[float, float, float]
 """Latitude and longitude in degrees, altitude in metres above mean sea level."""
 
 
 class Jump(IntFlag):
-    """What of the state was reset."""
+    """Parts of the state that were reset."""
 
     NONE = 0
     POSITION = 1
@@ -66,7 +66,7 @@ class Jump(IntFlag):
 
 
 class Fusion:
-    """Takes the measurements that the horizon has reached into the filter, one after the other."""
+    """Fuses the measurements that the horizon has reached, one by one."""
 
     def __init__(
         self,
@@ -76,7 +76,7 @@ class Fusion:
         ground_altitude_m: float,
         origin: Origin | None,
     ) -> None:
-        """Begin from an alignment; ``origin`` is known if this is not the first."""
+        """Start from an alignment; ``origin`` is known if it is not the first."""
         self.origin = origin
         self._step = np.zeros(1, STEP)
         self._step_octets = self._step.view(np.uint8).data
@@ -91,16 +91,16 @@ class Fusion:
         self.navigation = NavigationTest()
         self.bank = YawBank(delayed.tilt)
         self.bank_turn_rad = 0.0
-        """Heading of the bank less the filter's, at the last fix"""
+        """Heading of the bank minus the filter's, at the last fix"""
         self.held_pos_m: Array | None = None
-        """(2,) the position that is held for want of a measurement"""
+        """(2,) position that is held during long dead reckoning"""
         self.held_us = 0
-        """When that was last thought about."""
+        """Time of the last call of `hold_position`, rounded down to the period."""
         self.jumps = Jump.NONE
-        """Since somebody cleared it."""
+        """Resets since the caller cleared it."""
         self.done: tuple[bool, float] | None = None
-        """Whether the filter is sound after field and pressure of the last sample, and its larger variance of
-        tilt, rad^2; None if there were none."""
+        """Whether the filter is sound after field and pressure of the last sample, and its greater variance
+        of tilt, rad^2; None if there were none."""
         self._delayed = delayed
         self._ground_altitude_m = ground_altitude_m
         self._placed = False
@@ -109,7 +109,7 @@ class Fusion:
         self.set_params(params)
 
     def set_params(self, params: EstimatorParams) -> None:
-        """Take other noises, gates and limits from the next measurement on."""
+        """Change noises, gates and limits, in effect from the next measurement."""
         self._params = params
         self._field_ned = np.array(params.magnetic_field_ned_gauss)
         self._field_checks = field_checks(params)
@@ -127,18 +127,18 @@ class Fusion:
         self._set_noise()
 
     def unaided(self, horizon_us: int, timeout_us: int) -> bool:
-        """Whether no horizontal measurement was taken for longer than the time-out."""
+        """Return whether no horizontal measurement was accepted within the time-out."""
         return self.velocity.absent(horizon_us, timeout_us) and self.position.absent(horizon_us, timeout_us)
 
-    # -- samples, and what comes most often
+    # -- inertial samples, with field and pressure
 
     def advance(self, time_us: int, gyro_frd_rad_s: Triple, accel_frd_m_s2: Triple, aid: Aid | None) -> int:
-        """Take an inertial sample, (3,) each; the answer is that of `horizon.advance`.
+        """Process an inertial sample, (3,) each; return the result of `horizon.advance`.
 
-        Field and pressure of one moment, ``aid``, are then fused as by `fuse_mag` and `fuse_baro` and carried
-        to now, if the horizon has got there; ``done`` tells of it. Left alone are those which are not to be
-        judged at once: a field that could turn the filter before the pressure comes, and a pressure that is
-        the one before again, which the filter's velocity judges.
+        Field and pressure of the same time, ``aid``, are fused as by `fuse_mag` and `fuse_baro` and
+        propagated to the present if the horizon has reached them; ``done`` then has the result. Pairs that
+        need a decision in between are skipped: a field that could reset the heading before the pressure is
+        fused, and a repeated pressure, which is checked with the filter's velocity.
         """
         delayed, compass = self._delayed, self.compass
         self.done = None
@@ -170,10 +170,10 @@ class Fusion:
             self.done = (sound != 0, tilt_var_rad2)
         return horizon_us
 
-    # -- one measurement each; they tell whether the state changed
+    # -- single measurements; the result is whether the state changed
 
     def fuse_mag(self, time_us: int, field_frd_gauss: Array) -> bool:
-        """Magnetic field (3,) FRD: its heading."""
+        """Fuse the heading of a magnetic field (3,) FRD."""
         x, cov, compass = self._delayed.x, self._delayed.cov, self.compass
         heading = self.heading
         heading.innovation[0], heading.innovation_var[0], ratio, compass.disturbed = kernels.fuse_field(
@@ -183,7 +183,7 @@ class Fusion:
         return self._judge_heading(time_us, ratio)
 
     def _judge_heading(self, time_us: int, ratio: float) -> bool:
-        """Note what became of a field, and what follows where it was refused for long."""
+        """Record a heading measurement; reset to it if it was rejected for long."""
         compass = self.compass
         if not (compass.disturbed or compass.faulty) and self.heading.record(ratio, time_us):
             return True
@@ -207,7 +207,7 @@ class Fusion:
         return True
 
     def fuse_baro(self, time_us: int, altitude_m: float) -> bool:
-        """Pressure altitude: the height above the ground of the alignment."""
+        """Fuse a pressure altitude as the height above the ground of the alignment."""
         vel_down_m_s = float(self._delayed.x[kernels.VEL + 2])
         if self.barometer.note(altitude_m, vel_down_m_s, time_us):
             self.height.refuse(math.inf, time_us)
@@ -219,7 +219,7 @@ class Fusion:
         return self._judge_height(time_us, down_m, ratio)
 
     def _judge_height(self, time_us: int, down_m: float, ratio: float) -> bool:
-        """Note what became of a pressure, and reset to it where they were refused for long."""
+        """Record a height measurement; reset to it if it was rejected for long."""
         taken = self.height.record(ratio, time_us)
         if not taken and self.height.absent(time_us, HEIGHT_RESET_US):
             at_m = np.array((down_m,))
@@ -228,10 +228,10 @@ class Fusion:
         return taken
 
     def fuse_fix(self, fix: GpsFix) -> bool:
-        """Fix: its velocity and horizontal position."""
+        """Fuse velocity and horizontal position of a fix."""
         delayed, params = self._delayed, self._params
         measured_us = fix.time_us - params.gps_delay_us
-        if not self._good(fix):
+        if not self._is_usable(fix):
             self._origin_fixes.clear()
             return False
         self.bank.fuse(fix.vel_ned_m_s[:2], params.gps_vel_noise_m_s)
@@ -244,11 +244,11 @@ class Fusion:
         velocity_taken = self._fuse(
             self.velocity, kernels.VEL, fix.vel_ned_m_s, self._vel_var, params.gps_vel_gate, measured_us
         )
-        # the fix may be older than the horizon by a fraction of a step, or by what it came late
+        # the fix may be older than the horizon by a fraction of a step, or because it arrived late
         age_s = (delayed.horizon_us - measured_us) * 1e-6
         pos_m = self._horizontal_pos_m(fix) + age_s * fix.vel_ned_m_s[:2]
         pos_var = np.full(2, max(fix.eph_m, params.gps_pos_noise_m) ** 2)
-        velocity_taken = self._believe_climb(fix, measured_us, velocity_taken=velocity_taken)
+        velocity_taken = self._reset_vertical(fix, measured_us, velocity_taken=velocity_taken)
         if not self._placed:
             self._placed = True
             self._reset(self.position, kernels.POS, pos_m, pos_var, Jump.POSITION, measured_us)
@@ -277,9 +277,9 @@ class Fusion:
         return velocity_taken or position_taken
 
     def hold_position(self) -> bool:
-        """Without horizontal measurements pull loosely to the last known position: it keeps tilt bounded."""
+        """Bound the tilt error of long dead reckoning by fusing the last position with large noise."""
         delayed = self._delayed
-        self.held_us = delayed.horizon_us - delayed.horizon_us % HOLD_PERIOD_US  # in one step with others
+        self.held_us = delayed.horizon_us - delayed.horizon_us % HOLD_PERIOD_US  # in step with others
         if not self.unaided(delayed.horizon_us, self._params.no_aid_timeout_us):
             return False
         if self.held_pos_m is None:
@@ -299,25 +299,25 @@ class Fusion:
 
     # -- resets
 
-    def _believe_climb(self, fix: GpsFix, measured_us: int, *, velocity_taken: bool) -> bool:
-        """Where GPS velocity and barometer contradict the accelerometer, reset vertically to them.
+    def _reset_vertical(self, fix: GpsFix, measured_us: int, *, velocity_taken: bool) -> bool:
+        """Reset vertically to GPS velocity and barometer if they contradict the accelerometer.
 
-        Whether the fix's velocity is taken now: horizontally it may have been refused for its vertical part
-        alone. Until the accelerometer agrees again its noise is taken for so much that the filter leans on
-        the other two.
+        Returns whether the fix's velocity is fused now: its horizontal part may have been rejected only
+        because of the vertical part. Until the accelerometer is consistent again its process noise is
+        increased, so that the filter relies on the other two.
         """
         velocity, height, delayed = self.velocity, self.height, self._delayed
         if height.measured_us is None or measured_us - height.measured_us > BARO_FRESH_US:
             return velocity_taken
         was_bad = self.vertical.bad
-        believed = not self.barometer.stuck and self.vertical.note(
+        contradicted = not self.barometer.stuck and self.vertical.note(
             velocity.innovation[2] / math.sqrt(velocity.innovation_var[2]),
             height.innovation[0] / math.sqrt(height.innovation_var[0]),
             measured_us,
         )
         if self.vertical.bad != was_bad:
             self._set_noise()
-        if not believed:
+        if not contradicted:
             return velocity_taken
         down_m = delayed.x[kernels.POS + 2 : kernels.POS + 3] + height.innovation
         self._reset(height, kernels.POS + 2, down_m, self._baro_var, Jump.HEIGHT, measured_us)
@@ -348,15 +348,16 @@ class Fusion:
         self._delayed.noise_psd[:] = noise_psd
 
     def _yaw_emergency(self) -> bool:
-        """Turn to the heading that GPS velocity speaks for, if it is known and another.
+        """Reset to the heading that GPS velocity implies, if it is accurate and differs from the filter's.
 
-        What was fused under the wrong heading went into tilt and biases: attitude and gyro bias become those
-        of the bank's complementary filter, which has seen no GPS; the accelerometer's bias is free to move.
+        Fusion under the wrong heading has corrupted tilt and biases: attitude and gyro bias are set to those
+        of the bank's complementary filter, which does not use GPS, and the accelerometer bias variance is
+        reset.
         """
         delayed, bank, params = self._delayed, self.bank, self._params
         turn_rad = bank.turn_rad(delayed.x[:4])
         known = bank.std_rad < HEADING_KNOWN_RAD and abs(turn_rad) > COMPASS_ERROR_RAD
-        if not known:  # nor if one of them is not a number
+        if not known:  # also if one of them is not a number
             return False
         delayed.x[:4] = bank.q_ned_frd()
         delayed.x[kernels.GYRO_BIAS : kernels.ACCEL_BIAS] = bank.gyro_bias_rad_s
@@ -364,7 +365,7 @@ class Fusion:
         delayed.reset_covariance(0, np.array([tilt_var, tilt_var, bank.std_rad**2]))
         delayed.reset_covariance(9, np.full(3, EMERGENCY_GYRO_BIAS_STD_RAD_S**2))
         delayed.reset_covariance(12, np.full(3, params.accel_bias_init_m_s2**2))
-        # that it agrees at this moment proves nothing: under way a wrong one sweeps over all headings
+        # even if the compass is consistent now: while turning, a wrong one sweeps over all headings
         self.compass.faulty = True
         self.jumps |= Jump.YAW
         return True
@@ -388,11 +389,11 @@ class Fusion:
     def _fuse(
         self, aiding: Aiding, first: int, measured: Array, variance: Array, gate: float, measured_us: int
     ) -> bool:
-        """Fuse a measurement of the states from ``first``; tell whether it was taken."""
+        """Fuse a measurement of the states from ``first``; return whether it was accepted."""
         return aiding.record(self._take_in(aiding, first, measured, variance, gate), measured_us)
 
     def _take_in(self, aiding: Aiding, first: int, measured: Array, variance: Array, gate: float) -> float:
-        """Fuse a measurement of the states from ``first``; its test ratio says whether it was taken."""
+        """Fuse a measurement of the states from ``first``; return its test ratio."""
         ratio: float = kernels.fuse_direct(
             self._delayed.x,
             self._delayed.cov,
@@ -406,7 +407,7 @@ class Fusion:
         )
         return ratio
 
-    def _good(self, fix: GpsFix) -> bool:
+    def _is_usable(self, fix: GpsFix) -> bool:
         numbers = (fix.lat_deg, fix.lon_deg, fix.alt_m, fix.eph_m, *fix.vel_ned_m_s.tolist())
         return (
             fix.fix_type >= FIX_3D
@@ -418,7 +419,7 @@ class Fusion:
     def _mean_fix(self) -> Origin:
         fixes = self._origin_fixes
         down_m = float(self._delayed.x[kernels.POS + 2])
-        # longitudes are averaged as differences: the site may lie on the date line
+        # longitudes are averaged as differences, for sites at the date line
         first_lon_deg = fixes[0].lon_deg
         lon_offset_deg = sum(math.remainder(fix.lon_deg - first_lon_deg, 360.0) for fix in fixes) / len(fixes)
         origin = (

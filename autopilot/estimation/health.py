@@ -1,6 +1,6 @@
-"""Judgements on sensors and estimate that take time: lost navigation, a stuck barometer, a wrong compass.
+"""Health checks of sensors and estimate over time: failed navigation, stuck barometer, faulty compass.
 
-Pure state machines over the moments that measurements describe; what follows from them is ``fusion``'s.
+Pure state machines over the measurements' times; ``fusion`` acts on the results.
 """
 
 import math
@@ -14,27 +14,27 @@ from foundation.types import Array
 NAVIGATION_FAILURE_US = 1_000_000
 NAVIGATION_RECOVERY_US = 2_000_000
 NAVIGATION_GAP_US = 1_000_000
-"""Fixes further apart do not make a series."""
+"""Fixes further apart do not count as consecutive."""
 CONFLICT_SIGMA = 3.0
-"""PX4's vertical innovation test: both beyond it and of one sign."""
+"""PX4's vertical innovation test: both ratios must exceed it, with the same sign."""
 CONFLICT_US = 400_000
 PROBATION_US = 10_000_000
 STUCK_US = 500_000
 STUCK_MOTION_M = 1.0
 COMPASS_RECOVERY_US = 10_000_000
 COMPASS_ERROR_RAD = math.radians(25.0)
-"""PX4's limit of what still counts as the same heading."""
+"""PX4's limit of a consistent heading."""
 HEADING_KNOWN_RAD = math.radians(15.0)
-"""PX4's greatest standard deviation of a heading that judges others."""
+"""PX4's greatest standard deviation of a heading that is used to check others."""
 STRENGTH, INCLINATION = 1, 2
 """Bits of EKF2_MAG_CHECK."""
 
 
 class NavigationTest:
-    """PX4's navigation test: velocity and position of every fix refused for a second is a failure.
+    """PX4's navigation test: it fails if velocity and position of every fix are rejected for one second.
 
-    It clears when both have been taken for two seconds, as they are after a reset to the GPS that mended the
-    cause. Where one is taken and the other refused nothing is concluded.
+    It clears after both have been accepted for two seconds, as after a reset to the GPS. If only one of them
+    is accepted the test has no result.
     """
 
     def __init__(self) -> None:
@@ -44,7 +44,7 @@ class NavigationTest:
         self._last_us = 0
 
     def note(self, *, velocity_taken: bool, position_taken: bool, measured_us: int) -> None:
-        """Take what became of one fix."""
+        """Update with the results of one fix."""
         if velocity_taken != position_taken or measured_us - self._last_us > NAVIGATION_GAP_US:
             self._refused_since_us = self._taken_since_us = None
         self._last_us = measured_us
@@ -63,9 +63,9 @@ class NavigationTest:
 
 
 class VerticalConflict:
-    """GPS velocity and barometer agree on a climb that the accelerometer denies: that one is wrong (PX4).
+    """Detects a faulty accelerometer: GPS velocity and barometer agree on a climb that it contradicts (PX4).
 
-    It then counts as bad until it has not been contradicted for ten seconds.
+    It counts as bad until it has not been contradicted for ten seconds.
     """
 
     def __init__(self) -> None:
@@ -74,7 +74,7 @@ class VerticalConflict:
         self._last_us = 0
 
     def note(self, velocity_sigma: float, height_sigma: float, measured_us: int) -> bool:
-        """Take both innovations down over their standard deviations; tell whether to believe them instead."""
+        """Update with both downward innovations, in sigma; return whether to reset to the measurements."""
         least = min(abs(velocity_sigma), abs(height_sigma))
         if least < CONFLICT_SIGMA or velocity_sigma * height_sigma < 0.0:
             self._since_us = None
@@ -91,9 +91,9 @@ class VerticalConflict:
 
 
 class StuckBarometer:
-    """Finds a barometer that repeats one reading to the bit while the vehicle moves up or down.
+    """Detects a barometer whose reading repeats to the last bit while the vehicle moves vertically.
 
-    At rest an ideal barometer does the same, so it takes a metre of motion by the filter's own velocity.
+    An ideal barometer repeats at rest, so detection requires one metre of motion by the filter's velocity.
     """
 
     def __init__(self) -> None:
@@ -103,11 +103,11 @@ class StuckBarometer:
         self._moved_m = 0.0
 
     def repeats(self, altitude_m: float) -> bool:
-        """Whether a reading is the last one again."""
+        """Return whether a reading is equal to the last one."""
         return altitude_m == self._altitude_m
 
     def note(self, altitude_m: float, vel_down_m_s: float, time_us: int) -> bool:
-        """Take a reading and the filter's velocity; tell whether the barometer is stuck."""
+        """Update with a reading and the filter's velocity; return whether the barometer is stuck."""
         if altitude_m != self._altitude_m:
             self._altitude_m, self._since_us, self._moved_m = altitude_m, time_us, 0.0
             self.stuck = False
@@ -119,30 +119,30 @@ class StuckBarometer:
 
 
 def field_disturbed(params: EstimatorParams, q_ned_frd: Array, field_frd_gauss: Array) -> bool:
-    """Whether a magnetic field (3,) cannot be the site's, by PX4's checks of strength and inclination."""
+    """Return whether a magnetic field (3,) fails PX4's checks of strength and inclination for the site."""
     field_ned = np.array(params.magnetic_field_ned_gauss)
     return bool(kernels.field_disturbed(q_ned_frd, field_frd_gauss, field_ned, field_checks(params)))
 
 
 def field_checks(params: EstimatorParams) -> Array:
-    """(2,) what `kernels.field_disturbed` allows strength and inclination to be off, by EKF2_MAG_CHECK."""
+    """Return tolerances (2,) of strength and inclination for `kernels.field_disturbed`."""
     strength_gauss = params.mag_check_strength_gauss if params.mag_check & STRENGTH else math.inf
     inclination_rad = params.mag_check_inclination_rad if params.mag_check & INCLINATION else math.inf
     return np.array((strength_gauss, inclination_rad))
 
 
 class Compass:
-    """Whether the magnetometer may be believed."""
+    """Health of the magnetometer."""
 
     def __init__(self) -> None:
         self.disturbed = False
-        """The last field was not the site's."""
+        """The last field differed from the site's."""
         self.faulty = False
-        """GPS contradicted it; see `note`."""
+        """GPS contradicted the compass; see `note`."""
         self._consistent_since_us: int | None = None
 
     def note(self, *, consistent: bool, time_us: int) -> None:
-        """Take a faulty compass back when it has agreed with a known heading for ten seconds."""
+        """Clear the fault of the compass once it has been consistent with a known heading for ten seconds."""
         if not consistent:
             self._consistent_since_us = None
         elif self._consistent_since_us is None:
@@ -151,6 +151,6 @@ class Compass:
             self.clear()
 
     def clear(self) -> None:
-        """Give it another chance."""
+        """Clear the fault."""
         self.faulty = False
         self._consistent_since_us = None

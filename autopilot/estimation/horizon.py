@@ -1,10 +1,10 @@
 """The filter at its delayed horizon, and the prediction from there to the newest inertial sample.
 
-A GPS fix describes the past by ``gps_delay_us``. As in PX4's EKF2, the filter runs that much behind and
-inertial samples wait in a ring, so every measurement is fused at the moment that it describes, whatever was
-flown since. EKF2 carries a second, complementary filter to the present; here the waiting samples are
-integrated anew from the corrected state whenever a measurement was fused (30 samples, a few microseconds).
-That is the exact prediction, has no time constant to tune, and needs no special case for resets.
+A GPS fix is delayed by ``gps_delay_us``. As in PX4's EKF2, the filter runs with this delay and inertial
+samples wait in a ring buffer, so every measurement is fused at the time that it refers to. EKF2 predicts to
+the present with a second, complementary filter; here the waiting samples are integrated again from the
+corrected state after each fusion (30 samples, a few microseconds). This is the exact prediction: it has no
+time constant to tune and no special case for resets.
 """
 
 import math
@@ -26,22 +26,22 @@ from autopilot.estimation.yaw_gsf import TILT, carry_level, level_start
 from foundation.types import Array
 
 SHORTEST_SAMPLE_US = 1_000
-"""The ring holds the delay's worth of samples this close; faster ones shorten the horizon, nothing else."""
+"""The ring buffer holds samples of the delay at this spacing; faster samples only shorten the delay."""
 
-# The estimate: all that a step tells the rest of the vehicle, in one array. The state now comes first.
+# The estimate: all outputs of a step in one array. It begins with the present nominal state.
 ACC = STATES
 """Acceleration over ground, (3,) NED"""
 OMEGA = ACC + 3
-"""Body rates less the gyro's bias, (3,) FRD"""
+"""Body rates minus gyro bias, (3,) FRD"""
 STD = OMEGA + 3
 STDS = 9
 """Standard deviations at the horizon: attitude, velocity, position, (3,) each"""
 ESTIMATE = STD + STDS
 
-# the cursor: slots of the ring, then simulated times
+# elements of the cursor: indices into the ring buffer, then simulated times
 OLDEST, WAITING, HORIZON_US, NEWEST_US, DELAY_US = range(5)
 NOT_FINITE = -1
-"""Nor plausible."""
+"""Returned for a sample that is not finite or not plausible."""
 
 HORIZON = np.dtype(
     [
@@ -54,17 +54,17 @@ HORIZON = np.dtype(
     ],
     align=True,
 )
-"""All that the filter remembers but the samples that wait: compiled code is then given one array."""
+"""State of the filter except the waiting samples, as one array for compiled code."""
 SAMPLE = np.dtype(
     [("gyro_frd_rad_s", "f8", 3), ("accel_frd_m_s2", "f8", 3), ("dt_s", "f8"), ("time_us", "i8")], align=True
 )
-"""One that waits, and the interval that it is of."""
+"""A waiting sample and the length of its interval."""
 Block = NDArray[np.void]
 
 
 @njit(cache=True)
 def describe(cov: Array, gyro_frd_rad_s: Array, estimate: Array) -> None:
-    """Write rates and standard deviations into the estimate."""
+    """Write body rates and standard deviations into the estimate."""
     for i in range(3):
         estimate[OMEGA + i] = gyro_frd_rad_s[i] - estimate[GYRO_BIAS + i]
     for i in range(STDS):
@@ -73,12 +73,11 @@ def describe(cov: Array, gyro_frd_rad_s: Array, estimate: Array) -> None:
 
 @njit(cache=True)
 def advance(block: Block, samples: Block, time_us: int, gyro_frd_rad_s: Array, accel_frd_m_s2: Array) -> int:
-    """Put a sample into the ring, move the filter on to the newest that the delay lets through.
+    """Append a sample to the ring buffer and advance the filter to the newest sample outside the delay.
 
-    It is of the interval that ends at ``time_us``, which must be after the last one's.
-    ``block`` (1,) is of `HORIZON`, whose estimate moves by the new sample, ``samples`` (capacity,) of
-    `SAMPLE`. Returns the horizon's time, or NOT_FINITE for a sample that is dropped: nothing has
-    changed then.
+    The sample's interval ends at ``time_us``, which must be after the last one's. ``block`` (1,) of
+    `HORIZON`, whose estimate is advanced by the new sample; ``samples`` (capacity,) of `SAMPLE`. Returns the
+    horizon's time, or NOT_FINITE for a rejected sample, which changes nothing.
     """
     if not is_plausible(gyro_frd_rad_s, accel_frd_m_s2):
         return NOT_FINITE
@@ -114,7 +113,7 @@ def advance(block: Block, samples: Block, time_us: int, gyro_frd_rad_s: Array, a
 
 @njit(cache=True)
 def predict_now(block: Block, samples: Block) -> None:
-    """Set the estimate to the filter's state moved by all waiting samples; arguments as of `advance`."""
+    """Set the estimate to the filter's state advanced by all waiting samples; arguments as in `advance`."""
     here = block[0]
     estimate, cursor = here["estimate"], here["cursor"]
     estimate[:STATES] = here["x"]
@@ -128,13 +127,13 @@ def predict_now(block: Block, samples: Block) -> None:
 
 
 class DelayedHorizon:
-    """State and covariance at the horizon, the samples that wait, and the estimate of now."""
+    """State and covariance at the horizon, the waiting samples, and the present estimate."""
 
     def __init__(self, x: Array, cov: Array, *, time_us: int, delay_us: int, noise_psd: Array) -> None:
         self.block: Block = np.zeros(1, HORIZON)
-        """Of `HORIZON`, like all that follows but the samples"""
+        """Of `HORIZON`; the following attributes except the samples are views of it"""
         self.samples: Block = np.zeros(delay_us // SHORTEST_SAMPLE_US + 2, SAMPLE)
-        """The ring, of `SAMPLE`"""
+        """Ring buffer of `SAMPLE`"""
         here = self.block[0]
         self.x: Array = here["x"]
         """(16,) nominal state at the horizon"""
@@ -145,9 +144,9 @@ class DelayedHorizon:
         """(16,) nominal state at ``time_us``"""
         self.acc_ned_m_s2: Array = self.estimate[ACC:OMEGA]
         self.noise_psd: Array = here["noise_psd"]
-        """(4,) process noise as ``kernels`` orders it; may be written at any time"""
+        """(4,) process noise in the order of ``kernels``; may be written at any time"""
         self.tilt: Array = here["tilt"]
-        """``yaw_gsf``'s complementary filter at the horizon"""
+        """Complementary filter of ``yaw_gsf`` at the horizon"""
         self._cursor: NDArray[np.int64] = here["cursor"]
         self.x[:] = x
         self.cov[:] = cov
@@ -159,25 +158,25 @@ class DelayedHorizon:
 
     @property
     def time_us(self) -> int:
-        """Simulated time of the newest sample."""
+        """Time of the newest sample."""
         return int(self._cursor[NEWEST_US])
 
     @property
     def horizon_us(self) -> int:
-        """Simulated time that ``x`` and ``cov`` describe."""
+        """Time that ``x`` and ``cov`` refer to."""
         return int(self._cursor[HORIZON_US])
 
     def corrected(self) -> None:
-        """Carry a change of ``x`` and ``cov`` to the estimate of now."""
+        """Propagate a change of ``x`` and ``cov`` to the present estimate."""
         predict_now(self.block, self.samples)
 
     def reset(self, first: int, values: Array, variances: Array) -> None:
-        """Set ``x[first : first + n]`` (velocity or position) and drop its correlations with the rest."""
+        """Set ``x[first : first + n]`` (velocity or position) and remove its correlations."""
         self.x[first : first + values.size] = values
         self.reset_covariance(first - 1, variances)
 
     def reset_covariance(self, first: int, variances: Array) -> None:
-        """Give the errors from ``first`` on these variances (n,) and no correlations."""
+        """Set the variances (n,) of the errors starting at ``first`` and remove their correlations."""
         errors = slice(first, first + variances.size)
         self.cov[errors, :] = 0.0
         self.cov[:, errors] = 0.0

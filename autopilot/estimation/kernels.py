@@ -1,17 +1,17 @@
-"""The filter's arithmetic, compiled: strapdown integration, covariance prediction, measurement updates.
+"""The filter's arithmetic in compiled code: strapdown integration, covariance prediction, updates.
 
 Nominal state ``x`` (16,): q_ned_frd wxyz, velocity NED, position NED, gyro bias FRD, accelerometer bias FRD.
 Error state (15,): rotation vector in NED, then the differences of velocity, position and the two biases,
 always true minus estimated, with q_true = exp(rotation) * q_estimated. With the attitude error in NED, the
-covariance's attitude block is the tilt and heading uncertainty itself, and no attitude is singular.
+covariance's attitude block is the uncertainty of tilt and heading, and no attitude is singular.
 Equations: J. Sola, arXiv 1711.02508, section 7 (global angular errors).
 
-Magnetic field and wind are no states: on a multicopter without airspeed or a drag model nothing observes the
-wind, and the field's own states would be told apart from heading only by long flights with many turns; the
-site's field is a setting, and a compass that is off shows in the heading's innovations and in ``yaw_gsf``.
+Magnetic field and wind are not states. Without airspeed or a drag model the wind is not observable on a
+multicopter, and states of the field would be separable from heading only in long flights with many turns. The
+site's field is a setting; a compass error is visible in the heading's innovations and in ``yaw_gsf``.
 
-Arrays are written in place where a docstring says so. Without numba's compiler (NUMBA_DISABLE_JIT=1) the same
-code runs as plain Python.
+Arrays are written in place where a docstring states it. Without numba's compiler (NUMBA_DISABLE_JIT=1) the
+same code runs as plain Python.
 """
 
 import math
@@ -41,16 +41,17 @@ ACCEL_BIAS = 13
 # process noise vector: power spectral densities
 GYRO_PSD, ACCEL_PSD, GYRO_BIAS_PSD, ACCEL_BIAS_PSD = range(4)
 GYRO_MAX_RAD_S = 100.0
-"""What reads more is broken: 1.4 times the range of the widest gyro (TDK ICM-45686, 4000 deg/s)."""
+"""Greater readings are faults: 1.4 times the range of the widest gyro (TDK ICM-45686, 4000 deg/s)."""
 ACCEL_MAX_M_S2 = 1000.0
-"""Likewise, 2.5 times that of the widest accelerometer (Analog Devices ADIS16497, 40 g): simulated sensors
-have no range, and a touch-down at 3 m/s, MPC_LAND_SPEED's most, that ends in a step of 4 ms is 750 m/s^2."""
+"""Likewise, 2.5 times that of the widest accelerometer (Analog Devices ADIS16497, 40 g). Simulated sensors
+have no range, and a touch-down at 3 m/s, the maximum of MPC_LAND_SPEED, that ends within a step of 4 ms is
+750 m/s^2."""
 
 
 @njit(cache=True)
 def all_finite(values: Array) -> bool:
-    """Whether no element of an (n,) array is infinite or not a number."""
-    for value in values:  # noqa: SIM110 - compiled, a loop is all it takes
+    """Return whether all elements of an (n,) array are finite."""
+    for value in values:  # noqa: SIM110 - the loop is fastest in compiled code
         if not math.isfinite(value):
             return False
     return True
@@ -58,7 +59,7 @@ def all_finite(values: Array) -> bool:
 
 @njit(cache=True)
 def is_plausible(gyro_frd_rad_s: Array, accel_frd_m_s2: Array) -> bool:
-    """Whether an inertial sample, (3,) each, is within what sensors can read; not-a-number is not."""
+    """Return whether an inertial sample, (3,) each, is within the range of sensors; not-a-number is not."""
     for i in range(3):
         if not (abs(gyro_frd_rad_s[i]) <= GYRO_MAX_RAD_S and abs(accel_frd_m_s2[i]) <= ACCEL_MAX_M_S2):
             return False
@@ -69,8 +70,8 @@ def is_plausible(gyro_frd_rad_s: Array, accel_frd_m_s2: Array) -> bool:
 def integrate(x: Array, gyro_frd_rad_s: Array, accel_frd_m_s2: Array, dt_s: float) -> Vector:
     """Advance ``x`` in place over one sample; return the mean acceleration over ground, NED, m/s^2.
 
-    The specific force is rotated by the attitude at mid-interval, which is right to second order in the
-    rotation of one interval (sculling included); coning within an interval is left to the sensor.
+    The specific force is rotated by the attitude at mid-interval, which is correct to second order in the
+    rotation of one interval (including sculling); coning within an interval is not compensated.
     """
     half_s = 0.5 * dt_s
     half_turn = from_rotation_vector(
@@ -97,11 +98,11 @@ def integrate(x: Array, gyro_frd_rad_s: Array, accel_frd_m_s2: Array, dt_s: floa
 
 @njit(cache=True)
 def error_transition(x: Array, accel_frd_m_s2: Array, dt_s: float) -> tuple[Array, Array]:
-    """Give the two blocks of the error's transition matrix F beside identity and position += dt velocity.
+    """Return the two nonzero blocks of the error's transition matrix F, apart from identity and dt velocity.
 
-    First (3, 3) minus dt times the rotation, which maps either bias into NED (attitude from gyro bias,
-    velocity from accelerometer bias), then (3, 3) minus dt times the cross matrix of the specific force in
-    NED (velocity from attitude). ``x`` is the state at the start of the interval.
+    The first, (3, 3), is minus dt times the rotation, which maps either bias into NED (attitude from gyro
+    bias, velocity from accelerometer bias). The second, (3, 3), is minus dt times the cross matrix of the
+    specific force in NED (velocity from attitude). ``x`` is the state at the start of the interval.
     """
     dcm_ned_frd = quat_to_dcm(x[:4])
     force_ned_m_s2 = quat_rotate(x[:4], accel_frd_m_s2 - x[ACCEL_BIAS:STATES])
@@ -122,7 +123,7 @@ def predict_covariance(
 ) -> None:
     """Replace ``cov`` (15, 15) by F cov F' + Q dt in place, keeping it symmetric.
 
-    F has 30 entries beside the identity: rows of F cov first, then columns times F', both in an order that
+    F has 30 entries besides the identity: rows of F cov first, then columns times F', both in an order that
     reads each block before it is overwritten.
     """
     for j in range(ERRORS):
@@ -165,9 +166,9 @@ def predict_covariance(
 
 @njit(cache=True)
 def inject_error(x: Array, error: Array, bias_limits: Array) -> None:
-    """Move ``x`` in place by an estimated error (15,), biases kept within +-(gyro, accelerometer) limits.
+    """Correct ``x`` in place by an estimated error (15,); biases are limited to +-(gyro, accelerometer).
 
-    The covariance's change of tangent point is second order in the correction and left out, as in PX4.
+    The covariance's change of tangent point is second order in the correction and neglected, as in PX4.
     """
     turn = from_rotation_vector((error[0], error[1], error[2]))
     x[0], x[1], x[2], x[3] = normalise(multiply(turn, (x[0], x[1], x[2], x[3])))
@@ -184,7 +185,7 @@ def update(
 ) -> None:
     """Kalman update by one scalar, in place; ``cross_cov`` (15,) is cov H'.
 
-    With the optimal gain, Joseph's form reduces to cov - (cov H')(cov H')' / s, symmetric to the bit.
+    With the optimal gain, Joseph's form reduces to cov - (cov H')(cov H')' / s, which is exactly symmetric.
     """
     gain = cross_cov / innovation_var
     for i in range(ERRORS):
@@ -207,10 +208,10 @@ def fuse_direct(
     innovation: Array,
     innovation_var: Array,
 ) -> float:
-    """Fuse a measurement (n,) of the states ``x[first : first + n]``, all or nothing; return the test ratio.
+    """Fuse a measurement (n,) of ``x[first : first + n]`` completely or not at all; return the test ratio.
 
-    The ratio is the greatest |innovation| / (gate x its standard deviation). At 1 or more nothing is written
-    but ``innovation`` (n,), measured minus estimated, and its variance (n,).
+    The ratio is the greatest |innovation| / (gate x its standard deviation). At 1 or more only ``innovation``
+    (n,), measured minus estimated, and its variance (n,) are written.
     """
     ratio = 0.0
     for i in range(measured.size):
@@ -220,7 +221,7 @@ def fuse_direct(
     if ratio < 1.0:
         for i in range(measured.size):
             cross_cov = cov[:, first - 1 + i].copy()
-            # against the state as the axes before have left it: one after the other equals all at once
+            # relative to the state after the previous axes: sequential updates equal a joint one
             residual = measured[i] - x[first + i]
             update(x, cov, cross_cov, residual, cross_cov[first - 1 + i] + variance[i], bias_limits)
     return ratio
@@ -228,9 +229,10 @@ def fuse_direct(
 
 @njit(cache=True)
 def heading_jacobian(field_ned: Array) -> Array:
-    """Give the derivative (3,) of the heading innovation by the attitude error (field in any unit).
+    """Return the derivative (3,) of the heading innovation by the attitude error (field in any unit).
 
-    A tilt error tips the field's vertical part into the horizontal and so looks like a heading error.
+    A tilt error rotates the field's vertical part into the horizontal, which has the effect of a heading
+    error.
     """
     horizontal_squared = field_ned[0] * field_ned[0] + field_ned[1] * field_ned[1]
     jacobian = np.empty(3)
@@ -242,7 +244,7 @@ def heading_jacobian(field_ned: Array) -> Array:
 
 @njit(cache=True)
 def heading_innovation(x: Array, field_frd: Array, field_ned: Array) -> float:
-    """Angle about down, in [-pi, pi], that turns the measured field's horizontal part onto the site's."""
+    """Return the angle about down, in [-pi, pi], from the measured field's horizontal part to the site's."""
     seen_ned = quat_rotate(x[:4], field_frd)
     return math.atan2(
         seen_ned[0] * field_ned[1] - seen_ned[1] * field_ned[0],
@@ -261,9 +263,9 @@ def fuse_heading(
     bias_limits: Array,
     take: bool = True,  # noqa: FBT001, FBT002 - compiled code takes no keyword-only arguments
 ) -> tuple[float, float]:
-    """Fuse an angle of ``heading_innovation``, refused at a test ratio of 1 or more.
+    """Fuse an angle of ``heading_innovation`` unless its test ratio is 1 or more or ``take`` is false.
 
-    Return the ratio and the innovation's variance. Without ``take`` nothing is written.
+    Return the ratio and the innovation's variance.
     """
     jacobian = heading_jacobian(field_ned)
     cross_cov = jacobian[0] * cov[:, 0] + jacobian[1] * cov[:, 1] + jacobian[2] * cov[:, 2]
@@ -278,9 +280,9 @@ def fuse_heading(
 
 @njit(cache=True)
 def field_disturbed(q_ned_frd: Array, field_frd: Array, field_ned: Array, off_max: Array) -> bool:
-    """Whether a magnetic field is not the one expected, (3,) each, by its strength or its inclination.
+    """Return whether a magnetic field differs from the expected one, (3,) each, in strength or inclination.
 
-    ``off_max`` (2,): by how much these may be off, in the fields' unit and in radians.
+    ``off_max`` (2,): tolerances, in the fields' unit and in radians.
     """
     x, y, z = field_ned[0], field_ned[1], field_ned[2]
     a, b, c = field_frd[0], field_frd[1], field_frd[2]
@@ -298,26 +300,26 @@ def field_disturbed(q_ned_frd: Array, field_frd: Array, field_ned: Array, off_ma
 @njit(cache=True)
 def fuse_field(
     x: Array, cov: Array, field_frd: Array, field_ned: Array, off_max: Array, variance: float, gate: float,
-    bias_limits: Array, believed: bool,  # noqa: FBT001 - kernels take positions
+    bias_limits: Array, compass_used: bool,  # noqa: FBT001 - kernels take positions
 ) -> tuple[float, float, float, bool]:  # fmt: skip
-    """Fuse the heading of a magnetic field (3,) that is not disturbed, if the compass is believed.
+    """Fuse the heading of a magnetic field (3,) if the field is not disturbed and the compass is used.
 
     Return the innovation, its variance, the test ratio, and whether the field is disturbed.
     """
     disturbed = field_disturbed(x[:4], field_frd, field_ned, off_max)
     innovation = heading_innovation(x, field_frd, field_ned)
     ratio, innovation_var = fuse_heading(
-        x, cov, innovation, field_ned, variance, gate, bias_limits, believed and not disturbed
+        x, cov, innovation, field_ned, variance, gate, bias_limits, compass_used and not disturbed
     )
     return innovation, innovation_var, ratio, disturbed
 
 
 @njit(cache=True)
 def is_sound(x: Array, cov: Array) -> bool:
-    """Whether all of the state is finite and no variance is infinite or negative."""
+    """Return whether the state is finite and all variances are finite and not negative."""
     if not all_finite(x):
         return False
-    for i in range(ERRORS):  # noqa: SIM110 - compiled, a loop is all it takes
+    for i in range(ERRORS):  # noqa: SIM110 - the loop is fastest in compiled code
         if not (math.isfinite(cov[i, i]) and cov[i, i] >= 0.0):
             return False
     return True

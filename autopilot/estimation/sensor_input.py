@@ -1,7 +1,7 @@
-"""A simulator's HIL messages turned into what the estimator takes, and how fresh each sensor is.
+"""Converts a simulator's HIL messages for the estimator, and monitors the age of each sensor's data.
 
-A group of HIL_SENSOR counts only when all its bits of ``fields_updated`` are set, as in PX4. Like there the
-estimator is given magnetometer and barometer less often than they are read.
+A group of HIL_SENSOR is used only if all its bits of ``fields_updated`` are set, as in PX4. As there,
+magnetometer and barometer are passed to the estimator at a lower rate than they are sampled.
 """
 
 import math
@@ -24,10 +24,10 @@ MAG_FIELDS = 0b1_1100_0000
 BARO_FIELDS = 0x1A00
 """Absolute pressure, pressure altitude and temperature."""
 
-# plain integers: as keys, members of an enumeration cost a call each
+# plain integers: as keys, members of an enumeration would need a function call each
 _IMU, _BARO, _MAG, _GPS = map(int, (Condition.IMU, Condition.BARO, Condition.MAG, Condition.GPS))
 TIMEOUTS_US = {_IMU: 100_000, _BARO: 1_000_000, _MAG: 1_000_000, _GPS: 2_000_000}
-"""Age from which a sensor counts as gone: several periods of the slowest rate that PX4 accepts of it."""
+"""Age at which a sensor counts as lost: several periods of the slowest rate that PX4 accepts."""
 
 _US_PER_S = 1_000_000
 _LONG_AGO_US = -(1 << 40)
@@ -35,42 +35,42 @@ _UNKNOWN = 65_535
 
 
 class SensorsParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How often the estimator is given what comes more often."""
+    """Rates at which samples are passed to the estimator."""
 
     mag_rate_hz: Annotated[float, Meta(ge=1.0, le=200.0)] = 25.0
-    """SENS_MAG_RATE: how often a field is taken at most, that of the moment (PX4: 15, and means)"""
+    """SENS_MAG_RATE: greatest rate of magnetometer samples, not averaged (PX4: 15, averaged)"""
     baro_rate_hz: Annotated[float, Meta(ge=1.0, le=200.0)] = 25.0
-    """SENS_BARO_RATE: how often a pressure is taken at most, that of the moment (PX4: 20, and means)"""
+    """SENS_BARO_RATE: greatest rate of barometer samples, not averaged (PX4: 20, averaged)"""
 
 
 class SensorInput:
-    """Feeds the estimator and keeps the last messages for telemetry."""
+    """Passes messages to the estimator and stores the last ones for telemetry."""
 
     def __init__(self, estimator: Estimator, params: SensorsParams) -> None:
         self.sensor: Message | None = None
-        """The last HIL_SENSOR of the first set."""
+        """The last HIL_SENSOR of sensor 0."""
         self.baro: Message | None = None
-        """The last one that held a pressure."""
+        """The last one with a pressure."""
         self.gps: Message | None = None
         self.gps_us = 0
         self.motor_currents_a: Sequence[float] | None = None
-        """(4,) of the last ESC_STATUS; None before there was one."""
+        """(4,) of the last ESC_STATUS; None before the first."""
         self.motor_currents_us = 0
         self._estimator = estimator
         self._seen_us = dict.fromkeys(TIMEOUTS_US, _LONG_AGO_US)
         self._mag_us = self._baro_us = 0
-        """From when on the next reading is taken: multiples of the periods, so that both come in one step."""
+        """Earliest times of the next samples: multiples of the periods, so that both occur in one step."""
         self.next_aiding_us = 0
-        """The earlier of the two: before it, readings of magnetometer and barometer are passed over."""
+        """The earlier of the two; magnetometer and barometer readings before it are skipped."""
         self.set_params(params)
 
     def set_params(self, params: SensorsParams) -> None:
-        """Take readings at other rates from the next one on."""
+        """Change the rates, in effect from the next sample."""
         self._mag_period_us = round(_US_PER_S / params.mag_rate_hz)
         self._baro_period_us = round(_US_PER_S / params.baro_rate_hz)
 
     def take(self, messages: Sequence[Message], now_us: int) -> bool:
-        """Hand one step's messages to the estimator, in order; tells whether a GPS fix was among them."""
+        """Pass one step's messages to the estimator, in order; return whether they include a GPS fix."""
         new_fix = False
         for message in messages:
             kind = message.get_msgId()
@@ -85,11 +85,11 @@ class SensorInput:
         return new_fix
 
     def catch_up(self, now_us: int) -> None:
-        """Note that inertial samples have gone to the estimator another way, the last one now."""
+        """Record that inertial samples up to now were passed to the estimator by compiled code."""
         self._seen_us[_IMU] = now_us
 
     def conditions(self, now_us: int) -> int:
-        """`Condition` bits of the sensors that are fresh."""
+        """Return the `Condition` bits of the sensors whose data are fresh."""
         bits = 0
         for condition, seen_us in self._seen_us.items():
             if now_us - seen_us <= TIMEOUTS_US[condition]:
@@ -99,7 +99,7 @@ class SensorInput:
     def _take_sensor(self, message: Message, now_us: int) -> None:
         self.sensor = message
         fields = message.fields_updated
-        # aiding first: the inertial sample ends the estimator's step
+        # aiding first: the inertial sample completes the estimator's step
         if fields & MAG_FIELDS == MAG_FIELDS and now_us >= self._mag_us:
             self._seen_us[_MAG] = now_us
             self._mag_us = now_us - now_us % self._mag_period_us + self._mag_period_us

@@ -1,13 +1,14 @@
-"""Heading from inertial sensors and GPS velocity alone: the second opinion that catches a wrong compass.
+"""Heading from inertial sensors and GPS velocity only: a second estimate that detects a wrong compass.
 
-In the manner of PX4's EKF-GSF: five small filters of horizontal velocity and heading start with headings
-spread over the circle; each turns what the accelerometers felt by its own heading, and the GPS velocity tells
-which of them is right. Weights are those of a Gaussian sum, the answer their mean and variance. It needs
-horizontal acceleration; in steady flight and at rest it learns nothing, and says so by its variance.
+After PX4's EKF-GSF: five small filters of horizontal velocity and heading start with headings spread over the
+circle. Each rotates the accelerometer's velocity changes by its own heading, and the GPS velocity weights
+them. The weights are those of a Gaussian sum; mean and variance of the sum are the result. It requires
+horizontal acceleration; in steady flight and at rest the variance stays large.
 
-PX4 carries a complementary attitude filter for each of the five. They differ by a turn about down alone, so
-here one is carried, in a level frame of arbitrary azimuth, and each model holds the azimuth of that frame.
-What was felt between two fixes is then one velocity change, and the five run at the GPS's rate.
+PX4 has one complementary attitude filter for each of the five. They differ only by a rotation about down, so
+this module has a single one, in a level frame of arbitrary azimuth, and each model estimates the azimuth of
+that frame. The acceleration between two fixes is integrated to one velocity change, so the five run at the
+GPS rate.
 
 Equations of the models: a state (north, east velocity; azimuth), predicted by v += R(azimuth) dv.
 """
@@ -32,31 +33,32 @@ from foundation.types import Array
 
 MODELS = 5
 TILT_GAIN_1_S = 0.2
-"""From tilt error to rate: the accelerometer is believed over 5 s, longer than a manoeuvre lasts."""
+"""From tilt error to rate: a time constant of 5 s, longer than a manoeuvre."""
 GYRO_BIAS_GAIN_1_S = 0.04
 GYRO_BIAS_LIMIT_RAD_S = 0.05
-"""Of what the complementary filter adds to the bias found at rest, per axis."""
+"""Limit of the complementary filter's correction to the bias at rest, per axis."""
 STILL_RATE_RAD_S = math.radians(10.0)
 ACCEL_LOW_PASS = 10.0
-"""The accelerometer is filtered this much faster than the tilt follows it."""
+"""The cutoff of the accelerometer's low-pass is this multiple of the tilt gain."""
 GRAVITY_TOLERANCE = 0.5
-"""Share of gravity by which the force may differ until it tells nothing of the tilt."""
+"""Fraction of gravity by which the force may differ before it is not used to correct the tilt."""
 VELOCITY_PSD_M2_S3 = 2.0**2 * 0.01
 AZIMUTH_PSD_RAD2_S = 0.1**2 * 0.01
-"""PX4's 2 m/s^2 and 0.1 rad/s per 10 ms: the tilt's error is in them."""
+"""PX4's 2 m/s^2 and 0.1 rad/s per 10 ms, which include the tilt error."""
 LEAST_ACCELERATION_M_S2 = 0.3
-"""What is felt below it is the tilt's own error (2 degrees): taken for more it narrows headings at rest."""
+"""A smaller acceleration can be a tilt error (2 degrees); using it would reduce the variance at rest."""
 LONGEST_GAP_S = 2.0
-"""After this long without a fix the velocities start anew, the headings stay."""
+"""After a longer gap between fixes the velocities are initialised again; the headings are kept."""
 BIAS_SHARE = 0.002
-"""Of the filter's gyro bias, taken over with each fix: gravity does not show that about down."""
+"""Fraction of the filter's gyro bias that each fix transfers; gravity does not make the one about down
+observable."""
 CLIPPED_SIGMA = 5.0
 LEAST_WEIGHT = 1e-5
 LEAST_VARIANCE = 1e-6
 VELOCITY_VAR_MAX_M2_S2 = 1e12
-"""Beyond any flight: a covariance that has come there is broken."""
+"""Exceeds that of any flight: a covariance beyond it is invalid."""
 AZIMUTH_VAR_MAX_RAD2 = math.pi**2
-"""A heading cannot be known less, however long the gap; more would only cost digits."""
+"""The greatest meaningful variance of a heading; a greater one would only cost precision."""
 
 # the complementary filter
 Q = 0
@@ -64,17 +66,17 @@ Q = 0
 FORCE = 4
 """(3,) low-passed specific force, FRD"""
 BIAS = 7
-"""(3,) gyro bias at the start, FRD"""
+"""(3,) initial gyro bias, FRD"""
 BIAS_CHANGE = 10
-"""(3,) since then"""
-FELT = 13
-"""(2,) velocity change in the level frame since the models took it"""
+"""(3,) change of the bias since then"""
+DELTA_VEL = 13
+"""(2,) velocity change in the level frame since the last update of the models"""
 ELAPSED = 15
 TILT = 16
 
 
 def level_start(q_ned_frd: Array, gyro_bias_rad_s: Array) -> Array:
-    """(TILT,) complementary filter of a vehicle at rest, whose attitude and gyro bias are known."""
+    """Return the complementary filter (TILT,) of a vehicle at rest with known attitude and gyro bias."""
     tilt = np.zeros(TILT)
     tilt[Q : Q + 4] = q_ned_frd
     tilt[FORCE : FORCE + 3] = quat_rotate(quat_conjugate(q_ned_frd), np.array([0.0, 0.0, -GRAVITY_M_S2]))
@@ -84,7 +86,7 @@ def level_start(q_ned_frd: Array, gyro_bias_rad_s: Array) -> Array:
 
 @njit(cache=True)
 def carry_level(tilt: Array, gyro_frd_rad_s: Array, accel_frd_m_s2: Array, dt_s: float) -> None:
-    """Move the complementary filter (TILT,) on by one inertial sample, in place (Mahony et al., 2008)."""
+    """Advance the complementary filter (TILT,) by one inertial sample, in place (Mahony et al., 2008)."""
     share = min(1.0, ACCEL_LOW_PASS * TILT_GAIN_1_S * dt_s)
     force_squared = 0.0
     rate_squared = 0.0
@@ -94,15 +96,15 @@ def carry_level(tilt: Array, gyro_frd_rad_s: Array, accel_frd_m_s2: Array, dt_s:
         rate_rad_s = gyro_frd_rad_s[i] - tilt[BIAS + i] - tilt[BIAS_CHANGE + i]
         rate_squared += rate_rad_s * rate_rad_s
     force_m_s2 = math.sqrt(force_squared)
-    strangeness = abs(force_m_s2 / GRAVITY_M_S2 - 1.0) / GRAVITY_TOLERANCE
+    deviation = abs(force_m_s2 / GRAVITY_M_S2 - 1.0) / GRAVITY_TOLERANCE
     w, x, y, z = tilt[Q], tilt[Q + 1], tilt[Q + 2], tilt[Q + 3]
     down_x = 2.0 * (x * z - w * y)
     down_y = 2.0 * (y * z + w * x)
     down_z = 1.0 - 2.0 * (x * x + y * y)
     gain = 0.0
-    if strangeness < 1.0:
-        likeness = 1.0 - strangeness
-        gain = TILT_GAIN_1_S * likeness * likeness / force_m_s2
+    if deviation < 1.0:
+        agreement = 1.0 - deviation
+        gain = TILT_GAIN_1_S * agreement * agreement / force_m_s2
     correction = (
         gain * (down_y * tilt[FORCE + 2] - down_z * tilt[FORCE + 1]),
         gain * (down_z * tilt[FORCE] - down_x * tilt[FORCE + 2]),
@@ -123,21 +125,21 @@ def carry_level(tilt: Array, gyro_frd_rad_s: Array, accel_frd_m_s2: Array, dt_s:
     q_mid = multiply((tilt[Q], tilt[Q + 1], tilt[Q + 2], tilt[Q + 3]), half_turn)
     force_level_m_s2 = rotate(q_mid, (accel_frd_m_s2[0], accel_frd_m_s2[1], accel_frd_m_s2[2]))
     tilt[Q], tilt[Q + 1], tilt[Q + 2], tilt[Q + 3] = normalise(multiply(q_mid, half_turn))
-    tilt[FELT] += dt_s * force_level_m_s2[0]
-    tilt[FELT + 1] += dt_s * force_level_m_s2[1]
+    tilt[DELTA_VEL] += dt_s * force_level_m_s2[0]
+    tilt[DELTA_VEL + 1] += dt_s * force_level_m_s2[1]
     tilt[ELAPSED] += dt_s
 
 
 @njit(cache=True)
 def azimuth_of(q_ned_frd: Array, tilt: Array) -> float:
-    """Azimuth of the level frame that an attitude implies: the turn about down between them, any tilt."""
+    """Return the azimuth of the level frame implied by an attitude: the rotation about down between them."""
     between = quat_multiply(q_ned_frd, quat_conjugate(tilt[Q : Q + 4]))
     return 2.0 * math.atan2(between[3], between[0])
 
 
 @njit(cache=True)
 def start_models(models: Array, covs: Array, weights: Array, vel_ne_m_s: Array, vel_var: float) -> None:
-    """Spread the headings over the circle, each knowing only that it is the nearest."""
+    """Initialise the models with headings spread over the circle, each with the variance of the spacing."""
     spacing_rad = 2.0 * math.pi / MODELS
     covs[:] = 0.0
     for i in range(MODELS):
@@ -151,12 +153,12 @@ def start_models(models: Array, covs: Array, weights: Array, vel_ne_m_s: Array, 
 
 
 @njit(cache=True)
-def predict_model(model: Array, cov: Array, felt_x: float, felt_y: float, dt_s: float) -> None:
-    """Move one model (3,) and its covariance (3, 3) over the time between two fixes, in place."""
+def predict_model(model: Array, cov: Array, dvel_x: float, dvel_y: float, dt_s: float) -> None:
+    """Predict one model (3,) and its covariance (3, 3) over the time between two fixes, in place."""
     cos, sin = math.cos(model[2]), math.sin(model[2])
-    model[0] += cos * felt_x - sin * felt_y
-    model[1] += sin * felt_x + cos * felt_y
-    by_azimuth = np.array([-sin * felt_x - cos * felt_y, cos * felt_x - sin * felt_y, 0.0])
+    model[0] += cos * dvel_x - sin * dvel_y
+    model[1] += sin * dvel_x + cos * dvel_y
+    by_azimuth = np.array([-sin * dvel_x - cos * dvel_y, cos * dvel_x - sin * dvel_y, 0.0])
     for j in range(3):
         for i in range(2):
             cov[i, j] += by_azimuth[i] * cov[2, j]
@@ -172,14 +174,15 @@ def predict_model(model: Array, cov: Array, felt_x: float, felt_y: float, dt_s: 
 def update_model(model: Array, cov: Array, vel_ne_m_s: Array, vel_var: float) -> float:
     """Fuse a velocity (2,) into one model, in place; return the measurement's likelihood.
 
-    An innovation of more than 5 sigma is shortened to that: a wild fix must not end a hypothesis. Where the
-    innovation's covariance has lost its digits nothing is fused, and the likelihood is zero.
+    An innovation of more than 5 sigma is clipped to 5 sigma, so that one outlier does not eliminate a
+    hypothesis. If the innovation's covariance is numerically invalid nothing is fused, and the likelihood is
+    zero.
     """
     s_nn, s_ee, s_ne = cov[0, 0] + vel_var, cov[1, 1] + vel_var, cov[0, 1]
-    if not (s_nn < VELOCITY_VAR_MAX_M2_S2 and s_ee < VELOCITY_VAR_MAX_M2_S2):  # nor not-a-number
+    if not (s_nn < VELOCITY_VAR_MAX_M2_S2 and s_ee < VELOCITY_VAR_MAX_M2_S2):  # also not-a-number
         return 0.0
     determinant = s_nn * s_ee - s_ne * s_ne
-    if not determinant >= 0.5 * vel_var * vel_var:  # vel_var^2 is the least that it can be
+    if not determinant >= 0.5 * vel_var * vel_var:  # exact arithmetic gives at least vel_var^2
         return 0.0
     north, east = vel_ne_m_s[0] - model[0], vel_ne_m_s[1] - model[1]
     squared = (s_ee * north * north - 2.0 * s_ne * north * east + s_nn * east * east) / determinant
@@ -206,12 +209,12 @@ def update_model(model: Array, cov: Array, vel_ne_m_s: Array, vel_var: float) ->
 def fuse_velocity(
     tilt: Array, models: Array, covs: Array, weights: Array, vel_ne_m_s: Array, vel_var: float
 ) -> tuple[float, float]:
-    """Bring all models to a GPS velocity (2,); give the sum's azimuth and its variance."""
+    """Update all models with a GPS velocity (2,); return azimuth and variance of the Gaussian sum."""
     dt_s = tilt[ELAPSED]
-    felt_x, felt_y = tilt[FELT], tilt[FELT + 1]
-    tilt[FELT] = tilt[FELT + 1] = tilt[ELAPSED] = 0.0
-    felt_m_s = math.hypot(felt_x, felt_y)
-    known = max(0.0, 1.0 - LEAST_ACCELERATION_M_S2 * dt_s / felt_m_s) if felt_m_s > 0.0 else 0.0
+    dvel_x, dvel_y = tilt[DELTA_VEL], tilt[DELTA_VEL + 1]
+    tilt[DELTA_VEL] = tilt[DELTA_VEL + 1] = tilt[ELAPSED] = 0.0
+    dvel_m_s = math.hypot(dvel_x, dvel_y)
+    significant = max(0.0, 1.0 - LEAST_ACCELERATION_M_S2 * dt_s / dvel_m_s) if dvel_m_s > 0.0 else 0.0
     total = 0.0
     for i in range(MODELS):
         if dt_s > LONGEST_GAP_S:
@@ -221,7 +224,7 @@ def fuse_velocity(
             covs[i, 2, 2] = min(covs[i, 2, 2] + AZIMUTH_PSD_RAD2_S * dt_s, AZIMUTH_VAR_MAX_RAD2)
             models[i, :2] = vel_ne_m_s
         else:
-            predict_model(models[i], covs[i], known * felt_x, known * felt_y, dt_s)
+            predict_model(models[i], covs[i], significant * dvel_x, significant * dvel_y, dt_s)
             weights[i] *= update_model(models[i], covs[i], vel_ne_m_s, vel_var)
         total += weights[i]
     if total > 0.0:
@@ -246,11 +249,11 @@ def fuse_velocity(
 
 
 class YawBank:
-    """The five models over a complementary filter (TILT,) that somebody else carries on."""
+    """The five models over a complementary filter (TILT,) that `horizon.advance` updates."""
 
     def __init__(self, tilt: Array) -> None:
         self.std_rad = math.inf
-        """One sigma of the heading."""
+        """Standard deviation of the heading."""
         self.weights = np.zeros(MODELS)
         self._tilt = tilt
         self._models = np.zeros((MODELS, 3))
@@ -259,11 +262,11 @@ class YawBank:
         self._started = False
 
     def fuse(self, vel_ne_m_s: Array, vel_std_m_s: float) -> None:
-        """Take a GPS velocity (2,) north and east that describes the complementary filter's moment."""
+        """Update with a GPS velocity (2,) north and east, at the time of the complementary filter."""
         vel_var = vel_std_m_s**2
         if not self._started:
             start_models(self._models, self._covs, self.weights, vel_ne_m_s, vel_var)
-            self._tilt[FELT:TILT] = 0.0
+            self._tilt[DELTA_VEL:TILT] = 0.0
             self._started = True
             return
         self._azimuth_rad, variance = fuse_velocity(
@@ -272,21 +275,21 @@ class YawBank:
         self.std_rad = math.sqrt(variance)
 
     def learn_gyro_bias(self, gyro_bias_rad_s: Array) -> None:
-        """Follow the filter's gyro bias (3,), so slowly that a few seconds of a wrong one do no harm."""
+        """Track the filter's gyro bias (3,), slowly enough that a wrong one has no effect within seconds."""
         bias = self._tilt[BIAS : BIAS + 3]
         bias += BIAS_SHARE * (gyro_bias_rad_s - bias - self._tilt[BIAS_CHANGE : BIAS_CHANGE + 3])
 
     @property
     def gyro_bias_rad_s(self) -> Array:
-        """(3,) FRD, what the complementary filter takes it for."""
+        """Gyro bias (3,) of the complementary filter, FRD."""
         bias: Array = self._tilt[BIAS : BIAS + 3] + self._tilt[BIAS_CHANGE : BIAS_CHANGE + 3]
         return bias
 
     def turn_rad(self, q_ned_frd: Array) -> float:
-        """Turn about down, in [-pi, pi], that brings an attitude's heading to the bank's."""
+        """Return the rotation about down, in [-pi, pi], from an attitude's heading to the bank's."""
         return math.remainder(self._azimuth_rad - azimuth_of(q_ned_frd, self._tilt), 2.0 * math.pi)
 
     def q_ned_frd(self) -> Array:
-        """(4,) attitude: the complementary filter's tilt with the bank's heading."""
+        """Return the attitude (4,): tilt of the complementary filter with the heading of the bank."""
         turn = quat_from_rotation_vector(np.array([0.0, 0.0, self._azimuth_rad]))
         return quat_multiply(turn, self._tilt[Q : Q + 4])

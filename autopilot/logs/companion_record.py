@@ -1,8 +1,8 @@
-"""What an on-board application beside a PX4 writes down: the vehicle's record, of PX4's messages and its own.
+"""Log of an on-board application beside a PX4: the vehicle record, from PX4's messages and its own estimate.
 
-The rows are those of `autopilot.logs.vehicle_record`, so that a flight of PX4s is analysed as any other.
-PX4's messages are not in step with the simulation: a row is of the newest ones, at the last instant of the
-log before, some 10 ms earlier at most. What PX4 does not tell, the causes of failsafes, is 0.
+The rows are those of `autopilot.logs.vehicle_record`, so that PX4 flights are analysed like any other. PX4's
+messages are not synchronous with the simulation: a row holds the newest ones, at the log's last instant
+before them, at most some 10 ms earlier. The causes of failsafes, which PX4 does not report, are 0.
 """
 
 import math
@@ -40,7 +40,7 @@ _NO_AXIS = (
 
 
 class CompanionLog:
-    """The log of one application; close it. Raises OSError for the file."""
+    """The log of one application; close it. Raises OSError if the file cannot be opened."""
 
     def __init__(self, config: VehicleConfig, path: str, app: OnboardApp) -> None:
         self._site = config.site
@@ -52,7 +52,7 @@ class CompanionLog:
         self._log = RecordLog(path, VEHICLE_RECORD)
 
     def on_message(self, message: Message) -> None:
-        """Take a message of PX4's link."""
+        """Store a message from PX4."""
         kind = message.get_msgId()
         is_px4s = (
             message.get_srcSystem() == self._system and message.get_srcComponent() == AUTOPILOT_COMPONENT
@@ -61,20 +61,20 @@ class CompanionLog:
             self._newest[kind] = message
 
     def write(self, now_us: int) -> None:
-        """Write a row if an instant of the log has come since the last, and PX4 has spoken."""
+        """Write a row if an instant of the log has passed since the last, and PX4 has sent a heartbeat."""
         at_us = now_us - now_us % self._period_us
         if at_us > self._written_us and _HEARTBEAT in self._newest:
             self._written_us = at_us
             self._log.append([self._row(at_us)])
 
     def close(self) -> None:
-        """Write the rest; harmless when repeated."""
+        """Flush and close; idempotent."""
         self._log.close()
 
     def _row(self, at_us: int) -> tuple[Any, ...]:
-        said = self._newest
-        beat, landed, status = said[_HEARTBEAT], said.get(_LANDED), said.get(_STATUS)
-        position, attitude = said.get(_POSITION), said.get(_ATTITUDE)
+        newest = self._newest
+        beat, landed, status = newest[_HEARTBEAT], newest.get(_LANDED), newest.get(_STATUS)
+        position, attitude = newest.get(_POSITION), newest.get(_ATTITUDE)
         origin_ned_m = self._origin_ned_m()
         armed = bool(beat.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED)
         known = position is not None and not math.isnan(origin_ned_m[0])
@@ -102,7 +102,7 @@ class CompanionLog:
         )
 
     def _origin_ned_m(self) -> Array:
-        """(3,) what to add to a local position; its height stays as it is."""
+        """(3,) offset to add to a local position; its height is unchanged."""
         origin = self._newest.get(_ORIGIN)
         if origin is None:
             return _UNKNOWN

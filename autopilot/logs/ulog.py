@@ -1,7 +1,7 @@
-"""A log in PX4's ULog format, version 1, of what a vehicle estimates and is asked to do.
+"""A log of a vehicle's estimates, setpoints and status in PX4's ULog format, version 1.
 
 Layout: https://docs.px4.io/main/en/dev_log/ulog_file_format.html. A header, definitions (flag bits, formats,
-what and who, parameters), then data: subscriptions, samples, changed parameters, texts. Pure: it gives bytes.
+information, parameters), then data: subscriptions, samples, changed parameters, texts. Pure: returns bytes.
 Timestamps are microseconds of simulated time. Positions are from the estimator's origin, in NED, in metres.
 """
 
@@ -30,20 +30,20 @@ Numbers = tuple[float, ...]
 
 
 class Topic(NamedTuple):
-    """A topic by PX4's name, and the fields of its samples after the timestamp, in their order."""
+    """A topic by PX4's name, and the fields of its samples after the timestamp, in order."""
 
     name: str
     fields: tuple[str, ...]
-    """C type and name, as in ``float[4] q``; the large ones first, so that nothing needs padding."""
+    """C type and name, as in ``float[4] q``; large types first, so that no padding is needed."""
 
     @property
     def format(self) -> str:
-        """Text of the format's definition."""
+        """Text of the format definition."""
         return f"{self.name}:uint64_t timestamp;" + "".join(f"{field};" for field in self.fields)
 
     @property
     def layout(self) -> struct.Struct:
-        """Of a sample."""
+        """Layout of a sample."""
         codes = "Q"
         for field in self.fields:
             kind, _, length = field.split(" ")[0].rstrip("]").partition("[")
@@ -75,7 +75,7 @@ TOPICS = (
         "uint8_t system_id", "bool failsafe",
     )),
 )  # fmt: skip
-"""By the numbers of their subscriptions."""
+"""Indexed by subscription id."""
 _LAYOUTS = tuple(topic.layout for topic in TOPICS)
 
 NAV_STATES = {
@@ -86,16 +86,16 @@ NAV_STATES = {
 }  # fmt: skip
 """PX4's vehicle_status.nav_state"""
 _OTHER_STATE = 21
-"""Orbit, the one that has a number of its own in PX4 alone."""
+"""Orbit, the only other mode; 21 is NAVIGATION_STATE_ORBIT."""
 _STANDBY, _ARMED = 1, 2
 _ROTARY_WING = 1
 
 
 class UlogWriter:
-    """Gives the bytes of one log, piece after piece."""
+    """Returns the bytes of one log, piece by piece."""
 
     def __init__(self, name: str, parameters: ParameterSet) -> None:
-        """Begin the log of a vehicle that goes by a name."""
+        """``name`` is the vehicle's name in the log."""
         self._name = name
         self._parameters = parameters
         self._version = -1
@@ -103,7 +103,7 @@ class UlogWriter:
         self._armed_us: int | None = None
 
     def begin(self, now_us: int) -> bytes:
-        """Header and definitions."""
+        """Return header and definitions."""
         data = _HEADER.pack(MAGIC, VERSION, now_us) + _message("B", bytes(40))
         for topic in TOPICS:
             data += _message("F", topic.format.encode())
@@ -115,7 +115,7 @@ class UlogWriter:
         return data
 
     def samples(self, vehicle: "Vehicle") -> bytes:
-        """Sample of each topic that has something to say, and parameters that have changed since the last."""
+        """Return a sample of each topic that has data, and parameters that changed since the last call."""
         now_us = vehicle.flight.now_us
         commander = vehicle.commander
         if not commander.armed:
@@ -133,17 +133,17 @@ class UlogWriter:
         )
         for number, (layout, sample) in enumerate(zip(_LAYOUTS, values, strict=True)):
             if sample is not None:
-                with contextlib.suppress(OverflowError):  # of an estimate that is none any more
+                with contextlib.suppress(OverflowError):  # the estimate has diverged
                     data += _message("D", struct.pack("<H", number) + layout.pack(now_us, *sample))
         return data
 
     @staticmethod
     def text(severity: int, now_us: int, text: str) -> bytes:
-        """A text that was said to the stations; ``severity`` is MAV_SEVERITY's number, as of syslog."""
+        """Return a text that was sent to the stations; ``severity`` is MAV_SEVERITY, as in syslog."""
         return _message("L", struct.pack("<BQ", ord("0") + severity, now_us) + text.encode())
 
     def _changed_parameters(self) -> bytes:
-        """Parameters whose values are not in the log yet."""
+        """Return the parameters whose values are not in the log yet."""
         self._version = self._parameters.version
         data = b""
         for row in ROWS:

@@ -1,4 +1,4 @@
-"""What one vehicle records of itself: a row of fixed layout per period, later laid beside the truth."""
+"""The record of one vehicle: a row of fixed layout per period, later compared with the true state."""
 
 import math
 from struct import Struct
@@ -29,23 +29,24 @@ VEHICLE_RECORD = np.dtype(
         ("setpoint_pos_ned_m", "f8", 3),
     ]
 )
-"""Positions are in the site's frame and NaN while not known. ``mode`` is PX4's custom mode, ``phase`` the
+"""Positions are in the site's frame and NaN while unknown. ``mode`` is PX4's custom mode, ``phase`` the
 on-board application's (255 without one), ``causes`` the bits of `autopilot.commander.failsafe.Cause`. The
-estimator's and the setpoint's height is over the ground of the start, as the barometer gives it: the origin's
-GPS altitude is left out. ``gps_pos_ned_m`` is the last fix, of 0.12 s before it came. ``correction_ned_m`` is
-what the application takes off the estimator's position to get its own; ``odometry_offset_ned_m`` is the part
-of that which ranging and everybody's GPS make, and stands still while nothing comes over the radio."""
+heights of estimator and setpoint are above the ground of the start, from the barometer: the origin's GPS
+altitude is left out. ``gps_pos_ned_m`` is the last fix, measured 0.12 s before its arrival.
+``correction_ned_m`` is what the application subtracts from the estimator's position to get its own estimate.
+``odometry_offset_ned_m`` is the part of it that comes from ranging and all vehicles' GPS, and is constant
+while no radio data arrive."""
 
 _ROW = Struct("<q?IB??If" + "3d3f4f" + "3d3d" + "3f3f3f" + "3d")
-"""The same row for `struct`: a tenth of what numpy takes to make one of a tuple with arrays in it."""
+"""The same row for `struct`: a tenth of numpy's time to build one from a tuple with arrays."""
 _SINGLE_MAX = 3.402823e38
-"""What is beyond that `struct` does not take for a float32: an estimate gone wild is still written down."""
+"""Limit beyond which `struct` raises for a float32; diverged estimates are clamped and recorded."""
 
 NO_PHASE = 255
 
 
 def record(vehicle: Vehicle) -> bytes:
-    """Row of `VEHICLE_RECORD` of the vehicle as it is after its last step."""
+    """Return the row of `VEHICLE_RECORD` for the vehicle's state after its last step."""
     flight, app = vehicle.flight, vehicle.app
     state, commander = flight.state, flight.commander
     north_m, east_m, down_m = state.pos_ned_m.tolist()

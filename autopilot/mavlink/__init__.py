@@ -1,1 +1,1 @@
-"""MAVLink at the edge: bytes, PX4's modes and the UDP link. The services are in `autopilot.services`."""
+"""MAVLink framing, signing, PX4's mode numbers and the UDP link. The services are in `autopilot.services`."""

@@ -1,8 +1,8 @@
-"""Bytes to MAVLink messages and back, for both versions of the protocol, in pymavlink's ``common`` dialect.
+"""Framing of MAVLink 1 and 2 messages, in pymavlink's ``common`` dialect.
 
-pymavlink packs and unpacks the messages. The framing is done here, because its own parser throws away a
-whole frame's length after one wrong byte and cannot be told that a datagram has ended. Input is hostile:
-nothing raises.
+pymavlink packs and unpacks the messages. The framing is done here, because its own parser discards a whole
+frame's length after one wrong byte and has no notion of the end of a datagram. Input is untrusted: nothing
+raises.
 """
 
 import re
@@ -12,7 +12,7 @@ from typing import TypeAlias
 from fastcrc import crc16
 from pymavlink.dialects.v20 import common
 
-from autopilot.mavlink import dialect  # noqa: F401  # completes the dialect: without it nobody should parse
+from autopilot.mavlink import dialect  # noqa: F401  # completes the dialect before anything is parsed
 from autopilot.mavlink.counters import Counters
 from autopilot.mavlink.signing import INCOMPAT_SIGNED, SIGNATURE_BYTES, SignatureVerdict, Signer
 
@@ -24,22 +24,21 @@ _HEADER_BYTES = {_MAGIC_V1: 6, _MAGIC_V2: 10}
 _CHECKSUM = Struct("<H")
 _FIRST_CHECKED = 1
 _FLAGS, _SEQUENCE, _COMPONENT, _KIND = 2, 4, 6, 7
-"""Where they stand in a frame of MAVLink 2."""
+"""Offsets in a frame of MAVLink 2."""
 _KIND_V1 = 5
 _SIZING = common.MAVLink(None)
 _CRC_EXTRA = {kind: bytes([made.crc_extra]) for kind, made in common.mavlink_map.items()}
 
 
 class Parser:
-    """Takes bytes as they come and returns the messages in them.
+    """Parses bytes into messages.
 
-    After bytes that are no message it searches on from the next, so a broken frame never hides a whole one.
-    With a signer only what is signed by its key comes out.
+    After bytes that are no message the search resumes at the next byte, so a broken frame never hides a
+    complete one. With a signer only messages signed with its key are returned.
 
     Attributes:
-        looked_at: beginnings of frames so far, right and wrong. Work is in proportion to it: a wrong one
-            costs a checksum over 280 bytes at most, a right one its unpacking.
-
+        looked_at: number of apparent frames so far, right and wrong. Work is proportional to it: a wrong
+            one costs a checksum over at most 280 bytes, a right one its unpacking.
     """
 
     def __init__(self, signer: Signer | None = None) -> None:
@@ -51,7 +50,7 @@ class Parser:
 
     @property
     def bad_bytes(self) -> int:
-        """Bytes that belonged to no message of the dialect with a right checksum."""
+        """Count of bytes that belonged to no message of the dialect with a right checksum."""
         return self.counters.bytes_bad
 
     def push(self, data: bytes) -> list[Message]:
@@ -62,7 +61,7 @@ class Parser:
     def push_datagram(self, data: bytes, now: int = 0) -> list[Message]:
         """Messages in a datagram; a frame that does not end in it is bad.
 
-        ``now`` is the wall clock in the units of signatures, for the signer.
+        ``now`` is the wall clock in units of signatures, for the signer.
         """
         self._buffer[:] = data
         return self._parse(ended=True, now=now)
@@ -97,13 +96,13 @@ class Parser:
         return messages
 
     def _is_right(self, buffer: bytearray, begin: int, end: int) -> bool:
-        """Whether a frame of full length is one of the dialect, by its checksum, and may be read."""
+        """Whether a complete frame is in the dialect, has a right checksum, and may be parsed."""
         if buffer[begin] == _MAGIC_V1:
             kind = buffer[begin + _KIND_V1]
         else:
             flags = buffer[begin + _FLAGS]
             if flags & ~INCOMPAT_SIGNED:
-                # the sender says that whoever does not know the flag must not read on
+                # an unknown incompatibility flag: the frame must not be parsed
                 self.counters.frames_incompatible += 1
                 return False
             kind = int.from_bytes(buffer[begin + _KIND : begin + _HEADER_BYTES[_MAGIC_V2]], "little")
@@ -150,7 +149,7 @@ class Encoder:
         self._own = (system, component)
 
     def encode(self, message: Message) -> bytes:
-        """Pack a message; one that carries a source (see `stamp`) keeps it, as forwarded messages must."""
+        """Pack a message; one with a source (see `stamp`) keeps it, as required for forwarded messages."""
         link = self._mavlink
         source = (message.get_srcSystem(), message.get_srcComponent())
         link.srcSystem, link.srcComponent = source if source[0] else self._own
@@ -159,7 +158,7 @@ class Encoder:
         return frame
 
     def encode_for(self, message: Message, sequences: "Sequences") -> bytes:
-        """Pack a message for a partner, whose next number it takes."""
+        """Pack a message with the next sequence number of a partner."""
         header, link = message.get_header(), self._mavlink
         own_system, own_component = self._own
         link.srcSystem = header.srcSystem or own_system
@@ -170,52 +169,52 @@ class Encoder:
 
 
 class Sequences:
-    """The sequence numbers of what one partner is sent.
+    """The sequence numbers of the frames that are sent to one partner.
 
-    Each source counts its own, as receivers do, and counts only what this partner hears: a gap is a loss.
+    Each source has its own count, as receivers expect, of frames to this partner only: a gap is a loss.
     """
 
     def __init__(self) -> None:
         self._next: dict[int, int] = {}
-        """By component; everything is of one system."""
+        """By component; all are of one system."""
 
     def take(self, component: int) -> int:
-        """Number of a component's next frame, which is about to be sent."""
+        """Return a component's next number and advance it."""
         sequence = self._next.get(component, 0)
         self._next[component] = (sequence + 1) & 0xFF
         return sequence
 
     def renumber(self, frame: bytes, kind: int) -> bytes:
-        """Give a frame of MAVLink 2 that was packed for another partner the number that is next here."""
+        """Give a MAVLink 2 frame that was packed for another partner the next number of this one."""
         sequence = self.take(frame[_COMPONENT])
         return frame if frame[_SEQUENCE] == sequence else _resealed(frame, kind, 0, sequence)
 
 
 def signed(frame: bytes, kind: int, signer: Signer, now: int) -> bytes:
-    """Sign an unsigned frame of MAVLink 2, at that wall clock; see `signing`."""
+    """Sign an unsigned frame of MAVLink 2 at wall time ``now``; see `signing`."""
     return signer.sign(_resealed(frame, kind, INCOMPAT_SIGNED, frame[_SEQUENCE]), now)
 
 
 def stamp(message: Message, *, system: int, component: int) -> Message:
-    """Write the source into a message that is handed over without being packed, and return it."""
+    """Write the source into a message that is passed on without being packed, and return it."""
     header = message.get_header()
     header.srcSystem, header.srcComponent = system, component
     return message
 
 
 def frame_bytes(message: Message) -> int:
-    """Length of the unsigned frame of MAVLink 2 that a message becomes."""
+    """Length of a message's unsigned MAVLink 2 frame in bytes."""
     header = message.get_header()
     _SIZING.srcSystem, _SIZING.srcComponent = (
         header.srcSystem,
         header.srcComponent,
-    )  # packing writes them there
+    )  # packing overwrites them
     frame: bytes = message.pack(_SIZING)
     return len(frame)
 
 
 def _resealed(frame: bytes, kind: int, flags: int, sequence: int) -> bytes:
-    """Frame with other flags and sequence number, and the checksum that belongs to them."""
+    """Frame with other flags and sequence number, and the matching checksum."""
     changed = bytearray(frame)
     changed[_FLAGS], changed[_SEQUENCE] = flags, sequence
     end = len(changed) - _CHECKSUM.size
@@ -225,7 +224,7 @@ def _resealed(frame: bytes, kind: int, flags: int, sequence: int) -> bytes:
 
 
 def _frame_bytes(buffer: bytearray, at: int) -> int | None:
-    """Length of the frame that begins at ``at``, or None while its header is not there."""
+    """Length of the frame that begins at ``at``, or None if its header is incomplete."""
     magic = buffer[at]
     header_bytes = _HEADER_BYTES[magic]
     if len(buffer) - at < header_bytes:

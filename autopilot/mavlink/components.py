@@ -1,4 +1,4 @@
-"""MAVLink component numbers of what a vehicle is made of."""
+"""MAVLink component ids of a vehicle's components."""
 
 from pymavlink.dialects.v20 import common
 

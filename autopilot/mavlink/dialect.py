@@ -1,7 +1,7 @@
-"""Messages of MAVLink's common set that the installed dialect does not have, or has without their extensions.
+"""Messages of MAVLink's common set that the installed dialect lacks, or has without their extensions.
 
-Importing this module makes the dialect know them, so that they are packed and parsed like any other;
-`autopilot.mavlink.codec` does. A message is a row: its fields in the order of the wire, extensions last.
+Importing this module, as `autopilot.mavlink.codec` does, adds them to the dialect, so that they are packed
+and parsed like any other. A message is declared by its fields in wire order, extensions last.
 """
 
 import struct
@@ -17,27 +17,27 @@ _CODES = {
 
 
 class Field(NamedTuple):
-    """A field of a message: its name, C type and, of an array, length."""
+    """A field of a message: its name, C type and, for an array, length."""
 
     name: str
     kind: str
     length: int = 0
 
     def code(self) -> str:
-        """Give its format for `struct`."""
+        """Return its format for `struct`."""
         if self.kind == "char":
             return f"{self.length}s"
         return f"{self.length or ''}{_CODES[self.kind]}"
 
     def zero(self) -> Any:  # noqa: ANN401  # a number, a text or a list
-        """Give its value where nothing is said."""
+        """Return its default value."""
         if self.kind == "char":
             return ""
         return [0] * self.length if self.length else 0
 
 
 class _Declared(common.MAVLink_message):  # type: ignore[misc]  # pymavlink has no types
-    """What the classes that `declare` makes have in common; their attributes are those of generated ones."""
+    """Base of the classes that `declare` makes; their attributes are those of generated classes."""
 
     fields: ClassVar[tuple[Field, ...]]
     instance_field: ClassVar[str | None] = None
@@ -47,7 +47,7 @@ class _Declared(common.MAVLink_message):  # type: ignore[misc]  # pymavlink has 
     fieldunits_by_name: ClassVar[dict[str, str]] = {}
 
     def __init__(self, *values: Any, **named: Any) -> None:  # noqa: ANN401  # numbers, bytes and lists
-        """Take the fields' values in the order of ``fieldnames`` or by name; what is not given is zero."""
+        """Set the fields in the order of ``fieldnames`` or by name; the default is zero."""
         common.MAVLink_message.__init__(self, self.id, self.msgname)
         self._fieldnames = self.fieldnames
         self._instance_field, self._instance_offset = self.instance_field, self.instance_offset
@@ -61,7 +61,7 @@ class _Declared(common.MAVLink_message):  # type: ignore[misc]  # pymavlink has 
             setattr(self, field.name, value)
 
     def pack(self, mav: common.MAVLink, force_mavlink1: bool = False) -> bytes:  # noqa: FBT001, FBT002  as generated
-        """Give the whole frame, with the sender's numbers of ``mav``."""
+        """Return the whole frame, with the source of ``mav``."""
         values: list[Any] = []
         for field in self.fields:
             value = getattr(self, field.name)
@@ -79,11 +79,11 @@ class _Declared(common.MAVLink_message):  # type: ignore[misc]  # pymavlink has 
 def declare(
     name: str, message_id: int, crc_extra: int, *fields: Field, order: Sequence[str] = ()
 ) -> type[Any]:
-    """Make the class of a message as pymavlink's generator would, and have the dialect know it.
+    """Make a message class like pymavlink's generator, and add it to the dialect.
 
-    ``fields`` are in the order of the wire; ``order`` has their names as the class's arguments come, where
-    that is another. Extensions do not enter ``crc_extra``, so that a class with more of them may take the
-    place of the dialect's own.
+    ``fields`` are in wire order; ``order`` has their names in the order of the class's arguments, if it
+    differs. Extensions are not part of ``crc_extra``, so a class with more of them may replace the dialect's
+    own.
     """
     wire = [field.name for field in fields]
     arguments = list(order) or wire
@@ -118,7 +118,7 @@ EscStatus = declare(
     Field("current", "float", 4), Field("index", "uint8_t"),
     order=("index", "time_usec", "rpm", "voltage", "current"),
 )  # fmt: skip
-"""Speeds in rpm, voltages in V, currents in A of four motors from the ``index``-th on."""
+"""Speed in rpm, voltage in V and current in A of four motors, from motor ``index`` on."""
 
 ProtocolVersion = declare(
     "PROTOCOL_VERSION", 300, 217,
@@ -169,4 +169,4 @@ SetAttitudeTarget = declare(
         "body_pitch_rate", "body_yaw_rate", "thrust", "thrust_body",
     ),
 )  # fmt: skip
-"""With the extension that carries a thrust vector."""
+"""With the extension for a thrust vector."""

@@ -1,7 +1,7 @@
-"""MAVLink 2's frames in compiled code: where what lies, the checksum, and whether one is whole.
+"""MAVLink 2 frames in compiled code: field offsets, checksum and validation.
 
-For those who make or take the same kind of frame all the time. Their buffers have room before the frame, so
-that its payload is aligned for the numbers in it.
+For code that packs or parses the same kind of frame at a high rate. Buffers have spare bytes before the
+frame, so that the payload is aligned.
 """
 
 import numpy as np
@@ -12,16 +12,16 @@ Octets = NDArray[np.uint8]
 MAGIC = 0xFD
 HEADER_BYTES, CHECKSUM_BYTES = 10, 2
 FIRST = 6
-"""Where a frame begins in its buffer."""
+"""Offset of the frame in its buffer."""
 PAYLOAD = FIRST + HEADER_BYTES
 LENGTH, INCOMPATIBLE, SEQUENCE, KIND = FIRST + 1, FIRST + 2, FIRST + 4, FIRST + 7
-"""Of the payload, flags that whoever does not know them must not read on, number, kind in three bytes."""
+"""Offsets of payload length, incompatibility flags, sequence number, and message id (three bytes)."""
 NO_FRAME = -1
 _START = 0xFFFF
 
 
 def _table() -> NDArray[np.int64]:
-    """Of each byte: x^16 + x^12 + x^5 + 1, bits reversed."""
+    """Checksums of all bytes, for the polynomial x^16 + x^12 + x^5 + 1, bits reversed."""
     crc = np.arange(256, dtype=np.int64)
     for _ in range(8):
         crc = np.where(crc & 1, (crc >> 1) ^ 0x8408, crc >> 1)
@@ -33,7 +33,7 @@ _TABLE = _table()
 
 @njit(cache=True)
 def checksum(octets: Octets, first: int, end: int, extra: int) -> int:
-    """CRC-16/MCRF4XX of ``octets[first:end]`` and of the byte ``extra`` that is peculiar to the kind."""
+    """CRC-16/MCRF4XX of ``octets[first:end]`` and of the message's CRC_EXTRA byte."""
     crc = _START
     for at in range(first, end):
         crc = (crc >> 8) ^ _TABLE[(crc ^ np.int64(octets[at])) & 0xFF]
@@ -42,9 +42,9 @@ def checksum(octets: Octets, first: int, end: int, extra: int) -> int:
 
 @njit(cache=True)
 def payload_bytes(octets: Octets, size: int, kind: int, extra: int) -> int:
-    """Length of the payload, if ``size`` bytes from `FIRST` on are one right, unsigned frame of this kind.
+    """Payload length, if ``size`` bytes from `FIRST` on are one valid, unsigned frame of this message id.
 
-    NO_FRAME: they are anything else. Kinds are below 256.
+    NO_FRAME otherwise. Message ids must be below 256.
     """
     length = int(octets[LENGTH])
     if size != HEADER_BYTES + length + CHECKSUM_BYTES or octets[FIRST] != MAGIC:
@@ -59,7 +59,7 @@ def payload_bytes(octets: Octets, size: int, kind: int, extra: int) -> int:
 
 @njit(cache=True)
 def seal(octets: Octets, sequence: int, extra: int) -> None:
-    """Number a frame that begins at `FIRST`, and write the checksum behind its payload."""
+    """Write sequence number and checksum of a frame that begins at `FIRST`."""
     octets[SEQUENCE] = sequence
     end = PAYLOAD + int(octets[LENGTH])
     crc = checksum(octets, FIRST + 1, end, extra)

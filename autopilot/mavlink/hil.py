@@ -1,13 +1,11 @@
-"""The messages that cross a simulator's link all the time, packed and unpacked by `struct`.
+"""The high-rate messages of the simulator link, packed and unpacked by `struct`.
 
-HIL_SENSOR, HIL_GPS and ESC_STATUS go to the vehicle, HIL_ACTUATOR_CONTROLS comes back; both ends live here
-because either is the other's test. Everything else on the link goes through the general codec, in its place
-between them. Fields have pymavlink's names, so the values stand wherever a pymavlink message of that kind
-would.
+HIL_SENSOR, HIL_GPS and ESC_STATUS are sent to the vehicle, HIL_ACTUATOR_CONTROLS is its answer. Both
+directions are defined here, so that each can test the other. All other messages pass through the general
+codec, in their order. Fields have pymavlink's names, so these classes can replace pymavlink's messages.
 
 Wire format: MAVLink 2 (https://mavlink.io/en/guide/serialization.html): fields sorted by size, trailing zeros
-of the payload cut off, CRC-16/MCRF4XX over all but the magic byte and over one byte more that is peculiar to
-the message.
+of the payload cut off, CRC-16/MCRF4XX over all but the magic byte and over the message's CRC_EXTRA byte.
 """
 
 from collections.abc import Sequence
@@ -22,20 +20,20 @@ from autopilot.mavlink.dialect import ESC_STATUS
 from autopilot.mavlink.frame import CHECKSUM_BYTES, HEADER_BYTES, MAGIC
 
 _BEGINNING = Struct("<BBB4xHB")
-"""Of the header: magic, payload's length, incompatible flags, kind (24 bit)."""
+"""Start of the header: magic, payload length, incompatibility flags, message id (24 bit)."""
 _CHECKED = Struct("<BBBBBBHB")
-"""All but the magic byte: length, incompatible and compatible flags, sequence, system, component, kind."""
+"""Header without magic: length, incompatible and compatible flags, sequence, system, component, id."""
 _MAGIC_BYTE = bytes([MAGIC])
 _FIRST_CHECKED = 1
 _made = tuple.__new__
-"""A named tuple of a tuple with its fields, without a function of Python's own."""
+"""Makes a named tuple from a tuple of its fields without a call of a Python function."""
 HIL_SENSOR: Final[int] = common.MAVLINK_MSG_ID_HIL_SENSOR
 HIL_GPS: Final[int] = common.MAVLINK_MSG_ID_HIL_GPS
 HIL_ACTUATOR_CONTROLS: Final[int] = common.MAVLINK_MSG_ID_HIL_ACTUATOR_CONTROLS
 
 
 class HilSensor(NamedTuple):
-    """HIL_SENSOR: body FRD, m/s^2, rad/s, gauss, hPa, m, degC; what is new is told by ``fields_updated``."""
+    """HIL_SENSOR: body FRD, m/s^2, rad/s, gauss, hPa, m, degC; ``fields_updated`` marks the new values."""
 
     time_usec: int
     xacc: float
@@ -53,7 +51,7 @@ class HilSensor(NamedTuple):
     temperature: float
     fields_updated: int
     id: int = 0
-    """Number of the sensor set; 0 is the vehicle's clock."""
+    """Number of the sensor set; set 0 drives the vehicle's clock."""
 
     @classmethod
     def from_payload(cls, payload: bytes) -> Self:
@@ -61,16 +59,16 @@ class HilSensor(NamedTuple):
         return _made(cls, _SENSOR.fields.unpack(payload))
 
     def payload(self) -> bytes:
-        """Pack it, trailing zeros included. Raises struct.error or OverflowError for what does not fit."""
+        """Pack with trailing zeros. Raises struct.error or OverflowError for values out of range."""
         return _SENSOR.fields.pack(*self)
 
     def get_msgId(self) -> int:  # noqa: N802  as pymavlink's messages have it
-        """Give the kind of message."""
+        """Return the message id."""
         return HIL_SENSOR
 
 
 class HilGps(NamedTuple):
-    """HIL_GPS: degrees * 1e7, mm above the sea, cm, cm/s NED, centidegrees."""
+    """HIL_GPS: degrees * 1e7, mm above sea level, cm, cm/s NED, centidegrees."""
 
     time_usec: int
     fix_type: int
@@ -95,19 +93,19 @@ class HilGps(NamedTuple):
         return _made(cls, (time_usec, fix_type, *fields, satellites, id_, yaw))
 
     def payload(self) -> bytes:
-        """Pack it, trailing zeros included. Raises struct.error for what does not fit."""
+        """Pack with trailing zeros. Raises struct.error for values out of range."""
         time_usec, fix_type, *fields, satellites, id_, yaw = self
         return _GPS.fields.pack(time_usec, *fields, fix_type, satellites, id_, yaw)
 
     def get_msgId(self) -> int:  # noqa: N802  as pymavlink's messages have it
-        """Give the kind of message."""
+        """Return the message id."""
         return HIL_GPS
 
 
 class EscReport(NamedTuple):
-    """ESC_STATUS: rpm, V and A of four motors from the ``index``-th on."""
+    """ESC_STATUS: rpm, V and A of four motors, from motor ``index`` on."""
 
-    index: int  # type: ignore[assignment]  # what ESC_STATUS calls it, and tuples something else
+    index: int  # type: ignore[assignment]  # ESC_STATUS's name, which shadows a tuple's method
     time_usec: int
     rpm: Sequence[int]
     voltage: Sequence[float]
@@ -120,16 +118,16 @@ class EscReport(NamedTuple):
         return _made(cls, (values[13], values[0], values[1:5], values[5:9], values[9:13]))
 
     def payload(self) -> bytes:
-        """Pack it, trailing zeros included. Raises struct.error or OverflowError for what does not fit."""
+        """Pack with trailing zeros. Raises struct.error or OverflowError for values out of range."""
         return _ESCS.fields.pack(self.time_usec, *self.rpm, *self.voltage, *self.current, self.index)
 
     def get_msgId(self) -> int:  # noqa: N802  as pymavlink's messages have it
-        """Give the kind of message."""
+        """Return the message id."""
         return ESC_STATUS
 
 
 class HilActuatorControls(NamedTuple):
-    """HIL_ACTUATOR_CONTROLS: what the motors are told, in answer to the HIL_SENSOR of ``time_usec``."""
+    """HIL_ACTUATOR_CONTROLS: motor commands, in answer to the HIL_SENSOR of ``time_usec``."""
 
     time_usec: int
     controls: Sequence[float]
@@ -145,11 +143,11 @@ class HilActuatorControls(NamedTuple):
         return cls(time_usec, controls, mode, flags)
 
     def payload(self) -> bytes:
-        """Pack it, trailing zeros included. Raises struct.error or OverflowError for what does not fit."""
+        """Pack with trailing zeros. Raises struct.error or OverflowError for values out of range."""
         return _ACTUATORS.fields.pack(self.time_usec, self.flags, *self.controls, self.mode)
 
     def get_msgId(self) -> int:  # noqa: N802  as pymavlink's messages have it
-        """Give the kind of message."""
+        """Return the message id."""
         return HIL_ACTUATOR_CONTROLS
 
 
@@ -158,14 +156,14 @@ TO_VEHICLE: tuple[type[HilMessage], ...] = (HilSensor, HilGps, EscReport)
 
 
 class _Format:
-    """How one kind of message lies on the wire."""
+    """Wire format of one message."""
 
     def __init__(self, kind: int, fields: str) -> None:
         self.kind: Final = kind
         self.fields: Final = Struct(fields)
         self.crc_extra: Final = bytes([common.mavlink_map[kind].crc_extra])
         self.padding: Final = [bytes(self.fields.size - length) for length in range(self.fields.size + 1)]
-        """What was cut off a payload, by the length that is left."""
+        """Zeros that complete a payload, by its length."""
 
 
 _SENSOR = _Format(HIL_SENSOR, "<Q13fIB")
@@ -178,7 +176,7 @@ _FORMATS: dict[type[HilMessage], _Format] = {
 
 
 def pack(message: HilMessage, *, sequence: int, system: int, component: int) -> bytes:
-    """Whole frame of a message."""
+    """Return the whole frame of a message."""
     form = _FORMATS[type(message)]
     payload = message.payload()
     if not payload[-1]:
@@ -189,12 +187,12 @@ def pack(message: HilMessage, *, sequence: int, system: int, component: int) -> 
 
 
 class HilEncoder(Encoder):
-    """`Encoder` for a simulator's link: hot messages by struct, the rest as ever, in one sequence."""
+    """`Encoder` for a simulator link: high-rate messages by struct, others by pymavlink, in one sequence."""
 
     def __init__(self, *, system: int, component: int) -> None:
         super().__init__(system=system, component=component)
         self.sequence = 0
-        """Number of the next frame."""
+        """Sequence number of the next frame."""
 
     def encode(self, message: Message | HilMessage) -> bytes:
         """Pack a message; see `Encoder.encode`."""
@@ -209,20 +207,20 @@ class HilEncoder(Encoder):
 
 
 class HilParser(Parser):
-    """`Parser` for a simulator's link: frames of hot kinds come out as these types, whatever else as ever."""
+    """`Parser` for a simulator link: returns these types for ``hot`` messages, pymavlink's for the others."""
 
     def __init__(self, *hot: type[HilMessage]) -> None:
         super().__init__()
         self._hot = {_FORMATS[kind].kind: (kind, _FORMATS[kind]) for kind in hot}
         self.unfinished = self._buffer
-        """What has come of a frame that is not whole yet."""
+        """Bytes of an incomplete frame."""
 
     def push(self, data: bytes) -> list[Message | HilMessage]:
         """Messages that are complete after the next ``data`` of a byte stream."""
         messages: list[Message | HilMessage] = []
         at, size = 0, len(data)
         if not self.unfinished:
-            # as long as whole, right and unsigned frames of hot kinds follow each other
+            # as long as complete, valid and unsigned frames of ``hot`` messages follow each other
             while size - at > HEADER_BYTES:
                 magic, length, incompatible, kind, kind_high = _BEGINNING.unpack_from(data, at)
                 if magic != MAGIC or incompatible or kind_high or kind not in self._hot:
@@ -243,9 +241,9 @@ class HilParser(Parser):
         return messages
 
     def _as_hot(self, message: Message) -> Message | HilMessage:
-        """Turn what the general parser took for good, say of MAVLink 1, into the same kind of value."""
-        known = self._hot.get(message.get_msgId())
-        if known is None:
+        """Convert a ``hot`` message that the general parser accepted, such as one of MAVLink 1."""
+        found = self._hot.get(message.get_msgId())
+        if found is None:
             return message
-        hot, _ = known
+        hot, _ = found
         return hot(*(getattr(message, field) for field in hot._fields))

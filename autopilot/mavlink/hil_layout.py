@@ -1,6 +1,6 @@
-"""Where what lies in frames of the two messages of every step, for compiled code; counted as `frame` does.
+"""Field offsets of the two messages of every step, for compiled code; relative to the buffer as in `frame`.
 
-`hil` has the same for Python, as formats; tests hold both against pymavlink's dialect.
+`hil` has the same formats for Python; tests compare both with pymavlink's dialect.
 """
 
 from pymavlink.dialects.v20 import common
@@ -10,16 +10,16 @@ from autopilot.mavlink.frame import PAYLOAD
 SENSOR_KIND = int(common.MAVLINK_MSG_ID_HIL_SENSOR)
 SENSOR_EXTRA = int(common.mavlink_map[SENSOR_KIND].crc_extra)
 SENSOR_BYTES = 65
-"""Of the payload, before zeros are cut off its end."""
+"""Length of the payload before trailing zeros are cut off."""
 SENSOR_FLOATS = PAYLOAD + 8
-"""After eight bytes of time: acceleration, rates, and the slower sensors"""
+"""After eight bytes of time: acceleration, body rates, and the slower sensors"""
 SENSOR_UPDATED = PAYLOAD + 60
-"""Which of them are new, in four bytes"""
+"""Four bytes of flags for the values that are new"""
 
 ACTUATORS_KIND = int(common.MAVLINK_MSG_ID_HIL_ACTUATOR_CONTROLS)
 ACTUATORS_EXTRA = int(common.mavlink_map[ACTUATORS_KIND].crc_extra)
 ACTUATORS_BYTES = 81
-"""Of the payload; nothing is cut off it, for its last byte, the mode, is not zero."""
+"""Length of the payload; it has no trailing zeros, since its last byte, the mode, is not zero."""
 ACTUATORS_TIME = PAYLOAD
 ACTUATORS_FLAGS = PAYLOAD + 8
 ACTUATORS_CONTROLS = PAYLOAD + 16

@@ -1,7 +1,7 @@
-"""The UDP edge of a vehicle: MAVLink to and from ground stations and companions. The only I/O of its package.
+"""A vehicle's UDP link: MAVLink to and from ground stations and companions. The only I/O of its package.
 
-Whether anybody listens is learned from the kernel: on Linux a datagram to a closed port comes back as an
-error that names the address. So no clock is needed for that, and nothing is formed for nobody.
+Whether a partner listens is reported by the kernel: on Linux a datagram to a closed port causes an error that
+contains the address. So no timeout is needed, and messages are built only while there is a listener.
 """
 
 import contextlib
@@ -21,23 +21,23 @@ Address = tuple[str, int]
 MAX_DATAGRAM_BYTES = 1400
 """Messages of one step share datagrams up to this size, which fits one Ethernet frame."""
 MAX_PARTNERS = 8
-"""The partner that was silent longest gives way to a ninth, but never the default one."""
-EVERYBODY = -1
-"""In place of a partner's number: all of them."""
+"""A new partner replaces the one that was silent longest, except the default partner."""
+BROADCAST = -1
+"""As a partner's number: all partners."""
 MAX_RECEIVED_DATAGRAM_BYTES = 2_048
-"""What is longer is dropped unread: senders of MAVLink keep to what fits one Ethernet frame."""
+"""Longer datagrams are dropped unread: MAVLink senders keep within one Ethernet frame."""
 MAX_DATAGRAMS_PER_CALL = 64
 MAX_BYTES_PER_CALL = 16_384
 MAX_FRAMES_PER_CALL = 256
-"""Whichever is reached first ends a call of `UdpLink.receive`, for a swarm must not fly late because somebody
-talks much. The rest waits in the kernel, which drops what it has no room for."""
-_IP_RECVERR = 11  # linux/in.h; the socket module of CPython 3.11 does not name it
+"""Limits of one call of `UdpLink.receive`, the first of which ends it, so that a flooded link does not delay
+the swarm. The rest stays in the kernel's buffer, which drops what does not fit."""
+_IP_RECVERR = 11  # linux/in.h; not in the socket module of CPython 3.11
 _NS_PER_S = 1_000_000_000
 _SETUP_SIGNING = common.MAVLINK_MSG_ID_SETUP_SIGNING
 
 
 class _Peer:
-    """Whoever is at one address."""
+    """A partner at one address: its number and its sequence numbers."""
 
     def __init__(self, number: int) -> None:
         self.number = number
@@ -45,9 +45,9 @@ class _Peer:
 
 
 class UdpLink:
-    """A non-blocking UDP socket that speaks to a default partner and to everybody who has spoken to it.
+    """A non-blocking UDP socket that sends to a default partner and to every partner that has sent to it.
 
-    With a signer it hears only what is signed by its key, and signs what it sends.
+    With a signer it accepts only frames signed with its key, and signs the frames that it sends.
     """
 
     def __init__(
@@ -60,20 +60,20 @@ class UdpLink:
         remote_host: str | None = None,
         signer: Signer | None = None,
     ) -> None:
-        """Bind ``host:local_port`` (0: any free port) and speak to ``remote_port`` (0: nobody) first.
+        """Bind ``host:local_port`` (0: any free port); the default partner is at ``remote_port`` (0: none).
 
-        That is on ``remote_host``, which is ``host`` if it is not given; both are IPv4 addresses. Raises
-        OSError when the port is taken.
+        Its address is ``remote_host``, by default ``host``; both are IPv4 addresses. Raises OSError if the
+        port is in use.
         """
         self._signer = signer
         self._parser = Parser(signer)
         self._encoder = encoder
         self._default: Address | None = (remote_host or host, remote_port) if remote_port else None
-        self._default_peer = _Peer(EVERYBODY)
-        """Numbered while it is known to be there and has spoken; its sequence numbers go on for good."""
+        self._default_peer = _Peer(BROADCAST)
+        """Numbered while it is reachable and has sent something; its sequence numbers never restart."""
         self._default_listens = False
         self._partners: dict[Address, _Peer] = {}
-        """Ordered: who spoke last is last."""
+        """By address; the most recent sender is last."""
         self._next_number = 0
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -93,28 +93,28 @@ class UdpLink:
 
     @property
     def active(self) -> bool:
-        """Somebody listens; only then is more than a heartbeat worth forming."""
+        """Whether there is a listener; otherwise only heartbeats need to be built."""
         return self._default_listens or bool(self._partners)
 
     @property
     def bad_bytes(self) -> int:
-        """Received bytes that belonged to no message."""
+        """Count of received bytes that belonged to no message."""
         return self._parser.bad_bytes
 
     @property
     def counters(self) -> Counters:
-        """What was not taken, by cause."""
+        """Counts of rejected input, by cause."""
         return self._parser.counters
 
     def fileno(self) -> int:
-        """For select and its kin."""
+        """Return the socket's descriptor, for select and poll."""
         return self._socket.fileno()
 
     def receive(self) -> list[tuple[int, Message]]:
-        """Messages that have arrived, without waiting, with the numbers of the partners that they are from.
+        """Return messages that have arrived, with their partners' numbers, without waiting.
 
-        Whoever sends one becomes a partner, and keeps its number until it is forgotten. What is too much for
-        one call is left for the next.
+        The sender of a message becomes a partner, and keeps its number until it is removed. Input beyond
+        the limits of one call is left for the next.
         """
         messages: list[tuple[int, Message]] = []
         now = self._now()
@@ -123,12 +123,12 @@ class UdpLink:
             if left_bytes <= 0 or self._parser.looked_at >= last_frame:
                 break
             try:
-                # the kernel cuts off the rest, so one byte more tells what was too long
+                # the kernel truncates datagrams, so one extra byte detects those that are too long
                 data, address = self._socket.recvfrom(MAX_RECEIVED_DATAGRAM_BYTES + 1)
             except BlockingIOError:
                 break
-            except OSError:  # a datagram that was sent came back as an error, which names its address
-                self._forget_refusing()
+            except OSError:  # an earlier datagram was refused; the error queue has its address
+                self._remove_unreachable()
                 continue
             left_bytes -= len(data)
             if len(data) > MAX_RECEIVED_DATAGRAM_BYTES:
@@ -136,7 +136,7 @@ class UdpLink:
                 continue
             received = self._parser.push_datagram(data, now)
             if received:
-                number = self._remember(address)
+                number = self._add_partner(address)
                 for message in received:
                     if message.get_msgId() == _SETUP_SIGNING:
                         self.counters.setup_signing += 1
@@ -145,10 +145,10 @@ class UdpLink:
         return messages
 
     def send(self, messages: Sequence[tuple[int, Message]]) -> None:
-        """Send messages, packed into few datagrams, each to the partner of its number or to EVERYBODY.
+        """Send messages, packed into few datagrams, each to the partner of its number or to BROADCAST.
 
-        The default partner is one of everybody whether it has spoken or not. What is for a partner that is
-        gone is dropped.
+        BROADCAST includes the default partner, whether it has sent anything or not. Messages to a partner
+        that was removed are dropped.
         """
         recipients = dict(self._partners)
         if self._default is not None:
@@ -158,10 +158,10 @@ class UdpLink:
         for address, peer in recipients.items():
             datagrams = self._datagrams(messages, peer, packed, now)
             if datagrams and address == self._default:
-                self._default_listens = True  # until the kernel says otherwise, below
+                self._default_listens = True  # unless the kernel reports it unreachable, below
             for datagram in datagrams:
                 self._send_to(datagram, address)
-        self._forget_refusing()
+        self._remove_unreachable()
 
     def close(self) -> None:
         """Release the port."""
@@ -170,14 +170,14 @@ class UdpLink:
     def _datagrams(
         self, messages: Sequence[tuple[int, Message]], peer: _Peer, packed: list[bytes | None], now: int
     ) -> list[bytearray]:
-        """Datagrams for one partner; ``packed`` has the frames that another's made before, or None.
+        """Datagrams for one partner; ``packed`` caches the frames that were packed for another, or None.
 
-        A frame is packed once, and only numbered anew where a partner's count is another.
+        A frame is packed once, and renumbered where a partner's sequence number differs.
         """
         datagrams: list[bytearray] = []
         sequences, encoder, signer = peer.sequences, self._encoder, self._signer
         for i, (number, message) in enumerate(messages):
-            if number not in {EVERYBODY, peer.number}:
+            if number not in {BROADCAST, peer.number}:
                 continue
             frame = packed[i]
             if frame is None:
@@ -196,27 +196,27 @@ class UdpLink:
             try:
                 self._socket.sendto(datagram, address)
             except BlockingIOError:
-                return  # a full buffer loses a datagram, as UDP may
+                return  # the buffer is full; the datagram is lost
             except OSError:
-                # the error belongs to an earlier datagram, maybe another partner's, and this one was not sent
-                self._forget_refusing()
+                # the error is of an earlier datagram, possibly to another partner; this one was not sent
+                self._remove_unreachable()
                 continue
             return
 
-    def _remember(self, address: Address) -> int:
+    def _add_partner(self, address: Address) -> int:
         peer = self._partners.pop(address, None)
         if peer is None:
-            peer = self._default_peer if address == self._default else _Peer(EVERYBODY)
-            if peer.number == EVERYBODY:
+            peer = self._default_peer if address == self._default else _Peer(BROADCAST)
+            if peer.number == BROADCAST:
                 peer.number = self._next_number
                 self._next_number += 1
         self._partners[address] = peer
         if len(self._partners) > MAX_PARTNERS:
-            del self._partners[next(known for known in self._partners if known != self._default)]
+            del self._partners[next(other for other in self._partners if other != self._default)]
         return peer.number
 
-    def _forget_refusing(self) -> None:
-        """Read from the error queue which addresses have no listener."""
+    def _remove_unreachable(self) -> None:
+        """Remove the partners that the kernel's error queue reports as unreachable."""
         if sys.platform != "linux":
             return
         with contextlib.suppress(BlockingIOError):
@@ -225,10 +225,10 @@ class UdpLink:
                 self._partners.pop(address, None)
                 if address == self._default:
                     self._default_listens = False
-                    self._default_peer.number = EVERYBODY  # who comes next begins anew
+                    self._default_peer.number = BROADCAST  # the next partner there gets a new number
 
     def _now(self) -> int:
-        """Wall clock in the units of signatures; where nothing is signed nobody asks."""
+        """Wall clock in units of signatures; 0 without a signer, which makes it unused."""
         if self._signer is None:
             return 0
         return (time.time_ns() - EPOCH_UNIX_S * _NS_PER_S) // (_NS_PER_S // TICKS_PER_S)

@@ -1,7 +1,7 @@
-"""The messages that an autopilot and an application in one process exchange all the time, as plain values.
+"""High-rate messages between an autopilot and an application in one process, as plain values.
 
-Nobody packs them, and pymavlink's objects take longer to make than all that is done with them. Fields have
-pymavlink's names, so the values stand wherever a message of that kind would.
+They are never packed, and pymavlink's objects take longer to construct than to process. Fields have
+pymavlink's names, so these classes can replace pymavlink's messages.
 """
 
 from typing import NamedTuple
@@ -23,16 +23,16 @@ class LocalPosition(NamedTuple):
     vz: float
 
     def get_msgId(self) -> int:  # noqa: N802  as pymavlink's messages have it
-        """Give the kind of message."""
+        """Return the message id."""
         return int(common.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
 
     def get_type(self) -> str:
-        """Give its name."""
+        """Return the message name."""
         return "LOCAL_POSITION_NED"
 
 
 class PositionTarget(NamedTuple):
-    """SET_POSITION_TARGET_LOCAL_NED: position, velocity and acceleration; the mask says what counts."""
+    """SET_POSITION_TARGET_LOCAL_NED: position, velocity, acceleration, and the mask of ignored values."""
 
     time_boot_ms: int
     target_system: int
@@ -52,13 +52,13 @@ class PositionTarget(NamedTuple):
     yaw_rate: float = 0.0
 
     def get_msgId(self) -> int:  # noqa: N802  as pymavlink's messages have it
-        """Give the kind of message."""
+        """Return the message id."""
         return int(common.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED)
 
     def get_type(self) -> str:
-        """Give its name."""
+        """Return the message name."""
         return "SET_POSITION_TARGET_LOCAL_NED"
 
     def to_wire(self) -> Message:
-        """Give the same for an autopilot elsewhere."""
+        """Convert to a pymavlink message, for an autopilot in another process."""
         return common.MAVLink_set_position_target_local_ned_message(*self)

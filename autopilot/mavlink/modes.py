@@ -1,4 +1,4 @@
-"""PX4's flight modes: their names, their numbers in MAVLink and the base mode that goes with them."""
+"""PX4's flight modes: names, custom mode numbers and base modes in MAVLink."""
 
 from enum import Enum
 
@@ -19,7 +19,7 @@ _BASE_MODES = {
     6: _CUSTOM | _STABILIZE,
     7: _CUSTOM | _MANUAL | _STABILIZE,
 }
-"""By main mode, without the armed flag: 4 and 6 as seen of PX4 v1.17, the rest from its source."""
+"""By main mode, without the armed flag: 4 and 6 as observed from PX4 v1.17, the rest from its source."""
 
 
 class FlightMode(Enum):
@@ -39,7 +39,7 @@ class FlightMode(Enum):
     OFFBOARD = ("Offboard", 6, 0)
     STABILIZED = ("Stabilized", 7, 0)
     DESCEND = ("Descend", 4, 6)
-    """Landing without a position; nobody can ask for it, and MAVLink shows it as Land, as PX4 does."""
+    """Landing without a position. It cannot be requested, and is reported as Land, as in PX4."""
 
     def __init__(self, label: str, main: int, sub: int) -> None:
         self.label = label
@@ -47,9 +47,7 @@ class FlightMode(Enum):
         self.custom_mode = main << 16 | sub << 24
         self.base_mode = _BASE_MODES[main]
 
-    __hash__ = (
-        object.__hash__
-    )  # members are singletons: Enum's own hash by name costs a call at every look-up
+    __hash__ = object.__hash__  # members are singletons: Enum's hash of the name is slower
 
 
 _BY_CUSTOM_MODE = {mode.custom_mode: mode for mode in FlightMode if mode is not FlightMode.DESCEND}

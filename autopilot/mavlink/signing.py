@@ -1,8 +1,9 @@
-"""MAVLink 2's message signing: who may speak to a vehicle, told by a key that both sides have.
+"""MAVLink 2's message signing: authentication by a key that both sides share.
 
 Source: https://mavlink.io/en/guide/message_signing.html. A signed frame ends in 13 bytes: link id, a 48-bit
 timestamp and 48 bits of SHA-256 over key, frame, link id and timestamp. Timestamps are wall time in units of
-10 us since 2015, and are only compared: what a vehicle does never follows from them. No clock is read here.
+10 us since 2015, and are only compared with each other; no vehicle behaviour depends on them. This module
+reads no clock.
 """
 
 import hashlib
@@ -14,12 +15,12 @@ SIGNATURE_BYTES = 13
 KEY_BYTES = 32
 INCOMPAT_SIGNED = 0x01
 EPOCH_UNIX_S = 1_420_070_400
-"""2015-01-01, from which timestamps count."""
+"""2015-01-01, the epoch of timestamps."""
 TICKS_PER_S = 100_000
 OLDEST_NEW_STREAM = 60 * TICKS_PER_S
-"""A stream that begins with a frame older than a minute is one that somebody has recorded."""
+"""A new stream whose first frame is older than a minute is treated as a replay."""
 MAX_STREAMS = 256
-"""Senders whose last timestamp is remembered at a time; those a minute old need not be."""
+"""Senders whose last timestamp is stored; those older than a minute may be dropped."""
 
 _TIMESTAMP_BYTES = 6
 _DIGEST_BYTES = 6
@@ -30,11 +31,11 @@ _HEX_KEY_LENGTH = 2 * KEY_BYTES
 
 
 class SigningKeyError(ValueError):
-    """A signing key that cannot be used; the text is one line."""
+    """An invalid signing key; the text is one line."""
 
 
 class SignatureVerdict(Enum):
-    """What a frame's signature says."""
+    """Result of a signature check."""
 
     GOOD = "good"
     UNSIGNED = "unsigned"
@@ -43,16 +44,16 @@ class SignatureVerdict(Enum):
 
 
 class SigningStreams:
-    """Last timestamps of the senders that a vehicle has heard, by link id and source.
+    """Last timestamps of the senders from which a vehicle has received, by link id and source.
 
-    Its ports share them, or what was recorded at one could be played to another.
+    The vehicle's ports share it; otherwise frames recorded at one port could be replayed at another.
     """
 
     def __init__(self) -> None:
         self._last: dict[tuple[int, bytes], int] = {}
 
     def take(self, stream: tuple[int, bytes], timestamp: int, now: int) -> bool:
-        """Note the timestamp of a frame, unless the frame is not later than one before."""
+        """Store a frame's timestamp and return True, unless it is not later than the stream's last."""
         last = self._last.get(stream)
         if last is None:
             if timestamp + OLDEST_NEW_STREAM < now or not self._has_room(now):
@@ -63,9 +64,9 @@ class SigningStreams:
         return True
 
     def _has_room(self, now: int) -> bool:
-        """Whether one more stream can be remembered.
+        """Whether one more stream can be stored.
 
-        One whose last frame is a minute old can be forgotten: what was recorded of it is no new stream.
+        Streams whose last frame is older than a minute are dropped: a replay of theirs is no new stream.
         """
         if len(self._last) >= MAX_STREAMS:
             self._last = {
@@ -75,35 +76,35 @@ class SigningStreams:
 
 
 class Signer:
-    """Signs what one port sends and judges what it hears, with one key.
+    """Signs the frames that one port sends and verifies those that it receives, with one key.
 
-    ``link_id`` tells the streams that a vehicle's ports send apart, for each has timestamps of its own.
-    ``heard`` are the streams that the vehicle hears; without it the port has its own.
+    ``link_id`` distinguishes the streams that a vehicle's ports send, since each has its own timestamps.
+    ``received`` are the streams that the vehicle receives; by default the port has its own.
     """
 
-    def __init__(self, key: bytes, *, link_id: int, heard: SigningStreams | None = None) -> None:
-        """Raise SigningKeyError for a key that is not of 32 bytes."""
+    def __init__(self, key: bytes, *, link_id: int, received: SigningStreams | None = None) -> None:
+        """Raise SigningKeyError for a key whose length is not 32 bytes."""
         if len(key) != KEY_BYTES:
             raise SigningKeyError(f"a signing key has {KEY_BYTES} bytes, not {len(key)}")
         self._key = key
         self._link_id = link_id
         self._sent = 0
-        """Timestamp of the last frame that was signed, or of a later one that was heard."""
-        self._heard = SigningStreams() if heard is None else heard
+        """Timestamp of the last frame signed, or of a later one received."""
+        self._received = SigningStreams() if received is None else received
 
     def sign(self, frame: bytes, now: int) -> bytes:
-        """Append the signature to a frame whose header already says that it is signed.
+        """Append the signature to a frame whose header already has the signed flag.
 
-        Timestamps rise from frame to frame, whatever the clock ``now`` does.
+        Timestamps increase from frame to frame, even if the clock ``now`` does not.
         """
         self._sent = min(max(now, self._sent + 1), _LAST_TIMESTAMP)
         stamp = struct.pack("<BQ", self._link_id, self._sent)[: 1 + _TIMESTAMP_BYTES]
         return b"".join((frame, stamp, self._digest(frame + stamp)))
 
     def judge(self, frame: bytes | bytearray, now: int) -> SignatureVerdict:
-        """Judge a whole frame whose checksum is right. Only a good one leaves a trace.
+        """Verify a whole frame whose checksum is right. Only a good one changes the state.
 
-        The signature is looked at before the timestamp: a forged one must not make those to come look old.
+        The signature is checked before the timestamp: a forged timestamp must not make later frames old.
         """
         if frame[0] != 0xFD or not frame[2] & INCOMPAT_SIGNED:
             return SignatureVerdict.UNSIGNED
@@ -111,9 +112,9 @@ class Signer:
             return SignatureVerdict.BAD
         stream = (frame[-SIGNATURE_BYTES], bytes(frame[_SOURCE]))
         timestamp = int.from_bytes(frame[-SIGNATURE_BYTES + 1 : -_DIGEST_BYTES], "little")
-        if not self._heard.take(stream, timestamp, now):
+        if not self._received.take(stream, timestamp, now):
             return SignatureVerdict.REPLAYED
-        # whoever is ahead of this clock would take what is signed by it for old
+        # a sender ahead of this clock would reject frames that are signed by it as old
         self._sent = max(self._sent, timestamp)
         return SignatureVerdict.GOOD
 
@@ -122,10 +123,10 @@ class Signer:
 
 
 def key_of(text: bytes) -> bytes:
-    """Give the key that a key file's contents mean. Raises SigningKeyError if they mean none.
+    """Return the key in a key file's contents. Raises SigningKeyError if there is none.
 
-    A passphrase, whose SHA-256 is the key as ground stations make it, or the key itself: 64 hexadecimal
-    digits, or 32 bytes that are no text.
+    Contents are a passphrase, whose SHA-256 is the key, as in ground stations, or the key itself: 64
+    hexadecimal digits, or 32 bytes that are not text.
     """
     try:
         passphrase = text.decode("utf-8").strip("\r\n")

@@ -1,1 +1,1 @@
-"""Where the vehicle is on the globe, and where each mode takes it."""
+"""Navigation: setpoints of each flight mode, missions and plans, and geodetic positions."""

@@ -1,7 +1,7 @@
-"""Whether a mission can be flown from here: its places and the geofence, the way to its first place.
+"""Feasibility of a mission: its positions against the geofence, and the distance to the first one.
 
-As PX4 does (src/modules/navigator, MissionFeasibilityChecker and FeasibilityChecker): a mission with a place
-beyond the geofence is kept, but not flown; one that begins far from home is only warned of.
+As in PX4 (src/modules/navigator, MissionFeasibilityChecker and FeasibilityChecker): a mission with a position
+outside the geofence is stored but not flown; one that begins far from home only causes a warning.
 """
 
 import math
@@ -14,12 +14,12 @@ from autopilot.navigation.mission import FLOWN, HeightFrame, Mission
 from foundation.geometry.geodesy import geodetic_to_ned
 
 
-def fence_trouble(
+def fence_violation(
     mission: Mission, fence: Geofence, *, home_ned_m: HomePosition, origin: Origin
 ) -> str | None:
-    """Say which of its places the mission must not go to; None: it may go to all.
+    """Return the message for the first position that violates the geofence, or None.
 
-    ``origin`` is the local frame's. Items are counted from 1, as PX4 counts them there.
+    ``origin`` is the local frame's. Items are numbered from 1, as in PX4.
     """
     placed = [
         (number, item.lat_deg, item.lon_deg, item.height_m, item.frame)
@@ -38,7 +38,7 @@ def fence_trouble(
 def distance_warning(
     mission: Mission, *, home_lat_deg: float, home_lon_deg: float, max_m: float
 ) -> str | None:
-    """Say that the first place is further from home than MIS_DIST_1WP, or None; 0 or less is any distance."""
+    """Return a warning if the first position is further than ``max_m`` from home; 0 or less: no limit."""
     first = mission.first_place()
     if first is None or first.lat_deg is None or first.lon_deg is None or max_m <= 0.0:
         return None

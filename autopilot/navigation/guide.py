@@ -1,4 +1,4 @@
-"""What the modes that fly by themselves have in common: a jerk-limited way to a place, and the moment."""
+"""Common parts of the automatic modes: a jerk-limited path to a position, and the inputs of a step."""
 
 import math
 
@@ -16,50 +16,50 @@ HomePosition = tuple[float, float, float]
 
 
 class Moment(Struct, frozen=True, kw_only=True):
-    """What a mode is told at a step."""
+    """Inputs of a mode at one step."""
 
     state: EstimatorState
     dt_s: float
     landed: bool
     touching: bool
-    """The ground is suspected, and must not be leaned against."""
+    """Ground contact is suspected, so the setpoint must not push against the ground."""
     home_ned_m: HomePosition | None
 
 
 class Guide:
-    """Way to one place at a time, with a heading; costs nothing once it has arrived."""
+    """Path to one target at a time, with a heading; `follow` is cheap once it has arrived."""
 
     def __init__(self, limits: TrajectoryParams) -> None:
         self.limits = limits
         self.target_ned_m: Array = np.zeros(3)
         self.yaw_rad = 0.0
-        """Heading to turn to."""
+        """Target heading."""
         self._reference = LegReference(limits)
         self._at_rest: TrajectorySetpoint | None = None
 
     @property
     def resting(self) -> bool:
-        """Whether the reference has come to rest at its place, with its heading."""
+        """Whether the reference is at rest at its target, with its heading."""
         return self._at_rest is not None
 
     @property
     def pos_ned_m(self) -> Array:
-        """(3,) where the reference is."""
+        """Position (3,) of the reference."""
         return self._reference.pos_ned_m
 
     @property
     def vel_ned_m_s(self) -> Array:
-        """(3,) how the reference moves."""
+        """Velocity (3,) of the reference."""
         return self._reference.vel_ned_m_s
 
     def set_limits(self, limits: TrajectoryParams) -> None:
-        """Change speeds and accelerations from now on."""
+        """Change speeds and accelerations."""
         if limits != self.limits:
             self.limits = limits
             self._reference.set_params(limits)
 
     def restart(self, state: EstimatorState) -> None:
-        """Begin from the vehicle's motion and heading; the place is where it comes to rest."""
+        """Restart from the vehicle's motion and heading; the target is the stopping point."""
         yaw_rad = float(quat_to_euler(state.q_ned_frd)[2])
         self._reference.reset(state.pos_ned_m, yaw_rad=yaw_rad, vel_ned_m_s=state.vel_ned_m_s)
         self.go_to(
@@ -71,9 +71,9 @@ class Guide:
     def go_to(
         self, target_ned_m: Array, *, yaw_rad: float | None = None, along_ned: Array | None = None
     ) -> None:
-        """Take another place (3,), and another heading unless None.
+        """Set another target (3,), and another heading unless None.
 
-        The leg lies on the line through the place along ``along_ned`` (3,), or leads there from here.
+        The leg is on the line through the target along ``along_ned`` (3,), by default from the reference.
         """
         self.target_ned_m = target_ned_m
         self._reference.go_to(target_ned_m, along_ned=along_ned)
@@ -82,14 +82,14 @@ class Guide:
             self.turn_to(yaw_rad)
 
     def turn_to(self, yaw_rad: float) -> None:
-        """Take another heading under way."""
+        """Set another heading."""
         if yaw_rad != self.yaw_rad:
             self.yaw_rad = yaw_rad
             self._reference.turn_to(yaw_rad)
             self._at_rest = None
 
     def follow(self, dt_s: float, *, vehicle_pos_ned_m: Array | None = None) -> TrajectorySetpoint:
-        """Setpoint after ``dt_s``; given the vehicle's position the reference waits for it to keep up."""
+        """Return the setpoint after ``dt_s``; the reference waits for a vehicle whose position is given."""
         if self._at_rest is not None:
             return self._at_rest
         setpoint = self._reference.update(dt_s, vehicle_pos_ned_m=vehicle_pos_ned_m)
@@ -98,12 +98,12 @@ class Guide:
         return setpoint
 
     def stopping_distance_m(self) -> float:
-        """Way on which the reference stops from its cruise speed."""
+        """Return the distance in which the reference stops from its cruise speed."""
         p = self.limits
         return float(stopping_distance(p.xy_cruise_m_s, 0.0, -p.acc_xy_m_s2, p.acc_xy_m_s2, p.jerk_m_s3))
 
     def _stopping_way_ned_m(self, vel_ned_m_s: Array) -> Array:
-        """(3,) way on which a motion comes to rest within the limits of acceleration and jerk."""
+        """Return the displacement (3,) until a motion stops, within the limits of acceleration and jerk."""
         limits = self.limits
         speed_m_s = math.hypot(vel_ned_m_s[0], vel_ned_m_s[1])
         acc_m_s2 = limits.acc_xy_m_s2
@@ -117,7 +117,7 @@ class Guide:
 
 
 def is_near(pos_ned_m: Array, place_ned_m: Array, *, radius_m: float, height_m: float) -> bool:
-    """Whether a position lies within a place's radius and height."""
+    """Return whether a position is within the radius and height tolerance of another."""
     return (
         abs(pos_ned_m[2] - place_ned_m[2]) <= height_m
         and math.hypot(pos_ned_m[0] - place_ned_m[0], pos_ned_m[1] - place_ned_m[1]) <= radius_m
@@ -127,10 +127,9 @@ def is_near(pos_ned_m: Array, place_ned_m: Array, *, radius_m: float, height_m: 
 def heading_rad(
     mode: int, guide: Guide, place_ned_m: Array, home_ned_m: HomePosition | None, *, near_m: float
 ) -> float | None:
-    """Heading that MPC_YAW_MODE asks for on the way to a place; None keeps the last one.
+    """Return the heading by MPC_YAW_MODE on the way to a position; None keeps the last one.
 
-    No direction is taken from what is nearer than ``near_m``, or from a path slower than a tenth of it per
-    second.
+    A target nearer than ``near_m``, or a path slower than a tenth of it per second, has no direction.
     """
     pos_ned_m = guide.pos_ned_m
     if mode == 3:

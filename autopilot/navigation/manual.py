@@ -1,8 +1,8 @@
-"""What sticks mean: stabilized, altitude and position mode as setpoints. Pure.
+"""Manual modes: setpoints of stabilized, altitude and position mode from stick input. Pure.
 
-Sticks become wishes by deadzone and expo curve; where a wish is a velocity, a reference follows it within the
-limits of acceleration and jerk, so the vehicle can too. A centred stick brakes, and once the motion is slow
-the place (or the height) is held where the reference comes to rest.
+Deadzone and expo curve convert the sticks to demands. A velocity demand is followed by a reference within the
+limits of acceleration and jerk, which the vehicle can track. Centred sticks brake; once the motion is slow,
+the position (or the height) is held where the reference comes to rest.
 """
 
 import math
@@ -20,18 +20,18 @@ from foundation.geometry.rotations import quat_from_rotation_vector, quat_multip
 from foundation.types import Array, AttitudeSetpoint, EstimatorState, TrajectorySetpoint
 
 TAKEOFF_STICK = 0.3
-"""Throttle beyond the middle, of half its way, that leaves the ground (PX4: fixed)"""
+"""Throttle above the middle, as a fraction of its half range, at which the vehicle takes off (PX4: fixed)"""
 _YAW_LEAD_MAX_RAD = 0.5
-"""Heading setpoint ahead of the heading at most: a vehicle that cannot follow is not owed the turn."""
+"""Greatest lead of the heading setpoint; a vehicle that cannot follow does not accumulate the turn."""
 _REST_YAW_RATE_RAD_S = 1e-3
-"""Below this a filtered yaw rate is over (PX4: fixed)"""
+"""A filtered yaw rate below this is set to zero (PX4: fixed)"""
 
 POS, VEL, ACC, JERK = range(4)
-"""Rows of a reference's motion."""
+"""Rows of the reference's motion."""
 
 
 class ManualInput(Struct, frozen=True, kw_only=True):
-    """Sticks as MANUAL_CONTROL means them, to be held within their ranges by whoever makes one."""
+    """Stick input of MANUAL_CONTROL. The creator must limit the values to their ranges."""
 
     time_us: int
     roll: float = 0.0
@@ -48,7 +48,7 @@ CENTRED = ManualInput(time_us=0)
 
 
 def curve(stick: float, *, deadzone: float, expo: float) -> float:
-    """Wish -1 .. 1 of a stick: 0 within the deadzone, then a mix of the linear and the cubic curve."""
+    """Return the demand -1 .. 1 of a stick: 0 within the deadzone, then a mix of linear and cubic curve."""
     past = abs(stick) - deadzone
     if past <= 0.0:
         return 0.0
@@ -57,29 +57,29 @@ def curve(stick: float, *, deadzone: float, expo: float) -> float:
 
 
 def in_circle(right: float, forward: float) -> tuple[float, float]:
-    """Give the two sticks, at most 1 as a vector."""
+    """Return the two sticks, limited to length 1 as a vector."""
     length = max(math.hypot(right, forward), 1.0)
     return right / length, forward / length
 
 
 @njit(cache=True)
 def _acc_towards(missing: float, acc_max: float, jerk: float, dt_s: float) -> float:
-    """Largest acceleration (>= 0) that still vanishes at full jerk when ``missing`` (>= 0) is made up."""
+    """Return the greatest acceleration (>= 0) that reaches zero at full jerk when ``missing`` (>= 0) does."""
     half = 0.5 * dt_s
     return min(acc_max, jerk * (math.sqrt(half * half + 2.0 * missing / jerk) - half))
 
 
 @njit(cache=True)
 def _advance_xy(
-    motion: Array, wanted: Array, vel_max: float, acc_max: float, jerk: float, dt_s: float
+    motion: Array, demand: Array, vel_max: float, acc_max: float, jerk: float, dt_s: float
 ) -> None:
-    """Move columns 0 and 1 of ``motion`` (4, 3) on towards the velocity ``wanted``.
+    """Advance columns 0 and 1 of ``motion`` (4, 3) towards the velocity ``demand``.
 
-    The velocity at which the acceleration would have vanished at full jerk never leaves the circle of
-    ``vel_max`` (if it was in it), so neither does the velocity.
+    The velocity at which the acceleration would reach zero at full jerk stays within the circle of
+    ``vel_max`` (if it was in it), and so does the velocity.
     """
     vn, ve, an, ae = motion[VEL, 0], motion[VEL, 1], motion[ACC, 0], motion[ACC, 1]
-    dn, de = wanted[0] - vn - 0.5 * dt_s * an, wanted[1] - ve - 0.5 * dt_s * ae
+    dn, de = demand[0] - vn - 0.5 * dt_s * an, demand[1] - ve - 0.5 * dt_s * ae
     missing = math.hypot(dn, de)
     goal = _acc_towards(missing, acc_max, jerk, dt_s) / max(missing, 1e-12)
     step_n, step_e = goal * dn - an, goal * de - ae
@@ -90,7 +90,7 @@ def _advance_xy(
     acc = math.hypot(an, ae)
     settled = math.hypot(vn + an * acc / (2.0 * jerk), ve + ae * acc / (2.0 * jerk))
     for attempt in range(2):
-        if attempt == 1:  # towards no acceleration instead: that leaves the settled velocity where it is
+        if attempt == 1:  # towards zero acceleration instead, which keeps the settled velocity
             share = min(jerk * dt_s / max(acc, 1e-12), 1.0)
             step_n, step_e = -share * an, -share * ae
         bn, be = an + step_n, ae + step_e
@@ -100,8 +100,8 @@ def _advance_xy(
         if then <= max(vel_max, settled) + 1e-9:
             break
     reach = jerk * dt_s
-    if b <= reach and math.hypot(wanted[0] - new_n, wanted[1] - new_e) <= reach * dt_s:
-        new_n, new_e, bn, be = wanted[0], wanted[1], 0.0, 0.0
+    if b <= reach and math.hypot(demand[0] - new_n, demand[1] - new_e) <= reach * dt_s:
+        new_n, new_e, bn, be = demand[0], demand[1], 0.0, 0.0
     motion[POS, 0] += dt_s * (vn + dt_s * (an / 3.0 + bn / 6.0))
     motion[POS, 1] += dt_s * (ve + dt_s * (ae / 3.0 + be / 6.0))
     motion[JERK, 0], motion[JERK, 1] = (bn - an) / dt_s, (be - ae) / dt_s
@@ -110,11 +110,11 @@ def _advance_xy(
 
 @njit(cache=True)
 def _advance_down(
-    motion: Array, wanted: float, acc_up: float, acc_down: float, jerk: float, dt_s: float
+    motion: Array, demand: float, acc_up: float, acc_down: float, jerk: float, dt_s: float
 ) -> None:
-    """Move column 2 of ``motion`` on towards the velocity ``wanted``, down positive."""
+    """Advance column 2 of ``motion`` towards the velocity ``demand``, positive down."""
     vel, acc = motion[VEL, 2], motion[ACC, 2]
-    missing = wanted - vel - 0.5 * dt_s * acc
+    missing = demand - vel - 0.5 * dt_s * acc
     if missing >= 0.0:
         goal = _acc_towards(missing, acc_down, jerk, dt_s)
     else:
@@ -122,15 +122,15 @@ def _advance_down(
     reach = jerk * dt_s
     then = acc + min(max(goal - acc, -reach), reach)
     new = vel + 0.5 * dt_s * (acc + then)
-    if abs(then) <= reach and abs(wanted - new) <= reach * dt_s:
-        new, then = wanted, 0.0
+    if abs(then) <= reach and abs(demand - new) <= reach * dt_s:
+        new, then = demand, 0.0
     motion[POS, 2] += dt_s * (vel + dt_s * (acc / 3.0 + then / 6.0))
     motion[JERK, 2] = (then - acc) / dt_s
     motion[VEL, 2], motion[ACC, 2] = new, then
 
 
 class ManualFlight:
-    """Setpoints of the three manual modes; `start` on entering one, then one of the others at every step."""
+    """Setpoints of the three manual modes; call `start` on entering one, then its method at every step."""
 
     def __init__(self, params: NavigationParams, limits: TrajectoryParams, position: PositionParams) -> None:
         self._motion: Array = np.zeros((4, 3))
@@ -139,18 +139,18 @@ class ManualFlight:
         self._yaw_rad = 0.0
         self._yaw_rate_rad_s = 0.0
         self._still: tuple[ManualInput, TrajectorySetpoint] | None = None
-        """Sticks and setpoint of a vehicle at rest, which stays as it is."""
+        """Sticks and setpoint of a vehicle at rest, which are reused."""
         self.set_params(params, limits, position)
 
     def set_params(
         self, params: NavigationParams, limits: TrajectoryParams, position: PositionParams
     ) -> None:
-        """Go on by other settings."""
+        """Change the settings."""
         self._params, self._limits, self._position = params, limits, position
         self._still = None
 
     def start(self, state: EstimatorState) -> None:
-        """Begin from the vehicle's motion and heading, or begin again after the estimate has jumped."""
+        """Start from the vehicle's motion and heading, or restart after a reset of the estimate."""
         self._motion[:] = 0.0
         self._motion[VEL] = state.vel_ned_m_s
         self._locked_xy = self._locked_down = False
@@ -163,10 +163,10 @@ class ManualFlight:
     def stabilized(
         self, moment: Moment, sticks: ManualInput, *, hover_thrust: float | None
     ) -> AttitudeSetpoint:
-        """Tilt, yaw rate and thrust; without ``hover_thrust`` the middle of the throttle is MPC_THR_HOVER."""
+        """Return tilt, yaw rate and thrust; without ``hover_thrust`` mid throttle is MPC_THR_HOVER."""
         manual, position = self._params.manual, self._position
         if moment.landed and sticks.throttle < manual.deadzone:
-            self.start(moment.state)  # standing, it owes no heading
+            self.start(moment.state)  # on the ground the heading setpoint is reset
         self._turn(moment, sticks)
         right, forward = in_circle(sticks.roll, sticks.pitch)
         tilt_rad = np.array((right * manual.tilt_max_rad, -forward * manual.tilt_max_rad, 0.0))
@@ -189,10 +189,10 @@ class ManualFlight:
     def altitude(
         self, moment: Moment, sticks: ManualInput, *, disturbance_ned_m_s2: Array | None
     ) -> TrajectorySetpoint:
-        """Tilt by the sticks, climb rate by the throttle, height held when it is centred.
+        """Return tilt by the sticks and climb rate by the throttle; the height is held when it is centred.
 
-        The tilt is asked for as the acceleration it gives in still air. A controller that makes up for the
-        disturbance it sees would answer drag and wind with more of it, so that is taken back beforehand.
+        The tilt is demanded as the acceleration that it causes in still air. The controller would compensate
+        drag and wind by more tilt, so the estimated disturbance is added here.
         """
         waiting = self._on_ground(moment, sticks)
         if waiting is not None:
@@ -217,7 +217,7 @@ class ManualFlight:
         )
 
     def position(self, moment: Moment, sticks: ManualInput) -> TrajectorySetpoint:
-        """Velocity by the sticks, place held when they are centred."""
+        """Return velocity by the sticks; the position is held when they are centred."""
         if self._still is not None and self._still[0] is sticks and not moment.landed:
             return self._still[1]
         waiting = self._on_ground(moment, sticks)
@@ -227,7 +227,7 @@ class ManualFlight:
         self._climb(moment, sticks)
         on_ground = moment.landed or (moment.touching and self._motion[VEL, 2] > 0.0)
         if on_ground:
-            self._motion[:, :2] = 0.0  # neither pulled nor pushed along the ground
+            self._motion[:, :2] = 0.0  # no horizontal demand on the ground
             self._locked_xy = False
         else:
             self._move(moment, sticks)
@@ -252,10 +252,10 @@ class ManualFlight:
         self._still = (sticks, setpoint) if still else None
         return setpoint
 
-    # ---- pieces
+    # ---- parts
 
     def _on_ground(self, moment: Moment, sticks: ManualInput) -> TrajectorySetpoint | None:
-        """Give what is to be done while standing; None in the air."""
+        """Return the setpoint on the ground; None in the air."""
         if not moment.landed:
             return None
         self.start(moment.state)
@@ -270,14 +270,14 @@ class ManualFlight:
         )
 
     def _turn(self, moment: Moment, sticks: ManualInput) -> None:
-        """Heading setpoint and its rate; it stays where it is when the stick is centred."""
+        """Update heading setpoint and yaw rate; the heading is kept when the stick is centred."""
         manual = self._params.manual
-        wanted = curve(sticks.yaw, deadzone=manual.deadzone, expo=manual.yaw_expo) * manual.yaw_rate_max_rad_s
-        if wanted == 0.0 and self._yaw_rate_rad_s == 0.0:
+        demand = curve(sticks.yaw, deadzone=manual.deadzone, expo=manual.yaw_expo) * manual.yaw_rate_max_rad_s
+        if demand == 0.0 and self._yaw_rate_rad_s == 0.0:
             return
         share = moment.dt_s / (manual.yaw_rate_filter_s + moment.dt_s)
-        self._yaw_rate_rad_s += share * (wanted - self._yaw_rate_rad_s)
-        if wanted == 0.0 and abs(self._yaw_rate_rad_s) < _REST_YAW_RATE_RAD_S:
+        self._yaw_rate_rad_s += share * (demand - self._yaw_rate_rad_s)
+        if demand == 0.0 and abs(self._yaw_rate_rad_s) < _REST_YAW_RATE_RAD_S:
             self._yaw_rate_rad_s = 0.0
         yaw_rad = float(quat_to_euler(moment.state.q_ned_frd)[2])
         ahead_rad = math.remainder(self._yaw_rad + self._yaw_rate_rad_s * moment.dt_s - yaw_rad, math.tau)
@@ -285,7 +285,7 @@ class ManualFlight:
         self._yaw_rad = math.remainder(yaw_rad + ahead_rad, math.tau)
 
     def _climb(self, moment: Moment, sticks: ManualInput) -> None:
-        """Move the vertical reference on, and hold or leave the height."""
+        """Advance the vertical reference, and hold or release the height."""
         manual, motion, state = self._params.manual, self._motion, moment.state
         stick = curve(2.0 * sticks.throttle - 1.0, deadzone=manual.deadzone, expo=manual.z_expo)
         limits = self._limits
@@ -294,16 +294,16 @@ class ManualFlight:
         if stick == 0.0:
             speed_m_s = max(abs(motion.item(VEL, 2)), abs(state.vel_ned_m_s.item(2)))
             self._locked_down = self._locked_down or _is_slow(speed_m_s, manual.hold_max_z_m_s)
-            wanted_m_s = 0.0
+            demand_m_s = 0.0
         else:
             self._locked_down = False
-            wanted_m_s = self._climb_speed_m_s(stick, moment)
+            demand_m_s = self._climb_speed_m_s(stick, moment)
         _advance_down(
-            motion, wanted_m_s, limits.acc_up_m_s2, limits.acc_dn_m_s2, manual.jerk_m_s3, moment.dt_s
+            motion, demand_m_s, limits.acc_up_m_s2, limits.acc_dn_m_s2, manual.jerk_m_s3, moment.dt_s
         )
 
     def _climb_speed_m_s(self, stick: float, moment: Moment) -> float:
-        """Down speed of a throttle; near the ground no faster than take-off and landing (as PX4)."""
+        """Return a throttle's downward speed; near the ground at most that of take-off or landing (PX4)."""
         position, params = self._position, self._params
         home_down_m = moment.home_ned_m[2] if moment.home_ned_m is not None else None
         up_m_s, down_m_s = position.z_vel_max_up_m_s, position.z_vel_max_dn_m_s
@@ -320,7 +320,7 @@ class ManualFlight:
         return min(max(speed_m_s, -up_max_m_s), down_max_m_s)
 
     def _move(self, moment: Moment, sticks: ManualInput) -> None:
-        """Move the horizontal reference on, and hold or leave the place."""
+        """Advance the horizontal reference, and hold or release the position."""
         manual, motion, state = self._params.manual, self._motion, moment.state
         right = curve(sticks.roll, deadzone=manual.deadzone, expo=manual.xy_expo)
         forward = curve(sticks.pitch, deadzone=manual.deadzone, expo=manual.xy_expo)
@@ -333,16 +333,16 @@ class ManualFlight:
                 math.hypot(state.vel_ned_m_s[0], state.vel_ned_m_s[1]),
             )
             self._locked_xy = self._locked_xy or _is_slow(speed_m_s, manual.hold_max_xy_m_s)
-            wanted_ned_m_s = np.zeros(3)
+            demand_ned_m_s = np.zeros(3)
         else:
             self._locked_xy = False
-            wanted_ned_m_s = vel_max_m_s * self._to_ned(*in_circle(right, forward))
+            demand_ned_m_s = vel_max_m_s * self._to_ned(*in_circle(right, forward))
         _advance_xy(
-            motion, wanted_ned_m_s, vel_max_m_s, self._limits.acc_xy_m_s2, manual.jerk_m_s3, moment.dt_s
+            motion, demand_ned_m_s, vel_max_m_s, self._limits.acc_xy_m_s2, manual.jerk_m_s3, moment.dt_s
         )
 
     def _to_ned(self, right: float, forward: float) -> Array:
-        """(3,) of a horizontal vector in the heading's frame."""
+        """Return a horizontal vector (3,) of the heading's frame in NED."""
         sine, cosine = math.sin(self._yaw_rad), math.cos(self._yaw_rad)
         return np.array((cosine * forward - sine * right, sine * forward + cosine * right, 0.0))
 

@@ -1,7 +1,7 @@
-"""What a mission is: its items, and what makes one wrong. Data; `mission_runner` goes through it.
+"""Missions: their items, and validation. Data; `mission_runner` executes it.
 
-An item stands for one of MAVLink's MISSION_ITEM_INT and has its number in the list; `plan_items` makes one of
-the other (None stands where MAVLink has not-a-number or does not care).
+An item corresponds to one MISSION_ITEM_INT of MAVLink with the same index; `plan_items` converts between them
+(None corresponds to MAVLink's not-a-number or an ignored field).
 """
 
 import math
@@ -17,10 +17,10 @@ class MissionError(ValueError):
 
 
 class MissionCommand(IntEnum):
-    """What an item asks for: MAV_CMD numbers, but for ACT."""
+    """Command of an item: the MAV_CMD number, except for ACT."""
 
     ACT = 0
-    """Of a camera, a gimbal or another load that may be aboard or not: told, and passed."""
+    """For a camera, a gimbal or another payload that may not be present: reported and skipped."""
     WAYPOINT = common.MAV_CMD_NAV_WAYPOINT
     LOITER_UNLIMITED = common.MAV_CMD_NAV_LOITER_UNLIM
     LOITER_TIME = common.MAV_CMD_NAV_LOITER_TIME
@@ -37,7 +37,7 @@ class MissionCommand(IntEnum):
 
 
 class HeightFrame(Enum):
-    """What an item's height counts from."""
+    """Reference of an item's height."""
 
     ABOVE_HOME = "above home"
     """MAV_FRAME_GLOBAL_RELATIVE_ALT(_INT)"""
@@ -52,7 +52,7 @@ FLOWN = frozenset(MissionCommand) - {
     MissionCommand.LOOK_AT,
     MissionCommand.LOOK_AHEAD,
 }
-"""Commands that take time; the others act on the way."""
+"""Commands that take time to fly; the others take effect immediately."""
 _NEEDS_PLACE = {
     MissionCommand.WAYPOINT,
     MissionCommand.LOITER_UNLIMITED,
@@ -63,82 +63,82 @@ _NEEDS_PLACE = {
 
 
 class MissionItem(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One step of a mission."""
+    """One item of a mission."""
 
     command: MissionCommand
     lat_deg: float | None = None
-    """None with ``lon_deg``: where the vehicle is, for TAKEOFF and LAND"""
+    """None with ``lon_deg``: the vehicle's position, for TAKEOFF and LAND"""
     lon_deg: float | None = None
     height_m: float = 0.0
-    """Of WAYPOINT, LOITER and TAKEOFF; LAND goes down to the ground, wherever that is"""
+    """Of WAYPOINT, LOITER and TAKEOFF; LAND descends to the ground at any height"""
     frame: HeightFrame = HeightFrame.ABOVE_HOME
     acceptance_m: float = 0.0
-    """Horizontal distance at which the place is reached; 0: NAV_ACC_RAD"""
+    """Horizontal distance at which the position is reached; 0: NAV_ACC_RAD"""
     hold_s: float = 0.0
-    """Stay of WAYPOINT, LOITER_TIME and DELAY"""
+    """Duration of WAYPOINT, LOITER_TIME and DELAY"""
     yaw_deg: float | None = None
-    """Heading at the place, clockwise from north; None: as MPC_YAW_MODE says. TURN turns there"""
+    """Heading at the position, clockwise from north; None: by MPC_YAW_MODE. Final heading of TURN"""
     yaw_relative: bool = False
-    """Of TURN: ``yaw_deg`` counts from the present heading"""
+    """Of TURN: ``yaw_deg`` is relative to the present heading"""
     speed_m_s: float | None = None
-    """Of CHANGE_SPEED, over ground; None: MPC_XY_CRUISE again"""
+    """Of CHANGE_SPEED, over ground; None: back to MPC_XY_CRUISE"""
     jump_to: int = 0
-    """Of JUMP: index of the item to go on with"""
+    """Of JUMP: index of the next item"""
     jump_count: int = 1
-    """Of JUMP: how often; after that the mission goes on behind it. -1: always"""
+    """Of JUMP: number of repetitions, after which the mission continues behind it; -1: unlimited"""
     act: int = 0
-    """Of ACT: the MAV_CMD"""
+    """Of ACT: the MAV_CMD number"""
 
     @property
     def has_place(self) -> bool:
-        """Whether it says where."""
+        """Whether it has a horizontal position."""
         return self.lat_deg is not None and self.lon_deg is not None
 
 
 class Mission(Struct, frozen=True):
-    """Items in their order, checked: making one raises MissionError with the first reason against it."""
+    """Validated items in their order. Creation raises MissionError with the first fault."""
 
     items: tuple[MissionItem, ...]
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be flown."""
-        trouble = _trouble(self.items)
-        if trouble is not None:
-            raise MissionError(trouble)
+        """Reject a mission that cannot be flown."""
+        fault = _fault(self.items)
+        if fault is not None:
+            raise MissionError(fault)
 
     def first_place(self) -> MissionItem | None:
-        """Give the first item with a place to fly to, in the order of the list."""
+        """Return the first item with a position to fly to, in the order of the list."""
         return next((item for item in self.items if item.has_place and item.command in FLOWN), None)
 
 
 def make_mission(items: Iterable[MissionItem]) -> Mission:
-    """Make a checked mission. Raises MissionError."""
+    """Return a validated mission. Raises MissionError."""
     return Mission(tuple(items))
 
 
-# ---- what is wrong with a mission
+# ---- validation
 
 
-def _trouble(items: Sequence[MissionItem]) -> str | None:
+def _fault(items: Sequence[MissionItem]) -> str | None:
     if not items:
         return "the mission is empty"
     for index, item in enumerate(items):
-        trouble = _item_trouble(item, len(items))
-        if trouble is not None:
-            return f"item {index} ({item.command.name}): {trouble}"
+        fault = _item_fault(item, len(items))
+        if fault is not None:
+            return f"item {index} ({item.command.name}): {fault}"
     if not any(item.command in FLOWN for item in items):
         return "the mission has nothing to fly"
-    index_in_circle = _circle(items)
-    if index_in_circle is not None:
-        return f"item {index_in_circle} (JUMP): goes round in a circle without flying anything"
+    index_in_loop = _jump_loop(items)
+    if index_in_loop is not None:
+        return f"item {index_in_loop} (JUMP): loops without anything to fly"
     return None
 
 
-def _item_trouble(item: MissionItem, count: int) -> str | None:
+def _item_fault(item: MissionItem, count: int) -> str | None:
     if (item.lat_deg is None) is not (item.lon_deg is None):
-        return "latitude and longitude come together"
+        return "latitude and longitude must be given together"
     if item.command in _NEEDS_PLACE and not item.has_place:
-        return "it has no place"
+        return "it has no position"
     checks = (
         (item.lat_deg, -90.0, 90.0, "latitude"),
         (item.lon_deg, -180.0, 180.0, "longitude"),
@@ -148,7 +148,7 @@ def _item_trouble(item: MissionItem, count: int) -> str | None:
         (item.yaw_deg, -360.0, 360.0, "heading"),
     )
     for value, low, high, name in checks:
-        if value is not None and not low <= value <= high:  # also refuses not-a-number
+        if value is not None and not low <= value <= high:  # also rejects not-a-number
             return f"{name} {value:g} is outside {low:g} .. {high:g}"
     if item.command is MissionCommand.TURN and item.yaw_deg is None:
         return "it has no heading"
@@ -162,10 +162,10 @@ def _item_trouble(item: MissionItem, count: int) -> str | None:
     return None
 
 
-def _circle(items: Sequence[MissionItem]) -> int | None:
-    """Index of a jump from which jumps lead round past nothing that is flown, or None.
+def _jump_loop(items: Sequence[MissionItem]) -> int | None:
+    """Return the index of a jump in a loop that contains nothing to fly, or None.
 
-    Takes away, again and again, what leads nowhere and what nothing leads to: what is left goes round.
+    Repeatedly removes items without successors or without predecessors; the remaining ones form loops.
     """
     after = {i: set(_follow(items, i)) for i, item in enumerate(items) if item.command not in FLOWN}
     for index in after:
@@ -188,7 +188,7 @@ def _circle(items: Sequence[MissionItem]) -> int | None:
 
 
 def _follow(items: Sequence[MissionItem], index: int) -> list[int]:
-    """Indices that may come after an item that is not flown."""
+    """Return the indices that may follow an item that takes no time."""
     item = items[index]
     if item.command is not MissionCommand.JUMP or item.jump_count == 0:
         return [index + 1]

@@ -1,9 +1,9 @@
-"""How a mission's items are flown: straight legs, corners taken in passing, stays, take-off and landing.
+"""Flight of mission items: straight legs, corners flown without a stop, stays, take-off and landing.
 
-A place that is only passed is aimed past: on every leg the guide's place to stop lies beyond the waypoint on
-the leg's own line, by as much as a vehicle that turned there at the last moment may overshoot the next leg.
-The reference is always able to stop at its place, so from the moment it turns to the next leg it is no
-further than that from it. Half of the acceptance is given to this; the other half is the vehicle's own error.
+At a waypoint without a stop the guide's target is beyond the waypoint on the leg's line, by the distance by
+which a vehicle that turned there at the last moment may overshoot the next leg. The reference can always stop
+at its target, so after the turn its distance from the next leg is at most that. Half of the acceptance is
+used for this; the other half is left for the vehicle's tracking error.
 """
 
 import math
@@ -35,16 +35,16 @@ _STAYS = {
 }
 _IN_PLACE = {MissionCommand.DELAY, MissionCommand.TURN, MissionCommand.RETURN}
 _CORNER_SHARE = 0.5
-"""Of the acceptance, for the reference to overshoot the next leg"""
+"""Fraction of the acceptance by which the reference may overshoot the next leg"""
 _SAME_PLACE_M = 0.01
 _ABEAM_M = 1e-6
 
 
 class MissionStage(Enum):
-    """What is done about the present item."""
+    """What is done for the present item."""
 
     NONE = "none"
-    """There is no item: hold, or stay on the ground."""
+    """No item: hold, or stay on the ground."""
     TAKE_OFF = "take off"
     FLY = "fly"
     STAY = "stay"
@@ -52,7 +52,7 @@ class MissionStage(Enum):
 
 
 class MissionFlight:
-    """Flies what the runner says; `resume` on entering the mode, then `update` at every step."""
+    """Flies the runner's items; call `resume` when the mode is entered, then `update` at every step."""
 
     def __init__(
         self, guide: Guide, take_off: TakeOff, landing: Landing, *, limits: TrajectoryParams,
@@ -60,62 +60,62 @@ class MissionFlight:
     ) -> None:  # fmt: skip
         self.runner = MissionRunner()
         self.stage = MissionStage.NONE
-        self.return_wanted = False
-        """The mission asks for Return mode; until then it holds."""
+        self.return_requested = False
+        """The mission requests Return mode, and holds until the mode changes."""
         self.place_ned_m: Array = np.zeros(3)
-        """(3,) of the present item."""
+        """Position (3,) of the present item."""
         self._guide = guide
         self._take_off = take_off
         self._landing = landing
         self._limits = limits
         self._position = position
         self._version: int | None = None
-        """The runner's, of the item in hand."""
+        """Version of the runner when the present item was started."""
         self._stayed_s = 0.0
         self._passes = False
-        """The guide leads past the present place."""
+        """The guide's target is beyond the present position."""
         self._level = False
-        """On the way to where a LOITER_TO_ALT changes its height."""
+        """The vehicle flies level to the position at which LOITER_TO_ALT changes its height."""
         self._heading_rad = 0.0
-        """Where a TURN ends."""
-        self._stood = False
-        """On the ground at the last step."""
+        """Final heading of a TURN."""
+        self._was_landed = False
+        """Whether it was on the ground at the last step."""
 
     @property
     def done(self) -> bool:
-        """Whether all items are flown, or there are none any more; it holds the last place."""
-        return (self.runner.finished or self.runner.mission is None) and not self.return_wanted
+        """Whether all items are flown or there is no mission; it then holds the last position."""
+        return (self.runner.finished or self.runner.mission is None) and not self.return_requested
 
     def load(self, mission: Mission | None, *, start: int = 0) -> None:
-        """Take another mission, or none; in the mode it begins, with item ``start``, at the next step."""
-        self.return_wanted = False
+        """Replace or remove the mission; in Mission mode it starts with item ``start`` at the next step."""
+        self.return_requested = False
         self.runner.load(mission, start=start)
 
     def set_limits(self, limits: TrajectoryParams, position: PositionParams) -> None:
-        """Change what legs are flown by; `apply_limits` makes the present one follow."""
+        """Change the limits of later legs; `apply_limits` applies them to the present one."""
         self._limits, self._position = limits, position
 
     def apply_limits(self) -> None:
-        """Go on with the present leg, or take-off, within the present limits."""
+        """Continue the present leg, or take-off, with the present limits."""
         if self.stage is MissionStage.TAKE_OFF:
             self._take_off.set_limits(self._limits, speed_m_s=self._position.tko_speed_m_s)
         else:
             self._guide.set_limits(self._leg_limits())
 
     def resume(self, moment: Moment, params: NavigationParams) -> None:
-        """Go on with the present item from the present motion; a finished mission holds where that ends."""
-        self.return_wanted = False
+        """Continue the present item from the present motion; a finished mission holds where it stops."""
+        self.return_requested = False
         self.runner.settle()
         self._guide.set_limits(self._leg_limits())
         self._guide.restart(moment.state)
         self._begin(moment, params)
 
     def restart(self) -> None:
-        """Forget what was flown: the next `resume` begins with the first item."""
+        """Reset the progress: the next `resume` starts with the first item."""
         self.runner.restart()
 
     def update(self, moment: Moment, params: NavigationParams) -> TrajectorySetpoint:
-        """Give the next setpoint."""
+        """Return the next setpoint."""
         if self.runner.version != self._version:
             self._begin(moment, params)
         if self._is_done(moment, params):
@@ -123,10 +123,10 @@ class MissionFlight:
         if self.stage is MissionStage.TAKE_OFF:
             return self._take_off.update(moment)
         if moment.landed:
-            self._stood = True
+            self._was_landed = True
             return IDLE
-        if self._stood:
-            self._lift(moment, params)
+        if self._was_landed:
+            self._lift_off(moment, params)
         if self.stage is MissionStage.LAND:
             return self._landing.update(moment, params)
         guide = self._guide
@@ -134,12 +134,12 @@ class MissionFlight:
             self._turn(moment, params)
         elif self._passes:
             self._passes = False
-            guide.go_to(self.place_ned_m)  # it came to rest past a place that the vehicle has not been at
+            guide.go_to(self.place_ned_m)  # at rest beyond a position that the vehicle has not reached
         return guide.follow(moment.dt_s, vehicle_pos_ned_m=moment.state.pos_ned_m)
 
-    def _lift(self, moment: Moment, params: NavigationParams) -> None:
-        """Off the ground unasked: go on with a leg, else stay here instead of going back up."""
-        self._stood = False
+    def _lift_off(self, moment: Moment, params: NavigationParams) -> None:
+        """Handle an unexpected lift-off: continue a leg, otherwise stay here instead of climbing back."""
+        self._was_landed = False
         if self.stage is MissionStage.FLY:
             self.resume(moment, params)
         elif self.stage is not MissionStage.LAND:
@@ -148,12 +148,12 @@ class MissionFlight:
     def _advance(self, moment: Moment, params: NavigationParams) -> None:
         item = self.runner.item
         if item is not None and item.command is MissionCommand.RETURN:
-            self.return_wanted = True
+            self.return_requested = True
         self.runner.advance()
         self._begin(moment, params, from_place=True)
 
     def _is_done(self, moment: Moment, params: NavigationParams) -> bool:
-        """Whether the present item is; a take-off and a way to a place to land at lead to its next stage."""
+        """Return whether the present item is complete; a take-off or leg to a landing changes its stage."""
         item = self.runner.item
         if item is None:
             return False
@@ -178,8 +178,8 @@ class MissionFlight:
         elif self.stage is MissionStage.STAY:
             self._stayed_s += moment.dt_s
         if item.command is MissionCommand.TURN:
-            off_rad = _off_heading_rad(moment.state, self._heading_rad)
-            return moment.landed or (self._guide.resting and off_rad <= params.yaw_acceptance_rad)
+            error_rad = _heading_error_rad(moment.state, self._heading_rad)
+            return moment.landed or (self._guide.resting and error_rad <= params.yaw_acceptance_rad)
         return (
             self.stage is MissionStage.STAY
             and item.command is not MissionCommand.LOITER_UNLIMITED
@@ -189,16 +189,16 @@ class MissionFlight:
     # ---- stages
 
     def _begin(self, moment: Moment, params: NavigationParams, *, from_place: bool = False) -> None:
-        """Take the runner's item in hand; ``from_place``: the way leads on from the last one's place."""
+        """Start the runner's item; ``from_place``: the leg begins at the last item's position."""
         again = self._version == self.runner.version
         self.runner.settle()
         self._version = self.runner.version
-        self._passes = self._stood = False
+        self._passes = self._was_landed = False
         item, guide = self.runner.item, self._guide
         if item is None:
             self.stage = MissionStage.NONE
             if self.runner.mission is None:
-                guide.restart(moment.state)  # it was taken away in flight
+                guide.restart(moment.state)  # the mission was removed in flight
             return
         guide.set_limits(self._leg_limits())
         self._level = item.command is MissionCommand.LOITER_TO_ALT
@@ -216,7 +216,7 @@ class MissionFlight:
             self._fly(item, moment, params, from_place=from_place)
 
     def _leave_ground(self, item: MissionItem, moment: Moment, params: NavigationParams) -> None:
-        """Climb to the item's height, as PX4 does for any first place; a landing needs nothing."""
+        """Climb to the item's height, as PX4 does for any first position; a landing needs no climb."""
         if item.command is MissionCommand.LAND:
             self.stage = MissionStage.LAND
             return
@@ -231,7 +231,7 @@ class MissionFlight:
     def _fly(
         self, item: MissionItem, moment: Moment, params: NavigationParams, *, from_place: bool = False
     ) -> None:
-        """Set out for the item's place, past it where it is only passed."""
+        """Fly to the item's position, with a target beyond it if the vehicle need not stop there."""
         guide = self._guide
         guide.set_limits(self._leg_limits())
         self.stage = MissionStage.FLY
@@ -256,10 +256,10 @@ class MissionFlight:
         self.stage = MissionStage.LAND
         self._landing.start(state)
 
-    # ---- pieces
+    # ---- parts
 
     def _is_passed(self, item: MissionItem) -> bool:
-        """Whether the vehicle need not stop at the item's place."""
+        """Return whether the vehicle need not stop at the item's position."""
         return item.command not in _STAYS and item.hold_s == 0.0 and item.command is not MissionCommand.LAND
 
     def _is_high_enough(self, state: EstimatorState, params: NavigationParams) -> bool:
@@ -268,9 +268,9 @@ class MissionFlight:
 
     def _is_there(self, item: MissionItem, state: EstimatorState, params: NavigationParams) -> bool:
         if item.command is MissionCommand.LAND and not self._guide.resting:
-            return False  # it goes down straight, at the place and not near it
+            return False  # a landing descends vertically at the position itself
         heading_rad = math.radians(item.yaw_deg) if item.yaw_deg is not None else None
-        if heading_rad is not None and _off_heading_rad(state, heading_rad) > params.yaw_acceptance_rad:
+        if heading_rad is not None and _heading_error_rad(state, heading_rad) > params.yaw_acceptance_rad:
             return False
         return is_near(
             state.pos_ned_m,
@@ -280,7 +280,7 @@ class MissionFlight:
         )
 
     def _turn(self, moment: Moment, params: NavigationParams) -> None:
-        """Point the nose where the item says, else at what is to be looked at, else as MPC_YAW_MODE says."""
+        """Set the heading: that of the item, else towards the region of interest, else by MPC_YAW_MODE."""
         item, look_at, guide = self.runner.item, self.runner.look_at, self._guide
         if self.stage is not MissionStage.FLY or item is None or item.yaw_deg is not None:
             return
@@ -302,7 +302,7 @@ class MissionFlight:
         return replace(self._limits, xy_cruise_m_s=min(speed_m_s, self._position.xy_vel_max_m_s))
 
     def _item_place_ned_m(self, item: MissionItem, moment: Moment, here_ned_m: Array) -> Array:
-        """(3,) place of an item; ``here_ned_m`` stands in for what it does not say."""
+        """Return the position (3,) of an item; ``here_ned_m`` replaces components that it does not have."""
         state, home_ned_m = moment.state, moment.home_ned_m
         place_ned_m = here_ned_m.copy()
         if item.lat_deg is not None and item.lon_deg is not None:
@@ -317,7 +317,7 @@ class MissionFlight:
         if item.command is not MissionCommand.LAND:
             place_ned_m[2] = self._down_m(item, state, home_ned_m[2] if home_ned_m is not None else 0.0)
             if item.command is MissionCommand.TAKEOFF and not item.has_place:
-                place_ned_m[2] = min(place_ned_m[2], here_ned_m[2])  # in the air it never goes down
+                place_ned_m[2] = min(place_ned_m[2], here_ned_m[2])  # in the air it never descends
         return place_ned_m
 
     def _down_m(self, item: MissionItem, state: EstimatorState, home_down_m: float) -> float:
@@ -330,12 +330,12 @@ def _yaw_rad(state: EstimatorState) -> float:
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
-def _off_heading_rad(state: EstimatorState, heading_rad: float) -> float:
+def _heading_error_rad(state: EstimatorState, heading_rad: float) -> float:
     return abs(math.remainder(_yaw_rad(state) - heading_rad, math.tau))
 
 
 def _heading_to_turn_to_rad(item: MissionItem, state: EstimatorState) -> float:
-    """Heading that a TURN ends with."""
+    """Return the final heading of a TURN."""
     turn_rad = math.radians(item.yaw_deg or 0.0)
     return math.remainder(_yaw_rad(state) + turn_rad if item.yaw_relative else turn_rad, math.tau)
 
@@ -344,11 +344,11 @@ def overshoot_ned_m(
     start_ned_m: Array, place_ned_m: Array, next_ned_m: Array, *, radius_m: float, height_m: float,
     enough_m: float,
 ) -> Array:  # fmt: skip
-    """(3,) how far past a place on the line from ``start`` the reference may aim when it turns to ``next``.
+    """Return how far beyond a position, (3,), the reference may aim on a leg from ``start`` before ``next``.
 
-    The point aimed at stays within half of the acceptance (``radius_m`` horizontally, ``height_m``
-    vertically) of the next leg, measured across it, or of the place itself when the way turns back; and what
-    of the motion goes on along the next leg can stop before that leg's end. At most ``enough_m``.
+    The target is within half of the acceptance (``radius_m`` horizontally, ``height_m`` vertically) of the
+    next leg, measured across it, or of the position itself if the path turns back; and the component of the
+    motion along the next leg can stop before that leg's end. At most ``enough_m``.
     """
     way, onward = place_ned_m - start_ned_m, next_ned_m - place_ned_m
     way_m, onward_m = float(np.linalg.norm(way)), float(np.linalg.norm(onward))
@@ -360,7 +360,7 @@ def overshoot_ned_m(
     if cosine > 0.0:
         beyond_m = min(beyond_m, onward_m / cosine)
     off = way - max(cosine, 0.0) * onward
-    # share of the acceptance that a metre of overshoot takes
+    # fraction of the acceptance per metre of overshoot
     used_1_m = math.hypot(off[0] / radius_m, off[1] / radius_m, off[2] / height_m)
     if used_1_m > _ABEAM_M:
         beyond_m = min(beyond_m, _CORNER_SHARE / used_1_m)

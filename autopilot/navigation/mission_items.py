@@ -1,8 +1,8 @@
-"""Missions as stations write them, made into what is flown, item for item.
+"""Conversion of missions from a station's items, item for item.
 
-Which items there are and what their parameters mean is PX4's (src/modules/mavlink/mavlink_mission.cpp,
-parse_mavlink_mission_item), with these differences: items without a place may have any frame, CONDITION_YAW
-is taken, DO_SET_HOME and CONDITION_DISTANCE are not.
+Supported items and the meaning of their parameters are PX4's (src/modules/mavlink/mavlink_mission.cpp,
+parse_mavlink_mission_item), with these differences: items without a position may have any frame,
+CONDITION_YAW is supported, DO_SET_HOME and CONDITION_DISTANCE are not.
 """
 
 import math
@@ -38,7 +38,7 @@ from autopilot.navigation.plan_store import WireItem
 
 
 def mission(items: Sequence[WireItem]) -> Mission | None:
-    """Make a mission, item for item; None without any. Raises ValueError for what `refusal` refuses."""
+    """Return the mission, or None without items. Raises ValueError for items that `refusal` rejects."""
     if not items:
         return None
     made = [_mission_item(seq, item) for seq, item in enumerate(items)]
@@ -66,7 +66,7 @@ def _mission_item(seq: int, item: WireItem) -> MissionItem:
 
 
 def _place_or_here(seq: int, item: WireItem) -> tuple[float | None, float | None]:
-    """Latitude and longitude; without a frame, at 0/0 and off the globe neither: where the vehicle is."""
+    """Return latitude and longitude; None (the vehicle's position) without frame, at 0/0 or if invalid."""
     beyond = abs(item.x) > 90 * PER_DEGREE or abs(item.y) > 180 * PER_DEGREE
     if item.frame == NO_FRAME or (item.x, item.y) == (0, 0) or beyond:
         return None, None
@@ -121,7 +121,7 @@ def _land(seq: int, item: WireItem) -> MissionItem:
     )
 
 
-def _return(seq: int, item: WireItem) -> MissionItem:  # noqa: ARG001  # one shape for all
+def _return(seq: int, item: WireItem) -> MissionItem:  # noqa: ARG001  # common signature
     return MissionItem(command=MissionCommand.RETURN)
 
 
@@ -148,7 +148,7 @@ def _jump(seq: int, item: WireItem) -> MissionItem:
 
 
 def _change_speed(seq: int, item: WireItem) -> MissionItem:
-    """Speed over ground; through the air is the same to a multicopter, and vertical ones are parameters'."""
+    """Speed over ground; airspeed is equivalent for a multicopter, and vertical speeds are parameters."""
     number(seq, item, 0, low=0.0, high=1.0)
     speed_m_s = number(seq, item, 1, low=-2.0, high=1e3)
     return MissionItem(command=MissionCommand.CHANGE_SPEED, speed_m_s=speed_m_s if speed_m_s > 0.0 else None)
@@ -166,12 +166,12 @@ def _look_at(seq: int, item: WireItem) -> MissionItem:
     )
 
 
-def _look_ahead(seq: int, item: WireItem) -> MissionItem:  # noqa: ARG001  # one shape for all
+def _look_ahead(seq: int, item: WireItem) -> MissionItem:  # noqa: ARG001  # common signature
     return MissionItem(command=MissionCommand.LOOK_AHEAD)
 
 
-def _old_view(seq: int, item: WireItem) -> MissionItem:
-    """MAV_CMD_DO_SET_ROI and MAV_CMD_NAV_ROI, whose first parameter says at what."""
+def _roi(seq: int, item: WireItem) -> MissionItem:
+    """MAV_CMD_DO_SET_ROI and MAV_CMD_NAV_ROI, whose first parameter is the kind of region."""
     what = number(seq, item, 0, high=4.0)
     if what == common.MAV_ROI_LOCATION:
         return _look_at(seq, item)
@@ -182,7 +182,7 @@ def _old_view(seq: int, item: WireItem) -> MissionItem:
     raise wrong(seq, item, 0, f"region of interest of kind {what:g} is not supported")
 
 
-def _act(seq: int, item: WireItem) -> MissionItem:  # noqa: ARG001  # one shape for all
+def _act(seq: int, item: WireItem) -> MissionItem:  # noqa: ARG001  # common signature
     return MissionItem(command=MissionCommand.ACT, act=item.command)
 
 
@@ -213,7 +213,7 @@ ACTS: dict[int, str] = {
     common.MAV_CMD_VIDEO_STOP_CAPTURE: "stop video",
     common.MAV_CMD_DO_WINCH: "move winch",
 }
-"""Items for a load, and what is said when the vehicle comes by; of a marker nothing is."""
+"""Payload items and the message when the vehicle passes them; a marker has none."""
 
 _MAKERS: dict[int, Callable[[int, WireItem], MissionItem]] = dict.fromkeys(ACTS, _act) | {
     common.MAV_CMD_NAV_WAYPOINT: _waypoint,
@@ -230,6 +230,6 @@ _MAKERS: dict[int, Callable[[int, WireItem], MissionItem]] = dict.fromkeys(ACTS,
     common.MAV_CMD_DO_CHANGE_SPEED: _change_speed,
     common.MAV_CMD_DO_SET_ROI_LOCATION: _look_at,
     common.MAV_CMD_DO_SET_ROI_NONE: _look_ahead,
-    common.MAV_CMD_DO_SET_ROI: _old_view,
-    common.MAV_CMD_NAV_ROI: _old_view,
+    common.MAV_CMD_DO_SET_ROI: _roi,
+    common.MAV_CMD_NAV_ROI: _roi,
 }

@@ -1,6 +1,6 @@
-"""Which item of a mission is flown: order, jumps, speeds, acts. It knows no time, and flies to no place.
+"""Sequencing of mission items: order, jumps, speeds, actions. Independent of time and position.
 
-What is not flown is carried out when a vehicle comes by in Mission mode, not before: `settle` does so.
+Items that take no time are executed when the vehicle reaches them in Mission mode, not before: by `settle`.
 """
 
 from collections import deque
@@ -8,31 +8,31 @@ from collections import deque
 from autopilot.navigation.mission import FLOWN, Mission, MissionCommand, MissionError, MissionItem
 
 _REPORTS = 1_000
-"""Most items that are kept to be told of; of more, the newest."""
+"""Greatest number of items that wait to be reported; older ones are dropped."""
 
 
 class MissionRunner:
-    """Goes through a mission's items; keeps its place while another mode flies."""
+    """Steps through a mission's items; keeps its progress while another mode is active."""
 
     def __init__(self) -> None:
         self.mission: Mission | None = None
         self.current = 0
-        """Index of the item that is flown, or would be; of the last one when finished."""
+        """Index of the present item; of the last one when finished."""
         self.reached: int | None = None
-        """Index of the item flown last."""
+        """Index of the last item that was flown."""
         self.reached_count = 0
-        """How many items were flown: rises with every `reached`, also of the same item."""
+        """Number of items flown; incremented with every `reached`, also for the same item."""
         self.done: deque[int] = deque(maxlen=_REPORTS)
-        """Indices of items flown or carried out, for whoever tells of them and takes them away."""
+        """Indices of items flown or executed; the reader reports and removes them."""
         self.begun = False
-        """Something was flown or carried out since the beginning."""
+        """Whether an item was flown or executed since the start."""
         self.finished = False
         self.speed_m_s: float | None = None
-        """As the mission changed it; None: MPC_XY_CRUISE."""
+        """Speed set by the mission; None: MPC_XY_CRUISE."""
         self.look_at: MissionItem | None = None
-        """Where the nose is to point; None: where other settings say."""
+        """Region of interest for the heading; None: by other settings."""
         self.version = 0
-        """Rises whenever the item to be flown is another, or the same one anew."""
+        """Incremented when another item is to be flown, or the same one again."""
         self._jumps_done: dict[int, int] = {}
 
     @property
@@ -43,14 +43,14 @@ class MissionRunner:
         return self.mission.items[self.current]
 
     def load(self, mission: Mission | None, *, start: int = 0) -> None:
-        """Take another mission, or none, and begin with its first item, or another that exists."""
+        """Replace the mission, or remove it, and start with its first item or another one."""
         self.mission = mission
         self.restart()
         if start:
             self.set_current(start)
 
     def restart(self) -> None:
-        """Begin with the first item, as if never flown."""
+        """Reset the progress and start with the first item."""
         self.reached = None
         self.reached_count = 0
         self.begun = False
@@ -59,9 +59,9 @@ class MissionRunner:
         self._begin(0)
 
     def set_current(self, index: int) -> None:
-        """Go on with another item (MISSION_SET_CURRENT). Raises MissionError for one that does not exist.
+        """Continue with another item (MISSION_SET_CURRENT). Raises MissionError if it does not exist.
 
-        Jumps begin to count anew; speed and view are the last ones set in the items before it.
+        Jump counts are reset; speed and region of interest are the last ones set by the items before it.
         """
         count = 0 if self.mission is None else len(self.mission.items)
         if not 0 <= index < count:
@@ -70,13 +70,13 @@ class MissionRunner:
         self._begin(index)
 
     def settle(self) -> None:
-        """Carry out what acts at once from the present item on, and stop at the first that is flown."""
+        """Execute items that take no time, from the present one up to the first that is flown."""
         item = self.item
         if item is not None and item.command not in FLOWN:
             self._go_on(self.current)
 
     def advance(self) -> None:
-        """Note that the present item is done, and take the next that is flown."""
+        """Mark the present item as complete and continue with the next one that is flown."""
         if self.item is None:
             return
         self.reached = self.current
@@ -85,7 +85,7 @@ class MissionRunner:
         self._go_on(self.current + 1)
 
     def next_item(self) -> MissionItem | None:
-        """Item that will be flown after the present one, or None; changes nothing."""
+        """Return the item that will be flown after the present one, or None; changes nothing."""
         if self.mission is None or self.finished:
             return None
         index, _ = self._walk(self.current + 1, dict(self._jumps_done))
@@ -100,7 +100,7 @@ class MissionRunner:
             self._carry_out(item)
 
     def _go_on(self, index: int) -> None:
-        """Take the first item from an index on that is flown, and carry out what is on the way to it."""
+        """Continue with the first item from an index that is flown, and execute the items before it."""
         self.version += 1
         items = self.mission.items if self.mission is not None else ()
         index, acts = self._walk(index, self._jumps_done)
@@ -111,7 +111,7 @@ class MissionRunner:
         self.current = min(index, len(items) - 1)
 
     def _carry_out(self, item: MissionItem) -> None:
-        """Keep what an item says of those that follow."""
+        """Apply an item's effect on the following ones."""
         if item.command is MissionCommand.CHANGE_SPEED:
             self.speed_m_s = item.speed_m_s
         elif item.command is MissionCommand.LOOK_AT:
@@ -124,9 +124,9 @@ class MissionRunner:
         self.done.append(index)
 
     def _walk(self, index: int, jumps_done: dict[int, int]) -> tuple[int, list[int]]:
-        """Index of the first item from ``index`` on that is flown, and of the acts on the way to it.
+        """Return the index of the first item from ``index`` that is flown, and the actions before it.
 
-        Counts the jumps taken. Ends, for no circle of a `Mission` is without something flown.
+        Counts the jumps taken. Terminates, because every loop of a `Mission` contains an item that is flown.
         """
         items = self.mission.items if self.mission is not None else ()
         acts: list[int] = []

@@ -1,8 +1,8 @@
-"""Orbit mode: around a place at a distance, with the nose where it was asked for. Pure.
+"""Orbit mode: flight on a circle around a centre, with a selectable heading. Pure.
 
-After PX4's FlightTaskOrbit: it flies straight to the nearest place of the circle and then around. Unlike
-there, the circle is flown by position, velocity and acceleration, from a standstill within the limit of jerk,
-so that nothing pulls the vehicle inwards or out.
+After PX4's FlightTaskOrbit: the vehicle flies straight to the nearest point of the circle, and then along it.
+Unlike in PX4, position, velocity and acceleration of the circle are all feed-forward, from rest within the
+jerk limit, so there is no radial tracking error.
 """
 
 import math
@@ -21,18 +21,18 @@ from foundation.types import Array, EstimatorState, TrajectorySetpoint
 RADIUS_MIN_M, RADIUS_MAX_M = 1.0, 1_000.0
 SPEED_MAX_M_S = 10.0
 ACC_MAX_M_S2 = 2.0
-"""PX4's bounds of radius, speed and what both together ask for; of the last two the speed gives way."""
+"""PX4's bounds of radius, speed and centripetal acceleration; the speed is reduced to respect the last."""
 _CENTRE_M = 0.1
-"""Nearer to the centre than this, every place of the circle is as near as any other."""
+"""Nearer to the centre than this, all points of the circle count as equally near."""
 
 
 class YawBehaviour(IntEnum):
-    """Where the nose points: ORBIT_YAW_BEHAVIOUR."""
+    """Heading on the circle: ORBIT_YAW_BEHAVIOUR."""
 
     TO_CENTRE = 0
     INITIAL = 1
     UNCONTROLLED = 2
-    """The nose stays where it is."""
+    """The heading is kept."""
     TANGENT = 3
     STICK = 4
     UNCHANGED = 5
@@ -40,7 +40,7 @@ class YawBehaviour(IntEnum):
 
 
 class Circle(Struct, frozen=True, kw_only=True):
-    """What is flown."""
+    """Parameters of an orbit."""
 
     north_m: float
     east_m: float
@@ -48,11 +48,11 @@ class Circle(Struct, frozen=True, kw_only=True):
     """Of the centre, from the estimator's origin"""
     radius_m: float
     speed_m_s: float
-    """Clockwise seen from above; negative the other way round"""
+    """Clockwise seen from above; negative: counter-clockwise"""
     yaw: YawBehaviour
 
     def bounded(self) -> "Circle":
-        """Give what may be flown of it."""
+        """Return the circle within the bounds."""
         radius_m = min(max(self.radius_m, RADIUS_MIN_M), RADIUS_MAX_M)
         most_m_s = min(SPEED_MAX_M_S, math.sqrt(ACC_MAX_M_S2 * radius_m))
         return Circle(
@@ -62,7 +62,7 @@ class Circle(Struct, frozen=True, kw_only=True):
 
 
 def default_circle(state: EstimatorState) -> Circle:
-    """Give PX4's for a mode that is chosen without a circle: 1 m about a place to the south, at 1 m/s."""
+    """Return PX4's circle for a mode selected without one: radius 1 m, centre to the south, 1 m/s."""
     north_m, east_m, down_m = state.pos_ned_m.tolist()
     return Circle(
         north_m=north_m - RADIUS_MIN_M, east_m=east_m, down_m=down_m, radius_m=RADIUS_MIN_M, speed_m_s=1.0,
@@ -71,24 +71,24 @@ def default_circle(state: EstimatorState) -> Circle:
 
 
 class Orbit:
-    """One vehicle's way around; `start` with every circle, then `update` at every step."""
+    """Orbit of one vehicle; call `start` with every circle, then `update` at every step."""
 
     def __init__(self, guide: Guide) -> None:
         self.circle: Circle | None = None
-        """What was asked for last, within its bounds."""
+        """The last requested circle, within the bounds."""
         self.approaching = True
-        """On the straight way to the circle."""
+        """Whether the vehicle is on the straight leg to the circle."""
         self._guide = guide
         self._bearing_rad = 0.0
-        """Of the reference, seen from the centre: from north, clockwise."""
+        """Bearing of the reference from the centre, clockwise from north."""
         self._speed_m_s = 0.0
         self._acc_m_s2 = 0.0
-        """Of the reference along the circle."""
+        """Of the reference, along the circle."""
         self._yaw_rad = 0.0
         self._initial_yaw_rad = 0.0
 
     def start(self, state: EstimatorState, circle: Circle) -> None:
-        """Go to the nearest place of a circle, from the present motion."""
+        """Fly to the nearest point of a circle, from the present motion."""
         guide = self._guide
         guide.restart(state)
         self._initial_yaw_rad = self._yaw_rad = float(quat_to_euler(state.q_ned_frd)[2])
@@ -100,13 +100,13 @@ class Orbit:
             self._bearing_rad = self._initial_yaw_rad
         self._speed_m_s = self._acc_m_s2 = 0.0
         self.approaching = True
-        wanted_rad = self._heading_rad(circle)
-        guide.go_to(self._place_ned_m(circle), yaw_rad=wanted_rad)
+        yaw_rad = self._heading_rad(circle)
+        guide.go_to(self._place_ned_m(circle), yaw_rad=yaw_rad)
 
     def update(
         self, moment: Moment, params: NavigationParams, *, manual: ManualInput | None
     ) -> TrajectorySetpoint:
-        """Give the next setpoint."""
+        """Return the next setpoint."""
         guide, circle, state = self._guide, self.circle, moment.state
         if circle is None:
             return guide.follow(moment.dt_s)
@@ -128,10 +128,10 @@ class Orbit:
             )
         return self._setpoint(circle, pace, jerk_m_s3, yaw_rate_rad_s, limits.acc_lead_s)
 
-    # ---- pieces
+    # ---- parts
 
     def _place_ned_m(self, circle: Circle) -> Array:
-        """(3,) where the reference is."""
+        """Return the position (3,) of the reference."""
         return np.array((
             circle.north_m + circle.radius_m * math.cos(self._bearing_rad),
             circle.east_m + circle.radius_m * math.sin(self._bearing_rad),
@@ -139,26 +139,28 @@ class Orbit:
         ))  # fmt: skip
 
     def _advance(self, circle: Circle, dt_s: float, limits: TrajectoryParams) -> float:
-        """Move on along the circle; returns the jerk along it, m/s^3."""
+        """Advance along the circle; return the jerk along it, m/s^3."""
         if dt_s <= 0.0:
             return 0.0
         missing_m_s = circle.speed_m_s - self._speed_m_s
-        # the acceleration that vanishes at full jerk just when the speed is reached
+        # the acceleration that reaches zero at full jerk exactly when the speed is reached
         half_s = 0.5 * dt_s
         most_m_s2 = limits.jerk_m_s3 * (
             math.sqrt(half_s * half_s + 2.0 * abs(missing_m_s) / limits.jerk_m_s3) - half_s
         )
-        wanted_m_s2 = math.copysign(min(most_m_s2, limits.acc_xy_m_s2, abs(missing_m_s) / dt_s), missing_m_s)
+        demanded_m_s2 = math.copysign(
+            min(most_m_s2, limits.acc_xy_m_s2, abs(missing_m_s) / dt_s), missing_m_s
+        )
         change_m_s2 = limits.jerk_m_s3 * dt_s
         before_m_s2 = self._acc_m_s2
-        self._acc_m_s2 += min(max(wanted_m_s2 - before_m_s2, -change_m_s2), change_m_s2)
+        self._acc_m_s2 += min(max(demanded_m_s2 - before_m_s2, -change_m_s2), change_m_s2)
         way_m = (self._speed_m_s + half_s * self._acc_m_s2) * dt_s
         self._speed_m_s += self._acc_m_s2 * dt_s
         self._bearing_rad = math.remainder(self._bearing_rad + way_m / circle.radius_m, math.tau)
         return (self._acc_m_s2 - before_m_s2) / dt_s
 
     def _turn(self, circle: Circle, dt_s: float, limits: TrajectoryParams) -> float:
-        """Turn towards the heading that is asked for; returns the rate at which that itself turns, rad/s."""
+        """Turn towards the demanded heading; return the rate of that heading itself, rad/s."""
         most_rad = limits.yaw_rate_max_rad_s * dt_s
         missing_rad = math.remainder(self._heading_rad(circle) - self._yaw_rad, math.tau)
         self._yaw_rad = math.remainder(self._yaw_rad + min(max(missing_rad, -most_rad), most_rad), math.tau)
@@ -178,7 +180,7 @@ class Orbit:
     def _setpoint(
         self, circle: Circle, pace: float, jerk_m_s3: float, yaw_rate_rad_s: float, lead_s: float
     ) -> TrajectorySetpoint:
-        """Give the reference's motion; as elsewhere the acceleration leads by the attitude loop's lag."""
+        """Return the motion of the reference; the acceleration leads by the lag of the attitude loop."""
         cos, sin = math.cos(self._bearing_rad), math.sin(self._bearing_rad)
         outwards, along = np.array((cos, sin, 0.0)), np.array((-sin, cos, 0.0))
         speed_m_s, acc_m_s2, turn_1_s = self._speed_m_s, self._acc_m_s2, self._speed_m_s / circle.radius_m

@@ -1,4 +1,4 @@
-"""What the items of plans have in common: frames, places, numbers within limits, and how one is refused."""
+"""Common checks of plan items: frames, positions, limits of numbers, and rejection."""
 
 import math
 
@@ -19,7 +19,7 @@ INVALID_PARAM = (
     common.MAV_MISSION_INVALID_PARAM6_Y,
     common.MAV_MISSION_INVALID_PARAM7,
 )
-"""By the parameter's number, from 0."""
+"""By the parameter's index, from 0."""
 _FIELDS = ("param1", "param2", "param3", "param4", "latitude", "longitude", "altitude")
 
 HEIGHT_FRAMES = {
@@ -34,7 +34,7 @@ _HEIGHT_MAX_M = 1e5
 
 
 class RefusalError(ValueError):
-    """An item that is not taken."""
+    """An item that is rejected."""
 
     def __init__(self, result: int, seq: int, text: str) -> None:
         super().__init__(text)
@@ -42,14 +42,14 @@ class RefusalError(ValueError):
 
 
 def require_finite(seq: int, item: WireItem) -> None:
-    """Refuse infinite parameters."""
+    """Reject infinite parameters."""
     for i, value in enumerate((*item.params, 0.0, 0.0, item.z)):
         if math.isinf(value):
             raise wrong(seq, item, i, f"{_FIELDS[i]} is not finite")
 
 
 def require_place(seq: int, item: WireItem) -> tuple[float, float]:
-    """Latitude and longitude, degrees."""
+    """Return latitude and longitude, degrees."""
     if item.frame not in HEIGHT_FRAMES:
         raise RefusalError(
             UNSUPPORTED_FRAME, seq, f"Item {seq}: {name_of(item)} in {frame_of(item)} is not supported"
@@ -62,8 +62,8 @@ def require_place(seq: int, item: WireItem) -> tuple[float, float]:
 
 
 def height_m(seq: int, item: WireItem) -> float:
-    """Give the height, counted from what the frame says."""
-    if not abs(item.z) <= _HEIGHT_MAX_M:  # also refuses not-a-number
+    """Return the height, relative to the reference of the frame."""
+    if not abs(item.z) <= _HEIGHT_MAX_M:  # also rejects not-a-number
         raise wrong(seq, item, 6, f"altitude {item.z:g} is outside {-_HEIGHT_MAX_M:g} .. {_HEIGHT_MAX_M:g}")
     return item.z
 
@@ -71,7 +71,7 @@ def height_m(seq: int, item: WireItem) -> float:
 def number(
     seq: int, item: WireItem, i: int, *, high: float, low: float = 0.0, nothing: float | None = 0.0
 ) -> float:
-    """Parameter ``i``, from 0, within limits; ``nothing`` where it is not given, which None forbids."""
+    """Return parameter ``i``, from 0, within limits; ``nothing`` replaces a missing one, None forbids it."""
     value = item.params[i]
     if math.isnan(value) and nothing is not None:
         return nothing
@@ -81,18 +81,18 @@ def number(
 
 
 def wrong(seq: int, item: WireItem, i: int, text: str) -> RefusalError:
-    """Make the refusal of a parameter, numbered from 0."""
+    """Return the rejection of a parameter, numbered from 0."""
     return RefusalError(INVALID_PARAM[i], seq, f"Item {seq} ({name_of(item)}): {text}")
 
 
 def name_of(item: WireItem) -> str:
-    """Give a command's name, as short as stations show it."""
+    """Return a command's name without its prefix."""
     entry = common.enums["MAV_CMD"].get(item.command)
     return f"command {item.command}" if entry is None else str(entry.name).removeprefix("MAV_CMD_")
 
 
 def frame_of(item: WireItem) -> str:
-    """Give a frame's number and name."""
+    """Return a frame's number and name."""
     entry = common.enums["MAV_FRAME"].get(item.frame)
     return f"frame {item.frame}" + (
         "" if entry is None else f", {str(entry.name).removeprefix('MAV_FRAME_')},"

@@ -1,9 +1,9 @@
-"""Plan files as QGroundControl saves them (.plan): mission, geofence and rally points in JSON, version 1.
+"""Plan files of QGroundControl (.plan): mission, geofence and rally points in JSON, version 1.
 
-The format is that of QGroundControl's developer guide, "Plan File Format". Surveys and corridor scans bring
-the items they were made into; what does not is refused. `loads` gives the items as QGroundControl would
-upload them to a PX4, and `dumps` writes them so that `loads` gives the same again. Both are pure; `load`
-reads a file.
+The format is that of QGroundControl's developer guide, "Plan File Format". Surveys and corridor scans are
+read as the items that were generated from them; without such items they are rejected. `loads` returns the
+items as QGroundControl would upload them to a PX4, and `dumps` writes them so that `loads` returns the same.
+Both are pure; `load` reads a file.
 """
 
 import json
@@ -24,15 +24,15 @@ _INT_MAX = 2**31 - 1
 _PER_DEGREE = 1e7
 _VERSIONS = {"mission": 2, "geoFence": 2, "rallyPoints": 2}
 _HOME_ITEMS = 1
-"""QGroundControl counts the planned home as the item before the first, and so its jumps' numbers."""
+"""QGroundControl counts the planned home as the item before the first, also in jump targets."""
 
 
 class PlanFileError(ValueError):
-    """A plan that cannot be read or flown; the text is one line that says where."""
+    """A plan that cannot be read or flown; the text is one line with the location."""
 
 
 class HomePlace(NamedTuple):
-    """Where the plan was made to begin."""
+    """Planned home position."""
 
     lat_deg: float
     lon_deg: float
@@ -41,7 +41,7 @@ class HomePlace(NamedTuple):
 
 
 class Plans(NamedTuple):
-    """What a file holds."""
+    """Contents of a file."""
 
     mission: tuple[WireItem, ...] = ()
     fence: tuple[WireItem, ...] = ()
@@ -49,12 +49,12 @@ class Plans(NamedTuple):
     home: HomePlace | None = None
 
     def of(self, kind: PlanType) -> tuple[WireItem, ...]:
-        """Items of one type."""
+        """Return the items of one type."""
         return {PlanType.MISSION: self.mission, PlanType.FENCE: self.fence, PlanType.RALLY: self.rally}[kind]
 
 
 def load(path: Path) -> str:
-    """Read a file's text. Raises PlanFileError, also for what `loads` refuses."""
+    """Return a file's text. Raises PlanFileError, also if `loads` rejects it."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
@@ -69,7 +69,7 @@ def load(path: Path) -> str:
 
 
 def loads(text: str) -> Plans:
-    """Read plans, and see whether they can be flown. Raises PlanFileError."""
+    """Return the plans, checked for whether they can be flown. Raises PlanFileError."""
     try:
         file = json.loads(text, parse_constant=_no_constant)
     except (ValueError, RecursionError) as error:
@@ -95,9 +95,9 @@ def loads(text: str) -> Plans:
 
 
 def dumps(plans: Plans) -> str:
-    """Write plans. Raises ValueError for a number that JSON has no word for, infinity.
+    """Return the text of plans. Raises ValueError for infinity, which JSON does not represent.
 
-    Frames and flags of fence and rally points are not in the format: they come back as QGroundControl's.
+    Frames and flags of fence and rally points are not in the format: reading sets QGroundControl's.
     """
     mission: dict[str, Any] = {
         "cruiseSpeed": 15, "firmwareType": common.MAV_AUTOPILOT_PX4, "globalPlanAltitudeMode": 1,
@@ -121,7 +121,7 @@ def dumps(plans: Plans) -> str:
 
 
 class _Table:
-    """A JSON object and the way to it, which errors name."""
+    """A JSON object and its path, for error messages."""
 
     def __init__(self, value: object, path: str) -> None:
         if not isinstance(value, dict):
@@ -132,11 +132,11 @@ class _Table:
     def __bool__(self) -> bool:
         return bool(self.values)
 
-    def get(self, key: str) -> Any:  # noqa: ANN401  # whatever stands there
+    def get(self, key: str) -> Any:  # noqa: ANN401  # any JSON value
         return self.values.get(key)
 
     def table(self, key: str) -> "_Table":
-        """Give an object in it, empty where there is none; its version must be one that is known."""
+        """Return a nested object, empty if missing. Raises PlanFileError for an unknown version."""
         table = _Table(self.values.get(key, {}), key if self.path == "plan" else f"{self.path}.{key}")
         version = _VERSIONS.get(key)
         if table and version is not None and table.get("version") != version:
@@ -144,25 +144,25 @@ class _Table:
         return table
 
     def entries(self, key: str) -> list[tuple[str, Any]]:
-        """Paths and values of a list in it; a list that is not there is empty."""
+        """Return paths and values of a nested list, empty if missing."""
         values = self.values.get(key, [])
         if not isinstance(values, list):
             raise PlanFileError(f"{self.path}.{key}: expected a list")
         return [(f"{self.path}.{key}[{i}]", value) for i, value in enumerate(values)]
 
     def tables(self, key: str) -> list["_Table"]:
-        """Objects of a list in it."""
+        """Return the objects of a nested list."""
         return [_Table(value, path) for path, value in self.entries(key)]
 
     def whole(self, key: str, *, high: int) -> int:
-        """Give a whole number from 0 to ``high``."""
+        """Return an integer from 0 to ``high``."""
         value = self.values.get(key)
         if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= high:
             raise PlanFileError(f"{self.path}.{key}: expected a whole number from 0 to {high}")
         return value
 
     def flag(self, key: str) -> bool:
-        """Give true or false."""
+        """Return a boolean."""
         value = self.values.get(key)
         if not isinstance(value, bool):
             raise PlanFileError(f"{self.path}.{key}: expected true or false")
@@ -170,18 +170,18 @@ class _Table:
 
 
 def _no_constant(name: str) -> float:
-    raise ValueError(f"{name} is no number in JSON")
+    raise ValueError(f"{name} is not a number in JSON")
 
 
 def _numbers(value: object, path: str, count: int) -> list[float]:
-    """Give numbers of a list; null is not-a-number."""
+    """Return the numbers of a list; null is not-a-number."""
     if not isinstance(value, list) or len(value) < count:
         raise PlanFileError(f"{path}: expected {count} numbers")
     return [math.nan if number is None else _finite(number, path) for number in value[:count]]
 
 
 def _finite(value: object, path: str) -> float:
-    """Give a number that MAVLink can carry."""
+    """Return a number that fits into MAVLink's float."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 3.4e38:
         raise PlanFileError(f"{path}: expected a number")
     return float(value)
@@ -190,12 +190,12 @@ def _finite(value: object, path: str) -> float:
 def _place(value: object, path: str) -> tuple[float, float]:
     lat_deg, lon_deg = _numbers(value, path, 2)
     if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0):
-        raise PlanFileError(f"{path}: {lat_deg:g}, {lon_deg:g} is no latitude and longitude")
+        raise PlanFileError(f"{path}: {lat_deg:g}, {lon_deg:g} is not a valid latitude and longitude")
     return lat_deg, lon_deg
 
 
 def _home(mission: _Table) -> HomePlace | None:
-    """Give the planned home; null, or nulls, where there is none."""
+    """Return the planned home; None if it is null or contains nulls."""
     value = mission.get("plannedHomePosition")
     path = f"{mission.path}.plannedHomePosition"
     if value is None or all(math.isnan(number) for number in _numbers(value, path, 2)):
@@ -216,13 +216,15 @@ def _mission(mission: _Table) -> tuple[WireItem, ...]:
         if item.command == _JUMP:
             target = index_of.get(item.params[0])
             if target is None:
-                raise PlanFileError(f"{tables[i].path}: jumps to item {item.params[0]:g}, which is not there")
+                raise PlanFileError(
+                    f"{tables[i].path}: jumps to item {item.params[0]:g}, which does not exist"
+                )
             items[i] = item._replace(params=(float(target), *item.params[1:]))
     return tuple(items)
 
 
 def _made_items(item: _Table) -> list[_Table]:
-    """Items that QGroundControl made of a survey or a corridor scan."""
+    """Return the items that QGroundControl generated from a survey or a corridor scan."""
     kind = item.get("complexItemType")
     made = item.table("TransectStyleComplexItem").tables("Items")
     if not made:
@@ -239,7 +241,7 @@ def _wire_item(table: _Table) -> WireItem:
     scale = 1.0 if frame == _NO_FRAME else _PER_DEGREE
     in_x, in_y = (0 if math.isnan(value) else round(value * scale) for value in (x, y))
     if max(abs(in_x), abs(in_y)) > _INT_MAX:
-        raise PlanFileError(f"{path}: {x:g}, {y:g} is no latitude and longitude")
+        raise PlanFileError(f"{path}: {x:g}, {y:g} is not a valid latitude and longitude")
     one, two, three, four = map(float32, params)
     return WireItem(
         command=table.whole("command", high=65_535),

@@ -1,7 +1,7 @@
-"""What stations write is made into what is flown and kept to, and back.
+"""Conversion between the plan items of ground stations and the plans used in flight.
 
-`make` makes of a list of items what flies, or says why the list is not taken. The other way round,
-`mission_items` and `fence_items` make items of what a scenario says, so that stations read that, too.
+`make` converts a list of items, or returns the reason for which it is rejected. In the other direction,
+`mission_items` and `fence_items` convert the plans of a scenario, so that stations can read them.
 """
 
 import math
@@ -35,13 +35,13 @@ __all__ = [
 ]  # fmt: skip
 
 
-# ---- what is asked
+# ---- from items
 
 
 def make(kind: PlanType, items: Sequence[WireItem]) -> Made | Refused:
-    """Make of a list what is flown or kept to, or say why it is not taken, naming its first wrong item.
+    """Convert a list of items, or return the reason for rejection with its first invalid item.
 
-    An empty list is taken.
+    An empty list is valid.
     """
     try:
         if kind is PlanType.MISSION:
@@ -54,15 +54,15 @@ def make(kind: PlanType, items: Sequence[WireItem]) -> Made | Refused:
 
 
 def refusal(kind: PlanType, items: Sequence[WireItem]) -> Refused | None:
-    """Say why a list is not taken; None: it is."""
+    """Return the reason for which a list is rejected; None if it is accepted."""
     made = make(kind, items)
     return made if isinstance(made, Refused) else None
 
 
 def fence_shapes(items: Sequence[WireItem]) -> list[FenceShape]:
-    """Make a fence's shapes. Raises ValueError for what `refusal` refuses.
+    """Return a fence's shapes. Raises ValueError for items that `refusal` rejects.
 
-    A return point is taken and changes nothing, as with PX4.
+    A return point is accepted and ignored, as in PX4.
     """
     shapes: list[FenceShape] = []
     seq = 0
@@ -89,17 +89,17 @@ def fence_shapes(items: Sequence[WireItem]) -> list[FenceShape]:
             except ValueError as error:
                 raise RefusalError(INVALID, seq, f"Items {seq} to {seq + count - 1}: {error}") from None
         elif item.command != common.MAV_CMD_NAV_FENCE_RETURN_POINT:
-            raise RefusalError(UNSUPPORTED, seq, f"Item {seq}: {name_of(item)} is nothing of a fence")
+            raise RefusalError(UNSUPPORTED, seq, f"Item {seq}: {name_of(item)} is not a fence item")
         seq += count
     return shapes
 
 
 def rally_points(items: Sequence[WireItem]) -> tuple[RallyPoint, ...]:
-    """Make rally points. Raises ValueError for what `refusal` refuses."""
+    """Return rally points. Raises ValueError for items that `refusal` rejects."""
     points = []
     for seq, item in enumerate(items):
         if item.command != common.MAV_CMD_NAV_RALLY_POINT:
-            raise RefusalError(UNSUPPORTED, seq, f"Item {seq}: {name_of(item)} is no rally point")
+            raise RefusalError(UNSUPPORTED, seq, f"Item {seq}: {name_of(item)} is not a rally point")
         require_finite(seq, item)
         lat_deg, lon_deg = require_place(seq, item)
         points.append(RallyPoint(lat_deg, lon_deg, height_m(seq, item), HEIGHT_FRAMES[item.frame]))
@@ -114,55 +114,57 @@ _VERTICES = {
     common.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION: True,
     common.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION: False,
 }
-"""Whether they are to stay inside of."""
+"""Whether the shape is an inclusion."""
 
 
 def _vertex_count(seq: int, items: Sequence[WireItem]) -> int:
-    """Vertices of the polygon that begins at an item; all of them must say so."""
+    """Return the number of vertices of the polygon that begins at an item; all its items must agree."""
     first = items[seq]
     count = number(seq, first, 0, low=3.0, high=65_535.0, nothing=None)
     last = seq + int(count)
     if count != int(count) or last > len(items):
-        raise wrong(seq, first, 0, f"polygon of {count:g} vertices, {len(items) - seq} items are left")
+        raise wrong(seq, first, 0, f"polygon of {count:g} vertices, but {len(items) - seq} items remain")
     for i in range(seq, last):
         require_finite(i, items[i])
         if items[i].command != first.command or items[i].params[0] != first.params[0]:
-            raise wrong(i, items[i], 0, f"belongs not to the polygon of {count:g} that item {seq} begins")
+            raise wrong(
+                i, items[i], 0, f"does not belong to the polygon of {count:g} that begins with item {seq}"
+            )
     return int(count)
 
 
-# ---- and back
+# ---- to items
 
 
 def mission_items(made: Mission) -> tuple[WireItem, ...]:
-    """Items of a mission that was made otherwise, as they would be read from MAVLink."""
+    """Return the items of a mission, as they would be received over MAVLink."""
     return tuple(_wire_item(item) for item in made.items)
 
 
 def circle_item(lat_deg: float, lon_deg: float, radius_m: float, *, inclusion: bool) -> WireItem:
-    """Item of a fence's circle, as QGroundControl sends it."""
+    """Return the item of a fence's circle, as sent by QGroundControl."""
     command = next(command for command, inside in _CIRCLES.items() if inside is inclusion)
     return _place_item(command, lat_deg, lon_deg, param1=radius_m)
 
 
 def polygon_items(vertices: Sequence[tuple[float, float]], *, inclusion: bool) -> tuple[WireItem, ...]:
-    """Items of a fence's polygon of latitudes and longitudes, degrees, as QGroundControl sends them."""
+    """Return the items of a polygon of latitudes and longitudes, degrees, as sent by QGroundControl."""
     command = next(command for command, inside in _VERTICES.items() if inside is inclusion)
     return tuple(_place_item(command, lat, lon, param1=float(len(vertices))) for lat, lon in vertices)
 
 
 def return_point_item(lat_deg: float, lon_deg: float, height_m: float) -> WireItem:
-    """Item of a fence's return point, height above home."""
+    """Return the item of a fence's return point, height above home."""
     return _point_item(common.MAV_CMD_NAV_FENCE_RETURN_POINT, lat_deg, lon_deg, height_m)
 
 
 def rally_item(lat_deg: float, lon_deg: float, height_m: float) -> WireItem:
-    """Item of a rally point, height above home."""
+    """Return the item of a rally point, height above home."""
     return _point_item(common.MAV_CMD_NAV_RALLY_POINT, lat_deg, lon_deg, height_m)
 
 
 def fence_items(shapes: Sequence[FenceShape]) -> tuple[WireItem, ...]:
-    """Items of a fence's shapes."""
+    """Return the items of a fence's shapes."""
     items: list[WireItem] = []
     for shape in shapes:
         if isinstance(shape, FenceCircle):
@@ -173,12 +175,12 @@ def fence_items(shapes: Sequence[FenceShape]) -> tuple[WireItem, ...]:
 
 
 def _degrees_e7(degrees: float) -> int:
-    """1e-7 degrees, as MAVLink counts them."""
+    """Return an angle in MAVLink's unit, 1e-7 degrees."""
     return round(degrees * PER_DEGREE)
 
 
 def float32(value: float) -> float:
-    """Give what is left of a number that was sent as MAVLink's float."""
+    """Return a number rounded to MAVLink's float."""
     return float(np.float32(value))
 
 

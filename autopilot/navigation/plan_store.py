@@ -1,7 +1,7 @@
-"""Plans as ground stations know them: the items of mission, geofence and rally points, bit for bit.
+"""Plans as exchanged with ground stations: the items of mission, geofence and rally points, bit for bit.
 
-What is flown and kept to is made of them by `plan_items` and kept beside them; what is read back over MAVLink
-is what was written.
+`plan_items` converts them for flight, and the result is stored with them; reading a plan over MAVLink returns
+the items that were written.
 """
 
 import struct
@@ -17,7 +17,7 @@ from autopilot.navigation.mission import HeightFrame, Mission
 
 
 class PlanType(IntEnum):
-    """Kinds of plan: MAV_MISSION_TYPE numbers."""
+    """Types of plan: MAV_MISSION_TYPE numbers."""
 
     MISSION = common.MAV_MISSION_TYPE_MISSION
     FENCE = common.MAV_MISSION_TYPE_FENCE
@@ -25,33 +25,33 @@ class PlanType(IntEnum):
 
 
 CAPACITY = {PlanType.MISSION: 10_000, PlanType.FENCE: 500, PlanType.RALLY: 80}
-"""Most items of each, as PX4's simulation has it."""
+"""Greatest number of items of each type, as in PX4's simulation."""
 
 
 NOT_GIVEN = 2**31 - 1
-"""MAVLink's mark of an integer coordinate that is not given, as not-a-number is that of a float."""
+"""MAVLink's value of an integer coordinate that is not given, the equivalent of a float's not-a-number."""
 
 
 class WireItem(NamedTuple):
-    """An item as MISSION_ITEM_INT carries it; not-a-number is MAVLink's mark of what is not given."""
+    """An item of MISSION_ITEM_INT; not-a-number is MAVLink's value of a parameter that is not given."""
 
     command: int
     """MAV_CMD"""
     frame: int
     """MAV_FRAME"""
     params: tuple[float, float, float, float]
-    """Values that a float32 holds."""
+    """Values that are exact in float32."""
     x: int
-    """Latitude in 1e-7 degrees in frames that have one, else the fifth parameter; or NOT_GIVEN."""
+    """Latitude in 1e-7 degrees in global frames, else the fifth parameter; or NOT_GIVEN."""
     y: int
     """Longitude in 1e-7 degrees, else the sixth parameter; or NOT_GIVEN."""
     z: float
-    """Metres; what it counts from is the frame's."""
+    """Metres, relative to the reference of the frame."""
     autocontinue: int = 1
 
 
 class RallyPoint(NamedTuple):
-    """A place to return to instead of home."""
+    """An alternative position to return to."""
 
     lat_deg: float
     lon_deg: float
@@ -60,7 +60,7 @@ class RallyPoint(NamedTuple):
 
 
 class Made(NamedTuple):
-    """What items are made into: of one type of plan, so the others are empty."""
+    """Plan converted for flight: of one type, so the other fields are empty."""
 
     mission: Mission | None = None
     fence_shapes: tuple[FenceShape, ...] = ()
@@ -71,43 +71,43 @@ NOTHING = Made()
 
 
 class Plan(NamedTuple):
-    """Items of one type."""
+    """Items of one type of plan."""
 
     items: tuple[WireItem, ...] = ()
     opaque_id: int = 0
-    """Of the items' contents; 0 without any. Stations know by it whether what they have is what is here."""
+    """Checksum of the items' contents, 0 without items; stations use it to detect a changed plan."""
     start: int = 0
-    """Of a mission: the item to begin with, which its writer marked as current."""
+    """Of a mission: the first item to fly, which the station marked as current."""
     made: Made = NOTHING
-    """What is flown and kept to."""
+    """The plan converted for flight."""
 
 
 class Refused(NamedTuple):
-    """Why a plan is not taken."""
+    """Reason for which a plan is rejected."""
 
     result: int
     """MAV_MISSION_RESULT"""
     seq: int
     """The item's number in its plan."""
     text: str
-    """One line for the user that names item and field."""
+    """One line for the user, with item and field."""
 
 
 class PlanStore:
-    """The plans of one vehicle."""
+    """Plans of one vehicle."""
 
     def __init__(self) -> None:
         self._plans = dict.fromkeys(PlanType, Plan())
         self.version = dict.fromkeys(PlanType, 0)
-        """Rises when a plan has become another."""
+        """Incremented when a plan changes."""
 
     def __getitem__(self, kind: PlanType) -> Plan:
         return self._plans[kind]
 
     def put(self, kind: PlanType, items: Iterable[WireItem], *, start: int = 0, made: Made = NOTHING) -> bool:
-        """Take other items, and what was made of them, in place of all of a type; tells whether they differ.
+        """Replace the plan of a type; return whether the items differ.
 
-        Where they are the same nothing changes, so that a mission that is written again is flown on (PX4).
+        The same items change nothing, so a mission that is uploaded again continues (PX4).
         """
         plan = make_plan(items, start=start, made=made)
         if plan.opaque_id == self._plans[kind].opaque_id:
@@ -121,13 +121,13 @@ _CONTENT = struct.Struct("<BHB4fiif")
 
 
 def make_plan(items: Iterable[WireItem], *, start: int = 0, made: Made = NOTHING) -> Plan:
-    """Give items their opaque id."""
+    """Return a plan of items, with its opaque id."""
     kept = tuple(items)
     return Plan(kept, opaque_id(kept), start, made)
 
 
 def opaque_id(items: Sequence[WireItem]) -> int:
-    """Checksum over what the items say; 0 for none, and never 0 otherwise."""
+    """Return the checksum of the items' contents; 0 only without items."""
     checksum = 0
     for item in items:
         content = (item.frame, item.command, item.autocontinue, *item.params, item.x, item.y, item.z)

@@ -1,10 +1,10 @@
-"""Jerk-limited reference along the legs of a way.
+"""Jerk-limited reference along the legs of a path.
 
-As `autopilot.control.trajectory` it takes, along a line, the greatest jerk after which it can still stop at
-the goal. But the line belongs to the leg and stays as it is: along it and across it are three moves that know
-nothing of each other, so each comes to rest in minimum time whatever the motion was that a leg was entered
-with. (A line drawn anew at every step from the reference to its target turns with the motion across it; near
-the target the reference may then circle around it.)
+Like `autopilot.control.trajectory` it uses, along a line, the greatest jerk after which it can still stop at
+the goal. Here the line belongs to the leg and is constant: the motion along it and the two motions across it
+are independent, so each comes to rest in minimum time from any initial motion. (A line that is recomputed at
+every step from the reference to its target turns with the motion across it; near the target the reference may
+then circle around it.)
 """
 
 import math
@@ -18,15 +18,15 @@ from foundation.types import Array, TrajectorySetpoint
 
 _REST_M = 1e-6
 _YAW_JERK_TIME_S = 0.25
-"""Time in which the yaw acceleration builds up"""
+"""Time in which the yaw acceleration reaches its limit"""
 
 POS, VEL, ACC, JERK = range(4)
-"""Rows of a motion."""
+"""Rows of the motion."""
 
 
 @njit(cache=True)
 def _move(line: Array, goal: float, limits: Array, dt_s: float) -> bool:
-    """Move position, velocity, acceleration and jerk (4,) on; returns whether they rest at the goal."""
+    """Advance position, velocity, acceleration and jerk (4,); return whether they are at rest at the goal."""
     pos, vel, acc = line[POS], line[VEL], line[ACC]
     if vel == 0.0 and acc == 0.0 and abs(pos - goal) < _REST_M:
         line[POS], line[JERK] = goal, 0.0
@@ -36,7 +36,7 @@ def _move(line: Array, goal: float, limits: Array, dt_s: float) -> bool:
     line[VEL] = vel + (acc + 0.5 * jerk * dt_s) * dt_s
     line[ACC] = acc + jerk * dt_s
     line[JERK] = jerk
-    reach = limits[4] * dt_s  # within one step of full jerk from rest at the goal: be there
+    reach = limits[4] * dt_s  # within one step of full jerk from rest at the goal: snap to it
     if (
         abs(line[ACC]) <= reach
         and abs(line[VEL]) <= reach * dt_s
@@ -53,9 +53,9 @@ def _advance(
     motion: Array, target: Array, axes: Array, limits: Array, yaw: Array, yaw_goal: float, yaw_limits: Array,
     pace: float, dt_s: float,
 ) -> bool:  # fmt: skip
-    """Move ``motion`` (4, 3) by ``pace * dt_s`` and ``yaw`` (4,) by ``dt_s``; returns whether both rest.
+    """Advance ``motion`` (4, 3) by ``pace * dt_s`` and ``yaw`` (4,) by ``dt_s``; return whether both rest.
 
-    ``axes`` (3, 3): rows are the leg's directions; ``limits`` (3, 5): theirs, as `line_jerk` takes them.
+    ``axes`` (3, 3): rows are the leg's directions; ``limits`` (3, 5): those of each axis, for `line_jerk`.
     """
     rests = pace > 0.0
     if pace > 0.0:
@@ -80,7 +80,10 @@ def _advance(
 
 
 def _limits_along(direction: Array, p: TrajectoryParams) -> tuple[float, float, float, float, float]:
-    """Speed and acceleration against and along a unit vector, and jerk: its parts stay in their limits."""
+    """Return the limits of speed and acceleration, backward and forward along a unit vector, and of jerk.
+
+    Each component respects its own limit.
+    """
     xy = max(math.hypot(direction[0], direction[1]), 1e-9)
     z = max(abs(float(direction[2])), 1e-9)
     back = (p.z_vel_up_m_s, p.acc_up_m_s2)
@@ -97,7 +100,7 @@ def _limits_along(direction: Array, p: TrajectoryParams) -> tuple[float, float, 
 
 
 class LegReference:
-    """Position and heading that lead along one leg after another, and come to rest at the last one's end."""
+    """Position and heading reference along successive legs, which comes to rest at the end of the last."""
 
     def __init__(self, params: TrajectoryParams) -> None:
         self._motion: Array = np.zeros((4, 3))
@@ -106,11 +109,11 @@ class LegReference:
         self._axes: Array = np.eye(3)
         self._target_ned_m: Array = np.zeros(3)
         self.resting = False
-        """It has come to rest at the leg's end, with its heading."""
+        """Whether it is at rest at the leg's end, with its heading."""
         self.set_params(params)
 
     def set_params(self, params: TrajectoryParams) -> None:
-        """Move by these from the next update on; a motion beyond new limits is brought within them."""
+        """Change the settings, in effect from the next update; motion beyond new limits is reduced."""
         p = self._params = params
         self._limits: Array = np.array([_limits_along(axis, p) for axis in self._axes])
         yaw_jerk = p.yaw_acc_max_rad_s2 / _YAW_JERK_TIME_S
@@ -121,18 +124,18 @@ class LegReference:
 
     @property
     def pos_ned_m(self) -> Array:
-        """(3,) where the reference is."""
+        """Position (3,) of the reference."""
         pos_ned_m: Array = self._motion[POS].copy()
         return pos_ned_m
 
     @property
     def vel_ned_m_s(self) -> Array:
-        """(3,) how it moves."""
+        """Velocity (3,) of the reference."""
         vel_ned_m_s: Array = self._motion[VEL].copy()
         return vel_ned_m_s
 
     def reset(self, pos_ned_m: Array, *, vel_ned_m_s: Array, yaw_rad: float) -> None:
-        """Put the reference here, in this motion and with this heading, which it keeps."""
+        """Set position, velocity and heading; the heading is kept."""
         self._motion[:] = 0.0
         self._motion[POS] = pos_ned_m
         self._motion[VEL] = vel_ned_m_s
@@ -141,23 +144,23 @@ class LegReference:
         self.resting = False
 
     def go_to(self, target_ned_m: Array, *, along_ned: Array | None = None) -> None:
-        """Take a leg to a target (3,): on the line through it along a vector, or along the way from here."""
+        """Begin a leg to a target (3,), along a given direction, by default straight from the reference."""
         self._target_ned_m = target_ned_m
         self._axes = _leg_axes(target_ned_m - self._motion[POS] if along_ned is None else along_ned)
         self.set_params(self._params)
         self.resting = False
 
     def turn_to(self, yaw_rad: float) -> None:
-        """Turn the short way to a heading."""
+        """Turn to a heading by the shorter way."""
         self._yaw_goal_rad = float(self._yaw[POS]) + math.remainder(yaw_rad - float(self._yaw[POS]), math.tau)
         self.resting = False
 
     def update(self, dt_s: float, *, vehicle_pos_ned_m: Array | None = None) -> TrajectorySetpoint:
-        """Move on by ``dt_s`` (> 0).
+        """Advance by ``dt_s`` (> 0) and return the setpoint.
 
-        The acceleration leads by the attitude loop's lag, so that the vehicle's own is in time. With
-        ``vehicle_pos_ned_m`` the reference slows its time once the vehicle is half of ``xy_error_max_m`` away
-        from it horizontally, to a stand-still at the whole.
+        The acceleration leads by the lag of the attitude loop. With ``vehicle_pos_ned_m`` the reference slows
+        down once the vehicle is half of ``xy_error_max_m`` away from it horizontally, and stops at
+        ``xy_error_max_m``.
         """
         p, motion = self._params, self._motion
         pace = 1.0
@@ -178,7 +181,7 @@ class LegReference:
 
 
 def _leg_axes(along_ned: Array) -> Array:
-    """(3, 3) rows: direction of a leg (north if it has no length), a level one across it, and the third."""
+    """Return a leg's axes, rows (3, 3): its direction (north without length), level across, the third."""
     axes = np.eye(3)
     length = math.sqrt(along_ned @ along_ned)
     if length < _REST_M:
@@ -187,7 +190,7 @@ def _leg_axes(along_ned: Array) -> Array:
     level = math.hypot(axes[0, 0], axes[0, 1])
     if level > 1e-6:
         axes[1] = (-axes[0, 1] / level, axes[0, 0] / level, 0.0)
-    else:  # plumb, exactly: what is not at right angles would feed one line's motion into another's
+    else:  # exactly vertical: axes that are not orthogonal would couple the motions
         axes[0] = (0.0, 0.0, math.copysign(1.0, along_ned[2]))
         axes[1] = (1.0, 0.0, 0.0)
     a, b = axes[0], axes[1]

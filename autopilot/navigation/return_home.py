@@ -1,9 +1,9 @@
-"""Return mode: up, to home or a rally point, down and landing, as PX4's direct return (RTL_TYPE 0).
+"""Return mode: climb, flight to home or a rally point, landing; as PX4's direct return (RTL_TYPE 0).
 
-It climbs on the spot, flies to the nearest of home and the rally points on a straight line with the nose
-towards it, comes to rest there and lands; with a delay it first waits at the waiting height. Heights count
-from the place returned to. Without a home it lands where it is. As with PX4 the place is chosen at the start
-of a return: a home or rally points that are set later are for the next one.
+The vehicle climbs vertically, flies in a straight line to the nearest of home and the rally points with the
+nose towards it, comes to rest there and lands; with a delay it first waits at the waiting height. Heights are
+relative to the destination. Without a home position it lands where it is. As in PX4 the destination is
+selected at the start of a return; later changes of home or rally points apply to the next one.
 """
 
 import math
@@ -23,13 +23,14 @@ from foundation.types import TrajectorySetpoint
 _LEAST_CONE_RAD = math.radians(1.0)
 _WIDEST_CONE_RAD = math.radians(89.0)
 _AT_HOME_M = 10.0
-"""A rally point this near to home is none (PX4's MAX_DIST_FROM_HOME_FOR_LAND_APPROACHES)."""
+"""A rally point nearer to home than this is ignored (PX4's MAX_DIST_FROM_HOME_FOR_LAND_APPROACHES)."""
 _CLEARLY_NEARER_M = 2.0
-"""By so much a rally point must be nearer than what was chosen before it (PX4's MIN_DIST_THRESHOLD)."""
+"""A rally point is selected only if it is nearer by this than the previous choice (PX4's
+MIN_DIST_THRESHOLD)."""
 
 
 class ReturnPhase(Enum):
-    """Where on the way the vehicle is."""
+    """Phases of a return."""
 
     CLIMB = "climb"
     FLY_HOME = "fly home"
@@ -40,13 +41,13 @@ class ReturnPhase(Enum):
 
 
 class ReturnEvent(Enum):
-    """What ends a phase."""
+    """Events that end a phase."""
 
-    THERE = "there"
-    THERE_TO_WAIT = "there, and told to wait before landing"
+    THERE = "arrived"
+    THERE_TO_WAIT = "arrived, with a wait before landing"
     WAITED = "waited"
     LANDED = "landed"
-    LIFTED = "off the ground again"
+    LIFTED = "left the ground again"
 
 
 TRANSITIONS: dict[tuple[ReturnPhase, ReturnEvent], ReturnPhase] = {
@@ -59,16 +60,17 @@ TRANSITIONS: dict[tuple[ReturnPhase, ReturnEvent], ReturnPhase] = {
     (ReturnPhase.WAIT, ReturnEvent.WAITED): ReturnPhase.LAND,
     (ReturnPhase.DONE, ReturnEvent.LIFTED): ReturnPhase.LAND,
 } | {(phase, ReturnEvent.LANDED): ReturnPhase.DONE for phase in ReturnPhase if phase is not ReturnPhase.DONE}
-"""What is not in the table changes nothing."""
+"""Other combinations have no effect."""
 _ON_THE_SPOT = {ReturnPhase.CLIMB, ReturnPhase.LAND}
-"""Phases that keep the place that the way led to last."""
+"""Phases that keep the horizontal position of the last target."""
 
 
 def return_height_m(distance_m: float, params: NavigationParams) -> float:
-    """Height over the goal to return at, by the horizontal distance to it (PX4's RTL::computeReturnAltitude).
+    """Return the height over the destination at which to return, by the horizontal distance to it.
 
-    Far away it is RTL_RETURN_ALT. Within RTL_MIN_DIST the cone is enough, but twice the acceptance radius is
-    kept, and within that radius twice the distance: so the ground is not touched while moving sideways.
+    As PX4's RTL::computeReturnAltitude: RTL_RETURN_ALT at a distance. Within RTL_MIN_DIST the cone limits it,
+    to at least twice the acceptance radius, and within that radius it is twice the distance, so that the
+    vehicle does not touch the ground while it moves horizontally.
     """
     home = params.return_home
     radius_m = params.acceptance_m
@@ -83,7 +85,7 @@ def return_height_m(distance_m: float, params: NavigationParams) -> float:
 
 
 def nearest_rally_point(points: Sequence[RallyPoint], moment: Moment) -> RallyPoint | None:
-    """Give the point to return to instead of home, as PX4's RTL::findClosestSafePoint; None: home."""
+    """Return the rally point to return to, as PX4's RTL::findClosestSafePoint, or None for home."""
     if moment.home_ned_m is None:
         return None
     pos_ned_m, home_ned_m = moment.state.pos_ned_m, moment.home_ned_m
@@ -98,7 +100,7 @@ def nearest_rally_point(points: Sequence[RallyPoint], moment: Moment) -> RallyPo
 
 
 def _rally_ned_m(point: RallyPoint, moment: Moment, home_ned_m: HomePosition) -> HomePosition:
-    """Give where a rally point is, in NED metres from the estimator's origin."""
+    """Return the position of a rally point, in NED metres from the estimator's origin."""
     state = moment.state
     north_m, east_m, _ = geodetic_to_ned(
         point.lat_deg,
@@ -113,23 +115,23 @@ def _rally_ned_m(point: RallyPoint, moment: Moment, home_ned_m: HomePosition) ->
 
 
 class ReturnHome:
-    """One vehicle's way home; `start` it, then `update` at every step."""
+    """Return of one vehicle; call `start`, then `update` at every step."""
 
     def __init__(self, guide: Guide, landing: Landing) -> None:
         self.phase = ReturnPhase.DONE
         self.rally_points: tuple[RallyPoint, ...] = ()
-        """Where to return to as well; chosen among at the start of a return."""
+        """Alternative destinations, evaluated at the start of a return."""
         self._home_ned_m: HomePosition | None = None
-        """Home as it was at the start."""
+        """Home position at the start."""
         self._goal_ned_m: HomePosition | None = None
-        """What is returned to; None without a home."""
+        """Destination; None without a home position."""
         self._guide = guide
         self._landing = landing
         self._return_down_m = 0.0
         self._waited_s = 0.0
 
     def start(self, moment: Moment, params: NavigationParams) -> None:
-        """Set out from where the vehicle is."""
+        """Start a return from the vehicle's position."""
         state = moment.state
         self._waited_s = 0.0
         home_ned_m = goal_ned_m = self._home_ned_m = moment.home_ned_m
@@ -144,14 +146,14 @@ class ReturnHome:
         else:
             down_m = float(state.pos_ned_m[2])
             distance_m = math.dist(state.pos_ned_m[:2], goal_ned_m[:2])
-            wanted_m = goal_ned_m[2] - return_height_m(distance_m, params)
-            self._return_down_m = min(down_m, wanted_m)
-            self.phase = ReturnPhase.FLY_HOME if down_m <= wanted_m else ReturnPhase.CLIMB
+            return_down_m = goal_ned_m[2] - return_height_m(distance_m, params)
+            self._return_down_m = min(down_m, return_down_m)
+            self.phase = ReturnPhase.FLY_HOME if down_m <= return_down_m else ReturnPhase.CLIMB
         self._guide.restart(state)
         self._begin(moment, params)
 
     def resume(self, moment: Moment, params: NavigationParams) -> None:
-        """Begin the present phase again from the present motion, for the estimate jumped."""
+        """Restart the present phase from the present motion, after a reset of the estimate."""
         guide = self._guide
         place_ned_m = guide.target_ned_m.copy()
         guide.restart(moment.state)
@@ -161,7 +163,7 @@ class ReturnHome:
         self._begin(moment, params)
 
     def update(self, moment: Moment, params: NavigationParams) -> TrajectorySetpoint:
-        """Give the next setpoint."""
+        """Return the next setpoint."""
         if moment.home_ned_m is not self._home_ned_m:
             moment = replace(moment, home_ned_m=self._home_ned_m)
         event = self._event(moment, params)
@@ -183,7 +185,7 @@ class ReturnHome:
         return guide.follow(moment.dt_s, vehicle_pos_ned_m=moment.state.pos_ned_m)
 
     def _event(self, moment: Moment, params: NavigationParams) -> ReturnEvent | None:
-        """Say what happened since the last step."""
+        """Return the event since the last step, or None."""
         if moment.landed:
             return ReturnEvent.LANDED
         if self.phase is ReturnPhase.DONE:
@@ -193,7 +195,7 @@ class ReturnHome:
             self._waited_s += moment.dt_s
             return ReturnEvent.WAITED if 0.0 <= delay_s <= self._waited_s else None
         guide = self._guide
-        # up in the air it passes on while still moving; at home it has to have come to rest
+        # a climb is complete while still moving; at home the vehicle must be at rest
         there = (self.phase is ReturnPhase.CLIMB or guide.resting) and is_near(
             moment.state.pos_ned_m,
             guide.target_ned_m,
@@ -205,7 +207,7 @@ class ReturnHome:
         return ReturnEvent.THERE if delay_s == 0.0 else ReturnEvent.THERE_TO_WAIT
 
     def _begin(self, moment: Moment, params: NavigationParams) -> None:
-        """Set the guide on the present phase's way."""
+        """Set the guide's target for the present phase."""
         guide, goal_ned_m = self._guide, self._goal_ned_m
         if self.phase is ReturnPhase.DONE:
             return
@@ -218,5 +220,5 @@ class ReturnHome:
             target_ned_m[2] = self._return_down_m
         elif self.phase in {ReturnPhase.GO_DOWN, ReturnPhase.WAIT} and goal_ned_m is not None:
             target_ned_m[2] = max(self._return_down_m, goal_ned_m[2] - params.return_home.descend_height_m)
-        # up and down lines are plumb, so that stopping on the way costs no height
+        # vertical legs are exactly vertical, so that braking horizontally does not change the height
         guide.go_to(target_ned_m, along_ned=None if self.phase is ReturnPhase.FLY_HOME else UP)

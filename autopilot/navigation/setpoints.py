@@ -1,6 +1,6 @@
-"""Where each mode wants the vehicle, as setpoints for the flight controller. Pure.
+"""Setpoints of each flight mode for the flight controller. Pure.
 
-Offboard needs nothing of this: its setpoints come from outside and go to the controller as they are.
+Offboard mode is not part of this: its setpoints are external and go to the controller unchanged.
 """
 
 import math
@@ -26,11 +26,12 @@ from foundation.types import Array, AttitudeSetpoint, Course, EstimatorState, Se
 __all__ = ["IDLE", "ON_GROUND_M", "NavigationParams", "Navigator", "down_demand_m_s"]
 
 ON_GROUND_M = 0.3
-"""A place no higher than this above where it stood last is on the ground, as well as heights are known."""
+"""A target less than this above the last position on the ground counts as on the ground, given the accuracy
+of heights."""
 _HAVE_LEGS = {FlightMode.HOLD, FlightMode.RETURN}
-"""Modes besides Mission in which a speed may be asked for."""
+"""Modes besides Mission that accept a change of speed."""
 _ENDS_IN_HOLD = {FlightMode.TAKEOFF, FlightMode.MISSION}
-"""Modes whose end is the place to hold."""
+"""Modes that continue as hold at their final position."""
 _COURSE_OF_MODE = {
     FlightMode.TAKEOFF: Course.TAKE_OFF,
     FlightMode.LAND: Course.LANDING,
@@ -39,16 +40,16 @@ _COURSE_OF_MODE = {
 _COURSE_OF_STAGE = {MissionStage.TAKE_OFF: Course.TAKE_OFF, MissionStage.LAND: Course.LANDING}
 
 
-class _Errand(NamedTuple):
-    """Where a hold was told to go."""
+class _HoldTarget(NamedTuple):
+    """Target of a hold."""
 
     place_ned_m: Array
     yaw_rad: float | None
-    """None: as MPC_YAW_MODE says."""
+    """None: by MPC_YAW_MODE."""
 
 
 class Navigator:
-    """Setpoints of one vehicle's mode: `enter` it, then `update` at every step."""
+    """Computes the setpoints of one vehicle's mode: call `enter`, then `update` at every step."""
 
     def __init__(
         self, params: NavigationParams, trajectory: TrajectoryParams, position: PositionParams
@@ -64,25 +65,25 @@ class Navigator:
         self.mission = MissionFlight(
             self._guide, self._take_off, self._landing, limits=trajectory, position=position
         )
-        """The mission and where it stands; kept while other modes fly."""
+        """The mission and its progress; kept while other modes are active."""
         self.orbit = Orbit(self._guide)
         self._mode = FlightMode.HOLD
         self._ground_down_m = math.inf
-        """Where it stood when it last entered a mode on the ground; infinite before that."""
-        self._errand: _Errand | None = None
+        """Down position when a mode was last entered on the ground; infinite before."""
+        self._hold_target: _HoldTarget | None = None
         self._speed_m_s: float | None = None
-        """Over ground, asked for in the present mode; None: MPC_XY_CRUISE."""
+        """Ground speed requested in the present mode; None: MPC_XY_CRUISE."""
 
-    # ---- what others may know
+    # ---- status
 
     @property
     def return_phase(self) -> ReturnPhase | None:
-        """Where on the way home the vehicle is; None outside Return mode."""
+        """Phase of the return; None outside Return mode."""
         return self._return.phase if self._mode is FlightMode.RETURN else None
 
     @property
     def course(self) -> Course:
-        """Whether the ground is being left or come to, be it by a mode, a mission's item or a return."""
+        """Whether the vehicle takes off or lands, by a mode, a mission item or a return."""
         if self._mode is FlightMode.MISSION:
             return _COURSE_OF_STAGE.get(self.mission.stage, Course.OTHER)
         if self._mode is FlightMode.RETURN and self._return.phase is ReturnPhase.LAND:
@@ -91,25 +92,25 @@ class Navigator:
 
     @property
     def target_ned_m(self) -> Array | None:
-        """(3,) place that the present mode flies to; None in modes without one."""
+        """Target position (3,) of the present mode; None in modes without one."""
         if self._mode is FlightMode.MISSION:
             return self.mission.place_ned_m
         return None if self._mode in MANUAL_MODES | {FlightMode.DESCEND} else self._guide.target_ned_m
 
     @property
     def place_ned_m(self) -> Array:
-        """(3,) where a mode that flies by itself leads to at present, or comes to rest."""
+        """Position (3,) at which the present leg comes to rest, in modes that fly a path."""
         return self._guide.target_ned_m
 
     def next_mode(self, state: EstimatorState) -> FlightMode | None:
-        """Mode to go on with: hold, after a take-off or a mission; return, where a mission's item says so."""
+        """Return the next mode: hold after a take-off or a mission, return by a mission item; or None."""
         if self._mode in _ENDS_IN_HOLD and self.completed(state):
             return FlightMode.HOLD
-        is_wanted = self._mode is FlightMode.MISSION and self.mission.return_wanted
-        return FlightMode.RETURN if is_wanted else None
+        returns = self._mode is FlightMode.MISSION and self.mission.return_requested
+        return FlightMode.RETURN if returns else None
 
     def completed(self, state: EstimatorState) -> bool:
-        """Whether a take-off has reached its height, a mission its end, or a return the ground."""
+        """Return whether a take-off is at its height, a mission at its end, or a return on the ground."""
         if self._mode is FlightMode.TAKEOFF:
             missing_m = abs(float(state.pos_ned_m[2]) - float(self._guide.target_ned_m[2]))
             return self._take_off.airborne and missing_m < self._params.altitude_acceptance_m
@@ -117,16 +118,16 @@ class Navigator:
             return self.mission.done
         return self._mode is FlightMode.RETURN and self._return.phase is ReturnPhase.DONE
 
-    # ---- what others do
+    # ---- requests
 
     def set_rally_points(self, points: Sequence[RallyPoint]) -> None:
-        """Take other places to return to; a return under way keeps its own."""
+        """Change the rally points; a return in progress keeps its destination."""
         self._return.rally_points = tuple(points)
 
     def set_params(
         self, params: NavigationParams, trajectory: TrajectoryParams, position: PositionParams
     ) -> None:
-        """Go on by other settings; a take-off or a leg under way keeps its place."""
+        """Change the settings; a take-off or a leg in progress keeps its target."""
         self._params, self._limits, self._position = params, trajectory, position
         self.mission.set_limits(trajectory, position)
         self._manual.set_params(params, trajectory, position)
@@ -138,9 +139,9 @@ class Navigator:
             self._guide.set_limits(self._leg_limits())
 
     def change_speed(self, speed_m_s: float | None) -> None:
-        """Fly legs at another speed over ground until the mode ends; None: as the parameters say.
+        """Change the ground speed of legs until the mode ends; None: as by the parameters.
 
-        A mission flies by it until an item changes the speed.
+        In a mission it applies until an item changes the speed.
         """
         if self._mode is FlightMode.MISSION:
             self.mission.runner.speed_m_s = speed_m_s
@@ -150,13 +151,13 @@ class Navigator:
             self._guide.set_limits(self._leg_limits())
 
     def hold_at(self, place_ned_m: Array, *, yaw_rad: float | None = None) -> None:
-        """Go to a place (3,) in the hold mode that was entered; yaw None: as MPC_YAW_MODE says."""
-        self._errand = _Errand(place_ned_m, yaw_rad)
+        """Fly to a position (3,) in the hold mode that was entered; yaw None: by MPC_YAW_MODE."""
+        self._hold_target = _HoldTarget(place_ned_m, yaw_rad)
         self._guide.go_to(place_ned_m, yaw_rad=yaw_rad)
 
     def stop(self, state: EstimatorState) -> None:
-        """Come to rest on the way to a place, in the hold mode that was entered."""
-        self._errand = None
+        """Stop in the hold mode that was entered."""
+        self._hold_target = None
         self._guide.restart(state)
 
     def enter(
@@ -168,17 +169,17 @@ class Navigator:
         takeoff_down_m: float,
         home_ned_m: HomePosition | None = None,
     ) -> None:
-        """Begin a mode from the present motion, or begin it again after the estimate has jumped.
+        """Start a mode from the present motion, or restart it after a reset of the estimate.
 
-        A mission, a return, an orbit and the way to a place to hold go on where they were; a finished mission
-        that is entered anew begins with its first item. ``takeoff_down_m`` is where a take-off ends; it never
-        goes down.
+        A mission, a return, an orbit and the flight to a hold target continue; a finished mission that is
+        entered again starts with its first item. ``takeoff_down_m`` is the final height of a take-off, which
+        never descends.
         """
         again = mode is self._mode
         if landed:
             self._ground_down_m = float(state.pos_ned_m[2])
         if landed or not again:
-            self._errand = self._speed_m_s = None
+            self._hold_target = self._speed_m_s = None
         goes_on = (
             mode is FlightMode.HOLD and self._mode in _ENDS_IN_HOLD and not landed and self.completed(state)
         )
@@ -204,8 +205,8 @@ class Navigator:
         else:
             self._guide.restart(state)
             self._landing.start(state)
-            if self._errand is not None:
-                self.hold_at(self._errand.place_ned_m, yaw_rad=self._errand.yaw_rad)
+            if self._hold_target is not None:
+                self.hold_at(self._hold_target.place_ned_m, yaw_rad=self._hold_target.yaw_rad)
 
     def update(
         self,
@@ -219,15 +220,15 @@ class Navigator:
         hover_thrust: float | None = None,
         disturbance_ned_m_s2: Array | None = None,
     ) -> TrajectorySetpoint | AttitudeSetpoint:
-        """Give the mode's setpoint.
+        """Return the setpoint of the present mode.
 
-        ``touching``: the ground is suspected, and must not be leaned against. ``manual``: sticks; None are
-        centred ones. ``hover_thrust``: what the middle of the throttle gives in stabilized mode; None:
-        MPC_THR_HOVER. ``disturbance_ned_m_s2``: (3,) what the controller makes up for.
+        ``touching``: ground contact is suspected, so the setpoint must not push against the ground.
+        ``manual``: sticks; None: centred. ``hover_thrust``: thrust at mid throttle in stabilized mode; None:
+        MPC_THR_HOVER. ``disturbance_ned_m_s2``: (3,) acceleration that the controller compensates.
         """
         mode = self._mode
         on_ground = self._guide.target_ned_m[2] > self._ground_down_m - ON_GROUND_M
-        if mode is FlightMode.HOLD and self._errand is None and not on_ground:
+        if mode is FlightMode.HOLD and self._hold_target is None and not on_ground:
             return IDLE if landed else self._guide.follow(dt_s)
         moment = Moment(state=state, dt_s=dt_s, landed=landed, touching=touching, home_ned_m=home_ned_m)
         if mode is FlightMode.MISSION:
@@ -246,7 +247,7 @@ class Navigator:
         if landed:
             return IDLE
         if mode is FlightMode.HOLD:
-            return self._set_down(moment) if on_ground else self._run_errand(moment)
+            return self._set_down(moment) if on_ground else self._fly_to_hold_target(moment)
         if mode is FlightMode.ORBIT:
             return self.orbit.update(moment, self._params, manual=manual)
         if mode is FlightMode.LAND:
@@ -255,14 +256,14 @@ class Navigator:
             return descend(state, self._params, touching=touching, yaw_rad=self._guide.yaw_rad)
         return self._guide.follow(dt_s)
 
-    # ---- pieces
+    # ---- parts
 
-    def _run_errand(self, moment: Moment) -> TrajectorySetpoint:
-        """Lead to the place to hold, the nose as for any leg unless a heading was given."""
-        guide, errand = self._guide, self._errand
-        if errand is not None and errand.yaw_rad is None and not guide.resting:
+    def _fly_to_hold_target(self, moment: Moment) -> TrajectorySetpoint:
+        """Return the setpoint on the way to the hold target; heading as on any leg unless one was given."""
+        guide, target = self._guide, self._hold_target
+        if target is not None and target.yaw_rad is None and not guide.resting:
             yaw_rad = heading_rad(
-                self._params.yaw_mode, guide, errand.place_ned_m, moment.home_ned_m,
+                self._params.yaw_mode, guide, target.place_ned_m, moment.home_ned_m,
                 near_m=self._params.acceptance_m,
             )  # fmt: skip
             if yaw_rad is not None:
@@ -270,10 +271,10 @@ class Navigator:
         return guide.follow(moment.dt_s, vehicle_pos_ned_m=moment.state.pos_ned_m)
 
     def _set_down(self, moment: Moment) -> TrajectorySetpoint:
-        """Land where a hold leads to the ground: hovering upon it, nothing would tell that it has arrived."""
-        if self._guide.pos_ned_m[2] <= self._ground_down_m - ON_GROUND_M:  # still on its way
+        """Land if the hold target is on the ground: a hover above it would never be detected as landed."""
+        if self._guide.pos_ned_m[2] <= self._ground_down_m - ON_GROUND_M:  # not yet at the target
             self._landing.start(moment.state)
-            return self._run_errand(moment)
+            return self._fly_to_hold_target(moment)
         return self._landing.update(moment, self._params)
 
     def _leg_limits(self) -> TrajectoryParams:
@@ -289,9 +290,9 @@ def down_demand_m_s(
     z_p_1_s: float,
     hover_thrust: float = 0.5,
 ) -> float:
-    """Vertical speed that a setpoint asks for, down positive; an acceleration counts for one second of it.
+    """Return the vertical speed that a setpoint demands, positive down; accelerations count for one second.
 
-    Of attitudes and rates the acceleration is what their thrust gives beyond ``hover_thrust``.
+    For attitudes and rates the acceleration is that of the thrust in excess of ``hover_thrust``.
     """
     if not isinstance(setpoint, TrajectorySetpoint):
         return GRAVITY_M_S2 * (1.0 - setpoint.thrust / hover_thrust)

@@ -1,4 +1,4 @@
-"""The site's NED frame as one vehicle uses it: where its estimator's origin and its GPS fixes are."""
+"""The site's NED frame for one vehicle: positions of its estimator's origin and its GPS fixes."""
 
 import math
 
@@ -13,7 +13,7 @@ UNKNOWN_NED_M: Vector = (math.nan, math.nan, math.nan)
 
 
 class SiteFrame:
-    """The site's NED frame as one vehicle needs it; keeps results, since origin and fixes change rarely."""
+    """Converts to the site's NED frame; caches results, because origin and fixes change rarely."""
 
     def __init__(self, site: Site) -> None:
         self._site = site
@@ -23,7 +23,7 @@ class SiteFrame:
         self._fix_ned_m = UNKNOWN_NED_M
 
     def origin_ned_m(self, state: EstimatorState) -> Vector:
-        """What to add to a position from the estimator's origin; its height stays as it is."""
+        """Return the position of the estimator's origin, to be added to positions from it; height 0."""
         origin_deg = (state.origin_lat_deg, state.origin_lon_deg)
         if origin_deg != self._origin_deg:
             self._origin_deg = origin_deg
@@ -32,7 +32,7 @@ class SiteFrame:
         return self._origin_ned_m
 
     def fix_ned_m(self, gps: Message | None) -> Vector:
-        """Where a HIL_GPS puts the vehicle; NaN without one, or if it has no fix in three dimensions."""
+        """Return the position of a HIL_GPS; NaN without a message or a 3D fix."""
         if gps is not None and gps is not self._fix:
             self._fix = gps
             if gps.fix_type < LEAST_FIX_TYPE:

@@ -1,6 +1,6 @@
-"""Geofence, mission and rally points of a scenario as the autopilot takes them.
+"""Conversion of a scenario's geofence, mission and rally points for the autopilot.
 
-They are stated in metres of the site or in a plan file, of each sort in one of the two.
+Each of the three is given either in metres of the site or in a plan file.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ class PlanError(ValueError):
 
 
 def plans(config: AutopilotConfig, site: Site) -> dict[PlanType, Plan]:
-    """Plans of a scenario, as if a station had written them. Raises PlanError."""
+    """Return the plans of a scenario, as if uploaded by a station. Raises PlanError."""
     try:
         file = plan_file.loads(config.plan) if config.plan is not None else plan_file.Plans()
     except plan_file.PlanFileError as error:
@@ -36,7 +36,7 @@ def plans(config: AutopilotConfig, site: Site) -> dict[PlanType, Plan]:
         ("rally", file.rally, config.rally),
     ):
         if in_file and in_scenario:
-            raise PlanError(f"{name}: there is one in the plan file, too; expected one of the two")
+            raise PlanError(f"{name}: also defined in the plan file; define it in only one of the two")
     flown = mission(config.mission, site)
     items = {
         PlanType.MISSION: file.mission or (() if flown is None else plan_items.mission_items(flown)),
@@ -47,7 +47,7 @@ def plans(config: AutopilotConfig, site: Site) -> dict[PlanType, Plan]:
 
 
 def fence_shapes(config: Sequence[CircleConfig | PolygonConfig], site: Site) -> list[FenceShape]:
-    """Shapes by latitude and longitude. Raises PlanError, which numbers the shape from 0."""
+    """Return the shapes in latitude and longitude. Raises PlanError with the shape's index from 0."""
     origin = Origin(site.latitude_deg, site.longitude_deg, site.altitude_m)
     shapes: list[FenceShape] = []
     for index, shape in enumerate(config):
@@ -66,7 +66,7 @@ def fence_shapes(config: Sequence[CircleConfig | PolygonConfig], site: Site) -> 
 
 
 def mission(config: Sequence[MissionItemConfig], site: Site) -> Mission | None:
-    """Mission by latitude and longitude; None without items. Raises PlanError."""
+    """Return the mission in latitude and longitude; None without items. Raises PlanError."""
     try:
         return make_mission(_item(item, site) for item in config) if config else None
     except MissionError as error:
@@ -103,7 +103,7 @@ def _rally_item(point: RallyPointConfig, site: Site) -> WireItem:
 
 
 def _lat_lon_deg(north_m: float, east_m: float, site: Site) -> tuple[float, float]:
-    """Latitude and longitude, degrees, of a place in metres from the site's origin."""
+    """Return latitude and longitude, degrees, of a place in metres from the site's origin."""
     lat, lon, _ = ned_to_geodetic(
         [north_m, east_m, 0.0],
         origin_lat_deg=site.latitude_deg,

@@ -1,11 +1,11 @@
 """The on-board application of one UAV: beacons, ranging, localisation and formation control.
 
-Sans-IO. MAVLink messages from the own autopilot and items from the own radio go in, `OnboardOutput` comes
-out once in each round of its loop. All times are on one clock that the formation shares.
+Sans-IO: its inputs are MAVLink messages from its autopilot and items from its radio, its output is one
+`OnboardOutput` per iteration of its loop. All times are on one clock that the formation shares.
 
-`OwnState` keeps what the autopilot says, `Traffic` what is said on the radio, `CooperativeLocalisation` makes
-positions of both, `Guidance` makes setpoints of positions, and `FlightSequence` decides on phases and
-commands.
+`OwnState` holds the newest telemetry of the autopilot, and `Traffic` exchanges beacons and distances with the
+other UAVs. `CooperativeLocalisation` estimates positions from both, `Guidance` computes setpoints from the
+positions, and `FlightSequence` selects the flight phase and the commands.
 """
 
 import math
@@ -39,60 +39,60 @@ from foundation.types import Vector
 from netsim.wire.messages import Delivery, FtmResult, RxItem, Sent, Survey, TxItem
 
 LONGEST_GAP_US = 200_000
-"""Between setpoints: after a longer one the way goes on as if it had been so long."""
+"""Longest time between two setpoints by which the reference is advanced; a longer gap is cut to this."""
 HEARTBEAT_PERIOD_US = 1_000_000
 SHORTEST_LOOP_US, LONGEST_LOOP_US = 1_000, 40_000
-"""A round of the loop that `OnboardApp.on_timer` is called in."""
+"""Range of the period at which `OnboardApp.on_timer` is called."""
 TELEMETRY_GAP_US = 500_000
-"""Velocities this far apart do not tell what was flown between them."""
+"""Velocities farther apart in time than this are not integrated: odometry restarts."""
 TRUTH_STD_M = 0.01
-"""Of what the simulator says: its message counts in 1e-7 degrees."""
+"""Standard deviation of the simulator's true position: its message has a resolution of 1e-7 degrees."""
 GATHER_MAX_S = 0.8e-6 * LOCALISE_TIMEOUT_US
-"""Distances are gathered for no longer, or who answers would take off without being located."""
+"""Longest time for which distances are gathered: the others must be located before take-off times out."""
 
 
 class OnboardOutput(Struct, frozen=True):
-    """What the application sends in one round of its loop."""
+    """What the application sends in one iteration of its loop."""
 
     mavlink: Sequence[Message | PositionTarget]
-    """To the own autopilot."""
+    """Messages to the autopilot of the same UAV."""
     radio: tuple[TxItem, ...]
 
 
 _BACK, _LOST = "ranging is back", "ranging lost: correction frozen, then fading"
 _UNKNOWN: Vector = (math.nan, math.nan, math.nan)
 NOTHING = OnboardOutput((), ())
-"""What a round gives in which nothing is due."""
+"""Output of an iteration in which nothing is due."""
 
 
 class Estimate(NamedTuple):
-    """Where the application believes itself to be; site NED, metres."""
+    """The application's estimate of its UAV's position; site NED, metres."""
 
     pos_ned_m: Vector
-    """The autopilot's position less the correction."""
+    """The autopilot's position minus the correction."""
     std_ned_m: Vector
-    """One sigma, the error of the formation as a whole included."""
+    """One sigma, including the position error of the formation as a whole."""
     correction_ned_m: Vector
     odometry_offset_ned_m: Vector
-    """The part of it that comes over the radio: the true position less the odometry, as localisation
-    knows it. NaN before it does; frozen while no distances come."""
+    """Part of the correction that depends on the radio: estimated true position minus odometry. NaN until
+    localisation has estimated it; frozen while no distances arrive."""
 
 
 class OnboardApp:
     """One UAV's application.
 
     Args:
-        station: this UAV's index in the formation and number on the radio; its MAVLink system id is one more.
+        station: index of this UAV in the formation and on the radio; its MAVLink system id is one more.
         places_ned_m: N places (3,) of the formation, site NED; the UAVs start on level ground below them.
-        heading_deg: of the formation at these places.
-        motion: of the formation, once all are in their places; None stays.
+        heading_deg: heading of the formation at these places.
+        motion: motion of the formation after all UAVs have reached their places; None: no motion.
         site: origin of the places' frame.
         config: settings.
-        devices: what the UAV knows of its own.
-        rng: source of the phases and jitters of beacons and requests.
+        devices: properties of the UAV's GPS receiver and radio.
+        rng: random generator for the phases and jitters of beacons and ranging requests.
 
     Attributes:
-        localisation: the filter of the neighbourhood, or None when flying on GPS alone or on the truth.
+        localisation: the filter of the neighbourhood; None if the UAV flies on GPS alone or on the truth.
 
     """
 
@@ -116,7 +116,7 @@ class OnboardApp:
         self._traffic = Traffic(
             station=station, stations=len(places), config=config, devices=devices, rng=rng, near=self._near
         )
-        self._hearing = self._traffic.hearing
+        self._table = self._traffic.table
         self._model = LocalisationModel(
             gps_bias_std_m=config.gps_bias_std_m,
             gps_bias_time_constant_s=config.gps_bias_time_constant_s,
@@ -129,9 +129,9 @@ class OnboardApp:
                 own=self._near.own, places_ned_m=places[self._near.members], model=self._model
             )
         self._frame: CommonFrame | None = None
-        """None: nobody has a frame of its own, for everybody localises everybody."""
+        """None if the neighbourhood is the whole formation: all UAVs then share one frame anyway."""
         if self.localisation is not None and not self._near.whole:
-            self._frame = CommonFrame(self._near.members, self._hearing)
+            self._frame = CommonFrame(self._near.members, self._table)
         self._guidance = Guidance(
             station=station, plan=FormationPlan(places, heading_deg, motion), config=config, near=self._near
         )
@@ -144,7 +144,7 @@ class OnboardApp:
         )
         self._own = OwnState(site=site, gps_delay_s=devices.gps_delay_s)
         self._support = Support(
-            self.localisation, self._hearing, watched=self._guidance.layers.watched,
+            self.localisation, self._table, watched=self._guidance.layers.watched,
             range_silence_us=self._traffic.range_silence_us,
             beacon_period_us=config.beacon_period_ms * 1_000,
         )  # fmt: skip
@@ -152,17 +152,17 @@ class OnboardApp:
         self._flown_us = -1
         self._setpoint_us = 0
         self._fix_taken: Fix | None = None
-        """The newest that localisation has used."""
+        """The newest fix that localisation has used."""
         self._heartbeat_out_us = 0
-        self._told: tuple[FlightPhase, int | None] | None = None
+        self._reported: tuple[FlightPhase, int | None] | None = None
         """Phase and start of the motion in the last heartbeat."""
         self._due_us = 0
-        """Nothing is to be done in a round that ends before this."""
+        """An iteration that ends before this time has nothing to do."""
 
     # ---- inputs
 
     def on_mavlink(self, msg: Message, now_us: int) -> None:
-        """Take a message of the own autopilot; those of no use here are ignored."""
+        """Process a message of the autopilot; message types that are not used are ignored."""
         match msg.get_type():
             case "LOCAL_POSITION_NED":
                 self._on_local_position(msg, now_us)
@@ -187,7 +187,10 @@ class OnboardApp:
                     self._own.on_truth(msg)
 
     def on_request(self, msg: common.MAVLink_message) -> list[common.MAVLink_message]:
-        """Answer whoever has a command for the application: MAV_CMD_USER_1 releases a flight that is held."""
+        """Return the acknowledgement of a command; MAV_CMD_USER_1 releases a flight that is held.
+
+        Messages that are not commands are not answered.
+        """
         if msg.get_msgId() not in messages.COMMANDS:
             return []
         known = self._config.hold and msg.command == common.MAV_CMD_USER_1
@@ -203,22 +206,22 @@ class OnboardApp:
         if not own.on_local_position(msg, now_us):
             return
         if 0 <= before_us < own.time_us - TELEMETRY_GAP_US:
-            self._begin_anew()
+            self._restart_odometry()
         if self.localisation is not None:
             self.localisation.on_odometry(self._near.own, own.time_us, own.odometry_ned_m, own.vel_ned_m_s)
-            self._take_fix()  # should it have been newer than the odometry
+            self._take_fix()  # a fix newer than the odometry had to wait for it
         if wind is not None:
             wind.on_velocity(own.time_us, (msg.vx, msg.vy, msg.vz), flying=self._flight.in_formation)
 
-    def _begin_anew(self) -> None:
-        """Have everybody forget the odometry: what was flown unseen is in no velocity."""
-        self._traffic.begin_anew()
+    def _restart_odometry(self) -> None:
+        """Make all UAVs discard this UAV's odometry, which misses the motion during a telemetry gap."""
+        self._traffic.signal_restart()
         self._guidance.correction.lose_odometry()
         if self.localisation is not None:
             self.localisation.restart(self._near.own)
 
     def _take_fix(self) -> None:
-        """Localise by the newest fix, unless that has been done."""
+        """Pass the newest fix to localisation, unless it has been used."""
         fix = self._own.fix
         if fix is not self._fix_taken and fix is not None and self.localisation is not None:
             taken = self.localisation.on_fix(
@@ -228,8 +231,8 @@ class OnboardApp:
                 self._fix_taken = fix
 
     def on_radio(self, items: Iterable[RxItem], now_us: int) -> None:
-        """Take what the radio received and measured, in the order in which it did."""
-        pages = self._hearing.pages
+        """Process the items that the radio received and measured, in their order."""
+        pages = self._table.pages
         for item in items:
             match item:
                 case Delivery():
@@ -240,18 +243,18 @@ class OnboardApp:
                     self._on_ranged(item, now_us)
                 case Survey():
                     self._traffic.take_survey(item)
-                case Sent():  # of a datagram to one station, and this application sends none
+                case Sent():  # reports a unicast datagram; this application sends none
                     pass
         self._read(now_us)
 
     def _read(self, now_us: int) -> None:
-        """Read the beacons that have come."""
-        if self._hearing.pages.count == 0:
+        """Process the beacons that have been received."""
+        if self._table.pages.count == 0:
             return
         if self.localisation is None:
-            self._hearing.read(now_us)
+            self._table.read(now_us)
         else:
-            self.localisation.read(self._hearing, now_us)
+            self.localisation.read(self._table, now_us)
 
     def _on_ranged(self, item: FtmResult, now_us: int) -> None:
         distance = self._traffic.measured(item)
@@ -267,8 +270,8 @@ class OnboardApp:
     # ---- output
 
     def on_timer(self, now_us: int) -> OnboardOutput:
-        """Return all to send in the round of the loop that begins at ``now_us``; called once in each."""
-        # The coming round is taken to be as long as the last, and the first as short as rounds can be.
+        """Return everything to send in the iteration that begins at ``now_us``; called once in each."""
+        # The iteration is assumed as long as the previous one, and the first one as short as possible.
         loop_us = now_us - self._now_us if self._now_us >= 0 else SHORTEST_LOOP_US
         self._now_us = now_us
         if not SHORTEST_LOOP_US <= loop_us <= LONGEST_LOOP_US:
@@ -280,27 +283,27 @@ class OnboardApp:
             mavlink += self._fly(now_us)
             self._setpoint_us = now_us - now_us % SETPOINT_PERIOD_US + SETPOINT_PERIOD_US
         mavlink += self._commands.on_timer(now_us)
-        told = (self._flight.phase, self._guidance.start.start_us)
-        if self._told != told or now_us >= self._heartbeat_out_us:
-            self._told = told
+        reported = (self._flight.phase, self._guidance.start.start_us)
+        if self._reported != reported or now_us >= self._heartbeat_out_us:
+            self._reported = reported
             self._heartbeat_out_us = now_us + HEARTBEAT_PERIOD_US
-            mavlink += messages.heartbeat(*told, now_us)
-            # Each time, for a ground station may set it in flight.
+            mavlink += messages.heartbeat(*reported, now_us)
+            # Requested each time, because a ground station may change it in flight.
             mavlink.append(messages.gain_request(self._station + 1))
         if self._flight.texts:
             mavlink += map(messages.warning, self._flight.texts)
             self._flight.texts.clear()
         radio: tuple[TxItem, ...] = ()
-        ranges = self.localisation is not None and told[0] is not FlightPhase.WAITING
+        ranges = self.localisation is not None and reported[0] is not FlightPhase.WAITING
         radio_us = self._traffic.next_deadline_us(ranging=ranges)
         if self._own.time_us >= 0 and radio_us < now_us + loop_us:
             radio = self._traffic.due(
                 self._own, now_us, now_us + loop_us,
                 ranging=ranges, variance_m2=self._distance_variance_m2,
-                phase=told[0], motion_start_ms=self._motion_start_ms, gps_error=self._say_gps_error,
+                phase=reported[0], motion_start_ms=self._motion_start_ms, gps_error=self._reported_gps_error,
             )  # fmt: skip
             radio_us = self._traffic.next_deadline_us(ranging=ranges)
-        self._due_us = 0  # until positions come
+        self._due_us = 0  # until there is a position
         if self._own.time_us >= 0:
             commands_us = self._commands.next_deadline_us()
             self._due_us = min(self._setpoint_us, commands_us, self._heartbeat_out_us, radio_us)
@@ -308,19 +311,19 @@ class OnboardApp:
 
     @property
     def phase(self) -> FlightPhase:
-        """Where in the flight it is."""
+        """Current phase of the flight."""
         return self._flight.phase
 
     @property
     def bad_beacons(self) -> int:
-        """Datagrams that were no beacon, or one that contradicts itself."""
-        return self._hearing.bad_beacons
+        """Number of datagrams that were not a valid beacon."""
+        return self._table.bad_beacons
 
     def troubles(self) -> dict[str, int]:
-        """Counts of what went wrong so far and was coped with."""
+        """Return counts of the faults that occurred so far and were handled."""
         counts = {
             "bad_beacons": self.bad_beacons,
-            "beacons_missed": self._hearing.beacons_missed,
+            "beacons_missed": self._table.beacons_missed,
             "commands_refused": self._commands.refusals,
         }
         if self.localisation is not None:
@@ -332,7 +335,7 @@ class OnboardApp:
         return counts
 
     def estimate(self, now_us: int) -> Estimate:
-        """What it believes at ``now_us``, which may be after its last loop."""
+        """Return the position estimate at ``now_us``, which may be after the last loop iteration."""
         correction = self._guidance.correction
         if self.localisation is not None and self._support.holds:
             std_ned_m = self.localisation.std_ned_m()
@@ -350,7 +353,7 @@ class OnboardApp:
 
     @property
     def shape_std_m(self) -> float:
-        """Expected rms error of the neighbourhood's horizontal shape; inf when distances do not hold it."""
+        """Expected horizontal rms error of the neighbourhood's shape, m; inf without support by distances."""
         if self.localisation is None or not self._support.holds:
             return float("inf")
         return self.localisation.shape_std_m(self._now_us)
@@ -358,7 +361,7 @@ class OnboardApp:
     # ---- flight
 
     def _fly(self, now_us: int) -> list[PositionTarget]:
-        """Go on with localisation, phase and motion, and give the setpoint that follows."""
+        """Update localisation, phase and motion start; return the setpoint, if the phase needs one."""
         guidance, flight, own = self._guidance, self._flight, self._own
         since_us = now_us - self._flown_us if self._flown_us >= 0 else SETPOINT_PERIOD_US
         self._flown_us = now_us
@@ -375,7 +378,7 @@ class OnboardApp:
             now_us,
         )
         phase = flight.phase
-        guidance.agree(now_us, on_station=phase is FlightPhase.ON_STATION, hearing=self._hearing)
+        guidance.agree(now_us, on_station=phase is FlightPhase.ON_STATION, table=self._table)
         if own.origin_ned_m is None or not FlightPhase.ARMING <= phase <= FlightPhase.YIELDED:
             return []
         if flight.in_formation:
@@ -386,7 +389,7 @@ class OnboardApp:
         return [messages.offboard_setpoint(setpoint, self._station + 1, now_us)]
 
     def _correct(self, now_us: int, dt_s: float) -> None:
-        """Bring the correction up to date with what is known of the true position."""
+        """Update the correction from the estimated true position."""
         own, guidance = self._own, self._guidance
         offset_ne_m: Level | None = None
         if self.localisation is not None:
@@ -412,9 +415,9 @@ class OnboardApp:
         guidance.layers.update(now_us, supported=not in_air or self._support.holds_all(now_us))
 
     def _known_others(self, now_us: int) -> Others | None:
-        """Give the neighbourhood while it is known where this UAV is in it.
+        """Return the neighbourhood while the own position in it is known, else None.
 
-        Without distances that is as long as odometry holds what they said; by then height keeps UAVs apart.
+        Without distances odometry bridges the gap for `COAST_S`; after that height layers separate the UAVs.
         """
         localisation = self.localisation
         if localisation is None or not (self._support.holds or self._guidance.correction.holds):
@@ -425,7 +428,7 @@ class OnboardApp:
         return localisation.others(now_us, fresh_us=FRESH_US, shift_ne_m=shift_ne_m)
 
     def _shape_std_before_flight_m(self, now_us: int) -> float:
-        """Error of the shape that take-off waits for; see `Situation`."""
+        """Shape error that take-off waits for; see `Situation`."""
         if self.localisation is None:
             return 0.0
         if self._flight.phase is not FlightPhase.LOCALISING or not self.localisation.located.all():
@@ -443,10 +446,10 @@ class OnboardApp:
             return None
         return self.localisation.distance_variance_m2(row, self._now_us)
 
-    def _say_gps_error(self) -> GpsError | None:
-        """What the own receiver's error is estimated to be, for the beacon; None: no distances hold it."""
+    def _reported_gps_error(self) -> GpsError | None:
+        """Return the estimated GPS error for the beacon; None while no distances support the own position."""
         if self.localisation is None or not self._support.holds:
             return None
         if self._frame is not None and self._own.fix is not None:
-            return self._frame.say(self._station, self._own.fix, self.localisation, self._now_us)
+            return self._frame.report_error(self._station, self._own.fix, self.localisation, self._now_us)
         return GpsError(*self.localisation.gps_error(self.localisation.own))

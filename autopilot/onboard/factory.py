@@ -1,4 +1,4 @@
-"""The on-board application of a vehicle's settings, in the autopilot's process or in one beside a PX4."""
+"""Factory of the on-board application, for the autopilot's process or a companion process of a PX4."""
 
 import numpy as np
 
@@ -8,7 +8,10 @@ from autopilot.parameters.config import VehicleConfig
 
 
 def make_application(config: VehicleConfig) -> OnboardApp:
-    """Make it; whichever process it runs in, the same seed gives it the same randomness."""
+    """Return the application for these settings.
+
+    Its random numbers depend on the seed and the instance only, not on the process it runs in.
+    """
     seed = np.random.SeedSequence([config.seed, config.instance, APPLICATION_COMPONENT])
     return OnboardApp(
         station=config.instance,

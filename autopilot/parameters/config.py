@@ -1,6 +1,6 @@
 """Settings of one vehicle.
 
-What the launcher hands to ``python -m autopilot``, and what scenarios may say of it.
+They are the launcher's input to ``python -m autopilot``, and the tables of a scenario that concern vehicles.
 """
 
 from ipaddress import IPv4Address
@@ -10,53 +10,60 @@ from msgspec import Meta, Struct, field
 from msgspec.structs import replace
 
 REMEMBERED_S = 2.0
-"""For so long the application knows where its vehicle was; distances that come later are of no use."""
+"""How long the application stores its vehicle's past positions; older distances cannot be used."""
 SESSION_S = 0.5
-"""From a ranging request to when the formation knows the distance: a queue, one burst, and beacons."""
+"""Time from a ranging request until the formation has the distance: queueing, one burst, and beacons."""
 
 Port = Annotated[int, Meta(ge=0, le=65_535)]
 Vector = tuple[float, float, float]
 Position = Annotated[float, Meta(ge=-1e6, le=1e6)]
-"""Metres from the site's origin; beacons tell no more."""
+"""Metres from the site's origin, within the range of beacons."""
 Gauss = Annotated[float, Meta(ge=-2.0, le=2.0)]
-"""The Earth's field has at most 0.7."""
+"""Of a magnetic field; the Earth's is at most 0.7."""
 Angle = Annotated[float, Meta(ge=-360.0, le=360.0)]
-"""Degrees."""
+"""In degrees."""
 Seconds = Annotated[float, Meta(ge=0.0, le=1e5)]
 ErrorStd = Annotated[float, Meta(ge=0.001, le=1_000.0)]
-"""Metres: a filter that squares and inverts it neither overflows nor takes anything for exact."""
+"""In metres; within the range in which a filter that squares and inverts it stays well conditioned."""
 
 
 class Site(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The place of the flight: the origin of the formation's NED frame, and its magnetic field."""
+    """Location of the flight: origin of the formation's NED frame, and the magnetic field there."""
 
     latitude_deg: Annotated[float, Meta(ge=-90.0, le=90.0)] = 47.397742
+    """Geodetic latitude (WGS 84), degrees."""
     longitude_deg: Annotated[float, Meta(ge=-180.0, le=180.0)] = 8.545594
+    """Geodetic longitude (WGS 84), degrees."""
     altitude_m: Annotated[float, Meta(ge=-500.0, le=9_000.0)] = 488.0
-    """Of the ground, above mean sea level."""
+    """Altitude of the ground above mean sea level."""
     magnetic_field_ned_gauss: tuple[Gauss, Gauss, Gauss] = (0.21523, 0.00771, 0.42741)
+    """The Earth's magnetic field, gauss, NED."""
 
 
 class CircleConfig(
     Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="shape", tag="circle"
 ):
-    """A circle of the geofence, in metres from the site's origin."""
+    """A circular zone of the geofence, in metres from the site's origin."""
 
     north_m: Position = 0.0
+    """Centre, metres north of the origin."""
     east_m: Position = 0.0
+    """Centre, metres east of the origin."""
     radius_m: Annotated[float, Meta(gt=0.0, le=1e5)]
+    """Radius, metres."""
     inclusion: bool = True
-    """To stay inside of; false: outside."""
+    """Whether the vehicle must stay inside; false: outside."""
 
 
 class PolygonConfig(
     Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="shape", tag="polygon"
 ):
-    """A polygon of the geofence."""
+    """A polygonal zone of the geofence."""
 
     vertices_m: Annotated[tuple[tuple[Position, Position], ...], Meta(min_length=3)]
     """North and east from the site's origin."""
     inclusion: bool = True
+    """To stay inside of; false: outside."""
 
 
 class MissionItemConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -66,90 +73,102 @@ class MissionItemConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields
         "takeoff", "waypoint", "loiter_time", "loiter_unlimited", "delay", "change_speed", "jump", "return",
         "land",
     ]  # fmt: skip
+    """What the vehicle does."""
     north_m: Position | None = None
-    """From the site's origin, with ``east_m``; neither: where the vehicle is."""
+    """From the site's origin, together with ``east_m``; if neither is given, the vehicle's position."""
     east_m: Position | None = None
+    """From the site's origin, with ``north_m``."""
     height_m: Annotated[float, Meta(ge=-10_000.0, le=10_000.0)] = 0.0
-    """Above home."""
+    """Above home, in metres."""
     acceptance_m: Annotated[float, Meta(ge=0.0, le=1e5)] = 0.0
+    """Distance at which a waypoint counts as reached, metres; 0: NAV_ACC_RAD."""
     hold_s: Seconds = 0.0
+    """Time to hold at a waypoint, to loiter or to delay, seconds."""
     yaw_deg: Angle | None = None
+    """Heading at the item, degrees clockwise from north; without it as MPC_YAW_MODE says."""
     speed_m_s: Annotated[float, Meta(ge=-100.0, le=100.0)] | None = None
+    """Of change_speed: speed over ground from here on, m/s; without it that of MPC_XY_CRUISE."""
     jump_to: Annotated[int, Meta(ge=0)] = 0
+    """Of jump: index of the item that follows, from 0."""
     jump_count: Annotated[int, Meta(ge=-1)] = 1
+    """Of jump: number of jumps; -1: no limit."""
 
 
 class RallyPointConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A place to return to where it is nearer than home."""
+    """An alternative to home for returns, used where it is nearer."""
 
     north_m: Position
     """From the site's origin."""
     east_m: Position
+    """From the site's origin."""
     height_m: Annotated[float, Meta(ge=-10_000.0, le=10_000.0)] = 0.0
-    """Above home: what the return's heights count from; it lands on the ground."""
+    """Above home: base of the return's heights; the vehicle lands on the ground."""
 
 
 class AutopilotConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The scenario's ``[autopilot]`` table."""
 
     params: dict[str, float] = {}
-    """Parameters by PX4's names that differ from their defaults."""
+    """Values of parameters by PX4's names."""
     params_file: str | None = None
-    """Parameter file as ground stations save it, beside the scenario; ``params`` go before what it says."""
+    """Parameter file of a ground station, relative to the scenario; ``params`` take precedence."""
     per_uav: dict[str, dict[str, float]] = {}
-    """Parameters of single vehicles by their number, which go before all others."""
+    """Parameters of single vehicles by their number; they take precedence over all others."""
     fence: tuple[CircleConfig | PolygonConfig, ...] = ()
+    """Geofence: tables ``[[autopilot.fence]]``."""
     mission: tuple[MissionItemConfig, ...] = ()
+    """Mission: tables ``[[autopilot.mission]]``."""
     rally: Annotated[tuple[RallyPointConfig, ...], Meta(max_length=80)] = ()
+    """Rally points: tables ``[[autopilot.rally]]``."""
     plan_file: str | None = None
-    """Mission, geofence and rally points as QGroundControl saves them (.plan), beside the scenario."""
+    """Mission, geofence and rally points as QGroundControl saves them (.plan), relative to the scenario."""
     plan: str | None = None
     """The contents of such a file."""
     kind: Literal["own", "px4"] = "own"
-    """px4: processes of a PX4 SITL build fly, each with coflight's on-board application beside it."""
+    """px4: the vehicles are processes of a PX4 SITL build, each with coflight's on-board application."""
     px4_vehicles: tuple[Annotated[int, Meta(ge=0, le=253)], ...] | None = None
-    """Numbers of the vehicles that a PX4 flies, if not all: the others are coflight's own."""
+    """Numbers of the vehicles that run PX4; default: all. The others run coflight's autopilot."""
     px4_build: str | None = None
-    """Folder of the build, with bin/px4 and etc/."""
+    """Folder of the build, which contains bin/px4 and etc/."""
     px4_command: Annotated[tuple[str, ...], Meta(min_length=1)] = (
         "{build}/bin/px4", "-i", "{i}", "-d", "{build}/etc", "-w", "{work}",
     )  # fmt: skip
-    """What starts one; see `harness.launch.px4` for what stands in braces."""
+    """Command line of a PX4 process; see `harness.launch.px4` for the fields in braces."""
     px4_env: dict[str, str] = field(default_factory=lambda: {"PX4_SIM_MODEL": "none_iris"})
-    """Its environment besides what the launcher has; the same may stand in braces."""
+    """Variables added to the environment of a PX4 process; the same fields in braces are replaced."""
     px4_rc: bool = False
-    """Tell each PX4 of a radio control whose sticks are centred."""
+    """Send each PX4 the input of a radio control with centred sticks."""
 
     def is_px4(self, instance: int) -> bool:
-        """Whether a PX4 flies that vehicle."""
+        """Whether that vehicle runs PX4."""
         return self.kind == "px4" and (self.px4_vehicles is None or instance in self.px4_vehicles)
 
     def for_uav(self, instance: int) -> "AutopilotConfig":
-        """Settings of one vehicle: all its parameters in ``params``."""
+        """Settings of one vehicle, with all its parameters in ``params``."""
         params = {**self.params, **self.per_uav.get(str(instance), {})}
         return replace(self, params=params, params_file=None, per_uav={}, plan_file=None)
 
 
 class LinksConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The scenario's ``[links]`` table: the vehicles' MAVLink to ground stations and companions.
+    """The scenario's ``[links]`` table: the vehicles' MAVLink links to ground stations and companions.
 
-    Nothing but this table lets other machines speak to a vehicle, or makes it speak to them.
+    Without this table the vehicles communicate with this machine only.
     """
 
     host: str = "127.0.0.1"
-    """Address of this machine that the links are bound to; 0.0.0.0 is all that it has. All are IPv4."""
+    """IPv4 address of this machine to which the links are bound; 0.0.0.0: all of its addresses."""
     ground_station_host: str = "127.0.0.1"
-    """Where ``ports.gcs_remote_udp`` is called before anybody has spoken."""
+    """IPv4 address with ``ports.gcs_remote_udp``, the default destination of the ground station link."""
     companion_host: str = "127.0.0.1"
-    """Where ``ports.companion_remote_udp`` is called."""
+    """IPv4 address with ``ports.companion_remote_udp``, the default destination of the companion link."""
     bandwidth_bytes_s: Annotated[int, Meta(ge=0, le=1_000_000_000)] = 0
-    """Of MAVLink, in a second of simulated time, to whoever hears all that a link says; 0: no limit."""
+    """Limit of each link's MAVLink bytes per second of simulated time; 0: none."""
     signing_key_file: str | None = None
-    """File with a passphrase or a key, beside the scenario. With it the links act only on what it has signed,
-    and sign what they send."""
+    """File with a passphrase or a key, relative to the scenario. With it the links accept only frames signed
+    with the key, and sign the frames that they send."""
 
     def __post_init__(self) -> None:
-        """Check the addresses; names are none, for looking one up may take long."""
+        """Check the addresses. Host names are rejected, because their resolution may block."""
         here = _ipv4("host", self.host)
         for name in ("ground_station_host", "companion_host"):
             if here.is_loopback and not _ipv4(name, getattr(self, name)).is_loopback:
@@ -163,57 +182,61 @@ def _ipv4(field: str, text: str) -> IPv4Address:
     try:
         return IPv4Address(text)
     except ValueError:
-        raise ValueError(f"{field}: {text!r} is no IPv4 address, such as 127.0.0.1 or 0.0.0.0") from None
+        raise ValueError(f"{field}: {text!r} is not an IPv4 address such as 127.0.0.1 or 0.0.0.0") from None
 
 
 class OnboardConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The scenario's ``[onboard]`` table: the application beside each autopilot."""
+    """The scenario's ``[onboard]`` table: the application with each autopilot."""
 
     enabled: bool = True
-    """False leaves the autopilots to the ground station."""
+    """False: no application; the vehicles are controlled by the ground station alone."""
     hold: bool = False
-    """Beacons and ranging alone, no take-off, until a ground station sends component 191 MAV_CMD_USER_1."""
+    """Run beacons and ranging only; take off when a ground station sends component 191 MAV_CMD_USER_1."""
     localisation: Literal["gps", "ftm", "truth"] = "ftm"
-    """Correct the own position by everyone's GPS and the FTM distances, trust the own GPS alone, or be told
-    by the simulator: the last two are what the first is measured against."""
+    """Source of the position estimate. ftm: the own position corrected by all vehicles' GPS and the FTM
+    distances. gps: the own GPS alone. truth: the simulator. The last two are references for the first."""
     loop_period_ms: Annotated[int, Meta(ge=4, le=40)] = 40
-    """How often the application works, and deals with autopilot and radio: at the multiples of this, a whole
-    number of steps. The channel goes on in intervals as long. Beside a PX4 it works when PX4 speaks."""
+    """Period of the application's loop, which exchanges data with autopilot and radio at multiples of it: a
+    whole number of steps. The channel advances in equal intervals. With a PX4, PX4's messages drive it."""
     beacon_period_ms: Annotated[int, Meta(ge=10, le=1_000)] = 100
+    """Period of a UAV's beacons, milliseconds."""
     neighbours: Annotated[int, Meta(ge=0, le=254)] = 0
-    """Localise, range to and keep clear of so many UAVs alone, those with the nearest places, and who has
-    this one among its own; 0: all. With ``ftm``, neighbourhoods agree on a common frame by beacons."""
+    """Number of UAVs with the nearest places that are localised, ranged to and avoided, plus those that have
+    this one among theirs; 0: all. With ``ftm``, neighbourhoods agree on a common frame by beacons."""
     ranging: Literal["all_pairs", "scheduled"] = "all_pairs"
-    """Everybody to everybody in every period, or each pair by one of its ends, in a slot of its own, when the
-    distance is worth its time on the air."""
+    """all_pairs: every UAV to every other in each period. scheduled: each pair once, in its own slot, if the
+    distance is worth its airtime."""
     ftm_period_s: Annotated[float, Meta(ge=0.02, le=3600.0)] = 1.0
-    """With ``all_pairs`` each UAV ranges to every other once in this time."""
+    """With ``all_pairs``: period in which each UAV ranges to every other once."""
     ranging_slot_ms: Annotated[int, Meta(ge=2, le=1_000)] = 4
-    """With ``scheduled`` each pair's slot is this long, and comes again when all pairs have had theirs."""
+    """With ``scheduled``: length of each pair's slot; the slots of all pairs repeat in turn."""
     ranging_airtime: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.1
-    """With ``scheduled``: occupancy of the channel, as the own radio measures it and by whatever causes it,
-    above which only the more valuable distances are measured."""
+    """With ``scheduled``: channel occupancy from all causes, as measured by the own radio, above which only
+    the more valuable distances are measured."""
     wind_feed_forward: bool = False
-    """Lean against the wind that the application has learned; for autopilots that do not do so themselves."""
+    """Compensate the estimated wind by tilt; for autopilots that do not do so themselves."""
     climb_speed_m_s: Annotated[float, Meta(gt=0.0, le=5.0)] = 1.5
+    """Speed of the climb to the height of the formation, m/s."""
     on_station_tolerance_m: Annotated[float, Meta(gt=0.0, le=1_000.0)] = 0.7
-    """Own estimated distance from the own place that counts as being there."""
+    """Largest estimated distance from the own place that counts as being on station."""
     on_station_hold_s: Seconds = 2.0
+    """Time within ``on_station_tolerance_m`` after which the UAV reports that it is on its place."""
     gps_bias_std_m: ErrorStd = 1.5
-    """Horizontal, per axis: what the localisation filter assumes of GPS errors."""
+    """Standard deviation of GPS errors that the localisation filter assumes; horizontal, per axis."""
     gps_bias_time_constant_s: Annotated[float, Meta(ge=0.1, le=1e6)] = 60.0
+    """Correlation time of the GPS errors that the localisation filter assumes, seconds."""
     odometry_drift_m_sqrt_s: Annotated[float, Meta(ge=1e-4, le=10.0)] = 0.1
-    """Horizontal, per axis: error of the integrated velocity after one second.
+    """Error of the integrated velocity after one second; horizontal, per axis.
 
-    Grows with the root of time.
+    It grows with the square root of time.
     """
     range_floor_std_m: ErrorStd = 0.05
-    """What averaging within an FTM session does not reduce."""
+    """Error of a range that averaging within an FTM session does not reduce."""
     safety_radius_m: Annotated[float, Meta(ge=0.0, le=1_000.0)] = 1.2
-    """A neighbour nearer than this, plus two sigma, is kept clear of.
+    """Neighbours nearer than this plus two sigma are avoided.
 
-    By a UAV in its place at most 0.6 of the distance between the two's places; one that is away from its
-    place keeps more, by half of the way that it has to it.
+    A UAV at its place keeps at most 0.6 of the distance between the two places; one that is away from its
+    place keeps more, by half of the distance to it.
     """
 
     @property
@@ -225,75 +248,80 @@ class OnboardConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 class TrackMotion(
     Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="track"
 ):
-    """The formation flies straight on, and stops after ``length_m``."""
+    """Motion of the formation along a straight track that ends after ``length_m``."""
 
     speed_m_s: Annotated[float, Meta(ge=0.01, le=12.0)] = 3.0
+    """Speed of the formation, m/s."""
     acceleration_m_s2: Annotated[float, Meta(ge=0.001, le=3.0)] = 0.5
-    """Along the track, at its beginning and end."""
+    """Along the track, at its start and end."""
     length_m: Annotated[float, Meta(ge=0.1, le=1e5)] = 100.0
+    """Length of the track, metres."""
     course_deg: Angle = 0.0
-    """Compass direction of flight; the formation keeps its heading."""
+    """Direction of flight, clockwise from north; the formation keeps its heading."""
 
 
 class RacetrackMotion(
     Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="racetrack"
 ):
-    """The formation flies round after round: two straights joined by half turns."""
+    """Motion of the formation in laps of two straights joined by half turns."""
 
     speed_m_s: Annotated[float, Meta(ge=0.01, le=12.0)] = 3.0
+    """Speed of the formation, m/s."""
     acceleration_m_s2: Annotated[float, Meta(ge=0.001, le=3.0)] = 0.5
+    """Acceleration along the track, at its beginning."""
     length_m: Annotated[float, Meta(ge=0.0, le=1e5)] = 60.0
-    """Of a straight."""
+    """Length of a straight."""
     radius_m: Annotated[float, Meta(ge=0.1, le=1e5)] = 25.0
-    """Tightest in a turn."""
+    """Smallest radius in a turn."""
     course_deg: Angle = 0.0
-    """Of the first straight, which begins where the formation has formed."""
+    """Direction of the first straight, which begins where the formation has formed."""
     side: Literal["left", "right"] = "right"
+    """Side to which the formation turns."""
     heading: Literal["fixed", "track"] = "track"
-    """Whether the formation turns with the track or keeps its heading."""
+    """track: the formation turns with the track. fixed: it keeps its heading."""
 
 
 AnyMotion = TrackMotion | RacetrackMotion
 
 
 class Devices(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What a vehicle knows of its GPS receiver and its radio, as from their data sheets."""
+    """Data-sheet values of the GPS receiver and the radio, as available to the vehicle."""
 
     gps_delay_s: Annotated[float, Meta(ge=0.0, le=0.3)] = 0.12
-    """How far in the past the moment lies that a fix describes; the default of EKF2_GPS_DELAY."""
+    """Age of a fix on arrival; the default of EKF2_GPS_DELAY."""
     ftm_trip_std_m: Annotated[float, Meta(ge=0.0, le=1_000.0)] = 0.08
-    """Error of the distance of a single round trip, at the radio's bandwidth and good reception."""
+    """Standard deviation of a distance from a single round trip, with the radio's bandwidth, at high SNR."""
 
 
 class VehiclePorts(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where one vehicle listens and speaks.
+    """Addresses and ports of one vehicle.
 
     Port 0: any free one (local) or none (remote).
     """
 
     host: str = "127.0.0.1"
-    """The simulator's; that of the links is `LinksConfig`'s."""
+    """Address of the simulator; for that of the links see `LinksConfig`."""
     simulator_tcp: Port = 4560
     simulator_unix: str | None = None
-    """Name of a Unix socket of the simulator in Linux's abstract namespace, used instead of its TCP port."""
+    """Name of the simulator's Unix socket in Linux's abstract namespace, used instead of its TCP port."""
     gcs_local_udp: Port = 18570
     gcs_remote_udp: Port = 14550
     companion_local_udp: Port = 14580
     companion_remote_udp: Port = 14540
     radio_endpoint: str | None = None
-    """Zenoh locator of the 802.11 emulator; None flies without a radio."""
+    """Zenoh locator of the 802.11 emulator; None: no radio."""
 
 
 class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Everything that one UAV's process is told."""
+    """The configuration of one UAV's process."""
 
     run_id: str
     instance: Annotated[int, Meta(ge=0, le=254)]
-    """MAVLink system id is this plus one; radio station number is this."""
+    """Radio station number; the MAVLink system id is this plus one."""
     seed: Annotated[int, Meta(ge=0)]
     step_us: Annotated[int, Meta(ge=1_000, le=20_000)] = 4_000
     epoch_unix_us: Annotated[int, Meta(ge=0)] = 0
-    """The date of simulated time 0, as SYSTEM_TIME tells it."""
+    """The date of simulated time 0, reported by SYSTEM_TIME."""
     site: Site = Site()
     ports: VehiclePorts = VehiclePorts()
     autopilot: AutopilotConfig = AutopilotConfig()
@@ -301,15 +329,15 @@ class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     onboard: OnboardConfig = OnboardConfig()
     devices: Devices = Devices()
     places_ned_m: tuple[tuple[Position, Position, Position], ...]
-    """The formation: each UAV's place from the site's origin, before it moves."""
+    """The formation: each UAV's initial place from the site's origin."""
     heading_deg: Angle = 0.0
-    """Of the formation, before it moves."""
+    """Initial heading of the formation."""
     motion: AnyMotion | None = None
     log_path: str | None = None
-    """Binary log of estimates; None writes none."""
+    """Binary log of estimates; None: no log."""
     params_path: str | None = None
-    """Where MAV_CMD_PREFLIGHT_STORAGE writes the parameters; None: it is not supported."""
+    """File to which MAV_CMD_PREFLIGHT_STORAGE writes the parameters; None: the command is not supported."""
     record_period_us: Annotated[int, Meta(ge=1_000)] = 20_000
     connect_timeout_s: Annotated[float, Meta(gt=0.0, le=1e5)] = 30.0
     profile_from_us: Annotated[int, Meta(ge=0)] | None = None
-    """Simulated time from which the process looks where its processor time goes; None: never."""
+    """Simulated time from which the process profiles its CPU time; None: never."""

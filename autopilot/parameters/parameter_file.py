@@ -3,11 +3,11 @@
     # Vehicle-Id Component-Id Name Value Type
     1	1	MPC_XY_P	0.95	9
 
-Fields are separated by tabs (blanks are read, too), type 6 is INT32 and 9 is REAL32, and ``#`` begins a
-comment line. A number comes back as the double that was written; one that a ground station printed from its
-float32, with 18 decimals, comes back as the shortest decimal of that float32, as values over MAVLink do.
-What a vehicle is and cannot change (MAV_SYS_ID and the like) is neither written nor taken from a file.
-`parse` and `dumps` are pure; `load`, `load_known` and `save` touch files.
+Fields are separated by tabs (spaces are accepted), type 6 is INT32 and 9 is REAL32, and ``#`` begins a
+comment line. A number is read as the double that was written. One that a ground station printed from a
+float32, with 18 decimals, is read as the shortest decimal of that float32, as are values over MAVLink.
+Read-only parameters (such as MAV_SYS_ID) are neither written nor read. `parse` and `dumps` are pure; `load`,
+`load_known` and `save` access files.
 """
 
 import math
@@ -40,20 +40,20 @@ HEADER = "# Vehicle-Id Component-Id Name Value Type"
 
 
 class ParameterFileError(ValueError):
-    """A parameter file that cannot be read or is wrong; the text is one line that names file and line."""
+    """An unreadable or invalid parameter file; the text is one line with file and line number."""
 
 
 class ParsedParameters(NamedTuple):
-    """What a file holds."""
+    """Contents of a file."""
 
     values: dict[str, float]
     """In PX4's units, within their ranges"""
     unknown: dict[str, int]
-    """The parameters that this autopilot does not have, and those of other components, and their lines"""
+    """Unknown parameters and those of other components, with their line numbers"""
 
 
 def parse(text: str, name: str) -> ParsedParameters:
-    """Read a file's text; ``name`` is what errors call it. Raises ParameterFileError."""
+    """Parse a file's text; ``name`` is used in errors. Raises ParameterFileError."""
     values: dict[str, float] = {}
     unknown: dict[str, int] = {}
     line_of: dict[str, int] = {}
@@ -69,7 +69,7 @@ def parse(text: str, name: str) -> ParsedParameters:
             if parameter_name in _READ_ONLY:
                 continue
             if parameter_name in line_of:
-                raise ParameterError(f"{parameter_name} was set already in line {line_of[parameter_name]}")  # noqa: TRY301  # one place that adds file and line
+                raise ParameterError(f"{parameter_name} was set already in line {line_of[parameter_name]}")  # noqa: TRY301  # one handler adds file and line
             line_of[parameter_name] = number
             values[parameter_name] = _value(parameter_name, *fields[3:])
         except ParameterError as error:
@@ -78,7 +78,7 @@ def parse(text: str, name: str) -> ParsedParameters:
 
 
 def load(path: Path) -> dict[str, float]:
-    """Values of a file, all of whose parameters must be this autopilot's. Raises ParameterFileError."""
+    """Values of a file without unknown parameters. Raises ParameterFileError."""
     values, unknown = load_known(path)
     for parameter_name, number in unknown.items():
         raise ParameterFileError(f"{path}:{number}: the autopilot has no parameter {parameter_name!r}")
@@ -86,11 +86,11 @@ def load(path: Path) -> dict[str, float]:
 
 
 def load_known(path: Path) -> ParsedParameters:
-    """Values of a file that may hold any PX4's parameters. Raises ParameterFileError."""
+    """Values of a file that may contain unknown parameters. Raises ParameterFileError."""
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is no text"
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise ParameterFileError(f"{path}: cannot be read: {reason}") from None
     return parse(text, str(path))
 
@@ -98,7 +98,7 @@ def load_known(path: Path) -> ParsedParameters:
 def values_of(parameters: ParameterSet, *, only_changed: bool) -> dict[str, float]:
     """Values of a set by name, all or those that differ from the defaults.
 
-    They are such that setting them gives the same settings to the last bit.
+    Setting them reproduces the same settings to the last bit.
     """
     defaults = Settings()
     values = {}
@@ -114,9 +114,9 @@ def values_of(parameters: ParameterSet, *, only_changed: bool) -> dict[str, floa
 
 
 def dumps(values: Mapping[str, float], *, system_id: int = 1) -> str:
-    """Text of a file with these values, in PX4's units; `parse` gives the same back.
+    """Text of a file with these values, in PX4's units; `parse` returns the same values.
 
-    They are finite. Raises KeyError for a parameter that does not exist.
+    Values must be finite. Raises KeyError for an unknown parameter.
     """
     lines = [f"# Onboard parameters for Vehicle {system_id}", "#", HEADER]
     for name, value in values.items():
@@ -126,7 +126,7 @@ def dumps(values: Mapping[str, float], *, system_id: int = 1) -> str:
 
 
 def save(path: Path, parameters: ParameterSet, *, only_changed: bool = False, system_id: int = 1) -> None:
-    """Write a set's values; the file is there whole or as it was before. Raises OSError."""
+    """Write a set's values atomically. Raises OSError."""
     text = dumps(values_of(parameters, only_changed=only_changed), system_id=system_id)
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:
@@ -142,7 +142,7 @@ def _heading(fields: list[str]) -> tuple[int, str]:
         raise ParameterError(f"{len(fields)} fields, not {len(FIELDS)}: {', '.join(FIELDS)}")
     for what, field in zip(FIELDS[:2], fields[:2], strict=True):
         if not re.fullmatch(r"[0-9]{1,3}", field):
-            raise ParameterError(f"{field!r} is no {what} id")
+            raise ParameterError(f"{field!r} is not a {what} id")
     return int(fields[1]), fields[2]
 
 
@@ -152,7 +152,7 @@ def _value(name: str, text: str, kind: str) -> float:
     if pattern is None:
         raise ParameterError(f"{name}: type {kind!r} is neither {INT32} (INT32) nor {REAL32} (REAL32)")
     if not pattern.fullmatch(text):
-        raise ParameterError(f"{name}: {text!r} is no {'whole ' if kind == INT32 else ''}number")
+        raise ParameterError(f"{name}: {text!r} is not {'an integer' if kind == INT32 else 'a number'}")
     value = _real(text)
     check_range(name, value)
     return value
@@ -164,7 +164,7 @@ _REAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 
 def _real(text: str) -> float:
-    """Double of a decimal; that of a float32's shortest decimal where the text is how one is printed."""
+    """Double of a decimal; for a float32 printed with 18 decimals, its shortest decimal."""
     value = float(text)
     if abs(value) > np.finfo(np.float32).max:
         return value
@@ -173,7 +173,7 @@ def _real(text: str) -> float:
 
 
 def _text(parameter: Row, value: float) -> tuple[str, str]:
-    """Type and decimal of a value that `_real` reads as the same double."""
+    """Type and decimal of a value, which `_real` reads as the same double."""
     if parameter.is_integer:
         return INT32, str(round(value))
     text = f"{value:.0f}" if value == round(value) and abs(value) < 1e15 else repr(value)
@@ -186,7 +186,7 @@ def _setting(parameter: Parameter, settings: Settings) -> float:
 
 
 def _value_of(parameter: Parameter, setting: float) -> float:
-    """Find the plainest value in PX4's unit that makes exactly this setting."""
+    """Return the shortest value in PX4's unit that gives exactly this setting."""
     factor = parameter.setting_per_unit
     value = setting / factor
     neighbours = (value, math.nextafter(value, math.inf), math.nextafter(value, -math.inf))

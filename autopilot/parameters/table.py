@@ -1,8 +1,8 @@
-"""The vehicle's parameters: PX4's names, units and ranges, and where each one goes in the settings.
+"""The vehicle's parameters: PX4's names, units and ranges, and the corresponding settings.
 
-The settings structs of estimation, control, navigation and commander hold the values in SI; this table is
-the one place that knows PX4's names and units. Defaults are those of the structs, so that nothing is
-written down twice. Beside it stand the parameters without effect of `autopilot.parameters.inert`.
+The settings structs of estimation, control, navigation and commander hold the values in SI; PX4's names and
+units are defined in this table alone. Defaults are those of the structs. The parameters without effect of
+`autopilot.parameters.inert` are added to it.
 """
 
 import math
@@ -26,11 +26,11 @@ from autopilot.parameters.inert import STATED, STATED_OF, Stated
 
 
 class ParameterProblem(IntEnum):
-    """What is wrong with a parameter: MAV_PARAM_ERROR numbers."""
+    """Cause of a ParameterError, as in MAV_PARAM_ERROR."""
 
     UNKNOWN = 1
     VALUE = 2
-    """Out of its range, or in contradiction to another parameter."""
+    """Out of range, or inconsistent with another parameter."""
     READ_ONLY = 5
     TYPE = 7
 
@@ -63,18 +63,18 @@ class Parameter(NamedTuple):
 
     name: str
     path: str
-    """Where the value goes in `Settings`."""
+    """Path of the setting in `Settings`."""
     unit: str
-    """PX4's, in which value, range and default are stated."""
+    """PX4's unit, of value, range and default."""
     minimum: float
     maximum: float
     setting_per_unit: float = 1.0
-    """Factor from PX4's unit to the setting's."""
+    """Conversion factor from PX4's unit to the setting's."""
     is_integer: bool = False
 
     @property
     def group(self) -> str:
-        """The settings' part that the value belongs to."""
+        """The package whose settings contain the value."""
         return self.path.partition(".")[0]
 
 
@@ -245,7 +245,7 @@ TABLE = (
     Parameter("SIM_BAT_MIN_PCT", "battery_sim.minimum", "%", 0.0, 100.0, 0.01),
     Parameter("THR_MDL_FAC", "control.allocation.thrust_model_factor", "", 0.0, 1.0),
 )
-"""In order of the names. CF_* are coflight's own."""
+"""Sorted by name. CF_* are coflight's own."""
 
 INDEX_OF = {parameter.name: index for index, parameter in enumerate(TABLE)}
 
@@ -257,7 +257,7 @@ def _name(row: Row) -> str:
 
 
 ROWS: tuple[Row, ...] = tuple(sorted((*TABLE, *STATED), key=_name))
-"""With and without effect, in order of the names, which is that of the indices that ground stations see."""
+"""With and without effect, sorted by name; the position is the index in MAVLink's parameter protocol."""
 ROW_INDEX_OF = {row.name: index for index, row in enumerate(ROWS)}
 
 NOT_OVER = (
@@ -267,38 +267,38 @@ NOT_OVER = (
     ("MPC_THR_MIN", "MPC_THR_MAX"),
 )
 UNDER = (("BAT1_V_EMPTY", "BAT1_V_CHARGED"),)
-"""Pairs of one unit of which the first is at most, or less than, the second."""
+"""Pairs with equal units of which the first must be at most, or less than, the second."""
 
 
 class ParameterSet:
-    """The parameters' present values and the settings that they make."""
+    """Current values of the parameters and the settings derived from them."""
 
     def __init__(
         self, settings: Settings, overrides: Mapping[str, float] | None = None, *, system: int = 1
     ) -> None:
-        """Start from ``settings`` and change what ``overrides`` names. Raises ParameterError.
+        """Start from ``settings`` and apply ``overrides``. Raises ParameterError.
 
-        Pairs that must be in order are looked at when all are changed: the order of ``overrides`` is free.
-        ``system`` is the vehicle's number in MAVLink.
+        The order of pairs is checked after all changes, so the order of ``overrides`` does not matter.
+        ``system`` is the vehicle's MAVLink system id.
         """
         self.settings = self._defaults = settings
         self.stated = {row.name: row.default for row in STATED} | {"MAV_SYS_ID": float(system)}
         """Values of the parameters without effect."""
         self.version = 0
-        """Rises with every change."""
+        """Increases with every change."""
         for name, value in (overrides or {}).items():
             self._change(name, value)
         _check_order(self.settings)
 
     def get(self, name: str) -> float:
-        """Value in PX4's unit. Raises ParameterError for a name that does not exist."""
+        """Value in PX4's unit. Raises ParameterError for an unknown name."""
         if name in self.stated:
             return self.stated[name]
         parameter = _find(name)
         return _setting(self.settings, parameter) / parameter.setting_per_unit
 
     def set(self, name: str, value: float) -> None:
-        """Change a value, given in PX4's unit. Raises ParameterError, and then nothing has changed."""
+        """Change a value, given in PX4's unit. Raises ParameterError; then nothing is changed."""
         before = self.settings
         self._change(name, value)
         if self.settings is not before:
@@ -310,10 +310,10 @@ class ParameterSet:
         self.version += 1
 
     def reset(self, names: Iterable[str]) -> list[str]:
-        """Give parameters the values from before all overrides, and return those that had others.
+        """Reset parameters to their values before any overrides; return those that have changed.
 
-        What is read only stays. Raises ParameterError where the others contradict them, and then nothing has
-        changed.
+        Read-only ones are left. Raises ParameterError if the result is inconsistent with the other
+        parameters; then nothing is changed.
         """
         settings, stated, changed = self.settings, dict(self.stated), []
         for name in names:
@@ -333,7 +333,7 @@ class ParameterSet:
         return changed
 
     def _change(self, name: str, value: float) -> None:
-        """Take one value without a look at the others. Raises ParameterError."""
+        """Change one value without a check against the others. Raises ParameterError."""
         check_range(name, value)
         if name not in self.stated:
             self.settings = _changed(self.settings, name, value)
@@ -344,7 +344,7 @@ class ParameterSet:
 
 
 def check_range(name: str, value: float) -> None:
-    """Raise ParameterError unless the parameter exists and takes the value, whatever the others are."""
+    """Raise ParameterError unless the parameter exists and the value is in its range."""
     index = ROW_INDEX_OF.get(name)
     if index is None:
         raise _unknown(name)
@@ -381,21 +381,21 @@ def _changed(settings: Settings, name: str, value: float) -> Settings:
 
 
 def _check_order(settings: Settings, name: str | None = None) -> None:
-    """Raise ParameterError for a pair that is out of order, of all or of those of one parameter."""
+    """Raise ParameterError for a pair in the wrong order, among all or those with one parameter."""
     for pairs, strictly in ((NOT_OVER, False), (UNDER, True)):
         for pair in pairs:
             if name is not None and name not in pair:
                 continue
             low, high = (_setting(settings, _find(one)) for one in pair)
             if low > high or (strictly and low == high):
-                wanted = "less than" if strictly else "at most"
-                raise ParameterError(f"parameter {pair[0]} = {low:g} must be {wanted} {pair[1]} = {high:g}")
+                relation = "less than" if strictly else "at most"
+                raise ParameterError(f"parameter {pair[0]} = {low:g} must be {relation} {pair[1]} = {high:g}")
 
 
 S = TypeVar("S", bound=Struct)
 
 
 def _with(struct: S, path: list[str], value: float) -> S:
-    """Copy of a struct with the value at a path of nested structs changed."""
+    """Copy of a struct with the value at a path of nested structs replaced."""
     head, *rest = path
     return structs.replace(struct, **{head: _with(getattr(struct, head), rest, value) if rest else value})

@@ -1,8 +1,8 @@
-"""``python -m autopilot.process.prefork_server``: the process that a swarm's vehicles are forked from.
+"""``python -m autopilot.process.prefork_server``: the process from which a swarm's vehicles are forked.
 
-It imports all that a vehicle needs and flies a rehearsal before it says that it is ready, so a vehicle starts
-within milliseconds, and warm. That counts beyond the start: forked vehicles have code, compiled kernels and
-bytecode in the same physical memory, and a processor's cache that held them for one has them for the next.
+It imports all modules of a vehicle and runs the warm-up before it reports that it is ready, so a vehicle
+starts within milliseconds. Forked vehicles also share code, compiled kernels and bytecode in the same
+physical memory, and thereby the processor's caches.
 """
 
 import argparse
@@ -21,15 +21,15 @@ NAME = "prefork"
 
 
 def main() -> int:
-    """Fork vehicles until told to stop; a failure is one line on stderr and status 2."""
+    """Fork vehicles until the socket is closed; a failure is one line on stderr and status 2."""
     parser = argparse.ArgumentParser(
         prog="python -m autopilot.process.prefork_server",
-        description="The process that a swarm's vehicles are forked from.",
+        description="The process from which a swarm's vehicles are forked.",
     )
     parser.add_argument(
-        "--fork-fd", type=int, required=True, help="inherited Unix socket that says what to fork"
+        "--fork-fd", type=int, required=True, help="inherited Unix socket with the fork requests"
     )
-    parser.add_argument("--supervised", action="store_true", help="accepted for likeness: it always is")
+    parser.add_argument("--supervised", action="store_true", help="accepted, without effect")
     arguments = parser.parse_args()
     show_name(NAME)
     with socket.socket(fileno=arguments.fork_fd) as line:
@@ -45,10 +45,10 @@ def main() -> int:
 
 
 def _prepare() -> None:
-    """Load everything that a vehicle runs, and freeze it for the garbage collector.
+    """Load everything that a vehicle runs, and exempt it from garbage collection.
 
-    A collection writes into the header of every object that it visits, which would copy every page
-    for each vehicle. Uncompiled kernels have nothing to load, and take too long. Raises WarmUpError.
+    A collection writes to the header of every object that it visits, which would copy every page for each
+    vehicle. With NUMBA_DISABLE_JIT the warm-up is skipped: there is nothing to load. Raises WarmUpError.
     """
     if os.environ.get("NUMBA_DISABLE_JIT", "0") == "0":
         warm_up()

@@ -1,4 +1,4 @@
-"""Parts of a vehicle's process, for `foundation.profiling.profiler`: which modules are what."""
+"""Groups of modules of a vehicle's process, for `foundation.profiling.profiler`."""
 
 from foundation.profiling.profiler import LINK
 

@@ -1,7 +1,7 @@
-"""A flight on the table: runs every numerical kernel of a vehicle, so that all are on disk and loaded.
+"""Warm-up: runs every numerical kernel of a vehicle, so that all are compiled, cached on disk and loaded.
 
-Two vehicles are lifted by hand once their rotors turn, with perfect sensors and a perfect radio between them,
-until both are on their way to their places. What they compute is of no interest, only that they compute it.
+Two vehicles are lifted once they are armed, with perfect sensors and a perfect radio between them, until both
+are on their way to their places. Their results are discarded.
 """
 
 from collections.abc import Iterable
@@ -39,7 +39,7 @@ _GRAVITY_M_S2 = 9.8066
 
 
 def warm_up() -> None:
-    """Fly on the table until both vehicles have been on their way for a while. Raises WarmUpError."""
+    """Run two vehicles until both have been on their way for a while. Raises WarmUpError."""
     places_ned_m = ((0.0, 0.0, -10.0), (0.0, 8.5, -10.0))
     configs = [
         VehicleConfig(run_id="rehearsal", instance=i, seed=0, places_ned_m=places_ned_m) for i in range(2)
@@ -61,16 +61,16 @@ def warm_up() -> None:
         joining_steps += all(
             vehicle.app is not None and vehicle.app.phase >= FlightPhase.JOINING for vehicle in vehicles
         )
-        if joining_steps > JOINING_STEPS and _rehearse_inertial_step(vehicles[0], time_us):
-            _rehearse_modes(vehicles[0])
-            _rehearse_distances(vehicles[0], time_us)
-            _rehearse_common_frame()
+        if joining_steps > JOINING_STEPS and _warm_up_inertial_step(vehicles[0], time_us):
+            _warm_up_modes(vehicles[0])
+            _warm_up_distances(vehicles[0], time_us)
+            _warm_up_common_frame()
             return
-    raise WarmUpError("the vehicles of the rehearsal did not get on their way")
+    raise WarmUpError("the vehicles of the warm-up did not reach phase JOINING")
 
 
-def _rehearse_modes(vehicle: Vehicle) -> None:
-    """Ask for the setpoints of the modes that the flight has no part in."""
+def _warm_up_modes(vehicle: Vehicle) -> None:
+    """Compute the setpoints of the modes that the flight does not enter."""
     state = vehicle.flight.state
     settings = vehicle.parameters.settings
     navigator = Navigator(settings.navigation, settings.control.trajectory, settings.control.position)
@@ -90,18 +90,18 @@ def _rehearse_modes(vehicle: Vehicle) -> None:
     vehicle.pilot.controller.update(state, rates, dt_s=0.004, landed=False)
 
 
-def _rehearse_distances(vehicle: Vehicle, now_us: int) -> None:
-    """Ask how well a distance is known, which the application does only where it is worth a measurement.
+def _warm_up_distances(vehicle: Vehicle, now_us: int) -> None:
+    """Compute the variance of a distance, which the application does only to select measurements.
 
     Raises WarmUpError.
     """
     localisation = vehicle.app.localisation if vehicle.app is not None else None
     if localisation is None or localisation.distance_variance_m2(1, now_us) is None:
-        raise WarmUpError("the vehicles on their way are not located")
+        raise WarmUpError("the vehicles of the warm-up are not localised")
 
 
-def _rehearse_inertial_step(vehicle: Vehicle, now_us: int) -> bool:
-    """Make a fast step as `autopilot.vehicle.host` does, if it is possible now. Raises WarmUpError."""
+def _warm_up_inertial_step(vehicle: Vehicle, now_us: int) -> bool:
+    """Run a fast step as `autopilot.vehicle.host` does; False if not possible now. Raises WarmUpError."""
     steps = FastSteps()
     answer = pack(HilActuatorControls(now_us, [0.0] * 16, 1, 0), sequence=0, system=1, component=1)
     if not vehicle.begin_fast_steps(steps, answer, 1, NEVER_US):
@@ -112,30 +112,30 @@ def _rehearse_inertial_step(vehicle: Vehicle, now_us: int) -> bool:
     frame = pack(at_rest, sequence=0, system=0, component=1)
     steps.incoming[: len(frame)] = frame
     if steps.step(len(frame)) is None:
-        raise WarmUpError("an inertial sample was not taken for one")
+        raise WarmUpError("an inertial sample was rejected")
     return True
 
 
-def _rehearse_common_frame() -> None:
-    """Lay one of two neighbours onto the other, as in a formation that has more than a neighbourhood."""
+def _warm_up_common_frame() -> None:
+    """Align the frames of two neighbours, as in a formation with several neighbourhoods."""
     near = Neighbourhood(0, np.array(((0.0, 0.0, -10.0), (0.0, 5.0, -10.0), (0.0, 20.0, -10.0))), 1)
     localisation = CooperativeLocalisation(
         own=near.own, places_ned_m=np.zeros((len(near.members), 3)), model=LocalisationModel()
     )
-    hearing = NeighbourTable(station=0, stations=3, period_us=100_000, gps_std_m=1.0, near=near)
-    frame = CommonFrame(near.members, hearing)
+    neighbours = NeighbourTable(station=0, stations=3, period_us=100_000, gps_std_m=1.0, near=near)
+    frame = CommonFrame(near.members, neighbours)
     for row, station in enumerate(near.members.tolist()):
         localisation.on_odometry(row, 1_000, (0.0, float(row), 0.0), (0.0, 0.0, 0.0))
         localisation.located[row] = True
-        hearing.note_fix(station, Fix(1, (0.0, float(row), 0.0)), GpsError((0.0, 0.0, 0.0), 1.0), 1_000)
+        neighbours.note_fix(station, Fix(1, (0.0, float(row), 0.0)), GpsError((0.0, 0.0, 0.0), 1.0), 1_000)
     frame.update(2_000, localisation)
-    hearing.pages.put(1, b"no beacon")
-    hearing.read(2_000)  # as those do who localise nobody
-    hearing.all_held(np.arange(3), 1_000)
+    neighbours.pages.put(1, b"no beacon")
+    neighbours.read(2_000)  # the path without localisation
+    neighbours.all_held(np.arange(3), 1_000)
 
 
 def _sensors(site: Site, time_us: int, pos_ned_m: Array, climb_m_s: float) -> list[common.MAVLink_message]:
-    """Give what a vehicle feels that is held level, heading north, and lifted."""
+    """Sensor messages of a vehicle that is held level, heading north, and lifted."""
     lat_deg, lon_deg, alt_m = ned_to_geodetic(
         pos_ned_m,
         origin_lat_deg=site.latitude_deg,

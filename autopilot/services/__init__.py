@@ -1,1 +1,1 @@
-"""MAVLink services without I/O, each of the shape of `service.Service`; one set per link."""
+"""MAVLink services without I/O, each with the interface `service.Service`; one instance per vehicle."""

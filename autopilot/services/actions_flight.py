@@ -1,6 +1,6 @@
-"""The commands that fly: arming, modes, take-off, landing, places to go to, home, the mission's progress.
+"""Flight commands: arming, modes, take-off, landing, repositioning, home, mission progress.
 
-Results are those of PX4 v1.17's commander, where it has one.
+Results are those of PX4 v1.17's commander where it implements the command.
 """
 
 import math
@@ -33,14 +33,14 @@ from autopilot.services.service import APPLICATION, Partner
 from autopilot.services.status import status_text
 
 FORCE_MAGIC = 21196.0
-"""Second parameter of MAV_CMD_COMPONENT_ARM_DISARM: skip the checks."""
+"""Second parameter of MAV_CMD_COMPONENT_ARM_DISARM that skips the checks."""
 ALTITUDE_MAX_M = 100_000.0
-"""Above or below sea level: what lies beyond is no place to fly to."""
-_TELL_RAISED_M = 0.1
-"""A take-off that is raised by less than this is not worth a word."""
+"""Largest distance above or below sea level of a valid target altitude."""
+_REPORT_RAISED_M = 0.1
+"""Least raise of a take-off altitude that is reported to stations."""
 _GROUND_SPEED, _AIR_SPEED = 1, 0
 _FRAMES = AMSL_FRAMES | RELATIVE_FRAMES
-"""Of heights above terrain nothing is known here, and places are on the globe."""
+"""Accepted frames: global, with altitudes above sea level or home. Terrain heights are not available."""
 _OUTSIDE_FENCE = "Reposition is outside geofence"
 
 Spot = tuple[float | None, float | None, float | None]
@@ -49,10 +49,10 @@ Spot = tuple[float | None, float | None, float | None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlightActions:
-    """What the commands have done by the pilot and the mission; a refusal gives its reason."""
+    """What the commands call in pilot and mission; a call that is refused returns the reason."""
 
     ask_offboard: Callable[[Partner, int], None]
-    """Let a partner's setpoints count, if they are fresh at a time."""
+    """Request that a partner's setpoints be used if they are fresh at a time, in us."""
     reposition: Callable[
         [float | None, float | None, float | None, float | None, float | None], Reason | None
     ]
@@ -60,20 +60,20 @@ class FlightActions:
     orbit: Callable[
         [float | None, float | None, float | None, float | None, float | None, float | None], Reason | None
     ]
-    """Circle by radius (negative: anticlockwise), speed, ORBIT_YAW_BEHAVIOUR, about a place."""
+    """Circle with radius (negative: anticlockwise), speed and ORBIT_YAW_BEHAVIOUR about a position."""
     change_speed: Callable[[float | None], None]
-    """Fly at a speed until the mode ends; None: at the usual one."""
+    """Set the speed until the mode ends; None: the default speed."""
     set_home: Callable[[float, float, float], Reason | None]
     set_home_here: Callable[[], Reason | None]
     has_mission_item: Callable[[int], bool]
     set_mission_current: Callable[[int], bool]
-    """Go on with an item of the mission; False if there is none of this number."""
+    """Continue with an item of the mission; False if there is no such item."""
     takeoff_height_m: Callable[[], float]
     """MIS_TAKEOFF_ALT."""
 
 
 class FlightCommands:
-    """Actions that go through the commander; ``table`` has them by MAV_CMD."""
+    """Actions that go through the commander; ``table`` holds them by MAV_CMD."""
 
     def __init__(self, flight: FlightData, takeoff_altitude: TakeoffAltitude, actions: FlightActions) -> None:
         self._flight = flight
@@ -118,18 +118,19 @@ class FlightCommands:
         return self._enter(mode_from_main_sub(main, sub), "Mode", request)
 
     def _set_standard_mode(self, request: CommandRequest) -> Answer:
-        """Enter the mode that MAVLink calls by a number of its own, where there is one."""
-        wanted = whole(request.params[0])
+        """Enter the mode with a MAV_STANDARD_MODE number, if there is one."""
+        requested = whole(request.params[0])
         custom_mode = next(
-            (custom for custom, standard in STANDARD_MODES.items() if standard == wanted), None
+            (custom for custom, standard in STANDARD_MODES.items() if standard == requested), None
         )
         mode = None if custom_mode is None else mode_from_custom(custom_mode)
         return Answer(UNSUPPORTED) if mode is None else self._enter(mode, "Mode", request)
 
     def _take_off(self, request: CommandRequest) -> Answer:
-        """Climb to the altitude given, but no lower than MIS_TAKEOFF_ALT above home, as PX4 does.
+        """Climb to the given altitude, at least MIS_TAKEOFF_ALT above home, as PX4 does.
 
-        The application is left its own height: it knows where the ground is, and its place may be lower.
+        The minimum does not apply to the on-board application: it has the height of the ground, and its
+        place may be lower.
         """
         home, place = self._flight.home, request.place
         if place.frame not in _FRAMES:
@@ -142,7 +143,7 @@ class FlightCommands:
         raised: str | None = None
         if home is not None and request.partner.link != APPLICATION:
             height_m = self._do.takeoff_height_m()
-            if altitude_m < home.alt_m + height_m - _TELL_RAISED_M:
+            if altitude_m < home.alt_m + height_m - _REPORT_RAISED_M:
                 raised = f"Using minimum takeoff altitude: {height_m:.2f} m"
             altitude_m = max(altitude_m, home.alt_m + height_m)
         answer = self._enter(FlightMode.TAKEOFF, "Takeoff", request, amsl_m=altitude_m)
@@ -163,14 +164,14 @@ class FlightCommands:
     # ---- places and speeds
 
     def _reposition(self, request: CommandRequest) -> Answer:
-        """Hold at another place; like PX4, only with the flag that lets it change the mode."""
+        """Hold at another position; as in PX4, only with the flag that permits a mode change."""
         speed_m_s, flags, _, yaw_rad = request.params[:4]
         if whole(flags) != common.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE:
             return Answer(UNSUPPORTED)
         return self._hold_at(request.place, yaw_rad=given(yaw_rad), speed_m_s=_positive(speed_m_s))
 
     def _change_altitude(self, request: CommandRequest) -> Answer:
-        """Hold at another altitude, of the frame in the second parameter."""
+        """Hold at another altitude, in the frame of the second parameter."""
         altitude_m, frame = given(request.params[0]), whole(request.params[1])
         if altitude_m is None:
             return answer_for("Altitude", Reason.BAD_ARGUMENT)
@@ -181,7 +182,7 @@ class FlightCommands:
         if isinstance(spot, Answer):
             return spot
         refusal = self._do.reposition(*spot, yaw_rad, speed_m_s)
-        if refusal is Reason.OUTSIDE_GEOFENCE:  # accepted and not flown to: PX4's commander asks nobody
+        if refusal is Reason.OUTSIDE_GEOFENCE:  # accepted but not flown, as in PX4's commander
             return Answer(messages=(status_text(common.MAV_SEVERITY_CRITICAL, _OUTSIDE_FENCE),))
         return answer_for("Reposition", refusal)
 
@@ -193,7 +194,7 @@ class FlightCommands:
         return answer_for("Orbit", self._do.orbit(radius_m, speed_m_s, yaw_behaviour, *spot))
 
     def _change_speed(self, request: CommandRequest) -> Answer:
-        """Fly at a speed from now on; one that is none gives back the usual one, as PX4 takes it."""
+        """Set the speed from now on; an invalid one restores the default, as in PX4."""
         kind, speed_m_s = whole(request.params[0]), request.params[1]
         if kind not in {_AIR_SPEED, _GROUND_SPEED}:
             return Answer(UNSUPPORTED)
@@ -212,7 +213,7 @@ class FlightCommands:
         return answer_for("Home", self._do.set_home(lat_deg, lon_deg, alt_m))
 
     def _spot(self, place: Place) -> Spot | Answer:
-        """Bring a command's place above mean sea level, or refuse it."""
+        """Convert a command's altitude to one above mean sea level, or refuse the command."""
         lat_deg, lon_deg, alt_m = place[1:]
         if place.frame not in _FRAMES:
             return Answer(UNSUPPORTED)
@@ -235,7 +236,7 @@ class FlightCommands:
     # ---- the mission
 
     def _start_mission(self, request: CommandRequest) -> Answer:
-        """Enter mission mode at an item (-1: where it stands) and arm; without a mission DENIED, as PX4."""
+        """Enter mission mode at an item (-1: the current one) and arm; DENIED without a mission, as PX4."""
         if not self._flight.conditions & Condition.MISSION:
             return Answer(DENIED, (refusal_text("Mission start", Reason.NO_MISSION),))
         first = request.params[0]
@@ -251,7 +252,7 @@ class FlightCommands:
         return answer
 
     def _set_mission_current(self, request: CommandRequest) -> Answer:
-        """Go on with an item, whose jumps count anew; -1 leaves the item as it is."""
+        """Continue with an item and reset its jump counters; -1 leaves the item unchanged."""
         seq, resets_jumps = request.params[0], request.params[1]
         if resets_jumps not in {0.0, 1.0}:
             return answer_for("Mission item", Reason.BAD_ARGUMENT)
@@ -262,11 +263,11 @@ class FlightCommands:
         return Answer()
 
     def _pause_or_continue(self, request: CommandRequest) -> Answer:
-        """Hold in the middle of a mission (0), or take the mission up again (1)."""
-        wanted = whole(request.params[0])
-        if wanted == 1:
+        """Hold in the middle of a mission (0), or resume the mission (1)."""
+        resume = whole(request.params[0])
+        if resume == 1:
             return self._enter(FlightMode.MISSION, "Mission", request)
-        if wanted != 0:
+        if resume != 0:
             return answer_for("Pause", Reason.BAD_ARGUMENT)
         if self._commander.mode is FlightMode.MISSION:
             return self._enter(FlightMode.HOLD, "Pause", request)
@@ -277,7 +278,7 @@ class FlightCommands:
     # ---- the end
 
     def _terminate(self, request: CommandRequest) -> Answer:
-        """Stop the motors for good; a flight that is not under way is not ended, nor one taken up again."""
+        """Stop the motors permanently. DENIED while disarmed; there is no way back to flight."""
         if not request.params[0] >= 0.5:
             return answer_for("Termination", Reason.BAD_ARGUMENT)
         if not self._commander.armed:
@@ -286,8 +287,8 @@ class FlightCommands:
         text = status_text(common.MAV_SEVERITY_EMERGENCY, "Flight terminated by command")
         return Answer(messages=(text,))
 
-    def _check(self, request: CommandRequest) -> Answer:  # noqa: ARG002  # part of the shape
-        """Say everything for which arming would be refused."""
+    def _check(self, request: CommandRequest) -> Answer:  # noqa: ARG002  # same signature as other actions
+        """Report every reason for which arming would be refused."""
         if self._commander.armed:
             return Answer(common.MAV_RESULT_TEMPORARILY_REJECTED)
         refusals = self._commander.arming_refusals()
@@ -295,13 +296,13 @@ class FlightCommands:
 
 
 def _above_the_sea(place: Place) -> Place:
-    """Take an altitude for one above mean sea level whatever its frame says, as PX4 does.
+    """Read an altitude as above mean sea level whatever its frame, as PX4 does.
 
-    MAVSDK's do_orbit and set_home count on it: they send altitudes above the sea in a relative frame.
+    MAVSDK's do_orbit and set_home require this: they send altitudes above sea level in a relative frame.
     """
     return place._replace(frame=common.MAV_FRAME_GLOBAL) if place.frame in RELATIVE_FRAMES else place
 
 
 def _positive(value: float) -> float | None:
-    """Read a speed; MAVLink says by -1 and not-a-number that none is given."""
+    """Read a speed; MAVLink marks one that is not given by -1 or NaN."""
     return value if math.isfinite(value) and value > 0.0 else None

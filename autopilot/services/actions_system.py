@@ -1,4 +1,4 @@
-"""The commands that do not fly: messages and their rates, storage, restart."""
+"""Commands other than flight: messages and their rates, storage, calibration, restart."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -25,13 +25,13 @@ from autopilot.services.streams import MessageStreams
 _HEARTBEAT = common.MAVLINK_MSG_ID_HEARTBEAT
 _MESSAGE_INTERVAL = common.MAVLINK_MSG_ID_MESSAGE_INTERVAL
 _WRITE, _RESET, _RESET_SENSORS, _RESET_ALL = 1, 2, 3, 4
-"""First parameter of MAV_CMD_PREFLIGHT_STORAGE; the fourth spares nothing, of what there is not here."""
+"""First parameter of MAV_CMD_PREFLIGHT_STORAGE. _RESET_ALL equals _RESET: nothing is exempt from either."""
 _OF_SENSORS = ("CAL_ACC", "CAL_GYRO", "CAL_MAG")
-"""How the parameters begin that are reset with the sensors, as in PX4."""
+"""Prefixes of the parameters that are reset with the sensors, as in PX4."""
 
 
 class SystemCommands:
-    """Actions upon links and files; ``table`` has them by MAV_CMD."""
+    """Actions on links and files; ``table`` holds them by MAV_CMD."""
 
     def __init__(
         self,
@@ -41,10 +41,10 @@ class SystemCommands:
         save_parameters: Callable[[], bool],
         reset_parameters: Callable[[tuple[str, ...]], bool],
     ) -> None:
-        """``streams`` are by the links' numbers.
+        """``streams`` are keyed by link number.
 
-        ``save_parameters`` begins to write them and tells whether there is a file, ``reset_parameters`` gives
-        those with these beginnings their defaults and tells whether that may be now.
+        ``save_parameters`` starts writing the parameter file and returns whether there is one.
+        ``reset_parameters`` resets parameters with these prefixes and returns whether that is permitted now.
         """
         self._streams = streams
         self._save_parameters = save_parameters
@@ -63,7 +63,7 @@ class SystemCommands:
             common.MAV_CMD_PREFLIGHT_STORAGE: self._store,
             common.MAV_CMD_PREFLIGHT_CALIBRATION: calibrate,
             common.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: _restart,
-            common.MAV_CMD_DO_SET_ACTUATOR: lambda _: Answer(),  # PX4 accepts it with no actuator set up
+            common.MAV_CMD_DO_SET_ACTUATOR: lambda _: Answer(),  # as PX4 without actuators
         }
 
     def _set_message_interval(self, request: CommandRequest) -> Answer:
@@ -71,30 +71,30 @@ class SystemCommands:
         if not (math.isfinite(message_id) and math.isfinite(interval_us)):
             return Answer(DENIED)
         if int(message_id) == _HEARTBEAT and interval_us < 0.0:
-            return Answer(DENIED)  # a vehicle without one is taken for lost
+            return Answer(DENIED)  # stations treat a vehicle without heartbeats as lost
         streams = self._streams[request.partner.link]
-        known = streams.set_interval(int(message_id), int(interval_us), request.now_us)
-        return Answer(ACCEPTED if known else UNSUPPORTED)
+        accepted = streams.set_interval(int(message_id), int(interval_us), request.now_us)
+        return Answer(ACCEPTED if accepted else UNSUPPORTED)
 
     def _get_message_interval(self, request: CommandRequest) -> Answer:
         return Answer(messages=(self._interval(request, 0),))
 
     def _interval(self, request: CommandRequest, at: int) -> Message:
-        """MESSAGE_INTERVAL of the message whose number is the parameter at an index."""
+        """MESSAGE_INTERVAL of the message whose id is the parameter at an index."""
         message_id = whole(request.params[at])
-        message_id = message_id if 0 <= message_id <= 0xFFFF else 0xFFFF  # what its field holds
+        message_id = message_id if 0 <= message_id <= 0xFFFF else 0xFFFF  # the range of its field
         interval_us = self._streams[request.partner.link].interval_us(message_id)
         return common.MAVLink_message_interval_message(message_id, min(interval_us, 2**31 - 1))
 
     def _send(self, message_id: int, request: CommandRequest) -> Answer:
-        """Send messages on request; two kinds are told by the second parameter which is meant."""
+        """Send a message on request; for two ids the second parameter selects which."""
         streams = self._streams[request.partner.link]
         messages: Sequence[Message | None]
         if message_id == AVAILABLE_MODES_ID:
             messages = available_modes(whole(request.params[1]))
         elif message_id == _MESSAGE_INTERVAL:
             messages = (self._interval(request, 1),)
-        elif streams.knows(message_id):
+        elif streams.is_supported(message_id):
             messages = (streams.form(message_id),)
         else:
             return Answer(UNSUPPORTED)
@@ -102,7 +102,7 @@ class SystemCommands:
         return Answer(ACCEPTED if sent else REJECTED, sent)
 
     def _store(self, request: CommandRequest) -> Answer:
-        """Write the parameters to their file, or give them their defaults; a new start reads the file."""
+        """Write the parameters to their file or reset them; the file is read at the next start."""
         what = request.params[0]
         what = int(what) if math.isfinite(what) else -1
         if what == _WRITE:
@@ -116,5 +116,5 @@ class SystemCommands:
 
 
 def _restart(request: CommandRequest) -> Answer:
-    """Refuse it, as PX4's simulation does; what asks for nothing is accepted."""
+    """DENIED, as in PX4's simulation; a request for no action is accepted."""
     return Answer(ACCEPTED if request.params[0] == 0.0 else DENIED)

@@ -1,4 +1,4 @@
-"""AVAILABLE_MODES and CURRENT_MODE: the modes that can be flown, as stations list them to their users."""
+"""AVAILABLE_MODES and CURRENT_MODE: the flight modes, as ground stations list them."""
 
 from collections.abc import Sequence
 
@@ -20,7 +20,7 @@ STANDARD_MODES: dict[int, int] = {
     FlightMode.TAKEOFF.custom_mode: common.MAV_STANDARD_MODE_TAKEOFF,
     FlightMode.ORBIT.custom_mode: common.MAV_STANDARD_MODE_ORBIT,
 }
-"""MAV_STANDARD_MODE by custom mode, as PX4 has them; the rest are not standard and have names."""
+"""MAV_STANDARD_MODE by custom mode, as in PX4; the other modes are not standard and are sent by name."""
 
 _ADVANCED, _NOT_SELECTABLE, _AUTO = 1, 2, 4
 """MAV_MODE_PROPERTY bits."""
@@ -29,14 +29,14 @@ _MAIN_AUTO = 4
 
 
 def available_modes(index: int) -> Sequence[Message]:
-    """Give the mode of an index from 1 on, or all of them for 0; none for an index that there is not."""
+    """Return the mode of a 1-based index, all modes for 0, or none for an index out of range."""
     if index == 0:
         return [_describe(number) for number in range(1, len(_MODES) + 1)]
     return [_describe(index)] if 1 <= index <= len(_MODES) else []
 
 
 def current_mode(mode: FlightMode, *, forced: bool) -> Message:
-    """CURRENT_MODE; of a mode that a failsafe ``forced`` it is not said here what was wanted instead."""
+    """CURRENT_MODE; for a mode that a failsafe ``forced``, the intended mode is left at 0 (unknown)."""
     return CurrentMode(
         standard_mode=STANDARD_MODES.get(mode.custom_mode, common.MAV_STANDARD_MODE_NON_STANDARD),
         custom_mode=mode.custom_mode,
@@ -45,7 +45,7 @@ def current_mode(mode: FlightMode, *, forced: bool) -> Message:
 
 
 _MODES = tuple(mode for mode in FlightMode if mode in MODE_NEEDS and mode is not FlightMode.DESCEND)
-"""In the order in which they are listed; nobody can choose to descend."""
+"""In the order of their indices; Descend cannot be selected."""
 
 
 def _describe(number: int) -> Message:
@@ -55,7 +55,7 @@ def _describe(number: int) -> Message:
     if mode.custom_mode >> 16 & 0xFF == _MAIN_AUTO:
         properties |= _AUTO
     if mode is FlightMode.ORBIT:
-        properties |= _NOT_SELECTABLE  # it needs a centre: MAV_CMD_DO_ORBIT
+        properties |= _NOT_SELECTABLE  # needs a centre, from MAV_CMD_DO_ORBIT
     return AvailableModes(
         number_modes=len(_MODES), mode_index=number, standard_mode=standard, custom_mode=mode.custom_mode,
         properties=properties, mode_name="" if standard else mode.label,

@@ -1,4 +1,4 @@
-"""TIMESYNC and PING: questions that are answered at once, so that the asker learns the delay of the link."""
+"""TIMESYNC and PING: requests that are answered at once, so that the sender can measure the link's delay."""
 
 from collections.abc import Sequence
 
@@ -12,7 +12,7 @@ _NS_PER_US = 1_000
 
 
 class TimesyncService(Listener):
-    """Tells the vehicle's time since the start, in ns, to who asks; its own questions set no clock of it."""
+    """Answers TIMESYNC with the time since the start, in ns; answers to its own requests are ignored."""
 
     takes = frozenset({common.MAVLINK_MSG_ID_TIMESYNC})
 
@@ -20,18 +20,18 @@ class TimesyncService(Listener):
         self._flight = flight
 
     def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
-        """Answer a question, which has no time of the answerer in it."""
+        """Answer a request, which has no time of the responder."""
         if message.tc1 != 0:
             return ()
         return reply(partner, common.MAVLink_timesync_message(now_us * _NS_PER_US, message.ts1))
 
     def question(self) -> Message:
-        """Ask the other side, as PX4 does on a companion's link."""
+        """Return a request to the other side, as PX4 sends on a companion's link."""
         return common.MAVLink_timesync_message(0, self._flight.now_us * _NS_PER_US)
 
 
 class PingService(Listener):
-    """Sends back a PING that is for everybody; one that is for this vehicle answers a question of its own."""
+    """Answers broadcast PINGs; one that targets this vehicle is the answer to its own request."""
 
     takes = frozenset({common.MAVLINK_MSG_ID_PING})
 
@@ -40,7 +40,7 @@ class PingService(Listener):
         self._seq = 0
 
     def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:  # noqa: ARG002
-        """Answer with the question's number and time."""
+        """Answer with the request's number and time."""
         if message.target_system != 0 or message.target_component != 0:
             return ()
         return reply(
@@ -51,6 +51,6 @@ class PingService(Listener):
         )
 
     def question(self) -> Message:
-        """Ask everybody on a link."""
+        """Return a broadcast request."""
         self._seq = (self._seq + 1) % 2**32
         return common.MAVLink_ping_message(self._flight.now_us, self._seq, 0, 0)

@@ -1,9 +1,9 @@
 """MAVLink's command service: COMMAND_LONG, COMMAND_INT and the older SET_MODE, by a table of actions.
 
-Every message is acknowledged once, so a sender that repeats a lost one gets its answer; one that is marked as
-a repetition is answered from memory, and nothing is done twice. What is done elsewhere is acknowledged as in
-progress, and once more when it has ended. A refusal carries a MAV_RESULT for the
-program and a STATUSTEXT for the person. The actions are in `actions_flight` and `actions_system`.
+Every message is acknowledged, so a sender that repeats a lost one gets its answer. A COMMAND_LONG marked as a
+repetition is answered from memory and not executed again. A command that is executed elsewhere is first
+acknowledged as in progress, and again when it has ended. A refusal carries a MAV_RESULT for the program and a
+STATUSTEXT for the operator. The actions are in `actions_flight` and `actions_system`.
 """
 
 import math
@@ -27,13 +27,13 @@ UNSUPPORTED: int = common.MAV_RESULT_UNSUPPORTED
 
 AMSL_FRAMES = frozenset({common.MAV_FRAME_GLOBAL, common.MAV_FRAME_GLOBAL_INT})
 RELATIVE_FRAMES = frozenset({common.MAV_FRAME_GLOBAL_RELATIVE_ALT, common.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT})
-"""Whose altitudes count from home."""
+"""Frames whose altitudes are above home."""
 REMEMBERED_US = 2_000_000
-"""For so long a repetition is known as one."""
+"""How long a repetition is recognised."""
 REMEMBERED_MAX = 32
-"""Commands; the oldest is forgotten for a newer one."""
+"""Commands that are remembered; a new one replaces the oldest."""
 _UNSET = frozenset({0x7FFF_FFFF, 0x7FF8_0000})
-"""Coordinates of COMMAND_INT that say nothing: MAVLink's mark, and a float's not-a-number, as in PX4."""
+"""Coordinates of COMMAND_INT that are not given: MAVLink's mark, and a float's NaN, as in PX4."""
 _STATUSTEXT = common.MAVLINK_MSG_ID_STATUSTEXT
 _KEY = struct.Struct("<7d")
 
@@ -41,42 +41,42 @@ Params = tuple[float, float, float, float, float, float, float]
 
 
 class Place(NamedTuple):
-    """Where a command is to act; None is left open. Numbers are as they came: finite, not more."""
+    """Target position of a command; None: not given. Numbers are finite but otherwise unchecked."""
 
     frame: int
-    """MAV_FRAME: what the altitude counts from."""
+    """MAV_FRAME: reference of the altitude."""
     lat_deg: float | None
     lon_deg: float | None
     alt_m: float | None
 
 
 class CommandRequest(NamedTuple):
-    """A command as it came."""
+    """A received command."""
 
     params: Params
-    """Of COMMAND_INT the fifth and sixth are its whole numbers."""
+    """The fifth and sixth of COMMAND_INT are its raw integers."""
     place: Place
     now_us: int
     partner: Partner
 
 
 class Answer(NamedTuple):
-    """What came of a command."""
+    """Result of a command."""
 
     result: int = ACCEPTED
     messages: tuple[Message, ...] = ()
-    """STATUSTEXT for all, other messages for the link that asked."""
+    """STATUSTEXT is sent to all partners, other messages to the requesting link."""
 
 
 Action = Callable[[CommandRequest], Answer]
 
 
 class TakeoffAltitude:
-    """The altitude that the next take-off climbs to, shared by the links and whoever makes the setpoints."""
+    """The altitude of the next take-off, shared by the links and the setpoint generator."""
 
     def __init__(self) -> None:
         self.amsl_m: float | None = None
-        """None: MIS_TAKEOFF_ALT above home."""
+        """Altitude above mean sea level in metres; None: MIS_TAKEOFF_ALT above home."""
 
 
 class _Done(NamedTuple):
@@ -86,11 +86,11 @@ class _Done(NamedTuple):
 
 _Value = TypeVar("_Value")
 _Key = tuple[Partner, int, int, int, bytes]
-"""Partner, its system and component, the command, the parameters' bytes."""
+"""Partner, its system and component id, the command, the parameters' bytes."""
 
 
 class CommandService(Listener):
-    """The commands of all links, each carried out by the action in a table."""
+    """Commands of all links, each executed by its action in a table."""
 
     takes = frozenset(
         {
@@ -104,10 +104,10 @@ class CommandService(Listener):
         self._actions = actions
         self._done: dict[_Key, _Done] = {}
         self._in_progress: dict[_Key, None] = {}
-        """Who waits for an end. As many as are remembered."""
+        """Requests without a final result; at most REMEMBERED_MAX."""
 
     def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
-        """Do what a command message asks and acknowledge it."""
+        """Execute a command message and acknowledge it."""
         kind = message.get_msgId()
         if kind == common.MAVLINK_MSG_ID_SET_MODE:
             command: int = common.MAV_CMD_DO_SET_MODE
@@ -142,7 +142,7 @@ class CommandService(Listener):
             _put(self._in_progress, key, None)
         if kind == common.MAVLINK_MSG_ID_COMMAND_LONG:
             _put(self._done, key, _Done(now_us, answer.result))
-        # an answer is the asker's alone; what is said in words, and what was asked to be sent, is for all
+        # the acknowledgement is for the sender alone; STATUSTEXT is for all, requested messages for the link
         return [
             *reply(partner, _acknowledgement(command, answer.result, source)),
             *(
@@ -152,7 +152,7 @@ class CommandService(Listener):
         ]
 
     def finish(self, command: int, result: int, now_us: int) -> list[Addressed]:
-        """End what is in progress of a command: the second acknowledgement, to whoever asked for it."""
+        """Acknowledge the end of a command that is in progress, to each partner that requested it."""
         ended = [key for key in self._in_progress if key[3] == command]
         answers: list[Addressed] = []
         for key in ended:
@@ -163,7 +163,7 @@ class CommandService(Listener):
 
 
 def _put(memory: dict[_Key, _Value], key: _Key, value: _Value) -> None:
-    """Keep something as the newest of what is remembered."""
+    """Store a value as the newest entry and drop the oldest beyond REMEMBERED_MAX."""
     memory.pop(key, None)
     memory[key] = value
     if len(memory) > REMEMBERED_MAX:
@@ -171,22 +171,22 @@ def _put(memory: dict[_Key, _Value], key: _Key, value: _Value) -> None:
 
 
 def given(value: float) -> float | None:
-    """Read a parameter whose not-a-number says that nothing is given; so does an infinite one."""
+    """Read a parameter; None if it is NaN or infinite, that is, not given."""
     return value if math.isfinite(value) else None
 
 
 def whole(value: float) -> int:
-    """Read a parameter that holds a whole number; -1 for one that does not, and no command knows -1."""
+    """Read an integer parameter; -1 if it is not an integer. No command uses -1."""
     return int(value) if math.isfinite(value) and value == math.floor(value) else -1
 
 
 def answer_for(what: str, refusal: Reason | None) -> Answer:
-    """Accept, or refuse and say why."""
+    """Accept, or refuse with the reason."""
     return Answer() if refusal is None else Answer(refusal.result, (refusal_text(what, refusal),))
 
 
 def refusal_text(what: str, refusal: Reason) -> Message:
-    """Say in words why something is refused."""
+    """STATUSTEXT with the reason of a refusal."""
     return status_text(common.MAV_SEVERITY_CRITICAL, f"{what} denied: {refusal.text}")
 
 
@@ -194,7 +194,7 @@ _NOWHERE = Place(common.MAV_FRAME_GLOBAL, None, None, None)
 
 
 def _place_of_int(message: Message) -> Place:
-    """Decode COMMAND_INT's place: the only one whose coordinates are whole numbers, in 1e-7 degrees."""
+    """Decode COMMAND_INT's position, whose coordinates are integers in 1e-7 degrees."""
     lat_deg, lon_deg = (None if n in _UNSET else n * 1e-7 for n in (message.x, message.y))
     return Place(message.frame, lat_deg, lon_deg, given(message.z))
 

@@ -1,4 +1,4 @@
-"""Values brought into what MAVLink's fields can hold, and what the parts of telemetry have in common."""
+"""Conversion of values to the ranges of MAVLink's fields, and the base class of telemetry."""
 
 import math
 from collections.abc import Iterable
@@ -13,34 +13,34 @@ _FLOAT32_MAX = 3.402823e38
 
 
 class Part:
-    """Forms messages of one subject from a vehicle's present values; each is None while nothing is known."""
+    """Builds messages of one subject from a vehicle's current values; a builder returns None without data."""
 
     def __init__(self, flight: FlightData) -> None:
         self._flight = flight
 
     def boot_ms(self) -> int:
-        """Time since the start, as it travels."""
+        """Time since the start in ms, wrapped to uint32."""
         return self._flight.now_us // 1000 % 2**32
 
     def make_builders(self) -> dict[int, Builder]:
-        """Give who forms what, by message id."""
+        """Return the builders by message id."""
         return {}
 
 
 def place(lat_deg: float, lon_deg: float, alt_m: float) -> tuple[int, int, int]:
-    """Latitude and longitude in 1e-7 degrees and altitude in millimetres, as positions travel."""
+    """Latitude and longitude in 1e-7 degrees and altitude in mm, as MAVLink encodes positions."""
     return whole(lat_deg * 1e7, I32), whole(lon_deg * 1e7, I32), whole(alt_m * 1e3, I32)
 
 
 def whole(value: float, limits: tuple[int, int]) -> int:
-    """Nearest whole number that a field of these limits can hold; 0 for not-a-number."""
+    """Nearest integer within ``limits``; 0 for NaN."""
     if math.isnan(value):
         return 0
     return round(min(max(value, limits[0]), limits[1]))
 
 
 def singles(values: Iterable[float]) -> list[float]:
-    """Numbers that a float32 can hold; infinities and not-a-number are among them."""
+    """Clamp finite values to the range of float32; infinities and NaN are kept."""
     return [
         value if -_FLOAT32_MAX <= value <= _FLOAT32_MAX or not math.isfinite(value)
         else math.copysign(_FLOAT32_MAX, value)

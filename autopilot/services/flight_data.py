@@ -1,6 +1,6 @@
-"""What telemetry can speak of: the vehicle's present values.
+"""The vehicle's current values, from which telemetry is built.
 
-Written by `autopilot.vehicle.vehicle` and by those of its parts whose values they are: pilot and monitor.
+Written by `autopilot.vehicle.vehicle` and by the parts that own the values: pilot and monitor.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,25 +15,25 @@ from foundation.types import AttitudeSetpoint, Course, EstimatorState, Trajector
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Home:
-    """Where the vehicle was armed."""
+    """Home position: where the vehicle was armed, or a position set by a station."""
 
     lat_deg: float
     lon_deg: float
     alt_m: float
     """Above mean sea level."""
     pos_ned_m: tuple[float, float, float]
-    """From the estimator's origin."""
+    """From the estimator's origin, in metres."""
     q_ned_frd: tuple[float, float, float, float]
 
 
 @dataclass(slots=True, kw_only=True)
 class FlightData:
-    """One vehicle at the present step: one object for its life, since nothing is copied per step."""
+    """Values of one vehicle at the current step: one object for its lifetime, updated in place."""
 
     estimator: Estimator
     commander: Commander
     state: EstimatorState
-    """The estimator's at this step."""
+    """The estimate at this step."""
     now_us: int = 0
     conditions: int = 0
     """`autopilot.commander.conditions.Condition` bits."""
@@ -47,25 +47,25 @@ class FlightData:
     gps: Message | None = None
     """The last HIL_GPS."""
     gps_us: int = 0
-    """When it came."""
+    """Time of its arrival."""
     truth: Message | None = None
-    """The last HIL_STATE_QUATERNION, where the simulator tells the truth."""
+    """The last HIL_STATE_QUATERNION, if the simulator sends the true state."""
     origin_known: bool = False
-    """The local frame's place on the globe is known, since the position was valid once."""
+    """Whether the local frame is georeferenced; true once the position was valid."""
     home: Home | None = None
     time_stands: bool = False
-    """What comes now comes between two steps, while simulated time stands."""
+    """Whether simulated time is paused, so that messages arrive between two steps."""
     course: Callable[[], Course] = lambda: Course.OTHER
-    """What the present mode is about; asked only when it is told."""
+    """What the current mode is doing; evaluated only when it is reported."""
     setpoint: TrajectorySetpoint | None = None
-    """What the controller follows; None when idle."""
+    """Setpoint of the position controller; None when idle."""
     attitude_setpoint: Callable[[], AttitudeSetpoint | None] = lambda: None
-    """What the attitude controller follows; asked only when it is told."""
+    """Setpoint of the attitude controller; evaluated only when it is reported."""
     motors: Sequence[float] = (0.0, 0.0, 0.0, 0.0)
     """(4,) controls in 0..1."""
     armed_us: int = 0
-    """When it was armed last; like the next two, 0 before the first time."""
+    """Time of the last arming; like the next two, 0 before the first."""
     took_off_us: int = 0
     landed_us: int = 0
     flights: int = 0
-    """How often it was armed."""
+    """Number of armings."""

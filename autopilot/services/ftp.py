@@ -1,8 +1,8 @@
 """MAVLink's file transfer, for reading: folders, files, checksums; bursts for speed.
 
-A station opens a file in a session, whose number it chooses; partners that choose the same have sessions of
-their own all the same. Everything but ending a session may be asked again without harm; the answer to that is
-kept and given once more, as PX4 does, because the first may have been lost.
+A station opens a file in a session and chooses its number; sessions are kept per partner, so equal numbers do
+not collide. All requests except those that end a session can be repeated safely; the answer to the latter is
+stored and sent again on a repetition, as in PX4, because the first may have been lost.
 """
 
 import struct
@@ -21,19 +21,19 @@ from autopilot.services.shaper import Room, always
 DATA_BYTES = 239
 MOST_SESSIONS = 8
 IDLE_US = 10_000_000
-"""A session in which nothing is asked for so long is over."""
+"""Time without requests after which a session is closed."""
 BURST_PERIOD_US = 4_000
 BURST_PACKETS = 4
-"""That go out at a time: 240 kB/s."""
+"""Packets of a burst per period: 240 kB/s."""
 PACKETS_OF_BURST = 64
-"""After so many a burst is over, and the station asks for the next."""
+"""Length of a burst, after which the station requests the next."""
 _CRC_PIECE_BYTES = 1 << 16
 _HEADER = struct.Struct("<HBBBBBxI")
 _SIZE = struct.Struct("<I")
 
 
 class Opcode(IntEnum):
-    """What is asked for, and the two answers."""
+    """Opcodes of requests, and of the two kinds of answers."""
 
     NONE = 0
     TERMINATE = 1
@@ -56,7 +56,7 @@ class Opcode(IntEnum):
 
 
 class FtpFailure(IntEnum):
-    """Why a request is refused."""
+    """Reason of a refusal."""
 
     SIZE = 3
     SESSION = 4
@@ -82,7 +82,7 @@ _WRITING = frozenset(
 
 
 class FtpRequest(NamedTuple):
-    """The header and data of a message's payload."""
+    """Header and data of a message's payload."""
 
     seq: int
     session: int
@@ -93,23 +93,23 @@ class FtpRequest(NamedTuple):
 
     @classmethod
     def parse(cls, payload: bytes) -> "FtpRequest":
-        """Read a payload of 251 bytes."""
+        """Parse a payload of 251 bytes."""
         seq, session, opcode, size, _, _, offset = _HEADER.unpack_from(payload)
         return cls(seq, session, opcode, size, offset, payload[_HEADER.size : _HEADER.size + size])
 
     @property
     def path(self) -> str:
-        """The data as a path."""
+        """The data, decoded as a path."""
         return self.data.split(b"\0", 1)[0].decode("utf-8", "replace")
 
     @property
-    def wanted(self) -> int:
-        """Bytes that a read asks for: as many as there is room for where it does not say."""
+    def read_bytes(self) -> int:
+        """Bytes that a read requests: DATA_BYTES if the size is 0."""
         return self.size or DATA_BYTES
 
 
 class _Burst(NamedTuple):
-    """What of a burst is still to be sent."""
+    """Remainder of a burst."""
 
     seq: int
     offset: int
@@ -129,11 +129,11 @@ class _Session:
 
 _Key = tuple[Partner, int]
 _Answer = bytes | FtpFailure
-"""Data of an ACK, or why not."""
+"""Data of an ACK, or the reason of a NAK."""
 
 
 class FtpService:
-    """Files for stations."""
+    """The server for the files of a `FileStore`."""
 
     takes = frozenset({common.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL})
 
@@ -143,13 +143,13 @@ class FtpService:
         on_open: Callable[[str, Partner], None] | None = None,
         has_room: Room = always,
     ) -> None:
-        """``on_open`` is told what was opened, and by whom."""
+        """``on_open`` is called with each opened path and the partner."""
         self._files = files
         self._has_room = has_room
         self._on_open = on_open
         self._sessions: dict[_Key, _Session] = {}
         self._ended: dict[Partner, tuple[bytes, Message, int]] = {}
-        """The last request of each partner that ended something, its answer, and when."""
+        """The last request of each partner that ended a session, its answer, and its time."""
         self._burst_us = NEVER_US
 
     def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
@@ -157,7 +157,7 @@ class FtpService:
         payload = bytes(message.payload)
         request = FtpRequest.parse(payload)
         if request.opcode >= Opcode.ACK:
-            return ()  # an answer to somebody
+            return ()  # an answer, not a request
         self._forget_idle(now_us)
         ended = self._ended.get(partner)
         if ended is not None and ended[0] == payload:
@@ -195,7 +195,7 @@ class FtpService:
     def _answer(
         self, request: FtpRequest, partner: Partner, target: tuple[int, int], now_us: int
     ) -> _Answer | None:
-        """Do what is asked for; None for a burst, which begins."""
+        """Execute a request and return its answer; None for a burst, which begins."""
         key = partner, request.session
         session = self._sessions.get(key)
         answer: _Answer | None = FtpFailure.UNKNOWN_COMMAND
@@ -218,7 +218,7 @@ class FtpService:
                 answer = FtpFailure.SESSION
             case Opcode.READ if session is not None:
                 session.used_us = now_us
-                answer = session.file.read(request.offset, request.wanted) or FtpFailure.END_OF_FILE
+                answer = session.file.read(request.offset, request.read_bytes) or FtpFailure.END_OF_FILE
             case Opcode.BURST if session is not None:
                 answer = self._begin_burst(request, session, now_us)
             case Opcode.TERMINATE:
@@ -229,7 +229,7 @@ class FtpService:
         return answer
 
     def _open(self, request: FtpRequest, partner: Partner, target: tuple[int, int], now_us: int) -> _Answer:
-        """Begin a session, in place of the one of the same number: who opens anew has given that up."""
+        """Open a session; an open one of the same number is replaced."""
         key = partner, request.session
         if key not in self._sessions and len(self._sessions) >= MOST_SESSIONS:
             return FtpFailure.NO_SESSION_LEFT
@@ -243,7 +243,7 @@ class FtpService:
         return _SIZE.pack(file.size())
 
     def _list(self, request: FtpRequest) -> _Answer:
-        """Entries from the asked one on, as many as there is room for."""
+        """Entries from the requested index on, as many as fit."""
         entries = self._files.list(request.path)
         if entries is None:
             return FtpFailure.NOT_FOUND
@@ -271,7 +271,7 @@ class FtpService:
         if request.offset >= session.file.size():
             session.burst = None
             return FtpFailure.END_OF_FILE
-        session.burst = _Burst(request.seq + 1, request.offset, request.wanted, PACKETS_OF_BURST)
+        session.burst = _Burst(request.seq + 1, request.offset, request.read_bytes, PACKETS_OF_BURST)
         self._burst_us = min(self._burst_us, now_us)
         return None
 
@@ -285,14 +285,14 @@ class FtpService:
 
 
 def _next_packets(number: int, session: _Session) -> Iterator[Message]:
-    """Next packets of a session's burst."""
+    """Packets of a session's burst for one period."""
     for _ in range(BURST_PACKETS):
         if session.burst is not None:
             yield _next_packet(number, session, session.burst)
 
 
 def _next_packet(number: int, session: _Session, burst: _Burst) -> Message:
-    """Next packet of a session's burst; the last says so."""
+    """Next packet of a session's burst; the last is marked as such."""
     data = session.file.read(burst.offset, burst.packet_bytes)
     offset = burst.offset + len(data)
     left = burst.packets - 1
@@ -303,7 +303,7 @@ def _next_packet(number: int, session: _Session, burst: _Burst) -> Message:
 
 
 def _formed(request: FtpRequest, answer: _Answer, target: tuple[int, int]) -> Message:
-    """Answer to a request: its numbers, an ACK with data or a NAK with the reason."""
+    """Answer to a request: an ACK with data or a NAK with the reason, and the request's numbers."""
     opcode, data = (Opcode.ACK, answer) if isinstance(answer, bytes) else (Opcode.NAK, bytes([answer]))
     seq = (request.seq + 1) % 65_536
     return _message(

@@ -1,6 +1,6 @@
-"""MAVLink's log download: the list of logs, and their bytes in pieces of 90 from where a station asks.
+"""MAVLink's log download: the list of logs, and their bytes in pieces of 90 from a requested offset on.
 
-The station asks again for what did not arrive. Erasing is refused: the log is part of the run's record.
+The station requests lost pieces again. Erasing is refused: the log is part of the run's record.
 """
 
 from collections.abc import Sequence
@@ -16,14 +16,14 @@ from autopilot.services.status import status_text
 PIECE_BYTES = 90
 SEND_PERIOD_US = 4_000
 PIECES = 8
-"""That go out at a time: 180 kB/s."""
+"""Pieces per period: 180 kB/s."""
 MOST_DOWNLOADS = 8
-"""At a time; the oldest ends for one more."""
+"""Concurrent downloads; a new one replaces the oldest."""
 _LARGEST = 2**32 - 1
 
 
 class _Download:
-    """What is still to be sent to a partner."""
+    """Remainder of a download."""
 
     def __init__(self, number: int, file: Readable, offset: int, count: int) -> None:
         self.number = number
@@ -32,7 +32,7 @@ class _Download:
         self.left = max(min(count, file.size() - offset), 0)
 
     def next_piece(self) -> Message:
-        """LOG_DATA; one that has less than it has room for is the last of a log."""
+        """LOG_DATA; a piece that is not full is the last of a log."""
         data = self.file.read(self.offset, min(self.left, PIECE_BYTES)) if self.left else b""
         padded = data.ljust(PIECE_BYTES, b"\0")
         message = common.MAVLink_log_data_message(self.number, self.offset, len(data), padded)
@@ -42,7 +42,7 @@ class _Download:
 
 
 class LogService:
-    """The logs as the links see them."""
+    """Log list and downloads for the partners of all links."""
 
     takes = frozenset(
         {
@@ -60,7 +60,7 @@ class LogService:
         self._due_us = NEVER_US
 
     def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
-        """Answer a request, which ends what is being sent; the bytes of a log are sent by `on_timer`."""
+        """Answer a request, which ends the partner's download; log data is sent by `on_timer`."""
         self._downloads.pop(partner, None)
         kind = message.get_msgId()
         if kind == common.MAVLINK_MSG_ID_LOG_REQUEST_LIST:
@@ -91,7 +91,7 @@ class LogService:
         return self._due_us
 
     def _entries(self, start: int, end: int) -> list[Message]:
-        """LOG_ENTRY of each log from one number to another, or the one that says that there is none."""
+        """LOG_ENTRY of each log in a range of numbers, or the entry that reports an empty list."""
         logs = self._files.logs
         if not logs:
             return [common.MAVLink_log_entry_message(0, 0, 0, 0, 0)]

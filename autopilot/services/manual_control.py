@@ -1,9 +1,8 @@
-"""Sticks, with the time they came: MANUAL_CONTROL of a joystick or thumb pads, or RC_CHANNELS_OVERRIDE.
+"""Stick positions with their time of arrival, from MANUAL_CONTROL or RC_CHANNELS_OVERRIDE.
 
-One partner's sticks count as long as they are fresh, within COM_RC_LOSS_T; what others send meanwhile moves
-nothing, as PX4's selector has it. Buttons and further axes mean nothing here. Channels are as PX4 maps them
-without a calibration of its own: 1 roll, 2 pitch, 3 throttle, 4 yaw, from 1000 to 2000 us, forward and right
-being more.
+The sticks of one partner are used as long as they are fresh (COM_RC_LOSS_T); those of others are ignored
+meanwhile, as in PX4's selector. Buttons and further axes are ignored. Channels are mapped as in PX4 without
+calibration: 1 roll, 2 pitch, 3 throttle, 4 yaw, from 1000 to 2000 us; larger is forward or right.
 """
 
 from collections.abc import Sequence
@@ -22,12 +21,12 @@ from autopilot.services.status import status_text
 
 _FULL = 1000.0
 _INVALID = 32_767
-"""MAVLink's mark of an axis that the joystick does not have."""
+"""MAVLink's mark of an axis that is not available."""
 _CHANNELS = 4
 _PARTNERS_MAX = 8
-"""Whose channels are kept; of more, the one that has been silent longest is forgotten."""
-_NOTHING_SAID = 65_535
-"""RC_CHANNELS_OVERRIDE's mark of a channel that stays as it was."""
+"""Partners whose channels are stored; a new one replaces the one that has been silent longest."""
+_UNCHANGED = 65_535
+"""RC_CHANNELS_OVERRIDE's mark of a channel that keeps its value."""
 _RELEASED = 0
 _MIDDLE_US, _HALF_US = 1_500, 500
 _FROM_AUTO, _FROM_OFFBOARD = 1, 2
@@ -35,32 +34,32 @@ _FROM_AUTO, _FROM_OFFBOARD = 1, 2
 
 
 class _Channels(NamedTuple):
-    """What a partner has overridden last."""
+    """Pulse widths that a partner has last sent."""
 
     widths_us: tuple[int, ...]
     time_us: int
 
 
 class ManualControlService(Listener):
-    """The newest sticks of the partner that counts."""
+    """The latest sticks of the selected partner."""
 
     takes = frozenset({common.MAVLINK_MSG_ID_MANUAL_CONTROL, common.MAVLINK_MSG_ID_RC_CHANNELS_OVERRIDE})
 
     def __init__(self, commander: Commander) -> None:
         self._commander = commander
         self.sticks: ManualInput | None = None
-        """None before any came."""
+        """None before the first message."""
         self._source: Partner | None = None
-        """Whose they are."""
+        """The selected partner."""
         self._channels: dict[Partner, _Channels] = {}
-        """Who spoke last is last."""
+        """By partner; the most recent sender is last."""
 
     def is_fresh(self, now_us: int, timeout_us: int) -> bool:
-        """Whether sticks came within ``timeout_us``."""
+        """Whether the sticks are at most ``timeout_us`` old."""
         return self.sticks is not None and now_us - self.sticks.time_us <= timeout_us
 
     def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
-        """Take the sticks; moved far enough, they take over from modes that fly by themselves."""
+        """Update the sticks; a large enough deflection takes over from autonomous modes."""
         if message.get_msgId() == common.MAVLINK_MSG_ID_RC_CHANNELS_OVERRIDE:
             return self._take_channels(message, now_us, partner)
         axes = (message.x, message.y, message.r)
@@ -71,17 +70,17 @@ class ManualControlService(Listener):
         )
 
     def _take_channels(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
-        """Take the channels that are overridden, the rest as centred; with none, there are no sticks.
+        """Read overridden channels, released ones as centred; without any, the sticks are not updated.
 
-        What "as it was" means is the partner's own, and nothing once that is as old as lost sticks.
+        A channel that is marked as unchanged keeps the partner's last value, if that is still fresh.
         """
         last = self._channels.pop(partner, None)
         widths_us = (_RELEASED,) * _CHANNELS
         if last is not None and now_us - last.time_us <= self._timeout_us:
             widths_us = last.widths_us
-        said_us = (message.chan1_raw, message.chan2_raw, message.chan3_raw, message.chan4_raw)
+        sent_us = (message.chan1_raw, message.chan2_raw, message.chan3_raw, message.chan4_raw)
         widths_us = tuple(
-            before if said == _NOTHING_SAID else said for before, said in zip(widths_us, said_us, strict=True)
+            before if sent == _UNCHANGED else sent for before, sent in zip(widths_us, sent_us, strict=True)
         )
         self._channels[partner] = _Channels(widths_us, now_us)
         if len(self._channels) > _PARTNERS_MAX:
@@ -114,7 +113,7 @@ class ManualControlService(Listener):
             not commander.armed
             or commander.landed
             or commander.mode in MANUAL_MODES
-            or (commander.failsafe and commander.mode is FlightMode.HOLD)  # that is what it holds against
+            or (commander.failsafe and commander.mode is FlightMode.HOLD)  # not while a failsafe holds
             or deflection < params.stick_takeover_fraction
         ):
             return ()

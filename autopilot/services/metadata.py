@@ -1,7 +1,7 @@
-"""Files that tell stations about the parameters: QGroundControl's metadata, and MAVProxy's packed values.
+"""Parameter metadata files for stations: QGroundControl's JSON metadata, and MAVProxy's packed values.
 
-The metadata are JSON in xz, found by COMPONENT_METADATA: a general file that leads to that of the parameters.
-They are made when first asked for. What `@PARAM/param.pck` holds is as it is when it is opened.
+The metadata are xz-compressed JSON, announced by COMPONENT_METADATA: a general file that refers to the file
+of the parameters. They are generated on the first request; `@PARAM/param.pck` whenever it is opened.
 """
 
 import json
@@ -26,8 +26,8 @@ _PARAMETER = 1
 """COMP_METADATA_TYPE_PARAMETER"""
 _VERSION = 1
 _FILTERS = [{"id": lzma.FILTER_LZMA2, "preset": 3, "dict_size": 1 << 16}]
-"""A dictionary that small decoders have room for, and a tenth of the time of the best preset, for a twentieth
-more: it is done within a step."""
+"""Small dictionary for small decoders. A tenth of the best preset's time for 5 % more bytes, so that it takes
+less than a step."""
 _PACKED, _PACKED_WITH_DEFAULTS = 0x671B, 0x671C
 _INT32, _FLOAT = 3, 4
 _HAS_DEFAULT = 0x10
@@ -35,14 +35,14 @@ _MOST_DECIMALS = 7
 
 
 def add_files(files: FileStore, parameters: ParameterSet) -> None:
-    """Have the files of a vehicle with these parameters."""
+    """Add the files of a vehicle with these parameters."""
     files.add(GENERAL_PATH, lambda _query: Contents(compressed(general())))
     files.add(PARAMETERS_PATH, lambda _query: Contents(compressed(parameters_json())))
     files.add(PACKED_PATH, lambda query: packed(parameters, query))
 
 
 def message_builder(now_us: Callable[[], int]) -> Callable[[], Message]:
-    """Give a builder of COMPONENT_METADATA; ``now_us`` is the time since the start."""
+    """Return a builder of COMPONENT_METADATA; ``now_us`` returns the time since the start."""
 
     def build() -> Message:
         return ComponentMetadata(
@@ -62,7 +62,7 @@ def general() -> bytes:
 
 @cache
 def parameters_json() -> bytes:
-    """What is known of each parameter, before compression."""
+    """Metadata of all parameters, before compression."""
     defaults = ParameterSet(Settings())
     rows = [_described(row, defaults.get(row.name)) for row in ROWS]
     return json.dumps({"version": _VERSION, "parameters": rows}, separators=(",", ":")).encode()
@@ -70,14 +70,14 @@ def parameters_json() -> bytes:
 
 @cache
 def compressed(data: bytes) -> bytes:
-    """Pack as xz with the checksum that small decoders know."""
+    """Compress as xz with the checksum that small decoders support."""
     return lzma.compress(data, format=lzma.FORMAT_XZ, check=lzma.CHECK_CRC32, filters=_FILTERS)
 
 
 def packed(parameters: ParameterSet, query: str = "") -> Contents:
-    """Values in MAVProxy's packed format: each after what of its name is not the beginning of the last one's.
+    """Values in MAVProxy's packed format; each name is stored without the prefix it shares with the last one.
 
-    ``query`` is as in ``withdefaults=1&start=10&count=5``: defaults come where values have others.
+    ``query`` is of the form ``withdefaults=1&start=10&count=5``; defaults are included where values differ.
     """
     options = dict(option.split("=", 1) for option in query.split("&") if "=" in option)
     with_defaults = options.get("withdefaults") == "1"
@@ -107,7 +107,7 @@ def _count(text: str, otherwise: int) -> int:
 
 
 def _described(row: Row, default: float) -> dict[str, object]:
-    """A parameter as the metadata have it, in its own unit."""
+    """Metadata of one parameter, in PX4's unit."""
     described: dict[str, object] = {
         "name": row.name,
         "type": "Int32" if row.is_integer else "Float",
@@ -128,10 +128,10 @@ def _described(row: Row, default: float) -> dict[str, object]:
 
 
 def _number(row: Row, value: float) -> float:
-    """A default is told as the decimal that its float32 is shown as."""
+    """Round a float to the decimal that represents its float32."""
     return round(value) if row.is_integer else float(f"{value:.7g}")
 
 
 def _decimals(value: float) -> int:
-    """How many a value needs to be shown."""
+    """Number of decimals that represents a value."""
     return len(f"{value:.{_MOST_DECIMALS}f}".rstrip("0").partition(".")[2])

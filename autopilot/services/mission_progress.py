@@ -1,7 +1,7 @@
-"""Where a mission stands: MISSION_CURRENT, MISSION_ITEM_REACHED, and MISSION_SET_CURRENT.
+"""Mission progress: MISSION_CURRENT, MISSION_ITEM_REACHED, and MISSION_SET_CURRENT.
 
 States and repetitions are PX4's (src/modules/mavlink/mavlink_mission.cpp). MISSION_CURRENT is sent here when
-what it says changes; `Streams` sends it once a second.
+its content changes, and once a second by `MessageStreams`.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,40 +22,40 @@ from autopilot.services.status import status_text
 NO_MISSION, NOT_STARTED, ACTIVE, PAUSED, COMPLETE = 1, 2, 3, 4, 5
 """MISSION_STATE"""
 IN_MISSION, SUSPENDED = 1, 2
-"""Of ``mission_mode``."""
+"""Values of ``mission_mode``."""
 NO_TOTAL = 65_535
-"""Number of items of no mission."""
+"""``total`` without a mission."""
 REPEAT_US = 1_000_000
 REPEATS = 10
-"""Of the last MISSION_ITEM_REACHED."""
+"""Repetitions of the last MISSION_ITEM_REACHED."""
 _AT_ONCE = 50
-"""Most items told of in one step; the others follow."""
+"""Most items reported in one step; the others follow."""
 _MISSION_MODES = {FlightMode.MISSION, FlightMode.TAKEOFF, FlightMode.LAND}
-"""Modes in which PX4 calls a mission active."""
+"""Modes in which PX4 reports a mission as active."""
 
 
 class MissionProgress:
-    """Tells how far the mission of a vehicle is, and has it go on elsewhere."""
+    """Reports the progress of a vehicle's mission, and sets its current item."""
 
     takes = frozenset({common.MAVLINK_MSG_ID_MISSION_SET_CURRENT})
 
     def __init__(
         self, runner: MissionRunner, plans: PlanStore, commander: Commander, *, is_valid: Callable[[], bool]
     ) -> None:
-        """``is_valid``: whether the mission may be begun."""
+        """``is_valid`` returns whether the mission may be started."""
         self._runner = runner
         self._plans = plans
         self._commander = commander
         self._is_valid = is_valid
         self._version = runner.version
-        self._told: tuple[int, ...] = ()
-        """What MISSION_CURRENT said last of its own accord."""
+        self._reported: tuple[int, ...] = ()
+        """Content of the last MISSION_CURRENT that was sent unrequested."""
         self._reached = 0
         self._repeats = REPEATS
-        """How often the last item reached was told again."""
+        """Number of repetitions of the last item reached."""
         self._repeat_us = NEVER_US
 
-    # ---- what others may know and do
+    # ---- queries and actions
 
     @property
     def state(self) -> int:
@@ -74,12 +74,12 @@ class MissionProgress:
         return MissionCurrent(*self._content())
 
     def has_item(self, seq: int) -> bool:
-        """Whether there is an item of this number."""
+        """Whether the mission has an item of this number."""
         mission = self._runner.mission
         return mission is not None and 0 <= seq < len(mission.items)
 
     def set_current(self, seq: int) -> bool:
-        """Go on with another item; False: there is no such item, and nothing has changed."""
+        """Continue with another item; False, without any change, if there is no such item."""
         try:
             self._runner.set_current(seq)
         except MissionError:
@@ -88,21 +88,21 @@ class MissionProgress:
 
     @property
     def has_news(self) -> bool:
-        """Whether the mission went on since `on_timer` was called last."""
+        """Whether the mission has progressed since the last `on_timer`."""
         return self._runner.version != self._version or bool(self._runner.done)
 
     # ---- service
 
     def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:  # noqa: ARG002
-        """Answer MISSION_SET_CURRENT with MISSION_CURRENT: of the item asked for, if it exists."""
+        """Set the current item if it exists; answer with MISSION_CURRENT in either case."""
         if self.set_current(message.seq):
-            self._told = self._content()
+            self._reported = self._content()
             return _outside(self.mission_current())
         text = status_text(common.MAV_SEVERITY_WARNING, f"Mission: there is no item {message.seq}")
         return [*reply(ALL, text), *reply(partner, self.mission_current())]
 
     def on_timer(self, now_us: int) -> Sequence[Addressed]:
-        """Tell what was reached and what is flown now; tell what was reached last again."""
+        """Report items reached and the current item, and repeat the last report of a reached item."""
         runner = self._runner
         self._version = runner.version
         messages: list[Addressed] = []
@@ -115,20 +115,20 @@ class MissionProgress:
         for _ in range(min(len(runner.done), _AT_ONCE)):
             self._reached = runner.done.popleft()
             self._repeats, self._repeat_us = 0, now_us + REPEAT_US
-            messages += self._tell_of(self._reached)
-        if (content := self._content()) != self._told:
-            self._told = content
+            messages += self._item_reports(self._reached)
+        if (content := self._content()) != self._reported:
+            self._reported = content
             messages += _outside(self.mission_current())
         return messages
 
     def next_deadline_us(self) -> int:
-        """At once when there is news; else when the last item reached is told again."""
+        """0 if the mission has progressed; else the time of the next repetition."""
         return 0 if self.has_news else self._repeat_us
 
     # ---- pieces
 
     def _content(self) -> tuple[int, ...]:
-        """Give what MISSION_CURRENT says."""
+        """Fields of MISSION_CURRENT."""
         runner, plans = self._runner, self._plans
         total = 0 if runner.mission is None else len(runner.mission.items)
         return (
@@ -139,8 +139,8 @@ class MissionProgress:
             *(plans[kind].opaque_id for kind in PlanType),
         )
 
-    def _tell_of(self, index: int) -> list[Addressed]:
-        """MISSION_ITEM_REACHED, and in words what nobody sees: acts of a camera, a gimbal or another load."""
+    def _item_reports(self, index: int) -> list[Addressed]:
+        """MISSION_ITEM_REACHED, and a STATUSTEXT for acts that are not simulated: camera, gimbal, payload."""
         messages = _outside(_item_reached(index))
         mission = self._runner.mission
         if mission is not None and index < len(mission.items):
@@ -156,5 +156,5 @@ def _item_reached(index: int) -> Message:
 
 
 def _outside(message: Message) -> list[Addressed]:
-    """Address a message to everybody outside; the application has no use for it."""
+    """Address a message to all external partners; the application does not use it."""
     return [Addressed(Partner(link), message) for link in (GROUND_STATION, COMPANION)]

@@ -1,9 +1,9 @@
-"""Offboard setpoints: the newest of every source, and whose count.
+"""Offboard setpoints: the latest of each source, and the selection of the source.
 
-Application, companion and ground stations may all send at once. The source counts that asked for Offboard
-last; as long as it sends nothing fresh, the newest of the others, until Offboard is flown: from then on
-another one counts only when it asks. So no stream is kept alive by somebody else's. A message that is no
-setpoint is dropped and counted; it does not keep offboard mode alive.
+Application, companion and ground stations may all send at once. The source that last requested Offboard is
+selected; while it sends nothing fresh, the source of the newest setpoint is. While Offboard is flown the
+selection changes only on a request, so that one source's stream does not keep alive another's. A message that
+is no valid setpoint is dropped and counted; it does not keep offboard mode alive.
 """
 
 from collections.abc import Sequence
@@ -17,56 +17,56 @@ from autopilot.services.setpoint_messages import SETPOINT_MESSAGES, decode
 from foundation.types import Setpoint
 
 _SOURCES_MAX = 8
-"""Of more, the one that has been silent longest is forgotten."""
+"""Sources that are stored; a new one replaces the one that has been silent longest."""
 
 
 _Received = tuple[Setpoint, int]
-"""A source's newest setpoint, and when it came"""
+"""A source's latest setpoint, and its time of arrival"""
 
 
 class OffboardService(Listener):
-    """Setpoints of all sources: `ask` before Offboard is asked for, `is_fresh` before decisions."""
+    """Setpoints of all sources. Call `ask` before a switch to Offboard, `is_fresh` before decisions."""
 
     takes = SETPOINT_MESSAGES
 
     def __init__(self, flight: FlightData) -> None:
         self._flight = flight
         self.rejected = 0
-        """Messages that were no setpoint."""
+        """Count of messages that were no valid setpoint."""
         self._received: dict[Partner, _Received] = {}
         self._counts: Partner | None = None
-        """The source that is flown by, or would be."""
+        """The selected source."""
         self.setpoint: Setpoint | None = None
-        """The newest of the source that counts."""
+        """The latest setpoint of the selected source."""
         self.received_us: int | None = None
-        """When that came."""
-        self._asker: Partner | None = None
+        """Time of its arrival."""
+        self._requester: Partner | None = None
         self._timeout_us = round(flight.commander.params.offboard_loss_s * US_PER_S)
 
     @property
     def source(self) -> Partner | None:
-        """Whose setpoints count; None before any came."""
+        """The selected source; None before the first setpoint."""
         return self._counts
 
     def is_fresh(self, now_us: int, timeout_us: int) -> bool:
-        """Whether the source that counts has sent within ``timeout_us``, which is what fresh means."""
+        """Whether the selected source has sent within ``timeout_us``, the new limit of freshness."""
         self._timeout_us = timeout_us
         if not self._is_flown:
             self._choose(now_us)
         return self.received_us is not None and now_us - self.received_us <= timeout_us
 
     def ask(self, partner: Partner, now_us: int) -> None:
-        """Note who is about to ask for Offboard: its setpoints count if they are fresh.
+        """Record a request for Offboard: the partner is selected if its setpoints are fresh.
 
-        Else whoever counts goes on as long as that is fresh, as when a station's button is pressed for the
-        companion's program.
+        Otherwise the selected source stays while it is fresh, as when the operator at a ground station
+        switches to Offboard for the companion's program.
         """
-        self._asker = partner
+        self._requester = partner
         if self._is_fresh(partner, now_us) or not self._is_fresh(self._counts, now_us):
             self._choose(now_us)
 
     def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
-        """Take a setpoint; nothing is answered."""
+        """Store a setpoint; there is no answer."""
         setpoint = decode(message, self._flight)
         if setpoint is None:
             self.rejected += 1
@@ -90,9 +90,9 @@ class OffboardService(Listener):
         return received is not None and now_us - received[1] <= self._timeout_us
 
     def _choose(self, now_us: int) -> None:
-        """Let the asker count while it is fresh, else the source of the newest setpoint, fresh or not."""
-        if self._is_fresh(self._asker, now_us):
-            self._counts = self._asker
+        """Select the requester while it is fresh, else the source of the newest setpoint, fresh or not."""
+        if self._is_fresh(self._requester, now_us):
+            self._counts = self._requester
         elif self._received:
             self._counts = max(self._received, key=self._time_us)
         if self._counts is not None:

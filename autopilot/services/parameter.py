@@ -1,9 +1,8 @@
-"""MAVLink's parameter service: list, read by name or index, set. Integers travel as raw bytes, as PX4's do.
+"""MAVLink's parameter service: list, read by name or index, set. Integers are sent as raw bytes, as in PX4.
 
-A set that is taken is told to everybody on all links, whoever made it; a read or set that is not is answered
-by PARAM_ERROR to whoever asked, and a set by a STATUSTEXT with the reason as well. A list begins with
-_HASH_CHECK, PX4's checksum over names and values: a station that has kept the same values from before sets
-it, which ends the list.
+An accepted PARAM_SET is reported to all partners on all links. A refused read or set is answered by
+PARAM_ERROR, a set also by a STATUSTEXT with the reason. A list begins with _HASH_CHECK, PX4's checksum over
+names and values: a station whose cached values match sends it back, which ends the list.
 """
 
 import struct
@@ -21,13 +20,13 @@ from autopilot.services.shaper import Room, always
 from autopilot.services.status import status_text
 
 MOST_TYPELESS = 16
-"""Partners that may send whole numbers as floats; the oldest gives way to one more."""
+"""Partners that may send integers as floats; a new one replaces the oldest."""
 TEXT_PERIOD_US = 1_000_000
-"""There is one text a second at most: some stations repeat a refused set at once."""
+"""Least time between two STATUSTEXTs: some stations repeat a refused set at once."""
 HASH_NAME = "_HASH_CHECK"
 _HASH_INDEX = 65_535
 _HASH = -1
-"""The place of a list at which the checksum comes."""
+"""Index of the checksum in a list."""
 _NAME_BYTES = 16
 
 Setter = Callable[[str, float], None]
@@ -35,13 +34,13 @@ Setter = Callable[[str, float], None]
 
 
 class _HashValue(common.MAVLink_param_value_message):  # type: ignore[misc]  # pymavlink has no types
-    """PARAM_VALUE whose value is a uint32: not each of those survives as a float."""
+    """PARAM_VALUE whose value is a uint32, since some of its bit patterns do not survive as a float."""
 
     unpacker = struct.Struct("<IHH16sB")
 
 
 class ParameterService:
-    """The parameters as the links see them; each partner may be sent its list."""
+    """The parameters for the partners of all links; each partner may have a list in progress."""
 
     takes = frozenset(
         {
@@ -52,7 +51,7 @@ class ParameterService:
     )
 
     def __init__(self, parameters: ParameterSet, put: Setter, has_room: Room = always) -> None:
-        """Values come from ``parameters``, and are changed by ``put``."""
+        """Values are read from ``parameters`` and changed by ``put``."""
         self._lists = ParameterLists(has_room)
         self._parameters = parameters
         self._put = put
@@ -63,7 +62,7 @@ class ParameterService:
         self._typeless: dict[Partner, None] = {}
 
     def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
-        """Answer a request; a list is sent by `on_timer`, and asking for it again starts it anew."""
+        """Answer a request; a list is sent by `on_timer`, and a repeated request restarts it."""
         kind = message.get_msgId()
         if kind == common.MAVLINK_MSG_ID_PARAM_REQUEST_LIST:
             self._lists.begin(partner, now_us, first=_HASH)
@@ -74,7 +73,7 @@ class ParameterService:
         return self._set(message, now_us, partner)
 
     def on_timer(self, now_us: int) -> Sequence[Addressed]:
-        """Tell what was changed by others than the links, and send the next batch of each list."""
+        """Report changes that were not made by PARAM_SET, and send the next batch of each list."""
         messages: list[Addressed] = []
         if self._changed and now_us >= self._news_due_us:
             for name in list(self._changed)[:LIST_BATCH]:
@@ -86,17 +85,17 @@ class ParameterService:
         return messages
 
     def next_deadline_us(self) -> int:
-        """When the next batch is due; at once when a change is to be told."""
+        """Time of the next batch of a list or of change reports."""
         return min(self._news_due_us, self._lists.due_us) if self._changed else self._lists.due_us
 
     def on_change(self, name: str) -> None:
-        """Have everybody told of a parameter that was changed otherwise than by PARAM_SET."""
+        """Report a parameter that was changed other than by PARAM_SET to all partners."""
         self._changed[name] = None
 
     def take_by_value(self, partner: Partner) -> None:
-        """Take whole numbers as floats from a partner that has them from param.pck.
+        """Accept integers as floats from a partner that reads the parameters from param.pck.
 
-        MAVProxy then forgets the types and sends every value as the float that it is.
+        MAVProxy then loses the types and sends every value as a float.
         """
         self._typeless.pop(partner, None)
         self._typeless[partner] = None  # the newest last
@@ -121,7 +120,7 @@ class ParameterService:
         try:
             index = ROW_INDEX_OF.get(name)
             if index is None:
-                raise ParameterError(f"there is no parameter {name!r}", ParameterProblem.UNKNOWN)  # noqa: TRY301  # one place that answers a refusal
+                raise ParameterError(f"there is no parameter {name!r}", ParameterProblem.UNKNOWN)  # noqa: TRY301  # one handler answers refusals
             self._put(name, self._from_wire(index, message, partner))
         except ParameterError as error:
             answers = reply(partner, refusal(message, error.problem))
@@ -143,7 +142,7 @@ class ParameterService:
         return common.MAVLink_param_value_message(name.encode(), value, _wire_type(index), len(ROWS), index)
 
     def _hash_value(self) -> int:
-        """CRC over each parameter's name and the four bytes of its value, in their order."""
+        """CRC over each parameter's name and the four bytes of its value, in the order of the indices."""
         version = self._parameters.version
         if self._hash is None or self._hash[0] != version:
             checksum = 0
@@ -154,7 +153,7 @@ class ParameterService:
         return self._hash[1]
 
     def _from_wire(self, index: int, message: Message, partner: Partner) -> float:
-        """Value of a PARAM_SET. Raises ParameterError."""
+        """Decode the value of a PARAM_SET. Raises ParameterError."""
         value: float = message.param_value
         name = ROWS[index].name
         if message.param_type == _wire_type(index):
@@ -179,12 +178,12 @@ def refusal(message: Message, problem: ParameterProblem, *, index: int = -1) -> 
 
 
 def value_bytes(is_integer: bool, value: float) -> bytes:  # noqa: FBT001  # which of two formats
-    """Four bytes of a value, as PX4 keeps it."""
+    """Four bytes of a value, as PX4 stores it."""
     return struct.pack("<i", round(value)) if is_integer else struct.pack("<f", value)
 
 
 def shortest(value: float) -> float:
-    """Read a float32 as its shortest decimal: 0.95 on the wire is 0.95 here, and a limit within its range."""
+    """Shortest decimal of a float32: 0.95 as float32 becomes 0.95 as double, and stays within its range."""
     return float(str(np.float32(value)))
 
 

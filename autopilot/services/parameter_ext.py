@@ -1,6 +1,6 @@
-"""MAVLink's extended parameter protocol: the same parameters, with values as bytes of text fields.
+"""MAVLink's extended parameter protocol: the same parameters, with values as bytes in text fields.
 
-Stations speak it to cameras; one that asks an autopilot in it is answered as well.
+Stations use it for cameras; requests to the autopilot are answered, too.
 """
 
 import struct
@@ -17,11 +17,11 @@ from autopilot.services.shaper import Room, always
 
 _VALUE_BYTES = 128
 _KINDS = {True: common.MAV_PARAM_EXT_TYPE_INT32, False: common.MAV_PARAM_EXT_TYPE_REAL32}
-"""By whether a parameter is an integer"""
+"""MAV_PARAM_EXT_TYPE by whether a parameter is an integer"""
 
 
 class ParameterExtService:
-    """The same parameters in other messages; a set is told to the links by `ParameterService`."""
+    """The parameters in PARAM_EXT messages; changes are reported to the links by `ParameterService`."""
 
     takes = frozenset(
         {
@@ -32,7 +32,7 @@ class ParameterExtService:
     )
 
     def __init__(self, parameters: ParameterSet, put: Setter, has_room: Room = always) -> None:
-        """``put`` changes a parameter and tells of it."""
+        """``put`` changes a parameter and reports the change."""
         self._lists = ParameterLists(has_room)
         self._parameters = parameters
         self._put = put
@@ -60,7 +60,7 @@ class ParameterExtService:
         return messages
 
     def next_deadline_us(self) -> int:
-        """When the next batch is due."""
+        """Time of the next batch."""
         return self._lists.due_us
 
     def _value(self, index: int) -> Message:
@@ -74,7 +74,7 @@ class ParameterExtService:
         return value_bytes(row.is_integer, self._parameters.get(row.name)).ljust(_VALUE_BYTES, b"\0")
 
     def _set(self, message: Message) -> Message:
-        """PARAM_EXT_ACK with the value that holds afterwards, if there is such a parameter at all."""
+        """PARAM_EXT_ACK with the value after the request; zeros for an unknown parameter."""
         index = ROW_INDEX_OF.get(message.param_id)
         name = message.param_id.encode("ascii", "replace")[:16]
         if index is None:
@@ -84,7 +84,7 @@ class ParameterExtService:
         kind = _KINDS[ROWS[index].is_integer]
         try:
             if message.param_type != kind:
-                raise ParameterError(f"{message.param_id}: wrong type", ParameterProblem.TYPE)  # noqa: TRY301  # one place that answers a refusal
+                raise ParameterError(f"{message.param_id}: wrong type", ParameterProblem.TYPE)  # noqa: TRY301  # one handler answers refusals
             self._put(message.param_id, _number(message, is_integer=ROWS[index].is_integer))
         except ParameterError:
             result = common.PARAM_ACK_VALUE_UNSUPPORTED
@@ -92,7 +92,7 @@ class ParameterExtService:
 
 
 def _number(message: Message, *, is_integer: bool) -> float:
-    """Value of a PARAM_EXT_SET: the first four of its bytes, which pymavlink keeps beside their text."""
+    """Value of a PARAM_EXT_SET: its first four bytes, which pymavlink keeps beside the decoded text."""
     data = message._param_value_raw[:4].ljust(4, b"\0")
     number: float = struct.unpack("<i" if is_integer else "<f", data)[0]
     return number if is_integer else shortest(number)

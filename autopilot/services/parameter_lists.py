@@ -1,4 +1,4 @@
-"""Lists of parameters under way: how far each partner's is, and when the next batch is due."""
+"""Parameter lists in progress: the next index of each partner's list, and the time of the next batch."""
 
 from autopilot.parameters.table import ROWS
 from autopilot.services.service import NEVER_US, Partner
@@ -6,22 +6,22 @@ from autopilot.services.shaper import Room, always
 
 LIST_PERIOD_US = 20_000
 LIST_BATCH = 16
-"""Values go out in batches, so that a list takes a third of a second and is not one burst."""
+"""Values per batch: a list takes a third of a second instead of one burst."""
 MOST_LISTS = 16
-"""At a time; the oldest ends for one more."""
+"""Concurrent lists; a new one replaces the oldest."""
 
 
 class ParameterLists:
-    """Rows that are still to be sent, by partner."""
+    """Parameters that remain to be sent, by partner."""
 
     def __init__(self, has_room: Room = always) -> None:
         self._has_room = has_room
         self._next_index: dict[Partner, int] = {}
         self.due_us = NEVER_US
-        """When `next_batch` has something to give."""
+        """Time of the next batch."""
 
     def begin(self, partner: Partner, now_us: int, *, first: int = 0) -> None:
-        """Begin a partner's list with the row ``first``, or with row 0 again while one is under way."""
+        """Begin a partner's list at index ``first``; one in progress restarts at index 0."""
         if self.end(partner):
             first = 0
         if len(self._next_index) >= MOST_LISTS:
@@ -30,11 +30,11 @@ class ParameterLists:
         self.due_us = min(self.due_us, now_us)
 
     def end(self, partner: Partner) -> bool:
-        """Give up a partner's list; tells whether there was one."""
+        """End a partner's list; return whether there was one."""
         return self._next_index.pop(partner, None) is not None
 
     def next_batch(self, now_us: int) -> list[tuple[Partner, range]]:
-        """Give the rows that go out now, each partner's on whose link there is room."""
+        """Return the indices to send now to each partner whose link has room."""
         if now_us < self.due_us:
             return []
         batch: list[tuple[Partner, range]] = []

@@ -1,4 +1,4 @@
-"""SET_HOME_POSITION and SET_GPS_GLOBAL_ORIGIN: places that a station sets by a message of its own."""
+"""SET_HOME_POSITION and SET_GPS_GLOBAL_ORIGIN: positions that a station sets by dedicated messages."""
 
 from collections.abc import Callable, Sequence
 
@@ -13,7 +13,7 @@ _LAT_MAX_E7, _LON_MAX_E7 = 900_000_000, 1_800_000_000
 
 
 class PlacesService(Listener):
-    """Sets home; the local frame's origin is the first fix, and telling which it is answers who sets it."""
+    """Sets home. The local origin is fixed at the first GPS fix; requests to set it are answered with it."""
 
     takes = frozenset({common.MAVLINK_MSG_ID_SET_HOME_POSITION, common.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN})
 
@@ -22,12 +22,12 @@ class PlacesService(Listener):
         set_home: Callable[[float, float, float], Reason | None],
         global_origin: Callable[[], Message | None],
     ) -> None:
-        """``set_home`` takes degrees and metres above mean sea level."""
+        """``set_home`` takes latitude and longitude in degrees and metres above mean sea level."""
         self._set_home = set_home
         self._global_origin = global_origin
 
     def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:  # noqa: ARG002
-        """Take a place; a new home is told by the streams, as any is."""
+        """Handle a position; a new home is reported by the streams."""
         if message.get_msgId() == common.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN:
             origin = self._global_origin()
             return () if origin is None else reply(Partner(partner.link), origin)

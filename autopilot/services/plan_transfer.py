@@ -1,16 +1,16 @@
 """MAVLink's mission protocol: stations write, read and clear missions, fences and rally points.
 
-One plan is written at a time, all or nothing: the vehicle asks for item after item, and only when all are
-there and checked do they take the place of the old ones. Anybody may read at any time. Behaviour is PX4's
-(mavlink_mission.cpp), but where a link that loses, duplicates and reorders would make that fail:
+One plan is written at a time, atomically: the vehicle requests item after item, and replaces the old plan
+only when all items have arrived and passed the checks. Any station may read at any time. Behaviour is PX4's
+(mavlink_mission.cpp), except where that fails on a link that loses, duplicates and reorders messages:
 
-- Late copies of MISSION_COUNT and of items are ignored, which PX4 answers with an error.
-- A MAVSDK that hears a late copy of a request goes back to that item and ignores requests in front of it. So
-  the vehicle, when it asks in vain, asks from further back.
-- The last acknowledgement is said again while the station is silent: MAVSDK and QGroundControl only wait.
-- While simulated time stands no upload can time out. One whose station has said nothing between two tries of
-  another gives way to it, and one that its station begins again begins again.
-- Reading needs no turns. PX4 serves one at a time, items in their order.
+- Late copies of MISSION_COUNT and of items are ignored; PX4 answers them with an error.
+- On a late copy of a request, MAVSDK returns to that item and ignores requests for items beyond it. So after
+  unanswered requests the vehicle repeats from an earlier item.
+- The last acknowledgement is repeated while the station is silent: MAVSDK and QGroundControl only wait.
+- While simulated time is paused no upload can time out. An upload whose station was silent between two
+  attempts of another station is replaced by the other's, and a station may restart its own.
+- Concurrent reads are allowed, in any order of items. PX4 serves one reader at a time, items in order.
 """
 
 from collections.abc import Callable, Sequence
@@ -45,7 +45,7 @@ Make = Callable[[PlanType, Sequence[WireItem]], Made | Refused]
 
 
 class PlanTransfer:
-    """All plans of a vehicle towards all stations."""
+    """The plans of a vehicle, and the transfers with all stations."""
 
     def __init__(
         self,
@@ -56,11 +56,11 @@ class PlanTransfer:
         current: Callable[[], int] = lambda: 0,
         time_stands: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Write to ``store`` items, and what ``make`` makes of them if it does not refuse them.
+        """Store uploaded items, and the result of ``make`` for them unless it refuses them.
 
-        ``current`` tells where in its mission the vehicle is, ``system`` is the vehicle's own number: a
-        message to all vehicles is for none of them, as at PX4. ``time_stands`` tells whether messages come
-        between two steps.
+        ``current`` returns the index of the current mission item. ``system`` is the vehicle's system id;
+        messages to system 0 (broadcast) are ignored, as in PX4. ``time_stands`` returns whether simulated
+        time is paused, so that messages arrive between two steps.
         """
         self._store = store
         self._make = make
@@ -70,9 +70,9 @@ class PlanTransfer:
         self._upload: Upload | None = None
         self._finished: UploadFinished | None = None
         self._cleared: tuple[UploadStation, int, int] | None = None
-        """Who cleared a plan last, of which MAV_MISSION_TYPE, and when"""
+        """Station that last cleared a plan, the MAV_MISSION_TYPE, and the time"""
         self._readers: dict[tuple[UploadStation, PlanType], int] = {}
-        """Versions of the plans that stations have begun to read. Ordered: who began last is last."""
+        """Versions of the plans that stations have begun to read, in the order of the first request."""
         self._handlers = {
             common.MAVLINK_MSG_ID_MISSION_COUNT: self._on_count,
             common.MAVLINK_MSG_ID_MISSION_WRITE_PARTIAL_LIST: self._on_partial_write,
@@ -89,23 +89,23 @@ class PlanTransfer:
 
     @property
     def receiving(self) -> bool:
-        """A plan is being written."""
+        """Whether a plan is being written."""
         return self._upload is not None
 
     def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
-        """Go on with the conversation."""
+        """Handle a message of a transfer and return the answers."""
         if message.target_system != self._system:
             return ()
         station = UploadStation(partner, message.get_srcSystem(), message.get_srcComponent())
         finished, upload = self._finished, self._upload
-        if finished is not None and station == finished.station and not finished.is_meant_by(message):
-            finished.repeats_us = []  # it goes on, so it knows
+        if finished is not None and station == finished.station and not finished.is_late_item(message):
+            finished.repeats_us = []  # the station has gone on, so it has received the acknowledgement
         if upload is not None and station == upload.station:
             upload.refused = None
         return self._handlers[message.get_msgId()](message, now_us, station)
 
     def on_timer(self, now_us: int) -> Sequence[Addressed]:
-        """Ask again, give up, say again that a plan was taken or not."""
+        """Repeat requests and acknowledgements that are due, and end an upload that timed out."""
         messages: list[Addressed] = []
         finished, upload = self._finished, self._upload
         if finished is not None and finished.repeats_us and now_us >= finished.repeats_us[0]:
@@ -113,13 +113,13 @@ class PlanTransfer:
             messages += finished.answer
         if upload is not None and now_us - upload.heard_us >= TIMEOUT_US:
             self._upload = None
-            messages += _tell("Operation timeout")
+            messages += _broadcast_text("Operation timeout")
         elif upload is not None and now_us >= upload.retry_us:
-            messages += self._ask_again(upload, now_us)
+            messages += self._request_again(upload, now_us)
         return messages
 
     def next_deadline_us(self) -> int:
-        """When something is to be said again or given up."""
+        """Time of the next repetition or timeout."""
         deadline_us = NEVER_US
         if self._upload is not None:
             deadline_us = min(self._upload.retry_us, self._upload.heard_us + TIMEOUT_US)
@@ -130,11 +130,11 @@ class PlanTransfer:
     # ---- writing
 
     def _on_count(self, message: Message, now_us: int, station: UploadStation) -> Sequence[Addressed]:
-        """Begin to receive a whole plan; one of no items is there at once."""
+        """Begin to receive a whole plan; an empty one is complete at once."""
         kind, span = _plan_type(message.mission_type), range(message.count)
-        hindrance = self._hindrance(message, span, now_us, station)
-        if hindrance is not None:
-            return hindrance
+        rejection = self._rejection(message, span, now_us, station)
+        if rejection is not None:
+            return rejection
         self._upload = None
         if kind is None:
             return station.acknowledge(message.mission_type, common.MAV_MISSION_UNSUPPORTED)
@@ -146,11 +146,11 @@ class PlanTransfer:
         return self._begin(station, kind, span, before=None, now_us=now_us)
 
     def _on_partial_write(self, message: Message, now_us: int, station: UploadStation) -> Sequence[Addressed]:
-        """Begin to receive some items of a plan, or some that follow its last."""
+        """Begin to receive a range of a plan's items, which may extend past its end."""
         kind, span = _plan_type(message.mission_type), range(message.start_index, message.end_index + 1)
-        hindrance = self._hindrance(message, span, now_us, station)
-        if hindrance is not None:
-            return hindrance
+        rejection = self._rejection(message, span, now_us, station)
+        if rejection is not None:
+            return rejection
         self._upload = None
         if kind is None:
             return station.acknowledge(message.mission_type, common.MAV_MISSION_UNSUPPORTED)
@@ -161,10 +161,10 @@ class PlanTransfer:
             return station.acknowledge(kind, common.MAV_MISSION_NO_SPACE)
         return self._begin(station, kind, span, before=before, now_us=now_us)
 
-    def _hindrance(
+    def _rejection(
         self, message: Message, span: range, now_us: int, station: UploadStation
     ) -> Sequence[Addressed] | None:
-        """Answer, or nothing at all, to who must not begin now; None: it may."""
+        """Answer, possibly empty, to a station that must not begin an upload now; None if it may."""
         upload, finished = self._upload, self._finished
         if upload is None:
             return None
@@ -172,17 +172,17 @@ class PlanTransfer:
             return self._refusal(upload, message, station)
         if self._time_stands():
             return None
-        asked = (message.mission_type, span.start, span.stop - 1)
-        late = (upload.kind, upload.first, upload.last) == asked and bool(upload.items)
+        requested = (message.mission_type, span.start, span.stop - 1)
+        late = (upload.kind, upload.first, upload.last) == requested and bool(upload.items)
         late = late and now_us - upload.heard_us < STALE_US
         if finished is not None and finished.station == station and now_us - finished.ended_us < STALE_US:
-            late = late or (finished.kind, finished.first, finished.last) == asked
+            late = late or (finished.kind, finished.first, finished.last) == requested
         return () if late else None
 
     def _refusal(
         self, upload: Upload, message: Message, station: UploadStation
     ) -> Sequence[Addressed] | None:
-        """Answer to another station than the one that writes; None: that one has given up."""
+        """Answer to a station other than the uploading one; None if that upload counts as abandoned."""
         if self._time_stands() and upload.refused == station:
             return None
         upload.refused = station
@@ -205,15 +205,15 @@ class PlanTransfer:
             heard_us=now_us,
             stray=span.stop,
         )
-        return upload.ask(span.start)
+        return upload.request(span.start)
 
     def _on_item(self, message: Message, now_us: int, station: UploadStation) -> Sequence[Addressed]:
-        """Take the item that is missing, and ask for the next."""
+        """Store the requested item and request the next."""
         upload, seq = self._upload, message.seq
         if upload is None:
-            return self._on_unasked_item(message, now_us, station)
+            return self._on_unrequested_item(message, now_us, station)
         if station != upload.station or message.mission_type != upload.kind:
-            return ()  # too late, or from somebody who has been refused
+            return ()  # late, or from a station that was refused
         upload.heard_us = now_us
         upload.in_integers = message.get_msgId() == common.MAVLINK_MSG_ID_MISSION_ITEM_INT
         if seq not in {upload.missing, upload.asked}:
@@ -223,24 +223,26 @@ class PlanTransfer:
             upload.items.append(decode_item(message))
             upload.start = seq if message.current else upload.start
         if not upload.retries:
-            upload.learn_round(now_us - upload.asked_us)
+            upload.measure_round(now_us - upload.asked_us)
         upload.retries = 0
         upload.asked_us, upload.retry_us = now_us, now_us + upload.patience_us
-        return upload.ask(seq + 1) if seq < upload.last else self._complete(upload, now_us)
+        return upload.request(seq + 1) if seq < upload.last else self._complete(upload, now_us)
 
-    def _on_unasked_item(self, message: Message, now_us: int, station: UploadStation) -> Sequence[Addressed]:
-        """Answer as PX4 does, but not to late copies: who knows the end already would not know why."""
+    def _on_unrequested_item(
+        self, message: Message, now_us: int, station: UploadStation
+    ) -> Sequence[Addressed]:
+        """Answer as PX4 does, except to late copies: a station that has the result expects no error."""
         finished = self._finished
         if finished is None or station != finished.station:
             return station.acknowledge(message.mission_type, _ERROR)
         if finished.repeats_us or now_us - finished.ended_us < STALE_US:
             return ()
-        if message.seq == finished.last and finished.is_meant_by(message):
+        if message.seq == finished.last and finished.is_late_item(message):
             return finished.answer
         return station.acknowledge(message.mission_type, _ERROR)
 
-    def _ask_again(self, upload: Upload, now_us: int) -> Sequence[Addressed]:
-        """Ask for what is missing, or for what leads the station there if it seems to have gone back."""
+    def _request_again(self, upload: Upload, now_us: int) -> Sequence[Addressed]:
+        """Request the missing item, or an earlier one if the station appears to have returned to it."""
         upload.retries += 1
         upload.retry_us = now_us + upload.patience_us
         seq = upload.asked
@@ -249,12 +251,12 @@ class PlanTransfer:
             seq, upload.stray = upload.stray + 1, upload.last
         elif upload.retries > PATIENT_RETRIES and upload.retries % 2:
             seq = max(upload.first, seq - 1)
-            if not upload.items:  # an old station knows one kind of request only
+            if not upload.items:  # an old station supports one kind of request only
                 upload.in_integers = not upload.in_integers
-        return upload.ask(seq)
+        return upload.request(seq)
 
     def _complete(self, upload: Upload, now_us: int) -> Sequence[Addressed]:
-        """Check all items as one plan and take it, or leave the old one."""
+        """Check all items as one plan, then store it or keep the old one."""
         self._upload = None
         station, kind, before = upload.station, upload.kind, upload.before
         items = upload.items
@@ -262,7 +264,7 @@ class PlanTransfer:
             items = [*before.items[: upload.first], *items, *before.items[upload.last + 1 :]]
         made = self._make(kind, items)
         if isinstance(made, Refused):
-            answer, text = station.acknowledge(kind, made.result), _tell(made.text)
+            answer, text = station.acknowledge(kind, made.result), _broadcast_text(made.text)
         else:
             self._store.put(kind, items, start=upload.start, made=made)
             answer, text = station.acknowledge(kind, _ACCEPTED, self._store[kind].opaque_id), []
@@ -281,10 +283,10 @@ class PlanTransfer:
             repeats_us=[now_us + after_us for after_us in REPEAT_US] if answer else [],
         )
 
-    # ---- reading: needs no turns, for who reads asks for what it lacks
+    # ---- reading: stateless apart from plan versions, since the reader requests each item
 
     def _on_list(self, message: Message, now_us: int, station: UploadStation) -> Sequence[Addressed]:  # noqa: ARG002
-        """Tell how many items there are."""
+        """Report the number of items."""
         kind = _plan_type(message.mission_type)
         if kind is None:  # as PX4: a plan that is empty
             count, opaque_id = 0, 0
@@ -300,7 +302,7 @@ class PlanTransfer:
         )
 
     def _on_partial_list(self, message: Message, now_us: int, station: UploadStation) -> Sequence[Addressed]:
-        """Answer as to a whole list: items keep their numbers, the station asks for those it wants."""
+        """Answer as to a whole list: items keep their numbers, and the station requests those it needs."""
         kind = _plan_type(message.mission_type)
         count = 0 if kind is None else len(self._store[kind].items)
         last = count - 1 if message.end_index == -1 else message.end_index
@@ -309,10 +311,10 @@ class PlanTransfer:
         return self._on_list(message, now_us, station)
 
     def _on_request(self, message: Message, now_us: int, station: UploadStation) -> Sequence[Addressed]:  # noqa: ARG002
-        """Give an item, in the kind of message that it is asked for in.
+        """Send an item, in the kind of message that was requested.
 
-        In whatever order, where PX4 wants them asked for from the first to the last. Who reads a plan that
-        has become another meanwhile is told to begin again.
+        Any order is accepted; PX4 requires ascending order. A reader whose plan was replaced meanwhile
+        receives an error, upon which it starts again.
         """
         kind, seq = _plan_type(message.mission_type), message.seq
         if kind is None:
@@ -320,7 +322,7 @@ class PlanTransfer:
         version = self._readers.get((station, kind))
         in_range = seq < len(self._store[kind].items)
         if version is None and not in_range:
-            return ()  # as PX4: there are stations that ask without an end
+            return ()  # as PX4: some stations never stop requesting
         if not in_range or version not in {None, self._store.version[kind]}:
             return station.acknowledge(kind, _ERROR)
         item = encode_item(
@@ -336,7 +338,7 @@ class PlanTransfer:
     # ---- both
 
     def _on_ack(self, message: Message, now_us: int, station: UploadStation) -> Sequence[Addressed]:
-        """End a reading; while writing, end it too or ask in the other kind of message."""
+        """End a read. During an upload: end it if cancelled, or switch to the other kind of request."""
         kind, upload = _plan_type(message.mission_type), self._upload
         if kind is not None:
             self._readers.pop((station, kind), None)
@@ -347,11 +349,11 @@ class PlanTransfer:
             self._finish(upload, (), now_us)
         elif message.type == common.MAV_MISSION_UNSUPPORTED:
             upload.in_integers = not upload.in_integers
-            return upload.ask(upload.asked)
+            return upload.request(upload.asked)
         return ()
 
     def _on_clear(self, message: Message, now_us: int, station: UploadStation) -> Sequence[Addressed]:
-        """Empty a plan, or all; but a late copy does not end what its station writes meanwhile."""
+        """Clear one plan or all; a late copy does not abort the upload that its station has begun since."""
         upload = self._upload
         if upload is not None and station != upload.station:
             refusal = self._refusal(upload, message, station)
@@ -374,7 +376,7 @@ def _plan_type(number: int) -> PlanType | None:
     return PlanType(number) if number in _PLAN_TYPES else None
 
 
-def _tell(text: str) -> list[Addressed]:
+def _broadcast_text(text: str) -> list[Addressed]:
     return reply(ALL, status_text(common.MAV_SEVERITY_CRITICAL, text))
 
 

@@ -1,4 +1,4 @@
-"""Items of plans in MAVLink's two messages: MISSION_ITEM_INT, and MISSION_ITEM of old stations."""
+"""Conversion of plan items to and from MISSION_ITEM_INT, and MISSION_ITEM of old stations."""
 
 import math
 
@@ -19,17 +19,17 @@ _GLOBAL_FRAMES = frozenset(
         common.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT,
     }
 )
-"""Frames in which MISSION_ITEM has degrees where MISSION_ITEM_INT has 1e-7 degrees."""
+"""Frames in which MISSION_ITEM uses degrees and MISSION_ITEM_INT 1e-7 degrees."""
 _FRAME_OF_FLOATS = {
     common.MAV_FRAME_GLOBAL_INT: common.MAV_FRAME_GLOBAL,
     common.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT: common.MAV_FRAME_GLOBAL_RELATIVE_ALT,
     common.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT: common.MAV_FRAME_GLOBAL_TERRAIN_ALT,
 }
-"""Frames of the same meaning that a message with floats may have."""
+"""Equivalent frames that a message with floats may use."""
 
 
 def decode_item(message: Message) -> WireItem:
-    """Read MISSION_ITEM_INT or MISSION_ITEM; whatever is in it, it becomes an item."""
+    """Decode MISSION_ITEM_INT or MISSION_ITEM; any content gives an item."""
     x, y = message.x, message.y
     if message.get_msgId() == common.MAVLINK_MSG_ID_MISSION_ITEM:
         per_unit = _DEGREES_E7 if message.frame in _GLOBAL_FRAMES else 1.0
@@ -48,7 +48,7 @@ def decode_item(message: Message) -> WireItem:
 def encode_item(
     item: WireItem, *, kind: PlanType, seq: int, current: bool, target: tuple[int, int], in_integers: bool
 ) -> Message:
-    """Write an item for ``target`` (system, component) as MISSION_ITEM_INT, or as MISSION_ITEM."""
+    """Encode an item for ``target`` (system, component) as MISSION_ITEM_INT, or as MISSION_ITEM."""
     values = (item.command, int(current), item.autocontinue, *item.params)
     if in_integers:
         return common.MAVLink_mission_item_int_message(
@@ -61,7 +61,7 @@ def encode_item(
 
 
 def _to_integer(value: float) -> int:
-    """Round; not-a-number is NOT_GIVEN, and what is too large stays so large that no frame has it."""
+    """Round to an int32; NaN becomes NOT_GIVEN, and values out of range stay invalid in every frame."""
     if math.isnan(value):
         return NOT_GIVEN
     return round(max(-_INT32_MAX, min(value, _INT32_MAX - 1)))

@@ -1,4 +1,4 @@
-"""All services of a vehicle as one: who takes a message, and when the next of them has something to do."""
+"""All services of a vehicle behind one interface: dispatch of messages and the earliest deadline."""
 
 from collections.abc import Sequence
 
@@ -7,7 +7,7 @@ from autopilot.services.service import Addressed, Partner, Service
 
 
 class Services:
-    """Services, each in the vehicle once; a message goes to those that take its kind, in their order."""
+    """A vehicle's services. A message is passed to all that handle its id, in the order given."""
 
     def __init__(self, services: Sequence[Service]) -> None:
         self._services = tuple(services)
@@ -16,10 +16,10 @@ class Services:
             for kind in service.takes:
                 self._of_kind.setdefault(kind, []).append(service)
         self.deadline_us = 0
-        """When `on_timer` next has something to do."""
+        """Time of the next `on_timer` that has work, in us."""
 
     def on_message(self, message: Message, now_us: int, partner: Partner) -> list[Addressed]:
-        """Answers to a message that is meant for the autopilot."""
+        """Answers to a message that is addressed to the autopilot."""
         answers: list[Addressed] = []
         for service in self._of_kind.get(message.get_msgId(), ()):
             answers += service.on_message(message, now_us, partner)
@@ -27,7 +27,7 @@ class Services:
         return answers
 
     def on_timer(self, now_us: int) -> list[Addressed]:
-        """Whatever is due."""
+        """Messages of all services whose deadline has passed."""
         messages: list[Addressed] = []
         for service in self._services:
             if now_us >= service.next_deadline_us():
@@ -36,5 +36,5 @@ class Services:
         return messages
 
     def look_again(self) -> None:
-        """Ask the services anew when they are due, after something other than a message changed one."""
+        """Recompute the deadline after a service was changed by something other than a message."""
         self.deadline_us = min(service.next_deadline_us() for service in self._services)

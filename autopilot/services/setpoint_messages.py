@@ -1,8 +1,8 @@
-"""What SET_POSITION_TARGET_LOCAL_NED, SET_POSITION_TARGET_GLOBAL_INT and SET_ATTITUDE_TARGET ask for. Pure.
+"""Decoding of SET_POSITION_TARGET_LOCAL_NED, SET_POSITION_TARGET_GLOBAL_INT and SET_ATTITUDE_TARGET. Pure.
 
-PX4's meaning of masks and frames, and of the offset frames MAVLink's: their positions are from where the
-vehicle is when the message comes. Whatever the frame, a yaw is a heading from north. What asks for nothing
-that can be flown, or has numbers that are none, is no setpoint.
+Masks and frames are interpreted as in PX4, offset frames as in MAVLink: positions are relative to the
+vehicle's position when the message arrives. Yaw is a heading from north in every frame. A message that
+requests nothing that can be flown, or contains invalid numbers, is no setpoint.
 """
 
 import math
@@ -50,22 +50,22 @@ _THRUST_BODY = 32
 _THRUST_IGNORED = common.ATTITUDE_TARGET_TYPEMASK_THROTTLE_IGNORE
 _ATTITUDE_IGNORED = common.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE
 _GREATEST = 1e9
-"""Metres, and so on: what is beyond means nothing, and would leave the range of telemetry's numbers."""
+"""Largest magnitude of any value, in its unit; larger ones would exceed the range of telemetry's fields."""
 _NORM_ERROR_MAX = 0.1
-"""Of a quaternion, which is then made one: further off it means something else, or nothing"""
+"""Largest error of a quaternion's norm, which is then normalised; beyond it the message is invalid"""
 
 _Axes = tuple[bool, bool, bool]
 _Group = tuple[Vector | None, _Axes]
-"""Vector, 0 on axes that are left out, and the axes that count."""
+"""Vector, 0 on unused axes, and the axes that are used."""
 _Motion = tuple[Vector, Vector, float, float]
-"""Velocity, acceleration, yaw, yaw rate as a message has them, whatever its mask says of them."""
+"""Velocity, acceleration, yaw and yaw rate of a message, regardless of its mask."""
 _AXES: tuple[_Axes, ...] = tuple((not bits & 1, not bits & 2, not bits & 4) for bits in range(8))
-"""By the three bits that leave axes out."""
+"""Used axes by the three ignore bits."""
 _ALL_AXES, _NO_AXES = _AXES[0], _AXES[7]
 
 
 def decode(message: Message, flight: FlightData) -> Setpoint | None:
-    """Setpoint of one of `SETPOINT_MESSAGES`; None for one that cannot be flown."""
+    """Setpoint of one of `SETPOINT_MESSAGES`; None if it cannot be flown."""
     if isinstance(message, PositionTarget):
         return _local_target(message, flight.state)
     kind = message.get_msgId()
@@ -86,7 +86,7 @@ def decode(message: Message, flight: FlightData) -> Setpoint | None:
 
 
 def _local_target(target: PositionTarget, state: EstimatorState) -> TrajectorySetpoint | None:
-    # as a whole: each field by its name is an object of its own to be fetched
+    # unpacked as a whole: access to each field by name is slower
     _, _, _, frame, mask, x, y, z, vx, vy, vz, afx, afy, afz, yaw, yaw_rate = target
     given = _group(mask, (x, y, z))
     pos = given if frame == _LOCAL_NED else _position(frame, given, state)
@@ -125,17 +125,17 @@ def _trajectory(
 
 
 def _position(frame: int, group: _Group, state: EstimatorState) -> _Group | None:
-    """Position from the estimator's origin of one in another local frame than LOCAL_NED.
+    """Convert a position in a local frame other than LOCAL_NED to one from the estimator's origin.
 
-    None for one that cannot be, or a frame that is not known.
+    None if the frame is unknown or the estimate that it requires is not valid.
     """
     if frame not in _BY_HEADING | _FROM_HERE or (frame in _BY_HEADING and not state.attitude_valid):
         return None
     pos, axes = group
     if pos is None:
         return group
-    if frame == common.MAV_FRAME_BODY_NED or not _knows(state, axes):
-        return None  # PX4 has no positions ahead of the vehicle in BODY_NED
+    if frame == common.MAV_FRAME_BODY_NED or not _is_located(state, axes):
+        return None  # PX4 does not support positions in BODY_NED
     if frame == common.MAV_FRAME_BODY_OFFSET_NED:
         if not _turns(group):
             return None
@@ -145,19 +145,19 @@ def _position(frame: int, group: _Group, state: EstimatorState) -> _Group | None
 
 
 def _global_position(message: Message, flight: FlightData) -> _Group | None:
-    """Position from the estimator's origin of degrees and an altitude above the sea or above home."""
+    """Convert degrees and an altitude above sea level or home to a position from the estimator's origin."""
     frame, state, home = message.coordinate_frame, flight.state, flight.home
     if frame not in _ABOVE_SEA | _ABOVE_HOME:
         return None
     lat_deg, lon_deg = message.lat_int * 1e-7, message.lon_int * 1e-7
     group = _group(message.type_mask, (lat_deg, lon_deg, message.alt))
-    wanted, axes = group
-    if wanted is None:
+    target, axes = group
+    if target is None:
         return group
     if axes[0] is not axes[1] or not state.position_valid:
-        return None  # a circle of latitude is no place, and degrees mean nothing without an origin
+        return None  # one of the two is no position, and both require an origin
     if axes[0] and not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0):
-        return None  # INT32_MAX is MAVLink's mark of nothing
+        return None  # INT32_MAX is MAVLink's mark of a coordinate that is not given
     north_m = east_m = down_m = 0.0
     if axes[0]:
         north_m, east_m = horizontal_ned_m(lat_deg, lon_deg, state).tolist()
@@ -170,7 +170,7 @@ def _global_position(message: Message, flight: FlightData) -> _Group | None:
 
 
 def horizontal_ned_m(lat_deg: float, lon_deg: float, state: EstimatorState) -> Array:
-    """(2,) north and east of the estimator's origin, in its plane."""
+    """(2,) north and east of the estimator's origin in metres, in its tangent plane."""
     ned_m = geodetic_to_ned(
         lat_deg,
         lon_deg,
@@ -183,7 +183,7 @@ def horizontal_ned_m(lat_deg: float, lon_deg: float, state: EstimatorState) -> A
 
 
 def _group(ignore_bits: int, values: Vector) -> _Group:
-    """Take of a group's values those that the lowest three bits do not leave out."""
+    """Select the values of a group by the lowest three ignore bits."""
     axes = _AXES[ignore_bits & 7]
     if axes is _ALL_AXES:
         return values, axes
@@ -194,18 +194,18 @@ def _group(ignore_bits: int, values: Vector) -> _Group:
 
 
 def _are_sane(numbers: Sequence[float]) -> bool:
-    for number in numbers:  # noqa: SIM110 - a generator takes as long as all the rest
-        if not -_GREATEST <= number <= _GREATEST:  # NaN is not
+    for number in numbers:  # noqa: SIM110 - a generator expression would double the time
+        if not -_GREATEST <= number <= _GREATEST:  # also refuses NaN
             return False
     return True
 
 
 def _turns(group: _Group) -> bool:
-    """Whether it may be turned by a heading: one of forward and right alone is no axis of NED."""
+    """Whether it can be rotated by a heading: forward or right alone is not an axis of NED."""
     return group[1][0] is group[1][1]
 
 
-def _knows(state: EstimatorState, axes: tuple[bool, bool, bool]) -> bool:
+def _is_located(state: EstimatorState, axes: tuple[bool, bool, bool]) -> bool:
     return (state.position_valid or not (axes[0] or axes[1])) and (state.height_valid or not axes[2])
 
 
@@ -214,7 +214,7 @@ def _by_heading(group: _Group, state: EstimatorState) -> _Group:
 
 
 def _to_ned(vector: Vector, state: EstimatorState) -> Vector:
-    """Forward, right, down by the heading into NED."""
+    """Rotate forward, right, down by the heading into NED."""
     yaw_rad = quat_to_euler(state.q_ned_frd)[2]
     cos_yaw, sin_yaw = math.cos(yaw_rad), math.sin(yaw_rad)
     x, y, z = vector
@@ -225,10 +225,10 @@ def _to_ned(vector: Vector, state: EstimatorState) -> Vector:
 
 
 def _attitude(message: Message) -> AttitudeSetpoint | RateSetpoint | None:
-    """Attitude, with the yaw rate on top, or else body rates, as the mask says; thrust is never left out.
+    """Attitude with a yaw rate, or body rates, depending on the mask; thrust is required.
 
-    Of a thrust vector the part along -z counts, for rotors push no other way. A yaw rate that is left out is
-    none. Given both, PX4's attitude controller decides on roll and pitch.
+    Of a thrust vector only the component along -z is used, the only one that rotors produce. A yaw rate that
+    is left out is 0. If attitude and body rates are given, roll and pitch rates are ignored, as in PX4.
     """
     mask = message.type_mask
     thrust = -message.thrust_body[2] if mask & _THRUST_BODY else message.thrust
@@ -241,7 +241,7 @@ def _attitude(message: Message) -> AttitudeSetpoint | RateSetpoint | None:
     if not mask & _ATTITUDE_IGNORED:
         q_ned_frd = np.array(message.q, float)
         norm = math.sqrt(q_ned_frd @ q_ned_frd)
-        if not abs(norm - 1.0) <= _NORM_ERROR_MAX:  # NaN is refused, too
+        if not abs(norm - 1.0) <= _NORM_ERROR_MAX:  # also refuses NaN
             return None
         return AttitudeSetpoint(q_ned_frd=q_ned_frd / norm, yaw_rate_rad_s=yaw_rate_rad_s, thrust=thrust)
     rate_frd_rad_s = np.array((message.body_roll_rate, message.body_pitch_rate, yaw_rate_rad_s))

@@ -1,9 +1,9 @@
-"""A link's budget of bytes a second: what goes out at once, what waits, and what is left out.
+"""Bandwidth limit of a link: which messages are sent at once, which wait, and which are dropped.
 
-A token bucket per link, in simulated time. Answers go out always, and what they take is missing afterwards.
-Of what is left, transfers that somebody waits for (a parameter list, a file, a log) get three parts of four
-while there are any; streams get the rest. A stream's message that must wait is replaced by the next of its
-kind and keeps its place, so that slow streams are not crowded out by fast ones: each gets its turn.
+One token bucket per link, in simulated time. Answers are always sent, and their bytes are charged. Of the
+rest, transfers (parameter lists, files, logs) get three quarters while there are any, and streams get the
+remainder. A waiting message of a stream is replaced by the next of its kind and keeps its position, so slow
+streams are not starved by fast ones.
 """
 
 from collections import deque
@@ -21,49 +21,49 @@ FILES = frozenset(
         common.MAVLINK_MSG_ID_LOG_DATA,
     }
 )
-"""Parts of transfers whether they were asked for one by one or not."""
+"""Part of a transfer, whether sent as an answer or by a timer."""
 LISTS = frozenset({common.MAVLINK_MSG_ID_PARAM_VALUE, common.MAVLINK_MSG_ID_PARAM_EXT_VALUE})
-"""Parts of transfers if they come by themselves."""
+"""Part of a transfer only if sent by a timer."""
 TRANSFER_SHARE = 3
-"""Bytes of transfers for each byte of streams, while there are both."""
+"""Bytes of transfers per byte of streams, while there are both."""
 BURST_US = 100_000
-"""What a link may send at once after a silence: its budget of so much time."""
+"""Largest burst after a silence, as time at the full rate."""
 MOST_DEBT_US = 1_000_000
-"""Answers are not owed for longer than this."""
+"""Largest debt due to answers, as time at the full rate."""
 MAX_WAITING = 64
-"""Messages of transfers; what comes then is lost, and is asked for again. Services that ask `has_room` before
-they send more never come so far."""
+"""Waiting messages of transfers; further ones are dropped, and must be requested again. Services that check
+`has_room` before they send do not reach this limit."""
 _HEARTBEAT = common.MAVLINK_MSG_ID_HEARTBEAT
 _US_PER_S = 1_000_000
 
 Room = Callable[[Partner], bool]
-"""Whether a partner's link has room for more of what takes long."""
+"""Whether a partner's link has room for more messages of transfers."""
 
 
 def always(_partner: Partner) -> bool:
-    """On a link without a limit."""
+    """Return True, as on a link without a limit."""
     return True
 
 
 class Shaper:
-    """One link's budget. Every message counts in full, whomever on the link it is for."""
+    """One link's budget. Every message is charged in full, whichever partner on the link it is for."""
 
     def __init__(self, bandwidth_bytes_s: int, *, overhead_bytes: int = 0) -> None:
-        """``overhead_bytes`` is what each frame takes beside itself: a signature."""
+        """``overhead_bytes`` are added to each frame: the signature."""
         self._bandwidth_bytes_s = bandwidth_bytes_s
         self._overhead_bytes = overhead_bytes
         self._tokens = 0
-        """Bytes times us per second, that may be sent now; below zero they were sent already."""
+        """Bytes times us per second that may be sent now; negative: a debt."""
         self._earned_us: int | None = None
         self._transfers: deque[tuple[Addressed, int]] = deque()
-        """Each with its bytes."""
+        """Waiting messages with their bytes."""
         self._transfer_bytes = 0
         self._streams: dict[int, Addressed] = {}
-        """By kind, in the order of their turns."""
+        """Waiting messages by message id, in the order in which they will be sent."""
         self._lead_bytes = 0
-        """How far transfers are ahead of their share."""
+        """Bytes that transfers are ahead of their share."""
         self.limited = 0
-        """Messages that were left out."""
+        """Count of dropped messages."""
 
     def shape(
         self,
@@ -73,7 +73,7 @@ class Shaper:
         transfers: Iterable[Addressed] = (),
         streams: Iterable[Addressed] = (),
     ) -> list[Addressed]:
-        """Give what goes out now: all answers, and what the budget has room for of all that waits."""
+        """Return the messages to send now: all answers, and as many waiting ones as the budget permits."""
         self._earn(now_us)
         out = list(answers)
         for addressed in streams:
@@ -93,7 +93,7 @@ class Shaper:
         return out
 
     def has_room(self) -> bool:
-        """Whether one more message of a transfer would go out soon; who can wait for that loses nothing."""
+        """Whether one more message of a transfer would be sent soon; callers should wait if not."""
         return self._transfer_bytes * _US_PER_S <= self._bandwidth_bytes_s * BURST_US
 
     def _earn(self, now_us: int) -> None:
@@ -114,7 +114,7 @@ class Shaper:
         self._transfer_bytes += count
 
     def _next(self) -> Addressed:
-        """Take the next message by the shares, and pay for it."""
+        """Remove the next message according to the shares, and charge its bytes."""
         if not (self._transfers and self._streams):
             self._lead_bytes = 0
         if self._transfers and (self._lead_bytes <= 0 or not self._streams):
@@ -133,7 +133,7 @@ class Shaper:
 
 
 class Shapers:
-    """The budgets of a vehicle's links; without a limit there are none, and nothing is looked at."""
+    """The budgets of a vehicle's links; empty, and without any cost, if there is no limit."""
 
     def __init__(self, links: Sequence[int], bandwidth_bytes_s: int, *, overhead_bytes: int = 0) -> None:
         self._shapers = (
@@ -154,7 +154,7 @@ class Shapers:
         timed: Sequence[Addressed],
         streamed: Sequence[Addressed],
     ) -> list[Addressed]:
-        """Give what goes out of a step's answers, of what services sent by themselves, and of streams."""
+        """Return what to send of a step's answers, messages sent by timers, and streams."""
         out: list[Addressed] = []
         for link, shaper in self._shapers.items():
             answers: list[Addressed] = []
@@ -169,11 +169,11 @@ class Shapers:
         return out
 
     def has_room(self, partner: Partner) -> bool:
-        """Whether one more message of a transfer to this partner would go out soon."""
+        """Whether one more message of a transfer to this partner would be sent soon."""
         shaper = self._shapers.get(partner.link)
         return shaper is None or shaper.has_room()
 
     def limited(self, link: int) -> int:
-        """Messages of a link that were left out."""
+        """Count of a link's dropped messages."""
         shaper = self._shapers.get(link)
         return 0 if shaper is None else shaper.limited

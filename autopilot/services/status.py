@@ -1,4 +1,4 @@
-"""STATUSTEXT and HEARTBEAT: what the vehicle says of itself in words and in one number."""
+"""STATUSTEXT and HEARTBEAT: the vehicle's status as text and as flags, and its landed state."""
 
 from collections.abc import Sequence
 
@@ -10,24 +10,24 @@ from autopilot.mavlink.codec import Message
 from foundation.types import Course
 
 TEXT_BYTES = 50
-"""That a STATUSTEXT has room for."""
+"""Capacity of a STATUSTEXT."""
 _CHUNKS_MAX = 255
 """``chunk_seq`` is a byte."""
 
 
 def status_text(severity: int, text: str) -> Message:
-    """STATUSTEXT of any length; what is longer than the message is sent in `Chunks`."""
+    """STATUSTEXT of any length; `Chunks` splits one that exceeds TEXT_BYTES."""
     return common.MAVLink_statustext_message(severity, text.encode("ascii", "replace"))
 
 
 class Chunks:
-    """Cuts texts into messages that fit; those of one text share an id."""
+    """Splits texts into messages that fit; those of one text share an id."""
 
     def __init__(self) -> None:
         self._id = 0
 
     def split(self, message: Message) -> Sequence[Message]:
-        """Give a message as it is, or a long STATUSTEXT in pieces, of which the last is not full."""
+        """Return a message unchanged, or a long STATUSTEXT in chunks, the last of which is not full."""
         if message.get_msgId() != common.MAVLINK_MSG_ID_STATUSTEXT or len(message.text) <= TEXT_BYTES:
             return (message,)
         self._id = self._id % 0xFFFF + 1
@@ -44,7 +44,7 @@ class Chunks:
 
 
 def heartbeat(commander: Commander, conditions: int) -> Message:
-    """HEARTBEAT of the autopilot, as a PX4 multicopter's."""
+    """HEARTBEAT of a PX4 multicopter."""
     if commander.armed:
         system_status = common.MAV_STATE_CRITICAL if commander.failsafe else common.MAV_STATE_ACTIVE
     else:
@@ -61,7 +61,7 @@ def heartbeat(commander: Commander, conditions: int) -> Message:
 
 
 def landed_state(course: Course, *, landed: bool) -> int:
-    """MAV_LANDED_STATE: ground, take-off, air, landing; those of missions and returns count, as in PX4."""
+    """MAV_LANDED_STATE: ground, take-off, air, landing; also those within missions and returns, as in PX4."""
     return common.MAV_LANDED_STATE_ON_GROUND if landed else _LANDED_STATE_OF_COURSE[course]
 
 

@@ -1,6 +1,6 @@
-"""Which message goes to a link how often: PX4's default rates, changed by SET_MESSAGE_INTERVAL.
+"""Message rates of each link: PX4's defaults, changed by SET_MESSAGE_INTERVAL.
 
-A stream is a table row. The messages are formed by `telemetry`, only when due, and only if somebody listens.
+A stream is a row of a table. Messages are built by `telemetry`, only when due and only with a listener.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -13,12 +13,12 @@ from autopilot.mavlink.dialect import CurrentMode
 from autopilot.services.service import NEVER_US
 
 Builder = Callable[[], Message | None]
-"""Forms a message of the present values; None while there is nothing to say."""
+"""Builds a message from the current values; None while there are none."""
 
 _HEARTBEAT = common.MAVLINK_MSG_ID_HEARTBEAT
 SECOND_US = 1_000_000
 STEP_US = 4_000
-"""Of the vehicle: nothing is sent more often."""
+"""The vehicle's step, which is the shortest interval."""
 
 GROUND_STATION_HZ: dict[int, float] = {
     _HEARTBEAT: 1.0,
@@ -44,7 +44,7 @@ GROUND_STATION_HZ: dict[int, float] = {
     common.MAVLINK_MSG_ID_PING: 0.1,
     common.MAVLINK_MSG_ID_VIBRATION: 0.1,
 }
-"""As PX4 v1.17 streams to 14550."""
+"""PX4 v1.17's rates to port 14550."""
 
 COMPANION_HZ: dict[int, float] = {
     _HEARTBEAT: 1.0,
@@ -71,24 +71,24 @@ COMPANION_HZ: dict[int, float] = {
     common.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
     CurrentMode.id: 0.5,
 }
-"""As PX4 v1.17 streams to 14540."""
+"""PX4 v1.17's rates to port 14540."""
 
 APPLICATION_HZ: dict[int, float] = {
     common.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 25.0,
     common.MAVLINK_MSG_ID_GPS_RAW_INT: COMPANION_HZ[common.MAVLINK_MSG_ID_GPS_RAW_INT],
     common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: COMPANION_HZ[common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN],
 }
-"""What the on-board application in this process listens to beside the heartbeat: its position as often as it
-gives setpoints, the rest as often as a companion."""
+"""Rates to the on-board application in this process besides the heartbeat: the position at the rate of its
+setpoints, the rest at a companion's rates."""
 
 APPLICATION_WITH_ATTITUDE_HZ = {
     **APPLICATION_HZ,
     common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: COMPANION_HZ[common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION],
 }
-"""With what it needs to learn the wind."""
+"""The same and the attitude, from which the application estimates the wind."""
 
 ON_NEW_DATA = frozenset({common.MAVLINK_MSG_ID_GPS_RAW_INT})
-"""Sent when there is something new, at most at the stream's rate."""
+"""Sent only with new data, at most at the stream's rate."""
 
 
 @dataclass(slots=True)
@@ -99,9 +99,9 @@ class _Stream:
 
 
 class MessageStreams:
-    """The periodic messages of one link. While nobody listens only the heartbeat is formed.
+    """The periodic messages of one link. Without a listener only the heartbeat is built.
 
-    Who forms a message is looked up when it is due, so ``builders`` may become more after this was made.
+    A builder is looked up when its message is due, so ``builders`` may be extended after construction.
     """
 
     def __init__(self, builders: Mapping[int, Builder], rates_hz: Mapping[int, float]) -> None:
@@ -115,11 +115,11 @@ class MessageStreams:
             for message_id, interval_us in self._default_us.items()
         }
         self.deadline_us = 0
-        """When the next stream is due."""
+        """Time of the next stream that is due."""
 
     @property
     def active(self) -> bool:
-        """Somebody listens."""
+        """Whether there is a listener."""
         return self._active
 
     @active.setter
@@ -129,7 +129,7 @@ class MessageStreams:
             self.deadline_us = 0
 
     def on_timer(self, now_us: int) -> Sequence[Message]:
-        """Messages that are due."""
+        """Build the messages that are due."""
         if now_us < self.deadline_us:
             return ()
         streams = self._streams
@@ -143,7 +143,7 @@ class MessageStreams:
             due_us = stream.due_us
             if now_us >= due_us:
                 due_us += stream.interval_us
-                if due_us <= now_us:  # the grid has fallen behind
+                if due_us <= now_us:  # the schedule has fallen behind
                     due_us = now_us + stream.interval_us
                 stream.due_us = due_us
                 stream.has_new_data = message_id not in ON_NEW_DATA
@@ -157,41 +157,41 @@ class MessageStreams:
         return messages
 
     def on_new_data(self, message_id: int) -> None:
-        """Note that a message of `ON_NEW_DATA` has something new to say."""
+        """Mark a message of `ON_NEW_DATA` as having new data."""
         stream = self._streams.get(message_id)
         if stream is not None and not stream.has_new_data:
             stream.has_new_data = True
             self.deadline_us = min(self.deadline_us, stream.due_us)
 
-    def knows(self, message_id: int) -> bool:
-        """Whether the message can be formed at all."""
+    def is_supported(self, message_id: int) -> bool:
+        """Whether there is a builder for the message."""
         return message_id in self._builders
 
     def form(self, message_id: int) -> Message | None:
-        """Form a message; None while there is nothing to say."""
+        """Build a message; None while there is no data."""
         build = self._builders.get(message_id)
         return None if build is None else build()
 
     def hasten(self, message_id: int, now_us: int) -> None:
-        """Have a stream's message sent with the next step, for what it says has changed."""
+        """Send a stream's message with the next step, because its content has changed."""
         stream = self._streams.get(message_id)
         if stream is not None and self._active:
             stream.due_us = now_us
             self.deadline_us = min(self.deadline_us, now_us)
 
     def interval_us(self, message_id: int) -> int:
-        """Give what MESSAGE_INTERVAL says of a message: -1 if it is not sent, 0 if it does not exist here."""
-        if not self.knows(message_id):
+        """Interval as in MESSAGE_INTERVAL: -1 if the message is not sent, 0 if it is not supported."""
+        if not self.is_supported(message_id):
             return 0
         stream = self._streams.get(message_id)
         return -1 if stream is None else stream.interval_us
 
     def set_interval(self, message_id: int, interval_us: int, now_us: int) -> bool:
-        """Do as MAV_CMD_SET_MESSAGE_INTERVAL says: -1 stops, 0 is the default. False: unknown message.
+        """Execute MAV_CMD_SET_MESSAGE_INTERVAL: -1 stops, 0 restores the default. False: unknown message.
 
-        An interval is a step at least, and the heartbeat's a second at most.
+        Intervals are at least one step; the heartbeat's is at most one second.
         """
-        if not self.knows(message_id):
+        if not self.is_supported(message_id):
             return False
         if interval_us == 0:
             interval_us = self._default_us.get(message_id, -1)

@@ -1,4 +1,4 @@
-"""Forms the messages that the vehicle streams or is asked for, each from its present values."""
+"""Builders of the messages that the vehicle streams or sends on request, from its current values."""
 
 from collections.abc import Callable
 
@@ -13,7 +13,7 @@ from autopilot.services.telemetry_system import SystemState
 
 
 class Telemetry:
-    """Builders of the messages by id; each gives None while what it speaks of is not known."""
+    """Message builders by id; each returns None while its data is not available."""
 
     def __init__(
         self,
@@ -24,7 +24,7 @@ class Telemetry:
         fenced: Callable[[], bool] = lambda: False,
         epoch_unix_us: int = 0,
     ) -> None:
-        """``fenced`` tells whether there is a geofence; ``epoch_unix_us`` is the date of simulated time 0."""
+        """``fenced`` returns whether there is a geofence; ``epoch_unix_us`` is the date of time 0."""
         self.motion = MotionTelemetry(flight)
         self.sensors = Sensors(flight, manual=manual)
         self.control = Control(flight)
@@ -35,4 +35,4 @@ class Telemetry:
         self.builders: dict[int, Builder] = {
             message_id: build for part in parts for message_id, build in part.make_builders().items()
         }
-        """Other parts of the vehicle add their own."""
+        """Other parts of the vehicle add theirs."""

@@ -1,4 +1,4 @@
-"""What the controllers follow and what the motors are given, in the messages of MAVLink."""
+"""Telemetry of controller setpoints and motor outputs."""
 
 import numpy as np
 from pymavlink.dialects.v20 import common
@@ -9,14 +9,14 @@ from autopilot.services.streams import Builder
 from foundation.geometry.geodesy import ned_to_geodetic
 
 _OUTPUTS = 32
-"""That ACTUATOR_OUTPUT_STATUS has room for."""
+"""Capacity of ACTUATOR_OUTPUT_STATUS."""
 
 
 class Control(Part):
     """Messages of setpoints and outputs."""
 
     def make_builders(self) -> dict[int, Builder]:
-        """Give who forms what."""
+        """Return the builders by message id."""
         return super().make_builders() | {
             common.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: self.position_target_local_ned,
             common.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: self.position_target_global_int,
@@ -26,7 +26,7 @@ class Control(Part):
         }
 
     def position_target_local_ned(self) -> Message | None:
-        """POSITION_TARGET_LOCAL_NED: what the controller follows."""
+        """POSITION_TARGET_LOCAL_NED: setpoint of the position controller."""
         setpoint = self._flight.setpoint
         if setpoint is None:
             return None
@@ -49,7 +49,7 @@ class Control(Part):
         )  # fmt: skip
 
     def position_target_global_int(self) -> Message | None:
-        """POSITION_TARGET_GLOBAL_INT: the same with a place on the globe, if the controller follows one."""
+        """POSITION_TARGET_GLOBAL_INT: the same in geodetic coordinates, which are 0 without a position."""
         local, setpoint, state = self.position_target_local_ned(), self._flight.setpoint, self._flight.state
         if local is None or setpoint is None or not self._flight.origin_known:
             return None
@@ -69,7 +69,7 @@ class Control(Part):
         )  # fmt: skip
 
     def attitude_target(self) -> Message | None:
-        """ATTITUDE_TARGET: what the attitude controller follows."""
+        """ATTITUDE_TARGET: setpoint of the attitude controller."""
         setpoint = self._flight.attitude_setpoint()
         if setpoint is None:
             return None
@@ -90,7 +90,7 @@ class Control(Part):
         return common.MAVLink_servo_output_raw_message(self._flight.now_us % 2**32, 0, *widths_us, 0, 0, 0, 0)
 
     def actuator_output_status(self) -> Message:
-        """ACTUATOR_OUTPUT_STATUS: how many motors there are, and their controls in 0..1."""
+        """ACTUATOR_OUTPUT_STATUS: number of motors, and their controls in 0..1."""
         motors = self._flight.motors
         return common.MAVLink_actuator_output_status_message(
             self._flight.now_us, len(motors), [*motors, *[0.0] * (_OUTPUTS - len(motors))]

@@ -1,4 +1,4 @@
-"""Where the vehicle is, how it lies and how it moves, in the messages of MAVLink."""
+"""Telemetry of position, attitude and velocity."""
 
 import math
 
@@ -15,10 +15,10 @@ _CENTIDEGREES = 36_000
 
 
 class MotionTelemetry(Part):
-    """Messages of the estimate, and of the places that it counts from."""
+    """Messages of the estimate, and of its reference positions."""
 
     def make_builders(self) -> dict[int, Builder]:
-        """Give who forms what."""
+        """Return the builders by message id."""
         return super().make_builders() | {
             common.MAVLINK_MSG_ID_ATTITUDE: self.attitude,
             common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: self.attitude_quaternion,
@@ -56,7 +56,7 @@ class MotionTelemetry(Part):
         return None if position is None else common.MAVLink_local_position_ned_message(*position)
 
     def local_position(self) -> LocalPosition | None:
-        """Give the same for an application in this process."""
+        """Return the same as a plain value for an application in this process."""
         state = self._flight.state
         if not (state.position_valid and state.height_valid):
             return None
@@ -78,7 +78,7 @@ class MotionTelemetry(Part):
         )  # fmt: skip
 
     def odometry(self) -> Message | None:
-        """ODOMETRY: pose in the local NED frame, velocity in the body's, as PX4 sends them."""
+        """ODOMETRY: pose in the local NED frame, velocity in the body frame, as in PX4."""
         state = self._flight.state
         if not (state.position_valid and state.attitude_valid):
             return None
@@ -141,7 +141,7 @@ class MotionTelemetry(Part):
         )
 
     def estimator_status(self) -> Message | None:
-        """ESTIMATOR_STATUS: what is valid, how well the measurements fit and how sure the filter is."""
+        """ESTIMATOR_STATUS: validity flags, innovation test ratios and standard deviations."""
         state, fit = self._flight.state, self._flight.estimator.diagnostics
         if fit is None:
             return None
@@ -180,6 +180,6 @@ class MotionTelemetry(Part):
 
 
 def _upper_triangle(std: list[float]) -> list[float]:
-    """Row-major upper triangle of a 6 x 6 covariance whose correlations are not given."""
+    """Row-major upper triangle of a 6 x 6 covariance without correlations."""
     variances = singles(one * one for one in std)
     return [variances[row] if row == column else 0.0 for row in range(6) for column in range(row, 6)]

@@ -1,4 +1,4 @@
-"""What the sensors and the sticks say, in the messages of MAVLink."""
+"""Telemetry of the sensors and the sticks."""
 
 import math
 
@@ -12,19 +12,19 @@ from autopilot.services.streams import Builder
 
 GRAVITY_M_S2 = 9.80665
 _CHANNELS = 18
-"""Of RC_CHANNELS."""
+"""Capacity of RC_CHANNELS."""
 _RSSI_UNKNOWN = 255
 SILENT = (
     common.MAVLINK_MSG_ID_DISTANCE_SENSOR,
     common.MAVLINK_MSG_ID_WIND_COV,
 )
-"""Streams that may be asked for and say nothing, as with PX4: no range finder, no wind in the estimate."""
+"""Streams that can be requested but are never sent, as in PX4: no range finder, no wind estimate."""
 _VIBRATION_WEIGHT = 0.01
-"""Of the newest sample in the low-pass of PX4's vibration metrics."""
+"""Weight of the newest sample in the low-pass of PX4's vibration metrics."""
 
 
 class Sensors(Part):
-    """Messages of the sensors' last samples, as they came."""
+    """Messages of the sensors' last samples, as received."""
 
     def __init__(self, flight: FlightData, *, manual: ManualControlService) -> None:
         super().__init__(flight)
@@ -32,7 +32,7 @@ class Sensors(Part):
         self._vibration = Vibration()
 
     def make_builders(self) -> dict[int, Builder]:
-        """Give who forms what."""
+        """Return the builders by message id."""
         return super().make_builders() | {
             common.MAVLINK_MSG_ID_GPS_RAW_INT: self.gps_raw_int,
             common.MAVLINK_MSG_ID_HIGHRES_IMU: self.highres_imu,
@@ -45,9 +45,9 @@ class Sensors(Part):
         }
 
     def gps_raw_int(self) -> Message | None:
-        """GPS_RAW_INT: the last fix as it came, at the time of its arrival by the vehicle's own clock.
+        """GPS_RAW_INT: the last fix as received, stamped with its arrival by the vehicle's clock.
 
-        HIL_GPS has no height above the ellipsoid; it is taken for the one above the sea, as by PX4.
+        HIL_GPS has no ellipsoidal height; the height above sea level is sent instead, as in PX4.
         """
         gps = self._flight.gps
         if gps is None:
@@ -58,7 +58,7 @@ class Sensors(Part):
         )  # fmt: skip
 
     def highres_imu(self) -> Message | None:
-        """HIGHRES_IMU: the last sensor sample as it came."""
+        """HIGHRES_IMU: the last sensor sample as received."""
         s = self._flight.sensor
         if s is None:
             return None
@@ -90,17 +90,17 @@ class Sensors(Part):
         )
 
     def on_sample(self) -> None:
-        """Take the last inertial sample into the vibration; to be called at every step while links are up."""
+        """Update the vibration metrics by the last inertial sample; call every step while links are up."""
         if self._flight.sensor is not None:
             self._vibration.update(self._flight.sensor)
 
     def vibration(self) -> Message:
-        """VIBRATION as PX4 fills it: coning, then the rates' and the acceleration's high frequencies."""
+        """VIBRATION as in PX4: coning, then high-frequency parts of body rates and acceleration."""
         v = self._vibration
         return common.MAVLink_vibration_message(self._flight.now_us, v.coning, v.gyro, v.accel, 0, 0, 0)
 
     def rc_channels(self) -> Message | None:
-        """RC_CHANNELS: roll, pitch, throttle and yaw as pulse widths; None while nobody moves sticks."""
+        """RC_CHANNELS: roll, pitch, throttle and yaw as pulse widths; None before the first sticks."""
         sticks = self._manual.sticks
         if sticks is None:
             return None
@@ -112,7 +112,7 @@ class Sensors(Part):
         )
 
     def hil_state_quaternion(self) -> Message | None:
-        """HIL_STATE_QUATERNION: the truth, where the simulator tells it."""
+        """HIL_STATE_QUATERNION: the true state, if the simulator sends it."""
         return self._flight.truth
 
 
@@ -121,19 +121,19 @@ def _nothing() -> None:
 
 
 class Vibration:
-    """PX4's vibration metrics: low-passed lengths of what differs from sample to sample."""
+    """PX4's vibration metrics: low-passed norms of differences between successive samples."""
 
     def __init__(self) -> None:
         self.accel = 0.0
-        """Of the specific force, m/s^2."""
+        """Metric of the specific force, m/s^2."""
         self.gyro = 0.0
-        """Of the body rates, rad/s."""
+        """Metric of the body rates, rad/s."""
         self.coning = 0.0
-        """Of the cross product of two turns, rad^2."""
+        """Metric of the cross product of two successive rotation increments, rad^2."""
         self._before: tuple[int, tuple[float, float, float], tuple[float, float, float]] | None = None
 
     def update(self, sample: Message) -> None:
-        """Take a HIL_SENSOR."""
+        """Process a HIL_SENSOR."""
         accel, gyro = (sample.xacc, sample.yacc, sample.zacc), (sample.xgyro, sample.ygyro, sample.zgyro)
         before, self._before = self._before, (sample.time_usec, accel, gyro)
         if before is None:

@@ -1,4 +1,4 @@
-"""What the vehicle is and how it fares as a whole, in the messages of MAVLink."""
+"""Telemetry of the system: mode, health, battery, versions and time."""
 
 import math
 from collections.abc import Callable
@@ -17,9 +17,9 @@ from autopilot.services.status import heartbeat, landed_state
 from autopilot.services.streams import Builder
 
 _CELLS_MAX = 10
-"""That BATTERY_STATUS has room for."""
+"""Capacity of BATTERY_STATUS."""
 VERSION = 1 << 24 | 17 << 16 | 0 << 8 | 255
-"""1.17.0, a release (255): the PX4 whose behaviour this is; for an unknown one stations offer less."""
+"""1.17.0, a release (255): the PX4 whose behaviour is reproduced; stations offer less for an unknown one."""
 _MAVLINK_VERSION = 200
 _UID_NAME = b"coflight"
 _UID_BYTES = 18
@@ -37,7 +37,7 @@ class SystemState(Part):
         fenced: Callable[[], bool],
         epoch_unix_us: int,
     ) -> None:
-        """``fenced`` tells whether there is a geofence; ``epoch_unix_us`` is the date of time 0."""
+        """``fenced`` returns whether there is a geofence; ``epoch_unix_us`` is the date of time 0."""
         super().__init__(flight)
         self._system = system
         self._manual = manual
@@ -45,7 +45,7 @@ class SystemState(Part):
         self._epoch_unix_us = epoch_unix_us
 
     def make_builders(self) -> dict[int, Builder]:
-        """Give who forms what."""
+        """Return the builders by message id."""
         return super().make_builders() | {
             common.MAVLINK_MSG_ID_HEARTBEAT: self.heartbeat,
             common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self.extended_sys_state,
@@ -71,7 +71,7 @@ class SystemState(Part):
         )
 
     def sys_status(self) -> Message:
-        """SYS_STATUS: what is there, what is well, the battery, and whether arming would be granted."""
+        """SYS_STATUS: sensors present and healthy, the battery, and whether arming would be accepted."""
         flight = self._flight
         present = _ALWAYS_THERE
         if self._fenced():
@@ -95,7 +95,7 @@ class SystemState(Part):
         )  # fmt: skip
 
     def battery_status(self) -> Message | None:
-        """BATTERY_STATUS; a cell's voltage is the pack's by their number, as a power module sees it."""
+        """BATTERY_STATUS; a cell's voltage is the pack's over the number of cells, as from a power module."""
         battery = self._flight.battery
         if battery.sampled_us is None:
             return None
@@ -112,7 +112,7 @@ class SystemState(Part):
         )  # fmt: skip
 
     def system_time(self) -> Message:
-        """SYSTEM_TIME: the scenario's date, and the time since the start."""
+        """SYSTEM_TIME: the date by the scenario's epoch, and the time since the start."""
         return common.MAVLink_system_time_message(self._epoch_unix_us + self._flight.now_us, self.boot_ms())
 
     def current_mode(self) -> Message:
@@ -121,13 +121,13 @@ class SystemState(Part):
         return current_mode(commander.mode, forced=commander.failsafe)
 
     def available_modes_monitor(self) -> Message:
-        """AVAILABLE_MODES_MONITOR: the modes never become others."""
+        """AVAILABLE_MODES_MONITOR: the list of modes never changes."""
         return AvailableModesMonitor(seq=0)
 
     def autopilot_version(self) -> Message:
-        """AUTOPILOT_VERSION: what this autopilot understands, and ids that differ between vehicles.
+        """AUTOPILOT_VERSION: capabilities, and ids that are unique among the vehicles.
 
-        It is no USB device, so vendor and product are 0, as in PX4's simulation.
+        Vendor and product id are 0 as in PX4's simulation, since there is no USB device.
         """
         uid2 = (_UID_NAME + self._system.to_bytes(1, "big")).ljust(_UID_BYTES, b"\0")
         return common.MAVLink_autopilot_version_message(
@@ -135,11 +135,11 @@ class SystemState(Part):
         )
 
     def protocol_version(self) -> Message:
-        """PROTOCOL_VERSION: MAVLink 2 is spoken, 1 understood."""
+        """PROTOCOL_VERSION: MAVLink 2 is sent, 1 is accepted."""
         return ProtocolVersion(version=_MAVLINK_VERSION, min_version=100, max_version=_MAVLINK_VERSION)
 
     def flight_information(self) -> Message:
-        """FLIGHT_INFORMATION; times count from the start, as PX4 has them, and are 0 for what was not yet."""
+        """FLIGHT_INFORMATION; times are since the start, as in PX4, and 0 before the first event."""
         flight = self._flight
         return common.MAVLink_flight_information_message(
             self.boot_ms(),
@@ -180,7 +180,7 @@ _HEALTH_BITS = (
     ),
 )
 _HEALTHY_UNSEEN = common.MAV_SYS_STATUS_GEOFENCE
-"""Without a fence none is breached: MAVProxy reads its health alone."""
+"""Healthy although absent: MAVProxy evaluates the geofence's health bit alone."""
 _NOT_ALWAYS_THERE = common.MAV_SYS_STATUS_GEOFENCE | common.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
 _ALWAYS_THERE = (
     sum(bit for _, bit in (*_SENSOR_BITS, *_HEALTH_BITS)) & ~_NOT_ALWAYS_THERE

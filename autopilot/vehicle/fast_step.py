@@ -1,11 +1,11 @@
-"""A step that needs nothing but its inertial sample: compiled, from the bytes that come to the answer's.
+"""Fast step: a step with only an inertial sample, compiled from the received bytes to the bytes of the reply.
 
-Nine steps of ten are like that: nothing else has come that is taken, nothing is due, and the vehicle follows
-the trajectory that it followed before, or stands disarmed. `inertial_step` then does what
-`autopilot.vehicle.vehicle.Vehicle.step` does, with the same kernels on the same blocks of memory, so it is
-the same flight to the bit. It leaves Python's objects alone: whoever looks at them next brings them up to
-date first. That is worth several times the arithmetic, since a process that shares its processor with others
-finds nothing of what it needs in the caches.
+Nine of ten steps are fast: no other measurement is used, nothing is due, and the vehicle continues on the
+same trajectory or is disarmed. `inertial_step` is equivalent to `autopilot.vehicle.vehicle.Vehicle.step`: it
+runs the same kernels on the same blocks of memory, so the flight is identical to the bit. It does not update
+the Python objects; they are synchronised before they are next used (`Vehicle.catch_up`). This saves several
+times the time of the arithmetic, because a process that shares its processor with others starts each step
+with cold caches.
 """
 
 from collections.abc import Sequence
@@ -38,10 +38,11 @@ from autopilot.mavlink.hil_layout import (
 from netsim.wire.lockstep import BATCH_HANDED_OVER
 
 _LEAST_BYTES, _MOST_BYTES = 61, 62
-"""Lengths of HIL_SENSOR's payload: zeros are cut off, ``fields_updated`` needs a byte or two, ``id`` none."""
+"""Payload lengths of HIL_SENSOR: trailing zeros are truncated; ``fields_updated`` needs one or two bytes,
+``id`` none."""
 _AIDS = MAG_FIELDS | BARO_FIELDS
 _HANDED_OVER, _HANDED_OVER_BIT = ACTUATORS_FLAGS - FIRST + 4, BATCH_HANDED_OVER >> 32
-"""Where in a frame one of the flags is, and which bit."""
+"""Offset of a byte of the flags in a frame, and the bit in it."""
 _ROTORS = 4
 _RECEIVE_BYTES = 4096
 US_PER_S = 1_000_000
@@ -53,9 +54,9 @@ FAST_STEP_STATE = np.dtype(
     ],
     align=True,
 )  # fmt: skip
-"""What `FastSteps.open` is told, of which the last step's time and the next frame's number go on."""
+"""Inputs of `FastSteps.open`; a step updates its time and the sequence number of the next frame."""
 _MOMENT = Struct("=6q")
-"""The same for Python, to which a row of an array is slow to write."""
+"""The same fields for Python, because single writes to a row of an array are slow."""
 
 
 @njit(cache=True)
@@ -68,11 +69,11 @@ def inertial_step(
     samples: Horizon,
     cascade: Cascade,
 ) -> bool:
-    """Make the step of ``size`` bytes that have come, if it is one of these: the answer is then written.
+    """Process ``size`` received bytes if they are a fast step, and write the reply.
 
-    False: nothing has been touched. ``incoming`` and ``answer`` have frames from `frame.FIRST` on; the answer
-    is the last one, of whose frame sequence number, time, controls and checksum change. ``moment`` is (1,) of
-    `FAST_STEP_STATE`.
+    Returns False, with nothing changed, if they are not. ``incoming`` and ``answer`` contain frames starting
+    at `frame.FIRST`; ``answer`` has the previous reply, of which sequence number, time, controls and checksum
+    are updated. ``moment`` is (1,) of `FAST_STEP_STATE`.
     """
     m, filtered = moment[0], horizon[0]
     length = payload_bytes(incoming, size, SENSOR_KIND, SENSOR_EXTRA)
@@ -87,7 +88,7 @@ def inertial_step(
     cursor = filtered["cursor"]
     if not m["now_us"] < time_us < m["until_us"] or time_us - cursor[DELAY_US] >= m["sound_until_us"]:
         return False
-    if cursor[WAITING] + 1 >= samples.size:  # a full ring moves the horizon further
+    if cursor[WAITING] + 1 >= samples.size:  # a full ring buffer would advance the horizon further
         return False
     measured = incoming[SENSOR_FLOATS:SENSOR_UPDATED].view(np.float32)
     accel, gyro = np.empty(3), np.empty(3)
@@ -98,7 +99,7 @@ def inertial_step(
 
     if m["flies"]:
         c = cascade[0]
-        c["dt_s"] = (time_us - m["now_us"]) / US_PER_S  # what else is laid out in the block is as it was
+        c["dt_s"] = (time_us - m["now_us"]) / US_PER_S  # the other inputs in the block are unchanged
         follow_trajectory(cascade, filtered["estimate"])
         controls, given = c["controls"], answer[ACTUATORS_CONTROLS:ACTUATORS_MODE].view(np.float32)
         for i in range(_ROTORS):
@@ -112,10 +113,10 @@ def inertial_step(
 
 
 class FastSteps:
-    """These steps of one vehicle, between the others: `open` after one of those, `close` before the next.
+    """The fast steps of one vehicle: `open` after a full step, `close` before the next one.
 
     Attributes:
-        incoming: where the simulator's bytes go before each step.
+        incoming: buffer for the simulator's bytes of the next step.
 
     """
 
@@ -131,7 +132,7 @@ class FastSteps:
         self._opened_us = 0
 
     def step(self, size: int) -> memoryview | None:
-        """Answer ``size`` bytes that have come; None: they are no step of this kind, and nothing happened."""
+        """Return the reply to ``size`` received bytes; None, with nothing changed, if not a fast step."""
         if self._blocks is not None and inertial_step(size, *self._octets, *self._blocks):
             return self._answer
         return None
@@ -140,18 +141,17 @@ class FastSteps:
         self, answer: bytes, sequence: int, blocks: tuple[Horizon, Horizon, Cascade], *, now_us: int,
         until_us: int, next_aiding_us: int, valid_until_us: int, flies: bool,
     ) -> None:  # fmt: skip
-        """Let such steps follow the one that was answered by this frame.
+        """Allow fast steps after the full step whose reply is this frame.
 
         Args:
             answer: the frame.
-            sequence: number of the next one.
-            blocks: the filter's, the samples that wait for it, and the controller's.
+            sequence: sequence number of the next frame.
+            blocks: those of the filter, its waiting samples, and the controller.
             now_us: time of the last sample.
-            until_us: when there is the next look at anything but such samples.
-            aids_us: from when on a reading of magnetometer or barometer is taken; before, they are passed
-                over.
-            sound_until_us: up to when the filter's horizon finds nothing to fuse, and the state stays valid.
-            flies: the trajectory is followed that was followed last; else the controls stay as they are.
+            until_us: time of the next full step.
+            next_aiding_us: time from which magnetometer and barometer are used; earlier readings are skipped.
+            valid_until_us: horizon until which nothing is to be fused and the state stays valid.
+            flies: the last trajectory continues; else the controls are constant.
 
         """
         self._answer[:] = answer
@@ -163,7 +163,7 @@ class FastSteps:
         self._blocks = blocks
 
     def close(self) -> tuple[int, int] | None:
-        """End them; returns time of the last and number of the next frame, None if there were none."""
+        """End the fast steps; return the last time and the next sequence number, None if none ran."""
         if self._blocks is None:
             return None
         self._blocks = None
@@ -172,7 +172,7 @@ class FastSteps:
 
     @property
     def last_sensor(self) -> HilSensor:
-        """What the last of them was of, until other bytes come."""
+        """HIL_SENSOR of the last fast step, until `incoming` is overwritten."""
         length = self.incoming[1]
         payload = bytes(self.incoming[HEADER_BYTES : HEADER_BYTES + length])
         return HilSensor.from_payload(payload.ljust(SENSOR_BYTES, b"\0"))

@@ -1,7 +1,7 @@
-"""A vehicle with what it flies on: its simulator's link in bytes, its radio, and what it writes down.
+"""Vehicle host: a vehicle with its simulator link in bytes, its radio and its logs.
 
-`Host.step` is all that a vehicle's process does in a step, except for the ground's links and for how bytes
-and radio are carried: over sockets (``autopilot.__main__``), or by plain calls in one process.
+`Host.step` does everything of a vehicle's process in a step, except for the external links and the transport
+of bytes and radio items: over sockets (``autopilot.__main__``), or by function calls in one process.
 """
 
 import sys
@@ -27,27 +27,27 @@ from netsim.wire.lockstep import BATCH_DELIVERED, BATCH_HANDED_OVER
 from netsim.wire.messages import RxItem, TxItem
 
 Links = list[Addressed]
-"""Messages of the links to the outside, each with its partner."""
+"""Messages of the external links, each with its partner."""
 
 
 MOST_WAITING = 256
-"""Messages of the links that are kept for the first step; the newest count."""
+"""Greatest number of link messages that are kept until the first step; the oldest are dropped."""
 
 
 class Radio(Protocol):
-    """A vehicle's way to the channel: see `netsim.transport.lockstep_radio.RadioClient`."""
+    """A vehicle's access to the channel; see `netsim.transport.lockstep_radio.RadioClient`."""
 
     def send(self, now_us: int, items: Sequence[TxItem]) -> None:
-        """Hand over transmissions."""
+        """Transmit items."""
 
     def receive(self, now_us: int) -> Sequence[RxItem]:
-        """What may be seen from ``now_us`` on, for a step in which there is something."""
+        """Return the items available from ``now_us``, in a step that has some."""
 
 
 class Host:
-    """One vehicle; close it. Without a radio it flies alone.
+    """One vehicle, to be closed; without a radio it has no beacons.
 
-    Raises OSError for a log, and what `Vehicle` raises.
+    Raises OSError for a log, and the errors of `Vehicle`.
     """
 
     def __init__(self, config: VehicleConfig, radio: Radio | None) -> None:
@@ -60,7 +60,7 @@ class Host:
         self._encoder = HilEncoder(system=system, component=AUTOPILOT_COMPONENT)
         self._inertial = FastSteps()
         self.incoming = self._inertial.incoming
-        """Where the simulator's bytes go, for `inertial_step` and then for `push`"""
+        """Buffer for the simulator's bytes, used by `inertial_step` and `push`"""
         self._waiting: list[Message] = []
         self._links_waiting: Links = []
         self._log = None if config.log_path is None else RecordLog(config.log_path, VEHICLE_RECORD)
@@ -68,30 +68,30 @@ class Host:
         self._may_log = config.params_path is not None
 
     def introduction(self) -> bytes:
-        """What is said to the simulator on connecting, so that no stranger gets the vehicle's seat."""
+        """Return the heartbeat that identifies the vehicle when it connects to the simulator."""
         beat = common.MAVLink_heartbeat_message(
             common.MAV_TYPE_QUADROTOR, common.MAV_AUTOPILOT_PX4, 0, 0, common.MAV_STATE_UNINIT, 3
         )
         return Encoder(system=self._config.instance + 1, component=AUTOPILOT_COMPONENT).encode(beat)
 
     def put(self, data: bytes) -> int:
-        """Put bytes into `incoming` that have come in another way than straight into it; returns how many."""
+        """Copy bytes into `incoming`; return their number."""
         self.incoming[: len(data)] = data
         return len(data)
 
     def inertial_step(self, size: int) -> memoryview | None:
-        """Answer ``size`` bytes in `incoming`, if they are a step that brings an inertial sample alone.
+        """Return the reply to ``size`` bytes in `incoming` if they are a fast step.
 
-        None: nothing has happened, and they are for `push`.
+        Returns None otherwise, with nothing changed; `push` then processes the bytes.
         """
         return self._inertial.step(size)
 
     def push(self, size: int) -> Iterator[list[Message]]:
-        """The steps that ``size`` bytes in `incoming` complete: a HIL_SENSOR and what came before it."""
+        """Yield the messages of each step completed by ``size`` bytes in `incoming`, up to its HIL_SENSOR."""
         self._catch_up()
         for message in self._parser.push(self.incoming[:size].tobytes()):
             self._waiting.append(message)
-            if type(message) is HilSensor and message.id == 0:  # of the first sensor set, which is the clock
+            if type(message) is HilSensor and message.id == 0:  # of the first sensor, which is the clock
                 complete, self._waiting = self._waiting, []
                 yield complete
 
@@ -102,10 +102,10 @@ class Host:
         link_messages: Links,
         link_active: tuple[bool, ...],
     ) -> tuple[bytes, Links]:
-        """One step; returns what goes back to the simulator, and what goes out on the links.
+        """Run one step; return the bytes for the simulator and the messages for the links.
 
-        A HIL_SENSOR that is not later than the one before is answered with the controls of before; what came
-        with it otherwise is kept for the next step.
+        A HIL_SENSOR that is not later than the previous one is answered with the previous controls; the other
+        messages are then kept for the next step.
         """
         clock = simulator_messages[-1]
         now_us: int = clock.time_usec
@@ -131,7 +131,7 @@ class Host:
             self._flight_log.on_step(output, link_active)
         actuators = output.actuators
         if output.save_parameters:
-            self._save_parameters()  # how it ended is told in the next step
+            self._save_parameters()  # the result is reported in the next step
         if output.radio and self._radio is not None:
             self._radio.send(now_us, output.radio)
             time_us, controls, mode, flags = actuators
@@ -140,14 +140,14 @@ class Host:
             self._log.append_packed(record(self.vehicle))
         before = b"".join(map(self._encoder.encode, output.simulator)) if output.simulator else b""
         frame = self._encoder.encode(actuators)
-        if not any(link_active):  # who listens hears of every sample
+        if not any(link_active):  # a connected station receives telemetry of every sample
             self._begin_fast_steps(now_us, frame)
         return before + frame, output.links
 
     def serve_while_paused(self, link_messages: Links) -> Links:
-        """What goes out on the links in answer to messages that come while the simulator is silent.
+        """Return the replies to link messages that arrive while the simulator is silent.
 
-        Before the first step there is no vehicle yet that could answer: then they are kept for that step.
+        Before the first step the vehicle cannot reply: messages are then kept for that step.
         """
         if not self.vehicle.has_begun:
             self._links_waiting = (self._links_waiting + link_messages)[-MOST_WAITING:]
@@ -156,13 +156,13 @@ class Host:
             self.vehicle.flight.sensor = self._inertial.last_sensor
         answers = self.vehicle.serve_while_paused(link_messages)
         messaging = self.vehicle.messaging
-        if messaging.take_save_wanted():
+        if messaging.take_save_request():
             self._save_parameters()
             answers += messaging.take_outgoing()
         return answers
 
     def _begin_fast_steps(self, now_us: int, answer: bytes) -> None:
-        """Let inertial steps follow on this answer, if that may be, up to the next look at anything else."""
+        """Allow fast steps after this reply, if possible, until the next full step is due."""
         if self._waiting or self._parser.unfinished or self._flight_log is not None:
             return
         period_us = self._config.record_period_us
@@ -170,7 +170,7 @@ class Host:
         self.vehicle.begin_fast_steps(self._inertial, answer, self._encoder.sequence, next_record_us)
 
     def _catch_up(self) -> bool:
-        """Bring the vehicle to where inertial steps have got, which then are over; False: it is there."""
+        """End the fast steps and synchronise the vehicle; return whether there were any."""
         reached = self._inertial.close()
         if reached is None:
             return False
@@ -180,18 +180,18 @@ class Host:
 
     @property
     def bad_bytes(self) -> int:
-        """Bytes from the simulator that belonged to no message."""
+        """Number of bytes from the simulator that did not belong to a message."""
         return self._parser.bad_bytes
 
     def close(self) -> None:
-        """Write the rest of the log; harmless when repeated."""
+        """Write the rest of the logs; repeated calls have no effect."""
         if self._flight_log is not None:
             self._flight_log.close()
         if self._log is not None:
             self._log.close()
 
     def _begin_flight_log(self, now_us: int) -> None:
-        """Begin the stations' log, once, beside the parameter file."""
+        """Start the ULog, once, next to the parameter file."""
         self._may_log = False
         path = Path(f"{self._config.params_path}").with_suffix(".ulg")
         try:
@@ -200,9 +200,9 @@ class Host:
             sys.stderr.write(f"{self.name}: no log: {error}\n")
 
     def _save_parameters(self) -> None:
-        """Write the parameter file and have the askers told.
+        """Write the parameter file and have the result reported to the requesters.
 
-        A disk that will not have it is no reason to fall out of the sky.
+        A failed write does not affect the flight.
         """
         path, system = self._config.params_path, self._config.instance + 1
         if path is None:
@@ -217,7 +217,7 @@ class Host:
 
 
 def warnings(links: Links) -> Iterator[str]:
-    """What the ground station is warned of, for whoever looks on without one."""
+    """Yield the texts of warnings to the ground station, for display without one."""
     begun = ""
     for partner, message in links:
         if (
@@ -226,7 +226,7 @@ def warnings(links: Links) -> Iterator[str]:
             and message.severity <= common.MAV_SEVERITY_WARNING
         ):
             piece = _text(message)
-            if message.id and len(piece) == TEXT_BYTES:  # the next one goes on with it: see `Chunks`
+            if message.id and len(piece) == TEXT_BYTES:  # continued in the next one: see `Chunks`
                 begun += piece
             else:
                 yield begun + piece
@@ -234,6 +234,6 @@ def warnings(links: Links) -> Iterator[str]:
 
 
 def _text(message: Message) -> str:
-    """Text of a STATUSTEXT that is made here: its bytes are what pymavlink makes of them on the wire."""
+    """Return the text of a STATUSTEXT of this process, whose bytes are those that pymavlink sends."""
     text = message.text
     return text.decode("ascii", "replace") if isinstance(text, bytes) else str(text)

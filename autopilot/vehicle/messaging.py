@@ -1,6 +1,6 @@
-"""All that speaks MAVLink for a vehicle: its services, what they share, its streams, and what goes out.
+"""MAVLink messaging of a vehicle: its services, their shared state, telemetry streams and outgoing messages.
 
-`Vehicle` feeds it messages and time, and takes what is to be sent once a step. No I/O.
+`Vehicle` passes messages and time, and collects the outgoing messages once a step. No I/O.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -35,7 +35,6 @@ from autopilot.services.service import (
     ALL,
     APPLICATION,
     COMPANION,
-    EVERYBODY,
     GROUND_STATION,
     Addressed,
     Partner,
@@ -58,7 +57,7 @@ _OUTSIDE = (GROUND_STATION, COMPANION)
 
 
 class Messaging:
-    """Services and streams of one vehicle, over the parts that do what is asked."""
+    """Services and streams of one vehicle, connected to the parts that execute requests."""
 
     def __init__(
         self,
@@ -74,9 +73,9 @@ class Messaging:
         manual: ManualControlService,
         plans: Mapping[PlanType, Plan],
     ) -> None:
-        """``set_parameter`` changes one for good and at once; ``plans`` are those to begin with.
+        """``set_parameter`` changes a parameter immediately; ``plans`` are the initial ones.
 
-        ``reset_parameters`` gives those with these beginnings their defaults unless the vehicle is armed.
+        ``reset_parameters`` resets those with these prefixes to their defaults unless the vehicle is armed.
         """
         self._config = config
         self._system = config.instance + 1
@@ -86,11 +85,11 @@ class Messaging:
         self._reset_parameters = reset_parameters
         self._pilot = pilot
         self._geofence = geofence
-        self.tell_application: Callable[[Message, int], None] | None = None
-        """Takes a message for the application in this process, and the time."""
+        self.send_to_application: Callable[[Message, int], None] | None = None
+        """Receives a message for the application in this process, and the time."""
         self.plans = PlanStore()
         self._plans_taken = dict(self.plans.version)
-        """Versions of the plans that are flown and kept to."""
+        """Versions of the plans in use."""
         for kind, plan in plans.items():
             self.plans.put(kind, plan.items, made=plan.made)
         self.telemetry = Telemetry(
@@ -108,7 +107,7 @@ class Messaging:
         )
         self._clocks = (PingService(flight), TimesyncService(flight))
         self.files = FileStore()
-        """What stations may read; the host adds the log."""
+        """Files that stations may read; the host adds the log."""
         metadata.add_files(self.files, parameters)
         self.telemetry.builders |= {
             common.MAVLINK_MSG_ID_PING: self._clocks[0].question,
@@ -124,7 +123,7 @@ class Messaging:
             COMPANION: MessageStreams(outside, COMPANION_HZ),
             APPLICATION: MessageStreams(within, application_hz),
         }
-        """By the links' numbers."""
+        """By link number."""
         self.shapers = Shapers(
             _OUTSIDE,
             config.links.bandwidth_bytes_s,
@@ -132,71 +131,71 @@ class Messaging:
         )
         self._is_limited = bool(self.shapers)
         self._link_active: Sequence[bool] = ()
-        """By the links' numbers, as the streams were told."""
+        """By link number, the last value passed to the streams."""
         self.not_addressed = dict.fromkeys(_OUTSIDE, 0)
-        """Messages for somebody else, by the links' numbers."""
+        """Number of messages for other components, by link number."""
         self._parameter_service = ParameterService(parameters, set_parameter, self.shapers.has_room)
         self.services = self._make_services(offboard, manual)
         self._chunks = Chunks()
         self._outgoing: list[Addressed] = []
-        self._home_told: Home | None = None
-        self._origin_told = False
-        self._save_wanted = False
+        self._home_reported: Home | None = None
+        self._origin_reported = False
+        self._save_requested = False
         self._take_plans()
 
-    # ---- what comes in
+    # ---- incoming
 
     def on_message(self, message: Message, now_us: int, partner: Partner) -> None:
-        """Take a message that is meant for the autopilot; what it is answered goes out."""
+        """Process a message for the autopilot and queue the replies."""
         self.post(self.services.on_message(message, now_us, partner))
         self._take_plans()
         self._warn()
 
     def on_new_fix(self) -> None:
-        """Note that there is a new GPS fix to tell of."""
+        """Mark the streams of a new GPS fix as due."""
         for streams in self.streams.values():
             streams.on_new_data(common.MAVLINK_MSG_ID_GPS_RAW_INT)
 
     def on_parameter(self, name: str) -> None:
-        """Note that a parameter has changed, whoever changed it: all are told."""
+        """Report a changed parameter to all partners."""
         self._parameter_service.on_change(name)
         self.services.look_again()
 
-    def on_saved(self, trouble: str | None) -> None:
-        """Note how the writing has ended that `take_save_wanted` told of; None: the file is there."""
-        result = ACCEPTED if trouble is None else FAILED
+    def on_saved(self, error: str | None) -> None:
+        """Reply with the result of the file write that `take_save_request` started; None: success."""
+        result = ACCEPTED if error is None else FAILED
         self.post(self._commands.finish(common.MAV_CMD_PREFLIGHT_STORAGE, result, self._flight.now_us))
-        if trouble is not None:
-            text = f"Parameters not saved: {trouble}"
+        if error is not None:
+            text = f"Parameters not saved: {error}"
             self.post(reply(ALL, status_text(common.MAV_SEVERITY_CRITICAL, text)))
 
-    # ---- what goes out
+    # ---- outgoing
 
     def post(self, messages: Sequence[Addressed]) -> None:
-        """Have messages go out in this step; the application is given at once what is for it."""
+        """Queue messages for this step; messages for the application are passed on immediately."""
         for addressed in messages:
             link = addressed.partner.link
-            if link == EVERYBODY:
+            if link == ALL.link:
                 pieces = self._chunks.split(addressed.message)
                 self._outgoing += [
                     Addressed(Partner(outside), piece) for outside in _OUTSIDE for piece in pieces
                 ]
             elif link != APPLICATION:
                 self._outgoing += reply(addressed.partner, *self._chunks.split(addressed.message))
-            if link in {EVERYBODY, APPLICATION} and self.tell_application is not None:
-                self.tell_application(addressed.message, self._flight.now_us)
+            if link in {ALL.link, APPLICATION} and self.send_to_application is not None:
+                self.send_to_application(addressed.message, self._flight.now_us)
 
     def stream_to_application(self, now_us: int) -> None:
-        """Give the application the telemetry that is due."""
+        """Pass the telemetry that is due to the application."""
         streams = self.streams[APPLICATION]
-        if self.tell_application is not None and now_us >= streams.deadline_us:
+        if self.send_to_application is not None and now_us >= streams.deadline_us:
             for message in streams.on_timer(now_us):
-                self.tell_application(message, now_us)
+                self.send_to_application(message, now_us)
 
     def on_timer(self, now_us: int, link_active: Sequence[bool]) -> list[Addressed]:
-        """Do what is due and return all that goes out of this step.
+        """Run what is due and return all outgoing messages of this step.
 
-        Where ``link_active`` says that nobody listens, only the heartbeat is formed.
+        Links that are inactive by ``link_active`` only get the heartbeat.
         """
         if self._pilot.warnings:
             self._warn()
@@ -207,7 +206,7 @@ class Messaging:
             self.post(self.services.on_timer(now_us))
         timed = len(self._outgoing)
         if any(link_active):
-            self._keep_telemetry()
+            self._update_telemetry()
         if link_active != self._link_active:
             self._link_active = link_active
             for link in _OUTSIDE:
@@ -224,29 +223,29 @@ class Messaging:
         )
 
     def is_due(self, now_us: int) -> bool:
-        """Whether there is something for `on_timer` to do though nobody listens."""
+        """Return whether `on_timer` has something to do even if all links are inactive."""
         return now_us >= self.next_deadline_us()
 
     def next_deadline_us(self) -> int:
-        """When that will be."""
+        """Return the time from which `is_due` is true."""
         return 0 if self._outgoing else self.services.deadline_us
 
     def take_outgoing(self) -> list[Addressed]:
-        """Give what has been posted, which then is gone from here."""
+        """Return the queued messages and clear the queue."""
         outgoing, self._outgoing = self._outgoing, []
         return outgoing
 
-    def take_save_wanted(self) -> bool:
-        """Tell whether the parameters are to be written to their file; it is told once."""
-        wanted, self._save_wanted = self._save_wanted, False
-        return wanted
+    def take_save_request(self) -> bool:
+        """Return whether a save of the parameters was requested, and clear the request."""
+        requested, self._save_requested = self._save_requested, False
+        return requested
 
-    # ---- pieces
+    # ---- parts
 
     def _make_services(self, offboard: OffboardService, manual: ManualControlService) -> Services:
         pilot, parameters, has_room = self._pilot, self._parameters, self.shapers.has_room
         runner = pilot.navigator.mission.runner
-        calibration = Calibration(self._flight, wake=self._look_again)
+        calibration = Calibration(self._flight, wake=self._wake_services)
         flying = FlightCommands(
             self._flight,
             pilot.takeoff_altitude,
@@ -265,7 +264,7 @@ class Messaging:
         system = SystemCommands(
             self.streams,
             calibrate=calibration.command,
-            save_parameters=self._want_save,
+            save_parameters=self._request_save,
             reset_parameters=self._reset_parameters,
         )
         self._commands = CommandService(flying.table | system.table)
@@ -292,11 +291,11 @@ class Messaging:
             )
         )
 
-    def _look_again(self) -> None:
+    def _wake_services(self) -> None:
         self.services.look_again()
 
     def _take_plans(self) -> None:
-        """Fly by plans that were written, and keep to them."""
+        """Use plans that have changed."""
         if self.plans.version == self._plans_taken:
             return
         before, self._plans_taken = self._plans_taken, dict(self.plans.version)
@@ -304,20 +303,20 @@ class Messaging:
         self._pilot.load_plans(self.plans, kinds)
 
     def _warn(self) -> None:
-        """Say what is new about the mission."""
+        """Send the new messages about the mission."""
         warnings = self._pilot.warnings
         while warnings:
             self.post(reply(ALL, status_text(common.MAV_SEVERITY_CRITICAL, warnings.pop(0))))
 
-    def _keep_telemetry(self) -> None:
-        """Do what matters only while somebody listens: feel vibration, tell new places at once."""
+    def _update_telemetry(self) -> None:
+        """Update what only connected stations need: vibration, and immediate reports of home and origin."""
         self.telemetry.sensors.on_sample()
         flight = self._flight
-        if flight.home is not self._home_told:
-            self._home_told = flight.home
+        if flight.home is not self._home_reported:
+            self._home_reported = flight.home
             self._hasten(common.MAVLINK_MSG_ID_HOME_POSITION)
-        if flight.origin_known is not self._origin_told:
-            self._origin_told = flight.origin_known
+        if flight.origin_known is not self._origin_reported:
+            self._origin_reported = flight.origin_known
             self._hasten(common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
 
     def _hasten(self, message_id: int) -> None:
@@ -331,7 +330,7 @@ class Messaging:
         if path.startswith(metadata.PACKED_PATH):
             self._parameter_service.take_by_value(partner)
 
-    def _want_save(self) -> bool:
-        """Have the parameters written; tells whether there is a file for them."""
-        self._save_wanted = self._config.params_path is not None
-        return self._save_wanted
+    def _request_save(self) -> bool:
+        """Request a save of the parameters; return whether there is a file for them."""
+        self._save_requested = self._config.params_path is not None
+        return self._save_requested

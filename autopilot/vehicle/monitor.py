@@ -1,7 +1,7 @@
-"""What holds at the moment and what is wrong: the bits that the commander decides upon.
+"""Evaluates conditions and causes: the bits from which the commander decides.
 
-Gathers them from estimator, sensors, links, battery, geofence and failure detector. Whatever may be a tenth
-of a second old is looked at ten times a second. Decides nothing.
+Their sources are estimator, sensors, links, battery, geofence and failure detector. Those that tolerate a
+delay are evaluated at 10 Hz. The monitor does not decide anything.
 """
 
 from pymavlink.dialects.v20 import common
@@ -20,11 +20,11 @@ from autopilot.services.offboard import OffboardService
 
 SLOW_PERIOD_US = 100_000
 _TERMINATE = 4
-"""Of GF_ACTION."""
+"""Value of GF_ACTION."""
 
 
 class Monitor:
-    """Bits of `Condition` and `Cause` of one vehicle; `update` before the commander's."""
+    """`Condition` and `Cause` bits of one vehicle; call `update` before the commander's."""
 
     def __init__(
         self,
@@ -38,7 +38,7 @@ class Monitor:
         self.battery = BatteryMonitor(settings.battery)
         self.geofence = geofence
         self.breach: Breach | None = None
-        """What the vehicle breached when it was looked at last."""
+        """Breach found at the last check."""
         self.failures = FailureDetector(settings.failure_detector)
         self._pack = BatterySimulator(settings.battery_sim, settings.battery)
         self._sensors = sensors
@@ -49,14 +49,14 @@ class Monitor:
         self._slow_us = 0
         self._slow_causes = int(Cause.GCS_LOST)
         self._slow_conditions = 0
-        """Of POSITION and VELOCITY, those whose standard deviation is within limits; CHARGE."""
+        """POSITION and VELOCITY if their standard deviation is within limits; CHARGE."""
         self._breached_before = False
         self._aligned = False
-        """The attitude was known once: from then on it must not get lost."""
+        """Whether the attitude was valid once; a later loss is an estimator failure."""
         self.set_params(settings)
 
     def set_params(self, settings: Settings) -> None:
-        """Change the settings at once; what was learned stays."""
+        """Change the settings immediately; states and estimates are kept."""
         self._commander_params = settings.commander
         self._thrust_model_factor = settings.control.allocation.thrust_model_factor
         self._deceleration_m_s2 = settings.control.trajectory.acc_xy_m_s2
@@ -68,14 +68,14 @@ class Monitor:
         self.failures.set_params(settings.failure_detector)
 
     def on_message(self, message: Message, now_us: int) -> None:
-        """Note the heartbeat of a ground station."""
+        """Record the heartbeat of a ground station."""
         if message.get_msgId() == common.MAVLINK_MSG_ID_HEARTBEAT and message.type == common.MAV_TYPE_GCS:
             self._ground_station_us = now_us
 
     def update(self, flight: FlightData, *, has_mission: bool) -> None:
-        """Set the conditions and causes of ``flight``, whose other values are those of this step.
+        """Set conditions and causes of ``flight``, whose other values are those of this step.
 
-        ``has_mission``: there is a mission to fly.
+        ``has_mission``: there is a mission that may be flown.
         """
         now_us, armed = flight.now_us, flight.commander.armed
         sample = self._pack.update(now_us, flight.motors, armed=armed)
@@ -90,15 +90,15 @@ class Monitor:
                 )
         if now_us >= self._slow_us:
             self._slow_us = now_us + SLOW_PERIOD_US
-            self._look_around(flight)
+            self._update_slow(flight)
         flight.conditions, flight.causes = self._judge(flight, now_us, has_mission=has_mission)
 
     def _judge(self, flight: FlightData, now_us: int, *, has_mission: bool) -> tuple[int, int]:
-        """Conditions and causes."""
+        """Return conditions and causes."""
         state, slow = flight.state, self._slow_conditions
         causes = self._slow_causes | _OF_BATTERY[self.battery.warning]
         conditions = self._sensors.conditions(now_us) | slow & _CHARGE
-        if now_us - state.time_us <= _IMU_TIMEOUT_US:  # else no sample was taken, and it stands still
+        if now_us - state.time_us <= _IMU_TIMEOUT_US:  # otherwise the estimate is outdated
             if state.attitude_valid:
                 conditions |= _ATTITUDE
             if state.height_valid:
@@ -133,8 +133,8 @@ class Monitor:
             causes |= _ESTIMATOR_FAILED
         return conditions, causes
 
-    def _look_around(self, flight: FlightData) -> None:
-        """Do what may be a tenth of a second old."""
+    def _update_slow(self, flight: FlightData) -> None:
+        """Evaluate what tolerates a delay of 0.1 s."""
         params, state = self._commander_params, flight.state
         north_m, east_m, _ = state.pos_std_m.tolist()
         vel_north_m_s, vel_east_m_s, _ = state.vel_std_m_s.tolist()
@@ -147,12 +147,12 @@ class Monitor:
             conditions |= _CHARGE
         self._slow_conditions = conditions
         causes = 0
-        heard_us = self._ground_station_us
-        if heard_us is None or flight.now_us - heard_us > params.gcs_loss_s * US_PER_S:
+        received_us = self._ground_station_us
+        if received_us is None or flight.now_us - received_us > params.gcs_loss_s * US_PER_S:
             causes |= int(Cause.GCS_LOST)
         if state.position_valid and state.height_valid:
             self.breach = self._find_breach(flight)
-        if self.breach is not None and self._breached_before:  # seen twice: once may be the estimate's jump
+        if self.breach is not None and self._breached_before:  # twice: once may be a reset
             causes |= int(Cause.GEOFENCE)
         self._breached_before = self.breach is not None
         self._slow_causes = causes
@@ -162,7 +162,7 @@ class Monitor:
         origin = Origin(state.origin_lat_deg, state.origin_lon_deg, state.origin_alt_m)
         home_ned_m = None if flight.home is None else flight.home.pos_ned_m
         terminates = self._commander_params.geofence_action == _TERMINATE
-        if not self.geofence.params.predict or terminates:  # nobody falls for what has not happened yet
+        if not self.geofence.params.predict or terminates:  # never terminate because of a predicted breach
             return self.geofence.check(state.pos_ned_m, home_ned_m, origin)
         return self.geofence.check_braking(
             state.pos_ned_m, state.vel_ned_m_s, home_ned_m, origin,
@@ -171,7 +171,7 @@ class Monitor:
 
 
 _IMU_TIMEOUT_US = TIMEOUTS_US[Condition.IMU]
-# plain integers: the flag types' operations cost more than all the rest
+# plain integers: operations on the flag types would take longer than the rest
 _CHARGE = int(Condition.CHARGE)
 _GPS, _ATTITUDE, _HEIGHT = int(Condition.GPS), int(Condition.ATTITUDE), int(Condition.HEIGHT)
 _VELOCITY, _POSITION, _HOME = int(Condition.VELOCITY), int(Condition.POSITION), int(Condition.HOME)

@@ -1,4 +1,4 @@
-"""From the mode to the motors: navigation, control, contact with the ground, and the place to return to."""
+"""Pilot: runs navigation and control in the commander's mode, detects landing, and sets home."""
 
 import math
 from collections.abc import Collection
@@ -11,7 +11,7 @@ from autopilot.commander.geofence import Geofence, Origin
 from autopilot.commander.land_detector import LandDetector, LandStage
 from autopilot.control import FlightController
 from autopilot.mavlink.modes import FlightMode
-from autopilot.navigation.feasibility import distance_warning, fence_trouble
+from autopilot.navigation.feasibility import distance_warning, fence_violation
 from autopilot.navigation.orbit import Circle, YawBehaviour
 from autopilot.navigation.plan_store import PlanStore, PlanType
 from autopilot.navigation.setpoints import IDLE, ON_GROUND_M, Navigator, down_demand_m_s
@@ -24,15 +24,15 @@ from foundation.geometry.geodesy import geodetic_to_ned, ned_to_geodetic
 from foundation.types import Array, Setpoint, TrajectorySetpoint
 
 _NO_MOTORS = (0.0,) * 12
-"""Controls beyond the motors'"""
+"""Controls in addition to those of the motors"""
 _FENCE_WARNS = 1
-"""GF_ACTION up to which a geofence is not kept to."""
+"""Values of GF_ACTION up to this one do not restrict targets."""
 _HEIGHT_MAX_M = 1e5
-"""Of altitudes, whether above or below the sea: what is beyond was not meant."""
+"""Greatest magnitude of an altitude; a greater one is rejected."""
 
 
 class Pilot:
-    """Flies one vehicle in the commander's mode: `update` at every step, `update_land_state` now and then."""
+    """Flies one vehicle in the commander's mode: `update` at every step, `update_land_state` at decisions."""
 
     def __init__(
         self,
@@ -50,11 +50,11 @@ class Pilot:
         flight.course = lambda: self.navigator.course
         flight.attitude_setpoint = lambda: self.controller.attitude_setpoint
         self.mission_valid = False
-        """There is a mission that may be flown."""
-        self.mission_trouble: str | None = None
-        """Why the mission that there is may not be flown."""
+        """Whether there is a mission that may be flown."""
+        self.mission_fault: str | None = None
+        """Why the present mission may not be flown."""
         self.warnings: list[str] = []
-        """What is to be said of the mission, for whoever says it and takes it away."""
+        """Messages about the mission; the reader sends and removes them."""
         self._mission_warning: str | None = None
         self._settings = settings
         self._flight = flight
@@ -63,17 +63,17 @@ class Pilot:
         self._geofence = geofence
         self._land_detector = LandDetector(settings.land_detector)
         self.landed = True
-        """On the ground for certain, as `update_land_state` found it."""
+        """Whether the vehicle is on the ground, by the last `update_land_state`."""
         self.flies_on = False
-        """Whether the next step follows the trajectory of this one, if nothing comes that changes it."""
+        """Whether the next step can continue the trajectory of this one, unless a message changes it."""
         self._setpoint: Setpoint = IDLE
         self._active: tuple[FlightMode, bool, int, float | None, bool] | None = None
-        """Mode, arming, estimator resets, take-off altitude and a failsafe's hold that is flown now."""
+        """Mode, arming, estimator resets, take-off altitude and failsafe hold at the last `update`."""
         self._home_is_manual = False
-        """Somebody said where home is: arming elsewhere does not change it."""
+        """Home was set by a command: arming elsewhere does not change it."""
 
     def set_params(self, settings: Settings) -> None:
-        """Change what differs, at once and in flight; what was learned and flown stays."""
+        """Change the settings that differ, immediately and also in flight; states and estimates are kept."""
         before, self._settings = self._settings, settings
         control = settings.control
         if control is not before.control:
@@ -86,10 +86,10 @@ class Pilot:
 
     @property
     def controls(self) -> list[float]:
-        """(16,) of HIL_ACTUATOR_CONTROLS."""
+        """Controls (16,) of HIL_ACTUATOR_CONTROLS."""
         return [*self._flight.motors, *_NO_MOTORS]
 
-    # ---- what is asked for in flight; a refusal gives its reason
+    # ---- requests in flight; the result is the reason for refusal or None
 
     def reposition(
         self,
@@ -99,11 +99,11 @@ class Pilot:
         yaw_rad: float | None,
         speed_m_s: float | None,
     ) -> Reason | None:
-        """Hold at another place, as MAV_CMD_DO_REPOSITION with the flag that changes the mode.
+        """Hold at another position, as MAV_CMD_DO_REPOSITION with the flag that changes the mode.
 
-        Without latitude and longitude the place stays, without an altitude the height; without any of them it
-        stops here. Without a heading the nose points as on any leg. On the ground it is refused. A place that
-        is not allowed leaves it in hold here.
+        Missing latitude and longitude keep the position, a missing altitude the height; without any of them
+        the vehicle stops here. Without a heading it is that of any leg. Refused on the ground. A position
+        outside the geofence results in a hold here.
         """
         if (lat_deg is None) is not (lon_deg is None) or not _are_usable(lat_deg, lon_deg, alt_amsl_m):
             return Reason.BAD_ARGUMENT
@@ -116,7 +116,7 @@ class Pilot:
             self.navigator.stop(self._flight.state)
         else:
             place_ned_m = self._place_ned_m(self.navigator.place_ned_m, lat_deg, lon_deg, alt_amsl_m)
-            if not self._may_be_at(place_ned_m):
+            if not self._is_allowed(place_ned_m):
                 self.navigator.stop(self._flight.state)
                 return Reason.OUTSIDE_GEOFENCE
             self.navigator.hold_at(place_ned_m, yaw_rad=_number(yaw_rad))
@@ -131,10 +131,10 @@ class Pilot:
         lon_deg: float | None,
         alt_amsl_m: float | None,
     ) -> Reason | None:
-        """Circle about a place, as MAV_CMD_DO_ORBIT; what is None stays as it was, or is here.
+        """Circle around a centre, as MAV_CMD_DO_ORBIT; None keeps the present value or position.
 
-        A positive radius is flown clockwise, and a negative speed turns that round. The bounds are PX4's
-        (`autopilot.navigation.orbit`). On the ground it is refused.
+        A positive radius is clockwise; a negative speed reverses the direction. The bounds are PX4's
+        (`autopilot.navigation.orbit`). Refused on the ground.
         """
         if (lat_deg is None) is not (lon_deg is None) or not _are_usable(lat_deg, lon_deg, alt_amsl_m):
             return Reason.BAD_ARGUMENT
@@ -148,7 +148,7 @@ class Pilot:
             return refusal
         before = orbit.circle
         if before is None:
-            return Reason.MODE_UNAVAILABLE  # cannot be: the mode was entered with one
+            return Reason.MODE_UNAVAILABLE  # unreachable: entering the mode sets a circle
         here_ned_m = np.array((before.north_m, before.east_m, before.down_m)) if goes_on else state.pos_ned_m
         north_m, east_m, down_m = self._place_ned_m(here_ned_m, lat_deg, lon_deg, alt_amsl_m).tolist()
         yaw = before.yaw if yaw_behaviour is None else YawBehaviour(int(yaw_behaviour))
@@ -168,12 +168,12 @@ class Pilot:
         return None
 
     def change_speed(self, speed_m_s: float | None) -> None:
-        """Fly legs at this speed over ground until the mode ends, None: as the parameters say."""
+        """Fly legs at this ground speed until the mode ends; None: by the parameters."""
         usable = speed_m_s is not None and 0.0 < speed_m_s < math.inf
         self.navigator.change_speed(speed_m_s if usable else None)
 
     def set_home(self, lat_deg: float, lon_deg: float, alt_m: float) -> Reason | None:
-        """Have home at a place, its altitude above the sea, whatever happens afterwards."""
+        """Set home to a position, altitude above mean sea level; arming does not change it."""
         state = self._flight.state
         if not _are_usable(lat_deg, lon_deg, alt_m):
             return Reason.BAD_ARGUMENT
@@ -188,7 +188,7 @@ class Pilot:
         return None
 
     def set_home_here(self) -> Reason | None:
-        """Have home where the vehicle is, and again where it is armed."""
+        """Set home to the vehicle's position; arming sets it again."""
         if not self._flight.state.position_valid:
             return Reason.NO_POSITION
         self._home_is_manual = False
@@ -196,9 +196,9 @@ class Pilot:
         return None
 
     def load_plans(self, plans: PlanStore, kinds: Collection[PlanType]) -> None:
-        """Fly by what the store has of these types now; a mission begins with the item that is marked.
+        """Use the stored plans of these types; a mission starts with the marked item.
 
-        In mission mode it begins at once. One that may not be flown then ends in hold.
+        In mission mode it starts immediately. If it may not be flown the vehicle then holds.
         """
         if PlanType.RALLY in kinds:
             self.navigator.set_rally_points(plans[PlanType.RALLY].made.rally_points)
@@ -208,22 +208,22 @@ class Pilot:
             plan = plans[PlanType.MISSION]
             start = plan.start if plan.start < len(plan.items) else 0
             self.navigator.mission.load(plan.made.mission, start=start)
-            self.mission_trouble = self._mission_warning = None
+            self.mission_fault = self._mission_warning = None
         if kinds != {PlanType.RALLY}:
             self._check_mission(flown=True)
 
     @property
     def next_mode(self) -> FlightMode | None:
-        """The mode to go on with, where the present one has done what it is for, or may not go on."""
+        """Mode that follows the present one if that is complete or may not continue; or None."""
         mode = self._flight.commander.mode
         if mode is FlightMode.OFFBOARD:
-            return None  # it ends when somebody says so
-        if mode is FlightMode.MISSION and self.mission_trouble is not None:
+            return None  # it ends on request
+        if mode is FlightMode.MISSION and self.mission_fault is not None:
             return FlightMode.HOLD
         return self.navigator.next_mode(self._flight.state)
 
     def update_land_state(self) -> None:
-        """Take the new estimate: whether there is ground below, and, once, where home is."""
+        """Update the land state from the present estimate, and set home at the first valid position."""
         flight = self._flight
         state = flight.state
         if state.position_valid and flight.home is None:
@@ -244,9 +244,9 @@ class Pilot:
         self.landed = self._land_detector.landed
 
     def update(self, dt_s: float) -> None:
-        """Set the mode's setpoint and the controls that follow it."""
+        """Update the setpoint of the mode and the controls."""
         flight, commander, state = self._flight, self._flight.commander, self._flight.state
-        self._keep_up()
+        self._apply_changes()
         self.flies_on = False
         if not commander.armed:
             return
@@ -274,12 +274,12 @@ class Pilot:
         self.flies_on = not landed and setpoint is offboard and controller.flies_on
 
     def catch_up(self) -> None:
-        """Take what compiled code has had the controller give since `update`, if the motors turn."""
+        """Use the controls that compiled code has computed since `update`, if the vehicle is armed."""
         if self._flight.commander.armed:
             self._flight.motors = self.controller.controls
 
-    def _keep_up(self) -> None:
-        """Have navigator and controller in the commander's mode."""
+    def _apply_changes(self) -> None:
+        """Apply a change of mode, arming, estimate or take-off altitude to navigator and controller."""
         commander = self._flight.commander
         active = (
             commander.mode,
@@ -289,11 +289,11 @@ class Pilot:
             commander.failsafe and commander.mode is FlightMode.HOLD,
         )
         if active != self._active:
-            self._change(was_armed=self._active is not None and self._active[1])
+            self._on_change(was_armed=self._active is not None and self._active[1])
             self._active = active
 
-    def _change(self, *, was_armed: bool) -> None:
-        """Begin what follows from a new mode, from arming, or from an estimate that jumped."""
+    def _on_change(self, *, was_armed: bool) -> None:
+        """Handle a new mode, arming or disarming, or a reset of the estimate."""
         flight = self._flight
         if not flight.commander.armed:
             flight.motors = self.controller.idle()
@@ -310,12 +310,12 @@ class Pilot:
             home_ned_m=flight.home.pos_ned_m if flight.home is not None else None,
         )
         if flight.commander.failsafe and flight.commander.mode is FlightMode.HOLD:
-            self.navigator.stop(flight.state)  # a hold that was on its way to a place would go on
+            self.navigator.stop(flight.state)  # stop, instead of continuing to a hold target
 
-    # ---- pieces
+    # ---- parts
 
-    def _may_be_at(self, place_ned_m: Array) -> bool:
-        """Whether the geofence, if it does more than warn, lets the vehicle be at a place (3,)."""
+    def _is_allowed(self, place_ned_m: Array) -> bool:
+        """Return whether a position (3,) is allowed by the geofence, or its action is at most a warning."""
         if self._settings.commander.geofence_action <= _FENCE_WARNS:
             return True
         home = self._flight.home
@@ -323,12 +323,15 @@ class Pilot:
         return self._geofence.check(place_ned_m, home_ned_m, self._origin()) is None
 
     def _origin(self) -> Origin:
-        """Give the place of the local frame on the globe."""
+        """Return the geodetic origin of the local frame."""
         state = self._flight.state
         return Origin(state.origin_lat_deg, state.origin_lon_deg, state.origin_alt_m)
 
     def _takeoff_down_m(self) -> float:
-        """Where a take-off ends: MIS_TAKEOFF_ALT above home, or at an altitude that is off the ground."""
+        """Return the final height of a take-off: MIS_TAKEOFF_ALT above home, or the requested altitude.
+
+        A requested altitude that is not above the ground is ignored.
+        """
         home_down_m = self._flight.home.pos_ned_m[2] if self._flight.home is not None else 0.0
         amsl_m = self.takeoff_altitude.amsl_m
         if amsl_m is not None:
@@ -338,20 +341,20 @@ class Pilot:
         return home_down_m - self._settings.navigation.takeoff_height_m
 
     def _enter_in_flight(self, mode: FlightMode) -> Reason | None:
-        """Enter a mode for what only a flying vehicle can do."""
+        """Enter a mode that requires the vehicle to be in the air."""
         commander = self._flight.commander
         if not commander.armed or self.landed:
             return Reason.ON_GROUND
         refusal = commander.set_mode(mode)
         if refusal is None:
             self.takeoff_altitude.amsl_m = None
-            self._keep_up()
+            self._apply_changes()
         return refusal
 
     def _place_ned_m(
         self, here_ned_m: Array, lat_deg: float | None, lon_deg: float | None, alt_amsl_m: float | None
     ) -> Array:
-        """(3,) place from the estimator's origin; ``here_ned_m`` (3,) stands in for what is None."""
+        """Return a position (3,) from the estimator's origin; ``here_ned_m`` (3,) replaces what is None."""
         state = self._flight.state
         place_ned_m = here_ned_m.copy()
         if lat_deg is not None and lon_deg is not None:
@@ -368,14 +371,14 @@ class Pilot:
         return place_ned_m
 
     def _set_home(self) -> None:
-        """Make the present place the one to return to."""
+        """Set home to the present position."""
         self._flight.home = self._here()
         self._check_mission()
 
     def _check_mission(self, *, flown: bool = False) -> None:
-        """Find out whether there is a mission that may be flown.
+        """Check whether there is a mission that may be flown.
 
-        Like PX4 it lets one that is being flown alone unless ``flown``: when mission or geofence are others.
+        As in PX4 a mission in progress is only checked if ``flown``: when mission or geofence have changed.
         """
         mission, home, commander = (
             self.navigator.mission.runner.mission,
@@ -384,21 +387,23 @@ class Pilot:
         )
         if commander.mode is FlightMode.MISSION and commander.armed and not self.landed and not flown:
             return
-        trouble = warning = None
+        violation = warning = None
         if mission is not None and home is not None:
-            trouble = fence_trouble(mission, self._geofence, home_ned_m=home.pos_ned_m, origin=self._origin())
+            violation = fence_violation(
+                mission, self._geofence, home_ned_m=home.pos_ned_m, origin=self._origin()
+            )
             warning = distance_warning(
                 mission,
                 home_lat_deg=home.lat_deg,
                 home_lon_deg=home.lon_deg,
                 max_m=self._settings.navigation.first_place_max_m,
             )
-        if trouble is not None and trouble != self.mission_trouble:
-            self.warnings.append(f"Mission rejected: {trouble}")
+        if violation is not None and violation != self.mission_fault:
+            self.warnings.append(f"Mission rejected: {violation}")
         if warning is not None and warning != self._mission_warning:
             self.warnings.append(warning)
-        self.mission_trouble, self._mission_warning = trouble, warning
-        self.mission_valid = mission is not None and trouble is None
+        self.mission_fault, self._mission_warning = violation, warning
+        self.mission_valid = mission is not None and violation is None
 
     def _here(self) -> Home:
         state = self._flight.state
@@ -420,12 +425,12 @@ class Pilot:
 
 
 def _number(value: float | None) -> float | None:
-    """Give a value that is none for what is no number, as MAVLink means it."""
+    """Return None for a value that is not finite, as MAVLink defines it."""
     return value if value is not None and math.isfinite(value) else None
 
 
 def _are_usable(lat_deg: float | None, lon_deg: float | None, alt_m: float | None) -> bool:
-    """Whether a place is on the globe, or is left to be what it was; False for NaN."""
+    """Return whether latitude, longitude and altitude are each valid or None; False for NaN."""
     return (
         (lat_deg is None or abs(lat_deg) <= 90.0)
         and (lon_deg is None or abs(lon_deg) <= 180.0)

@@ -1,14 +1,14 @@
-"""One UAV without its edges: estimator, commander, control, MAVLink services, on-board application.
+"""One UAV without I/O: estimator, commander, control, MAVLink services, on-board application.
 
-`Vehicle.step` is all that happens in the moment of one HIL_SENSOR. It does no I/O: messages and radio items
-come in as objects and go out as objects, and time is the sensor's.
+`Vehicle.step` processes one HIL_SENSOR. Messages and radio items are passed as objects, and time is that of
+the sensor.
 
-Parts have rates of their own, as in PX4: prediction, rates and attitude act at every sample, position control
-at every second; magnetometer and barometer are taken at their parameters' rates; what is felt of the ground,
-conditions, failsafes and modes are looked at every `DECISION_PERIOD_US`, and at once when a link or the
-application wants something. The application has a loop of its own (``onboard.loop_period_ms``), in which it
-takes telemetry and says what it has to say. All come at the multiples of their periods, so that most steps
-have nothing but the sample.
+As in PX4 each part has its own rate. Prediction, rates and attitude run at every sample, position control at
+every second one; magnetometer and barometer at the rates of their parameters. Land detection, conditions,
+failsafes and modes are evaluated every `DECISION_PERIOD_US`, and immediately on messages from a link or
+commands of the application. The application has its own loop (``onboard.loop_period_ms``), in which it
+receives telemetry and sends messages. All run at multiples of their periods, so most steps only process the
+sample.
 """
 
 from collections.abc import Sequence
@@ -55,44 +55,44 @@ from autopilot.vehicle.pilot import Pilot
 from netsim.wire.messages import RxItem, TxItem
 
 DECISION_PERIOD_US = 40_000
-"""PX4 looks for the ground twice as often, at failsafes four times; what they wait for lasts far longer."""
+"""PX4 runs its land detector twice as often and failsafes four times; their time limits are far longer."""
 _GROUND = Partner(GROUND_STATION)
 _HEARTBEAT_PERIOD_US = 1_000_000
 _TRUTH_INTERVAL_US = 5_000.0
-"""What PX4 asks a simulator for on connecting."""
+"""Interval that PX4 requests from a simulator on connecting."""
 _MODE_DISARMED = common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 _MODE_ARMED = _MODE_DISARMED | common.MAV_MODE_FLAG_SAFETY_ARMED
 _LOCKSTEP_FLAG = 1
-_OF_THE_START = frozenset({"EKF2_GPS_DELAY"})
-"""Parameters that cannot change later: the GPS delay is the length of the estimator's memory."""
+_ONLY_AT_START = frozenset({"EKF2_GPS_DELAY"})
+"""Parameters that only take effect at the start: the GPS delay determines the estimator's buffer."""
 _HIL_STATE_QUATERNION = common.MAVLINK_MSG_ID_HIL_STATE_QUATERNION
 _TO_GROUND_TOO = frozenset({common.MAVLINK_MSG_ID_HEARTBEAT, common.MAVLINK_MSG_ID_NAMED_VALUE_INT})
-"""What the application tells simulator and ground station of itself."""
+"""Messages of the application about itself, which go to the simulator and the ground station."""
 
 
 class StepOutput(Struct, frozen=True, kw_only=True):
-    """What a step sends."""
+    """Outputs of a step."""
 
     now_us: int
     actuators: HilActuatorControls
-    """HIL_ACTUATOR_CONTROLS, stamped as the sensor data that it answers."""
+    """HIL_ACTUATOR_CONTROLS, with the time stamp of the sensor data that it answers."""
     simulator: list[Message]
-    """Other messages to the simulator; those of the application carry its component as source."""
+    """Other messages to the simulator; those of the application have its component as source."""
     links: list[Addressed]
-    """To partners of the links to the outside."""
+    """To partners of the external links."""
     radio: tuple[TxItem, ...]
     save_parameters: bool = False
-    """The parameters are to be written to their file."""
+    """Whether the parameters are to be written to their file."""
 
 
 class Vehicle:
-    """One UAV; `step` it with every HIL_SENSOR."""
+    """One UAV; call `step` with every HIL_SENSOR."""
 
     def __init__(self, config: VehicleConfig) -> None:
-        """Put it together.
+        """Create the vehicle's parts.
 
-        Raises ParameterError for a parameter that does not exist or is out of range, PlanError for a mission
-        or a fence that cannot be.
+        Raises ParameterError for a parameter that does not exist or is out of range, PlanError for an invalid
+        mission or fence.
         """
         self.config = config
         self._system = config.instance + 1
@@ -142,18 +142,19 @@ class Vehicle:
             plans=site_plan.plans(config.autopilot, config.site),
         )
         self._before_conditions = self.offboard.takes | self.manual.takes
-        """Messages that conditions depend on, so that a mode is not asked for in vain."""
-        self._told_truth = config.onboard.localisation == "truth"
+        """Messages that conditions depend on; processed first, so that a mode request in the same step
+        succeeds."""
+        self._uses_truth = config.onboard.localisation == "truth"
         self._loop_period_us = config.onboard.loop_period_us
         self.app = make_application(config) if config.onboard.enabled else None
         if self.app is not None:
-            self.messaging.tell_application = self.app.on_mavlink
+            self.messaging.send_to_application = self.app.on_mavlink
         self._last_us: int | None = None
         self._announced: tuple[FlightMode, bool, bool] | None = None
         self._announce_us = 0
         self._decide_us = 0
         self._loop_us = NEVER_US
-        """When the application's loop comes round next, once there was a step."""
+        """Time of the next loop of the application, set at the first step."""
 
     def step(
         self,
@@ -163,10 +164,10 @@ class Vehicle:
         radio_items: Sequence[RxItem] = (),
         link_active: tuple[bool, ...] = (True, True),
     ) -> StepOutput:
-        """Take what arrived up to a HIL_SENSOR, the last of ``sim_messages``, and return what to send.
+        """Process the messages up to a HIL_SENSOR, the last of ``sim_messages``, and return the outputs.
 
-        Where ``link_active`` says that nobody listens only the heartbeat is formed. A HIL_SENSOR that is
-        not later than the one before is answered with the controls of before.
+        Links that are inactive by ``link_active`` only get the heartbeat. A HIL_SENSOR that is not later than
+        the previous one is answered with the previous controls.
         """
         now_us: int = sim_messages[-1].time_usec
         last_us = self._last_us
@@ -178,19 +179,19 @@ class Vehicle:
         self._sense(sim_messages, now_us)
         simulator: list[Message] = []
         if last_us is None:
-            simulator.append(_greeting())
+            simulator.append(_interval_request())
             if self.app is not None:
                 self._loop_us = _next(now_us - 1, self._loop_period_us)
         loops = now_us >= self._loop_us
-        decides = now_us >= self._decide_us or self._is_wanted(link_messages)
+        decides = now_us >= self._decide_us or self._is_addressed(link_messages)
         to_answer = self._take_in(link_messages, now_us) if link_messages else []
         if decides:
             self._decide_us = _next(now_us, DECISION_PERIOD_US)
-            self._look_around()
+            self._update_inputs()
             self._decide()
         for received in to_answer:
             self._on_link_message(received, now_us)
-        if self._told_truth:
+        if self._uses_truth:
             self._pass_truth_on(sim_messages, now_us)
         if self.app is not None and radio_items:
             self.app.on_radio(radio_items, now_us)
@@ -208,20 +209,21 @@ class Vehicle:
             simulator=simulator,
             links=links,
             radio=radio,
-            save_parameters=messaging.take_save_wanted(),
+            save_parameters=messaging.take_save_request(),
         )
 
     def serve_while_paused(self, link_messages: Sequence[Addressed]) -> list[Addressed]:
-        """Answer the links while simulated time stands: commands are carried out, the newest setpoints kept.
+        """Return replies to the links while simulated time is paused.
 
-        Nothing is due in the meantime, for no time passes; so nothing times out either.
+        Commands are executed and the newest setpoints stored. No time passes, so nothing is due and nothing
+        times out.
         """
         if self._last_us is None:
             return []
         now_us = self._last_us
         self.flight.time_stands = True
         to_answer = self._take_in(link_messages, now_us)
-        # for a mode may be asked for just after what it needs
+        # a mode may be requested just after its conditions are met
         self.monitor.update(self.flight, has_mission=self.pilot.mission_valid)
         self._decide()
         for received in to_answer:
@@ -231,14 +233,13 @@ class Vehicle:
 
     @property
     def next_look_us(self) -> int:
-        """From when on a step has to look at more than what its messages bring, if no link asks before."""
+        """Time of the next step that is due for more than its messages, unless a link sends earlier."""
         return min(self._decide_us, self._loop_us, self.messaging.next_deadline_us())
 
     def begin_fast_steps(self, steps: FastSteps, answer: bytes, sequence: int, limit_us: int) -> bool:
-        """Let ``steps`` follow on this answer up to the next look at anything but inertial samples.
+        """Allow fast steps after this reply until a full step is due; return whether the next can be fast.
 
-        ``sequence`` is the next answer's, and somebody else looks at ``limit_us``. False: the next step is
-        that look.
+        ``sequence`` is that of the next reply; ``limit_us`` is the time of a full step for other reasons.
         """
         filtered, now_us, flies = self.estimator.filter, self.flight.now_us, self.pilot.flies_on
         if filtered is None or (self.commander.armed and not flies):
@@ -254,7 +255,7 @@ class Vehicle:
         return True
 
     def catch_up(self, now_us: int) -> None:
-        """Take what compiled steps have left in filter and controller, the last of which was at this time."""
+        """Synchronise with filter and controller after fast steps, the last of which was at this time."""
         self._last_us = self.flight.now_us = now_us
         self._sensors.catch_up(now_us)
         self.estimator.catch_up(now_us)
@@ -262,20 +263,20 @@ class Vehicle:
 
     @property
     def has_begun(self) -> bool:
-        """Whether a step was made."""
+        """Whether there was a step."""
         return self._last_us is not None
 
     def heartbeat(self) -> Message:
-        """HEARTBEAT as things stand."""
+        """Return the present HEARTBEAT."""
         return heartbeat(self.commander, self.flight.conditions)
 
     def has_been_at(self, now_us: int) -> bool:
-        """Whether a step was made at that time or later: then it takes nothing in."""
+        """Return whether there was a step at that time or later; a step at that time is a repetition."""
         return self._last_us is not None and now_us <= self._last_us
 
     def set_parameter(self, name: str, value: float) -> None:
-        """Change a parameter, which acts at once. Raises ParameterError, also for what cannot change now."""
-        if name in _OF_THE_START:
+        """Change a parameter, in effect immediately. Raises ParameterError, also if it cannot change now."""
+        if name in _ONLY_AT_START:
             raise ParameterError(f"{name} can only be set at the start", ParameterProblem.READ_ONLY)
         before = self.parameters.settings
         self.parameters.set(name, value)
@@ -283,12 +284,12 @@ class Vehicle:
         self._apply_settings(before)
 
     def reset_parameters(self, beginnings: tuple[str, ...]) -> bool:
-        """Give all parameters whose names begin so their defaults; armed it is refused, as by PX4."""
+        """Reset all parameters with these prefixes to their defaults; return False if armed, as in PX4."""
         if self.commander.armed:
             return False
         before = self.parameters.settings
         names = [
-            row.name for row in ROWS if row.name.startswith(beginnings) and row.name not in _OF_THE_START
+            row.name for row in ROWS if row.name.startswith(beginnings) and row.name not in _ONLY_AT_START
         ]
         for name in self.parameters.reset(names):
             self.messaging.on_parameter(name)
@@ -296,7 +297,7 @@ class Vehicle:
         return True
 
     def _apply_settings(self, before: Settings) -> None:
-        """Have all parts go by what has become of the settings of before."""
+        """Apply the present settings to all parts, where they differ from those of before."""
         settings = self.parameters.settings
         if settings is before:
             return
@@ -304,20 +305,20 @@ class Vehicle:
             self.estimator.set_params(settings.estimation)
         self._sensors.set_params(settings.sensors)
         self.commander.params = settings.commander
-        self.monitor.set_params(settings)  # of the geofence, too, by which the pilot looks at the mission
+        self.monitor.set_params(settings)  # includes the geofence, which the pilot checks the mission against
         self.pilot.set_params(settings)
 
     def troubles(self) -> dict[str, int]:
-        """Counts of what went wrong so far and was coped with."""
+        """Return counts of errors that were handled."""
         counts = {"offboard_rejected": self.offboard.rejected}
         if self.app is not None:
             counts |= self.app.troubles()
         return counts
 
-    # ---- parts of a step, in their order
+    # ---- parts of a step, in order
 
     def _sense(self, sim_messages: Sequence[Message], now_us: int) -> None:
-        """Bring estimate and sensors up to now."""
+        """Update sensors and estimate."""
         flight, sensors = self.flight, self._sensors
         flight.now_us = now_us
         if sensors.take(sim_messages, now_us):
@@ -326,8 +327,8 @@ class Vehicle:
         flight.sensor, flight.baro = sensors.sensor, sensors.baro
         flight.state = self.estimator.live
 
-    def _look_around(self) -> None:
-        """Find out what the commander goes by: contact with the ground, what holds and what is wrong."""
+    def _update_inputs(self) -> None:
+        """Update the inputs of the commander: land state, conditions and causes."""
         flight, pilot = self.flight, self.pilot
         if flight.state.position_valid:
             flight.origin_known = True
@@ -343,8 +344,8 @@ class Vehicle:
             self.estimator.restart()
         self.monitor.update(flight, has_mission=pilot.mission_valid)
 
-    def _is_wanted(self, link_messages: Sequence[Addressed]) -> bool:
-        """Whether a link wants something of this vehicle: what is for others must not change its timing."""
+    def _is_addressed(self, link_messages: Sequence[Addressed]) -> bool:
+        """Return whether a link message is addressed to this vehicle; others must not change its timing."""
         return any(
             is_addressed_to(message, system=self._system, component=component)
             for _, message in link_messages
@@ -352,7 +353,7 @@ class Vehicle:
         )
 
     def _take_in(self, link_messages: Sequence[Addressed], now_us: int) -> list[Addressed]:
-        """Take what conditions depend on, wherever it stands among the messages; returns the others."""
+        """Process the messages that conditions depend on, at any position; return the others."""
         to_answer = []
         for received in link_messages:
             self.monitor.on_message(received.message, now_us)
@@ -363,7 +364,7 @@ class Vehicle:
         return to_answer
 
     def _decide(self) -> None:
-        """Have the commander look at conditions and causes, and tell what it does of itself."""
+        """Update the commander and send its notices."""
         for notice in self.commander.update(
             self.flight.now_us,
             conditions=self.flight.conditions,
@@ -381,7 +382,7 @@ class Vehicle:
         elif self.app is not None and is_addressed_to(
             message, system=system, component=APPLICATION_COMPONENT
         ):
-            answers = self.app.on_request(message)  # what its autopilot tells it comes another way
+            answers = self.app.on_request(message)  # messages of its autopilot use `send_to_application`
             for answer in answers:
                 stamp(answer, system=system, component=APPLICATION_COMPONENT)
             messaging.post(reply(partner, *answers))
@@ -389,7 +390,7 @@ class Vehicle:
             messaging.not_addressed[partner.link] += 1
 
     def _run_app(self, simulator: list[Message], now_us: int) -> tuple[TxItem, ...]:
-        """Give the application its telemetry, and carry out what it asks for."""
+        """Run the application's loop: pass its telemetry and process its messages."""
         app = self.app
         if app is None:
             return ()
@@ -412,11 +413,11 @@ class Vehicle:
             else:
                 self.messaging.on_message(message, now_us, APPLICATION_PARTNER)
                 if kind in COMMANDS:
-                    self._decide_us = now_us  # what it has changed is seen with the next sample
+                    self._decide_us = now_us  # decide at the next sample
         return output.radio
 
     def _pass_truth_on(self, sim_messages: Sequence[Message], now_us: int) -> None:
-        """Tell the application where the vehicle is: what no aircraft knows, and estimates are held to."""
+        """Pass the true state to the application, as the reference for estimates."""
         for message in sim_messages:
             if message.get_msgId() == _HIL_STATE_QUATERNION:
                 self.flight.truth = message
@@ -424,7 +425,7 @@ class Vehicle:
                     self.app.on_mavlink(message, now_us)
 
     def _announce(self, simulator: list[Message], now_us: int) -> None:
-        """Heartbeat to simulator and application: each second, and at once when what it says changes."""
+        """Send the heartbeat to simulator and application, once a second and when it changes."""
         present = (self.commander.mode, self.commander.armed, self.commander.failsafe)
         if present != self._announced or now_us >= self._announce_us:
             if self.commander.armed and (self._announced is None or not self._announced[1]):
@@ -437,7 +438,7 @@ class Vehicle:
             if self.app is not None:
                 self.app.on_mavlink(message, now_us)
 
-    # ---- pieces
+    # ---- parts
 
     def _actuators(self, now_us: int) -> HilActuatorControls:
         mode = _MODE_ARMED if self.commander.armed else _MODE_DISARMED
@@ -445,12 +446,12 @@ class Vehicle:
 
 
 def _next(now_us: int, period_us: int) -> int:
-    """First multiple of a period that is later than now."""
+    """Return the first multiple of a period that is later than now."""
     return now_us - now_us % period_us + period_us
 
 
-def _greeting() -> Message:
-    """Give what PX4 sends a simulator on connecting, besides the heartbeat."""
+def _interval_request() -> Message:
+    """Return the message that PX4 sends to a simulator on connecting, in addition to the heartbeat."""
     truth = float(common.MAVLINK_MSG_ID_HIL_STATE_QUATERNION)
     return common.MAVLink_command_long_message(
         0, 0, common.MAV_CMD_SET_MESSAGE_INTERVAL, 0, truth, _TRUTH_INTERVAL_US, 0.0, 0.0, 0.0, 0.0, 0.0

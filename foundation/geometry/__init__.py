@@ -1,5 +1,5 @@
-"""Rotations and geodesy: pure functions on numbers, some of them compiled.
+"""Rotations and geodesy: pure functions, some of them compiled.
 
-Import `rotations` for quaternions and `geodesy` for positions on the Earth. Frames of PyBullet are left to
+Import `rotations` for quaternions and `geodesy` for positions on the Earth. PyBullet's frames are handled in
 `harness.world.physics`.
 """

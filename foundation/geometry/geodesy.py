@@ -1,9 +1,8 @@
-"""Latitude, longitude and altitude against a local north-east-down frame, on the WGS 84 ellipsoid.
+"""Conversion between geodetic coordinates (WGS 84) and a local north-east-down frame.
 
-The NED frame is the tangent plane at its origin (no map projection): distances in it are distances in
-space, and the two directions are exact inverses. Altitude is taken as height above the ellipsoid, for the
-geoid's undulation is constant over a flight and cancels. Pure functions; points may be arrays of any common
-shape.
+The NED frame is the tangent plane at its origin (no map projection): distances in it are Euclidean distances,
+and the two conversions are inverses. Altitude is used as height above the ellipsoid, since the geoid
+undulation is constant over a flight and cancels. Pure functions; points may be arrays of any common shape.
 """
 
 import math
@@ -27,10 +26,10 @@ def place_ned_m(
     lat_deg: float, lon_deg: float, alt_m: float,
     origin_lat_deg: float, origin_lon_deg: float, origin_alt_m: float,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Position in metres, NED from the origin, of one geodetic point of finite numbers.
+    """Return the NED position in metres, from the origin, of one geodetic point of finite numbers.
 
-    What `geodetic_to_ned` says but for rounding, for a twentieth of its time: for what comes one by one, as
-    fixes do.
+    The result equals that of `geodetic_to_ned` except for rounding, in a twentieth of its time; for single
+    points such as GPS fixes.
     """
     x_m, y_m, z_m = _ecef_m(math.radians(lat_deg), math.radians(lon_deg), alt_m)
     lat_rad, lon_rad = math.radians(origin_lat_deg), math.radians(origin_lon_deg)
@@ -64,7 +63,7 @@ def geodetic_to_ned(
     origin_lon_deg: float,
     origin_alt_m: float,
 ) -> Array:
-    """Position (..., 3) in metres, NED from the origin, of geodetic points of common shape (...)."""
+    """Return NED positions (..., 3) in metres, from the origin, of geodetic points of common shape (...)."""
     origin_ecef_m, dcm_ned_ecef = _origin(origin_lat_deg, origin_lon_deg, origin_alt_m)
     offset_ecef_m = (
         _geodetic_to_ecef(np.radians(lat_deg), np.radians(lon_deg), np.asarray(alt_m, float)) - origin_ecef_m
@@ -79,10 +78,10 @@ def ned_to_geodetic(
     origin_lon_deg: float,
     origin_alt_m: float,
 ) -> tuple[Array, Array, Array]:
-    """Latitude, longitude (degrees) and altitude (metres), each (...), of positions (..., 3) from the origin.
+    """Return latitude, longitude (degrees) and altitude (metres), each (...), of NED positions (..., 3).
 
-    By one step of Bowring's formula ("Transformation from spatial to geographical coordinates", 1976); there
-    and back stays within a micrometre up to 1 km from the origin.
+    One step of Bowring's formula ("Transformation from spatial to geographical coordinates", 1976); the
+    round-trip error is below a micrometre up to 1 km from the origin.
     """
     origin_ecef_m, dcm_ned_ecef = _origin(origin_lat_deg, origin_lon_deg, origin_alt_m)
     ecef_m = np.asarray(pos_ned_m, float) @ dcm_ned_ecef + origin_ecef_m
@@ -94,7 +93,7 @@ def ned_to_geodetic(
         from_axis_m - _ECCENTRICITY_SQUARED * SEMI_MAJOR_AXIS_M * np.cos(parametric_rad) ** 3,
     )
     sin_lat, cos_lat = np.sin(lat_rad), np.cos(lat_rad)
-    # the projection on the local vertical: unlike p / cos(lat) - N, it is well-conditioned at the poles too
+    # projection on the local vertical: unlike p / cos(lat) - N, it is well-conditioned at the poles
     alt_m = (
         from_axis_m * cos_lat
         + z_m * sin_lat
@@ -105,7 +104,7 @@ def ned_to_geodetic(
 
 @lru_cache(maxsize=8)
 def _origin(lat_deg: float, lon_deg: float, alt_m: float) -> tuple[Array, Array]:
-    """Position (3,), m, and directions (3, 3) of a frame in earth-centred axes: a vehicle has one or two."""
+    """Return the origin (3,) in metres and the axes (3, 3) of a NED frame in ECEF; cached."""
     ecef_m = _geodetic_to_ecef(np.radians(lat_deg), np.radians(lon_deg), np.float64(alt_m))
     dcm_ned_ecef = _dcm_ned_ecef(lat_deg, lon_deg)
     for array in (ecef_m, dcm_ned_ecef):
@@ -130,7 +129,7 @@ def _geodetic_to_ecef(
 
 
 def _dcm_ned_ecef(lat_deg: float, lon_deg: float) -> Array:
-    """(3, 3): rows are north, east and down at the place, in earth-centred earth-fixed axes."""
+    """Return the matrix (3, 3) whose rows are north, east and down at a point, in ECEF axes."""
     sin_lat, cos_lat = np.sin(np.radians(lat_deg)), np.cos(np.radians(lat_deg))
     sin_lon, cos_lon = np.sin(np.radians(lon_deg)), np.cos(np.radians(lon_deg))
     return np.array(

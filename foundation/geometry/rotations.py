@@ -1,11 +1,11 @@
-"""Quaternions for the numeric kernels of estimation and control.
+"""Quaternion functions for the numerical kernels of estimation and control.
 
 Hamilton's convention, wxyz, float64 arrays; ``q_ab`` maps a vector's components in frame b into frame a, so
 ``quat_rotate(q_ned_frd, v_frd)`` is ``v_ned`` and ``quat_multiply(q_ab, q_bc)`` is ``q_ac``. Angles: radians.
-Every function expects unit quaternions unless it says otherwise. Those whose names begin with ``quat_`` make
-a new array; `multiply` and the four after it are the same on tuples, for the innermost loops, where making
-arrays of three and four numbers would be most of the work. Equations: J. Sola, "Quaternion kinematics for the
-error-state Kalman filter", 2017 (arXiv 1711.02508).
+All functions expect unit quaternions unless stated otherwise. Functions ``quat_...`` return new arrays;
+`multiply` and the four after it do the same on tuples, for inner loops, where creating small arrays would
+dominate the cost. Equations: J. Sola, "Quaternion kinematics for the error-state Kalman filter", 2017 (arXiv
+1711.02508).
 """
 
 import math
@@ -16,7 +16,7 @@ from numba import njit
 from foundation.types import Array
 
 SMALL_ANGLE_RAD = 1e-6
-"""Below this the series replaces sin(x)/x; its truncation error there is 1e-26."""
+"""Angle below which a series replaces sin(x)/x; its truncation error is 1e-26."""
 
 
 Quaternion = tuple[float, float, float, float]
@@ -25,7 +25,7 @@ Vector = tuple[float, float, float]
 
 @njit(cache=True)
 def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Hamilton product a b."""
+    """Return the Hamilton product a b."""
     return (
         a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
         a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
@@ -36,20 +36,20 @@ def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
 
 @njit(cache=True)
 def conjugate(q: Quaternion) -> Quaternion:
-    """Inverse rotation."""
+    """Return the inverse rotation."""
     return q[0], -q[1], -q[2], -q[3]
 
 
 @njit(cache=True)
 def normalise(q: Quaternion) -> Quaternion:
-    """Of length one. The zero quaternion has no direction and gives not-a-number."""
+    """Return the quaternion normalised to length 1; NaN for the zero quaternion."""
     length = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     return q[0] / length, q[1] / length, q[2] / length, q[3] / length
 
 
 @njit(cache=True)
 def rotate(q_ab: Quaternion, v_b: Vector) -> Vector:
-    """Components in frame a of a vector given in frame b: v + 2 w (u x v) + 2 u x (u x v)."""
+    """Return the components in frame a of a vector in frame b: v + 2 w (u x v) + 2 u x (u x v)."""
     w, x, y, z = q_ab
     tx = 2.0 * (y * v_b[2] - z * v_b[1])
     ty = 2.0 * (z * v_b[0] - x * v_b[2])
@@ -63,7 +63,7 @@ def rotate(q_ab: Quaternion, v_b: Vector) -> Vector:
 
 @njit(cache=True)
 def from_rotation_vector(rotation_rad: Vector) -> Quaternion:
-    """Exponential map of a rotation vector: axis times angle, any length."""
+    """Return the quaternion of a rotation vector (axis times angle, any length): the exponential map."""
     x, y, z = rotation_rad
     angle_rad = math.sqrt(x * x + y * y + z * z)
     if angle_rad < SMALL_ANGLE_RAD:
@@ -75,7 +75,7 @@ def from_rotation_vector(rotation_rad: Vector) -> Quaternion:
 
 @njit(cache=True)
 def quat_multiply(a: Array, b: Array) -> Array:
-    """Hamilton product a b, (4,)."""
+    """Return the Hamilton product a b, (4,)."""
     product = np.empty(4)
     product[0], product[1], product[2], product[3] = multiply(
         (a[0], a[1], a[2], a[3]), (b[0], b[1], b[2], b[3])
@@ -85,7 +85,7 @@ def quat_multiply(a: Array, b: Array) -> Array:
 
 @njit(cache=True)
 def quat_conjugate(q: Array) -> Array:
-    """(4,) the inverse rotation."""
+    """Return the inverse rotation (4,)."""
     conjugate = np.empty(4)
     conjugate[0] = q[0]
     conjugate[1] = -q[1]
@@ -96,7 +96,7 @@ def quat_conjugate(q: Array) -> Array:
 
 @njit(cache=True)
 def quat_normalise(q: Array) -> Array:
-    """(4,) of length one. The zero quaternion has no direction and gives not-a-number."""
+    """Return the quaternion (4,) normalised to length 1; NaN for the zero quaternion."""
     unit = np.empty(4)
     unit[0], unit[1], unit[2], unit[3] = normalise((q[0], q[1], q[2], q[3]))
     return unit
@@ -104,7 +104,7 @@ def quat_normalise(q: Array) -> Array:
 
 @njit(cache=True)
 def quat_rotate(q_ab: Array, v_b: Array) -> Array:
-    """(3,) components in frame a of a vector given in frame b."""
+    """Return the components (3,) in frame a of a vector in frame b."""
     v_a = np.empty(3)
     v_a[0], v_a[1], v_a[2] = rotate((q_ab[0], q_ab[1], q_ab[2], q_ab[3]), (v_b[0], v_b[1], v_b[2]))
     return v_a
@@ -112,13 +112,13 @@ def quat_rotate(q_ab: Array, v_b: Array) -> Array:
 
 @njit(cache=True)
 def quat_rotate_inverse(q_ab: Array, v_a: Array) -> Array:
-    """(3,) components in frame b of a vector given in frame a."""
+    """Return the components (3,) in frame b of a vector in frame a."""
     return quat_rotate(quat_conjugate(q_ab), v_a)
 
 
 @njit(cache=True)
 def quat_to_dcm(q_ab: Array) -> Array:
-    """(3, 3) rotation matrix R_ab with v_a = R_ab v_b."""
+    """Return the rotation matrix R_ab (3, 3) with v_a = R_ab v_b."""
     w, x, y, z = q_ab[0], q_ab[1], q_ab[2], q_ab[3]
     dcm_ab = np.empty((3, 3))
     dcm_ab[0, 0] = 1.0 - 2.0 * (y * y + z * z)
@@ -135,7 +135,7 @@ def quat_to_dcm(q_ab: Array) -> Array:
 
 @njit(cache=True)
 def quat_from_dcm(dcm_ab: Array) -> Array:
-    """(4,) quaternion of a (3, 3) rotation matrix, w >= 0.
+    """Return the quaternion (4,) of a rotation matrix (3, 3), w >= 0.
 
     Shepperd's method (J. Guidance and Control, 1978): divides by the largest component, safe at half turns.
     """
@@ -167,7 +167,7 @@ def quat_from_dcm(dcm_ab: Array) -> Array:
 
 @njit(cache=True)
 def quat_from_euler(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Array:
-    """(4,) q_ned_frd of the aerospace sequence: yaw, pitch about the new y, roll about the new x."""
+    """Return q_ned_frd (4,) of the aerospace sequence: yaw, pitch about the new y, roll about the new x."""
     cr, sr = math.cos(0.5 * roll_rad), math.sin(0.5 * roll_rad)
     cp, sp = math.cos(0.5 * pitch_rad), math.sin(0.5 * pitch_rad)
     cy, sy = math.cos(0.5 * yaw_rad), math.sin(0.5 * yaw_rad)
@@ -181,7 +181,7 @@ def quat_from_euler(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Array:
 
 @njit(cache=True)
 def quat_to_euler(q_ned_frd: Array) -> Array:
-    """(3,) roll, pitch, yaw; at pitch +-pi/2 only roll -+ yaw is defined."""
+    """Return roll, pitch, yaw (3,); at pitch +-pi/2 only roll -+ yaw is defined."""
     w, x, y, z = q_ned_frd[0], q_ned_frd[1], q_ned_frd[2], q_ned_frd[3]
     euler_rad = np.empty(3)
     euler_rad[0] = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
@@ -192,7 +192,7 @@ def quat_to_euler(q_ned_frd: Array) -> Array:
 
 @njit(cache=True)
 def quat_from_rotation_vector(rotation_rad: Array) -> Array:
-    """(4,) exponential map of a (3,) rotation vector: axis times angle, any length."""
+    """Return the quaternion (4,) of a rotation vector (3,) (axis times angle): the exponential map."""
     q = np.empty(4)
     q[0], q[1], q[2], q[3] = from_rotation_vector((rotation_rad[0], rotation_rad[1], rotation_rad[2]))
     return q

@@ -1,4 +1,4 @@
-"""Compiled numerical kernels: the folder of the on-disk cache.
+"""Compiled numerical kernels: folder of the on-disk cache, and the error of warm-ups.
 
-Import `cache_folder` before Numba. Compiling all kernels ahead of a flight is left to `harness.launch`.
+Import `cache_folder` before Numba. `harness.launch` compiles all kernels before a flight.
 """

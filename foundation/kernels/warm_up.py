@@ -2,4 +2,4 @@
 
 
 class WarmUpError(RuntimeError):
-    """A warm-up did not run what it has to; the text is one line."""
+    """A warm-up did not have the expected results; the text is one line."""

@@ -1,5 +1,5 @@
-"""Child processes: the protocol between a child and its parent, and processes that fork others.
+"""Child processes: the protocol between child and parent, and a prefork server.
 
-Import `child_protocol` in a program that a launcher starts, `prefork` in one that forks its like.
-Starting and supervising whole swarms is left to `harness.launch`.
+Import `child_protocol` in a program that a launcher starts, `prefork` in a prefork server. Swarms are started
+and supervised by `harness.launch`.
 """

@@ -1,10 +1,10 @@
-"""A child process's line to whoever started it.
+"""Protocol between a child process and its parent.
 
-JSON events out on stdout, lines in on stdin, and an end with the parent.
+Events are JSON lines on stdout, commands are JSON lines on stdin.
 
-With ``--supervised`` a child says `Ready` once it can work and `Finished` before it ends, and ends at once
-when its stdin does: that is how no process outlives its launcher, however the launcher dies. Without it,
-stdin and stdout are a user's.
+With ``--supervised`` a child emits `Ready` when it is ready and `Finished` before it exits. It exits at once
+at the end of its stdin, so no process outlives its launcher, even if the launcher is killed. Without this
+option stdin and stdout belong to the user.
 """
 
 import logging
@@ -20,23 +20,23 @@ from msgspec import Struct
 
 
 class Ready(Struct, frozen=True, kw_only=True, tag="ready", tag_field="event"):
-    """The process can work."""
+    """The process is ready."""
 
     name: str
     pid: int
     details: dict[str, Any] = {}
-    """What it chose itself, such as ``endpoint`` or ``gcs_local_udp``."""
+    """Values chosen by the process, such as ``endpoint`` or ``gcs_local_udp``."""
 
 
 class Influenced(Struct, frozen=True, kw_only=True, tag="influenced", tag_field="event"):
-    """From here on the run depends on more than scenario and seed; said before it does, and once."""
+    """The run is about to depend on more than scenario and seed; emitted once."""
 
     name: str
     by: str
 
 
 class Warned(Struct, frozen=True, kw_only=True, tag="warned", tag_field="event"):
-    """A warning or worse that people should see, as it was said over the process's own links."""
+    """A warning or more severe message for the user, as the process has sent it over its links."""
 
     name: str
     time_us: int
@@ -44,11 +44,11 @@ class Warned(Struct, frozen=True, kw_only=True, tag="warned", tag_field="event")
 
 
 class Stop(Struct, frozen=True, kw_only=True, tag="stop", tag_field="command"):
-    """To a child: write what is to be written and end, after `Finished`."""
+    """Command to a child: write all files, emit `Finished` and exit."""
 
 
 class Finished(Struct, frozen=True, kw_only=True, tag="finished", tag_field="event"):
-    """The last event of a process that ends by itself or on request; counters and paths of what it leaves."""
+    """Last event of a process that ends by itself or on request, with counters and paths of its files."""
 
     name: str
     details: dict[str, Any] = {}
@@ -61,9 +61,9 @@ _encoder = msgspec.json.Encoder()
 
 
 def emit(event: Struct) -> None:
-    """Write one event as a line on stdout.
+    """Write one event as a line to stdout.
 
-    A parent that is gone is no error, for the child is about to end.
+    A closed stdout is not an error: the parent has ended, and the child is about to end.
     """
     try:
         sys.stdout.buffer.write(_encoder.encode(event) + b"\n")
@@ -73,9 +73,9 @@ def emit(event: Struct) -> None:
 
 
 def commands(kind: type[T], inbox: "queue.SimpleQueue[T]") -> None:
-    """Have a thread fill the queue with the commands from stdin; the process ends when stdin does.
+    """Start a thread that puts commands from stdin into the queue, and exits the process at the end of stdin.
 
-    A line that is no command is reported on stderr and skipped.
+    An invalid line is reported on stderr and skipped.
     """
     decoder = msgspec.json.Decoder(kind)
 
@@ -91,7 +91,7 @@ def commands(kind: type[T], inbox: "queue.SimpleQueue[T]") -> None:
 
 
 def end_with_parent() -> None:
-    """Have a thread end this process when stdin does, for a child that takes no commands."""
+    """Start a thread that exits the process at the end of stdin, for a child without commands."""
 
     def wait() -> None:
         for _ in _stdin_lines():
@@ -102,9 +102,9 @@ def end_with_parent() -> None:
 
 
 def _stdin_lines() -> Iterator[bytes]:
-    """Lines of stdin.
+    """Yield the lines of stdin.
 
-    Read past Python's buffer, whose lock makes an interpreter abort that ends while a thread waits.
+    It bypasses Python's buffer, whose lock aborts the interpreter if it exits while a thread waits.
     """
     rest = b""
     while chunk := os.read(sys.stdin.fileno(), 65_536):
@@ -113,5 +113,5 @@ def _stdin_lines() -> Iterator[bytes]:
 
 
 def _end() -> None:
-    # at once, whatever the main thread waits for: whoever would want a farewell is gone
+    # at once, also while the main thread waits: no process is left to receive `Finished`
     os._exit(0)

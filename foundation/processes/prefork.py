@@ -1,12 +1,12 @@
-"""A process that makes its like by fork: what all of them need is loaded once, into memory that they share.
+"""Prefork server: forks processes that share modules and memory loaded once.
 
-Its launcher asks for each of them over a Unix socket of packets, a JSON message each: `Fork`, with the new
-process's stdin, stdout and stderr beside it, is answered `Forked` or `NotForked`, and `Ended` follows when
-it ends. What is forked is a child of its launcher in all but parentage: a session, environment, name and
-standard streams of its own, and nothing open that was the forker's.
+The launcher sends JSON messages over a Unix packet socket: `Fork`, with the stdin, stdout and stderr of the
+new process as file descriptors. The reply is `Forked` or `NotForked`, and `Ended` follows when the process
+ends. A forked process has its own process group, environment, name and standard streams, and none of the
+server's open files; only its parent process is the server instead of the launcher.
 
-The standard library's forkserver does not do: a program has one, with one environment, its children have no
-stdin, and it runs nothing but imports before it forks.
+The standard library's forkserver is not suitable: there is one per program, with one environment, its
+children have no stdin, and it can run only imports before it forks.
 """
 
 import contextlib
@@ -22,32 +22,32 @@ import msgspec
 from msgspec import Struct
 
 Main = Callable[[Sequence[str]], int]
-"""Gets the arguments of a command line and returns an exit status."""
+"""Function that is called with command line arguments and returns an exit status."""
 
 
 class Fork(Struct, frozen=True, kw_only=True, tag="fork", tag_field="request"):
-    """To a forker: fork a process of this name. Three file descriptors come along."""
+    """Request to fork a process of this name; sent with three file descriptors."""
 
     name: str
     arguments: tuple[str, ...]
     environment: dict[str, str]
-    """What is added to the forker's own."""
+    """Variables added to the server's environment."""
 
 
 class Forked(Struct, frozen=True, kw_only=True, tag="forked", tag_field="answer"):
-    """The process lives."""
+    """The process has been started."""
 
     pid: int
 
 
 class NotForked(Struct, frozen=True, kw_only=True, tag="not forked", tag_field="answer"):
-    """There is no new process, and why."""
+    """The process could not be started."""
 
     reason: str
 
 
 class Ended(Struct, frozen=True, kw_only=True, tag="ended", tag_field="answer"):
-    """A process that was forked has ended, and is no zombie any more."""
+    """A forked process has ended and has been reaped."""
 
     pid: int
     returncode: int
@@ -56,19 +56,19 @@ class Ended(Struct, frozen=True, kw_only=True, tag="ended", tag_field="answer"):
 
 Answer = Forked | NotForked | Ended
 MOST_BYTES = 65_536
-"""Longest message on the line."""
+"""Longest message on the socket."""
 _STDIO = 3
 _requests = msgspec.json.Decoder(Fork)
 _encoder = msgspec.json.Encoder()
 
 
 def serve(line: socket.socket, main: Main) -> None:
-    """Fork a process for each request, which calls ``main`` and ends with the status that this returns.
+    """Fork a process for each request; it calls ``main`` and exits with the returned status.
 
-    Returns when the line or stdin has ended (or said anything: a command to stop) and every process that was
-    forked has ended as well. No other thread may run, for a fork leaves it behind with the locks it holds.
+    Returns when the socket or stdin has ended, or stdin has received any input (a command to stop), and all
+    forked processes have ended. No other thread may run, since a forked process lacks it but not its locks.
     """
-    living: dict[int, int] = {}  # a pidfd's process
+    living: dict[int, int] = {}  # process id by pidfd
     with selectors.DefaultSelector() as waiting:
         waiting.register(line, selectors.EVENT_READ)
         waiting.register(sys.stdin.fileno(), selectors.EVENT_READ)
@@ -78,7 +78,7 @@ def serve(line: socket.socket, main: Main) -> None:
                 if key.fd in living:
                     waiting.unregister(key.fd)
                     os.close(key.fd)
-                    _tell(line, _reap(living.pop(key.fd)))
+                    _reply(line, _reap(living.pop(key.fd)))
                 elif serving and key.fileobj is line and (request := _receive(line)) is not None:
                     pid = _fork(line, *request, main)
                     if pid is not None:
@@ -91,30 +91,30 @@ def serve(line: socket.socket, main: Main) -> None:
 
 
 def _receive(line: socket.socket) -> tuple[Fork, list[int]] | None:
-    """Next request and its file descriptors; None when the line has ended."""
+    """Return the next request and its file descriptors; None at the end of the socket."""
     packet, fds, _, _ = socket.recv_fds(line, MOST_BYTES, _STDIO)
     return (_requests.decode(packet), fds) if packet else None
 
 
 def _fork(line: socket.socket, request: Fork, stdio: list[int], main: Main) -> int | None:
-    """Fork and tell of it. Returns the process id in the parent, and never in the child."""
-    sys.stdout.flush()  # or the child says it once more
+    """Fork and reply; return the process id, or None on failure. Does not return in the child."""
+    sys.stdout.flush()  # or the child writes it again
     sys.stderr.flush()
     try:
         pid = os.fork()
     except OSError as error:
-        _tell(line, NotForked(reason=str(error)))
+        _reply(line, NotForked(reason=str(error)))
         return None
     if pid == 0:
         _become(request, stdio, main)
     for fd in stdio:
         os.close(fd)
-    _tell(line, Forked(pid=pid))
+    _reply(line, Forked(pid=pid))
     return pid
 
 
 def _become(request: Fork, stdio: list[int], main: Main) -> None:
-    """Be the process that was asked for; does not return."""
+    """Run the requested process; does not return."""
     status = 1
     try:
         os.setpgid(0, 0)
@@ -122,25 +122,25 @@ def _become(request: Fork, stdio: list[int], main: Main) -> None:
             os.dup2(fd, number)
         for fd in (int(path.name) for path in list(Path("/dev/fd").iterdir())):
             if fd >= _STDIO:
-                with contextlib.suppress(OSError):  # the listing's own is closed already
+                with contextlib.suppress(OSError):  # the descriptor of the listing is already closed
                     os.close(fd)
         os.environ.update(request.environment)
         show_name(request.name)
         status = main(request.arguments)
     except SystemExit as end:
         status = _status(end)
-    except BaseException:  # noqa: BLE001  told as the interpreter would
+    except BaseException:  # noqa: BLE001  reported as by the interpreter
         traceback.print_exc()
     finally:
         with contextlib.suppress(OSError, ValueError):
             sys.stdout.flush()
             sys.stderr.flush()
-        # the forker's frames are below this one, and their end is the forker's
+        # the frames below this one belong to the server and must not run
         os._exit(status)
 
 
 def _status(end: SystemExit) -> int:
-    """Exit status of a process that ends with it; a reason in words is told on stderr."""
+    """Return the exit status of a SystemExit; a text is written to stderr."""
     if end.code is None or isinstance(end.code, int):
         return end.code or 0
     sys.stderr.write(f"{end.code}\n")
@@ -151,12 +151,12 @@ def _reap(pid: int) -> Ended:
     return Ended(pid=pid, returncode=os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]))
 
 
-def _tell(line: socket.socket, answer: Answer) -> None:
-    with contextlib.suppress(OSError):  # a launcher that is gone has ended the line
+def _reply(line: socket.socket, answer: Answer) -> None:
+    with contextlib.suppress(OSError):  # the launcher may have ended
         line.send(_encoder.encode(answer))
 
 
 def show_name(name: str) -> None:
-    """Have ``ps`` and ``top`` show a name for this process, of which the kernel keeps 15 bytes."""
+    """Set the name of this process in ``ps`` and ``top``; the kernel keeps 15 bytes."""
     with contextlib.suppress(OSError):
         Path("/proc/self/comm").write_text(name)

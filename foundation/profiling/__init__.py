@@ -1,4 +1,4 @@
-"""A sampling profiler of processor time by part of a process.
+"""A sampling profiler of CPU time by part of a process.
 
-Import `profiler`. Which modules form a part is left to each process's `profile_groups`.
+Import `profiler`. Each process defines its parts in `profile_groups`.
 """

@@ -1,12 +1,11 @@
-"""Where a process's processor time goes, by part: a look at the stack after every few milliseconds of it.
+"""Sampling profiler of a process's CPU time by part.
 
-The operating system interrupts the process whenever it has used some more processor time, and what runs then
-is charged to the part whose module is innermost on the stack. So the parts are a table of modules, nothing is
-wrapped, a run that is not profiled pays nothing, and one that is pays 3 us in 4 ms. A few thousand samples
-tell shares to a percent. What is called in compiled code or by the operating system is its caller's.
+The operating system interrupts the process after every few milliseconds of CPU time, and the sample is
+attributed to the part whose module is innermost on the stack. So parts are defined by a table of modules, no
+function is wrapped, a run without profiling has no cost, and one with profiling costs 3 us in 4 ms. A few
+thousand samples resolve shares to 1 %. Compiled code and system calls are attributed to their caller.
 
-Next to `foundation.processes.child_protocol`, for it is every process's; reads clocks, so it is for the
-edges.
+It reads the wall clock, so it must not be used in the simulation itself.
 """
 
 import contextlib
@@ -22,35 +21,35 @@ import msgspec
 from msgspec import Struct
 
 LINK = "link"
-"""Part in which every process waits for the others: system calls of its sockets, and lines on pipes."""
+"""Part in which a process waits for others: system calls of its sockets and pipes."""
 REST = "other"
-"""Of no part."""
+"""Samples outside all parts."""
 THREADS = "Zenoh's threads"
-"""Processor time of threads beside the main one."""
+"""CPU time of all threads except the main one."""
 KEY = "profile"
-"""In `foundation.processes.child_protocol.Finished.details`: what `Profile` says."""
+"""Key of the `Profile` in `foundation.processes.child_protocol.Finished.details`."""
 PERIOD_S = 0.001
-"""Processor time between two samples, or a tick of the operating system's clock where that is longer."""
+"""CPU time between two samples; at least one tick of the operating system."""
 _SCHEDULER = Path("/proc/self/schedstat")
 
 
 class Profile(Struct, frozen=True, kw_only=True):
-    """What one process did with its time, from the first sample to the last."""
+    """Times of one process from the first sample to the last."""
 
     simulated_s: float
     wall_s: float
     cpu_s: float
     parts_cpu_s: dict[str, float]
-    """Sums up to ``cpu_s``"""
+    """CPU time by part; the sum is ``cpu_s``"""
     waiting_s: float
-    """Wall time in which the main thread had nothing to do"""
+    """Wall time in which the main thread was waiting"""
     queueing_s: float
-    """Wall time in which it had, and other processes had the processors; part of waiting where unknown"""
+    """Wall time in which it was runnable but not running; included in waiting where unavailable"""
     samples: int
 
 
 class _Mark(Struct, frozen=True):
-    """An instant by every clock."""
+    """Readings of all clocks at one instant."""
 
     simulated_us: int
     wall_ns: int
@@ -59,10 +58,10 @@ class _Mark(Struct, frozen=True):
 
 
 class Profiler:
-    """Samples the thread that makes it, which must be the main one, between `start` and `stop`.
+    """Samples the main thread, which must create it, between `start` and `stop`.
 
-    ``parts`` gives names of modules and packages their part; a module that is in none of them is charged
-    to its caller's. What is done before ``now_us()``, the simulated time, reaches ``from_us`` is not counted.
+    ``parts`` maps names of modules and packages to parts; other modules are attributed to the part of their
+    caller. Samples count from when ``now_us()``, the simulated time, has reached ``from_us``.
     """
 
     def __init__(self, parts: Mapping[str, str], *, now_us: Callable[[], int], from_us: int) -> None:
@@ -76,14 +75,14 @@ class Profiler:
         self._queued_ns = 0
 
     def start(self) -> None:
-        """Begin to sample."""
+        """Start sampling."""
         signal.signal(signal.SIGPROF, self._sample)
         signal.setitimer(signal.ITIMER_PROF, PERIOD_S, PERIOD_S)
 
     def stop(self) -> None:
-        """End it."""
+        """Stop sampling."""
         signal.setitimer(signal.ITIMER_PROF, 0.0)
-        signal.signal(signal.SIGPROF, signal.SIG_IGN)  # one may be under way
+        signal.signal(signal.SIGPROF, signal.SIG_IGN)  # a signal may be pending
 
     def _sample(self, _number: int, frame: FrameType | None) -> None:
         now_us = self._now_us()
@@ -97,7 +96,7 @@ class Profiler:
             self._counts[self.part_of(frame)] += 1
 
     def part_of(self, frame: FrameType | None) -> str:
-        """Part of the innermost frame that is of one."""
+        """Return the part of the innermost frame that belongs to one."""
         while frame is not None:
             spec = frame.f_globals.get("__spec__")
             module: str = spec.name if spec is not None else frame.f_globals.get("__name__", "")
@@ -110,7 +109,7 @@ class Profiler:
         return REST
 
     def profile(self) -> Profile | None:
-        """What has been found; None if no time has passed."""
+        """Return the result; None without two samples."""
         first, last = self._first, self._last
         if first is None or last is None:
             return None
@@ -130,7 +129,7 @@ class Profiler:
 
 
 def part_of(module: str, parts: Mapping[str, str]) -> str | None:
-    """Part of the module, or of the nearest package around it that has one."""
+    """Return the part of a module, or of its nearest parent package with a part; else None."""
     while module:
         if module in parts:
             return parts[module]
@@ -139,10 +138,10 @@ def part_of(module: str, parts: Mapping[str, str]) -> str | None:
 
 
 def shares_s(counts: Mapping[str, int], *, cpu_s: float, threads_s: float) -> dict[str, float]:
-    """Processor time by part, which sums up to ``cpu_s``, the part with most of it first.
+    """Return the CPU time by part, largest first, with the sum ``cpu_s``.
 
-    The timer is the whole process's, so samples are also taken while other threads work: the main one waits
-    in its link then, and what they used is taken off that part. The rest is divided as the samples say.
+    The timer counts the whole process, so samples are also taken while other threads run and the main one
+    waits in its link: their time is subtracted from that part. The rest is divided in proportion to samples.
     """
     samples = sum(counts.values())
     if samples == 0:
@@ -156,9 +155,9 @@ def shares_s(counts: Mapping[str, int], *, cpu_s: float, threads_s: float) -> di
 
 
 def _queued_ns() -> int:
-    """Time that the main thread has waited for a processor so far; 0 where that is not told.
+    """Return the time that the main thread has waited for a processor so far; 0 where unavailable.
 
-    Of bytes, for a codec would be imported, and the next sample may come in the middle of that.
+    It reads bytes, since decoding may import a codec, and the next sample may interrupt that import.
     """
     try:
         return int(_SCHEDULER.read_bytes().split()[1])
@@ -170,20 +169,20 @@ def _queued_ns() -> int:
 def profiled(
     parts: Mapping[str, str], *, now_us: Callable[[], int], from_us: int | None
 ) -> Iterator[dict[str, Any]]:
-    """Profile what is done within, unless ``from_us`` is None.
+    """Profile the body of the with statement, unless ``from_us`` is None.
 
-    Gives a dictionary that is empty, and afterwards has the `Profile` under `KEY`, if there is one.
+    Yields an empty dictionary, which afterwards contains the `Profile` under `KEY`, if there is one.
     """
-    told: dict[str, Any] = {}
+    details: dict[str, Any] = {}
     if from_us is None:
-        yield told
+        yield details
         return
     profiler = Profiler(parts, now_us=now_us, from_us=from_us)
     profiler.start()
     try:
-        yield told
+        yield details
     finally:
         profiler.stop()
     profile = profiler.profile()
     if profile is not None:
-        told[KEY] = msgspec.to_builtins(profile)
+        details[KEY] = msgspec.to_builtins(profile)

@@ -1,4 +1,4 @@
-"""Binary logs of fixed-size records, which a process appends to while it runs.
+"""Append-only binary logs of fixed-size records.
 
-Import `record_log`. The layouts of the records are left to the packages that write them.
+Import `record_log`. Record layouts are defined in the packages that write them.
 """

@@ -1,9 +1,8 @@
 """Append-only binary logs of fixed-size records.
 
-What a process writes while it runs, and the report turns into tables.
-
-Records are NumPy structured rows, written in whole blocks by row count alone, so equal runs give equal bytes
-and a process that is killed leaves everything up to its last block readable.
+A process writes them while it runs, and the report converts them to tables. Records are rows of a NumPy
+structured dtype. Blocks have a fixed number of rows, so equal runs write equal bytes, and after a kill all
+blocks up to the last are readable.
 """
 
 from collections.abc import Iterable
@@ -17,7 +16,7 @@ BLOCK_ROWS = 64
 
 
 class RecordLog:
-    """Writer of one log file; makes or truncates it."""
+    """Writer of one log file, which is created or truncated."""
 
     def __init__(self, path: str | Path, dtype: np.dtype[Any]) -> None:
         self._file = Path(path).open("wb")  # noqa: SIM115 - closed by close()
@@ -25,7 +24,7 @@ class RecordLog:
         self._block_bytes = BLOCK_ROWS * dtype.itemsize
         self._rows: list[Any] = []
         self._packed = bytearray()
-        """Rows that came packed, and do not fill a block yet."""
+        """Packed rows that do not yet fill a block."""
 
     def append(self, rows: Iterable[Any]) -> None:
         """Add rows: tuples in the order of the dtype's fields, or records of that dtype."""
@@ -35,11 +34,11 @@ class RecordLog:
             del self._rows[:BLOCK_ROWS]
 
     def append_array(self, rows: NDArray[np.void]) -> None:
-        """Add rows (n,) of the dtype at once; a log gets all of its rows either so or by `append`."""
+        """Add rows (n,) of the dtype; not to be mixed with `append` in one log."""
         self.append_packed(rows.tobytes())
 
     def append_packed(self, rows: bytes) -> None:
-        """Add rows as `append_array`, whose bytes these are."""
+        """Add the bytes of rows, as `append_array`."""
         packed = self._packed
         packed += rows
         if len(packed) >= self._block_bytes:
@@ -48,7 +47,7 @@ class RecordLog:
             del packed[:whole]
 
     def close(self) -> None:
-        """Write what is left, and close the file even if that fails. Harmless when repeated."""
+        """Write the remaining rows and close the file, also on errors; repeated calls have no effect."""
         if not self._file.closed:
             with self._file:
                 self._write(np.array(self._rows, dtype=self._dtype).tobytes() + self._packed)
@@ -61,9 +60,9 @@ class RecordLog:
 
 
 def read(path: str | Path, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """All whole records of a log.
+    """Return all complete records of a log; an empty array if the file is missing.
 
-    None for a file that is missing. A record cut short by a kill is left out.
+    An incomplete last record, after a kill, is ignored.
     """
     path = Path(path)
     if not path.exists():

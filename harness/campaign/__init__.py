@@ -1,6 +1,6 @@
-"""Campaigns: a scenario's changes, each flown with many seeds, and one table of what came out.
+"""Campaigns: variations of a scenario, each flown with several seeds, and one table of the results.
 
-`run` is what programs call; `harness.cli.campaign` is the command line.
+`run` is the Python interface; `harness.cli.campaign` is the command line.
 """
 
 from harness.campaign.definition import Campaign, Case, load

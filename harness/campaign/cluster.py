@@ -1,4 +1,4 @@
-"""Workers that fly: processes of this machine, or whatever a dask scheduler has."""
+"""Workers of a campaign: processes of this machine, or those of a dask scheduler."""
 
 import contextlib
 import logging
@@ -18,18 +18,18 @@ CONNECT_LIMIT_S = 20.0
 _SETTINGS = {
     "distributed.worker.profile.enabled": False,
     "distributed.admin.large-graph-warning-threshold": "1GB",
-    # a run that kills its worker is flown again alone by us, so that nobody else is blamed
+    # a run that kills its worker is flown again alone by `running`, to identify the cause
     "distributed.scheduler.allowed-failures": 0,
 }
 _QUIET = logging.CRITICAL + 1
-"""What the library logs as an error is a line of ours."""
+"""Above all levels: errors of the library are reported by coflight instead."""
 _ADDRESS = re.compile(r"(tcp|tls)://[^\s/]+:[0-9]{1,5}")
 _NO_DASHBOARD = {"dashboard": False, "dashboard_address": f"{LOOPBACK}:0"}
-"""Without an address the scheduler would take port 8787 for a page that says nothing."""
+"""Without an address the scheduler would bind port 8787 for an empty page."""
 
 
 def check_address(scheduler: str | None) -> None:
-    """Refuse what is no address of a scheduler; raises CampaignError."""
+    """Check the address of a scheduler. Raises CampaignError."""
     if scheduler is not None and not _ADDRESS.fullmatch(scheduler):
         raise CampaignError(f"{scheduler}: expected the address of a dask scheduler, tcp://HOST:PORT")
 
@@ -43,30 +43,30 @@ def connected(
     dashboard: str | None,
     note: Callable[[str], None],
 ) -> Iterator[Any]:
-    """Give a client of the scheduler at an address, or of a local cluster that ends with the block.
+    """Yield a client of the scheduler at an address, or of a local cluster that ends with the block.
 
-    The local one is of ``workers`` processes that fly one run at a time each, in ``folder``; all its sockets
-    are of the loopback interface, and a worker ends when this process does, however it does. ``dashboard``
-    is the address of the page that shows it. Raises CampaignError, or CompileError.
+    The local cluster has ``workers`` processes that fly one run at a time each, in ``folder``; all its
+    sockets are on the loopback interface, and a worker ends when this process ends for any reason.
+    ``dashboard`` is the address of its status page. Raises CampaignError, or CompileError.
     """
     check_address(scheduler)
     with contextlib.ExitStack() as stack:
-        import dask  # noqa: PLC0415  slow to import, and not wanted by who only reads
+        import dask  # noqa: PLC0415  slow to import, and not needed for reading
         import distributed  # noqa: PLC0415
 
-        library: Any = distributed  # half of it has no types
+        library: Any = distributed  # only partly typed
 
         if scheduler is None:
-            os.environ.update(kernel_cache.environment())  # of the workers, whose numba reads it
+            os.environ.update(kernel_cache.environment())  # inherited by the workers, for Numba
             kernel_cache.prepare(note)
             stack.enter_context(dask.config.set(_SETTINGS))
             stack.enter_context(warnings.catch_warnings())
-            warnings.simplefilter("ignore")  # of a port that is taken: another is
+            warnings.simplefilter("ignore")  # about a port in use: another one is chosen
             cluster = stack.enter_context(
                 library.LocalCluster(
                     n_workers=workers,
                     threads_per_worker=1,
-                    memory_limit=0,  # else a worker is ended that has more than its share of the machine's
+                    memory_limit=0,  # otherwise workers above their share of the memory are ended
                     processes=True,
                     host=LOOPBACK,
                     dashboard_address=dashboard,
@@ -93,7 +93,7 @@ def connected(
 
 @contextlib.contextmanager
 def _without_logs() -> Iterator[None]:
-    """Have the library log nothing in this process for a while."""
+    """Disable the library's logging in this process."""
     logger = logging.getLogger("distributed")
     before = logger.level
     logger.setLevel(_QUIET)

@@ -1,20 +1,20 @@
-"""Campaign files: which changes of a scenario are flown, with which seeds.
+"""Campaign files: variations of a scenario and their seeds.
 
     scenario = "../article.toml"        # relative to this file
     seeds = 10                          # 1 to 10; or a list, or {from = 11, to = 20}
 
-    [set]                               # of every run
+    [set]                               # for every run
     run.duration_s = 30.0
 
     [[cases]]                           # named changes
     name = "ftm"
     onboard.localisation = "ftm"
 
-    [sweep]                             # every value with every other, in every case
+    [sweep]                             # all combinations, in every case
     wind.mean_n = [0, 2, 5]
     antenna.wavelength_m = {from = 5.0, to = 20.0, step = 2.5}
 
-Every scenario that comes of it is loaded and checked before anything is flown.
+All resulting scenarios are loaded and validated before the first flight.
 """
 
 import hashlib
@@ -31,6 +31,7 @@ from msgspec.structs import force_setattr, replace
 
 from harness.campaign.store import CampaignError
 from harness.campaign.values import flat, plain, spread, toml_text
+from harness.scenario import packaged
 from harness.scenario.scenario import Scenario, ScenarioError
 from harness.scenario.scenario import load as load_scenario
 from harness.scenario.validation_errors import explain
@@ -38,7 +39,7 @@ from harness.scenario.validation_errors import explain
 SEED_PATH = "run.seed"
 MOST_RUNS = 1_000_000
 KEPT = ("gains", "flight", "radio", "ftm", "air")
-"""Series of a run that can be kept: the maximum gain over time, and the tables of its folder"""
+"""Series of a run that can be stored: the maximum gain over time, and the tables of its folder"""
 
 Seed = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 
@@ -51,7 +52,7 @@ class _Seeds(
 
 
 class _Fields(Struct, frozen=True, kw_only=True):
-    """Fields of a `Campaign` as a program may give them."""
+    """Fields of a `Campaign` constructed by a program."""
 
     seeds: tuple[Seed, ...]
     fixed: dict[str, Any]
@@ -70,39 +71,39 @@ class _File(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, renam
 
 
 class Case(Struct, frozen=True, kw_only=True):
-    """Named changes of the scenario, by path."""
+    """A named set of changes of the scenario, by path."""
 
     name: str
     settings: dict[str, Any] = {}
 
 
 class Campaign(Struct, frozen=True, kw_only=True):
-    """All that is flown: every case with every combination of swept values and every seed, in this order.
+    """All runs: every case with every combination of swept values and every seed, in this order.
 
-    Made in a program it is checked as a file is: tables may be nested, values may be numpy's, and what is
-    swept and the seeds may be any list or range. Raises CampaignError.
+    Constructed in a program it is validated like a file: tables may be nested, values may be NumPy's, and
+    seeds and swept values may be any list or range. Raises CampaignError.
     """
 
     name: str
     scenario: Path
     seeds: tuple[int, ...]
     fixed: dict[str, Any] = {}
-    """Values of every run, by path of the scenario"""
+    """Values for every run, by path of the scenario"""
     sweep: dict[str, tuple[Any, ...]] = {}
-    """Values that are gone through, by path"""
+    """Lists of values to combine, by path"""
     cases: tuple[Case, ...] = ()
-    """Without any there is one, of the campaign's name, that changes nothing"""
+    """Default: one case without changes, with the campaign's name"""
     overrides: tuple[str, ...] = ()
-    """``PATH=VALUE`` of every run, from the command line"""
+    """``PATH=VALUE`` for every run, from the command line"""
     keep: tuple[str, ...] = ()
-    """Of `KEPT`"""
+    """Series to store, some of `KEPT`"""
     origin: str = "campaign"
-    """What errors begin with: the file"""
+    """Prefix of error messages: the file"""
 
     def __post_init__(self) -> None:
-        """Bring what a program has given into a file's form, and check what makes up the runs."""
+        """Convert values given by a program to a file's form, and validate the definition of the runs."""
         try:
-            given = self._as_a_file_has_it()
+            given = self._normalised()
         except msgspec.ValidationError as error:
             raise CampaignError(f"{self.origin}: {explain(error, _EXPECTED)}") from None
         except ValueError as error:
@@ -123,8 +124,8 @@ class Campaign(Struct, frozen=True, kw_only=True):
             raise CampaignError(f"{self.origin}: {runs} runs; expected at most {MOST_RUNS}")
         self._check_paths()
 
-    def _as_a_file_has_it(self) -> dict[str, Any]:
-        """Give the fields that a program may have given otherwise; raises ValueError, ValidationError."""
+    def _normalised(self) -> dict[str, Any]:
+        """Return the fields converted to a file's form; raises ValueError, ValidationError."""
         names = _Fields.__struct_fields__
         fields = msgspec.convert({name: plain(name, getattr(self, name)) for name in names}, _Fields)
         sweep = _named("sweep", fields.sweep, ranges=True)
@@ -139,7 +140,7 @@ class Campaign(Struct, frozen=True, kw_only=True):
         }
 
     def _check_paths(self) -> None:
-        """Refuse what would be lost: a change that a later one of the same run overwrites unseen."""
+        """Check that no change of a run silently overwrites another one."""
         of_cases = [(path, f"case {case.name!r}") for case in self.cases for path in case.settings]
         earlier = [*((path, "set") for path in self.fixed), *of_cases]
         swept = [(path, "sweep") for path in self.sweep]
@@ -162,27 +163,27 @@ class Run(Struct, frozen=True, kw_only=True):
 
     case: str
     swept: tuple[Any, ...]
-    """Values of the swept paths, in their order"""
+    """Values of the swept paths, in order"""
     seed: int
     settings: tuple[str, ...]
-    """Overrides, without the seed's, that make the scenario of the campaign's"""
+    """Overrides of the campaign's scenario, without the seed"""
     scenario: Scenario
     digest: str
-    """Of scenario and sources: runs of one digest are one flight"""
+    """Hash of scenario and sources: runs with equal digests are one flight"""
 
     def describe(self, campaign: Campaign) -> str:
-        """Name it in a line."""
+        """Return its name in one line."""
         swept = zip(campaign.sweep, self.swept, strict=True)
         values = [f"{path} = {toml_text(value)}" for path, value in swept]
         return ", ".join([self.case, *values, f"seed {self.seed}"])
 
 
 def load(path: str | Path, overrides: Sequence[str] = (), keep: Iterable[str] = ()) -> Campaign:
-    """Read a campaign file; ``overrides`` are of every run, ``keep`` is added to what the file keeps.
+    """Read a campaign file; ``overrides`` apply to every run, ``keep`` is added to the file's ``keep``.
 
-    Raises CampaignError with one line that names the file and what is wrong.
+    Raises CampaignError with one line that names the file and the error.
     """
-    path = Path(path)
+    path = packaged.find(path)
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -220,7 +221,7 @@ _EXPECTED = {r"seeds": "a number of seeds, a list of them, or {from=, to=}"}
 
 
 def expand(campaign: Campaign, *, state: str) -> list[Run]:
-    """Make every run of a campaign, in the table's order; ``state`` is that of the sources.
+    """Return all runs of a campaign in the table's order; ``state`` is the hash of the sources.
 
     Raises CampaignError with one line that names campaign, case and field.
     """
@@ -236,8 +237,8 @@ def expand(campaign: Campaign, *, state: str) -> list[Run]:
                 scenario = load_scenario(campaign.scenario, settings)
             except ScenarioError as error:
                 which = ", ".join([f"case {case.name!r}", *_swept_texts(campaign, swept)])
-                said = str(error) if campaign.overrides else str(error).removeprefix("--set ")
-                raise CampaignError(f"{campaign.origin}: {which}: {said}") from None
+                text = str(error) if campaign.overrides else str(error).removeprefix("--set ")
+                raise CampaignError(f"{campaign.origin}: {which}: {text}") from None
             for seed in campaign.seeds:
                 flown = replace(scenario, run=replace(scenario.run, seed=seed))
                 runs.append(
@@ -263,12 +264,12 @@ def _covers(path: str, other: str) -> bool:
 
 
 def _named(table: str, values: dict[str, Any], *, ranges: bool = False) -> dict[str, Any]:
-    """See `flat`; an error begins with the table's name, and a path that stands twice is one."""
+    """Return the values of `flat`; errors begin with the table's name, and a repeated path is an error."""
     try:
         found = list(flat(values, ranges=ranges))
         paths = [path for path, _ in found]
         if twice := next((path for path in paths if paths.count(path) > 1), None):
-            raise ValueError(f"{twice}: stands twice")  # noqa: TRY301  with the table's name, as the others
+            raise ValueError(f"{twice}: stands twice")  # noqa: TRY301  the table's name is added below
     except ValueError as error:
         raise ValueError(f"{table}.{error}") from None
     return dict(found)

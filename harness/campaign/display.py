@@ -1,4 +1,4 @@
-"""What a campaign's user sees: a bar with the time that is left, and a line for every run that fails."""
+"""Progress display of a campaign: a bar with the remaining time, and a line for every failed run."""
 
 import time
 from types import TracebackType
@@ -13,15 +13,15 @@ from harness.campaign.running import Landed
 from harness.campaign.store import FAILED
 
 LINE_PERIOD_S = 10.0
-"""Wall time between two lines where no bar is drawn."""
+"""Wall time between two lines without a bar."""
 _SLOW_START = 2
-"""Runs that must have landed before they say how long the others take."""
+"""Completed runs before the remaining time is estimated."""
 
 
 class CampaignPace:
-    """How long is left, by how fast runs have landed; times are of the wall clock, in s.
+    """Estimate of the remaining wall time, s, by the rate of completed runs.
 
-    Of the landings so far the first quarter does not count: that is when workers start and compile.
+    The first quarter of the completed runs is ignored, during which workers start and compile.
     """
 
     def __init__(self, wall_begin_s: float) -> None:
@@ -29,7 +29,7 @@ class CampaignPace:
         self._left_s: float | None = None
 
     def landed(self, total: int, wall_s: float) -> None:
-        """Take in that one more of ``total`` has landed."""
+        """Add the completion of one more of ``total`` runs."""
         self._wall_landed_s.append(wall_s)
         done = len(self._wall_landed_s) - 1
         if done >= min(_SLOW_START, total):
@@ -38,12 +38,12 @@ class CampaignPace:
             self._left_s = (total - done) * each_s
 
     def left_s(self, wall_s: float) -> float | None:
-        """Time that is left, never below 0; None before there is something to tell it by."""
+        """Return the remaining time, at least 0; None before there is an estimate."""
         return None if self._left_s is None else max(0.0, self._left_s - (wall_s - self._wall_landed_s[-1]))
 
 
 def duration_text(seconds: float | None) -> str:
-    """``3 h 05 min``, ``4 min 10 s``, ``9 s``; ``?`` where it is not known."""
+    """Return ``3 h 05 min``, ``4 min 10 s``, ``9 s``, or ``?`` if unknown."""
     if seconds is None:
         return "?"
     whole = round(seconds)
@@ -63,16 +63,16 @@ class _TimeLeft(ProgressColumn):
 
 
 class CampaignDisplay:
-    """Shows a campaign of ``total`` flights on a console: a bar on a terminal, a line now and then elsewhere.
+    """Shows a campaign of ``total`` flights on a console: a bar on a terminal, periodic lines elsewhere.
 
-    ``kept`` of them are there already.
+    ``kept`` of them are stored already.
     """
 
     def __init__(self, console: Console, campaign: Campaign, *, total: int, kept: int) -> None:
         self._console, self._campaign = console, campaign
         self._pace = CampaignPace(time.monotonic())
         self.failed = 0
-        """Of those that have landed"""
+        """Number of failed runs"""
         self._wall_next_s = time.monotonic() + LINE_PERIOD_S
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), _TimeLeft(self._pace))
         self._progress = Progress(*columns, console=console, disable=not console.is_terminal, transient=True)
@@ -88,7 +88,7 @@ class CampaignDisplay:
         self._progress.stop()
 
     def on_landed(self, landed: Landed) -> None:
-        """Move the bar on, and say what failed."""
+        """Advance the bar, and print a line if the run failed."""
         wall_s = time.monotonic()
         self._pace.landed(landed.total, wall_s)
         self._progress.advance(self._task)
@@ -103,5 +103,5 @@ class CampaignDisplay:
             self.note(f"{landed.done} of {landed.total} flown{failed}{left}")
 
     def note(self, line: str) -> None:
-        """Show a line that stays, however long, as one."""
+        """Print a permanent line of any length without wrapping."""
         self._progress.console.print(Text(line), soft_wrap=True)

@@ -1,4 +1,4 @@
-"""One run of a campaign, whole, in this process: fly, report, keep what is asked for, leave no files."""
+"""One run of a campaign in this process: flies, reports, returns the requested series, leaves no files."""
 
 import re
 import tempfile
@@ -15,20 +15,20 @@ from harness.launch.processes import SetupError
 from harness.records.run_folder import RunFolder
 
 OF_THE_MACHINE = (OSError, MemoryError, SetupError, BackendUnavailable, kernel_cache.CompileError)
-"""Trouble that the same run may not have elsewhere, or later: a full disk, a solver that is not there"""
+"""Errors of the machine, which the same run may not have elsewhere or later: a full disk, a missing solver"""
 _OF_THIS_RUN = re.compile(r" \(pid \d+\)| \(log: [^)]*\)")
-"""What differs from run to run, and leads to files that are gone."""
+"""Parts of error messages that differ from run to run and refer to deleted files."""
 
 
 def fly_task(task: Task, folder: Path) -> tuple[Flown, dict[str, bytes]]:
-    """Fly it in a folder below ``folder``; what goes wrong with it is in the result, and the rest goes on.
+    """Fly a run in a folder below ``folder``; a failure of the run is part of the result.
 
-    Returns how it ended, and its series. A formation that is not reached is a result as well, but trouble
-    `OF_THE_MACHINE` is none, and is raised.
+    Returns its outcome and its series. A formation that is not reached is also a result; errors
+    `OF_THE_MACHINE` are raised.
     """
-    make_backend(task.scenario.antenna)  # one that cannot be had is said before the flight
+    make_backend(task.scenario.antenna)  # a missing solver is reported before the flight
     use_kernel_cache()
-    kernel_cache.prepare(_unsaid)
+    kernel_cache.prepare(_ignore)
     with tempfile.TemporaryDirectory(dir=folder, prefix="run-", ignore_cleanup_errors=True) as path:
         run = RunFolder(Path(path))
         try:
@@ -36,18 +36,18 @@ def fly_task(task: Task, folder: Path) -> tuple[Flown, dict[str, bytes]]:
             series = read_series(run, task.keep, antenna_note=summary["max_gain_dbi"].get("note"))
         except OF_THE_MACHINE:
             raise
-        except Exception as error:  # noqa: BLE001  one run's failure is not the campaign's
+        except Exception as error:  # noqa: BLE001  the campaign continues after a failed run
             return failed(task, one_line(error, run.path)), {}
     status, reason = summary["status"], summary["reason"]
     flown = Flown(digest=task.digest, status=status, reason=reason, summary=summary, settings=task.settings)
     return flown, series
 
 
-def _unsaid(_line: str) -> None:
+def _ignore(_line: str) -> None:
     pass
 
 
 def one_line(error: Exception, folder: Path) -> str:
-    """Say what went wrong in words that the same run would say again."""
+    """Return an error message that is reproducible for the same run."""
     text = f"{type(error).__name__}: {error}".rstrip(": ").splitlines()[0]
     return _OF_THIS_RUN.sub("", text).replace(f"{folder}/", "")

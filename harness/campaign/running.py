@@ -1,11 +1,11 @@
-"""A campaign from its definition to its table: fly what is not there yet, keep what has landed.
+"""Runs a campaign: flies the missing runs, stores the results, and writes the table.
 
     table = run(load("scenarios/campaigns/wind.toml"), out="runs/wind")
     gains = [table.series(row)["max_gain_dbi"] for row in range(len(table.runs))]
 
-Whatever ends it costs the runs that were in the air: the same call goes on from there, and its table is that
-of a campaign which was never broken off, byte for byte. A program that calls `run` has to be one that can be
-imported (``if __name__ == "__main__":``), since the workers do so.
+After an interruption the same call continues and repeats only the runs that were flying; the table is
+byte-identical to that of an uninterrupted campaign. A program that calls `run` must be importable
+(``if __name__ == "__main__":``), because the workers import it.
 """
 
 import os
@@ -29,15 +29,15 @@ GONE = "the scheduler has gone; the same campaign goes on from here"
 
 
 class Landed(Struct, frozen=True, kw_only=True):
-    """A run has ended, and the store has it, or what it had of it before if it now has failed."""
+    """A run has ended and is stored; if it failed, an earlier result of it remains stored."""
 
     run: Run
-    """The first that has this flight"""
+    """First run with this flight"""
     flown: Flown
     done: int
-    """Flights that have ended since the campaign was started this time, and ..."""
+    """Number of flights that have ended since this start of the campaign"""
     total: int
-    """... how many there are to be flown"""
+    """Number of flights of this start"""
 
 
 def run(
@@ -52,20 +52,20 @@ def run(
     progress: Callable[[Landed], None] | None = None,
     note: Callable[[str], None] | None = None,
 ) -> Table:
-    """Fly what is missing of a campaign, and write its table.
+    """Fly the missing runs of a campaign, and write its table.
 
     Args:
-        campaign: what is flown.
-        out: folder, of one campaign at a time.
-        runs: all of the campaign's, for who has had `harness.campaign.definition.expand` make them.
+        campaign: definition of the runs.
+        out: folder, for one campaign at a time.
+        runs: result of `harness.campaign.definition.expand`, if the caller has computed it.
         workers: processes of this machine; by default as many as it has processors.
-        scheduler: address of a dask scheduler, whose workers then fly.
-        retry: fly those again that failed.
-        dashboard: address of the page that shows the local cluster, such as ``127.0.0.1:8787``.
-        progress: is told of every run that lands.
-        note: is told what takes long.
+        scheduler: address of a dask scheduler, whose workers are used instead.
+        retry: fly failed runs again.
+        dashboard: address of the local cluster's status page, such as ``127.0.0.1:8787``.
+        progress: called for every run that ends.
+        note: called with a line before an operation that takes long.
 
-    Raises CampaignError for a campaign that cannot be flown, before anything is; ClusterError, CompileError,
+    Raises CampaignError for an invalid campaign, before the first flight; ClusterError, CompileError,
     OSError.
 
     """
@@ -82,7 +82,7 @@ def run(
                 scheduler=scheduler,
                 folder=store.flying,
                 dashboard=dashboard,
-                note=note or _unsaid,
+                note=note or _ignore,
             ) as client:
                 for landed, kept in _fly(client, campaign, missing, store, state):
                     flown[kept.digest] = kept
@@ -91,14 +91,14 @@ def run(
         return write_table(campaign, runs, flown, store)
 
 
-def _unsaid(_line: str) -> None:
+def _ignore(_line: str) -> None:
     pass
 
 
 def known(
     campaign: Campaign, runs: Sequence[Run], store: Store, *, retry: bool = False
 ) -> tuple[dict[str, Flown], list[Run]]:
-    """Give what has been flown, by digest, and the runs that have to be, each flight once."""
+    """Return the stored flights by digest, and the missing runs, each flight once."""
     flown: dict[str, Flown] = {}
     missing: dict[str, Run] = {}
     for each in runs:
@@ -119,10 +119,10 @@ def _fly(
     store: Store,
     state: str,
 ) -> Iterator[tuple[Landed, Flown]]:
-    """Fly them all, and give each with what is kept of it; it is in the store before it is told.
+    """Fly all runs, store each result, and yield it with its stored form.
 
-    A worker that dies takes the runs with it that it had: each of them is flown again alone, when all the
-    others have landed, and one that ends a worker once more is the one that does so.
+    A run is lost if its worker dies. All lost runs are flown again one by one after the others; a run whose
+    worker dies again has failed.
     """
 
     def task_of(each: Run) -> Task:
@@ -158,15 +158,15 @@ def _results(
     *,
     together: bool,
 ) -> Iterator[tuple[Run, Result | None]]:
-    """Have runs flown, and give each with its result as it lands; None: a worker died of it.
+    """Fly runs on the cluster, and yield each with its result when it ends; None: its worker died.
 
-    No more are with the cluster than it has threads, or but one, so that a run waits here rather than there:
-    a worker's death is of what it flies, and memory holds few results however many runs there are. Raises
-    ClusterError for a worker that refuses and a scheduler that goes.
+    Submits at most as many runs as the cluster has threads, or one if not ``together``; the others wait here.
+    So a worker's death affects only flying runs, and memory holds few results. Raises ClusterError if a
+    worker refuses a run or the scheduler ends.
     """
     import distributed  # noqa: PLC0415  slow to import
 
-    library: Any = distributed  # half of it has no types
+    library: Any = distributed  # only partly typed
 
     waiting = deque(flights)
     flying: dict[str, Run] = {}
@@ -194,7 +194,7 @@ def _results(
 
 
 def _threads(client: Any) -> int:  # noqa: ANN401  a distributed.Client
-    """Give how many runs the cluster can fly at once just now, at least 1."""
+    """Return the number of runs that the cluster can fly at once now, at least 1."""
     try:
         threads: int = sum(client.nthreads().values())
     except OSError:

@@ -1,4 +1,4 @@
-"""Series of a run over time, as bytes of Parquet: what is kept beside its numbers if it is asked for."""
+"""Series of a run over time as Parquet bytes, which a campaign stores on request."""
 
 from collections.abc import Sequence
 
@@ -6,13 +6,13 @@ from harness.records.run_folder import RunFolder
 
 
 class NoSeries(RuntimeError):
-    """A run has no such series; the text is one line that says why."""
+    """A run has no such series; the text is the reason in one line."""
 
 
 def read_series(folder: RunFolder, names: Sequence[str], *, antenna_note: str | None) -> dict[str, bytes]:
-    """Give series by their names (`harness.campaign.definition.KEPT`) from a run's folder, as they are there.
+    """Return series of a run's folder by their names (`harness.campaign.definition.KEPT`).
 
-    ``antenna_note`` is the summary's: why there are no gains, if there are none. Raises `NoSeries`, OSError.
+    ``antenna_note`` is the summary's reason for missing gains. Raises `NoSeries`, OSError.
     """
     if "gains" in names and not folder.gains.exists():
         raise NoSeries(f"no gains to keep: {antenna_note}")

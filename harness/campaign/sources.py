@@ -1,6 +1,6 @@
-"""What flies, as a hash: a stored flight is of use while what would fly it now is the same.
+"""Hash of coflight's sources and of the libraries that affect a flight.
 
-That is our sources and the libraries with which they compute.
+A stored flight is valid while this hash is the same.
 """
 
 import ast
@@ -13,20 +13,20 @@ from harness.records.versions import FLOWN_WITH, versions
 ROOT = Path(__file__).parents[2]
 _FLOWN_PACKAGES = ("foundation", "antenna", "netsim", "autopilot", "harness")
 _NOT_FLOWN = ("antenna/lab/", "netsim/lab/", "harness/campaign/", "harness/cli/")
-"""Folders that fly nothing, except for modules that compute a flight's numbers."""
+"""Folders that do not affect a flight, except modules that compute its results."""
 _SHOWN = {"antenna/analysis/plots.py", "harness/report/figures.py", "harness/launch/pytest_plugin.py"}
-"""Modules that draw or report what was flown."""
+"""Modules for drawing and tests, which do not affect a flight."""
 
 
 def hash_sources(root: Path, *, measured_by: Collection[str]) -> str:
-    """Hash of what the modules of `read_sources` say, and of the libraries; raises OSError, SyntaxError."""
-    return hash_said(read_sources(root, measured_by=measured_by))
+    """Return the hash of the code of `read_sources` and of the libraries; raises OSError, SyntaxError."""
+    return hash_code(read_sources(root, measured_by=measured_by))
 
 
 def read_sources(root: Path, *, measured_by: Collection[str]) -> dict[str, bytes]:
-    """Read the modules that fly and measure, by their paths below ``root``, in order.
+    """Read the modules that affect a flight or its results, by their sorted paths below ``root``.
 
-    ``measured_by``: further modules, of folders that fly nothing, as paths below ``root``. Raises OSError.
+    ``measured_by``: further modules of other folders, as paths below ``root``. Raises OSError.
     """
     sources = {}
     for package in _FLOWN_PACKAGES:
@@ -39,8 +39,8 @@ def read_sources(root: Path, *, measured_by: Collection[str]) -> dict[str, bytes
     return sources
 
 
-def hash_said(sources: Mapping[str, bytes]) -> str:
-    """Hash of what they say, without comments, docstrings and layout; raises SyntaxError."""
+def hash_code(sources: Mapping[str, bytes]) -> str:
+    """Return the hash of the code, without comments, docstrings and layout; raises SyntaxError."""
     content = _libraries()
     for name, source in sources.items():
         tree = ast.parse(source)
@@ -53,7 +53,7 @@ def hash_said(sources: Mapping[str, bytes]) -> str:
 
 
 def hash_bytes(sources: Mapping[str, bytes]) -> str:
-    """Hash of their bytes, in a fiftieth of the time: where it is equal, `hash_said` is."""
+    """Return the hash of the bytes, in a fiftieth of the time: if it is equal, so is `hash_code`."""
     content = _libraries()
     for name, source in sources.items():
         content.update(f"{name}\0{len(source)}\0".encode() + source)

@@ -1,10 +1,10 @@
-"""A campaign's folder: one small file for every run that has ended, written whole or not at all.
+"""A campaign's folder: one small file for every run that has ended, written atomically.
 
-runs/<digest>.json                 how it ended, and its summary
-runs/<digest>.gains.parquet ...    series that were to be kept
+runs/<digest>.json                 status and summary of a run
+runs/<digest>.gains.parquet ...    requested series
 table.parquet table.csv            one row per run, when all have ended
-flying/                            run folders while they last
-lock                               held by the campaign that flies into the folder
+flying/                            temporary run folders
+lock                               held by the campaign that uses the folder
 """
 
 import contextlib
@@ -24,15 +24,15 @@ TABLES = ("table.parquet", "table.csv")
 
 
 class CampaignError(Exception):
-    """A campaign cannot be flown; the text is one line for the user."""
+    """An invalid campaign; the text is one line for the user."""
 
 
 class ClusterError(CampaignError):
-    """The workers or their scheduler do not go on; the campaign can, once more."""
+    """Workers or scheduler failed; the campaign can be continued by another call."""
 
 
 class Kept(Struct, frozen=True, kw_only=True):
-    """A series as it was written, by which one that has been damaged is known."""
+    """Size and hash of a stored series, to detect damage."""
 
     size_bytes: int
     sha256: str
@@ -45,17 +45,17 @@ class Flown(Struct, frozen=True, kw_only=True):
     status: str
     """``completed``, ``not_formed`` or ``failed``"""
     reason: str | None = None
-    """One line, of all but those that are completed"""
+    """One line, unless completed"""
     summary: dict[str, Any] = {}
-    """As `harness.report.report.finish` has it; empty for one that failed"""
+    """Result of `harness.report.report.finish`; empty for a failed run"""
     settings: tuple[str, ...] = ()
-    """Overrides of the campaign's scenario, with which it can be flown once more"""
+    """Overrides of the campaign's scenario, to repeat the run"""
     series: dict[str, Kept] = {}
-    """What is kept of it, by name"""
+    """Stored series by name"""
 
 
 class Store:
-    """Runs in a folder, which is made; raises CampaignError if it cannot be."""
+    """Runs in a folder, which is created. Raises CampaignError if that fails."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -68,14 +68,14 @@ class Store:
 
     @contextlib.contextmanager
     def alone(self) -> Iterator[None]:
-        """Hold the folder for one campaign, and tidy up what one that was killed has left.
+        """Lock the folder for one campaign, and delete temporary files of a killed one.
 
-        Raises CampaignError if another one has it.
+        Raises CampaignError if another campaign holds the lock.
         """
         with alone(self.folder):
             tables = (self.folder / f".{name}" for name in TABLES)
             for left in (*self._runs.glob(".*.json"), *self._runs.glob(".*.parquet"), *tables):
-                if left.is_file():  # and whatever else somebody has put there stays
+                if left.is_file():  # foreign files are kept
                     left.unlink()
             shutil.rmtree(self.flying, ignore_errors=True)
             try:
@@ -84,10 +84,10 @@ class Store:
                 shutil.rmtree(self.flying, ignore_errors=True)
 
     def get(self, digest: str, keep: Iterable[str] = ()) -> Flown | None:
-        """Give the run if it has ended, and with it its series ``keep``, whole; one that failed has none."""
+        """Return a stored run with all series ``keep`` undamaged (a failed run has none), or None."""
         try:
             flown = msgspec.json.decode((self._runs / f"{digest}.json").read_bytes(), type=Flown)
-        except (FileNotFoundError, msgspec.DecodeError):  # of another layout: it is flown again
+        except (FileNotFoundError, msgspec.DecodeError):  # another layout: the run is flown again
             return None
         complete = flown.status == FAILED or all(self._is_whole(flown, name) for name in keep)
         return flown if complete and flown.digest == digest else None
@@ -103,11 +103,11 @@ class Store:
             return False
 
     def put(self, flown: Flown, series: dict[str, bytes]) -> Flown:
-        """Write a run down for good, and return what is kept of it.
+        """Store a run, and return its stored form.
 
-        Its series come first, so that who finds the run finds them. A run that is there and did not fail is
-        not replaced by one that did, as it may when it is flown again for one more series; and what was kept
-        of it stays.
+        Series are written first, so that a stored run has its series. A failed run does not replace a stored
+        one that did not fail, for example when it is flown again for another series; series that are stored
+        already are kept.
         """
         before = self.get(flown.digest)
         if before is not None and before.status == FAILED:
@@ -124,13 +124,13 @@ class Store:
         return flown
 
     def series_path(self, digest: str, name: str) -> Path:
-        """Where a kept series is."""
+        """Return the path of a stored series."""
         return self._runs / f"{digest}.{name}.parquet"
 
 
 @contextlib.contextmanager
 def alone(folder: Path) -> Iterator[None]:
-    """Hold a folder for one campaign, however it ends. Raises CampaignError if another one has it."""
+    """Lock a folder for one campaign. Raises CampaignError if another campaign holds the lock."""
     with (folder / "lock").open("wb") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -140,15 +140,15 @@ def alone(folder: Path) -> Iterator[None]:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file so that whoever reads it finds all of it or what was there before."""
-    beside = path.with_name(f".{path.name}")
+    """Write a file atomically: readers find the new or the old content."""
+    temporary = path.with_name(f".{path.name}")
     try:
-        with beside.open("wb") as file:
+        with temporary.open("wb") as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
-        beside.replace(path)
+        temporary.replace(path)
     except OSError:
         with contextlib.suppress(OSError):
-            beside.unlink()  # what it takes of a full disk is needed
+            temporary.unlink()  # frees space on a full disk
         raise

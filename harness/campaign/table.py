@@ -1,8 +1,8 @@
-"""One tidy table of a campaign: a row per run, in the campaign's order.
+"""The table of a campaign: one row per run, in the campaign's order.
 
-Columns: ``case``, every swept path, ``seed``, ``status``, ``reason``, ``digest`` (of the run's files), and
-every number, truth value and word of the runs' summaries under its dotted path, and ``vehicles_lost``. Times
-of the wall clock are left out, so that equal runs give equal bytes, and lists, which the runs' files have.
+Columns: ``case``, every swept path, ``seed``, ``status``, ``reason``, ``digest`` (of the run's files), every
+number, Boolean and string of the runs' summaries under its dotted path, and ``vehicles_lost``. Wall times are
+omitted, so that equal runs give equal bytes; lists are omitted too, but are in the runs' files.
 """
 
 import io
@@ -20,33 +20,33 @@ from harness.campaign.store import TABLES, Flown, Store, write_whole
 from harness.campaign.values import toml_text
 
 _LEFT_OUT = {"scenario", "seed", "status", "reason", "wall_s", "real_time_factor"}
-"""Of the summary: what other columns say, and what the machine decides"""
+"""Omitted fields of the summary: those of other columns, and those that depend on the machine"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Table:
-    """A campaign that is complete."""
+    """Results of a complete campaign."""
 
     runs: tuple[Run, ...]
-    """A row's, in order"""
+    """Run of each row"""
     rows: pa.Table
     store: Store
     parquet: Path
     csv: Path
 
     def column(self, name: str) -> list[Any]:
-        """Give a column's values, None where a run has none; raises KeyError."""
+        """Return a column's values, None for missing ones; raises KeyError."""
         values: list[Any] = self.rows.column(name).to_pylist()
         return values
 
     def series(self, row: int, name: str = "gains") -> pa.Table | None:
-        """Read a series that was to be kept; None of a run that failed."""
+        """Read a stored series; None for a failed run."""
         path = self.store.series_path(self.runs[row].digest, name)
         return pq.read_table(path) if path.exists() else None
 
 
 def write_table(campaign: Campaign, runs: Sequence[Run], flown: Mapping[str, Flown], store: Store) -> Table:
-    """Write the table of runs, by their digests all in ``flown``, as Parquet and CSV; raises OSError."""
+    """Write the table of runs, whose digests are all in ``flown``, as Parquet and CSV; raises OSError."""
     rows = make_rows(campaign, runs, flown)
     parquet, csv = io.BytesIO(), io.BytesIO()
     pq.write_table(rows, parquet, compression="zstd")
@@ -58,7 +58,7 @@ def write_table(campaign: Campaign, runs: Sequence[Run], flown: Mapping[str, Flo
 
 
 def make_rows(campaign: Campaign, runs: Sequence[Run], flown: Mapping[str, Flown]) -> pa.Table:
-    """Lay the runs out in columns."""
+    """Return the runs as a table."""
     ended = [flown[run.digest] for run in runs]
     columns: dict[str, list[Any]] = {"case": [run.case for run in runs]}
     for number, path in enumerate(campaign.sweep):
@@ -88,7 +88,7 @@ _WORDS = {"case", "status", "reason", "digest"}
 
 
 def _array(name: str, values: list[Any]) -> pa.Array:
-    """Numbers as numbers; what is of several kinds, or of none that a column can have, as TOML's text."""
+    """Return a column: numbers, Booleans or strings; values of mixed or other types as TOML text."""
     known = [value for value in values if value is not None]
     if name in _WORDS or (known and all(isinstance(value, str) for value in known)):
         return pa.array(values, pa.string())

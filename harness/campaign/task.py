@@ -1,4 +1,4 @@
-"""One run of a campaign as its workers receive it, and the result of a run that failed."""
+"""The task of a worker, one run of a campaign, and the result of a failed run."""
 
 from msgspec import Struct
 
@@ -7,18 +7,18 @@ from harness.scenario.scenario import Scenario
 
 
 class Task(Struct, frozen=True, kw_only=True):
-    """A run to be flown, as a worker is told."""
+    """A run for a worker."""
 
     digest: str
     state: str
-    """Of the sources that shall fly it, ..."""
+    """Hash of the campaign's sources and libraries"""
     state_bytes: str
-    """... and of their bytes, for a worker that has the very same files"""
+    """Hash of the sources' bytes, a faster check for identical files"""
     scenario: Scenario
     settings: tuple[str, ...]
     keep: tuple[str, ...]
 
 
 def failed(task: Task, reason: str) -> Flown:
-    """Make what is written down of a run without numbers."""
+    """Return the result of a failed run."""
     return Flown(digest=task.digest, status=FAILED, reason=reason, settings=task.settings)

@@ -1,4 +1,4 @@
-"""Values of a campaign file: nested tables as paths, lists and ranges as what is swept, all as TOML's text.
+"""Values of a campaign file: conversion of nested tables to paths, of ranges to lists, and to TOML text.
 
 Errors are ValueErrors with one line that begins with the path.
 """
@@ -9,16 +9,16 @@ from decimal import Decimal
 from typing import Any
 
 MOST_VALUES = 100_000
-"""Of one range"""
+"""Largest number of values of one range"""
 _RANGE_KEYS = {"from", "to", "step", "count"}
 _RANGE = "{from=, to=, step=} or {from=, to=, count=}"
 
 
 def flat(table: Mapping[str, Any], *, ranges: bool = False, above: str = "") -> Iterator[tuple[str, Any]]:
-    """Give every value with its path, such as ``wind.mean_n``, in the table's order.
+    """Yield every value with its path, such as ``wind.mean_n``, in the table's order.
 
-    TOML's ``wind.mean_n = 2``, ``"wind.mean_n" = 2`` and ``wind = {mean_n = 2}`` are all the same. With
-    ``ranges`` a table with ``from`` is a value. Raises ValueError for a table without anything in it.
+    TOML's ``wind.mean_n = 2``, ``"wind.mean_n" = 2`` and ``wind = {mean_n = 2}`` are equivalent.
+    With ``ranges`` a table with ``from`` is a value. Raises ValueError for an empty table.
     """
     for key, value in table.items():
         path = f"{above}.{key}" if above else key
@@ -31,24 +31,24 @@ def flat(table: Mapping[str, Any], *, ranges: bool = False, above: str = "") -> 
 
 
 def spread(path: str, value: object) -> tuple[Any, ...]:
-    """Give the values of a list or range; raises ValueError."""
+    """Return the values of a list or range; raises ValueError."""
     if isinstance(value, dict):
         return _range(path, value)
     if not isinstance(value, list | tuple):
-        raise ValueError(f"{path}: expected a list of values, {_RANGE}")  # noqa: TRY004  a file is wrong, not a call
+        raise ValueError(f"{path}: expected a list of values, {_RANGE}")  # noqa: TRY004  an error of the file
     if not value:
         raise ValueError(f"{path}: an empty list flies nothing")
     seen: set[tuple[type, str]] = set()
     for each in value:
-        said = type(each), toml_text(each)
-        if said in seen:
-            raise ValueError(f"{path}: {said[1]} stands twice")
-        seen.add(said)
+        value_text = type(each), toml_text(each)
+        if value_text in seen:
+            raise ValueError(f"{path}: {value_text[1]} stands twice")
+        seen.add(value_text)
     return tuple(value)
 
 
 def _range(path: str, table: Mapping[str, Any]) -> tuple[float, ...]:
-    """Steps are of decimal numbers, so that 0.1, 0.2, 0.3 is what comes out; ``to`` belongs to it."""
+    """Return the values of a range including ``to``, computed with decimals to get 0.1, 0.2, 0.3."""
     if unknown := sorted(set(table) - _RANGE_KEYS):
         raise ValueError(f"{path}: unknown key `{unknown[0]}`; expected {_RANGE}")
     if "to" not in table or ("step" in table) == ("count" in table):
@@ -83,10 +83,10 @@ def _decimal(path: str, value: object) -> Decimal:
     return number
 
 
-def plain(path: str, value: object) -> Any:  # noqa: ANN401  whatever a file could have had there
-    """Give a program's value as a file would have given it: numpy's numbers and arrays, ranges and tuples.
+def plain(path: str, value: object) -> Any:  # noqa: ANN401  any value of a file
+    """Convert a program's value to a file's form: NumPy's numbers and arrays, ranges and tuples.
 
-    Raises ValueError for what no file can say.
+    Raises ValueError for types that a file cannot contain.
     """
     match value:
         case bool():
@@ -120,7 +120,7 @@ def toml_text(value: object) -> str:
         case dict():
             return f"{{{', '.join(f'{toml_text(key)} = {toml_text(each)}' for key, each in value.items())}}}"
         case int() | float():
-            return repr(value)  # also inf and nan, which are TOML's words
+            return repr(value)  # also inf and nan, which are valid TOML
         case _ if hasattr(value, "isoformat"):
             return str(value.isoformat())
     raise TypeError(f"{type(value).__name__}: TOML has no such value")

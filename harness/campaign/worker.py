@@ -1,4 +1,4 @@
-"""What a worker process of the cluster runs. It loads nothing of the flights before it is told to fly."""
+"""Code of a worker process of the cluster. The modules of a flight are imported at the first task."""
 
 import contextlib
 import os
@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from harness.campaign.sources import ROOT, hash_bytes, hash_said, read_sources
+from harness.campaign.sources import ROOT, hash_bytes, hash_code, read_sources
 from harness.campaign.store import ClusterError, Flown
 from harness.campaign.task import Task
 
@@ -23,20 +23,20 @@ def _sources() -> dict[str, bytes]:
 
 @cache
 def sources_state() -> str:
-    """Hash of the libraries and sources that fly and measure, as they were when first read."""
-    return hash_said(_sources())
+    """Return the hash of libraries and sources of flights and results, as of the first call."""
+    return hash_code(_sources())
 
 
 @cache
 def sources_bytes() -> str:
-    """Hash of the same libraries and of the same sources' bytes."""
+    """Return the hash of the same libraries and of the sources' bytes."""
     return hash_bytes(_sources())
 
 
 def fly_on_worker(task: Task) -> tuple[Flown, dict[str, bytes]]:
     """Fly a run in the worker's own folder.
 
-    Raises ClusterError if its sources or libraries are not the campaign's, or its machine is in trouble.
+    Raises ClusterError if its sources or libraries differ from the campaign's, or for errors of its machine.
     """
     from distributed import get_worker  # noqa: PLC0415  slow to import
 
@@ -47,13 +47,13 @@ def fly_on_worker(task: Task) -> tuple[Flown, dict[str, bytes]]:
             "began, or its libraries are others; start workers and campaign again"
         )
     with _silent(_STDERR):
-        from harness.campaign import flights  # noqa: PLC0415  Bullet prints a line at its import
+        from harness.campaign import flights  # noqa: PLC0415  Bullet prints a line when imported
     folder = Path(worker.local_directory)
     try:
         return flights.fly_task(task, folder)
     except flights.OF_THE_MACHINE as error:
         trouble = flights.one_line(error, folder)
-    # not within the block: with the other errors as its context it could not always travel
+    # outside of the except block: with the other error as its context it cannot always be pickled
     raise ClusterError(
         f"the worker at {worker.address} cannot fly: {trouble}; what has been flown stays, and the same "
         "campaign goes on from there"
@@ -61,14 +61,14 @@ def fly_on_worker(task: Task) -> tuple[Flown, dict[str, bytes]]:
 
 
 def dask_setup(_worker: Any) -> None:  # noqa: ANN401  a distributed.Worker
-    """Prepare a worker of the local cluster, by which it was named as a preload."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all, and the parent alone speaks of it
-    _close(_STDOUT)  # it is for the campaign's results alone
+    """Prepare a worker of the local cluster, which preloads this module."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; only the parent reports it
+    _close(_STDOUT)  # reserved for the campaign's results
 
 
 @contextlib.contextmanager
 def _silent(stream: int) -> Iterator[None]:
-    """Let a file descriptor lead nowhere for a while."""
+    """Redirect a file descriptor to /dev/null in the block."""
     before = os.dup(stream)
     _close(stream)
     try:
@@ -79,6 +79,6 @@ def _silent(stream: int) -> Iterator[None]:
 
 
 def _close(stream: int) -> None:
-    nothing = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nothing, stream)
-    os.close(nothing)
+    null = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, stream)
+    os.close(null)

@@ -1,7 +1,7 @@
 """The command line of campaigns.
 
-Exit status: 0 all runs have ended as flights do, 1 some failed or the cluster did, 2 bad input, 130 broken
-off: the same command goes on. An error is one line on stderr.
+Exit status: 0 all runs completed, 1 some runs or the cluster failed, 2 bad input, 130 interrupted: the same
+command continues the campaign. An error is one line on stderr.
 """
 
 import sys
@@ -29,18 +29,18 @@ from harness.launch.interrupts import interruptible
 FINE, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 DASHBOARD = "127.0.0.1:8787"
 WIDTH = 120
-"""Columns where there is no terminal to ask."""
+"""Columns without a terminal."""
 
 campaign_app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
 class BrokenOff(Exception):
-    """Ctrl-C, which the library of the command line would turn into a status without a word."""
+    """Ctrl-C, which typer would convert to an exit status without a message."""
 
 
 @campaign_app.command()
 def campaign(
-    file: Annotated[Path, typer.Argument(help="TOML file that says what is flown.", metavar="CAMPAIGN")],
+    file: Annotated[Path, typer.Argument(help="TOML file of the campaign.", metavar="CAMPAIGN")],
     *,
     out: Annotated[Path | None, typer.Option(help="Folder for runs and table; default runs/NAME.")] = None,
     workers: Annotated[
@@ -58,22 +58,22 @@ def campaign(
         list[str] | None,
         typer.Option(help=f"Keep a series of every run: {', '.join(KEPT)}.", metavar="SERIES"),
     ] = None,
-    retry: Annotated[bool, typer.Option("--retry", help="Fly those again that failed.")] = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="List what would be flown.")] = False,
+    retry: Annotated[bool, typer.Option("--retry", help="Fly failed runs again.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="List the runs without flying them.")] = False,
     dashboard: Annotated[
         bool, typer.Option("--dashboard", help=f"Show the workers at http://{DASHBOARD} (needs bokeh).")
     ] = False,
     json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> int:
-    """Fly every combination that a campaign file asks for, and make one table of it."""
+    """Fly every combination of a campaign file, and write one table of the results."""
     try:
         plan = load(file, settings or (), keep or ())
         out = out or Path("runs") / plan.name
         if scheduler is not None and (workers is not None or dashboard):
-            raise CampaignError("--scheduler: it has workers and a page of its own")
+            raise CampaignError("--scheduler: it has its own workers and dashboard")
         check_address(scheduler)
         if dry_run:
-            _tell_plan(plan, out, retry=retry, json=json)
+            _print_plan(plan, out, retry=retry, json=json)
             return FINE
         messages = Console(stderr=True, highlight=False)
         runs, _, missing = _planned(plan, out, retry=retry)
@@ -93,20 +93,20 @@ def campaign(
             )
     except KeyboardInterrupt:
         raise BrokenOff from None
-    fine = _tell_table(table, flown_now=len(missing), json=json)
+    fine = _print_table(table, flown_now=len(missing), json=json)
     return FINE if fine and not display.failed else SOME_FAILED
 
 
 def _planned(plan: Campaign, out: Path, *, retry: bool) -> tuple[list[Run], dict[str, Flown], list[Run]]:
-    """Give all runs, and what of them is there and what is not; makes no folder."""
+    """Return all runs, the stored flights, and the missing runs; creates no folder."""
     runs = expand(plan, state=sources_state())
     if not out.exists():
         return runs, {}, list({each.digest: each for each in runs}.values())
     return runs, *known(plan, runs, Store(out), retry=retry)
 
 
-def _tell_table(table: Table, *, flown_now: int, json: bool) -> bool:
-    """Say what has come of it; returns whether no run has failed."""
+def _print_table(table: Table, *, flown_now: int, json: bool) -> bool:
+    """Print the numbers of runs by status; returns whether no run has failed."""
     counts = Counter(table.column("status"))
     if json:
         result = {
@@ -123,7 +123,7 @@ def _tell_table(table: Table, *, flown_now: int, json: bool) -> bool:
     return not counts.get(FAILED)
 
 
-def _tell_plan(plan: Campaign, out: Path, *, retry: bool, json: bool) -> None:
+def _print_plan(plan: Campaign, out: Path, *, retry: bool, json: bool) -> None:
     runs, flown, missing = _planned(plan, out, retry=retry)
     if json:
         listed = [
@@ -158,7 +158,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             status = campaign_app(
                 args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False
             )
-    except BaseException as error:  # noqa: BLE001  every end has its status and its line
+    except BaseException as error:  # noqa: BLE001  every error has a status and a line
         status, line = _ending(error)
         if line:
             sys.stderr.write(f"campaign: {line}\n")
@@ -175,7 +175,7 @@ def _ending(error: BaseException) -> tuple[int, str]:
             return BAD_INPUT, error.format_message()
         case BrokenOff() | KeyboardInterrupt() | typer.Abort():
             return INTERRUPTED, "broken off: the same command goes on from here"
-        case SystemExit():  # whoever read the output has had enough of it
+        case SystemExit():  # the reader of the output has closed it
             return SOME_FAILED, ""
         case _:
             return SOME_FAILED, f"{type(error).__name__}: {error}".rstrip(": ").splitlines()[0]

@@ -1,6 +1,6 @@
-"""The swarm's antenna at any instant of a run as a NEC deck, which nec2c reads and xnec2c opens.
+"""Exports the swarm's antenna at an instant of a run as a NEC deck for nec2c and xnec2c.
 
-Exit status: 0 fine, 2 bad input or no antenna at that time, with one line on stderr.
+Exit status: 0 success, 2 bad input or no antenna at that time, with one line on stderr.
 """
 
 import sys
@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
-import msgspec
 import numpy as np
 import typer
 
@@ -17,11 +16,10 @@ from antenna.model.geometry import ElementsTouch
 from antenna.solvers.interface import BackendUnavailable
 from antenna.solvers.nec2c import Nec2cFailed
 from antenna.solvers.selection import make_backend
+from harness.records.manifest import NotARun, read_scenario
 from harness.records.run_folder import RunFolder
 from harness.records.tables import read_flight
 from harness.report.analysis import NoFeed, describe_touch, living, snapshot_at
-from harness.scenario.scenario import Scenario
-from harness.scenario.validation_errors import explain
 
 FINE, BAD_INPUT = 0, 2
 
@@ -29,11 +27,7 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
 class DeckRefused(Exception):
-    """There is no deck; the text is one line that says why."""
-
-
-class _Manifest(msgspec.Struct, frozen=True, kw_only=True):
-    scenario: Scenario
+    """There is no deck; the text is the reason in one line."""
 
 
 @app.command()
@@ -43,7 +37,7 @@ def export(
     time: Annotated[float, typer.Option(help="Simulated seconds since the start.", metavar="S")],
     out: Annotated[Path | None, typer.Option(help="File; stdout without it.", metavar="FILE")] = None,
 ) -> None:
-    """Write the antenna as it was at the recorded instant nearest to a time, with its feeds, as a deck."""
+    """Write the antenna with its feeds at the recorded instant nearest to a time as a NEC deck."""
     deck = deck_at(run, time)
     if out is None:
         sys.stdout.write(deck)
@@ -52,12 +46,12 @@ def export(
 
 
 def deck_at(run: Path, time_s: float) -> str:
-    """Make the deck of the recorded instant nearest to a simulated time; raises DeckRefused, OSError.
+    """Return the deck of the recorded instant nearest to a simulated time; raises DeckRefused, OSError.
 
-    Elements are those of the living vehicles, in their order.
+    The elements are those of the living vehicles, in their order.
     """
     folder = RunFolder(run)
-    scenario = _scenario(folder)
+    scenario = read_scenario(folder)
     try:
         flight = read_flight(folder, scenario)
     except (KeyError, ValueError):
@@ -81,26 +75,13 @@ def deck_at(run: Path, time_s: float) -> str:
     return deck_of(snapshot, scenario.antenna, pattern, comments=[at])
 
 
-def _scenario(folder: RunFolder) -> Scenario:
-    try:
-        content = folder.manifest.read_bytes()
-    except (FileNotFoundError, NotADirectoryError):
-        raise DeckRefused(f"{folder.path}: no run that has ended: it has no manifest.json") from None
-    try:
-        return msgspec.json.decode(content, type=_Manifest).scenario
-    except msgspec.ValidationError as error:
-        raise DeckRefused(f"{folder.manifest}: of another version: {explain(error, {})}") from None
-    except msgspec.DecodeError as error:
-        raise DeckRefused(f"{folder.manifest}: not JSON: {error}") from None
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     try:
         app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False)
     except typer.TyperException as error:
         return _refuse(error.format_message())
-    except DeckRefused as error:
+    except (DeckRefused, NotARun) as error:
         return _refuse(str(error))
     except OSError as error:
         return _refuse(f"{error.filename}: {error.strerror}" if error.filename else str(error))

@@ -1,6 +1,7 @@
 """The command line: fly a scenario, show it, and report it.
 
-Exit status: 0 fine, 1 the run failed, 2 bad input, 130 broken off by Ctrl-C. An error is one line on stderr.
+Exit status: 0 success, 1 the run failed, 2 bad input, 130 interrupted by Ctrl-C. An error is one line on
+stderr.
 """
 
 import contextlib
@@ -53,7 +54,9 @@ def _speed(text: str) -> float | Literal["max"]:
 
 @app.command()
 def fly(
-    scenario: Annotated[Path, typer.Argument(help="TOML file that says what is flown.", metavar="SCENARIO")],
+    scenario: Annotated[
+        Path, typer.Argument(help="TOML file, or the name of a packaged scenario.", metavar="SCENARIO")
+    ],
     speed: Annotated[
         str | None,
         typer.Option(
@@ -66,8 +69,8 @@ def fly(
         bool,
         typer.Option(
             "--hold",
-            help="Form nothing: everybody waits on the ground for a ground station, until Ctrl-C, or for"
-            " --duration, at speed 1 unless told otherwise.",
+            help="Do not form: all vehicles wait on the ground for a ground station, until Ctrl-C or for"
+            " --duration, at speed 1 unless --speed is given.",
         ),
     ] = False,
     seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
@@ -88,13 +91,13 @@ def fly(
         bool,
         typer.Option(
             "--one-process",
-            help="Fly it all in this process, on one processor: the same results byte for byte, but nobody"
-            " from outside can connect: no ground station, companion or guest of the radio.",
+            help="Fly in this process, on one processor: the same results byte for byte, but without"
+            " connections from outside: no ground station, companion or guest of the radio.",
         ),
     ] = False,
     profile: Annotated[  # noqa: FBT002
         bool,
-        typer.Option("--profile", help="Tell where the processor time went, by process and part."),
+        typer.Option("--profile", help="Report processor time by process and part."),
     ] = False,
     json: Annotated[bool, typer.Option("--json", help="The summary alone on stdout.")] = False,  # noqa: FBT002
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,  # noqa: FBT002
@@ -173,7 +176,7 @@ def _waits(plan: Scenario, *, one_process: bool = False) -> bool:
 
 
 def _on_key(key: str, swarm: Swarm, display: FlightDisplay) -> None:
-    """Pause, go on, or change the speed, as the user wants."""
+    """Pause, resume or change the speed, according to the key."""
     with contextlib.suppress(SwarmError):  # it may have just ended
         if key == " ":
             (swarm.resume if swarm.stands else swarm.pause)()
@@ -199,7 +202,9 @@ def _fly(
     for line in swarm.addresses if waits else ():
         display.note(line)
     try:
-        with Keyboard(lambda key: _on_key(key, swarm, display)) as keyboard:  # there is something to tell now
+        with Keyboard(
+            lambda key: _on_key(key, swarm, display)
+        ) as keyboard:  # from here on keys have an effect
             if keyboard.listening:
                 display.note("space pauses and goes on; + and - change the speed")
             if swarm.scenario.onboard.enabled and not waits:  # else the ground station flies
@@ -231,7 +236,7 @@ def _report(
     messages.print("writing down what was flown" if interrupted else "computing patterns and figures")
     try:
         summary = swarm.summary(draw=not interrupted, interrupted=interrupted)
-    except Exception as error:  # what broke the run off is what its user has to hear
+    except Exception as error:  # the cause of the end has precedence
         if broken_off is None:
             raise
         messages.print(f"no summary: {error}")
@@ -254,7 +259,7 @@ def _report(
 
 
 def _failure(error: BaseException) -> ExitFailure:
-    """Tell the exit status and line of whatever went wrong."""
+    """Return the exit status and the line of an error."""
     match error:
         case ExitFailure():
             return error

@@ -1,7 +1,7 @@
-"""Keys of the terminal that a run was started from, while it lasts.
+"""Key presses during a run, from the terminal that started it.
 
-An edge. Only where there is such a terminal, and while this process is in its foreground: who reads or sets
-it from the background is stopped.
+An I/O module. Works only with a terminal and while this process is in its foreground: a background process
+that reads or configures the terminal is stopped by the kernel.
 """
 
 import contextlib
@@ -18,18 +18,18 @@ from types import TracebackType
 from typing import Any, Self
 
 LOOK_S = 0.2
-"""Wall time after which the thread looks whether it is to end, and whose the terminal is."""
+"""Wall time after which the thread checks for its end and for the terminal's foreground process."""
 _LOCAL_FLAGS = 3
-"""Place of the local modes in what termios.tcgetattr gives."""
+"""Index of the local modes in the result of termios.tcgetattr."""
 
 logger = logging.getLogger(__name__)
 
 
 class Keyboard:
-    """Calls ``on_key`` with each key that is pressed, from a thread of its own, until it is closed.
+    """Calls ``on_key`` with each pressed key, from a thread of its own, until it is closed.
 
-    Ctrl-C and Ctrl-Z stay what they are. Without a terminal in the foreground nothing happens at all; a run
-    that is sent to the background leaves the terminal alone, and hears keys again when it is back.
+    Ctrl-C and Ctrl-Z keep their effect. Does nothing without a terminal in the foreground; a run in the
+    background does not use the terminal, and receives keys again when it is back in the foreground.
     """
 
     def __init__(self, on_key: Callable[[str], None]) -> None:
@@ -38,7 +38,7 @@ class Keyboard:
         self._thread: threading.Thread | None = None
         self._terminal = -1
         self._before: list[Any] = []
-        """Its modes, as they were found and are to be left."""
+        """The terminal's original modes, which are restored at the end."""
 
     def __enter__(self) -> Self:
         with contextlib.suppress(OSError, ValueError, termios.error):  # ValueError: stdin is closed
@@ -59,32 +59,32 @@ class Keyboard:
             return
         self._thread.join()
         with contextlib.suppress(OSError, termios.error), _never_stopped():
-            if _is_ours(self._terminal):  # else it is as a shell wants it by now
+            if _is_ours(self._terminal):  # else its modes are the shell's
                 termios.tcsetattr(self._terminal, termios.TCSADRAIN, self._before)
 
     @property
     def listening(self) -> bool:
-        """Whether there is a terminal to listen to."""
+        """Whether there is a terminal to read keys from."""
         return self._thread is not None
 
     def _listen(self) -> None:
-        # Signals are the main thread's: one that this thread takes, as when the terminal is closed, would not
-        # wake it. Those that say that the terminal is another's would stop the process.
+        # Signals are left to the main thread: one that this thread receives, as when the terminal is closed,
+        # would not wake it. SIGTTIN and SIGTTOU would stop the process.
         signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
-        with contextlib.suppress(OSError, termios.error):  # a closed terminal says nothing
+        with contextlib.suppress(OSError, termios.error):  # the terminal is closed
             while not self._ending.is_set():
                 for key in self._pressed():
                     try:
                         self._on_key(key)
                     except Exception:
-                        logger.exception("key %r", key)  # the next one may do better
+                        logger.exception("key %r", key)  # continue with the next key
 
     def _pressed(self) -> str:
-        """Keys that were pressed, waiting `LOOK_S` at most. Raises OSError when the terminal is closed."""
+        """Return pressed keys, waiting at most `LOOK_S`. Raises OSError when the terminal is closed."""
         if not _is_ours(self._terminal):
             self._ending.wait(LOOK_S)
             return ""
-        if termios.tcgetattr(self._terminal)[_LOCAL_FLAGS] & termios.ICANON:  # a shell has had it
+        if termios.tcgetattr(self._terminal)[_LOCAL_FLAGS] & termios.ICANON:  # reset by a shell
             tty.setcbreak(self._terminal, termios.TCSADRAIN)
         readable, _, _ = select.select([self._terminal], [], [], LOOK_S)
         if not readable:
@@ -94,20 +94,20 @@ class Keyboard:
         except OSError:
             if _is_ours(self._terminal):
                 raise
-            return ""  # it became another's just now
+            return ""  # this process has just left the foreground
         if not keys:
             raise OSError("the terminal is closed")
         return keys.decode("ascii", "replace")
 
 
 def _is_ours(terminal: int) -> bool:
-    """Whether this process is in the terminal's foreground. Raises OSError for one that is closed."""
+    """Whether this process is in the terminal's foreground. Raises OSError if the terminal is closed."""
     return os.tcgetpgrp(terminal) == os.getpgrp()
 
 
 @contextlib.contextmanager
 def _never_stopped() -> Iterator[None]:
-    """Have what this thread does to a terminal that is another's fail, and not stop the whole process."""
+    """Block SIGTTIN and SIGTTOU, so that using a terminal from the background fails instead of stopping."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTTIN, signal.SIGTTOU})
     try:
         yield

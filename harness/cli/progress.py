@@ -1,6 +1,6 @@
-"""What a run's user sees: live on a terminal, a plain line now and then elsewhere, and a table at the end.
+"""Progress display of a run: live on a terminal, periodic plain lines elsewhere, and a table at the end.
 
-Fed with what the processes say (`harness.launch.processes.Message`); its wall times come from there too.
+Input are the messages of the processes (`harness.launch.processes.Message`), which include wall times.
 """
 
 import contextlib
@@ -30,31 +30,31 @@ from harness.simulator.messages import (
 LINE_PERIOD_S = 3.0
 """Wall time between two plain lines."""
 PACE_WINDOW_S = 2.0
-"""Wall time over which the present speed is taken."""
-_EVEN_IF_UNSEEN = contextlib.suppress(OSError)
-"""A run does not fail of a terminal that was closed: the signal that says so ends it in good order."""
+"""Wall time over which the present speed is measured."""
+_IGNORE_CLOSED_TERMINAL = contextlib.suppress(OSError)
+"""Writing to a closed terminal does not fail a run: SIGHUP ends the run in order."""
 
 
 class FlightDisplay(Protocol):
     """Shows a run while it lasts."""
 
     def on_message(self, message: Message) -> None:
-        """Take in what a process said."""
+        """Process a message of a process."""
 
     def note(self, line: str) -> None:
-        """Show a line that stays."""
+        """Show a permanent line."""
 
     def close(self) -> None:
         """End the live part; harmless when repeated."""
 
 
 def display_for(console: Console) -> FlightDisplay:
-    """Live on a terminal, plain lines elsewhere."""
+    """Return a live display on a terminal, plain lines elsewhere."""
     return LiveDisplay(console) if console.is_terminal else LineDisplay(console)
 
 
 def describe(message: Message) -> str | None:
-    """One line for what a user wants to know at once; None for the rest."""
+    """Return one line for a message of interest to the user; None for others."""
     match message:
         case Formed():
             return f"{_at(message.time_us)}: formation reached"
@@ -68,9 +68,9 @@ def describe(message: Message) -> str | None:
         case Collision():
             return f"{_at(message.time_us)}: {uav(message.first)} and {uav(message.second)} touched"
         case FaultChanged():
-            who = "every uav" if message.instance is None else uav(message.instance)
+            vehicles = "every uav" if message.instance is None else uav(message.instance)
             what = message.what if message.motor is None else f"{message.what} {message.motor}"
-            return f"{_at(message.time_us)}: fault {message.number} ({what}) of {who} {message.change}"
+            return f"{_at(message.time_us)}: fault {message.number} ({what}) of {vehicles} {message.change}"
         case Warned():
             return f"{_at(message.time_us)}: {message.name}: {message.text}"
         case ProcessNotice():
@@ -82,13 +82,13 @@ def describe(message: Message) -> str | None:
 
 
 class Pace:
-    """Speed of simulated against wall time over the last seconds."""
+    """Simulated over wall time during the last seconds."""
 
     def __init__(self) -> None:
         self._marks: deque[tuple[int, float]] = deque()
 
     def update(self, time_us: int, wall_s: float) -> float | None:
-        """Take in a pair of times; returns the factor, None before there are two."""
+        """Add a pair of times; returns the factor, None before there are two."""
         self._marks.append((time_us, wall_s))
         while len(self._marks) > 2 and wall_s - self._marks[0][1] > PACE_WINDOW_S:
             self._marks.popleft()
@@ -97,7 +97,7 @@ class Pace:
 
 
 class LineDisplay:
-    """A line per few seconds of wall time."""
+    """Prints a line every few seconds of wall time."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -105,7 +105,7 @@ class LineDisplay:
         self._wall_next_s = 0.0
 
     def on_message(self, message: Message) -> None:
-        """Print what is noteworthy, and now and then where the run is."""
+        """Print notable events, and periodically the state of the run."""
         if (line := describe(message)) is not None:
             self.note(line)
         if not isinstance(message, Progress):
@@ -116,16 +116,16 @@ class LineDisplay:
             self.note(f"{headline(message, factor)}, {fleet(message.vehicles)}")
 
     def note(self, line: str) -> None:
-        """Print a line, however long, as one."""
-        with _EVEN_IF_UNSEEN:
+        """Print a line of any length without wrapping."""
+        with _IGNORE_CLOSED_TERMINAL:
             self._console.print(Text(line), soft_wrap=True)
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing."""
 
 
 class LiveDisplay:
-    """A table that is drawn over itself, below the lines that stay."""
+    """A table that is redrawn in place, below permanent lines."""
 
     def __init__(self, console: Console) -> None:
         self._pace = Pace()
@@ -133,7 +133,7 @@ class LiveDisplay:
         self._live.start()
 
     def on_message(self, message: Message) -> None:
-        """Redraw, and print what is noteworthy above."""
+        """Redraw the table, and print notable events above it."""
         if (line := describe(message)) is not None:
             self.note(line)
         if isinstance(message, Progress):
@@ -142,17 +142,17 @@ class LiveDisplay:
 
     def note(self, line: str) -> None:
         """Print a line above the table."""
-        with _EVEN_IF_UNSEEN:
+        with _IGNORE_CLOSED_TERMINAL:
             self._live.console.print(Text(line), soft_wrap=True)
 
     def close(self) -> None:
-        """Take the table away."""
-        with _EVEN_IF_UNSEEN:
+        """Remove the table."""
+        with _IGNORE_CLOSED_TERMINAL:
             self._live.stop()
 
 
 def headline(progress: Progress, factor: float | None) -> str:
-    """Where the run is, how fast, how far behind the speed asked for, and how full its channel."""
+    """Return time, speed, lag behind the requested speed, and channel occupancy of a run."""
     speed = "-" if factor is None else f"{factor:.1f}"
     pace = "paused" if progress.paused else f"{speed} x real time"
     lag = f" ({progress.lag_s:.1f} s behind)" if progress.lag_s > 0.0 else ""
@@ -161,7 +161,7 @@ def headline(progress: Progress, factor: float | None) -> str:
 
 
 def fleet(vehicles: Sequence[VehicleTruth]) -> str:
-    """All vehicles in a phrase: how many are in which phase, and the largest error among those alive."""
+    """Return the number of vehicles in each phase, and the largest error of living vehicles, as text."""
     alive = [vehicle for vehicle in vehicles if vehicle.alive]
     phases = Counter(vehicle.phase or vehicle.mode or "starting" for vehicle in alive)
     parts = [f"{count} {phase}" for phase, count in sorted(phases.items())]
@@ -187,7 +187,7 @@ def _vehicle_table(vehicles: Sequence[VehicleTruth]) -> Table:
 
 
 def summary_table(summary: Mapping[str, Any]) -> Table:
-    """Lay out the figures of ``summary.json`` that a user looks for first."""
+    """Return a table of the main results in ``summary.json``."""
     formation, frames, ftm = summary["formation_rms_m"], summary["frames"], summary["ftm"]
     gain = summary["max_gain_dbi"]
     lost = [

@@ -1,12 +1,12 @@
-"""Which processors a swarm's processes keep to, as long as it has the machine for itself.
+"""CPU affinities of a swarm's processes while other processes are idle.
 
-In lockstep everybody waits for the last, which a scheduler that balances load cannot know: it need not leave
-four of eight vehicles on each of two processors, nor any of them where its caches are. So each process is
-given a processor. While somebody else works too, all may go where they like: one that
-is held where others work would hold up the whole swarm.
+In lockstep all processes wait for the slowest. The kernel's scheduler balances load without regard to that:
+it may distribute eight vehicles unevenly over two processors, and migrate them away from their caches. So
+each process is pinned to a processor. Affinities are dropped while other processes use more than 25 % of a
+processor: a pinned process that competes with them would delay the whole swarm.
 
-The emulator, told by the one processor it may use that it shares it with vehicles, gives way to them between
-its events (`netsim.transport.server`).
+The emulator yields to the vehicles between its events if its affinity is a single processor, which it shares
+with vehicles (`netsim.transport.server`).
 """
 
 import contextlib
@@ -21,34 +21,36 @@ from typing import NamedTuple
 import psutil
 
 LOOK_PERIOD_S = 0.5
-"""Wall time between looks at who else works."""
+"""Wall time between two measurements of the load."""
 OTHERS_MAX = 0.25
-"""Processors that others may keep busy; what is counted in ticks of 4 ms is uncertain by 0.06 in a period."""
+"""Load of other processes, in processors, above which affinities are dropped. Ticks of 4 ms make it uncertain
+by 0.06 in a period."""
 VEHICLES_PER_PROCESSOR = 2
-"""With fewer there is room for the scheduler to do well by itself."""
+"""With fewer vehicles per processor the placement is left to the scheduler."""
 
 
 class Times(NamedTuple):
-    """What has been counted up to one look."""
+    """Times at one measurement."""
 
     wall_s: float
     machine_cpu_s: float
-    """Time for which the processors were busy, with whatever."""
+    """Time for which the processors were busy."""
     own_cpu_s: float
 
 
-def leaves_room(before: Times, now: Times) -> bool:
-    """Whether others left the processors to the swarm between two looks."""
+def others_idle(before: Times, now: Times) -> bool:
+    """Whether the load of other processes was at most `OTHERS_MAX` between two measurements."""
     others_s = (now.machine_cpu_s - before.machine_cpu_s) - (now.own_cpu_s - before.own_cpu_s)
     return others_s <= OTHERS_MAX * (now.wall_s - before.wall_s)
 
 
-def homes(
+def assign_processors(
     vehicles: Sequence[str], processors: Sequence[int], *, first: str, last: str
 ) -> dict[str, int] | None:
-    """Processor of each process: equal shares of vehicles in their order; ``first`` and ``last`` at the ends.
+    """Return the processor of each process.
 
-    None if the scheduler is to place them: with one processor, or with few vehicles on each.
+    Each processor has an equal share of the vehicles in their order; the process ``first`` is on the first
+    processor and ``last`` on the last. None with a single processor or with few vehicles on each.
     """
     if len(processors) < 2 or len(vehicles) < VEHICLES_PER_PROCESSOR * len(processors):
         return None
@@ -56,8 +58,8 @@ def homes(
     return places | {first: processors[0], last: processors[-1]}
 
 
-def own_processors() -> list[int]:
-    """Processors that this process may use, if they can be chosen from: on Linux, and if all are as fast."""
+def usable_processors() -> list[int]:
+    """Return the processors that this process may use; empty if not on Linux or if their speeds differ."""
     if sys.platform != "linux":
         return []
     processors = sorted(os.sched_getaffinity(0))
@@ -69,8 +71,8 @@ def own_processors() -> list[int]:
     return processors if len(speeds) <= 1 else []
 
 
-def counted(processors: Sequence[int], pids: Iterable[int]) -> Times:
-    """What the processors have done so far, and what of it for these processes; those gone are left out."""
+def measure(processors: Sequence[int], pids: Iterable[int]) -> Times:
+    """Return the busy time of the processors and the time of these processes; skips processes that ended."""
     machine = psutil.cpu_times(percpu=True)
     busy = [machine[processor] for processor in processors if processor < len(machine)]
     own_cpu_s = 0.0
@@ -82,34 +84,34 @@ def counted(processors: Sequence[int], pids: Iterable[int]) -> Times:
 
 
 class CpuAffinity:
-    """Keeps processes on processors of their own as long as nobody else works, on a thread of its own.
+    """Pins processes to processors while other processes are idle, from a thread of its own.
 
-    It places the thread that does a process's work, its first; Zenoh's go where there is room.
-    ``pids`` tells the processes that there are now by name; ``places`` is of `homes`, ``count`` is `counted`.
+    Pins the main thread of a process, which does its work, but not Zenoh's threads. ``pids`` returns the
+    living processes by name; ``assignment`` is of `assign_processors`; ``count`` replaces `measure`.
     """
 
     def __init__(
         self,
         pids: Callable[[], Mapping[str, int]],
-        places: Mapping[str, int],
+        assignment: Mapping[str, int],
         processors: Sequence[int],
         *,
-        count: Callable[[Sequence[int], Iterable[int]], Times] = counted,
+        count: Callable[[Sequence[int], Iterable[int]], Times] = measure,
         period_s: float = LOOK_PERIOD_S,
     ) -> None:
         self._pids = pids
-        self._places = places
+        self._assignment = assignment
         self._processors = processors
         self._count = count
         self._period_s = period_s
         self._ended = threading.Event()
-        self.placed = False
-        """Whether they keep to their processors now."""
-        self._thread = threading.Thread(target=self._watch, name="placement", daemon=True)
+        self.pinned = False
+        """Whether the processes are pinned now."""
+        self._thread = threading.Thread(target=self._watch, name="cpu affinity", daemon=True)
         self._thread.start()
 
     def end(self) -> None:
-        """Look no more; harmless when repeated. Processes stay where they are."""
+        """Stop; harmless when repeated. The affinities remain as they are."""
         self._ended.set()
         self._thread.join()
 
@@ -117,27 +119,27 @@ class CpuAffinity:
         before = self._now()
         while not self._ended.wait(self._period_s):
             now = self._now()
-            room = leaves_room(before, now)
-            if room != self.placed:
-                self.placed = room
-                self._place()
+            idle = others_idle(before, now)
+            if idle != self.pinned:
+                self.pinned = idle
+                self._apply()
             before = now
 
-    def _place(self) -> None:
-        """Give every process its processor, or all of them again."""
+    def _apply(self) -> None:
+        """Pin every process to its processor, or allow it all processors."""
         for name, pid in self._pids().items():
-            if name in self._places:
-                with contextlib.suppress(OSError):  # it is gone
-                    if self.placed:
-                        os.sched_setaffinity(pid, [self._places[name]])
+            if name in self._assignment:
+                with contextlib.suppress(OSError):  # it has ended
+                    if self.pinned:
+                        os.sched_setaffinity(pid, [self._assignment[name]])
                     else:
-                        _free(pid, self._processors)
+                        _unpin(pid, self._processors)
 
     def _now(self) -> Times:
         return self._count(self._processors, (os.getpid(), *self._pids().values()))
 
 
-def _free(pid: int, processors: Sequence[int]) -> None:
-    """Let a process go anywhere; those of its threads too that were started while it was placed."""
+def _unpin(pid: int, processors: Sequence[int]) -> None:
+    """Allow a process all processors, and its threads, some of which started while it was pinned."""
     for thread in Path(f"/proc/{pid}/task").iterdir():
         os.sched_setaffinity(int(thread.name), processors)

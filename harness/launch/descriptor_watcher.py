@@ -1,7 +1,7 @@
-"""One thread that listens to many file descriptors, where each would need a thread of its own to wait at it.
+"""One thread that watches many file descriptors.
 
-Knows nothing of what is read: `harness.launch.supervisor` and `harness.launch.prefork_client` hear a run's
-children with it.
+Independent of the data: `harness.launch.supervisor` and `harness.launch.prefork_client` use it for a run's
+children.
 """
 
 import contextlib
@@ -13,68 +13,68 @@ from collections.abc import Callable
 
 
 class DescriptorWatcher:
-    """Calls back for each descriptor that has something to be read, or has ended.
+    """Calls back for each descriptor that is readable or has ended.
 
-    All calls are made on one thread, one after the other, so they must not wait. The thread is there from the
-    first `call` on until `close`.
+    All callbacks run one after the other on one thread, so they must not block. The thread runs from the
+    first `call` until `close`.
     """
 
     def __init__(self, name: str) -> None:
         self._name = name
         self._selector = selectors.DefaultSelector()
-        self._asked: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._requested: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._lock = threading.Lock()
         self._thread: threading.Thread | None = None
-        self._bell: int | None = None
-        """An eventfd, written to when something is asked."""
+        self._wake_fd: int | None = None
+        """An eventfd, written to for each request."""
         self._closed = False
 
     def call(self, action: Callable[[], None]) -> None:
-        """From any thread: have something done on the listener's, in the order in which it is asked.
+        """Run an action on the watcher's thread, in the order of the requests; from any thread.
 
-        Once the listener is closed nothing is done.
+        Does nothing once the watcher is closed.
         """
         with self._lock:
             if self._closed:
                 return
-            self._asked.put(action)
-            if self._bell is None:
-                self._bell = os.eventfd(0)
-                self._thread = threading.Thread(target=self._run, args=(self._bell,), name=self._name)
+            self._requested.put(action)
+            if self._wake_fd is None:
+                self._wake_fd = os.eventfd(0)
+                self._thread = threading.Thread(target=self._run, args=(self._wake_fd,), name=self._name)
                 self._thread.daemon = True
                 self._thread.start()
-            os.eventfd_write(self._bell, 1)
+            os.eventfd_write(self._wake_fd, 1)
 
     def close(self) -> None:
-        """From any other thread: do what has been asked, then listen no more. Harmless when repeated."""
+        """Complete all requests, then stop the thread; from any other thread. Harmless when repeated."""
         self.call(self._close)
         if self._thread is not None:
             self._thread.join()
 
     def watch(self, fd: int, on_readable: Callable[[], None]) -> None:
-        """On its thread: call back whenever there is something to be read, until `forget`."""
+        """Call back whenever the descriptor is readable, until `forget`; only on the watcher's thread."""
         self._selector.register(fd, selectors.EVENT_READ, on_readable)
 
     def forget(self, fd: int) -> None:
-        """On its thread: watch it no more; to be done before it is closed."""
+        """Stop watching a descriptor, before it is closed; only on the watcher's thread."""
         self._selector.unregister(fd)
 
-    def _run(self, bell: int) -> None:
-        self.watch(bell, lambda: self._answer(bell))
+    def _run(self, wake_fd: int) -> None:
+        self.watch(wake_fd, lambda: self._run_requests(wake_fd))
         while not self._closed:
             for key, _ in self._selector.select():
-                # what came before in the same round may have had it forgotten
+                # an earlier callback of this round may have removed it
                 if self._selector.get_map().get(key.fd) is key:
                     key.data()
         self._selector.close()
-        os.close(bell)
+        os.close(wake_fd)
 
-    def _answer(self, bell: int) -> None:
-        """Do what has been asked."""
-        os.eventfd_read(bell)
+    def _run_requests(self, wake_fd: int) -> None:
+        """Run all requested actions."""
+        os.eventfd_read(wake_fd)
         with contextlib.suppress(queue.Empty):
             while True:
-                self._asked.get_nowait()()
+                self._requested.get_nowait()()
 
     def _close(self) -> None:
         with self._lock:

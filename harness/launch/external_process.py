@@ -1,8 +1,8 @@
-"""Runs a program of others as a child of a run: ``python -m harness.launch.external_process --config FILE``.
+"""Runs an external program as a child of a run: ``python -m harness.launch.external_process --config FILE``.
 
-Speaks the child protocol of `foundation.processes.child_protocol` for it: Ready with the program's process
-id, an end when told to stop or when stdin ends. What the program prints goes to stderr, which is the child's
-log. However the keeper ends, the program ends with it.
+Implements the child protocol of `foundation.processes.child_protocol` for it: sends Ready with the program's
+process id, and ends it on Stop or at the end of stdin. The program's output goes to stderr, which is the
+child's log. When this wrapper ends for any reason, so does the program.
 """
 
 import argparse
@@ -29,24 +29,24 @@ _SHELL_SIGNAL_BASE = 128
 
 
 class ExternalProcessConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A program, how to start it, and what is said of it when it has started."""
+    """A program: its command, and the details of its `Ready`."""
 
     name: str
     command: tuple[str, ...]
     environment: dict[str, str]
-    """Added to the keeper's own."""
+    """Added to the inherited environment."""
     folder: str
-    """Where it works."""
+    """Working folder."""
     details: dict[str, Any] = {}
 
 
-def keep(config: ExternalProcessConfig) -> int:
-    """Run the program to its end, or to ours; returns the exit status. Raises OSError if it cannot be run."""
-    keeper, libc = os.getpid(), ctypes.CDLL(None)
+def run(config: ExternalProcessConfig) -> int:
+    """Run the program until it ends or is stopped; returns the exit status. Raises OSError."""
+    wrapper, libc = os.getpid(), ctypes.CDLL(None)
 
-    def die_with_keeper() -> None:
+    def die_with_wrapper() -> None:
         libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-        if os.getppid() != keeper:  # which has ended meanwhile
+        if os.getppid() != wrapper:  # it has ended meanwhile
             os._exit(1)
 
     program = subprocess.Popen(
@@ -56,7 +56,7 @@ def keep(config: ExternalProcessConfig) -> int:
         cwd=config.folder,
         env=os.environ | config.environment,
         process_group=0,
-        preexec_fn=die_with_keeper if sys.platform == "linux" else None,  # noqa: PLW1509  no thread runs yet
+        preexec_fn=die_with_wrapper if sys.platform == "linux" else None,  # noqa: PLW1509  no thread runs yet
     )
     inbox: queue.SimpleQueue[Stop | int] = queue.SimpleQueue()
     commands(Stop, inbox)
@@ -71,7 +71,7 @@ def keep(config: ExternalProcessConfig) -> int:
 
 
 def _end(program: "subprocess.Popen[bytes]") -> None:
-    """End the program and what it started in its group."""
+    """End the program and its process group."""
     for number in (signal.SIGTERM, signal.SIGKILL):
         with contextlib.suppress(ProcessLookupError):
             os.killpg(program.pid, number)
@@ -80,18 +80,18 @@ def _end(program: "subprocess.Popen[bytes]") -> None:
 
 
 def main() -> int:
-    """Parse the command line and keep; a failure is one line on stderr and status 2."""
+    """Parse the command line and run the program; a failure is one line on stderr and status 2."""
     parser = argparse.ArgumentParser(
-        prog="python -m harness.launch.external_process", description="A program in a run."
+        prog="python -m harness.launch.external_process", description="An external program in a run."
     )
-    parser.add_argument("--config", type=Path, required=True, help="JSON file that says what is run")
-    parser.add_argument("--supervised", action="store_true", help="accepted for likeness: it always is")
+    parser.add_argument("--config", type=Path, required=True, help="JSON file with the program's command")
+    parser.add_argument("--supervised", action="store_true", help="accepted for uniformity, no effect")
     arguments = parser.parse_args()
     try:
         config = msgspec.json.decode(arguments.config.read_bytes(), type=ExternalProcessConfig)
-        return keep(config)
+        return run(config)
     except (OSError, msgspec.DecodeError) as error:
-        sys.stderr.write(f"keeper: {error}\n")
+        sys.stderr.write(f"external process: {error}\n")
         return 2
 
 

@@ -1,6 +1,6 @@
-"""Ctrl-C, SIGTERM and a closed terminal: they end a program in good order, and not where it must not be cut.
+"""Ctrl-C, SIGTERM and a closed terminal: handlers that end a program in order, and deferral of signals.
 
-Python runs signal handlers in the main thread alone, between two of its instructions.
+Python runs signal handlers only in the main thread, between two of its instructions.
 """
 
 import contextlib
@@ -16,10 +16,10 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 @contextlib.contextmanager
 def interruptible() -> Iterator[None]:
-    """Have all raise KeyboardInterrupt in the block, which the main thread alone may enter.
+    """Raise KeyboardInterrupt on each of these signals in the block; only for the main thread.
 
-    SIGINT as well where it would be ignored: a shell starts so what runs in its background, and `kill -INT`
-    shall stop that too. An ignored SIGHUP stays so: it is how nohup has a run outlive its terminal.
+    SIGINT is handled even if it was ignored: shells start background jobs so, and `kill -INT` must stop those
+    too. An ignored SIGHUP stays ignored: nohup uses it to let a run outlive its terminal.
     """
     before = {
         number: signal.signal(number, _interrupt)
@@ -40,18 +40,18 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def _mute_closed_terminal() -> None:
-    """Have what is still said to a terminal that is gone get lost; to fail at it would cut the rest short."""
+    """Redirect stdout and stderr of a closed terminal to /dev/null, so that later output does not fail."""
     for stream in (1, 2):
         try:
-            os.write(stream, b"")  # nothing; yet of a terminal that was hung up it fails
+            os.write(stream, b"")  # writes nothing, but fails on a closed terminal
         except OSError:
-            nowhere = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nowhere, stream)
-            os.close(nowhere)
+            null = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null, stream)
+            os.close(null)
 
 
 def interrupt_with_parent() -> None:
-    """Have a thread interrupt this process when stdin ends: whoever holds its other end is gone."""
+    """Start a thread that interrupts this process when stdin ends, because its parent has ended."""
 
     def wait() -> None:
         while os.read(sys.stdin.fileno(), 4_096):
@@ -63,10 +63,9 @@ def interrupt_with_parent() -> None:
 
 @contextlib.contextmanager
 def interrupts_deferred() -> Iterator[None]:
-    """Hold back Ctrl-C, and SIGTERM and SIGHUP that have a handler, until the block is left.
+    """Defer Ctrl-C, and SIGTERM and SIGHUP if they have a handler, until the block is left.
 
-    It must take bounded time.
-    In any other thread than the main one there is nothing to hold back.
+    The block must take bounded time. Has no effect in threads other than the main one.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -1,8 +1,8 @@
-"""Having the numerical kernels compiled once, before a swarm needs them.
+"""Compile the numerical kernels once, before a swarm needs them.
 
-They are in the folder of their sources' state, of which `foundation.kernels.cache_folder` knows which and
-why. The first run that finds it empty compiles before it starts vehicles, which would otherwise all compile
-the same at once, in mid-air.
+The cache is one folder per state of the sources (`foundation.kernels.cache_folder`). The first run that finds
+its folder empty compiles all kernels before it starts vehicles; otherwise every vehicle would compile the
+same kernels in flight.
 """
 
 import contextlib
@@ -21,7 +21,7 @@ __all__ = ["PACKAGES", "VARIABLE", "CompileError", "digest", "environment", "fol
 
 COMPILE_LIMIT_S = 600.0
 KEPT_STATES = 8
-"""Enough for someone who goes back and forth between branches."""
+"""Enough for work that alternates between branches."""
 KEPT_S = 86_400.0
 """A state that was used within a day is kept as well: a process may be running on it."""
 _COMPLETE = "complete"
@@ -39,9 +39,9 @@ class CompileError(RuntimeError):
 
 
 def prepare(note: Callable[[str], None]) -> None:
-    """Compile every kernel unless that has been done.
+    """Compile every kernel that is not compiled.
 
-    ``note`` is told before it takes long. Raises CompileError.
+    ``note`` is called with a line before it takes long. Raises CompileError.
 
     Of several processes that find the cache empty one compiles and the others wait.
     """

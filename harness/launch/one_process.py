@@ -1,4 +1,4 @@
-"""A whole swarm in one process, for campaigns: no sockets, no Zenoh, no pipes, and the same bytes.
+"""A whole swarm in one process, for campaigns: the same messages without sockets, Zenoh or pipes.
 
     summary = fly(load("scenarios/article.toml", ["run.seed=7"]), Path("runs/seed-7"))
 
@@ -7,10 +7,9 @@
         swarm.degrade_channel(20.0)
         swarm.run_for(10)
 
-`OneProcessSwarm` is a `Swarm` whose processes are parts of this one: the same simulation, the same vehicles
-and emulator, which hand each other the same messages by calls. Equal scenarios, seeds and interventions give
-equal logs, byte for byte, whichever of the two flies them. A flight takes one processor, so as many go on
-side by side as there are processors, in processes of their own:
+`OneProcessSwarm` is a `Swarm` whose simulation, vehicles and emulator run in this process and pass each other
+the same messages by calls. Equal scenarios, seeds and interventions give byte-identical logs with either
+class. A flight uses one processor, so one flight per processor can run in parallel, each in its own process:
 
     with ProcessPoolExecutor() as pool:
         summaries = pool.map(fly, scenarios, folders)
@@ -59,17 +58,17 @@ from netsim.emulator.service import EmulatorService
 from netsim.model.config import ServerConfig
 
 NAME = "one process"
-"""What it is called in manifest and logs."""
+"""Name of the process in manifest and logs."""
 RUN_ID = "one-process"
-"""Keys of the radio begin with it; here nobody uses them."""
+"""Prefix of the radio's Zenoh keys, which are not used here."""
 STOP_LIMIT_S = 10.0
-"""Wall time that the flight has to end its step and write what it has."""
+"""Wall time that the flight has to end its step and write its data."""
 
 
 class _Flight:
-    """The swarm's parts, put together; `fly` obeys commands until Stop. Made and used in one thread.
+    """The composed simulation; `fly` executes commands until Stop. Constructed and used in one thread.
 
-    ``emit`` is given what a part says, under its name.
+    ``emit(name, event)`` receives the events of physics server and vehicles.
     """
 
     def __init__(
@@ -88,7 +87,7 @@ class _Flight:
         radios = [InProcessRadio(self._emulator, config.instance) for config in vehicles]
         line = InProcessEmulatorLine(self._emulator, radios)
         period_us = physics.scenario.onboard.loop_period_us
-        air = EmulatorClient(line, period_us=period_us, free=bool(radio.radio.guests))
+        emulator = EmulatorClient(line, period_us=period_us, asynchronous=bool(radio.radio.guests))
 
         def meet(simulation: Simulation) -> InProcessVehicles:
             self.vehicles = InProcessVehicles(
@@ -97,27 +96,27 @@ class _Flight:
             return self.vehicles
 
         self._simulation = stack.enter_context(
-            contextlib.closing(Simulation(physics, meet=meet, air=air, emit=self._say))
+            contextlib.closing(Simulation(physics, meet=meet, emulator=emulator, emit=self._emit_event))
         )
 
     def fly(self, inbox: "queue.SimpleQueue[AnyCommand]") -> None:
-        """Do as commanded until Stop."""
+        """Execute commands until Stop."""
         simulation, config = self._simulation, self._config
-        obey(simulation, inbox, connect_timeout_s=config.connect_timeout_s, emit=self._say)
+        obey(simulation, inbox, connect_timeout_s=config.connect_timeout_s, emit=self._emit_event)
         details = {
             "time_us": simulation.time_us,
             "formed": simulation.formed,
             RADIO: {"counters": self._emulator.counters},
-            **{seat.host.name: seat.host.vehicle.troubles() for seat in self.vehicles.seats},
+            **{slot.host.name: slot.host.vehicle.troubles() for slot in self.vehicles.slots},
         }
-        self._say(Finished(name=PHYSICS, details=details))
+        self._emit_event(Finished(name=PHYSICS, details=details))
 
-    def _say(self, event: msgspec.Struct) -> None:
+    def _emit_event(self, event: msgspec.Struct) -> None:
         self._emit(PHYSICS, event)
 
 
-class _Inside(Supervisor):
-    """A supervisor whose one child is a thread of this process: a whole flight."""
+class _ThreadSupervisor(Supervisor):
+    """A supervisor with one child: a thread of this process that runs the whole flight."""
 
     def __init__(self, log_folder: Path) -> None:
         super().__init__(log_folder)
@@ -125,53 +124,53 @@ class _Inside(Supervisor):
         self._thread: threading.Thread | None = None
         self._flight: _Flight | None = None
         self.error: Exception | None = None
-        """What ended the flight"""
+        """Exception that ended the flight."""
 
     def launch(self, physics: PhysicsConfig, radio: ServerConfig, vehicles: Sequence[VehicleConfig]) -> None:
-        """Put the flight together and let it wait for commands."""
+        """Start the thread, which composes the flight and waits for commands."""
         self._thread = threading.Thread(
-            target=self._live, args=(physics, radio, vehicles), name="flight", daemon=True
+            target=self._run, args=(physics, radio, vehicles), name="flight", daemon=True
         )
         self._thread.start()
 
-    def _live(self, physics: PhysicsConfig, radio: ServerConfig, vehicles: Sequence[VehicleConfig]) -> None:
+    def _run(self, physics: PhysicsConfig, radio: ServerConfig, vehicles: Sequence[VehicleConfig]) -> None:
         code, last_words = 1, ""
         try:
             with contextlib.ExitStack() as stack:
-                self._flight = _Flight(physics, radio, vehicles, emit=self._say, stack=stack)
-                self._say(PHYSICS, Ready(name=PHYSICS, pid=os.getpid()))
+                self._flight = _Flight(physics, radio, vehicles, emit=self._emit_event, stack=stack)
+                self._emit_event(PHYSICS, Ready(name=PHYSICS, pid=os.getpid()))
                 self._flight.fly(self._inbox)
             code = 0
-        except Exception as error:  # noqa: BLE001  as a process would end, with its traceback in its log
+        except Exception as error:  # noqa: BLE001  logged, as a process logs its traceback
             self.error, last_words = error, f"{type(error).__name__}: {error}".rstrip(": ")
-            with contextlib.suppress(OSError):  # a full disk has no room for it
+            with contextlib.suppress(OSError):  # the disk may be full
                 self.log_path(NAME).write_text(traceback.format_exc(), encoding="utf-8")
-        finally:  # whatever else goes wrong, who waits for the flight hears of its end
+        finally:  # always report the end
             self._flight = None
             ended = Exited(
                 name=NAME, pid=os.getpid(), returncode=code, log_tail=last_words, last_words=last_words
             )
-            self._heard.put((PHYSICS, ended))
+            self._received.put((PHYSICS, ended))
 
-    def _say(self, name: str, event: Any) -> None:  # noqa: ANN401  whatever a child says
-        self._heard.put((name, event))
+    def _emit_event(self, name: str, event: Any) -> None:  # noqa: ANN401  any event
+        self._received.put((name, event))
 
     @property
     def pids(self) -> dict[str, int]:
-        """This process's id."""
+        """Id of this process."""
         return {} if self._thread is None else {NAME: os.getpid()}
 
-    def send(self, name: str, command: AnyCommand) -> None:  # noqa: ARG002  there is but one
-        """Give the flight a command."""
+    def send(self, name: str, command: AnyCommand) -> None:  # noqa: ARG002  there is only one child
+        """Send the flight a command."""
         self._inbox.put(command)
 
     def kill(self, name: str) -> None:
-        """End a vehicle at once; the others notice in their next step."""
+        """End a vehicle at once; the simulation reports it as lost in the next step."""
         if self._flight is not None:
             self._flight.vehicles.kill(name)
 
     def end(self, names: Iterable[str], *, grace_s: float = 0.0) -> list[str]:
-        """End the flight, if it is among them; returns a line if it does not end in time."""
+        """End the flight if `PHYSICS` is among the names; returns a line if it does not end in time."""
         if PHYSICS not in names or self._thread is None:
             return []
         self._inbox.put(Stop())
@@ -184,7 +183,7 @@ class _Inside(Supervisor):
 
 
 class _Processes(Processes):
-    """The processes of a run, all in this one."""
+    """The processes of a run as one thread of this process."""
 
     def __init__(
         self,
@@ -194,9 +193,13 @@ class _Processes(Processes):
         wall_limit_s: float | None,
         on_message: Callable[[Message], None] | None,
     ) -> None:
-        self._inside = _Inside(folder.logs)
+        self._child = _ThreadSupervisor(folder.logs)
         super().__init__(
-            scenario, folder, wall_limit_s=wall_limit_s, on_message=on_message, supervisor=self._inside
+            scenario,
+            folder,
+            wall_limit_s=wall_limit_s,
+            on_message=on_message,
+            supervisor=self._child,
         )
 
     def _start(self) -> None:
@@ -214,36 +217,36 @@ class _Processes(Processes):
                 scenario, i, run_id=RUN_ID, simulator_port=0, radio_endpoint=None
             )
             vehicles.append(_read(path, VehicleConfig))
-        # what lives by now is no garbage of the flight's
+        # exclude existing objects from garbage collections during the flight
         gc.collect()
         gc.freeze()
-        self._inside.launch(physics, radio, vehicles)
+        self._child.launch(physics, radio, vehicles)
         self._await_ready([PHYSICS])
 
     def next(self, wall_limit_s: float, complaint: str) -> Message:
-        """See `Processes.next`; the cause of a SwarmError is what ended the flight."""
+        """See `Processes.next`; the cause of a SwarmError is the exception that ended the flight."""
         try:
             return super().next(wall_limit_s, complaint)
         except SwarmError as error:
-            raise error from self._inside.error
+            raise error from self._child.error
 
     def stop(self) -> None:
-        """See `Processes.stop`; what lives is looked at by the garbage collection again."""
+        """See `Processes.stop`; undoes the freeze of the garbage collector."""
         running = self._running
         super().stop()
         if running:
             gc.unfreeze()
 
 
-def _read(path: Path, kind: type[Any]) -> Any:  # noqa: ANN401  of that kind
-    """Settings as a process of its own would read them."""
+def _read(path: Path, kind: type[Any]) -> Any:  # noqa: ANN401  an instance of ``kind``
+    """Read a settings file, as a separate process does."""
     return msgspec.json.decode(path.read_bytes(), type=kind)
 
 
 def use_kernel_cache() -> None:
-    """Have this process's kernels loaded from the cache that all processes of a run use.
+    """Make this process load kernels from the cache that all processes of a run use.
 
-    Numba fixes a kernel's cache when its module is imported, which may be long ago.
+    Numba fixes a kernel's cache when its module is imported, which may have happened before.
     """
     folder = str(kernel_cache.folder())
     os.environ[kernel_cache.VARIABLE] = folder
@@ -259,10 +262,9 @@ def use_kernel_cache() -> None:
 
 
 class OneProcessSwarm(Swarm):
-    """A swarm within this process: see `Swarm`, whose methods and promises it has.
+    """A swarm in this process, with the interface of `Swarm` except `mavlink`.
 
-    Only `mavlink` is not to be had. What flies is a thread, so a process with several of these has them take
-    turns.
+    The simulation is a thread, so several swarms in one process share one processor.
     """
 
     _make_processes = _Processes
@@ -298,9 +300,9 @@ class OneProcessSwarm(Swarm):
 def fly(scenario: Scenario, out: Path, *, until_s: float | None = None, draw: bool = False) -> dict[str, Any]:
     """Fly a scenario on one processor and return the summary of `harness.report.report.finish`.
 
-    Until formed and then for ``run.duration_s``, as the command line does, or up to a simulated time. A
-    formation that is not reached in time is a result; its ``status`` says so. Raises SwarmError for a run
-    that fails, but OSError or MemoryError where it is the machine that has no room, such as a full disk.
+    Flies until formed and then for ``run.duration_s``, as the command line does, or up to ``until_s``. A
+    formation that is not reached in time is a result with its own ``status``. Raises SwarmError for a failed
+    run; OSError or MemoryError if the machine lacks disk space or memory.
     """
     try:
         with OneProcessSwarm(scenario, out=out) as swarm:
@@ -316,13 +318,13 @@ def _flown(swarm: Swarm, scenario: Scenario, until_s: float | None, *, draw: boo
         swarm.run(until_s=until_s)
     else:
         with contextlib.suppress(SwarmTimeoutError):
-            if scenario.onboard.enabled:  # else nobody forms anything
+            if scenario.onboard.enabled:  # else there is no formation
                 swarm.run_until_formed(timeout_s=scenario.run.reach_timeout_s)
             swarm.run_for(scenario.run.duration_s)
     from harness.report import antenna_report  # noqa: PLC0415  the analysis is slow to import: not before the flight
 
     with antenna_report.on_threads(1):
         summary = swarm.summary(draw=draw)
-    if summary["status"] == "failed":  # a timeout may be of the machine's
+    if summary["status"] == "failed":  # not only a timeout of the formation
         raise SwarmError(summary["reason"])
     return summary

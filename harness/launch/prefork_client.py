@@ -1,4 +1,4 @@
-"""The launcher's end of the line to a process that forks others: see `foundation.processes.prefork`."""
+"""Client of a prefork server in the launcher: see `foundation.processes.prefork`."""
 
 import os
 import queue
@@ -13,21 +13,21 @@ from foundation.processes.prefork import MOST_BYTES, Answer, Ended, Fork, Forked
 from harness.launch.descriptor_watcher import DescriptorWatcher
 
 FORK_LIMIT_S = 30.0
-"""Wall time within which a fork must be answered, by a forker that is ready."""
+"""Wall time within which a server that is ready must answer a request to fork."""
 _encoder = msgspec.json.Encoder()
 _answers = msgspec.json.Decoder(Answer)
 
 
 class ForkError(OSError):
-    """There is no new process; the text is why."""
+    """A process could not be forked; the text is the reason."""
 
 
 class ForkedProcess(NamedTuple):
-    """A process that was forked on request."""
+    """A forked process."""
 
     pid: int
     ending: "Future[int | None]"
-    """Exit status or minus the signal that killed it; None if the forker, which would know, died before."""
+    """Exit status, or minus the signal that killed it; None if the prefork server ended before it."""
 
 
 class _Living(NamedTuple):
@@ -36,29 +36,30 @@ class _Living(NamedTuple):
 
 
 class Forker:
-    """One such process. ``theirs`` is its end of the line, to be closed here once it has inherited that.
+    """Connection to one prefork server.
 
-    ``listener``: what hears it, and on whose thread endings are told.
+    ``theirs`` is the server's end of the socket pair; close it here once the server has inherited it.
+    ``watcher`` receives the answers; the futures of endings are completed on its thread.
     """
 
-    def __init__(self, listener: DescriptorWatcher) -> None:
+    def __init__(self, watcher: DescriptorWatcher) -> None:
         self._line, self.theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._answers: queue.SimpleQueue[ForkedProcess | NotForked] = queue.SimpleQueue()
         self._living: dict[int, _Living] = {}
-        self._listener = listener
+        self._watcher = watcher
 
     def listen(self) -> None:
-        """Take answers from now on."""
-        self._listener.call(lambda: self._listener.watch(self._line.fileno(), self._on_line))
+        """Start to receive answers."""
+        self._watcher.call(lambda: self._watcher.watch(self._line.fileno(), self._on_line))
 
     def close(self) -> None:
-        """Hang up, when nobody listens: not yet, or not any more."""
+        """Close the connection, before `listen` or after the watcher is closed."""
         self._line.close()
 
     def fork(self, request: Fork, stdio: tuple[int, int, int]) -> ForkedProcess:
-        """Have a process forked with these standard streams. Raises ForkError.
+        """Fork a process with these standard streams. Raises ForkError.
 
-        One at a time: the caller sees to that.
+        Not thread-safe: one request at a time.
         """
         try:
             socket.send_fds(self._line, [_encoder.encode(request)], stdio)
@@ -66,7 +67,7 @@ class Forker:
         except OSError as error:
             raise ForkError(error.strerror or str(error)) from None
         except queue.Empty:
-            # an answer that came yet would be taken for that to the next request
+            # a late answer would be mistaken for that to the next request
             self._line.shutdown(socket.SHUT_RDWR)
             raise ForkError(f"no answer within {FORK_LIMIT_S:g} s") from None
         if isinstance(answer, NotForked):
@@ -74,14 +75,14 @@ class Forker:
         return answer
 
     def _on_line(self) -> None:
-        """Take an answer; once the forker's end of the line is closed, look after those it has left."""
+        """Process an answer; when the server closes its end, watch the processes that it leaves behind."""
         packet = self._receive()
         if packet is None:
             return
         if not packet:
-            self._listener.forget(self._line.fileno())
+            self._watcher.forget(self._line.fileno())
             self._line.close()
-            self._answers.put(NotForked(reason="nobody is there to fork it"))
+            self._answers.put(NotForked(reason="the prefork server has ended"))
             for pid in list(self._living):
                 self._adopt(pid)
             return
@@ -95,25 +96,25 @@ class Forker:
                 self._answers.put(answer)
 
     def _adopt(self, pid: int) -> None:
-        """Take note when a process ends whose forker has, and so nobody tells how."""
+        """Watch for the end of a process whose server has ended; its exit status is unknown."""
         try:
             pidfd = os.pidfd_open(pid)
         except ProcessLookupError:
             self._living.pop(pid).ending.set_result(None)
             return
 
-        def look() -> None:
-            self._listener.forget(pidfd)
+        def on_end() -> None:
+            self._watcher.forget(pidfd)
             os.close(pidfd)
             self._living.pop(pid).ending.set_result(None)
 
-        self._listener.watch(pidfd, look)
+        self._watcher.watch(pidfd, on_end)
         process = self._living[pid].process
-        if process is None or not process.is_running():  # whoever has that number now is a stranger
-            look()
+        if process is None or not process.is_running():  # the id may belong to another process now
+            on_end()
 
     def _receive(self) -> bytes | None:
-        """Read a packet: empty at the line's end, None if there is none yet."""
+        """Return a packet: empty at the end of the connection, None if there is none yet."""
         try:
             return self._line.recv(MOST_BYTES, socket.MSG_DONTWAIT)
         except BlockingIOError:
@@ -123,7 +124,7 @@ class Forker:
 
 
 def process_of(pid: int) -> psutil.Process | None:
-    """Handle that never takes a successor of the process id for it; None if it has ended."""
+    """Return a handle that survives reuse of the process id; None if the process has ended."""
     try:
         return psutil.Process(pid)
     except psutil.NoSuchProcess:

@@ -1,7 +1,7 @@
-"""The processes of one run: which there are, in what order they start and end, and what they have said.
+"""The processes of one run: their commands, the order of start and end, and their messages.
 
-Composes `harness.launch.supervisor` with the commands that coflight's own processes take. What simulated time
-is spent on is decided in `harness.launch.swarm`.
+Composes `harness.launch.supervisor` with the command lines of coflight's own processes. Simulated time is
+controlled by `harness.launch.swarm`.
 """
 
 import contextlib
@@ -30,11 +30,11 @@ from harness.simulator.messages import AnyCommand, AnyEvent, Formed, Paused, Pro
 
 PHYSICS, RADIO, PREFORK = "physics", "radio", "prefork"
 START_LIMIT_S = 120.0
-"""Wall time within which every process must be ready to work."""
+"""Wall time within which every process must be ready."""
 STOP_LIMIT_S = 10.0
-"""Wall time that processes have to write what they have and end."""
+"""Wall time that processes have to write their data and end."""
 _ENVIRONMENT = {
-    # each process is one thread of the swarm's work: a BLAS with threads of its own would fight the others
+    # each process does its work in one thread: threads of a BLAS would compete with the other processes
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
     "PYTHONFAULTHANDLER": "1",
@@ -42,54 +42,54 @@ _ENVIRONMENT = {
 
 
 class ProcessNotice(Struct, frozen=True, kw_only=True):
-    """The launcher itself has something to say, before it takes long."""
+    """A message of the launcher itself before an operation that takes long."""
 
     text: str
 
 
 Message = ChildMessage | Exited | ProcessNotice
-Happening = AnyEvent | Warned | Exited
+RunEvent = AnyEvent | Warned | Exited
 
 
 class SwarmError(Exception):
-    """The swarm cannot fly, or not go on; the text is one line for the user."""
+    """The swarm cannot fly or continue; the text is one line for the user."""
 
 
 class SetupError(SwarmError):
-    """It could not be started as asked: a port or a folder cannot be had."""
+    """The swarm could not be started: a port, a folder or another resource is not available."""
 
 
 class SwarmTimeoutError(SwarmError):
-    """What was waited for did not happen in time."""
+    """A condition was not met in time."""
 
 
 def uav(instance: int) -> str:
-    """Name of a vehicle's process."""
+    """Return the name of a vehicle's process."""
     return f"uav {instance}"
 
 
 def application(instance: int) -> str:
-    """Name of the process of an on-board application beside a PX4."""
+    """Return the name of the process of an on-board application beside a PX4."""
     return f"application {instance}"
 
 
 def python_module(module: str, *arguments: str) -> list[str]:
-    """Command that runs one of coflight's processes."""
-    # -P: nothing in the working folder may stand in for a module
+    """Return the command that runs one of coflight's processes."""
+    # -P: no file of the working folder may shadow a module
     return [sys.executable, "-P", "-m", module, *arguments]
 
 
 def supervised(config: Path) -> tuple[str, ...]:
-    """Arguments of one of coflight's processes that is a child of this one."""
+    """Return the arguments of one of coflight's processes as a child of this one."""
     return ("--config", str(config), "--supervised")
 
 
 class Processes:
     """Physics server, 802.11 emulator and one process per vehicle, forked by the prefork server.
 
-    ``wall_limit_s`` bounds the run's wall time from `start` on; ``on_message`` is given all that is taken
-    from the processes, on the taker's thread. ``supervisor`` is whose children they are, if not children of
-    this process.
+    ``wall_limit_s`` limits the run's wall time from `start` on; ``on_message`` receives every message that is
+    taken from the queue, on the caller's thread. ``supervisor`` replaces the default one, whose children are
+    processes.
     """
 
     def __init__(
@@ -112,29 +112,29 @@ class Processes:
         self._supervisor = supervisor
         self._ports: set[int] = set()
         self._px4 = px4.instances(scenario)
-        self._has_hangar = len(self._px4) < scenario.agents
+        self._has_prefork = len(self._px4) < scenario.agents
         self._running = False
-        self._placement: CpuAffinity | None = None
-        self._met = False
+        self._affinity: CpuAffinity | None = None
+        self._connected = False
         """Whether every vehicle has connected to the physics server."""
         self.ready: dict[str, Ready] = {}
         self.finished: dict[str, dict[str, Any]] = {}
-        """What each process said in its last event."""
+        """Details of each process's last event."""
         self.influences: list[Influenced] = []
-        """What came from outside and so made the run depend on more than scenario and seed."""
+        """Inputs from outside, which make the run depend on more than scenario and seed."""
         self.exited: dict[str, Exited] = {}
-        self.happenings: list[Happening] = []
-        """What the processes said and how they ended, less progress and answers."""
+        self.events: list[RunEvent] = []
+        """Events and ends of the processes, without progress and replies to commands."""
         self.simulated_us = 0
         self.wall_paused_s = 0.0
-        """Wall time for which the run that lasts, or was the last, has stood on request."""
+        """Wall time for which the present or last `RunUntil` was paused."""
         self.formed_us: int | None = None
         self.failure: str | None = None
-        """Why no command can be carried out any more, or that what was written down is not whole."""
+        """Why no command can be executed any more, or that the records are incomplete."""
         self.forced: tuple[str, ...] = ()
-        """After the stop: a line for each process that had to be made to end."""
+        """After the stop: a line for each process that had to be forced to end."""
         self.records_lost: str | None = None
-        """After the stop: why what physics or the radio wrote down is not whole, if it is not."""
+        """After the stop: why the records of physics or radio are incomplete; None: they are complete."""
 
     @property
     def pids(self) -> dict[str, int]:
@@ -142,36 +142,39 @@ class Processes:
         return self._supervisor.pids
 
     def nondeterminism(self, killed: Container[int] = ()) -> list[str]:
-        """What made this run depend on more than scenario and seed, a line each; ``killed`` were by plan."""
-        losses = {event.instance: event.reason for event in self.happenings if isinstance(event, VehicleLost)}
+        """Return a line per cause that made this run depend on more than scenario and seed.
+
+        ``killed`` are the vehicles that were killed deliberately.
+        """
+        losses = {event.instance: event.reason for event in self.events if isinstance(event, VehicleLost)}
         lost = [
             f"{uav(instance)} was lost for no simulated reason: {reason}"
             for instance, reason in losses.items()
             if instance not in killed
         ]
         endings = (
-            self._cut_short(uav(i))
+            self._incomplete(uav(i))
             for i in range(self._scenario.agents)
             if i not in killed and i not in losses
         )
-        spoken_to = [f"{event.name} was spoken to by {event.by}" for event in self.influences]
+        contacted = [f"{event.name} was spoken to by {event.by}" for event in self.influences]
         return [
             *lost,
             *filter(None, [self.records_lost, *endings]),
-            *spoken_to,
+            *contacted,
             *(f"{uav(i)} is flown by a PX4, and its application keeps its time" for i in self._px4),
         ]
 
     @property
     def running(self) -> bool:
-        """Started, and not stopped."""
+        """Whether the processes were started and not stopped."""
         return self._running
 
     def start(self) -> None:
         """Start every process and wait until all are ready. The caller stops them if this fails.
 
-        Raises SetupError for a port, a folder or file descriptors that cannot be had, and SwarmError for a
-        process that fails.
+        Raises SetupError for a port, a folder or file descriptors that are not available, and SwarmError for
+        a process that fails.
         """
         self._wall_start_s = time.monotonic()
         try:
@@ -206,7 +209,7 @@ class Processes:
             self._ports.update(simulator_ports)
             own_name = self._own_link_name(run_id)
             RunFolder.create(self._folder.path)
-            if self._has_hangar:  # it takes longest, and needs none of the others
+            if self._has_prefork:  # starts first: it takes longest and needs no other process
                 self._supervisor.start_forker(
                     PREFORK, python_module("autopilot.process.prefork_server", "--supervised")
                 )
@@ -223,11 +226,11 @@ class Processes:
                 own_listener = sockets.enter_context(bind_local(own_name, backlog=len(vehicles)))
                 fds.append(own_listener.fileno())
                 command += ["--own-listen-fd", str(own_listener.fileno())]
-            if self._px4:  # whose applications' words reach it by way of the radio
+            if self._px4:  # their applications report through the radio's router
                 command += ["--radio-endpoint", self._radio_endpoint()]
             self._supervisor.start(PHYSICS, command, pass_fds=[*fds, physics_fd])
         endpoint = self._radio_endpoint()
-        if self._has_hangar:
+        if self._has_prefork:
             self._await_ready([PREFORK])
         for i in vehicles:
             config = self._folder.write_vehicle_config(
@@ -250,41 +253,43 @@ class Processes:
             details = self.ready[uav(i)].details
             self._ports |= {details["gcs_local_udp"], details["companion_local_udp"]}
             self.send(SetPid(instance=i, pid=self.ready[uav(i)].pid))
-        self._place()
+        self._pin()
 
-    def _place(self) -> None:
-        """Have the processes keep to processors of their own while nobody else needs those."""
+    def _pin(self) -> None:
+        """Pin the processes to processors while other processes are idle."""
         vehicles = list(map(uav, range(self._scenario.agents)))
-        processors = cpu_affinity.own_processors()
-        places = cpu_affinity.homes(vehicles, processors, first=RADIO, last=PHYSICS)
-        if places is not None and places.keys() <= self.pids.keys() and not self._px4:
-            self._placement = CpuAffinity(self._living, places, processors)
+        processors = cpu_affinity.usable_processors()
+        assignment = cpu_affinity.assign_processors(vehicles, processors, first=RADIO, last=PHYSICS)
+        if assignment is not None and assignment.keys() <= self.pids.keys() and not self._px4:
+            self._affinity = CpuAffinity(self._living, assignment, processors)
 
     def _living(self) -> dict[str, int]:
         return {name: pid for name, pid in self.pids.items() if self._supervisor.alive(name)}
 
     def _own_link_name(self, run_id: str) -> str | None:
-        """Name of the Unix socket at which own vehicles meet the simulator; None: at its TCP ports."""
-        wanted = self._scenario.ports.simulator_link == "unix" and self._has_hangar
-        return f"coflight-{run_id}" if wanted and HAS_NAMED_SOCKETS else None
+        """Return the name of the Unix socket for own vehicles; None: they use the TCP ports."""
+        uses_unix = self._scenario.ports.simulator_link == "unix" and self._has_prefork
+        return f"coflight-{run_id}" if uses_unix and HAS_NAMED_SOCKETS else None
 
     def _start_px4(self, instance: int, simulator_port: int) -> None:
-        seat = px4.seat(self._scenario, instance, run_folder=self._folder.path, simulator_port=simulator_port)
-        config = self._folder.config / f"px4-{instance}.json"
-        config.write_bytes(msgspec.json.format(msgspec.json.encode(seat), indent=2))
+        config = px4.process_config(
+            self._scenario, instance, run_folder=self._folder.path, simulator_port=simulator_port
+        )
+        path = self._folder.config / f"px4-{instance}.json"
+        path.write_bytes(msgspec.json.format(msgspec.json.encode(config), indent=2))
         self._supervisor.start(
-            uav(instance), python_module("harness.launch.external_process", *supervised(config))
+            uav(instance), python_module("harness.launch.external_process", *supervised(path))
         )
 
     def _radio_endpoint(self) -> str:
-        """Where the stations connect, once the emulator listens."""
+        """Return the emulator's Zenoh locator once the emulator is ready."""
         self._await_ready([RADIO])
         endpoint: str = self.ready[RADIO].details["endpoint"]
         self._ports.add(int(endpoint.rpartition(":")[2]))
         return endpoint
 
     def _check_ports(self) -> None:
-        """Find a port in use before anything starts; a process that loses one afterwards says so itself."""
+        """Check that all ports are free before anything starts; processes report later conflicts."""
         ports = self._scenario.ports
         px4.check_start(self._scenario)
         for port in px4.application_ports(self._scenario):
@@ -301,97 +306,99 @@ class Processes:
             late = f"not ready within {START_LIMIT_S:g} s: {', '.join(missing)}"
             message = self.next(deadline_s - time.monotonic(), late)
             if isinstance(message, Exited):
-                raise SwarmError(self._obituary(message))
+                raise SwarmError(self._describe_end(message))
 
     def stop(self) -> None:
         """End every process; harmless when repeated.
 
-        Ctrl-C in the meantime takes effect afterwards. If nobody obeys, it takes about a minute of wall time.
+        Ctrl-C takes effect afterwards. Takes about a minute of wall time if no process reacts.
         """
         if not self._running:
             return
         with interrupts_deferred():
             self._running = False
-            if self._placement is not None:
-                self._placement.end()
+            if self._affinity is not None:
+                self._affinity.end()
             forced: list[str] = []
-            # a vehicle ends when its simulator hangs up, and the radio outlives those who use it
+            # a vehicle ends when its simulator disconnects; the radio ends after its users
             vehicles = [*map(uav, range(self._scenario.agents)), *map(application, self._px4)]
             for names in ([PHYSICS], vehicles, [RADIO, PREFORK]):
                 forced += self._supervisor.end(names, grace_s=STOP_LIMIT_S)
             self.forced = (*forced, *self._supervisor.stop())
             self.drain()
-            self.records_lost = next(filter(None, map(self._cut_short, (PHYSICS, RADIO))), None)
+            self.records_lost = next(filter(None, map(self._incomplete, (PHYSICS, RADIO))), None)
             if self.records_lost is not None:
                 self.note_failure(self.records_lost)
 
-    def _cut_short(self, name: str) -> str | None:
-        """Line for a process that has worked and did not come to write all it had; None: it did."""
+    def _incomplete(self, name: str) -> str | None:
+        """Return a line if a process became ready but ended without writing all its data, else None."""
         if name not in self.ready:
             return None
         exited = self.exited.get(name)
         if exited is None:
             return f"{name} does not end"
         if exited.returncode != 0:
-            return self._obituary(exited)
+            return self._describe_end(exited)
         return None if name in self.finished else f"{exited.describe()}, but did not finish"
 
     def kill(self, instance: int) -> None:
-        """SIGKILL a vehicle's process, or processes; returns when they are gone."""
+        """SIGKILL a vehicle's process or processes; returns when they have ended."""
         for name in (uav(instance), application(instance)) if instance in self._px4 else (uav(instance),):
             self._supervisor.kill(name)
         self.drain()
 
     def send(self, command: AnyCommand) -> None:
-        """Give the physics server a command. Raises SwarmError if it cannot take one."""
-        if not self._running or PHYSICS not in self.ready:  # too early is no reason to give the run up
+        """Send the physics server a command. Raises SwarmError if it cannot receive one."""
+        if not self._running or PHYSICS not in self.ready:  # too early: not a failure of the run
             raise SwarmError("the swarm is not running")
         try:
             self._supervisor.send(PHYSICS, command)
         except SupervisorError as error:
             raise self.fatal(SwarmError(str(error))) from None
 
-    def next(self, wall_limit_s: float, complaint: str) -> Message:
-        """Next message of any process, which must come in time.
+    def next(self, wall_limit_s: float, timeout_reason: str) -> Message:
+        """Return the next message of any process within ``wall_limit_s``.
 
-        Raises SwarmTimeoutError with the complaint, or SwarmError if a process that every run needs ended.
+        Raises SwarmTimeoutError with the text ``timeout_reason``, or SwarmError if an indispensable process
+        ended.
         """
         if self._wall_limit_s is not None:
             left_s = self._wall_start_s + self._wall_limit_s - time.monotonic()
             if left_s < wall_limit_s:
-                wall_limit_s, complaint = left_s, f"the wall time of {self._wall_limit_s:g} s is over"
+                wall_limit_s = left_s
+                timeout_reason = f"the wall time of {self._wall_limit_s:g} s is over"
         message = self._take(wall_limit_s)
         if message is None:
-            raise self.fatal(SwarmTimeoutError(complaint))
+            raise self.fatal(SwarmTimeoutError(timeout_reason))
         if self.failure is not None:
             raise SwarmError(self.failure)
         return message
 
-    def deaths(self) -> list[str]:
-        """How processes came to a bad end, one line each, in order."""
+    def failed_processes(self) -> list[str]:
+        """Return a line for each process that failed, in order."""
         self.drain()
-        return [self._obituary(exited) for exited in self.exited.values() if exited.returncode]
+        return [self._describe_end(exited) for exited in self.exited.values() if exited.returncode]
 
     def drain(self) -> None:
-        """File what has come in."""
+        """Process all messages that have arrived."""
         while self._take(0.0) is not None:
             pass
 
     def note_failure(self, reason: str) -> None:
-        """Remember why the run failed, unless that is known already."""
+        """Store why the run failed, unless an earlier reason is stored."""
         if self.failure is None:
             self.failure = reason
 
     def fatal(self, error: SwarmError) -> SwarmError:
-        """Remember why the run cannot go on; returns the error, to be raised."""
+        """Store why the run cannot continue; returns the error, to be raised."""
         self.failure = str(error)
         return error
 
     def _take(self, wall_limit_s: float) -> Message | None:
-        heard = self._supervisor.hear(wall_limit_s)
-        if heard is None:
+        received = self._supervisor.receive(wall_limit_s)
+        if received is None:
             return None
-        name, message = heard
+        name, message = received
         match message:
             case Ready():
                 self.ready[name] = message
@@ -400,39 +407,39 @@ class Processes:
             case Influenced():
                 self.influences.append(message)
             case Progress() | Paused():
-                self._met = True
+                self._connected = True
                 self.simulated_us = message.time_us
                 self.wall_paused_s = message.wall_paused_s
             case _:
-                self.happenings.append(message)
+                self.events.append(message)
         if isinstance(message, Formed):
             self.formed_us = message.time_us
         elif isinstance(message, Exited):
             self.exited[name] = message
             if self._is_needed(name) and self._running and self.failure is None:
-                self.failure = self._obituary(message)
+                self.failure = self._describe_end(message)
         if self._on_message is not None:
             self._on_message(message)
         return message
 
     def _is_needed(self, name: str) -> bool:
-        """Whether no run goes on without that process: without a PX4 none begins."""
-        return name in (PHYSICS, RADIO, PREFORK) or (not self._met and name in map(uav, self._px4))
+        """Whether the run fails if that process ends: also a PX4's until all vehicles are connected."""
+        return name in (PHYSICS, RADIO, PREFORK) or (not self._connected and name in map(uav, self._px4))
 
-    def _obituary(self, exited: Exited) -> str:
+    def _describe_end(self, exited: Exited) -> str:
         if not exited.last_words:
             return exited.describe()
         return f"{exited.describe()}: {exited.last_words} (log: {self._supervisor.log_path(exited.name)})"
 
     def log_tails(self, lines: int) -> dict[str, str]:
-        """Last lines of each process's log, by name."""
+        """Return the last lines of each process's log, by name."""
         return {name: self._supervisor.log_tail(name, lines) for name in self.pids}
 
     def leftovers(self) -> list[str]:
-        """After the stop: a line for each process that still lives, and for each port that is still held."""
+        """Return a line for each process that still runs after the stop, and for each port still in use."""
         left = [
             f"{process.name()} (pid {process.pid}) of {name}" for process, name in self._supervisor.strays()
         ]
-        # when they are gone, only this process can still hold a port of theirs
+        # after their end only this process can still hold one of their ports
         held = {c.laddr.port for c in psutil.Process().net_connections("inet") if c.laddr}
         return left + [f"port {port}" for port in sorted(held & self._ports)]

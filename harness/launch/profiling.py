@@ -1,7 +1,7 @@
-"""Where the time of a run went: what its processes found out about themselves, by kind of process and part.
+"""Profile of a run: processor time by kind of process and part.
 
-The processes sample themselves (`foundation.profiling.profiler`) and tell in their last event; a process that
-was killed tells nothing.
+The processes sample themselves (`foundation.profiling.profiler`) and report in their last event; a process
+that was killed reports nothing.
 """
 
 from collections.abc import Iterable, Mapping
@@ -16,38 +16,39 @@ from harness.launch.processes import PHYSICS, RADIO
 
 VEHICLES = "vehicles"
 KINDS = {PHYSICS: "physics server", RADIO: "802.11 emulator", VEHICLES: "vehicles"}
-"""Kinds of process that tell, as they are called in results and to people."""
+"""Kinds of process that report a profile, and their names in tables."""
 _MANY = {"uav": VEHICLES, "application": "applications"}
-"""Kinds of those that are numbered"""
+"""Kinds of the processes that are numbered, by the first word of their names."""
 
 
 class KindProfile(Struct, frozen=True, kw_only=True):
-    """What all processes of one kind did."""
+    """Profile of all processes of one kind."""
 
     processes: int
-    """That told"""
+    """Number of processes that reported."""
     cpu_s_per_simulated_s: float
-    """Of all together"""
+    """Sum of all processes."""
     parts_cpu_s_per_simulated_s: dict[str, float]
-    """Which sum up to that, the largest first"""
+    """Its parts, the largest first."""
     waiting_fraction: float
-    """Of wall time, a process's mean, in which it had nothing to do"""
+    """Fraction of wall time in which a process was idle; mean of the processes."""
     queueing_fraction: float
-    """In which others had the processors; part of waiting where the operating system does not tell"""
+    """Fraction in which it was ready but not running; included in waiting if the system does not report
+    it."""
     samples: int
 
 
 def by_kind(finished: Mapping[str, Mapping[str, Any]]) -> dict[str, KindProfile]:
-    """Profiles by kind of process, from the details of every process's last event by its name."""
-    told: dict[str, list[Profile]] = {kind: [] for kind in KINDS}
+    """Return profiles by kind of process, from the details of every process's last event by its name."""
+    reported: dict[str, list[Profile]] = {kind: [] for kind in KINDS}
     for name, details in finished.items():
         if KEY in details:
-            told.setdefault(kind_of(name), []).append(msgspec.convert(details[KEY], Profile))
-    return {kind: _together(profiles) for kind, profiles in told.items() if profiles}
+            reported.setdefault(kind_of(name), []).append(msgspec.convert(details[KEY], Profile))
+    return {kind: _together(profiles) for kind, profiles in reported.items() if profiles}
 
 
 def kind_of(name: str) -> str:
-    """Kind of the process of that name."""
+    """Return the kind of a process by its name."""
     return _MANY.get(name.partition(" ")[0], name)
 
 
@@ -72,7 +73,7 @@ def _mean(values: Iterable[float]) -> float:
 
 
 def profile_table(profile: Mapping[str, KindProfile], *, step_us: int) -> Table:
-    """Lay out a profile: a row per part, below one per kind of process."""
+    """Return a table of a profile: a row per kind of process, followed by a row per part."""
     table = Table(title="where the processor time went")
     table.add_column("")
     for column in ("ms per simulated s", "us per step", "share"):

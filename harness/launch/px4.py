@@ -1,19 +1,19 @@
-"""A real PX4 in a vehicle's seat: what a scenario says of it, and the command that starts it.
+"""Vehicles flown by a real PX4: checks of the scenario, and the command that starts a PX4.
 
-PX4 derives its ports from its instance number, so they are the scenario's only if the scenario has PX4's own,
-or if the command hands them over. In ``autopilot.px4_command`` and ``autopilot.px4_env`` stand
+PX4 derives its ports from its instance number. They agree with the scenario's if the scenario has PX4's
+default ports, or if the command passes them. ``autopilot.px4_command`` and ``autopilot.px4_env`` may contain
 
     {build}  ``autopilot.px4_build``, as an absolute path
     {i}      the vehicle's number, {sysid} its MAVLink system: one more
-    {work}   a folder of its own in the run folder, where it is started
-    {host}   where the simulator listens, {tcp} its port for this vehicle
+    {work}   the vehicle's working folder in the run folder
+    {host}   the simulator's address, {tcp} its port for this vehicle
     {gcs_local} {gcs_remote} {companion_local} {companion_remote}    the UDP ports of its links
 
 so that a user can wrap it: ["taskset", "-c", "2", "{build}/bin/px4", "-i", "{i}", ...].
 
-Parameters of the scenario go along as PX4_PARAM_NAME, which PX4's start-up script sets, less coflight's own
-(CF_...). Unless they say otherwise, PX4 is told how old the simulated receiver's fixes are, and how fast they
-drift: it takes no receiver for good that drifts as a consumer's does.
+Parameters of the scenario are passed as PX4_PARAM_NAME, which PX4's start-up script sets, except coflight's
+own (CF_...). By default PX4's parameters for the delay and the drift of the GPS receiver follow from the
+simulated receiver: PX4 would reject one that drifts like a consumer receiver.
 """
 
 import math
@@ -27,33 +27,33 @@ from harness.scenario.scenario import Scenario
 from harness.world.sensors.config import GpsModel
 
 OWN_PARAMETERS = "CF_"
-"""Parameters that begin so are of coflight's own autopilot."""
+"""Prefix of the parameters of coflight's own autopilot."""
 _PORTS = {
     "simulator_tcp": (4560, "tcp"),
     "gcs_local_udp": (18570, "gcs_local"),
     "companion_local_udp": (14580, "companion_local"),
 }
-"""Ports that a PX4 of instance 0 chooses itself, each raised by the instance; and their placeholders."""
+"""Default ports of PX4 instance 0, to which the instance is added, and their placeholders."""
 _MS_PER_S = 1e3
 _DRIFT_FILTER_S = 10.0
-"""Time constant over which PX4's estimator takes the mean of a fix's drift on the ground."""
+"""Time constant of the filter of a fix's drift on the ground in PX4's estimator."""
 _DRIFT_SIGMAS = 5.0
 _LEAST_DRIFT_M_S, _MOST_DRIFT_M_S = {"H": 0.1, "V": 0.2}, {"H": 1.0, "V": 1.5}
-"""PX4's default and upper end of EKF2_REQ_HDRIFT and EKF2_REQ_VDRIFT."""
-_TRUTH = "onboard.localisation: 'truth' is told over the simulator's link, and that is PX4's own"
+"""PX4's default and maximum of EKF2_REQ_HDRIFT and EKF2_REQ_VDRIFT."""
+_TRUTH = "onboard.localisation: 'truth' is sent over the simulator's link, which PX4 occupies"
 
 
 class Px4Error(ValueError):
-    """A PX4 that cannot be started as asked; the text is one line for the user."""
+    """A PX4 cannot be started as configured; the text is one line for the user."""
 
 
 def instances(scenario: Scenario) -> tuple[int, ...]:
-    """Vehicles that a PX4 flies."""
+    """Return the vehicles that a PX4 flies."""
     return tuple(i for i in range(scenario.agents) if scenario.autopilot.is_px4(i))
 
 
 def application_ports(scenario: Scenario) -> list[int]:
-    """UDP ports that the applications beside PX4s are bound to, less those that take any free one."""
+    """Return the fixed UDP ports that the applications beside PX4s bind."""
     if not scenario.onboard.enabled:
         return []
     ports = [_ports(scenario, i).companion_remote_udp for i in instances(scenario)]
@@ -61,7 +61,7 @@ def application_ports(scenario: Scenario) -> list[int]:
 
 
 def check_start(scenario: Scenario) -> None:
-    """Look at what this machine has to have before anything starts. Raises Px4Error."""
+    """Check PX4's build, ports and localisation before anything starts. Raises Px4Error."""
     if not instances(scenario):
         return
     program = _build(scenario.autopilot) / "bin" / "px4"
@@ -72,19 +72,19 @@ def check_start(scenario: Scenario) -> None:
     named = _named(scenario.autopilot)
     for field, (base, placeholder) in _PORTS.items():
         port = getattr(scenario.ports, field)
-        handed_over = placeholder in named and (port or field == "simulator_tcp")
-        if port != base and not handed_over:
+        passed = placeholder in named and (port or field == "simulator_tcp")
+        if port != base and not passed:
             raise Px4Error(
                 f"ports.{field}: a PX4 listens on {base} plus its number, not on {port or 'a free one'}; "
-                f"fly on the scenario's ports without an offset, or hand over {{{placeholder}}} in "
+                f"fly on the scenario's ports without an offset, or pass {{{placeholder}}} in "
                 "autopilot.px4_command"
             )
 
 
-def seat(
+def process_config(
     scenario: Scenario, instance: int, *, run_folder: Path, simulator_port: int
 ) -> ExternalProcessConfig:
-    """Say how one is started. Raises OSError if its folder cannot be made."""
+    """Return how a vehicle's PX4 is started; creates its folder. Raises OSError."""
     config, ports = scenario.autopilot, _ports(scenario, instance)
     work = (run_folder / "px4" / f"uav-{instance}").absolute()
     work.mkdir(parents=True)
@@ -112,10 +112,11 @@ def seat(
 
 
 def _receiver(model: GpsModel) -> dict[str, float]:
-    """Parameters that follow from the simulated receiver.
+    """Return the parameters that follow from the simulated receiver.
 
-    PX4 accepts no fixes that drift on the ground, by the mean of their change over T = 10 s: of a first-order
-    Gauss-Markov error of std σ and time constant τ that mean has a std of σ / T sqrt(T / (T + τ)).
+    PX4 rejects fixes that drift on the ground, by their filtered rate with time constant T = 10 s. For a
+    first-order Gauss-Markov error of std σ and time constant τ this rate has a std of σ / T sqrt(T / (T +
+    τ)).
     """
     parameters = {"EKF2_GPS_DELAY": model.delay_s * _MS_PER_S}
     share = _DRIFT_FILTER_S / (_DRIFT_FILTER_S + model.bias_time_constant_s)
@@ -127,7 +128,7 @@ def _receiver(model: GpsModel) -> dict[str, float]:
 
 
 def _environment(parameters: Mapping[str, float]) -> dict[str, str]:
-    """Parameters as PX4's start-up script takes them: what is whole without a point, as integers must be."""
+    """Return parameters for PX4's start-up script; whole numbers have no decimal point."""
     return {
         f"PX4_PARAM_{name}": f"{value:.9g}"
         for name, value in parameters.items()
@@ -144,6 +145,6 @@ def _ports(scenario: Scenario, instance: int) -> VehiclePorts:
 
 
 def _named(config: AutopilotConfig) -> set[str]:
-    """Placeholders in command and environment."""
+    """Return the placeholders in command and environment."""
     texts = (*config.px4_command, *config.px4_env.values())
     return {name for text in texts for _, name, _, _ in string.Formatter().parse(text) if name is not None}

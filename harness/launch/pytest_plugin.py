@@ -1,14 +1,14 @@
 """pytest plugin: the `swarm` fixture flies real multi-process swarms in tests.
 
-Every test run where coflight is installed loads this module, so it imports nothing but pytest until a test
-asks for a swarm. A test calls the fixture once per swarm:
+Every test run with coflight installed loads this module, so it imports only pytest until a test requests a
+swarm. A test calls the fixture once per swarm:
 
     def test_hover(swarm):
         flight = swarm("scenarios/article.toml", agents=3)
         flight.run_until_formed(timeout_s=60)
 
-What it adds to `harness.launch.swarm.Swarm`: a deadline of wall time, the ends of the processes' logs in the
-report of a test that failed, and a failure if a process or a bound port is left when the test is over.
+In addition to `harness.launch.swarm.Swarm` it sets a wall-time limit, adds the ends of the processes' logs to
+the report of a failed test, and fails the test if a process or a bound port is left behind.
 """
 
 import contextlib
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from harness.scenario.scenario import Scenario
 
 DEADLINE_S = 120.0
-"""Wall time that a swarm of the fixture may take in all, unless the test says otherwise."""
+"""Default wall-time limit of a swarm of the fixture."""
 LOG_TAIL_LINES = 20
 
 SwarmFactory = Callable[..., "Swarm"]
@@ -32,15 +32,15 @@ _flown: "pytest.StashKey[list[Swarm]]" = pytest.StashKey()
 
 @pytest.fixture
 def swarm(request: pytest.FixtureRequest) -> Generator[SwarmFactory, None, None]:
-    """Give a factory of running swarms: ``swarm(scenario, **options of Swarm)``.
+    """Provide a factory of running swarms: ``swarm(scenario, **options of Swarm)``.
 
-    A relative path is taken from pytest's root directory. ``wall_limit_s`` is `DEADLINE_S` unless given.
+    A relative path refers to pytest's root directory. ``wall_limit_s`` is `DEADLINE_S` by default.
     All swarms are stopped when the test ends, and it fails if one of them left a process or a port behind.
     """
     flown: list[Swarm] = request.node.stash.setdefault(_flown, [])
 
     def start(scenario: "str | Path | Scenario", **options: Any) -> "Swarm":  # noqa: ANN401  Swarm's own signature checks them
-        from harness.launch.swarm import Swarm  # noqa: PLC0415  heavy, and most tests of most projects never fly
+        from harness.launch.swarm import Swarm  # noqa: PLC0415  slow to import, and most tests need no swarm
 
         if isinstance(scenario, str | Path):
             scenario = request.config.rootpath / scenario
@@ -50,7 +50,7 @@ def swarm(request: pytest.FixtureRequest) -> Generator[SwarmFactory, None, None]
         flight.start()
         return flight
 
-    with contextlib.ExitStack() as stack:  # all are stopped, whatever one stop raises
+    with contextlib.ExitStack() as stack:  # stops all, even if one raises
         yield start
         for flight in flown:
             stack.callback(flight.stop)
@@ -61,7 +61,7 @@ def swarm(request: pytest.FixtureRequest) -> Generator[SwarmFactory, None, None]
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Put the ends of the processes' logs into the report of a test that failed."""
+    """Add the ends of the processes' logs to the report of a failed test."""
     report = yield
     if report.failed:
         for flight in item.stash.get(_flown, []):

@@ -1,6 +1,6 @@
-"""What a run needs of its machine: ports, sockets and file descriptors; had, or refused in one line.
+"""Resources of a run: ports, sockets and file descriptors, or an error in one line.
 
-An edge. Of memory and processors a run takes what there is.
+An I/O module. Memory and processors are not limited.
 """
 
 import os
@@ -10,30 +10,30 @@ import sys
 from pathlib import Path
 
 HAS_NAMED_SOCKETS = sys.platform == "linux"
-"""Whether Unix sockets may have a name that is no file's."""
+"""Whether the system has abstract Unix sockets, whose names are no files."""
 DESCRIPTORS_OF_CHILD = 3
-"""That its launcher holds: its stdin and stdout, and one that tells of its end."""
+"""Descriptors that the launcher holds per child: its stdin, its stdout, and one that signals its end."""
 DESCRIPTORS_BESIDE = 64
-"""What any process of a run has open beside those of children or vehicles: files, libraries, a selector."""
+"""Further descriptors of any process of a run: files, libraries, a selector."""
 
 
 class ResourceError(Exception):
-    """Something cannot be had; the text is one line and names it."""
+    """A resource is not available; the text is one line and names it."""
 
 
 class PortError(ResourceError):
-    """A port cannot be had; the text names it."""
+    """A port is not available; the text names it."""
 
 
 def bind(kind: socket.SocketKind, host: str, port: int) -> socket.socket:
-    """Socket bound to the address, 0 for a free port; a TCP socket listens.
+    """Return a socket bound to the address, port 0 for a free one; a TCP socket listens.
 
     Raises PortError with the address.
     """
     sock = socket.socket(socket.AF_INET, kind)
     try:
         if kind == socket.SOCK_STREAM:
-            # ports of connections that ended a minute ago are free; a listener's is refused all the same
+            # allows ports of connections that ended a minute ago; a port in use is refused nevertheless
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         sock.bind((host, port))
         if kind == socket.SOCK_STREAM:
@@ -46,7 +46,7 @@ def bind(kind: socket.SocketKind, host: str, port: int) -> socket.socket:
 
 
 def bind_local(name: str, *, backlog: int) -> socket.socket:
-    """Unix socket that listens by a name that is no file's (`HAS_NAMED_SOCKETS`). Raises OSError."""
+    """Return a listening abstract Unix socket (`HAS_NAMED_SOCKETS`). Raises OSError."""
     sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         sock.bind(f"\0{name}")
@@ -58,15 +58,15 @@ def bind_local(name: str, *, backlog: int) -> socket.socket:
 
 
 def open_descriptors() -> int:
-    """How many this process has open."""
+    """Return the number of descriptors that this process has open."""
     return len(list(Path("/dev/fd").iterdir()))
 
 
 def allow_descriptors(children: int) -> None:
-    """Raise this process's limit as far as a run of so many children needs it, which they inherit.
+    """Raise the limit of descriptors to what a run with that many children needs; they inherit it.
 
-    A launcher holds `DESCRIPTORS_OF_CHILD` for each; the physics server and the 802.11 emulator hold two for
-    each vehicle, which is less. Raises ResourceError where the system allows no more.
+    The launcher holds `DESCRIPTORS_OF_CHILD` per child; the physics server and the 802.11 emulator hold two
+    per vehicle, which is less. Raises ResourceError if the system does not allow as many.
     """
     needed = open_descriptors() + DESCRIPTORS_BESIDE + DESCRIPTORS_OF_CHILD * children
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -74,7 +74,7 @@ def allow_descriptors(children: int) -> None:
         return
     try:
         resource.setrlimit(resource.RLIMIT_NOFILE, (needed, hard))
-    except (ValueError, OSError):  # more than the hard limit, or than a system without one knows
+    except (ValueError, OSError):  # above the hard limit, or above the kernel's
         allowed = "this system allows no more" if hard == resource.RLIM_INFINITY else f"the limit is {hard}"
         raise ResourceError(
             f"{children} processes take {needed} file descriptors, and {allowed} (ulimit -Hn)"

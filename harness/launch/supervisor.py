@@ -1,11 +1,11 @@
-"""Child processes: started, heard, watched, and stopped so that nothing is left behind.
+"""Supervisor of child processes: starts them, receives their events, and stops them without leftovers.
 
-Knows nothing of swarms. A child is a command with a name; it speaks the protocol of
-`foundation.processes.child_protocol`: JSON events on its stdout, commands on its stdin, and an end when stdin
-ends. All that the children say, and how they end, is heard by one thread and comes out of one queue. A child
-may be a forker (`harness.launch.prefork_client`), and others be forked by it.
+Independent of swarms. A child is a command with a name; it implements the protocol of
+`foundation.processes.child_protocol`: JSON events on stdout, commands on stdin, exit at the end of stdin.
+One thread receives the events and endings of all children and puts them into one queue. A child may be a
+prefork server (`harness.launch.prefork_client`), from which other children are forked.
 
-Ctrl-C cannot fall between a process's start and its being known, nor cut a stop short.
+Ctrl-C is deferred while a process is being started or stopped.
 """
 
 import collections
@@ -33,53 +33,53 @@ from harness.launch.prefork_client import Forker, ForkError, process_of
 from harness.simulator.messages import AnyCommand, AnyEvent
 
 MARK = "COFLIGHT_CHILD"
-"""Environment variable of every child and whatever it starts: ``<supervisor's token>/<child's name>``."""
+"""Environment variable of every child and its descendants: ``<supervisor's token>/<child's name>``."""
 INPUT_GRACE_S = 1.0
-"""Wall time that a child has to end once its stdin has."""
+"""Wall time that a child has to end after the end of its stdin."""
 TERM_GRACE_S = 2.0
 """Wall time between SIGTERM and SIGKILL."""
 KILL_GRACE_S = 5.0
-"""Wall time within which the kernel must have ended a process after SIGKILL."""
+"""Wall time that the kernel has to end a process after SIGKILL."""
 LAST_WORDS_S = 0.2
-"""Wall time for which the stdout of dead children is still read, if what one started holds it open."""
+"""Wall time to read on from the stdout of ended children whose descendants hold it open."""
 PIPE_BYTES = 65_536
-"""As much as a pipe holds."""
+"""Capacity of a pipe."""
 TAIL_LINES = 8
 TAIL_BYTES = 64 * 1024
 
 
 class Exited(Struct, frozen=True, kw_only=True):
-    """A child has ended; nothing more comes from it."""
+    """A child has ended; this is its last message."""
 
     name: str
     pid: int
     returncode: int | None
-    """Exit status, or minus the signal that killed it; None if its forker, which would know, died before."""
+    """Exit status, or minus the signal that killed it; None if its prefork server ended before it."""
     log_tail: str
-    """Last lines of its log, for one that failed."""
+    """Last lines of its log, if it failed."""
     last_words: str = ""
-    """Last line of these that it did not print: on stdout libraries talk, for instance at their import."""
+    """Last line of these that is from stderr: some libraries print on stdout, for instance when imported."""
 
     def describe(self) -> str:
-        """One line: who, and how it ended."""
+        """Return one line: the process and how it ended."""
         return f"{self.name} (pid {self.pid}) {ending(self.returncode)}"
 
 
 ChildMessage = Ready | Finished | Influenced | Warned | AnyEvent
-Heard = tuple[str, ChildMessage | Exited]
-"""Child's name, and what it said or how it ended."""
+NamedMessage = tuple[str, ChildMessage | Exited]
+"""A child's name, and an event of it or its end."""
 _decoder = msgspec.json.Decoder(ChildMessage)
 _encoder = msgspec.json.Encoder()
 
 
 class SupervisorError(Exception):
-    """A child could not be started, or not be ended; one line."""
+    """A child could not be started or ended; one line."""
 
 
 def ending(returncode: int | None) -> str:
-    """How a process ended, in words."""
+    """Return how a process ended, in words."""
     if returncode is None:
-        return "ended, nobody knows how"
+        return "ended with unknown status"
     if returncode >= 0:
         return f"ended with status {returncode}"
     try:
@@ -89,7 +89,7 @@ def ending(returncode: int | None) -> str:
 
 
 class _Child:
-    """One process with its pipes and what it said last. ``forker``: who forked it, and tells how it ends."""
+    """One process with its pipes. ``forker``: the prefork server that forked it and reports its end."""
 
     def __init__(self, name: str, pid: int, stdin: IO[bytes], stdout: IO[bytes], forker: str | None) -> None:
         self.name = name
@@ -99,22 +99,22 @@ class _Child:
         self.stdin = stdin
         self.stdout = stdout
         self.gone = threading.Event()
-        """It has ended, and its last words are in the queue."""
+        """It has ended, and its last messages are in the queue."""
         self.silent = threading.Event()
         """Its stdout has ended."""
         self.printed: collections.deque[bytes] = collections.deque(maxlen=TAIL_LINES)
-        """The last lines of its stdout that were no events."""
+        """Last lines of its stdout that were no events."""
         self._unfinished = b""
-        """The line that it is about to say."""
+        """Beginning of a line that is not complete yet."""
         self._stdin_lock = threading.Lock()
-        for pipe in (self.stdin, self.stdout):  # whatever a child does, its launcher goes on
+        for pipe in (self.stdin, self.stdout):  # a child must not block its launcher
             os.set_blocking(pipe.fileno(), False)
 
     def __str__(self) -> str:
         return f"{self.name} (pid {self.pid})"
 
     def write(self, line: bytes) -> None:
-        """Write a line of at most PIPE_BUF bytes to its stdin; one that is gone is noticed elsewhere."""
+        """Write a line of at most PIPE_BUF bytes to its stdin; does nothing if the child has ended."""
         with self._stdin_lock:
             if self.stdin.closed:
                 return
@@ -130,7 +130,7 @@ class _Child:
             self.stdin.close()
 
     def read_lines(self) -> list[bytes]:
-        """Lines that it has finished, as far as one pipe holds; `silent` is set when there are no more."""
+        """Return complete lines of at most `PIPE_BYTES`; sets `silent` at the end of stdout."""
         if self.silent.is_set():
             return []
         try:
@@ -151,18 +151,18 @@ class _Child:
 class Supervisor:
     """The children of one run. Its methods may be called from any thread.
 
-    ``log_folder`` gets ``<name>.log`` of each child: its stderr, and what it printed that is no event.
-    ``environment`` is added to what the children inherit.
+    ``log_folder`` gets ``<name>.log`` of each child: its stderr, and lines of its stdout that are no events.
+    ``environment`` is added to the inherited environment of the children.
     """
 
     def __init__(self, log_folder: Path, *, environment: Mapping[str, str] | None = None) -> None:
         self.log_folder = log_folder
         self.token = uuid.uuid4().hex
         self._environment = dict(environment or {})
-        self._heard: queue.SimpleQueue[Heard] = queue.SimpleQueue()
+        self._received: queue.SimpleQueue[NamedMessage] = queue.SimpleQueue()
         self._children: dict[str, _Child] = {}
         self._forkers: dict[str, Forker] = {}
-        self._listener = DescriptorWatcher("hear children")
+        self._watcher = DescriptorWatcher("children")
         self._lock = threading.Lock()
         self._stopping = False
 
@@ -172,14 +172,14 @@ class Supervisor:
         return {name: child.pid for name, child in self._children.items()}
 
     def alive(self, name: str) -> bool:
-        """Whether that child was started and has not ended."""
+        """Whether a child was started and has not ended."""
         return name in self._children and not self._children[name].gone.is_set()
 
     def start(self, name: str, command: Sequence[str], *, pass_fds: Iterable[int] = ()) -> int:
         """Start a child in a process group of its own and return its process id.
 
-        Ctrl-C does not reach it then. It stays in this session, for Linux (autogroup) shares processors out
-        among sessions first, and what a process yields goes to others of its own.
+        Its own group keeps Ctrl-C from it. It stays in this session because Linux (autogroup) divides the
+        processors among sessions first, so time that a process yields goes to others of its session.
         ``pass_fds`` are the only file descriptors that it inherits, under the same numbers.
         Raises SupervisorError if the command cannot be run, or if the children are being stopped.
         """
@@ -197,7 +197,7 @@ class Supervisor:
                 )
             except OSError as error:
                 raise SupervisorError(f"{name}: cannot be started: {error}") from None
-            assert popen.stdin is not None and popen.stdout is not None  # noqa: PT018, S101  as asked for
+            assert popen.stdin is not None and popen.stdout is not None  # noqa: PT018, S101  both are PIPE
             try:
                 pidfd = os.pidfd_open(popen.pid)
             except OSError as error:
@@ -205,12 +205,12 @@ class Supervisor:
                 popen.wait()
                 raise SupervisorError(f"{name}: cannot be watched: {error}") from None
             child = self._add(_Child(name, popen.pid, popen.stdin, popen.stdout, None))
-            self._listener.call(lambda: self._watch_end(child, popen, pidfd))
+            self._watcher.call(lambda: self._watch_end(child, popen, pidfd))
             return child.pid
 
     def start_forker(self, name: str, command: Sequence[str]) -> int:
-        """Start a child that others can be forked from; it gets ``--fork-fd``. Raises as `start`."""
-        forker = Forker(self._listener)
+        """Start a prefork server, with the option ``--fork-fd``. Returns and raises as `start`."""
+        forker = Forker(self._watcher)
         try:
             with forker.theirs as line:
                 pid = self.start(name, [*command, "--fork-fd", str(line.fileno())], pass_fds=[line.fileno()])
@@ -222,10 +222,10 @@ class Supervisor:
         return pid
 
     def fork(self, name: str, arguments: Sequence[str], *, forker: str) -> int:
-        """Have a child forked by another, in a process group of its own, and return its process id.
+        """Fork a child from a prefork server, in a process group of its own, and return its process id.
 
-        ``arguments`` are the command line that it gets. Raises SupervisorError if it cannot be forked, or if
-        the children are being stopped.
+        ``arguments`` are its command line. Raises SupervisorError if it cannot be forked, or if the children
+        are being stopped.
         """
         with self._starting(name) as log, contextlib.ExitStack() as theirs:
             (stdin, our_stdin), (our_stdout, stdout) = os.pipe(), os.pipe()
@@ -241,83 +241,83 @@ class Supervisor:
                 raise SupervisorError(f"{name}: cannot be forked by {forker}: {error}") from None
             child = self._add(_Child(name, forked.pid, *ours, forker))
             forked.ending.add_done_callback(
-                lambda ending: self._listener.call(lambda: self._on_end(child, ending.result()))
+                lambda ending: self._watcher.call(lambda: self._on_end(child, ending.result()))
             )
             return child.pid
 
     @contextlib.contextmanager
     def _starting(self, name: str) -> Iterator[IO[bytes]]:
-        """While a child is being started, with its log; no signal and no stop come between."""
+        """Yield the log of a child that is being started; defers signals and stops."""
         with interrupts_deferred(), self._lock:
             if self._stopping:
-                raise SupervisorError(f"{name}: not started, for the run is being stopped")
-            with self.log_path(name).open("ab", buffering=0) as log:  # appended to: both write into it
+                raise SupervisorError(f"{name}: not started because the run is being stopped")
+            with self.log_path(name).open("ab", buffering=0) as log:  # shared with the child
                 yield log
 
     def _mark(self, name: str) -> dict[str, str]:
         return {MARK: f"{self.token}/{name}"}
 
     def _add(self, child: _Child) -> _Child:
-        """Know a new child and hear it."""
+        """Register a new child and watch its stdout."""
         self._children[child.name] = child
         stdout = child.stdout.fileno()
-        self._listener.call(lambda: self._listener.watch(stdout, lambda: self._hear(child)))
+        self._watcher.call(lambda: self._watcher.watch(stdout, lambda: self._receive(child)))
         return child
 
-    def _hear(self, child: _Child) -> None:
-        """Queue each line that is an event; native libraries print too, and that belongs in the log."""
+    def _receive(self, child: _Child) -> None:
+        """Queue each line that is an event, and log the others: native libraries print too."""
         if child.silent.is_set():
             return
         for line in child.read_lines():
             try:
-                self._heard.put((child.name, _decoder.decode(line)))
+                self._received.put((child.name, _decoder.decode(line)))
             except (msgspec.DecodeError, UnicodeDecodeError):
                 child.printed.append(line)
-                # a full disk must not stop the events
+                # continue with events when the disk is full
                 with contextlib.suppress(OSError), self.log_path(child.name).open("ab") as log:
                     log.write(line + b"\n")
         if child.silent.is_set():
-            self._listener.forget(child.stdout.fileno())
+            self._watcher.forget(child.stdout.fileno())
             child.stdout.close()
 
     def _watch_end(self, child: _Child, process: "subprocess.Popen[bytes]", pidfd: int) -> None:
-        """Take note when a child of this process ends."""
+        """Watch for the end of a child of this process."""
 
-        def look() -> None:
+        def on_readable() -> None:
             returncode = process.poll()
             if returncode is not None:
-                self._listener.forget(pidfd)
+                self._watcher.forget(pidfd)
                 os.close(pidfd)
                 self._on_end(child, returncode)
 
-        self._listener.watch(pidfd, look)
+        self._watcher.watch(pidfd, on_readable)
 
     def _on_end(self, child: _Child, returncode: int | None) -> None:
-        """Queue a child's end after its last event, which is in the pipe if it has not been heard yet."""
+        """Queue a child's end after its last events, which may still be in the pipe."""
         child.end_input()
-        self._hear(child)
+        self._receive(child)
         log_tail = self.log_tail(child.name) if returncode else ""
         printed = {line.decode(errors="replace").rstrip() for line in child.printed}
-        said = [line for line in log_tail.splitlines() if line.rstrip() not in printed]
+        errors = [line for line in log_tail.splitlines() if line.rstrip() not in printed]
         exited = Exited(
             name=child.name,
             pid=child.pid,
             returncode=returncode,
             log_tail=log_tail,
-            last_words=said[-1] if said else "",
+            last_words=errors[-1] if errors else "",
         )
-        self._heard.put((child.name, exited))
+        self._received.put((child.name, exited))
         child.gone.set()
 
-    def hear(self, timeout_s: float) -> Heard | None:
-        """Oldest message that has not been taken; None if there is none within the time."""
+    def receive(self, timeout_s: float) -> NamedMessage | None:
+        """Return the oldest message in the queue; None if none arrives within ``timeout_s``."""
         try:
-            return self._heard.get(timeout=max(0.0, timeout_s))
+            return self._received.get(timeout=max(0.0, timeout_s))
         except queue.Empty:
             return None
 
     def send(self, name: str, command: AnyCommand) -> None:
-        """Write a command to a child's stdin. If it has ended, that is what comes out of `hear`.
+        """Write a command to a child's stdin. No effect if it has ended, which the queue reports.
 
         Raises SupervisorError for a child that was never started.
         """
@@ -327,7 +327,7 @@ class Supervisor:
         child.write(_encoder.encode(command) + b"\n")
 
     def kill(self, name: str) -> None:
-        """SIGKILL a child and return when it is gone."""
+        """SIGKILL a child and return when it has ended."""
         child = self._children[name]
         child.signal(signal.SIGKILL)
         self._wake([child])
@@ -335,10 +335,11 @@ class Supervisor:
             raise SupervisorError(f"{child} does not end on SIGKILL")
 
     def end(self, names: Iterable[str], *, grace_s: float = 0.0) -> list[str]:
-        """End these children, all at once, and return a line for each that had to be forced.
+        """End these children in parallel, and return a line for each that had to be forced.
 
-        They are told to stop and have ``grace_s`` to write what they have; then their input ends, and
-        SIGTERM and SIGKILL follow, after `INPUT_GRACE_S` and `TERM_GRACE_S`. Who is stopped goes on, to obey.
+        They receive `Stop` and have ``grace_s`` to write their data; then their stdin is closed, and SIGTERM
+        and SIGKILL follow, after `INPUT_GRACE_S` and `TERM_GRACE_S`. Children stopped by SIGSTOP are
+        continued.
         """
         with interrupts_deferred():
             children = [self._children[name] for name in names if self.alive(name)]
@@ -353,21 +354,21 @@ class Supervisor:
             for child in children:
                 child.end_input()
             _wait_gone(children, INPUT_GRACE_S)
-            for number, patience_s in ((signal.SIGTERM, TERM_GRACE_S), (signal.SIGKILL, KILL_GRACE_S)):
+            for number, limit_s in ((signal.SIGTERM, TERM_GRACE_S), (signal.SIGKILL, KILL_GRACE_S)):
                 late = [child for child in children if not child.gone.is_set()]
                 for child in late:
                     forced.append(f"{child} did not end in time: {number.name}")
                     child.signal(number)
-                _wait_gone(late, patience_s)
+                _wait_gone(late, limit_s)
             return forced
 
     def _wake(self, children: Iterable[_Child]) -> None:
-        """Have these go on if they were stopped (SIGSTOP), and their forkers, who tell how they end."""
+        """Continue children stopped by SIGSTOP, and their prefork servers, which report their ends."""
         for name in {name for child in children for name in (child.name, child.forker) if name}:
             self._children[name].signal(signal.SIGCONT)
 
     def stop(self) -> list[str]:
-        """End every child at once, and whatever these started, for good: none can be started afterwards.
+        """End all children and their descendants for good: none can be started afterwards.
 
         Returns a line for each process that had to be forced.
         """
@@ -378,7 +379,7 @@ class Supervisor:
             deadline = time.monotonic() + LAST_WORDS_S
             for child in self._children.values():
                 child.silent.wait(max(0.0, deadline - time.monotonic()))
-            self._listener.close()
+            self._watcher.close()
             for child in self._children.values():
                 child.stdout.close()
             for forker in self._forkers.values():
@@ -392,16 +393,16 @@ class Supervisor:
                 lines.append(f"{name} left {stray.name()} (pid {stray.pid}) behind: SIGKILL")
                 stray.kill()
         deadline = time.monotonic() + KILL_GRACE_S
-        # polled, for a process that is not a child of this one can be waited for in no other way
+        # polled: there is no other way to wait for a process that is not a child
         while lines and self.strays() and time.monotonic() < deadline:
             time.sleep(0.01)
         return lines
 
     def strays(self) -> list[tuple[psutil.Process, str]]:
-        """Living processes that came from these children, with the child's name, found by their environment.
+        """Return living descendants of the children with the child's name, found by their environment.
 
-        A process that left its parent, group and session still carries the mark; only one that changed its
-        environment or its user does not. What was forked shows its forker's.
+        A process that left its parent, group and session still has the mark; only one that changed its
+        environment or its user does not. A forked process has its prefork server's.
         """
         found, names = [], {child.pid: child.name for child in list(self._children.values())}
         for process in psutil.process_iter():
@@ -414,16 +415,16 @@ class Supervisor:
         return found
 
     def log_path(self, name: str) -> Path:
-        """Where that child's log is, or would be."""
+        """Return the path of a child's log."""
         return self.log_folder / f"{name.replace(' ', '-')}.log"
 
     def log_tail(self, name: str, lines: int = TAIL_LINES) -> str:
-        """Last lines of a child's log."""
+        """Return the last lines of a child's log."""
         return tail(self.log_path(name), lines)
 
 
 def tail(path: Path, lines: int) -> str:
-    """Last lines of a text file of any size; empty if there is none."""
+    """Return the last lines of a text file of any size; empty if there is no file."""
     try:
         with path.open("rb") as log:
             log.seek(max(0, log.seek(0, os.SEEK_END) - TAIL_BYTES))

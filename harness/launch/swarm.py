@@ -1,4 +1,4 @@
-"""The Python API: a swarm of real processes that flies while it is told to.
+"""The Python API: a swarm of real processes under program control.
 
     with Swarm("scenarios/article.toml", agents=3, speed="max") as swarm:
         swarm.run_until_formed(timeout_s=60)
@@ -6,9 +6,9 @@
         swarm.run_for(10)
         assert swarm.truth.error_m.max() < 5.0
 
-Simulated time passes only inside the ``run`` methods, so whatever is done between them is done at an exact
-simulated time, and the same program with the same seed gives the same flight. A swarm belongs to one thread
-at a time, which need not be the main one; any number of swarms may fly at once.
+Simulated time passes only inside the ``run`` methods, so actions between them happen at an exact simulated
+time, and the same program with the same seed gives the same flight. A swarm may be used by one thread at a
+time, not necessarily the main one. Several swarms may fly at the same time.
 """
 
 import contextlib
@@ -27,9 +27,9 @@ import msgspec
 
 from harness.launch import ground_links, profiling
 from harness.launch.processes import (
-    Happening,
     Message,
     Processes,
+    RunEvent,
     SetupError,
     SwarmError,
     SwarmTimeoutError,
@@ -53,9 +53,9 @@ from harness.world.faults import MOST_ATTENUATION_DB, AnyFault, validated
 __all__ = ["SetupError", "Swarm", "SwarmError", "SwarmTimeoutError", "SwarmTruth"]
 
 SILENCE_LIMIT_S = 180.0
-"""Wall time without a word of the running physics server, which bounds its own waits well below this."""
+"""Longest wall time without a message of the running physics server, whose own waits are much shorter."""
 CUT_DB = 200.0
-"""Attenuation that no frame survives: a link budget has some 100 dB between transmitter and noise."""
+"""Attenuation that blocks all frames: a link budget has about 100 dB between transmitter and noise."""
 
 Speed = float | Literal["max"]
 Ports = Literal["free", "scenario"]
@@ -65,15 +65,14 @@ class Swarm:
     """One run: its processes, its simulated time, its folder.
 
     ``scenario``: a file, changed by ``agents``, ``seed``, ``overrides`` (``"wind.mean_n=2"``); or a Scenario.
-    ``speed``: simulated against wall time, or ``"max"``.
-    ``out``: the run's folder; without it a temporary one, which goes when this object does.
-    ``ports``: ``"free"`` takes any free ones, and calls no ground station; ``"scenario"`` takes the
-    scenario's, each raised by ``port_offset``.
-    ``wall_limit_s``: a run method raises SwarmTimeoutError once so much wall time has passed since the start.
-    ``on_message`` is given all that the processes say and how they end, on the thread that runs the swarm.
-    ``profile_from_s``: simulated time from which the processes look where their time goes, for `profile`.
+    ``speed``: simulated over wall time, or ``"max"``. ``out``: the run's folder; by default a temporary one,
+    which is deleted with this object. ``ports``: ``"free"`` uses any free ports and sends to no ground
+    station; ``"scenario"`` uses the scenario's ports, each plus ``port_offset``. ``wall_limit_s``: run
+    methods raise SwarmTimeoutError after this wall time since the start. ``on_message`` receives the messages
+    of the processes and their ends, on the thread that runs the swarm. ``profile_from_s``: simulated time
+    from which the processes are profiled, for `profile`.
 
-    Raises ScenarioError for a scenario that cannot be used.
+    Raises ScenarioError for an invalid scenario.
     """
 
     _make_processes: ClassVar[type[Processes]] = Processes
@@ -110,7 +109,7 @@ class Swarm:
         else:
             self.path = Path(out)
         step_us = self.scenario.run.step_us
-        # not before the first step is done: until then vehicles start
+        # not before the first step is done: vehicles start until then
         from_us = None if profile_from_s is None else max(round(profile_from_s * 1e6), 2 * step_us)
         self._folder = RunFolder(self.path, profile_from_us=from_us)
         self._processes = self._make_processes(
@@ -137,22 +136,22 @@ class Swarm:
         try:
             self.stop()
         except KeyboardInterrupt:
-            self.stop()  # Ctrl-C came before the stop could defer it
+            self.stop()  # Ctrl-C arrived before the stop deferred it
             raise
 
     def start(self) -> None:
-        """Start every process and have every vehicle connect.
+        """Start every process and wait until every vehicle is connected.
 
-        Simulated time is then that of the first step, ``run.step_us``: 0 would be a clock that is not set.
+        Simulated time is then that of the first step, ``run.step_us``: 0 would mean a clock that is not set.
 
-        Raises SetupError, or SwarmError if a process does not get ready; then all are stopped again.
+        Raises SetupError, or SwarmError if a process does not become ready; then all are stopped again.
         """
         if self._started_utc:
             raise SwarmError("a swarm is started once")
         self._started_utc = datetime.now(UTC).isoformat(timespec="seconds")
         try:
             self._processes.start()
-            self._run(RunUntil(time_us=0))  # simulates nothing, but has every vehicle connect
+            self._run(RunUntil(time_us=0))  # no simulation: waits for the vehicles to connect
             self._wall_running_s = 0.0
         except BaseException as error:
             self._processes.failure = str(error) or type(error).__name__
@@ -160,9 +159,9 @@ class Swarm:
             raise
 
     def stop(self) -> None:
-        """End every process; harmless when repeated. The records are kept: `summary` reports them.
+        """End every process; harmless when repeated. The records are kept for `summary`.
 
-        Ctrl-C in the meantime takes effect when all are gone.
+        Ctrl-C takes effect when all processes have ended.
         """
         try:
             self._links.close()
@@ -173,7 +172,7 @@ class Swarm:
 
     @property
     def truth(self) -> SwarmTruth:
-        """All vehicles as they really were when the last run method returned."""
+        """True states of all vehicles when the last run method returned."""
         if self._truth is None:
             raise SwarmError("the swarm has not been started")
         return self._truth
@@ -187,7 +186,7 @@ class Swarm:
         return self._run(RunUntil(time_us=self._after_us(duration_s), speed=self._speed))
 
     def run_until_formed(self, *, timeout_s: float) -> SwarmTruth:
-        """Fly until every living vehicle says that it is on its place. Raises SwarmTimeoutError."""
+        """Fly until every living vehicle reports to be on station. Raises SwarmTimeoutError."""
         truth = self._run(
             RunUntil(time_us=self._after_us(timeout_s), stop_when_formed=True, speed=self._speed)
         )
@@ -200,10 +199,10 @@ class Swarm:
     def run_until(
         self, condition: Callable[[SwarmTruth], bool], *, timeout_s: float, every_s: float = 0.02
     ) -> SwarmTruth:
-        """Fly until the condition holds; returns the truth that it held for. Raises SwarmTimeoutError.
+        """Fly until the condition holds; returns the truth for which it held. Raises SwarmTimeoutError.
 
-        It is asked at once, and then at every simulated time that is a multiple of ``every_s``, itself a
-        multiple of the step: when it is met depends on the flight alone.
+        It is evaluated at once, and then at every simulated time that is a multiple of ``every_s``, itself a
+        multiple of the step, so the result depends only on the flight.
         """
         every_us, step_us = round(every_s * 1e6), self.scenario.run.step_us
         if every_us <= 0 or every_us % step_us:
@@ -217,32 +216,32 @@ class Swarm:
         return truth
 
     def pause(self) -> None:
-        """Let simulated time stand, from any thread: in the run that lasts, or in the next.
+        """Pause simulated time in the present or next run, from any thread.
 
-        Ground stations go on hearing heartbeats, and their commands are answered at the time that stands. The
-        logs come out as if there had been no pause. Raises SwarmError if the swarm is not running.
+        Vehicles continue to send heartbeats to ground stations and to answer their commands. The logs are the
+        same as without a pause. Raises SwarmError if the swarm is not running.
         """
         self._processes.send(Pause())
         self._stands = True
 
     def resume(self) -> None:
-        """Let simulated time go on after `pause`, from any thread. Raises SwarmError."""
+        """Continue after `pause`, from any thread. Raises SwarmError."""
         self._processes.send(Resume())
         self._stands = False
 
     @property
     def stands(self) -> bool:
-        """Whether it was paused, and not resumed."""
+        """Whether the swarm is paused."""
         return self._stands
 
     @property
     def simulated_s(self) -> float:
-        """Simulated time as it was last heard of, also while it passes."""
+        """Simulated time that was reported last, also during a run."""
         return self._processes.simulated_us * 1e-6
 
     @property
     def speed(self) -> Speed:
-        """Simulated against wall time, as asked for."""
+        """Requested speed: simulated over wall time."""
         return self._speed or "max"
 
     def set_speed(self, speed: Speed) -> None:
@@ -264,19 +263,19 @@ class Swarm:
         try:
             paused = self._await_paused()
         except BaseException as error:
-            # where simulated time stands is the machine's doing: nothing can be flown on from here
+            # the simulated time reached depends on the machine: the run cannot be continued
             self._broken_off = f"a run was broken off: {str(error) or type(error).__name__}"
             processes.note_failure(self._broken_off)
             raise
         finally:
-            # where it was broken off, as the physics server told last
+            # after an error this is the pause that the physics server reported last
             self._wall_running_s += time.monotonic() - wall_begin_s - processes.wall_paused_s
         self._truth = SwarmTruth(time_us=paused.time_us, vehicles=paused.vehicles)
         if paused.reason == "no_vehicles":
             left = f"no vehicle is left at {self._truth.t_s:.3f} s"
-            raise processes.fatal(SwarmError("; ".join([left, *processes.deaths()[-1:]])))
+            raise processes.fatal(SwarmError("; ".join([left, *processes.failed_processes()[-1:]])))
         if paused.reason == "vehicle_lost":
-            losses = (event for event in processes.happenings if isinstance(event, VehicleLost))
+            losses = (event for event in processes.events if isinstance(event, VehicleLost))
             lost = "; ".join(f"{uav(event.instance)} was lost: {event.reason}" for event in losses)
             raise processes.fatal(SwarmError(f"{lost}; run.on_vehicle_loss is 'end'"))
         return self._truth
@@ -290,35 +289,35 @@ class Swarm:
     # --- interventions
 
     def kill(self, instance: int) -> None:
-        """SIGKILL a vehicle's process, now; returns when it is gone."""
+        """SIGKILL a vehicle's process now; returns when it has ended."""
         self._intervene(f"kill uav {instance}")
         self._killed.add(instance)
         self._processes.kill(instance)
 
     def cut_channel(self) -> None:
-        """Let no frame through from the next round of the applications' loop on, when the air goes on."""
+        """Block all frames from the next interval of the radio channel on (the applications' loop period)."""
         self._intervene("cut the channel")
         self._processes.send(SetAttenuation(extra_attenuation_db=CUT_DB))
 
     def degrade_channel(self, attenuation_db: float) -> None:
-        """Attenuate every link by this in place of ``radio.extra_attenuation_db``; as from `cut_channel` on.
+        """Set every link's attenuation instead of ``radio.extra_attenuation_db``; begins as `cut_channel`.
 
-        Raises ValueError for what no link can have: 0 to `harness.world.faults.MOST_ATTENUATION_DB`.
+        Raises ValueError outside 0 to `harness.world.faults.MOST_ATTENUATION_DB`.
         """
-        if not 0.0 <= attenuation_db <= MOST_ATTENUATION_DB:  # neither is what is not a number
+        if not 0.0 <= attenuation_db <= MOST_ATTENUATION_DB:  # also false for nan
             raise ValueError(f"attenuation_db {attenuation_db:g}: expected 0 to {MOST_ATTENUATION_DB:g} dB")
         self._intervene(f"attenuate the channel by {attenuation_db:g} dB")
         self._processes.send(SetAttenuation(extra_attenuation_db=attenuation_db))
 
     def restore_channel(self) -> None:
-        """Give the channel back the scenario's own attenuation, as from `cut_channel` on."""
+        """Restore the scenario's attenuation; begins as `cut_channel`."""
         self._intervene("restore the channel")
         self._processes.send(SetAttenuation(extra_attenuation_db=None))
 
     def inject(self, fault: AnyFault) -> None:
-        """Have something fail from the next step on, or ``fault.start_s`` after it; radios as `cut_channel`.
+        """Inject a fault from the next step on, or ``fault.start_s`` later; of radios as `cut_channel`.
 
-        Raises ValueError for a fault that cannot be.
+        Raises ValueError for an invalid fault.
         """
         fault = validated(fault, self.scenario.agents)
         self._intervene(f"inject {msgspec.json.encode(fault).decode()}")
@@ -330,9 +329,10 @@ class Swarm:
     def mavlink(self, instance: int) -> Any:  # noqa: ANN401  pymavlink has no types
         """Open a pymavlink connection (`mavutil`) to a vehicle, as a ground station; closed with the swarm.
 
-        The vehicle answers whoever has spoken to it, so a first heartbeat is sent along; it does so whether
-        simulated time passes or not, but streams go on with time. Such a run depends on more than scenario
-        and seed; its manifest says so. It signs if the scenario has a key.
+        A vehicle answers the stations that have sent to it, so a first heartbeat is sent here. It also
+        answers while simulated time is paused, but its streams follow simulated time. Such a run depends on
+        more than scenario and seed, which its manifest states. The connection signs if the scenario has a
+        key.
         """
         port = self._processes.ready[uav(instance)].details["gcs_local_udp"]
         link = ground_links.connect(self.scenario.links, port)
@@ -348,43 +348,43 @@ class Swarm:
 
     @property
     def addresses(self) -> tuple[str, ...]:
-        """A line for each vehicle: where it speaks MAVLink, once the swarm is started."""
-        said = [self._processes.ready[uav(i)].details for i in range(self.scenario.agents)]
-        return ground_links.link_lines(self.scenario, said)
+        """A line for each vehicle with its MAVLink addresses, once the swarm is started."""
+        details = [self._processes.ready[uav(i)].details for i in range(self.scenario.agents)]
+        return ground_links.link_lines(self.scenario, details)
 
     @property
-    def events(self) -> tuple[Happening, ...]:
-        """What has happened, in order: vehicles lost, collisions, the formation reached, processes ended."""
+    def events(self) -> tuple[RunEvent, ...]:
+        """Events of the run in order: vehicles lost, collisions, the formation reached, processes ended."""
         self._processes.drain()
-        return tuple(self._processes.happenings)
+        return tuple(self._processes.events)
 
     @property
     def forced(self) -> tuple[str, ...]:
-        """After the stop, a line for each process that had to be made to end."""
+        """After the stop, a line for each process that had to be forced to end."""
         return self._processes.forced
 
     @property
     def records_lost(self) -> str | None:
-        """After the stop, why what physics or the radio wrote down is not whole; None: it is."""
+        """After the stop, why the records of physics or radio are incomplete; None: they are complete."""
         return self._processes.records_lost
 
     def log_tails(self, lines: int) -> dict[str, str]:
-        """Last lines of each process's log, by name."""
+        """Return the last lines of each process's log, by name."""
         return self._processes.log_tails(lines)
 
     @property
     def profile(self) -> dict[str, profiling.KindProfile]:
-        """After the stop, where the time went, by kind of process; empty unless that was asked for."""
+        """After the stop, the profile by kind of process; empty without ``profile_from_s``."""
         return profiling.by_kind(self._processes.finished)
 
     def leftovers(self) -> list[str]:
-        """After the stop, a line for each process of this swarm that lives and each port held: none."""
+        """Return, after the stop, a line for each running process and each port of this swarm: none."""
         return self._processes.leftovers()
 
     def summary(self, *, draw: bool = True, interrupted: bool = False) -> dict[str, Any]:
-        """Stop, and turn the records into tables, manifest, summary and, to ``draw``, figures; the summary.
+        """Stop, write tables, manifest, summary and, with ``draw``, figures; returns the summary.
 
-        ``interrupted`` marks a run that its user broke off. Raises OSError if the folder cannot be written.
+        ``interrupted`` marks a run that its user interrupted. Raises OSError if the folder cannot be written.
         """
         if self._summary is None:
             self.stop()
@@ -403,10 +403,10 @@ class Swarm:
         else:
             status = "completed" if self._not_formed is None else "not_formed"
         reasons = (processes.failure, lost) if processes.failure is not None else (self._not_formed,)
-        ground_messages = sum(said.get("ground_messages", 0) for said in processes.finished.values())
+        ground_messages = sum(details.get("ground_messages", 0) for details in processes.finished.values())
         nondeterminism = processes.nondeterminism(self._killed)
         if interrupted:
-            nondeterminism.append("its user broke it off")
+            nondeterminism.append("it was interrupted by its user")
         elif self._broken_off is not None:
             nondeterminism.append(self._broken_off)
         outcome = report.RunOutcome(
@@ -436,7 +436,7 @@ class Swarm:
 
 
 def _factor(speed: Speed) -> float:
-    """Speed as the physics server takes it, 0 being as fast as it goes. Raises ValueError."""
+    """Return the physics server's speed factor, 0: as fast as possible. Raises ValueError."""
     if speed == "max":
         return 0.0
     if not 0.0 < speed < float("inf"):
@@ -445,7 +445,7 @@ def _factor(speed: Speed) -> float:
 
 
 def _with_ports(scenario: Scenario, ports: Ports, offset: int) -> Scenario:
-    """Put the scenario on free ports, or on its own raised by the offset. Raises SetupError."""
+    """Return the scenario with free ports, or with its own plus the offset. Raises SetupError."""
     try:
         own = scenario.ports
         changed = own.raised(offset, scenario.agents) if ports == "scenario" else own.free()

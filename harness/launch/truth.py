@@ -1,4 +1,4 @@
-"""All vehicles of a swarm at one instant of simulated time, as they really are."""
+"""True states of all vehicles of a swarm at one instant of simulated time."""
 
 from dataclasses import dataclass
 
@@ -24,7 +24,7 @@ class SwarmTruth:
 
     @property
     def alive(self) -> NDArray[np.bool_]:
-        """(N,) False for a vehicle whose process is gone or given up."""
+        """(N,) False for a vehicle that was lost: its process ended or was given up."""
         return np.array([vehicle.alive for vehicle in self.vehicles])
 
     @property

@@ -1,4 +1,4 @@
-"""What was flown, as arrays: the input of the analysis and of its figures."""
+"""A flight as arrays: input of the analysis and of the figures."""
 
 from dataclasses import dataclass
 
@@ -10,26 +10,25 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Flight:
-    """The truth about N vehicles at T instants, and where they should have been. Frame: the site's NED.
+    """True and desired states of N vehicles at T instants. Frame: the site's NED.
 
-    Raises ValueError when the shapes do not belong together. What it says of a dead vehicle is not read.
+    Raises ValueError for inconsistent shapes. Values of lost vehicles are ignored.
     """
 
     time_us: NDArray[np.int64]
-    """(T,) rising."""
+    """(T,) strictly increasing."""
     pos_ned_m: Array
     """(T, N, 3)"""
     q_ned_frd: Array
     """(T, N, 4) Hamilton, wxyz; maps FRD into NED."""
     desired_pos_ned_m: Array
-    """(T, N, 3); `numpy.broadcast_to` makes it of a formation that stands still."""
+    """(T, N, 3); use `numpy.broadcast_to` for a fixed formation."""
     heading_rad: Array
-    """(T,) of the desired formation, clockwise from north; likewise."""
+    """(T,) of the desired formation, clockwise from north."""
     alive: NDArray[np.bool_]
     """(T, N)"""
     believed_pos_ned_m: Array | None = None
-    """(T, N, 3) where the vehicles believe themselves to be, NaN where one does not know; None where nobody
-    wrote that down."""
+    """(T, N, 3) positions estimated by the vehicles, NaN if unknown; None if not recorded."""
 
     def __post_init__(self) -> None:
         """Check the shapes."""
@@ -53,7 +52,7 @@ class Flight:
         return len(self.time_us)
 
     def at(self, rows: NDArray[np.intp] | slice) -> "Flight":
-        """Take some of the instants."""
+        """Return the flight at some of its instants."""
         return Flight(
             time_us=self.time_us[rows],
             pos_ned_m=self.pos_ned_m[rows],
@@ -65,10 +64,10 @@ class Flight:
         )
 
     def sampled(self, rate_hz: float) -> "Flight":
-        """Take the instants at or next after whole periods of ``rate_hz`` from the first, each once."""
+        """Return the instants at or next after whole periods of ``rate_hz`` since the first, each once."""
         if len(self) == 0:
             return self
         periods = np.arange(int((self.time_us[-1] - self.time_us[0]) * rate_hz / 1e6) + 1)
-        wanted_us = self.time_us[0] + np.round(periods * 1e6 / rate_hz).astype(np.int64)
-        rows = np.unique(np.searchsorted(self.time_us, wanted_us))
+        sampled_us = self.time_us[0] + np.round(periods * 1e6 / rate_hz).astype(np.int64)
+        rows = np.unique(np.searchsorted(self.time_us, sampled_us))
         return self.at(rows[rows < len(self)])

@@ -1,12 +1,12 @@
-"""The folder of one run: which file is where, and the settings files that its processes read.
+"""The folder of one run: names of its files, and the settings files of its processes.
 
-manifest.json summary.json events.jsonl      what ran, what came out, what happened
+manifest.json summary.json events.jsonl      what ran, results, events
 flight.parquet radio.parquet ftm.parquet      truth and estimates, every frame, every ranging session
 air.parquet                                   channel occupancy over time
 gains.parquet antenna.nec patterns.nc         antenna: gains over time, median instant as NEC deck, patterns
-figures/*.png  logs/*.log  config/*.json       pictures, the processes' messages, their settings
-uav-0.params uav-0.ulg ...                    parameters that a ground station had saved, its log
-raw/                                          binary logs while the run lasts
+figures/*.png  logs/*.log  config/*.json       figures, the processes' messages, their settings
+uav-0.params uav-0.ulg ...                    parameters that a ground station saved, ULog
+raw/                                          binary logs during the run
 """
 
 from pathlib import Path
@@ -19,7 +19,7 @@ from netsim.model.config import ServerConfig
 
 
 class PhysicsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the launcher tells the physics server."""
+    """Settings of the physics server."""
 
     run_id: str
     scenario: Scenario
@@ -28,13 +28,13 @@ class PhysicsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     event_log_path: str
     connect_timeout_s: float = 120.0
     profile_from_us: int | None = None
-    """Simulated time from which the process looks where its processor time goes; None: never."""
+    """Simulated time from which the process profiles itself; None: never."""
 
 
 class RunFolder:
-    """Paths of a run, below ``path``; made with its subfolders by `create`.
+    """Paths of a run below ``path``; `create` makes the folders.
 
-    The processes' settings have them profile themselves from the simulated time ``profile_from_us`` on.
+    The processes profile themselves from the simulated time ``profile_from_us`` on.
     """
 
     def __init__(self, path: Path, *, profile_from_us: int | None = None) -> None:
@@ -55,7 +55,7 @@ class RunFolder:
 
     @classmethod
     def create(cls, path: Path) -> "RunFolder":
-        """Make the folder; raises FileExistsError if it holds a run already, or another OSError."""
+        """Create the folder; raises FileExistsError if it contains a run, or another OSError."""
         folder = cls(path)
         if path.exists() and not path.is_dir():
             raise NotADirectoryError(f"{path} is a file, and a run needs a folder")
@@ -67,11 +67,11 @@ class RunFolder:
         return folder
 
     def raw_vehicle(self, instance: int) -> Path:
-        """Binary log of one vehicle's estimates."""
+        """Return the path of the binary log of one vehicle's estimates."""
         return self.raw / f"uav-{instance}.bin"
 
     def write_radio_config(self, scenario: Scenario, *, run_id: str) -> Path:
-        """Settings of the 802.11 emulator's process."""
+        """Write the settings of the 802.11 emulator's process; returns the path."""
         config = ServerConfig(
             run_id=run_id,
             host=scenario.ports.host,
@@ -88,7 +88,7 @@ class RunFolder:
         return self._write("radio", config)
 
     def write_physics_config(self, scenario: Scenario, *, run_id: str) -> Path:
-        """Settings of the physics server's process."""
+        """Write the settings of the physics server's process; returns the path."""
         config = PhysicsConfig(
             run_id=run_id,
             scenario=scenario,
@@ -109,7 +109,7 @@ class RunFolder:
         radio_endpoint: str | None,
         simulator_unix: str | None = None,
     ) -> Path:
-        """Settings of one UAV's process, with the port and the name that the simulator really listens on."""
+        """Write the settings of one UAV's process with the simulator's actual port; returns the path."""
         config = scenario.vehicle(
             instance, run_id=run_id, radio_endpoint=radio_endpoint, log_path=str(self.raw_vehicle(instance))
         )

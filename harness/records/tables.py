@@ -1,7 +1,7 @@
-"""From the processes' binary logs to the run's columnar files, and from these to what the analysis takes.
+"""Converts the processes' binary logs to the run's Parquet tables, and these to the input of the analysis.
 
-A structured record's field of several components becomes one column each, named after its frame:
-``pos_ned_m`` gives ``pos_ned_m.n``, ``.e`` and ``.d``. Rows are in order of time, then vehicle; equal runs
+A field with several components becomes one column per component, named after its frame:
+``pos_ned_m`` gives ``pos_ned_m.n``, ``.e`` and ``.d``. Rows are ordered by time, then vehicle; equal runs
 give equal bytes.
 """
 
@@ -31,9 +31,9 @@ from netsim.emulator.log_layout import FRAME_LOG, SESSION_LOG
 def write_tables(
     folder: RunFolder, agents: int, desired: Callable[[NDArray[np.int64]], NDArray[np.float64]]
 ) -> NDArray[Any]:
-    """Make the Parquet files from the raw logs.
+    """Write the Parquet files from the raw logs.
 
-    ``desired`` gives the places (T, agents, 3), site NED, at T times in us.
+    ``desired`` returns the places (T, agents, 3), site NED, at T times in us.
 
     Returns the flight: records (instants, agents) of `FLIGHT_RECORD`.
     """
@@ -53,9 +53,9 @@ def write_tables(
 
 
 def flight_of(records: NDArray[Any], plan: FormationPlan, *, start_us: int | None) -> Flight:
-    """Give the analysis what it wants of (T, N) records with the fields `_ANALYSED`.
+    """Return the flight of (T, N) records with the fields `_ANALYSED`.
 
-    ``start_us``: when the formation began to move; None if it never did.
+    ``start_us``: start of the formation's motion; None if it never moved.
     """
     time_us = records["time_us"][:, 0]
     return Flight(
@@ -70,9 +70,9 @@ def flight_of(records: NDArray[Any], plan: FormationPlan, *, start_us: int | Non
 
 
 def make_flight(columns: pa.Table, scenario: Scenario, *, start_us: int | None) -> Flight:
-    """Make a flight of a run's table of that name, wherever it was kept; ``start_us`` as in `flight_of`.
+    """Return the flight of a run's table ``flight.parquet``; ``start_us`` as in `flight_of`.
 
-    Raises KeyError or ValueError for a table that is not of this scenario.
+    Raises KeyError or ValueError for a table of another scenario.
     """
     kind = np.dtype([(name, FLIGHT_RECORD[name]) for name in _ANALYSED])
     records = np.empty(columns.num_rows, dtype=kind)
@@ -83,15 +83,15 @@ def make_flight(columns: pa.Table, scenario: Scenario, *, start_us: int | None) 
 
 
 def read_flight(folder: RunFolder, scenario: Scenario) -> Flight:
-    """Read a run that has been reported, as the analysis takes it; raises OSError, and as `make_flight`."""
+    """Read the flight of a reported run; raises OSError, and as `make_flight`."""
     return make_flight(pq.read_table(folder.flight), scenario, start_us=flown_start_us(folder.events))
 
 
 def write_gains(path: Path, series: GainSeries) -> None:
-    """Write the aperture's maximum gain over time, a row for each instant.
+    """Write the antenna's maximum gain over time, one row per instant.
 
     ``max_theta_deg`` and ``max_phi_deg`` are its direction in the antenna's frame, ``pointing_error_deg`` the
-    angle from there to +y. Where there is no pattern these are null, and ``missing`` says why.
+    angle from it to +y. Without a pattern these are null, and ``missing`` is the reason.
     """
     names = ("max_gain_dbi", "max_theta_deg", "max_phi_deg")
     errors_deg = pointing_errors_deg(series.patterns, *MAIN_LOBE_DEG).tolist()
@@ -111,11 +111,11 @@ def write_gains(path: Path, series: GainSeries) -> None:
 
 
 def merge(truth: NDArray[Any], vehicles: list[NDArray[Any]]) -> NDArray[Any]:
-    """Truth (instants x vehicles rows) beside what each vehicle recorded at the same times.
+    """Merge the truth (instants x vehicles rows) with each vehicle's records at the same times.
 
-    NaN or 0 where it did not, and for the desired places, which neither knows.
+    Missing values are NaN or 0, and so are the desired places.
 
-    Returns (instants, vehicles) records of `FLIGHT_RECORD`. An instant that was cut short is left out.
+    Returns (instants, vehicles) records of `FLIGHT_RECORD`. An incomplete instant is omitted.
     """
     n = len(vehicles)
     truth = truth[: len(truth) // n * n].reshape(-1, n)
@@ -134,7 +134,7 @@ def merge(truth: NDArray[Any], vehicles: list[NDArray[Any]]) -> NDArray[Any]:
 
 
 def _vehicle_fields() -> list[str]:
-    """Fields of the vehicle's record that the truth does not have under the same name."""
+    """Return the fields of the vehicle's record that the truth's record does not have."""
     return [name for name in VEHICLE_RECORD.names or () if name not in (TRUTH_RECORD.names or ())]
 
 
@@ -143,9 +143,9 @@ FLIGHT_RECORD = np.dtype(
     + [(name, VEHICLE_RECORD[name]) for name in _vehicle_fields()]
     + [("desired_pos_ned_m", np.dtype(("f8", 3)))]
 )
-"""Truth, estimates, and where the vehicle should have been, by the formation's plan."""
+"""Truth, estimates, and desired position by the formation's plan."""
 _ANALYSED = ("time_us", "pos_ned_m", "q_ned_frd", "desired_pos_ned_m", "alive", "onboard_pos_ned_m")
-"""Fields that make a `Flight`"""
+"""Fields of which a `Flight` consists"""
 
 
 def _write(path: Path, records: NDArray[Any]) -> None:
@@ -158,12 +158,17 @@ def _write(path: Path, records: NDArray[Any]) -> None:
 
 
 def _columns(name: str, values: NDArray[Any]) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Give the columns of a field, (rows,) or (rows, components), by their names, as views."""
+    """Yield the columns of a field, (rows,) or (rows, components), with their names, as views."""
     if values.ndim == 1:
         yield name, values
         return
     for k, label in enumerate(_labels(name, values.shape[1])):
         yield f"{name}.{label}", values[:, k]
+
+
+def column_names(name: str, layout: np.dtype[Any]) -> list[str]:
+    """Return the names of the columns that a field of that layout becomes."""
+    return [column for column, _ in _columns(name, np.empty(0, [(name, layout)])[name])]
 
 
 def _array(values: NDArray[Any]) -> pa.Array:

@@ -1,4 +1,4 @@
-"""The synthetic aperture that was flown: its snapshots in the antenna's frame, and its gain over time."""
+"""The flown antenna array: its snapshots in the antenna's frame, and its gain over time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,18 +17,19 @@ from antenna.solvers.ports import feed
 from harness.records.flight import Array, Flight
 
 ELEMENT_TO_FRD = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-"""An element's axes on its vehicle: x to the right, y forward, z up, as the antenna's when all is upright."""
+"""An element's axes on its vehicle: x to the right, y forward, z up, as the antenna's for an upright
+vehicle."""
 FIGURE_GRID_DEG = 1.5
-"""Grid of patterns that are looked at: a wider one breaks lines of low gain into beads."""
+"""Grid of patterns in figures: with a wider one lines of low gain look like beads."""
 
 
 class NoFeed(Exception):
-    """The array cannot be fed as its settings say; the text is one line."""
+    """The array has no feed for its settings; the text is one line."""
 
 
 @dataclass(frozen=True, slots=True)
 class MissingPattern:
-    """An instant of the flight that has no pattern, and why."""
+    """An instant of the flight without a pattern, and the reason."""
 
     time_us: int
     reason: str
@@ -36,7 +37,7 @@ class MissingPattern:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GainSeries:
-    """The aperture over the flight, at the K instants that have a pattern."""
+    """The array over the flight, at the K instants with a pattern."""
 
     time_us: NDArray[np.int64]
     """(K,)"""
@@ -50,14 +51,14 @@ class GainSeries:
 
     @property
     def median_index(self) -> int:
-        """Which of the instants has the median maximum gain; raises ValueError when K is 0."""
+        """Index of the instant with the median maximum gain; raises ValueError if K is 0."""
         if len(self.patterns) == 0:
             raise ValueError("a series without patterns has no median")
         return int(np.argsort(self.max_gain_dbi, kind="stable")[(len(self.patterns) - 1) // 2])
 
 
 def antenna_from_ned(heading_rad: float) -> Array:
-    """(3, 3) matrix that maps NED components into the antenna's frame of a formation with this heading.
+    """Return the (3, 3) matrix from NED to the antenna's frame of a formation with this heading.
 
     y, the end-fire axis, points along the heading, x to the right of it, z up.
     """
@@ -66,9 +67,9 @@ def antenna_from_ned(heading_rad: float) -> Array:
 
 
 def ideal_pattern(places_ned_m: Array, heading_rad: float, config: AntennaConfig) -> Pattern:
-    """Pattern of the formation (N, 3) with every vehicle upright in its place.
+    """Return the pattern of the formation (N, 3) with every vehicle upright in its place.
 
-    It is the same wherever the formation flies, for the antenna's frame turns with it. Raises
+    It does not depend on the formation's motion because the antenna's frame rotates with it. Raises
     `ElementsTouch`, `NoFeed`.
     """
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(places_ned_m), 1))
@@ -90,13 +91,13 @@ def antenna_snapshot(
     *,
     believed_pos_ned_m: Array | None = None,
 ) -> Snapshot:
-    """Make the array of n vehicles at (n, 3) positions with (n, 4) attitudes that should be at (n, 3).
+    """Return the array of n vehicles at positions (n, 3) with attitudes (n, 4) and desired positions (n, 3).
 
-    It is fed for the places, for where the vehicles believe themselves to be, or for where they are, as
-    ``config.feeds_for`` says; for the first two elements are taken to be upright. The frame's origin is the
-    centre of the places, but on the ground where there is one. Raises `ElementsTouch` if the feeds depend on
-    how the elements couple and that has no answer, `NoFeed` if they have none for these positions, such as
-    Hansen and Woodyard's for a single row, and ValueError if nobody wrote down what the vehicles believed.
+    ``config.feeds_for`` selects the positions for which the feeds are computed: desired, estimated or true
+    ones; for the first two, elements are assumed to be upright. The frame's origin is the centre of the
+    desired positions, on the ground if there is one. Raises `ElementsTouch` if the feeds depend on the
+    coupling of the elements and that cannot be computed, `NoFeed` if there are none for these positions, such
+    as Hansen and Woodyard's for a single row, and ValueError if estimated positions were not recorded.
     """
     from_ned = antenna_from_ned(heading_rad)
     origin_ned_m = desired_pos_ned_m.mean(axis=0)
@@ -109,7 +110,7 @@ def antenna_snapshot(
     ]
     if fed_ned_m is None:
         raise ValueError(
-            "the feeds are for where the vehicles believe themselves to be, which nobody wrote down"
+            "the feeds are for the positions that the vehicles estimate, which were not recorded"
         )
     attitudes = rotations if config.feeds_for == "truth" else None
     try:
@@ -125,11 +126,11 @@ def antenna_snapshot(
 
 
 def gain_series(flight: Flight, config: AntennaConfig, *, workers: int = 1) -> GainSeries:
-    """Patterns of the flight at ``config.snapshot_rate_hz``.
+    """Return the patterns of the flight at ``config.snapshot_rate_hz``.
 
-    The elements of dead vehicles are left out. An instant is ``missing`` when none lives, two elements touch,
-    or the living cannot be fed: their policy has no answer, or it is for where they believe themselves to be
-    and one does not know.
+    The elements of lost vehicles are omitted. An instant is ``missing`` if no vehicle lives, two elements
+    touch, or the living ones have no feeds: the policy has no solution, or it is for estimated positions and
+    one is unknown.
     ``workers`` is as in `antenna.solvers.parallel.compute_patterns`.
     """
     sampled = flight.sampled(config.snapshot_rate_hz)
@@ -160,7 +161,7 @@ def gain_series(flight: Flight, config: AntennaConfig, *, workers: int = 1) -> G
 
 
 def snapshot_at(flight: Flight, t: int, config: AntennaConfig) -> Snapshot:
-    """Make the array of the living at the flight's instant number ``t``; raises as `antenna_snapshot` does.
+    """Return the array of the living vehicles at the flight's instant ``t``; raises as `antenna_snapshot`.
 
     Its element k is on the vehicle ``living(flight, t)[k]``.
     """
@@ -168,12 +169,12 @@ def snapshot_at(flight: Flight, t: int, config: AntennaConfig) -> Snapshot:
     if not alive.any():
         raise NoFeed("no vehicle is alive")
     if config.feeds_for == "estimates" and believed_ned_m is not None:
-        lost = np.flatnonzero(alive & ~np.isfinite(believed_ned_m[t]).all(axis=1)).tolist()
-        if lost:
+        without = np.flatnonzero(alive & ~np.isfinite(believed_ned_m[t]).all(axis=1)).tolist()
+        if without:
             raise NoFeed(
-                f"UAV {lost[0]} does not know where it is"
-                if len(lost) == 1
-                else f"UAVs {', '.join(map(str, lost))} do not know where they are"
+                f"UAV {without[0]} has no position estimate"
+                if len(without) == 1
+                else f"UAVs {', '.join(map(str, without))} have no position estimate"
             )
     return antenna_snapshot(
         flight.pos_ned_m[t, alive],
@@ -186,13 +187,13 @@ def snapshot_at(flight: Flight, t: int, config: AntennaConfig) -> Snapshot:
 
 
 def living(flight: Flight, t: int) -> list[int]:
-    """Numbers of the vehicles that live at the flight's instant number ``t``."""
+    """Return the numbers of the vehicles that are alive at the flight's instant ``t``."""
     alive: list[int] = np.flatnonzero(flight.alive[t]).tolist()
     return alive
 
 
 def describe_touch(touch: ElementsTouch, vehicles: Sequence[int]) -> str:
-    """Say whose antennas touch, element k being on ``vehicles[k]``."""
+    """Return a line that names the touching antennas; element k is on ``vehicles[k]``."""
     near = isinstance(touch, ElementsTooNear)
     if touch.second == GROUND:
         what = "is too near the ground for a solution" if near else "touches the ground"
@@ -204,7 +205,7 @@ def describe_touch(touch: ElementsTouch, vehicles: Sequence[int]) -> str:
 def figure_patterns(
     series: GainSeries, places_ned_m: Array, heading_rad: float, config: AntennaConfig
 ) -> tuple[Pattern, Pattern]:
-    """Patterns of the ideal formation (N, 3) and of the median instant, on a grid fine enough to look at."""
+    """Return patterns of the ideal formation (N, 3) and of the median instant, on a grid for figures."""
     fine = structs.replace(config, grid_deg=min(config.grid_deg, FIGURE_GRID_DEG))
     (flown,) = compute_patterns(fine, [series.snapshots[series.median_index]])
     if isinstance(flown, ElementsTouch):

@@ -1,4 +1,4 @@
-"""The antenna's part of a run's report: patterns of what was flown, their numbers, and their files."""
+"""Antenna part of a run's report: flown patterns, their statistics, and their files."""
 
 import contextlib
 import math
@@ -24,33 +24,33 @@ from harness.report.analysis import GainSeries, NoFeed, describe_touch, gain_ser
 from harness.scenario.scenario import Scenario
 
 _threads: ContextVar[int | None] = ContextVar("threads", default=None)
-"""That compute patterns; None: as many as there are processors"""
+"""Number of threads that compute patterns; None: one per processor"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Solver:
-    """What computed the gains."""
+    """Solver that computed the gains."""
 
     backend: str
     accuracy: str
-    """A sentence: how far they may be from NEC2's."""
+    """A sentence on their deviation from NEC2."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Aperture:
-    """What became of the antenna; what there is not is None, and ``note`` says why in a line."""
+    """Results of the antenna; missing ones are None, with the reason in ``note``."""
 
     solver: Solver | None = None
     ideal: Pattern | None = None
-    """Of every vehicle upright in its place."""
+    """Pattern with every vehicle upright in its place."""
     series: GainSeries | None = None
-    """Over the formation's time; None only if the solver cannot be had."""
+    """Series over the time in formation; None only if the solver is not available."""
     note: str | None = None
 
 
 @contextlib.contextmanager
 def on_threads(count: int) -> Iterator[None]:
-    """Have `measure` take so many threads or processes within the block, for flights go on side by side."""
+    """Limit `measure` to ``count`` threads or processes in the block, for flights in parallel."""
     before = _threads.set(count)
     try:
         yield
@@ -59,7 +59,7 @@ def on_threads(count: int) -> Iterator[None]:
 
 
 def measure(window: Flight, scenario: Scenario) -> Aperture:
-    """Compute the patterns of the formation's time, which may be empty, and the ideal one."""
+    """Compute the patterns of the time in formation, which may be empty, and the ideal pattern."""
     config, note, ideal = scenario.antenna, None, None
     try:
         backend = make_backend(config)
@@ -79,12 +79,12 @@ def measure(window: Flight, scenario: Scenario) -> Aperture:
 
 
 def heading_rad(scenario: Scenario) -> float:
-    """Heading of the formation before it moves."""
+    """Return the heading of the formation before it moves."""
     return math.radians(scenario.formation.heading_deg)
 
 
 def numbers(aperture: Aperture) -> dict[str, Any]:
-    """Of the maximum gain, for the summary."""
+    """Return the statistics of the maximum gain for the summary."""
     series, ideal, solver = aperture.series, aperture.ideal, aperture.solver
     statistics = gain_statistics(series.max_gain_dbi) if series is not None and series.patterns else None
     return {
@@ -100,9 +100,9 @@ def numbers(aperture: Aperture) -> dict[str, Any]:
 
 
 def write(folder: RunFolder, aperture: Aperture, config: AntennaConfig) -> None:
-    """Write the series of gains, the median instant as a NEC deck and, if asked for, all patterns.
+    """Write the series of gains, the median instant as a NEC deck and, with ``keep_patterns``, all patterns.
 
-    Without a solver there are none of these, without a pattern no deck and no patterns. Raises OSError.
+    Writes nothing without a solver, and no deck and patterns without a pattern. Raises OSError.
     """
     series = aperture.series
     if series is None or aperture.solver is None:

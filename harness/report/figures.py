@@ -1,6 +1,6 @@
-"""Figures of a run: what was flown, how well, over what channel, and the antenna that it made. PNG files.
+"""Figures of a run as PNG files: tracks, formation errors, channel occupancy, ranging errors, antenna.
 
-Drawn from arrays with matplotlib's objects alone: no window, no global state.
+Drawn with matplotlib's objects only: no window, no global state.
 """
 
 from collections.abc import Mapping
@@ -20,13 +20,13 @@ from harness.report.formation_error import ErrorSeries, FormationError
 
 DPI = 150
 SHOWN_ON_THE_WAY = 13
-"""Instants at which a formation that moves is marked on the map."""
+"""Number of instants at which a moving formation is marked on the map."""
 LEGEND_VEHICLES = 12
-"""More vehicles than this are told apart by nothing but their places."""
+"""Largest number of vehicles with a legend."""
 
 
 def save_tracks(path: Path, flight: Flight) -> None:
-    """Map of the tracks, with the desired ones of a formation that moves, and heights over time; T >= 1."""
+    """Draw a map of the tracks, with desired ones if the formation moves, and heights over time; T >= 1."""
     figure = Figure(figsize=(9.0, 8.0), layout="constrained")
     plan, profile = figure.subplots(2, 1, height_ratios=[3, 2])
     time_s = flight.time_us / 1e6
@@ -42,7 +42,7 @@ def save_tracks(path: Path, flight: Flight) -> None:
         living = np.flatnonzero(flight.alive[:, i])
         if len(living) > 0:
             last = living[-1]
-            marker = "o" if last == len(flight) - 1 else "X"  # a cross where it was lost
+            marker = "o" if last == len(flight) - 1 else "X"  # a cross at the position of a loss
             plan.plot(
                 east_m[last], north_m[last], marker, color=colour, markeredgecolor="black", markersize=mark
             )
@@ -79,7 +79,7 @@ def save_tracks(path: Path, flight: Flight) -> None:
 
 
 def save_formation_error(path: Path, time_us: NDArray[np.int64], error: FormationError) -> None:
-    """Distances from the desired places and from the shape's, of each vehicle, with the rms over vehicles."""
+    """Draw each vehicle's absolute and shape errors, with the RMS over vehicles."""
     figure = Figure(figsize=(9.0, 6.4), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
     _draw_errors(upper, time_us, error.absolute, "Absolute: from the desired places")
@@ -89,17 +89,17 @@ def save_formation_error(path: Path, time_us: NDArray[np.int64], error: Formatio
 
 
 def save_gain_density(path: Path, series: Mapping[str, Array], ideal_dbi: float) -> None:
-    """See `antenna.analysis.plots.gain_density_figure`."""
+    """Draw densities of gains: see `antenna.analysis.plots.gain_density_figure`."""
     gain_density_figure(series, ideal_dbi).savefig(path, dpi=DPI)
 
 
 def save_patterns(path: Path, ideal: Pattern, flown: Pattern) -> None:
-    """Ideal pattern beside a flown one, the article's figure 4: see `analysis.figure_patterns`."""
+    """Draw the ideal and a flown pattern, as the article's figure 4: see `analysis.figure_patterns`."""
     patterns_figure({"Ideal": ideal, "Flown": flown}).savefig(path, dpi=DPI)
 
 
 def save_channel_occupancy(path: Path, time_us: NDArray[np.int64], busy_fraction: Array) -> None:
-    """Part of the time, (K,) 0 to 1, that the channel was busy in intervals ending at ``time_us`` (K,)."""
+    """Draw the busy fraction of the channel, (K,) 0 to 1, in intervals ending at ``time_us`` (K,)."""
     figure = Figure(figsize=(9.0, 3.4), layout="constrained")
     axes = figure.subplots()
     axes.plot(time_us / 1e6, 100.0 * busy_fraction, linewidth=0.9)
@@ -115,7 +115,7 @@ def save_channel_occupancy(path: Path, time_us: NDArray[np.int64], busy_fraction
 
 
 def save_ftm_errors(path: Path, error_m: Array) -> None:
-    """Histogram of measured less true distances, (M,) of M >= 1 completed FTM sessions."""
+    """Draw a histogram of measured minus true distances, (M,) of M >= 1 completed FTM sessions."""
     figure = Figure(figsize=(6.4, 4.0), layout="constrained")
     axes = figure.subplots()
     axes.hist(error_m, bins="auto", density=True, color="C0", alpha=0.6)

@@ -1,4 +1,4 @@
-"""How far the formation that was flown is from the desired one: where it is, and what shape it has."""
+"""Absolute and shape error of the flown formation against the desired one."""
 
 from dataclasses import dataclass
 
@@ -9,10 +9,10 @@ from harness.records.flight import Array, Flight
 from harness.world.physics.model import IRIS
 
 _OVER_ITS_PLACE_NED_M = np.array([0.0, 0.0, -IRIS.standing_height_m])
-"""Where the truth has a vehicle that is in a place at the origin.
+"""True position of a vehicle whose place is at the origin.
 
-Heights of places, as autopilots', are from the standing vehicle; the truth's are of its centre of mass, from
-the ground.
+Heights of places, as autopilots', are relative to the landed vehicle; true heights are those of its centre of
+mass above the ground.
 """
 
 
@@ -21,48 +21,48 @@ class ErrorSeries:
     """Distances of N vehicles from their places at T instants."""
 
     error_m: Array
-    """(T, N) in three dimensions; 0 where ``valid`` is not."""
+    """(T, N) in three dimensions; 0 where not ``valid``."""
     horizontal_m: Array
-    """(T, N) its north-east part."""
+    """(T, N) horizontal part."""
     valid: NDArray[np.bool_]
-    """(T, N) which of them count."""
+    """(T, N) whether an error is defined."""
 
     @property
     def rms_m(self) -> float | None:
-        """Over time and vehicles; None when nothing counts."""
+        """RMS over time and vehicles; None without valid errors."""
         return _rms(self.error_m, self.valid)
 
     @property
     def horizontal_rms_m(self) -> float | None:
-        """The same of the north-east part."""
+        """RMS of the horizontal part."""
         return _rms(self.horizontal_m, self.valid)
 
     @property
     def vehicle_rms_m(self) -> tuple[float | None, ...]:
-        """Over time, of each vehicle."""
+        """RMS over time of each vehicle."""
         return tuple(_rms(self.error_m[:, i], self.valid[:, i]) for i in range(self.valid.shape[1]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FormationError:
-    """Of a flight: see `formation_error`."""
+    """Errors of a flight: see `formation_error`."""
 
     absolute: ErrorSeries
-    """From the desired places, over vehicles that live."""
+    """Distances from the desired places, of living vehicles."""
     shape: ErrorSeries
-    """From the places of the desired formation laid best over the flown one, where two or more live."""
+    """Distances from the aligned desired formation, at instants with two or more living vehicles."""
     yaw_rad: Array
-    """(T,) clockwise turn of the flown formation against the desired one; 0 where fewer than two live."""
+    """(T,) clockwise rotation of the flown against the desired formation; 0 with fewer than two vehicles."""
 
 
 def formation_error(flight: Flight) -> FormationError:
-    """Absolute error and shape error of every vehicle at every instant.
+    """Return the absolute error and the shape error of every vehicle at every instant.
 
-    A vehicle in its place is as high above where it stood as the place is above the ground: the 5.5 cm to the
-    standing vehicle's centre of mass are no error.
+    The height of a place is relative to the landed vehicle: the 5.5 cm from the ground to its centre of mass
+    are no error.
 
-    The shape error is what remains after the translation and the rotation about the vertical that
-    bring the living vehicles' places nearest to their positions, in the sense of least squares.
+    The shape error remains after the translation and the rotation about the vertical that align the places of
+    the living vehicles with their positions in the least-squares sense.
     """
     alive = flight.alive
     aligned_ned_m, yaw_rad = _align(flight)
@@ -75,10 +75,10 @@ def formation_error(flight: Flight) -> FormationError:
 
 
 def _align(flight: Flight) -> tuple[Array, Array]:
-    """Desired places (T, N, 3) laid over the flown ones, and the angle (T,) by which they were turned.
+    """Return the desired places (T, N, 3) aligned with the flown ones, and the rotation angle (T,).
 
     Kabsch's problem in the plane has a closed form: the angle of sum_i a_i^* b_i, with the places a_i and
-    positions b_i relative to their means as complex numbers north + j east. The translation that fits best
+    positions b_i relative to their means as complex numbers north + j east. The best translation
     maps mean to mean.
     """
     counted = flight.alive[..., np.newaxis]

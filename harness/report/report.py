@@ -1,18 +1,18 @@
-"""The end of a run.
+"""Report of a run: converts raw logs to tables, computes results and figures, and writes the manifest.
 
-Raw logs to tables, tables to numbers and figures, and a manifest that says what made them.
-
-Everything here works from the run folder alone, so a run that was cut short is reported like any other.
+Uses the run folder only, so a run that was interrupted is reported like any other.
 """
 
 import hashlib
 import platform
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 from msgspec import Struct
 from numpy.typing import NDArray
 
@@ -20,7 +20,7 @@ from foundation.records.record_log import read
 from harness.launch.profiling import KindProfile
 from harness.records.flight import Flight
 from harness.records.run_folder import RunFolder
-from harness.records.tables import flight_of, write_tables
+from harness.records.tables import flight_of, read_flight, write_tables
 from harness.records.versions import DISTRIBUTIONS, versions
 from harness.report import antenna_report, figures
 from harness.report.analysis import figure_patterns
@@ -32,7 +32,7 @@ from harness.simulator.truth_record import AIR_RECORD
 from netsim.emulator.log_layout import FRAME_LOG, SESSION_LOG
 
 LOGS = ("events.jsonl", "flight.parquet", "radio.parquet", "ftm.parquet", "air.parquet")
-"""What a seed determines, byte for byte, in this order in ``log_sha256``."""
+"""Files that a seed determines byte for byte, in their order in ``log_sha256``."""
 
 
 class ProcessRecord(Struct, frozen=True, kw_only=True):
@@ -42,38 +42,51 @@ class ProcessRecord(Struct, frozen=True, kw_only=True):
     pid: int
     ending: str
     details: dict[str, Any] = {}
-    """What it said in its last event."""
+    """Details of its last event."""
 
 
 class RunOutcome(Struct, frozen=True, kw_only=True):
-    """What only the launcher knows of a run."""
+    """Data of a run from its launcher."""
 
     status: str
     """``completed``, ``not_formed``, ``failed`` or ``interrupted``."""
     reason: str | None = None
     command: tuple[str, ...]
     speed: float
-    """Asked for, against wall time; 0 is as fast as possible."""
+    """Requested speed, simulated over wall time; 0: as fast as possible."""
     started_utc: str
     wall_s: float
-    """From the first step to the last."""
+    """Wall time from the first step to the last."""
     simulated_us: int
     formed_us: int | None
     processes: tuple[ProcessRecord, ...]
     ground_messages: int = 0
-    """Messages that came in from ground stations and companions."""
+    """Messages received from ground stations and companions."""
     interventions: tuple[str, ...] = ()
-    """What a program or user did to the run by hand at exact simulated times; it does not end determinism."""
+    """Interventions of a program or user at exact simulated times; they do not affect determinism."""
     nondeterminism: tuple[str, ...] = ()
-    """What made this run depend on more than scenario and seed."""
+    """Causes that made this run depend on more than scenario and seed."""
     profile: dict[str, KindProfile] = {}
-    """Where the time went, by kind of process, if that was asked for"""
+    """Profile by kind of process, if requested"""
+
+
+class Drawn(NamedTuple):
+    """What the figures of a run show."""
+
+    whole: Flight
+    window: Flight
+    """From when the formation was reached."""
+    error: FormationError | None
+    antenna: Aperture
+    occupancy: tuple[NDArray[np.int64], NDArray[np.float64]]
+    """Times in us, and the fraction of the interval before each in which the channel was busy."""
+    ftm_error_m: NDArray[np.float64]
 
 
 def finish(
     folder: RunFolder, scenario: Scenario, outcome: RunOutcome, *, draw: bool = True
 ) -> dict[str, Any]:
-    """Make tables, summary, figures and manifest of a run whose processes have ended; returns the summary.
+    """Write tables, summary, figures and manifest of a run whose processes have ended; returns the summary.
 
     Raises OSError if the folder cannot be written.
     """
@@ -84,7 +97,7 @@ def finish(
     sessions = read(folder.raw_sessions, SESSION_LOG)
     hashes = {name: _sha256(folder.path / name) for name in LOGS}
     whole = flight_of(records, plan, start_us=start_us)
-    window = _window(whole, outcome)
+    window = _window(whole, outcome.formed_us)
     error = formation_error(window) if len(window) else None
     antenna = antenna_report.measure(window, scenario)
     antenna_report.write(folder, antenna, scenario.antenna)
@@ -111,7 +124,11 @@ def finish(
     if outcome.profile:
         summary["profile"] = msgspec.to_builtins(outcome.profile)
     _write_json(folder.summary, summary)
-    written = _draw(folder, scenario, whole, window, error, antenna, sessions) if draw else []
+    air = read(folder.raw_air, AIR_RECORD)
+    drawn = Drawn(
+        whole, window, error, antenna, _occupancy(air["time_us"], air["busy_ns"]), _ftm_error_m(sessions)
+    )
+    written = _draw(folder, scenario, drawn) if draw else []
     _write_json(folder.manifest, _manifest(scenario, outcome, hashes, written, antenna))
     for raw in sorted(folder.raw.glob("*.bin")):
         raw.unlink()
@@ -119,9 +136,26 @@ def finish(
     return summary
 
 
-def _window(whole: Flight, outcome: RunOutcome) -> Flight:
-    """The part of the flight that counts: all from when the formation was reached."""
-    begin_us = outcome.formed_us if outcome.formed_us is not None else np.iinfo(np.int64).max
+def draw_again(folder: RunFolder, scenario: Scenario, *, formed_us: int | None) -> list[str]:
+    """Draw the figures of a run that was reported, from its tables; returns their names.
+
+    Patterns are computed again. Raises OSError, and KeyError or ValueError for tables of another scenario.
+    """
+    whole = read_flight(folder, scenario)
+    window = _window(whole, formed_us)
+    error = formation_error(window) if len(window) else None
+    air, sessions = pq.read_table(folder.air), pq.read_table(folder.ftm)
+    completed = sessions.filter(pc.equal(sessions["status"], "ok"))
+    error_m = completed["distance_m"].to_numpy() - completed["true_distance_m"].to_numpy()
+    occupancy = _occupancy(air["time_us"].to_numpy(), air["busy_ns"].to_numpy())
+    drawn = Drawn(whole, window, error, antenna_report.measure(window, scenario), occupancy, error_m)
+    folder.figures.mkdir(exist_ok=True)
+    return _draw(folder, scenario, drawn)
+
+
+def _window(whole: Flight, formed_us: int | None) -> Flight:
+    """Return the part of the flight after the formation was reached."""
+    begin_us = formed_us if formed_us is not None else np.iinfo(np.int64).max
     return whole.at(np.flatnonzero(whole.time_us >= begin_us))
 
 
@@ -141,7 +175,7 @@ def _formation(error: FormationError | None) -> dict[str, float | None]:
 
 
 def _losses(folder: RunFolder) -> dict[int, str]:
-    """When and why vehicles were lost, by instance."""
+    """Return reason and time of the losses of vehicles, by instance."""
     events = map(msgspec.json.decode, folder.events.read_bytes().splitlines())
     return {
         event["instance"]: f"{event['reason']}, t = {event['time_us'] * 1e-6:.2f} s"
@@ -170,9 +204,11 @@ def _vehicles(
 
 def _radio(folder: RunFolder, sessions: NDArray[Any]) -> dict[str, Any]:
     frames = read(folder.raw_frames, FRAME_LOG)
-    air = read(folder.raw_air, AIR_RECORD)
+    occupancy = read(folder.raw_air, AIR_RECORD)
     error_m = _ftm_error_m(sessions)
-    busy = float(air["busy_ns"][-1] / (air["time_us"][-1] * 1e3)) if len(air) else 0.0
+    busy = 0.0
+    if len(occupancy):
+        busy = float(occupancy["busy_ns"][-1] / (occupancy["time_us"][-1] * 1e3))
     return {
         "frames": {
             "sent": len(frames),
@@ -190,7 +226,7 @@ def _radio(folder: RunFolder, sessions: NDArray[Any]) -> dict[str, Any]:
 
 
 def _ftm_error_m(sessions: NDArray[Any]) -> NDArray[np.float64]:
-    """Measured less true distance of every session that gave one."""
+    """Return measured minus true distance of every completed session."""
     completed = sessions[sessions["status"] == b"ok"]
     difference_m: NDArray[np.float64] = completed["distance_m"] - completed["true_distance_m"]
     return difference_m
@@ -232,17 +268,10 @@ def _write_json(path: Path, content: dict[str, Any]) -> None:
     path.write_bytes(msgspec.json.format(msgspec.json.encode(content), indent=2) + b"\n")
 
 
-def _draw(
-    folder: RunFolder,
-    scenario: Scenario,
-    whole: Flight,
-    window: Flight,
-    error: FormationError | None,
-    antenna: Aperture,
-    sessions: NDArray[Any],
-) -> list[str]:
-    """Draw every figure that the run has data for; returns their names."""
+def _draw(folder: RunFolder, scenario: Scenario, drawn: Drawn) -> list[str]:
+    """Draw every figure for which the run has data; returns their names."""
     at = folder.figures
+    whole, window, error, antenna, (time_us, busy_fraction), error_m = drawn
     if len(whole):
         figures.save_tracks(at / "tracks.png", whole)
     if error is not None:
@@ -254,24 +283,20 @@ def _draw(
         figures.save_patterns(
             at / "patterns.png", *figure_patterns(gains, places_ned_m, heading_rad, scenario.antenna)
         )
-    air = read(folder.raw_air, AIR_RECORD)
-    time_us, busy_fraction = _occupancy(air)
     if len(time_us):
         figures.save_channel_occupancy(at / "channel.png", time_us, busy_fraction)
-    error_m = _ftm_error_m(sessions)
     if len(error_m):
         figures.save_ftm_errors(at / "ftm_error.png", error_m)
     return sorted(path.name for path in at.glob("*.png"))
 
 
-def _occupancy(air: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Busy fraction of whole seconds (or the run, if it is shorter than two)."""
-    if len(air) < 2:
+def _occupancy(
+    time_us: NDArray[np.int64], busy_ns: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return ends and busy fractions of intervals of 1 s (of the run, if it is shorter than two)."""
+    if len(time_us) < 2:
         return np.empty(0, dtype=np.int64), np.empty(0)
-    rows = np.unique(
-        np.searchsorted(air["time_us"], np.arange(air["time_us"][0], air["time_us"][-1] + 1, 1_000_000))
-    )
+    rows = np.unique(np.searchsorted(time_us, np.arange(time_us[0], time_us[-1] + 1, 1_000_000)))
     if len(rows) < 2:
-        rows = np.array([0, len(air) - 1])
-    time_us, busy_ns = air["time_us"][rows], air["busy_ns"][rows]
-    return time_us[1:], np.diff(busy_ns) / (np.diff(time_us) * 1e3)
+        rows = np.array([0, len(time_us) - 1])
+    return time_us[rows][1:], np.diff(busy_ns[rows]) / (np.diff(time_us[rows]) * 1e3)

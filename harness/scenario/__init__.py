@@ -1,5 +1,5 @@
-"""What a run is: scenario files, their settings, and errors in them.
+"""Scenario files, their settings, and validation errors.
 
-Import `scenario.load` and `scenario.Scenario`. Settings of a vehicle, the radio and the antenna are defined
+Import `scenario.load` and `scenario.Scenario`. The settings of vehicle, radio and antenna are defined
 in their packages.
 """

@@ -1,4 +1,4 @@
-"""What a scenario says of its autopilots, checked at the door: parameters, plans, links."""
+"""Validation of a scenario's autopilot settings: parameters, plans, links."""
 
 import re
 import string
@@ -14,7 +14,7 @@ from autopilot.parameters.table import ParameterError, ParameterSet, Settings
 
 
 def with_parameter_file(config: AutopilotConfig, folder: Path) -> AutopilotConfig:
-    """Put the parameter file's values, of a path relative to the scenario's folder, below ``params``.
+    """Merge the values of ``params_file``, relative to the scenario's folder; ``params`` has precedence.
 
     Raises ParameterFileError.
     """
@@ -25,7 +25,7 @@ def with_parameter_file(config: AutopilotConfig, folder: Path) -> AutopilotConfi
 
 
 def with_plan_file(config: AutopilotConfig, folder: Path) -> AutopilotConfig:
-    """Put the contents of the plan file, of a path relative to the scenario's folder, in its place.
+    """Replace ``plan_file``, relative to the scenario's folder, by its contents.
 
     Raises PlanFileError.
     """
@@ -37,9 +37,9 @@ def with_plan_file(config: AutopilotConfig, folder: Path) -> AutopilotConfig:
 
 
 def with_signing_key(config: LinksConfig, folder: Path) -> LinksConfig:
-    """Give the signing key's file, of a path relative to the scenario's folder, as an absolute path.
+    """Replace the path of the signing key's file, relative to the scenario's folder, by the absolute one.
 
-    The key itself stays out of the run folder. Raises ValueError for a file that is none.
+    The key itself is not copied to the run folder. Raises ValueError for an invalid file.
     """
     if config.signing_key_file is None:
         return config
@@ -62,7 +62,7 @@ _PX4_PARAMETER = re.compile(r"[A-Z][A-Z0-9_]{0,15}")
 
 
 def check(config: AutopilotConfig, site: Site, agents: int) -> None:
-    """Raise ValueError with the field's path for what no autopilot could be started with."""
+    """Check the settings for all vehicles. Raises ValueError with the field's path."""
     px4 = [config.is_px4(i) for i in range(agents)]
     if any(px4):
         _check_px4(config, agents)
@@ -87,13 +87,13 @@ def _check_parameters(params: dict[str, float], path: str) -> None:
 
 
 def _check_px4(config: AutopilotConfig, agents: int) -> None:
-    """Refuse what no PX4 could be started with, as far as that can be told without looking at the machine."""
+    """Check a PX4's settings, as far as this does not depend on the machine."""
     for instance in config.px4_vehicles or ():
         if instance >= agents:
             raise ValueError(f"autopilot.px4_vehicles: there is no UAV {instance} among {agents}")
     if config.px4_build is None:
         raise ValueError(
-            "autopilot.px4_build: missing; expected the folder of a PX4 SITL build, for autopilot.kind is px4"
+            "autopilot.px4_build: missing; expected the folder of a PX4 SITL build, as autopilot.kind is px4"
         )
     given = (
         ("fence", config.fence),
@@ -103,7 +103,7 @@ def _check_px4(config: AutopilotConfig, agents: int) -> None:
     )
     for field, value in given:
         if value:
-            raise ValueError(f"autopilot.{field}: a PX4 takes its plans from a ground station alone")
+            raise ValueError(f"autopilot.{field}: a PX4 takes its plans from a ground station only")
     texts = [("px4_command", part) for part in config.px4_command]
     texts += [(f"px4_env.{name}", value) for name, value in config.px4_env.items()]
     for field, text in texts:
@@ -117,7 +117,7 @@ def _check_px4(config: AutopilotConfig, agents: int) -> None:
 
 
 def _check_px4_parameters(params: dict[str, float], path: str) -> None:
-    """Refuse names that no parameter has; which there are, and how large, is known to PX4 alone."""
+    """Check the syntax of names; existence and ranges of parameters are left to PX4."""
     for name in params:
         if not _PX4_PARAMETER.fullmatch(name):
             raise ValueError(f"{path}: {name!r} is no parameter's name")

@@ -7,14 +7,14 @@ from antenna.model.deck import DeckError, read_element
 
 
 class ElementFileError(ValueError):
-    """A deck that cannot be used; the text is one line that names file and line."""
+    """An invalid deck; the text is one line that names file and line."""
 
 
 def with_deck(table: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Put what ``element_file``, a path relative to the folder, says into ``element_deck``.
+    """Store the contents of ``element_file``, a path relative to the folder, in ``element_deck``.
 
-    The table is not yet checked, so what is no path is left to those who check it; so is a file for elements
-    of another kind. Raises ElementFileError.
+    The table is not validated yet: other types than a path, and files for other kinds of elements, are left
+    to the later validation. Raises ElementFileError.
     """
     file = table.get("element_file")
     if table.get("element_kind") != "deck" or not isinstance(file, str) or not file:

@@ -1,6 +1,6 @@
-"""The ``[formation]`` table: the places of the antenna's elements, hung in the air over the site.
+"""The ``[formation]`` table: places of the vehicles, which carry the antenna's elements.
 
-Shapes are laid out in the antenna's frame: x to the right of the heading, the broadside axis; y along it, the
+Shapes are defined in the antenna's frame: x to the right of the heading, the broadside axis; y along it, the
 end-fire axis; z up from the formation's height; the origin over the site's.
 """
 
@@ -21,45 +21,50 @@ Spacing = Annotated[float, Meta(gt=0.0, le=1000.0)]
 
 FARTHEST_M = 10_000.0
 LOWEST_M = 2.0
-"""Least height of a place over the site: below it, take-off and landing have no room."""
+"""Least height of a place over the site, for take-off and landing."""
 Coordinate = Annotated[float, Meta(ge=-FARTHEST_M, le=FARTHEST_M)]
 COLUMNS = ("x_m", "y_m", "z_m")
-"""Of a file of places; the last may be left out."""
+"""Columns of a file of places; the last is optional."""
 
 
 class FormationFileError(ValueError):
-    """A file of places that cannot be used; the text is one line that names file, row and column."""
+    """An invalid file of places; the text is one line that names file, row and column."""
 
 
 class FormationConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The ``[formation]`` table; settings of other shapes than ``shape`` are not looked at."""
+    """The ``[formation]`` table; settings of other shapes than ``shape`` are ignored."""
 
     shape: Literal["grid", "line", "ring", "file"] = "grid"
+    """Shape of the formation; ``file`` takes the places from ``file`` or ``points_m``."""
     columns: Annotated[int, Meta(ge=1, le=254)] = 4
-    """Of a grid: elements along the broadside axis."""
+    """Elements of a grid along the broadside axis."""
     rows: Annotated[int, Meta(ge=1, le=254)] = 2
-    """Of a grid: elements along the end-fire axis."""
+    """Elements of a grid along the end-fire axis."""
     broadside_spacing_lambda: Spacing = 0.85
+    """Of a grid: spacing of the columns, wavelengths."""
     endfire_spacing_lambda: Spacing = 0.25
+    """Of a grid: spacing of the rows, wavelengths."""
     spacing_m: Spacing = 5.0
-    """Of a line along the broadside axis."""
+    """Spacing of a line, which is along the broadside axis."""
     radius_m: Spacing = 10.0
-    """Of a ring; the first place is ahead of the centre, the others follow clockwise."""
+    """Radius of a ring; the first place is ahead of the centre, the others follow clockwise."""
     file: str | None = None
-    """CSV file of places beside the scenario: a header with x_m, y_m and perhaps z_m, then a row per UAV."""
+    """CSV file of places, relative to the scenario: a header with x_m, y_m and optionally z_m, then one row
+    per UAV."""
     points_m: tuple[tuple[Coordinate, Coordinate, Coordinate], ...] = ()
-    """What the file says: x, y, z of each place. It can be said here instead."""
+    """Contents of the file, or instead of a file: x, y, z of each place."""
     height_m: Annotated[float, Meta(ge=LOWEST_M, le=500.0)] = 10.0
+    """Height of the antenna frame's origin above the site, metres."""
     heading_deg: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
-    """Compass direction of the end-fire axis, which is where the main lobe points."""
+    """Compass direction of the end-fire axis, the direction of the main lobe."""
     motion: AnyMotion | None = None
-    """How the whole flies once it is formed; none: it stands."""
+    """Motion of the formation once it is formed; None: it hovers."""
 
 
 def places_ned_m(config: FormationConfig, agents: int, wavelength_m: float) -> Array:
-    """(agents, 3) places before the formation moves, in the site's NED frame.
+    """Return the places (agents, 3) before the formation moves, in the site's NED frame.
 
-    Raises ValueError, with the field's path, if there are not so many or one is too low.
+    Raises ValueError with the field's path if there are too few places or one is too low.
     """
     xyz_m = _places_m(config, agents, wavelength_m)
     if not np.abs(xyz_m).max() <= FARTHEST_M:
@@ -77,9 +82,9 @@ def places_ned_m(config: FormationConfig, agents: int, wavelength_m: float) -> A
 
 
 def _places_m(config: FormationConfig, agents: int, wavelength_m: float) -> Array:
-    """(agents, 3) places in the antenna's frame."""
+    """Return the places (agents, 3) in the antenna's frame."""
     match config.shape:
-        case "grid":  # the first of it, or a longer one
+        case "grid":  # the first places; more rows for more vehicles
             return grid(
                 max(agents, config.columns * config.rows),
                 config.columns,
@@ -100,7 +105,7 @@ def _places_m(config: FormationConfig, agents: int, wavelength_m: float) -> Arra
 
 
 def with_points(table: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Put what ``file``, a path relative to the folder, says into ``points_m`` of a table not yet checked.
+    """Store the contents of ``file``, relative to the folder, in ``points_m`` of a table not validated yet.
 
     Raises FormationFileError.
     """
@@ -140,7 +145,7 @@ def read_points(path: Path) -> tuple[tuple[float, float, float], ...]:
 
 
 def _coordinate(name: str, field: str) -> float:
-    """Read a field; raises ValueError that names its column."""
+    """Parse a field. Raises ValueError that names its column."""
     try:
         value = float(field)
     except ValueError:

@@ -1,8 +1,8 @@
-"""Scenario files: TOML in, one frozen and checked object out.
+"""Scenario files: reads TOML and returns one frozen and validated object.
 
-Each package owns the settings of its part; this module composes them, applies ``--set`` overrides, and turns
-what is wrong into one line that names the file, the field's path and the reason. The same object, written as
-JSON into the run folder, is what every process of the run reads.
+Each package defines the settings of its part; this module composes them, applies ``--set`` overrides, and
+converts errors to one line that names the file, the field's path and the reason. All processes of a run read
+this object as JSON from the run folder.
 """
 
 import math
@@ -35,7 +35,7 @@ from autopilot.parameters.config import (
     VehiclePorts,
 )
 from autopilot.parameters.parameter_file import ParameterFileError
-from harness.scenario import autopilot_settings, element_file, formation_shape
+from harness.scenario import autopilot_settings, element_file, formation_shape, packaged
 from harness.scenario.element_file import ElementFileError
 from harness.scenario.formation_shape import FormationConfig, FormationFileError
 from harness.scenario.validation_errors import explain
@@ -53,70 +53,76 @@ _EXPECTED = {**EXPECTED, r"formation\.motion\.kind": "one of track, racetrack"}
 
 
 class ScenarioError(ValueError):
-    """A scenario that cannot be used; the text is one line for the user."""
+    """An invalid scenario; the text is one line for the user."""
 
 
 class RunConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The ``[run]`` table: how long, from which seed, and what a loss does."""
+    """The ``[run]`` table: duration, seed, timing and recording of a run."""
 
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 1
+    """Seed of all random streams of the run."""
     duration_s: Annotated[float, Meta(ge=0.0, le=MOST_TIME_S)] = 60.0
     """Simulated time in formation."""
     reach_timeout_s: Annotated[float, Meta(gt=0.0, le=MOST_TIME_S)] = 120.0
     """Simulated time from the start within which the formation must be reached."""
     step_us: Annotated[int, Meta(ge=4_000, le=4_000)] = 4_000
-    """Step of physics and lockstep: the 250 Hz at which PX4's simulator interface runs."""
+    """Step of physics and lockstep: 250 Hz, the rate of PX4's simulator interface."""
     on_vehicle_loss: Literal["continue", "end"] = "continue"
+    """Whether the run continues with the other vehicles or ends when a vehicle is lost."""
     silence_limit_s: Annotated[float, Meta(gt=0.0, le=120.0)] = 5.0
-    """Wall time after which a vehicle that lives but does not answer is given up."""
+    """Wall time after which a running vehicle that does not answer is given up."""
     record_rate_hz: Annotated[float, Meta(ge=0.001, le=250.0)] = 25.0
     """Rows per simulated second and vehicle in the flight log."""
     epoch_utc: Annotated[datetime, Meta(tz=True)] = datetime(2026, 1, 1, tzinfo=UTC)
-    """The date of simulated time 0, which clocks tell; nothing that flies depends on it."""
+    """Date of simulated time 0 for the vehicles' clocks; the flight does not depend on it."""
 
     def __post_init__(self) -> None:
         if self.epoch_utc < _UNIX_EPOCH:
-            raise ValueError("epoch_utc is before 1970, which MAVLink's clocks cannot tell")
+            raise ValueError("epoch_utc is before 1970, which MAVLink's clocks cannot represent")
 
     @property
     def epoch_unix_us(self) -> int:
-        """The same as UNIX time."""
+        """``epoch_utc`` as UNIX time, us."""
         return (self.epoch_utc - _UNIX_EPOCH) // timedelta(microseconds=1)
 
 
 class PortsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The ``[ports]`` table: vehicle i uses each base plus i; PX4's numbers."""
+    """The ``[ports]`` table: vehicle i uses each base plus i; the defaults are PX4's."""
 
     host: str = "127.0.0.1"
-    """Of simulator and radio; the addresses of the vehicles' links are in ``[links]``."""
+    """Address of simulator and radio; the addresses of the vehicles' links are in ``[links]``."""
     simulator_tcp: Port = 4560
+    """Simulator: TCP port that vehicle 0 connects to."""
     simulator_link: Literal["unix", "tcp"] = "unix"
-    """How coflight's own vehicles reach the simulator. "unix": by a Unix socket of the run, where the system
-    is Linux; a message costs a third of what it does by "tcp", which can be captured on the loopback. PX4s,
-    and vehicles started by hand, come by TCP in any case."""
+    """Connection of coflight's own vehicles to the simulator. "unix": a Unix socket of the run, on Linux
+    only; a message takes a third of the time of "tcp", which can be captured on the loopback interface. PX4s
+    and vehicles started by hand always use TCP."""
     gcs_local_udp: Port = 18570
+    """Local UDP port of the ground station link."""
     gcs_remote_udp: Port = 14550
-    """The ground station's; all vehicles share it. 0: nobody is called, who calls is answered."""
+    """Port of the ground station, common to all vehicles. 0: vehicles send only to stations that have sent to
+    them."""
     companion_local_udp: Port = 14580
+    """Local UDP port of the companion link."""
     companion_remote_udp: Port = 14540
-    """Vehicle i calls this plus i, whatever i is, unless that is the ground station's port, or one that a
-    vehicle of the swarm itself is bound to: with PX4's numbers 14550 of vehicle 10, and 14580 of vehicle 40
-    and so on. Their companions are not called, and are answered as ever when they call."""
+    """Vehicle i sends to this port plus i, unless that is the ground station's port or bound by a vehicle of
+    the swarm: with PX4's numbers 14550 for vehicle 10, and 14580 for vehicle 40 and so on. Those vehicles
+    send only to a companion that has sent to them."""
     radio_tcp: Port = 7447
-    """The 802.11 emulator's Zenoh router."""
+    """Port of the 802.11 emulator's Zenoh router."""
 
     def numbers(self) -> dict[str, int]:
-        """Ports and bases by their fields' names, without what else is in the table."""
+        """Return the ports and bases by their fields' names, without other fields of the table."""
         return {name: value for name, value in msgspec.structs.asdict(self).items() if isinstance(value, int)}
 
     def free(self) -> "PortsConfig":
-        """The same with any free ones, and nobody called: 0."""
+        """Return the table with 0 for all ports: free ports, and no remote port."""
         return msgspec.structs.replace(self, **dict.fromkeys(self.numbers(), 0))
 
     def raised(self, offset: int, agents: int) -> "PortsConfig":
-        """The same, each raised by so much; what is 0 stays 0.
+        """Return the table with ``offset`` added to each port; 0 stays 0.
 
-        Raises ValueError for less than 0, and for a port that is none.
+        Raises ValueError for a negative offset, and for an invalid port.
         """
         if offset < 0:
             raise ValueError(f"a port offset of {offset}: expected 0 or more")
@@ -129,7 +135,7 @@ class PortsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
         return msgspec.structs.replace(self, **changed)
 
     def check(self, agents: int) -> None:
-        """Raise ValueError with the field's path for ports that are none, or that two cannot have at once."""
+        """Check that ports are valid and do not overlap. Raises ValueError with the field's path."""
         for field in ("simulator_tcp", "gcs_local_udp", "companion_local_udp", "companion_remote_udp"):
             base = getattr(self, field)
             if base and base + agents - 1 > 65_535:
@@ -152,23 +158,38 @@ class PortsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
 
 class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Everything that decides a run; two runs with equal scenarios give equal logs."""
+    """All settings of a run; runs with equal scenarios have equal logs."""
 
     name: Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
+    """Name of the scenario; without it the file's name."""
     agents: Annotated[int, Meta(ge=1, le=254)] = 8
+    """Number of UAVs."""
     run: RunConfig = RunConfig()
+    """Duration, seed and records."""
     formation: FormationConfig = FormationConfig()
+    """Places of the formation and its motion."""
     site: Site = Site()
+    """Geographic origin."""
     environment: EnvironmentConfig = EnvironmentConfig()
+    """Air density and ground effect."""
     wind: WindConfig = WindConfig()
+    """Wind, turbulence and gusts."""
     faults: tuple[AnyFault, ...] = ()
+    """Faults by time: tables ``[[faults]]``."""
     sensors: SensorsConfig = SensorsConfig()
+    """Error models of the sensors."""
     autopilot: AutopilotConfig = AutopilotConfig()
+    """Parameters, geofence, mission and PX4."""
     links: LinksConfig = LinksConfig()
+    """Addresses of the MAVLink links."""
     onboard: OnboardConfig = OnboardConfig()
+    """The on-board application."""
     radio: RadioConfig = RadioConfig()
+    """The 802.11 channel."""
     antenna: AntennaConfig = AntennaConfig()
+    """Elements, feeds and solver of the antenna."""
     ports: PortsConfig = PortsConfig()
+    """TCP and UDP ports."""
 
     def __post_init__(self) -> None:
         """Check what no single field can."""
@@ -189,8 +210,8 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         session_s = (2**self.radio.ftm.bursts_exponent - 1) * self.radio.ftm.burst_period_ms * 1e-3
         if self.onboard.localisation == "ftm" and session_s > LONGEST_SESSION_S:
             raise ValueError(
-                f"radio.ftm.bursts_exponent: sessions of {session_s:g} s; the application remembers for "
-                f"{REMEMBERED_S:g} s where the vehicle was, and beacons take some of it: "
+                f"radio.ftm.bursts_exponent: sessions of {session_s:g} s; the application stores the "
+                f"vehicle's positions of {REMEMBERED_S:g} s, of which beacons take some: "
                 f"at most {LONGEST_SESSION_S:g} s"
             )
         places_ned_m = self.places_ned_m()
@@ -208,20 +229,20 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         self.ports.check(self.agents)
 
     def _check_wind(self) -> None:
-        """Refuse that two of a vehicle's parts lean against the same wind."""
+        """Check that only one part of a vehicle compensates the wind."""
         for instance in range(self.agents):
             if self.autopilot.for_uav(instance).params.get("CF_DOB_EN"):
                 raise ValueError(
-                    f"onboard.wind_feed_forward: the autopilot of UAV {instance} leans against the wind "
-                    "already; expected CF_DOB_EN to be 0"
+                    f"onboard.wind_feed_forward: the autopilot of UAV {instance} already compensates "
+                    "the wind; expected CF_DOB_EN to be 0"
                 )
 
     def places_ned_m(self) -> NDArray[np.float64]:
-        """(agents, 3) places of the formation, before it moves, in the site's NED frame."""
+        """Return the places (agents, 3) of the formation before it moves, in the site's NED frame."""
         return formation_shape.places_ned_m(self.formation, self.agents, self.antenna.wavelength_m)
 
     def companion_port(self, instance: int) -> int:
-        """Port that a vehicle calls its companion at; 0: none, for somebody else would hear it there."""
+        """Return the port of a vehicle's companion; 0: none, because another process uses that port."""
         p, links = self.ports, self.links
         port = p.companion_remote_udp + instance if p.companion_remote_udp else 0
         if port == p.gcs_remote_udp and links.companion_host == links.ground_station_host:
@@ -231,13 +252,13 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         return 0 if is_own and IPv4Address(links.companion_host).is_loopback else port
 
     def plan(self) -> FormationPlan:
-        """Where the places are once the formation moves."""
+        """Return the plan of the formation's motion."""
         return FormationPlan(self.places_ned_m(), self.formation.heading_deg, self.formation.motion)
 
     def vehicle(
         self, instance: int, *, run_id: str, radio_endpoint: str | None, log_path: str | None
     ) -> VehicleConfig:
-        """What vehicle ``instance`` is told."""
+        """Return the settings of vehicle ``instance``."""
         p = self.ports
         return VehicleConfig(
             run_id=run_id,
@@ -277,23 +298,23 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 LONGEST_SESSION_S = REMEMBERED_S - SESSION_S
-"""From the first to the last burst of a ranging session; the rest is for the queue and for beacons."""
+"""Longest time from the first to the last burst of a ranging session; the rest is for queue and beacons."""
 MIN_SPACING_M = 0.8
-"""Least distance between two places: an Iris is 0.55 m across its rotors."""
+"""Least distance between two places: an Iris measures 0.55 m across its rotors."""
 
 
 def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
     """Read a scenario file and apply ``path=value`` overrides.
 
-    Values in TOML's notation (bare words are strings); ``faults.0.uav`` is of the first of the faults.
+    Values are in TOML's notation (bare words are strings); ``faults.0.uav`` is a field of the first fault.
 
-    Raises ScenarioError with one line that names the file or override, the field's path and what is wrong.
+    Raises ScenarioError with one line that names the file or override, the field's path and the error.
     """
-    path = Path(path)
+    path = packaged.find(path)
     try:
         table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise ScenarioError(f"{path}: no such scenario file") from None
+        raise ScenarioError(f"{path}: no such scenario file; {_packaged()}") from None
     except (OSError, UnicodeDecodeError) as error:
         raise ScenarioError(f"{path}: cannot be read: {error}") from None
     except tomllib.TOMLDecodeError as error:
@@ -325,12 +346,17 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
         raise ScenarioError(f"{path}: links.signing_key_file: {error}") from None
     try:
         return msgspec.structs.replace(scenario, autopilot=autopilot, links=links)
-    except ValueError as error:  # what the files brought does not go with the rest
+    except ValueError as error:  # contents of the files conflict with other settings
         raise ScenarioError(f"{path}: {error}") from None
 
 
+def _packaged() -> str:
+    """Name the scenarios that come with coflight, for an error's line."""
+    return f"scenarios by name: {', '.join(name for name in packaged.names() if '/' not in name)}"
+
+
 def _override(table: dict[str, Any], override: str) -> None:
-    """Set one field in the nested table, making tables on the way; in an array, entries count from 0."""
+    """Set one field in the nested table and create missing tables; entries of arrays count from 0."""
     path, equals, text = override.partition("=")
     keys = [key.strip() for key in path.split(".")]
     if not equals or not all(keys):
@@ -358,7 +384,7 @@ def _override(table: dict[str, Any], override: str) -> None:
 
 
 def _index(entries: list[Any], key: str, where: str, override: str) -> int:
-    """Read a path's key as the number of one of the entries that there are."""
+    """Parse a path's key as the index of an existing entry."""
     if not (key.isdecimal() and int(key) < len(entries)):
         numbers = f"numbers 0 to {len(entries) - 1}" if entries else "none"
         raise ScenarioError(f"--set {override}: {where} has no entry {key}; there are {numbers}")

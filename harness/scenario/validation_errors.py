@@ -1,4 +1,4 @@
-"""What msgspec refuses, said in one line: the field's path and the reason."""
+"""Conversion of msgspec's validation errors to one line: the field's path and the reason."""
 
 import re
 from collections.abc import Mapping
@@ -12,24 +12,24 @@ _WORDS = {
     "Invalid": "invalid",
     " | null`": "`",
 }
-"""TOML has no null: a field that may be None is left out."""
+"""Replacements in msgspec's texts. TOML has no null: an optional field is omitted."""
 
 
 def explain(error: msgspec.ValidationError, expected: Mapping[str, str], *, root: str = "") -> str:
-    """``Expected `float` >= 0.0 - at `$.wind.mean_n``` becomes ``wind.mean_n: expected `float` >= 0.0``.
+    """Return ``wind.mean_n: expected `float` >= 0.0`` for ``Expected `float` >= 0.0 - at `$.wind.mean_n```.
 
-    ``expected`` says what is wanted where the type alone does not, by a pattern of the whole path, which
-    begins with ``root``.
+    ``expected`` describes expected values where the type is not sufficient, by a pattern of the whole path,
+    which begins with ``root``.
     """
     reason, at, where = str(error).rpartition(" - at `$")
     if not at:
         reason, where = str(error), ""
     where = f"{root}{where.rstrip('`')}".lstrip(".")
-    for pattern, wanted in expected.items():
+    for pattern, description in expected.items():
         if re.fullmatch(pattern, where):
-            reason = re.sub(r"^Expected `\w+ \| [^`]*`", f"expected {wanted}", reason)
+            reason = re.sub(r"^Expected `\w+ \| [^`]*`", f"expected {description}", reason)
             if reason.startswith("Invalid"):
-                reason = f"{reason}, expected {wanted}"
-    for said, meant in _WORDS.items():
-        reason = reason.replace(said, meant)
+                reason = f"{reason}, expected {description}"
+    for original, replacement in _WORDS.items():
+        reason = reason.replace(original, replacement)
     return f"{where}: {reason}" if where else reason

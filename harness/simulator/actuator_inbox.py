@@ -1,7 +1,7 @@
-"""What the vehicles answer to their sensors, taken for all of them at once.
+"""Actuator inbox: the vehicles' answers to their sensors, unpacked for all vehicles at once.
 
-Nearly every answer is one right frame of HIL_ACTUATOR_CONTROLS and nothing else. The bytes of all lie in rows
-of one array, and one kernel checks and unpacks them; what is anything else is left to a parser.
+Nearly every answer is one valid frame of HIL_ACTUATOR_CONTROLS and nothing else. The received bytes lie in
+rows of one array; one kernel checks and unpacks them. Anything else is left to a parser.
 """
 
 import numpy as np
@@ -24,19 +24,27 @@ from foundation.types import Array
 from netsim.wire.lockstep import BATCH_HANDED_OVER
 
 ROTORS = 4
-ROOM_BYTES = 250
-"""For what one vehicle says at once; a longer speech is heard in parts."""
+BUFFER_BYTES = 250
+"""Buffer of one vehicle; longer input is received in parts."""
 ANSWER_BYTES = HEADER_BYTES + ACTUATORS_BYTES + CHECKSUM_BYTES
 """Length of a whole frame."""
 _ARMED = common.MAV_MODE_FLAG_SAFETY_ARMED
 
-VOICE = np.dtype(
-    [("heard_bytes", "i8"), ("answered_us", "i8"), ("handed_over", "?"), ("by_hand", "?"), ("ever", "?")],
+CONNECTION_STATE = np.dtype(
+    [
+        ("received_bytes", "i8"),
+        ("answered_us", "i8"),
+        ("handed_over", "?"),
+        ("needs_parser", "?"),
+        ("ever_answered", "?"),
+    ],
     align=True,
 )
-"""Of one vehicle: how much it has said that is not taken yet, the time of the answer that stands in this
-step, 0 for none, whether that says that the radio was given something, whether a parser has to hear it in
-every step, and whether it has ever answered."""
+"""State of one vehicle's connection.
+
+``received_bytes``: bytes in its buffer that are not processed yet. ``answered_us``: time stamp of its answer
+in this step, 0 for none. ``handed_over``: that answer's flag of a batch for the radio. ``needs_parser``: a
+parser reads the input of every step."""
 
 
 def is_armed(answer: HilActuatorControls) -> bool:
@@ -45,84 +53,85 @@ def is_armed(answer: HilActuatorControls) -> bool:
 
 
 class ActuatorInbox:
-    """What n vehicles have answered in a step, and the motors' controls from all steps up to it."""
+    """Answers of n vehicles in a step, and the motor controls of their last answers."""
 
     def __init__(self, vehicles: int) -> None:
         self.controls: Array = np.zeros((vehicles, ROTORS))
         """(n, 4) of the last answer, 0..1 in PX4's order"""
         self.armed: NDArray[np.bool_] = np.zeros(vehicles, dtype=np.bool_)
-        """(n,) as the last answer says"""
-        self.voices = np.zeros(vehicles, VOICE)
-        self._octets = np.zeros((vehicles, FIRST + ROOM_BYTES), dtype=np.uint8)
-        self.rooms = [memoryview(row)[FIRST:] for row in self._octets]  # type: ignore[arg-type]
-        """Where to put what each vehicle says; ``voices["heard_bytes"]`` tells how much it was."""
+        """(n,) of the last answer"""
+        self.states = np.zeros(vehicles, CONNECTION_STATE)
+        self._octets = np.zeros((vehicles, FIRST + BUFFER_BYTES), dtype=np.uint8)
+        self.buffers = [memoryview(row)[FIRST:] for row in self._octets]  # type: ignore[arg-type]
+        """Receive buffer of each vehicle; ``states["received_bytes"]`` is the length of its content."""
 
     @property
     def answered_us(self) -> NDArray[np.int64]:
-        """(n,) time of the sensors to which the answer in this step is; 0: there is none."""
-        times_us: NDArray[np.int64] = self.voices["answered_us"]
+        """(n,) time of the sensors that the answer in this step refers to; 0: there is none."""
+        times_us: NDArray[np.int64] = self.states["answered_us"]
         return times_us
 
     @property
     def senders(self) -> tuple[int, ...]:
-        """Vehicles that have handed something over to the radio in this step."""
-        return tuple(np.flatnonzero(self.voices["handed_over"]).tolist())
+        """Vehicles that have handed over a batch to the radio in this step."""
+        return tuple(np.flatnonzero(self.states["handed_over"]).tolist())
 
-    def hear(self, instance: int, said: bytes) -> None:
-        """Put down what a vehicle says, `ROOM_BYTES` at most."""
-        self.rooms[instance][: len(said)] = said
-        self.voices["heard_bytes"][instance] = len(said)
+    def put_bytes(self, instance: int, data: bytes) -> None:
+        """Store bytes from a vehicle, at most `BUFFER_BYTES`."""
+        self.buffers[instance][: len(data)] = data
+        self.states["received_bytes"][instance] = len(data)
 
-    def take(self, time_us: int) -> int:
-        """Begin a step's answers with those that can be taken at once; returns how many.
+    def unpack(self, time_us: int) -> int:
+        """Begin a step: unpack all answers that are exactly one frame; returns how many.
 
-        What the others have said is left where it is.
+        The bytes of the other vehicles stay in their buffers.
         """
-        return take(self._octets, self.voices, time_us, self.controls, self.armed)
+        return unpack(self._octets, self.states, time_us, self.controls, self.armed)
 
-    def said(self, instance: int) -> bytes:
-        """What a vehicle has said that could not be taken; it is regarded as taken from now on."""
-        heard_bytes = int(self.voices["heard_bytes"][instance])
-        self.voices["heard_bytes"][instance] = 0
-        return bytes(self.rooms[instance][:heard_bytes])
+    def take_bytes(self, instance: int) -> bytes:
+        """Return and clear the bytes of a vehicle that `unpack` left in its buffer."""
+        received_bytes = int(self.states["received_bytes"][instance])
+        self.states["received_bytes"][instance] = 0
+        return bytes(self.buffers[instance][:received_bytes])
 
     def put(self, instance: int, answer: HilActuatorControls) -> None:
-        """Take an answer that was unpacked elsewhere."""
+        """Store an answer that a parser unpacked."""
         self.controls[instance] = answer.controls[:ROTORS]
         self.armed[instance] = is_armed(answer)
-        voice = self.voices[instance]
-        voice["answered_us"], voice["ever"] = answer.time_usec, True
-        voice["handed_over"] = answer.flags & BATCH_HANDED_OVER != 0
+        state = self.states[instance]
+        state["answered_us"], state["ever_answered"] = answer.time_usec, True
+        state["handed_over"] = answer.flags & BATCH_HANDED_OVER != 0
 
 
 @njit(cache=True)
-def take(
-    octets: Octets, voices: NDArray[np.void], time_us: int, controls: Array, armed: NDArray[np.bool_]
+def unpack(
+    octets: Octets, states: NDArray[np.void], time_us: int, controls: Array, armed: NDArray[np.bool_]
 ) -> int:
-    """Unpack the rows of ``octets`` (n, ...) that are an answer to the sensors of ``time_us`` and no more.
+    """Unpack the rows of ``octets`` (n, ...) that hold exactly one answer to the sensors of ``time_us``.
 
-    Into ``controls`` (n, 4) and ``armed`` (n,), with notes in ``voices`` (n,) of `VOICE`; returns how many.
+    Fills ``controls`` (n, 4) and ``armed`` (n,), and updates ``states`` (n,) of `CONNECTION_STATE`; returns
+    the number of rows unpacked.
     """
-    taken = 0
-    for i in range(len(voices)):
-        voice, row = voices[i], octets[i]
-        voice["answered_us"] = 0
-        voice["handed_over"] = False
-        heard_bytes = voice["heard_bytes"]
-        if heard_bytes != ANSWER_BYTES or voice["by_hand"]:
+    unpacked = 0
+    for i in range(len(states)):
+        state, row = states[i], octets[i]
+        state["answered_us"] = 0
+        state["handed_over"] = False
+        received_bytes = state["received_bytes"]
+        if received_bytes != ANSWER_BYTES or state["needs_parser"]:
             continue
-        if payload_bytes(row, heard_bytes, ACTUATORS_KIND, ACTUATORS_EXTRA) != ACTUATORS_BYTES:
+        if payload_bytes(row, received_bytes, ACTUATORS_KIND, ACTUATORS_EXTRA) != ACTUATORS_BYTES:
             continue
         if row[ACTUATORS_TIME:ACTUATORS_FLAGS].view(np.int64)[0] != time_us:
             continue
-        wanted = row[ACTUATORS_CONTROLS:ACTUATORS_MODE].view(np.float32)
+        commanded = row[ACTUATORS_CONTROLS:ACTUATORS_MODE].view(np.float32)
         for rotor in range(ROTORS):
-            controls[i, rotor] = wanted[rotor]
+            controls[i, rotor] = commanded[rotor]
         armed[i] = row[ACTUATORS_MODE] & _ARMED != 0
-        voice["answered_us"] = time_us
+        state["answered_us"] = time_us
         flags = row[ACTUATORS_FLAGS:ACTUATORS_CONTROLS].view(np.int64)[0]
-        voice["handed_over"] = flags & BATCH_HANDED_OVER != 0
-        voice["heard_bytes"] = 0
-        voice["ever"] = True
-        taken += 1
-    return taken
+        state["handed_over"] = flags & BATCH_HANDED_OVER != 0
+        state["received_bytes"] = 0
+        state["ever_answered"] = True
+        unpacked += 1
+    return unpacked

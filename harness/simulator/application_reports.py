@@ -1,6 +1,6 @@
-"""What on-board applications beside PX4s tell the simulator, by way of the radio's Zenoh router.
+"""Reports of on-board applications beside PX4s to the simulator, through the radio's Zenoh router.
 
-Imported where a PX4 flies and nowhere else, for Zenoh is large.
+Imported only where a PX4 flies, because Zenoh is large.
 """
 
 import contextlib
@@ -13,16 +13,16 @@ from netsim.transport.zenoh_session import Question, Transport
 
 
 @contextlib.contextmanager
-def overheard(radio_endpoint: str, run_id: str, lockstep: Lockstep) -> Iterator[None]:
-    """Pass on what applications say of themselves and their PX4s. Raises TransportError."""
+def relayed(radio_endpoint: str, run_id: str, lockstep: Lockstep) -> Iterator[None]:
+    """Relay the applications' reports on themselves and their PX4s. Raises TransportError."""
 
-    def hear(question: Question) -> None:  # in a thread of Zenoh's
+    def on_report(question: Question) -> None:  # in a thread of Zenoh's
         for message in Parser().push_datagram(question.payload):
             instance = message.get_srcSystem() - 1
-            if 0 <= instance < len(lockstep.seats):
-                lockstep.overhear(instance, message)
+            if 0 <= instance < len(lockstep.slots):
+                lockstep.enqueue(instance, message)
         question.answer(b"")
 
     with contextlib.closing(Transport.connect(radio_endpoint)) as transport:
-        transport.serve(said_key(run_id), hear)
+        transport.serve(said_key(run_id), on_report)
         yield

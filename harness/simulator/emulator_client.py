@@ -1,4 +1,4 @@
-"""The time master's side of the 802.11 emulator: when the air has to go on, and that it has."""
+"""Client of the 802.11 emulator in the time master: requests intervals of simulated time."""
 
 from collections.abc import Mapping
 from typing import Protocol
@@ -8,8 +8,8 @@ import msgspec
 from harness.world.physics.truth import Truth
 from netsim.wire.lockstep import LEAD_US, Advance, Advanced, pack_rows
 
-LONGEST_REST_US = LEAD_US // 2
-"""How far a quiet air may be left behind. The emulator refuses a vehicle that is `LEAD_US` ahead of it."""
+MAX_QUIET_US = LEAD_US // 2
+"""Longest simulated time without a request. The emulator refuses a vehicle that is `LEAD_US` ahead of it."""
 
 
 class RadioSilent(ConnectionError):
@@ -17,57 +17,56 @@ class RadioSilent(ConnectionError):
 
 
 class EmulatorLine(Protocol):
-    """The way to the emulator: see `netsim.transport.interval_stream.ClockLine`."""
+    """Connection to the emulator: see `netsim.transport.interval_stream.ClockLine`."""
 
     def send(self, message: Advance) -> None:
-        """Ask for an interval."""
+        """Request an interval."""
 
     def receive(self) -> Advanced | None:
-        """Wait until it is done; None: the emulator is gone. Raises TimeoutError."""
+        """Wait for the answer; None if the emulator is gone. Raises TimeoutError."""
 
 
 class EmulatorClient:
-    """The time master's side of the emulated channel.
+    """Requests the intervals of the emulated channel and collects their results.
 
-    It goes on in intervals as long as the loop of the vehicles' applications, ``period_us``: one begins when
-    they have handed over their batches, and what arrives in it is theirs when it ends. The emulator works on
-    it beside the steps in between. Of quiet intervals it is asked for as few as keep it from being left far
-    behind.
+    Intervals are as long as the loop of the on-board applications, ``period_us``. An interval begins when the
+    applications have handed over their batches; frames that arrive in it are delivered at its end. The
+    emulator runs in parallel with the steps in between. Quiet intervals are skipped, up to `MAX_QUIET_US`.
 
-    ``free``: there are radios whose hosts are in no lockstep, and may speak at any time. Then intervals are
-    as long as the steps, and none is left out; what arrives is released a step after the end, which is the
-    step that the emulator needs to work beside the others.
+    ``asynchronous``: some radios belong to hosts outside the lockstep and may transmit at any time. Intervals
+    are then as long as a step and none is skipped; deliveries are released one step after the interval's
+    end, so that the emulator can run in parallel with that step.
     """
 
-    def __init__(self, line: EmulatorLine, *, period_us: int, free: bool = False) -> None:
+    def __init__(self, line: EmulatorLine, *, period_us: int, asynchronous: bool = False) -> None:
         self._period_us = period_us
-        self._free = free
+        self._asynchronous = asynchronous
         self._line = line
         self._request: Advance | None = None
-        """What the emulator has not answered yet."""
+        """Request that the emulator has not answered yet."""
         self._quiet_until_us = 0
-        self._asked_us = 0
-        """How far it was let go on."""
+        self._requested_us = 0
+        """End of the last interval requested."""
         self._delivered: dict[int, tuple[int, ...]] = {}
-        """By time of release, vehicles that have a delivery."""
+        """Vehicles with a delivery, by time of release."""
         self.extra_attenuation_db: float | None = None
-        """On every link, in the intervals that begin from now on; None is the scenario's own value."""
+        """Attenuation of every link in the intervals that begin from now on; None: the scenario's value."""
         self.range_offsets_m: Mapping[int, float] = {}
-        """By station, how much farther than it is its radio measures, from then on too."""
+        """Offset of each station's measured ranges in the intervals that begin from now on."""
         self.busy_ns = 0
-        """Time for which the channel was occupied until the end of the last interval that is done."""
+        """Time for which the channel was occupied until the end of the last completed interval."""
 
-    def is_awaited(self, time_us: int) -> bool:
-        """Whether the emulator has not done yet what the sensors of ``time_us`` have to tell of."""
+    def is_pending(self, time_us: int) -> bool:
+        """Whether the emulator has yet to complete the interval whose deliveries are due at ``time_us``."""
         return self._request is not None and self._request.release_us <= time_us
 
     def delivered(self, time_us: int) -> tuple[int, ...]:
-        """Vehicles whose radio has brought something for the step of ``time_us``; to be asked once a step."""
+        """Return the vehicles whose radio has a delivery for the step of ``time_us``; call once a step."""
         return self._delivered.pop(time_us, ()) if self._delivered else ()
 
     def begins_at(self, time_us: int) -> bool:
-        """Whether an interval begins with the step of ``time_us``; the one before has to be done by then."""
-        return self._free or time_us % self._period_us == 0
+        """Whether an interval begins with the step of ``time_us``; its predecessor must be complete."""
+        return self._asynchronous or time_us % self._period_us == 0
 
     def begin(
         self,
@@ -78,20 +77,20 @@ class EmulatorClient:
         senders: tuple[int, ...] = (),
         silent: tuple[int, ...] = (),
     ) -> None:
-        """Let the emulator simulate the interval that begins now, unless the air stays quiet for so long.
+        """Request the interval that begins at ``time_us``, unless the channel stays quiet until its end.
 
-        It works beside the physics, so it is given where the vehicles are and how they move now: what an
-        acceleration of 2 m/s2 changes in 40 ms are 1.6 mm. The ``senders`` have handed something over in
-        this step; the ``silent`` are gone.
+        The emulator runs in parallel with the physics, so it uses the positions and velocities at the
+        interval's begin: an acceleration of 2 m/s2 changes a position by 1.6 mm in 40 ms. ``senders`` are the
+        vehicles that handed over a batch in this step; ``silent`` are those that were lost.
         """
-        to_us = time_us + (step_us if self._free else self._period_us)
-        quiet_us = min(self._quiet_until_us, self._asked_us + LONGEST_REST_US)
-        if not self._free and not senders and to_us < quiet_us:
+        to_us = time_us + (step_us if self._asynchronous else self._period_us)
+        quiet_us = min(self._quiet_until_us, self._requested_us + MAX_QUIET_US)
+        if not self._asynchronous and not senders and to_us < quiet_us:
             return
-        self._asked_us = to_us
+        self._requested_us = to_us
         self._request = Advance(
             to_us=to_us,
-            release_us=to_us + step_us if self._free else to_us,
+            release_us=to_us + step_us if self._asynchronous else to_us,
             at_us=time_us,
             pos_ned_m=pack_rows(truth.pos_ned_m),
             vel_ned_m_s=pack_rows(truth.vel_ned_m_s),
@@ -104,9 +103,9 @@ class EmulatorClient:
         self._line.send(self._request)
 
     def end(self) -> tuple[int, ...]:
-        """Wait until the emulator is through with what it was let do.
+        """Wait until the emulator has completed the requested interval, if there is one.
 
-        Returns the vehicles whose batches it misses, for which there is `wait_on`. Raises RadioSilent.
+        Returns the vehicles whose batches are missing; continue with `wait_on`. Raises RadioSilent.
         """
         request = self._request
         if request is None:
@@ -127,7 +126,7 @@ class EmulatorClient:
         return ()
 
     def wait_on(self, silent: tuple[int, ...]) -> tuple[int, ...]:
-        """After `end`: go on waiting for those whose batches are missing, less the silent."""
+        """After `end`: continue to wait for the missing batches, except those of ``silent`` vehicles."""
         if self._request is not None:
             self._request = msgspec.structs.replace(self._request, silent=silent)
             self._line.send(self._request)

@@ -1,8 +1,8 @@
-"""Who is let into a vehicle's seat at the simulator: whoever says who it is.
+"""Handshake: assigns new connections to vehicle slots by the system number in their first message.
 
-An edge: accepts connections at the seats' doors. A PX4 introduces itself on connecting, with a HEARTBEAT
-and a COMMAND_LONG of its system number, in either order; coflight's own vehicles do so with a HEARTBEAT. Who
-says anything else, or nothing, is sent away, and holds up nobody.
+An I/O module: accepts connections at the listeners. On connecting, a PX4 sends a HEARTBEAT and a COMMAND_LONG
+with its system number, in either order; coflight's own vehicles send a HEARTBEAT. A connection that sends
+anything else, or nothing, is closed and delays no other.
 """
 
 import selectors
@@ -18,127 +18,127 @@ from autopilot.mavlink.codec import Message
 from autopilot.mavlink.hil import HilActuatorControls, HilParser
 
 INTRODUCTION_LIMIT_S = 10.0
-"""Wall time that a newcomer has for its first words; the others are attended to meanwhile."""
-MOST_NEWCOMERS = 8
-"""That a door hears at once, for each of its seats; one more sends the first away."""
-_FIRST_WORDS = {common.MAVLINK_MSG_ID_HEARTBEAT, common.MAVLINK_MSG_ID_COMMAND_LONG}
+"""Wall time that a new connection has for its first message; the others are served meanwhile."""
+MAX_PENDING = 8
+"""Unidentified connections per slot of a listener; one more closes the oldest."""
+_INTRODUCTIONS = {common.MAVLINK_MSG_ID_HEARTBEAT, common.MAVLINK_MSG_ID_COMMAND_LONG}
 _RECEIVE_BYTES = 4096
 
 
 class Listener(NamedTuple):
-    """A listening socket, and the instances whose seats can be taken there."""
+    """A listening socket, and the instances whose slots can be filled through it."""
 
-    listener: socket.socket
-    seats: frozenset[int]
+    server: socket.socket
+    instances: frozenset[int]
 
 
 class Arrival(NamedTuple):
-    """A vehicle that may take its seat; the connection is the caller's."""
+    """A vehicle that has identified itself; the caller owns the connection."""
 
     instance: int
     connection: socket.socket
-    said: list[Message]
-    """So far, its introduction first; its parser has the rest."""
+    messages: list[Message]
+    """Messages received so far, the introduction first; the parser holds the rest."""
     parser: HilParser
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class _PendingConnection:
-    """A connection whose owner is not known yet."""
+    """A connection that has not identified itself yet."""
 
-    door: Listener
+    listener: Listener
     connection: socket.socket
     wall_deadline_s: float
     parser: HilParser
 
 
 class Handshake:
-    """Listens for the vehicles of empty seats, each of which has one door or several. Close it."""
+    """Accepts the vehicles of empty slots, each of which is reached by one or more listeners. Close it."""
 
-    def __init__(self, doors: Sequence[Listener]) -> None:
+    def __init__(self, listeners: Sequence[Listener]) -> None:
         self._selector = selectors.DefaultSelector()
-        self._vacant = set().union(*(door.seats for door in doors))
-        self._newcomers: dict[Listener, list[_PendingConnection]] = {door: [] for door in doors}
-        """By open door, the longest there first."""
-        for door in doors:
-            self._selector.register(door.listener, selectors.EVENT_READ, door)
+        self._vacant = set().union(*(listener.instances for listener in listeners))
+        self._pending: dict[Listener, list[_PendingConnection]] = {listener: [] for listener in listeners}
+        """By open listener, the oldest first."""
+        for listener in listeners:
+            self._selector.register(listener.server, selectors.EVENT_READ, listener)
 
     @property
-    def waiting_for(self) -> list[int]:
-        """Seats that are empty still."""
+    def missing(self) -> list[int]:
+        """Instances whose slots are empty."""
         return sorted(self._vacant)
 
-    def look(self, wall_limit_s: float) -> Iterator[Arrival]:
-        """Wait for something to happen, and give those who may take their seats."""
+    def poll(self, wall_limit_s: float) -> Iterator[Arrival]:
+        """Wait for activity, at most ``wall_limit_s``, and yield the vehicles that can take their slots."""
         for key, _ in self._selector.select(wall_limit_s):
             if isinstance(key.data, _PendingConnection):
-                newcomer = key.data
-                if newcomer in self._newcomers.get(newcomer.door, ()):  # else sent away a moment ago
-                    yield from self._hear(newcomer)
-            elif key.data in self._newcomers:
+                pending = key.data
+                if pending in self._pending.get(pending.listener, ()):  # else closed a moment ago
+                    yield from self._receive(pending)
+            elif key.data in self._pending:
                 self._accept(key.data)
         wall_s = time.monotonic()
-        for newcomers in self._newcomers.values():
-            for newcomer in [each for each in newcomers if wall_s > each.wall_deadline_s]:
-                self._send_away(newcomer)
+        for connections in self._pending.values():
+            for pending in [each for each in connections if wall_s > each.wall_deadline_s]:
+                self._reject(pending)
 
     def close(self) -> None:
-        """Send away who has not been let in; the listeners stay open. Harmless when repeated."""
-        for newcomers in self._newcomers.values():
-            for newcomer in list(newcomers):
-                self._send_away(newcomer)
+        """Close all unidentified connections; the listeners stay open. Harmless when repeated."""
+        for connections in self._pending.values():
+            for pending in list(connections):
+                self._reject(pending)
         self._selector.close()
 
-    def _accept(self, door: Listener) -> None:
-        connection, _ = door.listener.accept()
-        newcomer = _PendingConnection(
-            door=door,
+    def _accept(self, listener: Listener) -> None:
+        connection, _ = listener.server.accept()
+        pending = _PendingConnection(
+            listener=listener,
             connection=connection,
             wall_deadline_s=time.monotonic() + INTRODUCTION_LIMIT_S,
             parser=HilParser(HilActuatorControls),
         )
-        newcomers = self._newcomers[door]
-        if len(newcomers) == MOST_NEWCOMERS * len(door.seats):
-            self._send_away(newcomers[0])
-        newcomers.append(newcomer)
-        self._selector.register(connection, selectors.EVENT_READ, newcomer)
+        connections = self._pending[listener]
+        if len(connections) == MAX_PENDING * len(listener.instances):
+            self._reject(connections[0])
+        connections.append(pending)
+        self._selector.register(connection, selectors.EVENT_READ, pending)
 
-    def _hear(self, newcomer: _PendingConnection) -> Iterator[Arrival]:
+    def _receive(self, pending: _PendingConnection) -> Iterator[Arrival]:
         try:
-            data = newcomer.connection.recv(_RECEIVE_BYTES, socket.MSG_DONTWAIT)
+            data = pending.connection.recv(_RECEIVE_BYTES, socket.MSG_DONTWAIT)
         except BlockingIOError:
             return
         except OSError:
             data = b""
-        said = newcomer.parser.push(data)
-        instance = _introduced(said[0]) if said else None
-        if instance is not None and instance in newcomer.door.seats & self._vacant:
-            self._take_leave(newcomer)
+        messages = pending.parser.push(data)
+        instance = _introduced(messages[0]) if messages else None
+        if instance is not None and instance in pending.listener.instances & self._vacant:
+            self._remove(pending)
             self._fill(instance)
-            yield Arrival(instance, newcomer.connection, said, newcomer.parser)
-        elif said or newcomer.parser.bad_bytes or not data:
-            self._send_away(newcomer)
+            yield Arrival(instance, pending.connection, messages, pending.parser)
+        elif messages or pending.parser.bad_bytes or not data:
+            self._reject(pending)
 
     def _fill(self, instance: int) -> None:
-        """Close the doors that led to this seat alone of the empty ones."""
+        """Mark a slot as filled and stop polling the listeners that lead to no empty slot any more."""
         self._vacant.remove(instance)
-        for door in [each for each in self._newcomers if not each.seats & self._vacant]:
-            for late in list(self._newcomers[door]):
-                self._send_away(late)
-            del self._newcomers[door]
-            self._selector.unregister(door.listener)
+        for listener in [each for each in self._pending if not each.instances & self._vacant]:
+            for late in list(self._pending[listener]):
+                self._reject(late)
+            del self._pending[listener]
+            self._selector.unregister(listener.server)
 
-    def _take_leave(self, newcomer: _PendingConnection) -> None:
-        self._newcomers[newcomer.door].remove(newcomer)
-        self._selector.unregister(newcomer.connection)
+    def _remove(self, pending: _PendingConnection) -> None:
+        self._pending[pending.listener].remove(pending)
+        self._selector.unregister(pending.connection)
 
-    def _send_away(self, newcomer: _PendingConnection) -> None:
-        self._take_leave(newcomer)
-        newcomer.connection.close()
+    def _reject(self, pending: _PendingConnection) -> None:
+        self._remove(pending)
+        pending.connection.close()
 
 
 def _introduced(message: Message | HilActuatorControls) -> int | None:
-    """The instance of the vehicle whose first words these are; None if they are no introduction."""
-    if isinstance(message, HilActuatorControls) or message.get_msgId() not in _FIRST_WORDS:
+    """Return the instance that a first message identifies; None if it is no introduction."""
+    if isinstance(message, HilActuatorControls) or message.get_msgId() not in _INTRODUCTIONS:
         return None
     return int(message.get_srcSystem()) - 1

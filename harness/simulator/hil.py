@@ -1,8 +1,8 @@
-"""The simulator's side of PX4's simulator API: sensor readings to MAVLink bytes.
+"""The simulator's side of PX4's simulator API: encodes sensor readings as MAVLink bytes.
 
-What vehicles answer is `harness.simulator.actuator_inbox`'. Pure: sockets are `harness.simulator.lockstep`'s.
-Units on the wire are those that PX4 decodes (facts of HIL_SENSOR, HIL_GPS): gauss, hPa, degC; degE7, mm,
-cm/s; eph and epv in cm. Integers saturate.
+Answers are decoded by `harness.simulator.actuator_inbox`. No I/O: `harness.simulator.lockstep` has the
+sockets. Units on the wire are those that PX4 decodes from HIL_SENSOR and HIL_GPS: gauss, hPa, degC; degE7,
+mm, cm/s; eph and epv in cm. Integers saturate.
 """
 
 import math
@@ -37,9 +37,9 @@ _COURSE_LEAST_SPEED_M_S = 0.1
 _SATELLITES = 10
 _SITE = Site()
 TRUTH_PERIOD_US = 20_000
-"""Between two HIL_STATE_QUATERNION, where the truth is told."""
+"""Period of HIL_STATE_QUATERNION, where the truth is sent."""
 RC_PERIOD_US = 100_000
-"""Between two RC_CHANNELS, where a radio control is asked for."""
+"""Period of RC_CHANNELS, where a radio control is simulated."""
 _RC_CENTRE_US = 1_500
 _RC_STICKS = 4
 _RC_UNUSED = 65_535
@@ -48,11 +48,12 @@ _US_PER_MS = 1_000
 
 
 class SensorEncoder:
-    """Bytes that the vehicles get in one step. The same kinds go to all, so their links count alike.
+    """Encodes the messages to all vehicles in one step, with common sequence numbers.
 
-    But ``px4``, the vehicles that a PX4 flies, get no ESC_STATUS, which it does not know, and find it missing
-    in the count if others get it. It takes the time of HIL_GPS for UTC, and ``epoch_us`` is the simulation's
-    beginning. ``px4_rc`` has it told of a radio control.
+    ``px4`` are the vehicles that a PX4 flies. PX4 does not support ESC_STATUS, so it is not sent to them;
+    their sequence numbers have a gap if other vehicles get it. PX4 reads the time of HIL_GPS as UTC:
+    ``epoch_us`` is that of the simulation's start. With ``px4_rc`` they are sent the channels of a radio
+    control.
     """
 
     def __init__(
@@ -73,11 +74,11 @@ class SensorEncoder:
         truth: Truth | None = None,
         delivered: Collection[int] = (),
     ) -> Sequence[bytes | memoryview]:
-        """Frames for each vehicle, which hold until they are asked for again.
+        """Return the frames for each vehicle, valid until the next call.
 
-        ESC_STATUS when there are readings of motors, HIL_GPS when a fix is due, HIL_STATE_QUATERNION when
-        the truth is to be told, then HIL_SENSOR, which is what lets a vehicle's clock go on. It tells those
-        who are ``delivered``, by their numbers, that the radio has brought them something for this step.
+        They are ESC_STATUS if ``escs`` is given, HIL_GPS if a fix is due, HIL_STATE_QUATERNION if ``truth``
+        is given, and last HIL_SENSOR, which advances the vehicle's clock. In HIL_SENSOR the vehicles
+        ``delivered`` are notified of a delivery by their radio in this step.
         """
         others: list[list[bytes]] = []
         if escs is not None:
@@ -96,7 +97,7 @@ class SensorEncoder:
     def _sensors(
         self, time_us: int, frame: SensorFrame, delivered: Collection[int]
     ) -> Sequence[bytes | memoryview]:
-        """Frames of HIL_SENSOR."""
+        """Return the frames of HIL_SENSOR."""
         if frame.mag_frd_gauss is not None or frame.baro is not None or delivered:
             return HIL_SENSOR.frames(_sensors(time_us, frame, delivered), self._next())
         accel_frd_m_s2, gyro_frd_rad_s = frame.accel_frd_m_s2, frame.gyro_frd_rad_s
@@ -105,18 +106,18 @@ class SensorEncoder:
         return self._inertial.at(time_us, accel_frd_m_s2, gyro_frd_rad_s, self._next())
 
     def _next(self) -> int:
-        """Sequence number of the next kind of frame."""
+        """Return the next sequence number, one per kind of frame."""
         sequence = self._sequence
         self._sequence = (sequence + 1) % 256
         return sequence
 
     @staticmethod
     def _but(without: Collection[int], frames: list[bytes]) -> list[bytes]:
-        """Frames for all but those who get none."""
+        """Replace the frames of the vehicles in ``without`` by empty ones."""
         return [b"" if vehicle in without else each for vehicle, each in enumerate(frames)]
 
     def _fixes(self, time_us: int, fixes: GpsFixes) -> NDArray[np.void]:
-        """HIL_GPS of each vehicle."""
+        """Return HIL_GPS of each vehicle, (n,)."""
         rows = np.zeros(len(fixes.lat_deg), HIL_GPS.dtype)
         rows["fix_type"] = mavlink.GPS_FIX_TYPE_3D_FIX
         rows["lat"] = _integers(fixes.lat_deg * 1e7, np.int32)
@@ -141,7 +142,7 @@ class SensorEncoder:
 
 
 def _sensors(time_us: int, frame: SensorFrame, delivered: Collection[int]) -> NDArray[np.void]:
-    """HIL_SENSOR of each vehicle."""
+    """Return HIL_SENSOR of each vehicle, (n,)."""
     vehicles = len(frame.accel_frd_m_s2)
     rows = np.zeros(vehicles, HIL_SENSOR.dtype)
     fields, mag_frd_gauss = IMU_FIELDS, frame.mag_frd_gauss
@@ -174,7 +175,7 @@ def fill_sensors(
     pressure_hpa: Array,
     temperature_degc: Array,
 ) -> None:
-    """Fill rows (n,) of HIL_SENSOR that are zero with what is new by ``fields_updated``."""
+    """Fill zeroed rows (n,) of HIL_SENSOR with the readings that ``fields_updated`` marks as new."""
     for i in range(len(rows)):
         row = rows[i]
         row["time_usec"] = time_us
@@ -190,7 +191,7 @@ def fill_sensors(
 
 
 def _no_fix() -> NDArray[np.void]:
-    """HIL_GPS (1,) of a receiver that has none, but for its time."""
+    """Return HIL_GPS (1,) of a receiver without a fix; its time is not set."""
     row = np.zeros(1, HIL_GPS.dtype)
     row["fix_type"] = mavlink.GPS_FIX_TYPE_NO_FIX
     for name in ("eph", "epv", "vel", "cog"):
@@ -202,7 +203,7 @@ _NO_FIX = _no_fix()
 
 
 def _rc(time_us: int, vehicles: int) -> NDArray[np.void]:
-    """RC_CHANNELS of radio controls that nobody touches."""
+    """Return RC_CHANNELS (n,) of radio controls with centred sticks."""
     rows = np.zeros(vehicles, RC_CHANNELS.dtype)
     rows["time_boot_ms"] = time_us // _US_PER_MS
     rows["channels"] = _RC_UNUSED
@@ -213,7 +214,7 @@ def _rc(time_us: int, vehicles: int) -> NDArray[np.void]:
 
 
 def _states(time_us: int, truth: Truth, site: Site) -> NDArray[np.void]:
-    """HIL_STATE_QUATERNION of each vehicle; its position is good to a centimetre, as degE7 are."""
+    """Return HIL_STATE_QUATERNION of each vehicle, (n,); degE7 resolve its position to a centimetre."""
     lat_deg, lon_deg, alt_m = ned_to_geodetic(
         truth.pos_ned_m,
         origin_lat_deg=site.latitude_deg,
@@ -232,6 +233,6 @@ def _states(time_us: int, truth: Truth, site: Site) -> NDArray[np.void]:
 
 
 def _integers(values: Array | float, kind: type[np.integer[Any]]) -> Array:
-    """The nearest whole numbers that an integer of that kind can hold."""
+    """Round to the nearest whole numbers within the range of an integer type."""
     limits = np.iinfo(kind)
     return np.asarray(np.rint(np.clip(values, limits.min, limits.max)))

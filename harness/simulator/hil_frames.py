@@ -1,8 +1,8 @@
-"""MAVLink frames of one kind for all vehicles at once: what the physics server says in every step.
+"""Encodes MAVLink messages of one kind for all vehicles at once.
 
-A kind of message is a row of a NumPy structure, its fields in the order of the wire. The columns are filled
-for all vehicles together, and one kernel makes whole frames of the rows. `autopilot.mavlink.hil` says how a
-frame is made of a payload; the codec of the vehicles, which reads these, is the other witness.
+A message is a row of a NumPy structured array, its fields in the order of the wire. The columns are filled
+for all vehicles together, and one kernel packs the rows into frames. `autopilot.mavlink.hil` specifies the
+framing of a payload; the vehicles' codec, which decodes these frames, is an independent implementation.
 """
 
 from typing import Any, Final
@@ -30,18 +30,18 @@ SIMULATOR_COMPONENT_ID = 1
 
 
 class FrameLayout:
-    """One kind of message: how its rows look, and what its frames begin and end with."""
+    """Layout of one kind of message: its rows' dtype, and the header and CRC_EXTRA of its frames."""
 
     def __init__(self, message_id: int, fields: list[tuple[Any, ...]]) -> None:
         self.dtype: Final = np.dtype(fields)
-        """Packed, in the order of the wire."""
+        """Packed, with the fields in the order of the wire."""
         self._crc_extra: Final = int(common.mavlink_map[message_id].crc_extra)
         source = bytes((SIMULATOR_SYSTEM_ID, SIMULATOR_COMPONENT_ID))
         header = bytes((MAGIC, 0, 0, 0, 0)) + source + message_id.to_bytes(3, "little")
         self._header: Final = np.frombuffer(header, dtype=np.uint8)
 
     def frames(self, rows: NDArray[np.void], sequence: int) -> list[bytes]:
-        """Whole frames of rows (n,) of ``dtype``, all with the same sequence number."""
+        """Return the frames of rows (n,) of ``dtype``, all with the same sequence number."""
         n, size = len(rows), self.dtype.itemsize
         longest = HEADER_BYTES + size + CHECKSUM_BYTES
         frames = np.empty((n, longest), dtype=np.uint8)
@@ -62,10 +62,10 @@ def make_frames(
     frames: Octets,
     lengths: NDArray[np.int64],
 ) -> None:
-    """Write frames (n, size + 12) of payloads (n, size), and their lengths (n,).
+    """Write the frames (n, size + 12) of payloads (n, size), and their lengths (n,).
 
-    ``header`` (10,) has all but the payload's length and the sequence number. Trailing zeros of a payload are
-    cut off, but for its first byte.
+    ``header`` (10,) is complete except for the payload's length and the sequence number. Trailing zeros of a
+    payload are truncated; its first byte is kept.
     """
     for row in range(payloads.shape[0]):
         frame = frames[row]
@@ -153,16 +153,16 @@ RC_CHANNELS = FrameLayout(
 
 _SAMPLES, _REST, _UPDATED = PAYLOAD + 8, PAYLOAD + 32, PAYLOAD + 60
 _END = _UPDATED + 1
-"""Of HIL_SENSOR's payload where ``fields_updated`` is below 256, for what follows are zeros."""
+"""End of HIL_SENSOR's payload if ``fields_updated`` is below 256: all later bytes are zero."""
 _ROW_BYTES = 80
 _SENSOR = common.MAVLINK_MSG_ID_HIL_SENSOR
 _SENSOR_EXTRA = int(common.mavlink_map[_SENSOR].crc_extra)
 
 
 class InertialFrames:
-    """HIL_SENSOR that brings n vehicles accelerations and rates and nothing else, as in most steps.
+    """HIL_SENSOR for n vehicles with accelerations and angular rates only, as in most steps.
 
-    Its frames lie in the same memory in every step, so nothing is made or copied for each.
+    The frames use the same memory in every step, so nothing is allocated or copied.
     """
 
     def __init__(self, vehicles: int, fields_updated: int) -> None:
@@ -178,9 +178,9 @@ class InertialFrames:
     def at(
         self, time_us: int, accel_frd_m_s2: Array, gyro_frd_rad_s: Array, sequence: int
     ) -> list[memoryview]:
-        """Whole frames of samples (n, 3) and (n, 3), all with the same time and sequence number.
+        """Return the frames of samples (n, 3) and (n, 3), all with the same time and sequence number.
 
-        They hold until they are asked for again.
+        They are valid until the next call.
         """
         write_inertial(self._rows, time_us, sequence, accel_frd_m_s2, gyro_frd_rad_s)
         return self._frames
@@ -190,7 +190,7 @@ class InertialFrames:
 def write_inertial(
     rows: Octets, time_us: int, sequence: int, accel_frd_m_s2: Array, gyro_frd_rad_s: Array
 ) -> None:
-    """Write into frames of HIL_SENSOR, which begin at `frame.FIRST`, what changes from one to the next."""
+    """Update frames of HIL_SENSOR, which begin at `frame.FIRST`: time, samples, sequence and checksum."""
     for i in range(len(rows)):
         row = rows[i]
         row[PAYLOAD:_SAMPLES].view(np.int64)[0] = time_us

@@ -1,6 +1,6 @@
-"""Vehicles and air in the simulation's own process: the same bytes as over sockets, handed on by plain calls.
+"""Vehicles and emulator in the simulation's own process: the same bytes as over sockets, passed by calls.
 
-Stand where `harness.simulator.lockstep` and a Zenoh session stand in a run of many processes.
+Replaces `harness.simulator.lockstep` and the Zenoh session of a run of many processes.
 """
 
 import contextlib
@@ -23,8 +23,8 @@ from netsim.transport.lockstep_radio import Deliveries, checked
 from netsim.wire.lockstep import Advance, Advanced
 from netsim.wire.messages import TxBatch, TxItem
 
-NOBODY_LISTENS = (False, False)
-"""On the links to the outside, of which there are none here."""
+LINKS_INACTIVE = (False, False)
+"""Activity of the links to ground station and companion, which do not exist here."""
 
 
 class InProcessRadio:
@@ -35,14 +35,14 @@ class InProcessRadio:
         self._station = station
         self.deliveries = Deliveries()
         self.receive = self.deliveries.take
-        """What may be seen at a time, in order of (time, source, sequence)."""
+        """Return the items that are due at a time, in order of (time, source, sequence)."""
 
     def send(self, now_us: int, items: Sequence[TxItem]) -> None:
-        """Hand over transmissions. Raises ValueError for what no station can send."""
+        """Hand over transmissions. Raises ValueError for items that no station can send."""
         batch = TxBatch(station=self._station, now_us=now_us, items=tuple(items))
         checked(batch)
         if not self._emulator.submit(batch):
-            raise ValueError(f"station {self._station}: the 802.11 emulator refuses what is sent")
+            raise ValueError(f"station {self._station}: the 802.11 emulator refuses the transmissions")
 
 
 class InProcessEmulatorLine:
@@ -54,53 +54,53 @@ class InProcessEmulatorLine:
         self._advanced: Advanced | None = None
 
     def send(self, message: Advance) -> None:
-        """Have the emulator simulate and deliver what is asked for.
+        """Let the emulator simulate the requested interval and deliver its frames.
 
-        Raises ValueError for what it does not take.
+        Raises ValueError for a request that the emulator refuses.
         """
         delivered = []
         for station, batch in self._emulator.advance(message).items():
-            if station < len(self._radios):  # a guest is not here
+            if station < len(self._radios):  # not for guests
                 self._radios[station].deliveries.put(batch)
                 delivered.append(station)
         self._advanced = self._emulator.advanced(delivered=tuple(sorted(delivered)))
 
     def receive(self) -> Advanced | None:
-        """What the emulator answered."""
+        """Return the emulator's answer to the last request."""
         return self._advanced
 
 
 class InProcessSlot(ConnectionState):
-    """One vehicle's place at the simulator, and the vehicle itself."""
+    """One vehicle's slot at the simulator, and the vehicle itself."""
 
     def __init__(self, config: VehicleConfig, radio: InProcessRadio) -> None:
         super().__init__(config.instance)
         self.host = Host(config, radio)
         self.alive = True
         self.killed = False
-        """To be found dead in the next step."""
-        self.said = b""
-        """In the present step, and not yet taken in."""
+        """Reported as lost in the next step."""
+        self.output = b""
+        """Bytes of the present step that are not processed yet."""
         self._log_path = config.log_path
 
-    def hear(self, data: bytes | memoryview) -> list[tuple[int, str]]:
-        """Have the vehicle do its step on what the simulator sends; returns its warnings with their times."""
+    def step(self, data: bytes | memoryview) -> list[tuple[int, str]]:
+        """Run the vehicle's step on the simulator's frames; returns its warnings with their times."""
         warned: list[tuple[int, str]] = []
         host = self.host
         size = host.put(bytes(data))
         inertial = host.inertial_step(size)
         if inertial is not None:
-            self.said += inertial
+            self.output += inertial
             return warned
         for messages in host.push(size):
-            answer, links = self.host.step(messages, link_messages=[], link_active=NOBODY_LISTENS)
-            self.said += answer
+            answer, links = self.host.step(messages, link_messages=[], link_active=LINKS_INACTIVE)
+            self.output += answer
             if links:
                 warned += [(messages[-1].time_usec, text) for text in warnings(links)]
         return warned
 
     def end(self) -> None:
-        """End the vehicle; of one that was killed its log keeps whole blocks, as that of a killed process."""
+        """End the vehicle; the log of a killed one is cut to whole blocks, as that of a killed process is."""
         self.alive = False
         self.host.close()
         if self.killed and self._log_path is not None:
@@ -111,9 +111,8 @@ class InProcessSlot(ConnectionState):
 class InProcessVehicles:
     """All vehicles of a run; see `harness.simulator.interfaces.Vehicles`.
 
-    ``on_message`` and ``on_lost`` are as `harness.simulator.lockstep.Lockstep`'s; ``emit`` is told of
-    warnings, under the vehicle's name. An error in a vehicle is raised by the step, and is the end of the
-    run.
+    ``on_message`` and ``on_lost`` are those of `harness.simulator.lockstep.Lockstep`; ``emit`` receives
+    warnings, under the vehicle's name. An error in a vehicle is raised by the step and ends the run.
     """
 
     def __init__(
@@ -126,11 +125,11 @@ class InProcessVehicles:
         emit: Callable[[str, msgspec.Struct], None],
     ) -> None:
         self._on_message, self._on_lost, self._emit = on_message, on_lost, emit
-        self.seats: list[InProcessSlot] = []
-        self._answers = ActuatorInbox(len(radios))
+        self.slots: list[InProcessSlot] = []
+        self._inbox = ActuatorInbox(len(radios))
         try:
             for config, radio in zip(configs, radios, strict=True):
-                self.seats.append(InProcessSlot(config, radio))
+                self.slots.append(InProcessSlot(config, radio))
         except BaseException:
             self.close()
             raise
@@ -138,52 +137,52 @@ class InProcessVehicles:
     @property
     def living(self) -> int:
         """How many vehicles are in the run."""
-        return sum(seat.alive for seat in self.seats)
+        return sum(slot.alive for slot in self.slots)
 
     def connect(self, wall_timeout_s: float, *, keep_waiting: Callable[[], bool]) -> None:
-        """Everybody is here."""
+        """Return at once: all vehicles are connected from the start."""
 
     def send(self, frames: Sequence[bytes | memoryview]) -> None:
-        """Give every living vehicle its sensors, upon which it does its step."""
-        for seat, frame in zip(self.seats, frames, strict=True):
-            if seat.alive and not seat.killed:
-                for time_us, text in seat.hear(frame):
-                    self._emit(seat.host.name, Warned(name=seat.host.name, time_us=time_us, text=text))
+        """Send every living vehicle its sensors and run its step."""
+        for slot, frame in zip(self.slots, frames, strict=True):
+            if slot.alive and not slot.killed:
+                for time_us, text in slot.step(frame):
+                    self._emit(slot.host.name, Warned(name=slot.host.name, time_us=time_us, text=text))
 
-    def answers(self, time_us: int) -> ActuatorInbox:
-        """What every vehicle has answered to the sensors of ``time_us``."""
-        answers, others = self._answers, []
-        for seat in reversed(self.seats):
-            said, seat.said = seat.said, b""
-            if seat.killed and seat.alive:
-                self._lose(seat)
-            elif len(said) == ANSWER_BYTES:
-                answers.hear(seat.instance, said)
-            elif said:
-                others.append((seat, said))
-        answers.take(time_us)
-        for seat, said in others:
-            seat.await_answer()
-            for message in seat.take(said, time_us):
-                self._on_message(seat.instance, message)
-            if seat.answer is not None:
-                answers.put(seat.instance, seat.answer)
-        return answers
+    def receive(self, time_us: int) -> ActuatorInbox:
+        """Return the answers of all vehicles to the sensors of ``time_us``."""
+        inbox, others = self._inbox, []
+        for slot in reversed(self.slots):
+            data, slot.output = slot.output, b""
+            if slot.killed and slot.alive:
+                self._lose(slot)
+            elif len(data) == ANSWER_BYTES:
+                inbox.put_bytes(slot.instance, data)
+            elif data:
+                others.append((slot, data))
+        inbox.unpack(time_us)
+        for slot, data in others:
+            slot.await_answer()
+            for message in slot.take(data, time_us):
+                self._on_message(slot.instance, message)
+            if slot.answer is not None:
+                inbox.put(slot.instance, slot.answer)
+        return inbox
 
-    def judge(self, instances: Iterable[int]) -> None:
-        """Nobody is ever waited for."""
+    def check(self, instances: Iterable[int]) -> None:
+        """Do nothing: vehicles in this process are never awaited."""
 
     def kill(self, name: str) -> None:
-        """End a vehicle at once; the simulation finds it gone in the next step."""
-        for seat in self.seats:
-            seat.killed |= seat.host.name == name
+        """End a vehicle at once; the simulation reports it as lost in the next step."""
+        for slot in self.slots:
+            slot.killed |= slot.host.name == name
 
     def close(self) -> None:
         """End every vehicle; harmless when repeated."""
         with contextlib.ExitStack() as stack:
-            for seat in self.seats:
-                stack.callback(seat.end)
+            for slot in self.slots:
+                stack.callback(slot.end)
 
-    def _lose(self, seat: InProcessSlot) -> None:
-        seat.end()
-        self._on_lost(seat.instance, CLOSED)
+    def _lose(self, slot: InProcessSlot) -> None:
+        slot.end()
+        self._on_lost(slot.instance, CLOSED)

@@ -1,4 +1,4 @@
-"""What the simulation asks of its vehicles and of the air, however these are reached."""
+"""Interfaces of the simulation to its vehicles and to the radio channel, for sockets and for calls."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Protocol
@@ -8,11 +8,11 @@ from harness.world.physics.truth import Truth
 
 
 class Slot(Protocol):
-    """One vehicle's place at the simulator."""
+    """One vehicle's slot at the simulator."""
 
     @property
     def instance(self) -> int:
-        """Its number."""
+        """The vehicle's number."""
 
     @property
     def alive(self) -> bool:
@@ -20,10 +20,10 @@ class Slot(Protocol):
 
 
 class Vehicles(Protocol):
-    """The step's rendezvous with the vehicles: see `harness.simulator.lockstep.Lockstep`."""
+    """The exchange with all vehicles in a step: see `harness.simulator.lockstep.Lockstep`."""
 
     @property
-    def seats(self) -> Sequence[Slot]:
+    def slots(self) -> Sequence[Slot]:
         """One per vehicle."""
 
     @property
@@ -31,33 +31,33 @@ class Vehicles(Protocol):
         """How many vehicles are in the run."""
 
     def connect(self, wall_timeout_s: float, *, keep_waiting: Callable[[], bool]) -> None:
-        """Wait until every vehicle is there."""
+        """Wait until every vehicle is connected."""
 
     def send(self, frames: Sequence[bytes | memoryview]) -> None:
-        """Give every living vehicle its sensors."""
+        """Send every living vehicle its sensor frames."""
 
-    def answers(self, time_us: int) -> ActuatorInbox:
-        """What every vehicle answers to the sensors of ``time_us``; the same object in every step."""
+    def receive(self, time_us: int) -> ActuatorInbox:
+        """Return the answers of all vehicles to the sensors of ``time_us``; the same object in every step."""
 
-    def judge(self, instances: Iterable[int]) -> None:
-        """Decide on vehicles that have not done their part of the step."""
+    def check(self, instances: Iterable[int]) -> None:
+        """Apply the response watchdog to vehicles that have not completed their part of the step."""
 
     def close(self) -> None:
-        """Part with the vehicles."""
+        """Close the connections to all vehicles."""
 
 
 class ChannelInterface(Protocol):
-    """The time master's side of the radio channel: see `harness.simulator.emulator_client.Air`."""
+    """The radio channel of the time master: see `harness.simulator.emulator_client.EmulatorClient`."""
 
     extra_attenuation_db: float | None
     range_offsets_m: Mapping[int, float]
     busy_ns: int
 
-    def is_awaited(self, time_us: int) -> bool:
-        """Whether it has yet to end what the sensors of ``time_us`` tell of."""
+    def is_pending(self, time_us: int) -> bool:
+        """Whether an interval with deliveries due at ``time_us`` is not complete."""
 
     def delivered(self, time_us: int) -> tuple[int, ...]:
-        """Vehicles whose radio has brought something for the step of ``time_us``."""
+        """Return the vehicles whose radio has a delivery for the step of ``time_us``."""
 
     def begins_at(self, time_us: int) -> bool:
         """Whether `begin` has to be called in the step of ``time_us``."""
@@ -71,10 +71,10 @@ class ChannelInterface(Protocol):
         senders: tuple[int, ...] = (),
         silent: tuple[int, ...] = (),
     ) -> None:
-        """Let the air go on over the interval that begins now."""
+        """Start the interval that begins at ``time_us``."""
 
     def end(self) -> tuple[int, ...]:
-        """Wait until it has; returns the vehicles whose batches it misses."""
+        """Wait until the interval is complete; returns the vehicles whose batches are missing."""
 
     def wait_on(self, silent: tuple[int, ...]) -> tuple[int, ...]:
-        """Go on waiting for those, less the silent."""
+        """Continue to wait for the missing batches, except those of ``silent`` vehicles."""

@@ -1,11 +1,10 @@
-"""The step's rendezvous with the vehicles.
+"""Lockstep with the vehicles over sockets.
 
-Everyone gets the sensors of an instant, everyone's answer is waited for, as far as its `LockstepPolicy` let
-it be.
+Each step sends the sensors of one instant to every vehicle and waits for the answers, within the limits of
+each vehicle's `LockstepPolicy`.
 
-An edge: owns the connections of PX4's simulator API and the wall-clock patience with a vehicle that stays
-silent. What a silence means is told from outside by `harness.simulator.response_watchdog`, and who may take a
-seat is `harness.simulator.handshake`'s.
+An I/O module: owns the connections of PX4's simulator API. `harness.simulator.response_watchdog` decides when
+a silent vehicle is given up, `harness.simulator.handshake` which connection belongs to which slot.
 """
 
 import socket
@@ -22,11 +21,11 @@ from harness.simulator.handshake import Arrival, Handshake, Listener
 from harness.simulator.response_watchdog import STARTING_LIMIT_S, ResponseWatchdog
 
 POLL_S = 0.1
-FREE_STEP_S = 0.004
-"""Wall time of a step, at least, while a vehicle that starts has not answered yet: a PX4 takes sensors from
-the first on, but starts up by its own time, and drops some of those that come faster."""
+STARTING_STEP_S = 0.004
+"""Least wall time of a step while a starting vehicle has not answered yet: a PX4 reads sensors from the first
+on, but starts up in wall time, and drops messages that arrive faster."""
 BREAK_S = 2.0
-"""Wall time between two steps from which the simulation is said to have stood: nobody can answer then."""
+"""A longer wall time between two steps counts as a pause of the simulation, which resets silences."""
 _RECEIVE_BYTES = 4096
 _POLL_TIMEVAL = struct.pack("ll", 0, round(POLL_S * 1e6))
 
@@ -37,66 +36,66 @@ CLOSED = "its connection closed"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LockstepPolicy:
-    """What is to be expected of a sort of vehicle at its simulator's link."""
+    """How a kind of vehicle answers its sensors."""
 
     starts_silent: bool = False
-    """It takes sensors for a while before its first answer: until then nobody waits for it."""
+    """It receives sensors for a while before its first answer; steps do not wait for it until then."""
     late_after_s: float | None = None
-    """Wall time after which a step goes on with its controls of before; None: as long as patience lasts."""
+    """Wall time after which a step continues with its previous controls; None: the watchdog's limit."""
 
 
 OWN = LockstepPolicy()
 """coflight's own vehicles: one answer to each HIL_SENSOR, from the first on."""
 PX4 = LockstepPolicy(starts_silent=True, late_after_s=0.3)
-"""A real PX4: silent for its first 13 to 54 steps; under load an answer takes 0.2 s now and then, and after
-one that was lost there are others only if sensors go on."""
+"""A real PX4: silent for its first 13 to 54 steps; under load an answer occasionally takes 0.2 s; after
+a lost answer it sends the next one only if it receives further sensors."""
 
 
 class ConnectionState:
-    """Bytes from one vehicle that `actuator_inbox` does not take at once."""
+    """Parser of the bytes from one vehicle that `actuator_inbox` does not unpack."""
 
-    def __init__(self, instance: int, manners: LockstepPolicy = OWN) -> None:
+    def __init__(self, instance: int, policy: LockstepPolicy = OWN) -> None:
         self.instance = instance
-        self.manners = manners
+        self.policy = policy
         self.parser = HilParser(HilActuatorControls)
         self.answer: HilActuatorControls | None = None
-        """HIL_ACTUATOR_CONTROLS of the present step, once it is there, or what stands for it."""
+        """HIL_ACTUATOR_CONTROLS of the present step once received, or the previous one if it is late."""
         self.newest: HilActuatorControls | None = None
-        """Of any step; kept of vehicles that may be late."""
+        """Answer to any step; stored for vehicles that may be late."""
         self.silent_since_s: float | None = None
-        """Wall time since which a vehicle that may be late has not answered, if steps went on without it."""
+        """Wall time of the first step that continued without an answer of a vehicle that may be late."""
 
     def await_answer(self) -> None:
-        """Begin a step, to which it has not answered yet."""
+        """Begin a step: clear the answer."""
         self.answer = None
 
     def take(self, data: bytes, time_us: int) -> list[Message]:
-        """Take in the next bytes: keep the answer to the sensors of ``time_us``, return all but answers."""
+        """Parse the next bytes: store the answer to the sensors of ``time_us``, return the other messages."""
         others: list[Message] = []
         for message in self.parser.push(data):
             if not isinstance(message, HilActuatorControls):
                 others.append(message)
-            elif message.time_usec == time_us:  # a late answer to an earlier step is none to this
-                self._heed(message)
-            elif self.manners.late_after_s is not None and message.time_usec < time_us:
+            elif message.time_usec == time_us:  # a late answer to an earlier step does not count
+                self._accept(message)
+            elif self.policy.late_after_s is not None and message.time_usec < time_us:
                 self.newest = message
                 self.silent_since_s = None
         return others
 
-    def _heed(self, answer: HilActuatorControls) -> None:
-        """Take the answer of the present step."""
+    def _accept(self, answer: HilActuatorControls) -> None:
+        """Store the answer of the present step."""
         self.answer = self.newest = answer
         self.silent_since_s = None
 
 
 class VehicleSlot(ConnectionState):
-    """One vehicle's place at the simulator: its connection and what it last said of itself."""
+    """One vehicle's slot at the simulator: its connection and the state of its answers."""
 
-    def __init__(self, instance: int, manners: LockstepPolicy) -> None:
-        super().__init__(instance, manners)
+    def __init__(self, instance: int, policy: LockstepPolicy) -> None:
+        super().__init__(instance, policy)
         self.connection: socket.socket | None = None
         self.late_answers = 0
-        """Steps that went on with its controls of before."""
+        """Steps that continued with its previous controls."""
 
     @property
     def alive(self) -> bool:
@@ -109,250 +108,253 @@ class ConnectTimeout(TimeoutError):
 
 
 class Lockstep:
-    """All vehicles' seats.
+    """The slots of all vehicles.
 
-    ``on_message(instance, message)`` is called for everything but the answers; ``on_silent(instance,
-    wall_silence_s)`` once per silence; ``on_lost(instance, reason)`` when a vehicle leaves for good.
-    ``manners`` are the vehicles', own ones' if not given. ``listeners`` are one for each seat, TCP;
-    ``own_listener`` is a Unix socket at which all own vehicles may come as well.
+    ``on_message(instance, message)`` is called for every message except answers; ``on_silent(instance,
+    wall_silence_s)`` once per silence; ``on_lost(instance, reason)`` when a vehicle is removed from the run.
+    ``policies`` has one policy per vehicle, by default `OWN`. ``listeners`` has one TCP socket per slot;
+    ``own_listener`` is a Unix socket to which all of coflight's own vehicles may connect instead.
     """
 
     def __init__(
         self,
         listeners: Sequence[socket.socket],
         *,
-        patience: ResponseWatchdog,
+        watchdog: ResponseWatchdog,
         on_message: Callable[[int, Message], None],
         on_silent: Callable[[int, float], None],
         on_lost: Callable[[int, str], None],
-        manners: Sequence[LockstepPolicy] = (),
+        policies: Sequence[LockstepPolicy] = (),
         own_listener: socket.socket | None = None,
     ) -> None:
-        manners = manners or [OWN] * len(listeners)
-        self.seats = [VehicleSlot(i, manners[i]) for i in range(len(listeners))]
+        policies = policies or [OWN] * len(listeners)
+        self.slots = [VehicleSlot(i, policies[i]) for i in range(len(listeners))]
         self.living = 0
         """How many vehicles are in the run."""
-        doors = [Listener(listener, frozenset((i,))) for i, listener in enumerate(listeners)]
+        reachable = [Listener(server, frozenset((i,))) for i, server in enumerate(listeners)]
         if own_listener is not None:
-            own = frozenset(seat.instance for seat in self.seats if seat.manners == OWN)
-            doors.append(Listener(own_listener, own))
-        self._listeners = [door.listener for door in doors]
-        self._reception = Handshake(doors)
-        self._patience = patience
+            own = frozenset(slot.instance for slot in self.slots if slot.policy == OWN)
+            reachable.append(Listener(own_listener, own))
+        self._listeners = [listener.server for listener in reachable]
+        self._handshake = Handshake(reachable)
+        self._watchdog = watchdog
         self._on_message, self._on_silent, self._on_lost = on_message, on_silent, on_lost
-        self._answers = ActuatorInbox(len(listeners))
-        self._answers.voices["by_hand"] = [seat.manners != OWN for seat in self.seats]
+        self._inbox = ActuatorInbox(len(listeners))
+        self._inbox.states["needs_parser"] = [slot.policy != OWN for slot in self.slots]
         self._pending: list[VehicleSlot] = []
-        """Seats that were sent this step's sensors and are waited for."""
-        self._free: list[VehicleSlot] = []
-        """Those that were sent them and are not."""
-        self._tolerated = [seat for seat in self.seats if seat.manners.late_after_s is not None]
+        """Slots whose answers to this step's sensors are awaited."""
+        self._starting: list[VehicleSlot] = []
+        """Slots that were sent this step's sensors, but whose answers are not awaited."""
+        self._late_tolerant = [slot for slot in self.slots if slot.policy.late_after_s is not None]
         self._wall_sent_s = self._wall_before_s = 0.0
-        self._overheard: deque[tuple[int, Message]] = deque()
+        self._enqueued: deque[tuple[int, Message]] = deque()
 
     @property
     def late_answers(self) -> dict[int, int]:
-        """How many steps went on without the answer of whom, of vehicles that may be late."""
-        return {seat.instance: seat.late_answers for seat in self._tolerated}
+        """Number of steps that continued without an answer, by vehicle, for vehicles that may be late."""
+        return {slot.instance: slot.late_answers for slot in self._late_tolerant}
 
     def connect(self, wall_timeout_s: float, *, keep_waiting: Callable[[], bool]) -> None:
         """Wait until every vehicle has connected. Raises ConnectTimeout.
 
-        Returns early if told not to keep waiting; called again it waits for those who are missing.
+        Returns early if ``keep_waiting`` returns False; the next call waits for the missing vehicles.
         """
-        reception = self._reception
+        handshake = self._handshake
         wall_deadline_s = time.monotonic() + wall_timeout_s
-        while reception.waiting_for and keep_waiting():
-            for arrival in reception.look(POLL_S):
-                self._seat(arrival)
-            if time.monotonic() > wall_deadline_s and reception.waiting_for:
-                absent = ", ".join(map(str, reception.waiting_for))
+        while handshake.missing and keep_waiting():
+            for arrival in handshake.poll(POLL_S):
+                self._assign(arrival)
+            if time.monotonic() > wall_deadline_s and handshake.missing:
+                absent = ", ".join(map(str, handshake.missing))
                 raise ConnectTimeout(f"no connection from uav {absent} within {wall_timeout_s:g} s")
-        if not reception.waiting_for:
-            reception.close()
+        if not handshake.missing:
+            handshake.close()
 
-    def _seat(self, arrival: Arrival) -> None:
-        connection, seat = arrival.connection, self.seats[arrival.instance]
+    def _assign(self, arrival: Arrival) -> None:
+        connection, slot = arrival.connection, self.slots[arrival.instance]
         if connection.family == socket.AF_INET:
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        # the kernel's time limit, for Python's own costs a system call more each time
+        # the kernel's time limit: Python's own costs one more system call per call
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _POLL_TIMEVAL)
-        if seat.manners.late_after_s is not None:
-            # steps go on without it, so it may leave megabytes unread, and must not hold up the others then
+        if slot.policy.late_after_s is not None:
+            # steps continue without it, so it may leave megabytes unread, which must not block the others
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _POLL_TIMEVAL)
-        seat.connection, seat.parser = connection, arrival.parser
+        slot.connection, slot.parser = connection, arrival.parser
         self.living += 1
-        for message in arrival.said[1:]:  # the first was its introduction, which is no news of a flight
-            self._on_message(seat.instance, message)
+        for message in arrival.messages[1:]:  # the first only identified the vehicle
+            self._on_message(slot.instance, message)
 
-    def overhear(self, instance: int, message: Message) -> None:
-        """Take what a vehicle's parts say by another way; from any thread. Passed on with the answers."""
-        self._overheard.append((instance, message))
+    def enqueue(self, instance: int, message: Message) -> None:
+        """Add a message of a vehicle that arrived on another link; from any thread. See `receive`."""
+        self._enqueued.append((instance, message))
 
-    def is_free(self, seat: VehicleSlot) -> bool:
-        """Whether a vehicle starts and has not answered yet, so that nobody waits for it."""
-        return seat.manners.starts_silent and not self._has_answered(seat)
+    def is_starting(self, slot: VehicleSlot) -> bool:
+        """Whether a vehicle has not given its first answer yet, so that steps do not wait for it."""
+        return slot.policy.starts_silent and not self._has_answered(slot)
 
     def send(self, frames: Sequence[bytes | memoryview]) -> None:
         """Send every living vehicle its sensors."""
-        if self._free:
-            time.sleep(max(0.0, self._wall_sent_s + FREE_STEP_S - time.monotonic()))
-            self._free.clear()
+        if self._starting:
+            time.sleep(max(0.0, self._wall_sent_s + STARTING_STEP_S - time.monotonic()))
+            self._starting.clear()
         self._pending.clear()
-        for seat, frame in zip(self.seats, frames, strict=True):
-            if seat.connection is None:
+        for slot, frame in zip(self.slots, frames, strict=True):
+            if slot.connection is None:
                 continue
             try:
-                seat.connection.sendall(frame)
+                slot.connection.sendall(frame)
             except BlockingIOError:
-                self.lose(seat.instance, "it takes no sensors any more")
+                self.lose(slot.instance, "it does not read its sensors any more")
                 continue
             except (BrokenPipeError, ConnectionResetError):
-                pass  # it has hung up, which is found where its last words are read
+                pass  # closed by the vehicle: `receive` reads its last messages and reports it
             except OSError:
-                self.lose(seat.instance, "its connection broke")
+                self.lose(slot.instance, "its connection broke")
                 continue
-            (self._free if self.is_free(seat) else self._pending).append(seat)
+            (self._starting if self.is_starting(slot) else self._pending).append(slot)
         self._wall_sent_s = time.monotonic()
-        if self._tolerated:
+        if self._late_tolerant:
             self._begin_tolerant()
         else:
-            self._patience.begin(self._wall_sent_s)
+            self._watchdog.begin(self._wall_sent_s)
 
     def _begin_tolerant(self) -> None:
-        """Begin the wait where silences may last for several steps."""
+        """Begin the wait of a step in which some silences may have lasted for several steps."""
         wall_s, before_s = self._wall_sent_s, self._wall_before_s
         if wall_s - before_s > BREAK_S:
-            for seat in self._tolerated:
-                seat.silent_since_s = None
+            for slot in self._late_tolerant:
+                slot.silent_since_s = None
         self._wall_before_s = wall_s
         since_s = {
-            seat.instance: seat.silent_since_s for seat in self._tolerated if seat.silent_since_s is not None
+            slot.instance: slot.silent_since_s
+            for slot in self._late_tolerant
+            if slot.silent_since_s is not None
         }
-        self._patience.begin(self._wall_sent_s, silent_since_s=since_s)
+        self._watchdog.begin(self._wall_sent_s, silent_since_s=since_s)
 
-    def answers(self, time_us: int) -> ActuatorInbox:
-        """Wait until every vehicle has answered the sensors of ``time_us`` that were sent, or is gone.
+    def receive(self, time_us: int) -> ActuatorInbox:
+        """Wait until every vehicle has answered the sensors of ``time_us`` that were sent, or is lost.
 
-        They are waited for one by one, the last first: as they are served in turn, the others' answers are
-        there by then, and this process is woken once instead of for each. Who is late answers as before.
+        The vehicles are awaited one by one, the last first: as they are served in turn, the answers of the
+        others have arrived by then, so this process is woken once instead of once per vehicle. Messages of
+        `enqueue` are passed to ``on_message`` here.
         """
-        answers, pending = self._answers, self._pending
-        heard_bytes = answers.voices["heard_bytes"]
-        for seat in reversed(pending):
+        inbox, pending = self._inbox, self._pending
+        received_bytes = inbox.states["received_bytes"]
+        for slot in reversed(pending):
             try:
-                size = seat.connection.recv_into(answers.rooms[seat.instance]) if seat.connection else 0
+                size = slot.connection.recv_into(inbox.buffers[slot.instance]) if slot.connection else 0
             except BlockingIOError:
-                break  # somebody is silent: it is looked around below
+                break  # a vehicle is silent: all are polled below
             except OSError:
                 size = 0
             if size == 0:
-                self.lose(seat.instance, CLOSED)
-            heard_bytes[seat.instance] = size
-        if answers.take(time_us) < len(pending):
-            self._hear_out(time_us)
-        if self._free:
-            self._hear_the_free(time_us)
-        while self._overheard:
-            self._on_message(*self._overheard.popleft())
-        return answers
+                self.lose(slot.instance, CLOSED)
+            received_bytes[slot.instance] = size
+        if inbox.unpack(time_us) < len(pending):
+            self._await_remaining(time_us)
+        if self._starting:
+            self._poll_starting(time_us)
+        while self._enqueued:
+            self._on_message(*self._enqueued.popleft())
+        return inbox
 
-    def _hear_out(self, time_us: int) -> None:
-        """Have the answers of the step that could not be taken at once."""
-        answers = self._answers
-        seats = [seat for seat in self._pending if not answers.answered_us[seat.instance]]
-        for seat in seats:
-            seat.await_answer()
-            self._take(seat, answers.said(seat.instance), time_us)
-        for seat in reversed(seats):
-            while seat.connection is not None and seat.answer is None:
-                if not self._receive(seat, time_us):
-                    self._look_around(seats, time_us)
-        for seat in seats:
-            if seat.answer is not None:
-                answers.put(seat.instance, seat.answer)
+    def _await_remaining(self, time_us: int) -> None:
+        """Wait for the answers of the step that the inbox could not unpack."""
+        inbox = self._inbox
+        slots = [slot for slot in self._pending if not inbox.answered_us[slot.instance]]
+        for slot in slots:
+            slot.await_answer()
+            self._take(slot, inbox.take_bytes(slot.instance), time_us)
+        for slot in reversed(slots):
+            while slot.connection is not None and slot.answer is None:
+                if not self._receive(slot, time_us):
+                    self._poll_all(slots, time_us)
+        for slot in slots:
+            if slot.answer is not None:
+                inbox.put(slot.instance, slot.answer)
 
-    def judge(self, instances: Iterable[int]) -> None:
-        """Decide on vehicles whose radio batches have not come, though they have answered."""
-        for seat in (self.seats[instance] for instance in instances):
-            if seat.alive:
-                self._judge(seat)
+    def check(self, instances: Iterable[int]) -> None:
+        """Apply the watchdog to vehicles whose radio batches are missing, though they have answered."""
+        for slot in (self.slots[instance] for instance in instances):
+            if slot.alive:
+                self._check(slot)
 
     def lose(self, instance: int, reason: str) -> None:
-        """Take a vehicle out of the run."""
-        seat = self.seats[instance]
-        if seat.connection is not None:
-            seat.connection.close()
-            seat.connection = None
-            seat.answer = None
+        """Remove a vehicle from the run."""
+        slot = self.slots[instance]
+        if slot.connection is not None:
+            slot.connection.close()
+            slot.connection = None
+            slot.answer = None
             self.living -= 1
             self._on_lost(instance, reason)
 
     def close(self) -> None:
-        """Close every connection and listener; the vehicles end when they notice."""
-        for seat in self.seats:
-            if seat.connection is not None:
-                seat.connection.close()
-                seat.connection = None
+        """Close every connection and listener; the vehicles end when their connection closes."""
+        for slot in self.slots:
+            if slot.connection is not None:
+                slot.connection.close()
+                slot.connection = None
         self.living = 0
-        self._reception.close()
+        self._handshake.close()
         for listener in self._listeners:
             listener.close()
 
-    def _receive(self, seat: VehicleSlot, time_us: int, flags: int = 0) -> bool:
-        """Take what a vehicle has said, waiting `POLL_S` at most; False if that was nothing."""
-        if seat.connection is None:
+    def _receive(self, slot: VehicleSlot, time_us: int, flags: int = 0) -> bool:
+        """Receive and parse bytes of a vehicle, waiting `POLL_S` at most; False if there were none."""
+        if slot.connection is None:
             return False
         try:
-            data = seat.connection.recv(_RECEIVE_BYTES, flags)
+            data = slot.connection.recv(_RECEIVE_BYTES, flags)
         except BlockingIOError:
             return False
         except OSError:
             data = b""
         if not data:
-            self.lose(seat.instance, CLOSED)
+            self.lose(slot.instance, CLOSED)
             return True
-        self._take(seat, data, time_us)
+        self._take(slot, data, time_us)
         return True
 
-    def _take(self, seat: VehicleSlot, data: bytes, time_us: int) -> None:
-        for message in seat.take(data, time_us):
-            self._on_message(seat.instance, message)
+    def _take(self, slot: VehicleSlot, data: bytes, time_us: int) -> None:
+        for message in slot.take(data, time_us):
+            self._on_message(slot.instance, message)
 
-    def _look_around(self, seats: Iterable[VehicleSlot], time_us: int) -> None:
-        """Somebody is silent: take what the others have said, and judge whoever has not answered."""
-        for seat in seats:
-            while seat.connection is not None and seat.answer is None:
-                if not self._receive(seat, time_us, socket.MSG_DONTWAIT):
-                    self._judge(seat)
+    def _poll_all(self, slots: Iterable[VehicleSlot], time_us: int) -> None:
+        """While a vehicle is silent: receive from the others, and check those that have not answered."""
+        for slot in slots:
+            while slot.connection is not None and slot.answer is None:
+                if not self._receive(slot, time_us, socket.MSG_DONTWAIT):
+                    self._check(slot)
                     break
 
-    def _hear_the_free(self, time_us: int) -> None:
-        """Take what those have said that nobody waits for; one that never says anything is given up."""
-        for seat in self._free:
-            while self._receive(seat, time_us, socket.MSG_DONTWAIT):
+    def _poll_starting(self, time_us: int) -> None:
+        """Receive from starting vehicles without waiting; one that never answers is given up."""
+        for slot in self._starting:
+            while self._receive(slot, time_us, socket.MSG_DONTWAIT):
                 pass
-            if seat.newest is not None:
-                self._answers.put(seat.instance, seat.newest)
-            if self.is_free(seat):
-                seat.silent_since_s = seat.silent_since_s or self._wall_sent_s
-                if self._wall_sent_s - seat.silent_since_s > STARTING_LIMIT_S:
-                    self.lose(seat.instance, f"it gave no answer in its first {STARTING_LIMIT_S:g} s")
+            if slot.newest is not None:
+                self._inbox.put(slot.instance, slot.newest)
+            if self.is_starting(slot):
+                slot.silent_since_s = slot.silent_since_s or self._wall_sent_s
+                if self._wall_sent_s - slot.silent_since_s > STARTING_LIMIT_S:
+                    self.lose(slot.instance, f"it gave no answer in its first {STARTING_LIMIT_S:g} s")
 
-    def _has_answered(self, seat: VehicleSlot) -> bool:
-        """Whether it has ever."""
-        return bool(self._answers.voices["ever"][seat.instance])
+    def _has_answered(self, slot: VehicleSlot) -> bool:
+        """Whether a vehicle has ever answered."""
+        return bool(self._inbox.states["ever_answered"][slot.instance])
 
-    def _judge(self, seat: VehicleSlot) -> None:
+    def _check(self, slot: VehicleSlot) -> None:
         wall_s = time.monotonic()
-        verdict = self._patience.judge(seat.instance, wall_s, starting=not self._has_answered(seat))
-        if verdict.newly_silent:
-            self._on_silent(seat.instance, verdict.wall_silence_s)
-        if verdict.give_up is not None:
-            self.lose(seat.instance, verdict.give_up)
+        finding = self._watchdog.check(slot.instance, wall_s, starting=not self._has_answered(slot))
+        if finding.newly_silent:
+            self._on_silent(slot.instance, finding.wall_silence_s)
+        if finding.give_up is not None:
+            self.lose(slot.instance, finding.give_up)
             return
-        late_after_s = seat.manners.late_after_s
+        late_after_s = slot.policy.late_after_s
         if late_after_s is not None and wall_s - self._wall_sent_s >= late_after_s:
-            seat.answer = seat.newest  # there is one, or nobody would wait
-            seat.late_answers += 1
-            seat.silent_since_s = seat.silent_since_s or self._wall_sent_s
+            slot.answer = slot.newest  # exists: slots without one are not awaited
+            slot.late_answers += 1
+            slot.silent_since_s = slot.silent_since_s or self._wall_sent_s

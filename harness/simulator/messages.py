@@ -1,10 +1,7 @@
-"""What the launcher says to the physics server, and what that says back.
+"""Commands of the launcher to the physics server, and its events: JSON lines over its stdin and stdout.
 
-JSON lines over its stdin and stdout.
-
-The physics server does nothing by itself: it simulates while a `RunUntil` lasts and waits otherwise, so
-whoever drives it can look at the truth, kill a vehicle or cut the channel at an exact simulated time, and
-get the same run again.
+The physics server simulates only during a `RunUntil` and waits otherwise. The launcher can therefore read the
+truth, kill a vehicle or cut the channel at an exact simulated time, and repeat the run exactly.
 """
 
 from typing import Literal
@@ -23,43 +20,43 @@ class SimulatorCommand(Struct, frozen=True, kw_only=True, tag_field="command", t
 
 
 class RunUntil(SimulatorCommand, frozen=True, kw_only=True):
-    """Simulate up to ``time_us``, or until the formation is reached if asked; answered by `Paused`."""
+    """Simulate up to ``time_us``, or until the formation is reached (``stop_when_formed``); see `Paused`."""
 
     time_us: int
     stop_when_formed: bool = False
     speed: float = 0.0
-    """Against wall time; 0 runs as fast as it can."""
+    """Simulated over wall time; 0: as fast as possible."""
 
 
 class Pause(SimulatorCommand, frozen=True, kw_only=True):
-    """Let simulated time stand until `Resume`; a `RunUntil` that lasts, or comes, goes on then."""
+    """Stop simulated time until `Resume`; the present or next `RunUntil` continues then."""
 
 
 class Resume(SimulatorCommand, frozen=True, kw_only=True):
-    """Let simulated time go on; nothing if it does."""
+    """Continue after `Pause`; no effect otherwise."""
 
 
 class SetSpeed(SimulatorCommand, frozen=True, kw_only=True):
-    """Another ``speed`` for the `RunUntil` that lasts."""
+    """Change the ``speed`` of the present `RunUntil`."""
 
     speed: float
 
 
 class SetAttenuation(SimulatorCommand, frozen=True, kw_only=True):
-    """From the air's next interval on, attenuate every radio link by this; None: as the scenario says."""
+    """Set the attenuation of every radio link from the next interval on; None: the scenario's value."""
 
     extra_attenuation_db: float | None
 
 
 class SetPid(SimulatorCommand, frozen=True, kw_only=True):
-    """Process id of a vehicle, so that a starved vehicle can be told from a stopped one."""
+    """Process id of a vehicle, to distinguish a starved vehicle from a stopped one."""
 
     instance: int
     pid: int
 
 
 class InjectFault(SimulatorCommand, frozen=True, kw_only=True):
-    """From the next step on, or the fault's ``start_s`` later, have it in force."""
+    """Activate a fault from the next step on, or its ``start_s`` later."""
 
     fault: AnyFault
 
@@ -68,75 +65,73 @@ AnyCommand = RunUntil | Pause | Resume | SetSpeed | SetAttenuation | SetPid | In
 
 
 class SimulatorEvent(Struct, frozen=True, kw_only=True, tag_field="event", tag=str.lower):
-    """From the physics server, besides the child's common `Ready` and `Finished`."""
+    """From the physics server, in addition to every child's `Ready` and `Finished`."""
 
     time_us: int
 
 
 class VehicleTruth(Struct, frozen=True, kw_only=True):
-    """One vehicle as it really is."""
+    """True state of one vehicle."""
 
     alive: bool
     armed: bool
     mode: str
     phase: str
-    """Of the on-board application: see autopilot.onboard."""
+    """Phase of the on-board application: see `autopilot.onboard`."""
     pos_ned_m: Vector
     vel_ned_m_s: Vector
     q_ned_frd: Quaternion
     error_m: float
-    """Horizontal distance from its place in the formation, wherever that moves."""
+    """Horizontal distance from its (moving) place in the formation."""
 
 
 class Progress(SimulatorEvent, frozen=True, kw_only=True):
-    """A few times per second of wall time while running."""
+    """State of the run, sent a few times per second of wall time."""
 
     wall_s: float
     channel_busy_fraction: float
     vehicles: tuple[VehicleTruth, ...]
     lag_s: float = 0.0
-    """Wall time by which the run has fallen behind the speed asked for, in all: it is not caught up with."""
+    """Total wall time by which the run has fallen behind the requested speed; it is not caught up."""
     paused: bool = False
-    """Simulated time stands, for that was asked for."""
+    """Simulated time is stopped by `Pause`."""
     wall_paused_s: float = 0.0
-    """Wall time for which the present `RunUntil` has stood on request so far."""
+    """Wall time for which the present `RunUntil` has been paused so far."""
 
 
 class Paused(SimulatorEvent, frozen=True, kw_only=True):
-    """`RunUntil` is done, or cannot go on (``reason``)."""
+    """`RunUntil` has ended, for a ``reason``."""
 
     reason: str
-    """``time``.
-
-    ``formed``, ``no_vehicles``, ``vehicle_lost`` (where the scenario ends runs for it) or ``command``.
-    """
+    """``time``, ``formed``, ``no_vehicles``, ``command``, or ``vehicle_lost`` if the scenario ends runs
+    then."""
     vehicles: tuple[VehicleTruth, ...]
     wall_paused_s: float = 0.0
-    """Wall time for which the run stood on request."""
+    """Wall time for which the run was paused."""
 
 
 class Formed(SimulatorEvent, frozen=True, kw_only=True):
-    """Every application says that it is on station, for the first time; who has left does not count."""
+    """Every application reports to be on station, for the first time; departed vehicles do not count."""
 
 
 class FormationMoves(SimulatorEvent, frozen=True, kw_only=True):
-    """More than half of the living vehicles' applications say the same start of the formation's motion.
+    """More than half of the living vehicles' applications report the same start of the formation's motion.
 
-    Once they do, and again when that start is another one.
+    Sent for the first such start and for every change.
     """
 
     start_us: int
 
 
 class VehicleLost(SimulatorEvent, frozen=True, kw_only=True):
-    """A vehicle's rotors stop from here on."""
+    """A vehicle was removed from the run; its rotors stop."""
 
     instance: int
     reason: str
 
 
 class VehicleSilent(SimulatorEvent, frozen=True, kw_only=True):
-    """A vehicle has not answered for a while of wall time; it is still waited for."""
+    """A vehicle has not answered for ``wall_silence_s``; the simulator continues to wait."""
 
     instance: int
     wall_silence_s: float
@@ -151,16 +146,16 @@ class Collision(SimulatorEvent, frozen=True, kw_only=True):
 
 
 class FaultChanged(SimulatorEvent, frozen=True, kw_only=True):
-    """A fault comes into force or has been; ``time_us`` is that of the first step with or without it."""
+    """A fault begins or ends; ``time_us`` is that of the first step with or without it."""
 
     number: int
-    """Among the scenario's faults, from 0 on; those that are injected count on from there."""
+    """Index among the scenario's faults, from 0; injected faults continue the numbering."""
     instance: int | None
     """None: every vehicle."""
     what: str
-    """Its kind, as in a scenario."""
+    """The fault's ``kind``, as in a scenario."""
     motor: int | None
-    """None: of no motor."""
+    """None: no motor is affected."""
     change: Literal["began", "ended"]
 
 

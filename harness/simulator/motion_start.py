@@ -1,7 +1,7 @@
-"""When the formation begins to move: what the vehicles say of it, and what the run's events keep of that.
+"""Start of the formation's motion: decoded from the vehicles' messages and from the run's events.
 
-The applications agree on the start among themselves, over the radio. Each tells the simulator in a
-NAMED_VALUE_INT what it holds agreed, so that the truth can be held against the plan that is flown.
+The applications agree on the start over the radio. Each reports the agreed value to the simulator in a
+NAMED_VALUE_INT, so that the truth can be compared with the plan that is flown.
 """
 
 import contextlib
@@ -21,12 +21,12 @@ START_NAME = messages.START_NAME.decode("ascii")
 
 
 def start_us(value: int) -> int:
-    """Give the start that a message says; who holds none says nothing."""
+    """Return the start of a NAMED_VALUE_INT's value, us; a vehicle without a start sends no such message."""
     return (value & 0xFFFF_FFFF) * 1_000
 
 
 def agreed(starts_us: Sequence[int | None]) -> int | None:
-    """Give the start that more than half of the vehicles say; None: there is no such start."""
+    """Return the start that more than half of the vehicles report; None: there is no majority."""
     if not starts_us:
         return None
     value_us, count = Counter(starts_us).most_common(1)[0]
@@ -34,17 +34,17 @@ def agreed(starts_us: Sequence[int | None]) -> int | None:
 
 
 def flown_start_us(events: Path) -> int | None:
-    """Last start among a run's events; None if the formation never moved. Raises OSError."""
+    """Return the last start among a run's events; None if the formation never moved. Raises OSError."""
     last_us = None
     for line in events.read_bytes().splitlines():
         if b'"event":"formationmoves"' in line:
-            with contextlib.suppress(msgspec.DecodeError):  # a line that was cut off with its process
+            with contextlib.suppress(msgspec.DecodeError):  # a line that was cut off when the process ended
                 last_us = msgspec.json.decode(line, type=FormationMoves).start_us
     return last_us
 
 
 def since_start_s(time_us: NDArray[np.int64], flown_us: int | None) -> NDArray[np.float64]:
-    """(T,) times in seconds since the formation's start, for `FormationPlan`; all 0 without a start."""
+    """Return (T,) seconds since the formation's start, for `FormationPlan`; all 0 without a start."""
     if flown_us is None:
         return np.zeros(len(time_us))
     return (time_us - flown_us).astype(np.float64) * 1e-6

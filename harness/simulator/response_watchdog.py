@@ -1,9 +1,9 @@
-"""How long a vehicle that does not answer is waited for.
+"""Response watchdog: decides how long to wait for a vehicle that does not answer.
 
-A machine under load starves processes for seconds; a run must not come out differently for it. So silence
-counts only while the process could have answered: stopped or dead it is given up at once; runnable but
-without a processor its silence does not count; sleeping or computing it does, for nobody else can keep a
-vehicle from answering: what its radio has brought is there before it is told so.
+A machine under load starves processes for seconds, and the result of a run must not depend on that. Silence
+therefore counts only while the process could have answered. A process that is stopped or dead is given up at
+once. Silence of one that is runnable but starved does not count. Silence of one that sleeps or computes
+counts, because a vehicle waits for nothing but its sensors: its radio's deliveries precede their notice.
 """
 
 from collections.abc import Mapping
@@ -12,100 +12,100 @@ from dataclasses import dataclass
 import psutil
 
 LOOK_AFTER_S = 0.25
-"""Silences shorter than this are nothing; from then on the process is looked at."""
+"""Shorter silences are ignored; from then on the process is examined."""
 REPORT_AFTER_S = 0.5
 STARTING_LIMIT_S = 120.0
-"""Before its first answer a vehicle may be compiling its kernels; that is no news either."""
+"""Limit before a vehicle's first answer: it may be compiling its kernels. Such a silence is not reported."""
 COMPUTING_LIMIT_S = 30.0
-"""One that computes may come to an end: what loops forever cannot be told from what takes long."""
+"""Least limit for a process that computes: an endless loop and a long computation look the same."""
 LEAST_SHARE = 0.25
-"""Part of a processor that tells computing from waiting, and below which a runnable process is starved."""
+"""Share of a processor: above it a process computes; below it a runnable process is starved."""
 _HELD = {psutil.STATUS_STOPPED, psutil.STATUS_TRACING_STOP}
 _GONE = _HELD | {psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD}
-_NOBODY: Mapping[int, float] = {}
+_NO_SILENCES: Mapping[int, float] = {}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SilenceFinding:
-    """What to do about one silent vehicle."""
+    """Result of checking one silent vehicle."""
 
     wall_silence_s: float
     newly_silent: bool
     give_up: str | None
-    """Reason, if it is to be waited for no longer."""
+    """Reason to remove the vehicle; None: continue to wait."""
 
 
 @dataclass(slots=True, kw_only=True)
 class _Observation:
-    """What the last look at a silent vehicle's process showed."""
+    """State of a silent vehicle's process at its last check."""
 
     wall_s: float
     cpu_s: float
     waiting_s: float = 0.0
     computing_s: float = 0.0
-    """Silence that counts against it, by what it did."""
+    """Silence that counts, by what the process did."""
     reported: bool = False
 
 
 class ResponseWatchdog:
-    """Judges silences against the processes behind them.
+    """Decides on silent vehicles by the state of their processes.
 
-    A vehicle of unknown process id gets the plain limit.
+    A vehicle whose process id is unknown is given up after ``limit_s`` of silence.
     """
 
     def __init__(self, limit_s: float) -> None:
         self._limit_s = limit_s
         self._processes: dict[int, psutil.Process] = {}
         self._wall_begin_s = 0.0
-        self._since_s: Mapping[int, float] = _NOBODY
-        self._looked: dict[int, _Observation] = {}
+        self._since_s: Mapping[int, float] = _NO_SILENCES
+        self._observations: dict[int, _Observation] = {}
 
     def set_pid(self, instance: int, pid: int) -> None:
-        """Name the process of a vehicle; one that is gone counts as unknown."""
+        """Set the process id of a vehicle; a process that does not exist counts as unknown."""
         try:
             self._processes[instance] = psutil.Process(pid)
         except psutil.NoSuchProcess:
             self._processes.pop(instance, None)
 
-    def begin(self, wall_s: float, *, silent_since_s: Mapping[int, float] = _NOBODY) -> None:
-        """Start of a wait for all vehicles; ``silent_since_s`` is of those whose silence goes on in it."""
+    def begin(self, wall_s: float, *, silent_since_s: Mapping[int, float] = _NO_SILENCES) -> None:
+        """Begin a wait for all vehicles; ``silent_since_s``: starts of silences that continue in it."""
         self._wall_begin_s = wall_s
         self._since_s = silent_since_s
         if silent_since_s:
-            self._looked = {i: looked for i, looked in self._looked.items() if i in silent_since_s}
+            self._observations = {i: seen for i, seen in self._observations.items() if i in silent_since_s}
         else:
-            self._looked.clear()
+            self._observations.clear()
 
-    def judge(self, instance: int, wall_s: float, *, starting: bool) -> SilenceFinding:
-        """Decide on a vehicle that has not answered since `begin`; called a few times per second."""
+    def check(self, instance: int, wall_s: float, *, starting: bool) -> SilenceFinding:
+        """Decide on a vehicle that has not answered since `begin`; call this a few times per second."""
         silence_s = wall_s - self._since_s.get(instance, self._wall_begin_s)
         if silence_s < LOOK_AFTER_S:
             return SilenceFinding(wall_silence_s=silence_s, newly_silent=False, give_up=None)
-        status, cpu_s = self._look(instance)
+        status, cpu_s = self._process_state(instance)
         if status in _GONE:
             return SilenceFinding(
                 wall_silence_s=silence_s, newly_silent=True, give_up=f"its process is {status}"
             )
-        looked = self._looked.get(instance)
-        if looked is None:
-            self._looked[instance] = _Observation(wall_s=wall_s, cpu_s=cpu_s)
+        last = self._observations.get(instance)
+        if last is None:
+            self._observations[instance] = _Observation(wall_s=wall_s, cpu_s=cpu_s)
             return SilenceFinding(wall_silence_s=silence_s, newly_silent=False, give_up=None)
-        elapsed_s = wall_s - looked.wall_s
-        share = (cpu_s - looked.cpu_s) / elapsed_s if elapsed_s > 0.0 else 0.0
-        looked.wall_s, looked.cpu_s = wall_s, cpu_s
+        elapsed_s = wall_s - last.wall_s
+        share = (cpu_s - last.cpu_s) / elapsed_s if elapsed_s > 0.0 else 0.0
+        last.wall_s, last.cpu_s = wall_s, cpu_s
         starved = status == psutil.STATUS_RUNNING and share < LEAST_SHARE
         if share >= LEAST_SHARE:
-            looked.computing_s += elapsed_s
+            last.computing_s += elapsed_s
         elif not starved:
-            looked.waiting_s += elapsed_s
-        newly = not looked.reported and not starved and not starting and silence_s >= REPORT_AFTER_S
-        looked.reported |= newly
+            last.waiting_s += elapsed_s
+        newly = not last.reported and not starved and not starting and silence_s >= REPORT_AFTER_S
+        last.reported |= newly
         limit_s = STARTING_LIMIT_S if starting else self._limit_s
-        over = looked.waiting_s > limit_s or looked.computing_s > max(limit_s, COMPUTING_LIMIT_S)
+        over = last.waiting_s > limit_s or last.computing_s > max(limit_s, COMPUTING_LIMIT_S)
         reason = f"it has not answered for {silence_s:.1f} s" if over else None
         return SilenceFinding(wall_silence_s=silence_s, newly_silent=newly, give_up=reason)
 
-    def _look(self, instance: int) -> tuple[str, float]:
+    def _process_state(self, instance: int) -> tuple[str, float]:
         process = self._processes.get(instance)
         if process is None:
             return "unknown", 0.0

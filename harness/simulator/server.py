@@ -1,7 +1,7 @@
-"""The physics server's process: runs `simulation` between the sockets of the vehicles and of the emulator.
+"""The physics server's process: runs `simulation` with sockets to the vehicles and to the emulator.
 
-``python -m harness.simulator.server`` runs on command (`harness.simulator.messages`), and at the speed asked
-for.
+``python -m harness.simulator.server`` executes the commands of `harness.simulator.messages` and paces the
+simulation to the requested speed.
 """
 
 import argparse
@@ -43,16 +43,16 @@ from netsim.transport.interval_stream import time_masters_end
 
 PROGRESS_PERIOD_S = 0.2
 MOST_LAG_S = 0.1
-"""A run that is later than this is not hurried to catch up: who watches or flies would see it leap."""
+"""A run that is later than this does not catch up: its vehicles would leap before an observer or pilot."""
 NAP_S = 0.02
-"""Wall time for which a step that is too early may be slept away; in a longer wait commands are heard."""
+"""Longest wall time to sleep before a step that is early; a longer wait serves commands."""
 
 
 class Pacer:
-    """Keeps simulated time to wall time: every step has its absolute time, so errors of sleeps do not add up.
+    """Synchronises simulated time to wall time. Each step has an absolute time, so errors do not add up.
 
     Attributes:
-        lag_s: wall time lost in all by steps that took longer than they may.
+        lag_s: total wall time lost by steps that took longer than their share.
 
     """
 
@@ -60,21 +60,21 @@ class Pacer:
         self.lag_s = 0.0
         self._speed = 0.0
         self._anchor: tuple[int, float] | None = None
-        """A simulated time and the wall time that belongs to it."""
+        """A simulated time and its wall time."""
 
     def begin(self, speed: float, time_us: int, wall_s: float) -> None:
-        """Go on at a speed, 0 being as fast as it goes; time since the last step is nobody's lag."""
+        """Continue at a speed, 0: as fast as possible; the time since the last step does not count as lag."""
         late_s = -self.ahead_s(time_us, wall_s, note=False)
         if speed != self._speed or late_s > MOST_LAG_S:
             self._anchor = None
         self._speed = speed
 
-    def stand(self) -> None:
-        """Have simulated time stand: what passes until the next step is nobody's lag either."""
+    def pause(self) -> None:
+        """Pause simulated time: the wall time until the next step does not count as lag."""
         self._anchor = None
 
     def ahead_s(self, time_us: int, wall_s: float, *, note: bool = True) -> float:
-        """Wall time by which a step that ends at ``time_us`` is too early; negative: too late."""
+        """Return the wall time by which a step that ends at ``time_us`` is early; negative: late."""
         if self._speed <= 0.0:
             return 0.0
         if self._anchor is None:
@@ -89,34 +89,34 @@ class Pacer:
 
 
 class _Commands:
-    """Commands in their order, but those about the pace of a run act while it lasts."""
+    """Queue of commands; `Pause`, `Resume` and `SetSpeed` take effect at once instead."""
 
     def __init__(self, inbox: "queue.SimpleQueue[AnyCommand]") -> None:
         self._inbox = inbox
         self._later: deque[AnyCommand] = deque()
         self.paused = False
         self.speed: float | None = None
-        """As it was changed since it was last looked at."""
+        """New speed since it was last read."""
 
     @property
     def quiet(self) -> bool:
-        """Whether nothing has come that a run must look at."""
+        """Whether no command has arrived that affects the run."""
         return self.empty() and not self.paused and self.speed is None
 
     def get(self) -> AnyCommand:
-        """Take the next command that is none about the pace, waiting for it."""
+        """Wait for the next command that does not concern the pace, and return it."""
         while not self._later:
             self._sort(self._inbox.get())
         return self._later.popleft()
 
     def empty(self) -> bool:
-        """Whether there is none that `get` would return at once."""
+        """Whether `get` would have to wait."""
         while not self._inbox.empty():
             self._sort(self._inbox.get())
         return not self._later
 
     def wait(self, wall_timeout_s: float) -> None:
-        """Let at most this pass until another command."""
+        """Wait for another command, at most ``wall_timeout_s``."""
         with contextlib.suppress(queue.Empty):
             self._sort(self._inbox.get(timeout=wall_timeout_s))
 
@@ -140,9 +140,9 @@ def obey(
     emit: Callable[[AnyEvent], None],
     set_pid: Callable[[int, int], None] = lambda _instance, _pid: None,
 ) -> None:
-    """Do as commanded until Stop; ``set_pid`` is told which processes are whose.
+    """Execute commands until Stop; ``set_pid`` receives the process id of each vehicle.
 
-    Raises what the simulation's vehicles and its air raise.
+    Raises the errors of the simulation's vehicles and of its channel.
     """
     connected, line, pacer = False, _Commands(inbox), Pacer()
     while True:
@@ -150,10 +150,10 @@ def obey(
             case RunUntil() as command:
                 if not connected:
                     simulation.lockstep.connect(connect_timeout_s, keep_waiting=line.empty)
-                    connected = simulation.lockstep.living == len(simulation.lockstep.seats)
+                    connected = simulation.lockstep.living == len(simulation.lockstep.slots)
                 if connected:
                     emit(_run(simulation, command, line, pacer, emit))
-                else:  # another command cut the rendezvous short; the next run goes on with it
+                else:  # another command interrupted the handshake; the next run continues it
                     paused = Paused(
                         time_us=simulation.time_us, reason="command", vehicles=simulation.vehicles()
                     )
@@ -175,13 +175,13 @@ def _run(
     pacer: Pacer,
     emit: Callable[[AnyEvent], None],
 ) -> Paused:
-    """Step until the command is done, or until another command comes in (which is left for the caller)."""
+    """Step until the command is done, or until another command arrives (which is left to the caller)."""
     wall_progress_s = time.monotonic()
     wall_paused_s = 0.0
     line.speed = None
     pacer.begin(command.speed, simulation.time_us, wall_progress_s)
 
-    def tell(wall_s: float) -> None:
+    def report(wall_s: float) -> None:
         nonlocal wall_progress_s
         wall_progress_s = wall_s
         emit(
@@ -196,27 +196,27 @@ def _run(
             )
         )
 
-    def stand() -> None:
+    def hold() -> None:
         nonlocal wall_paused_s
         simulation.settle()
         wall_begin_s, before_s = time.monotonic(), wall_paused_s
 
-        def look() -> None:
+        def report_paused() -> None:
             nonlocal wall_paused_s
             wall_s = time.monotonic()
             wall_paused_s = before_s + wall_s - wall_begin_s
-            tell(wall_s)
+            report(wall_s)
 
         while line.paused and line.empty():
-            look()
+            report_paused()
             line.wait(PROGRESS_PERIOD_S)
-        pacer.stand()
-        look()
+        pacer.pause()
+        report_paused()
 
     def interrupted() -> bool:
         idle = line.empty()
         if line.paused and idle:
-            stand()
+            hold()
             idle = line.empty()
         if line.speed is not None:
             pacer.begin(line.speed, simulation.time_us, time.monotonic())
@@ -227,18 +227,18 @@ def _run(
         wall_s = time.monotonic()
         ahead_s = pacer.ahead_s(simulation.time_us, wall_s)
         if wall_s - wall_progress_s >= PROGRESS_PERIOD_S:
-            tell(wall_s)
+            report(wall_s)
         if 0.0 < ahead_s <= NAP_S:
             time.sleep(ahead_s)
         elif ahead_s > NAP_S:
             wait(wall_s + ahead_s)
 
     def wait(wall_until_s: float) -> None:
-        """Wait long, so that the air, the launcher and its user do not have to."""
+        """Wait for a long time while emulator, launcher and user are served."""
         simulation.settle()
         while line.quiet and (wall_s := time.monotonic()) < wall_until_s:
             if wall_s - wall_progress_s >= PROGRESS_PERIOD_S:
-                tell(wall_s)
+                report(wall_s)
             line.wait(min(wall_until_s - wall_s, PROGRESS_PERIOD_S))
 
     paused = run(simulation, command, interrupted=interrupted, on_step=keep_pace)
@@ -252,16 +252,16 @@ def serve(
     clock: socket.socket | None,
     radio_endpoint: str | None,
 ) -> None:
-    """Do as commanded until Stop; ``clock`` leads to the 802.11 emulator, if there is one.
+    """Execute commands until Stop; ``clock`` is the connection to the 802.11 emulator, if there is one.
 
-    Raises ConnectTimeout or RadioSilent, or OSError for what it cannot open or reach.
+    Raises ConnectTimeout, RadioSilent, or OSError for a file or an address.
     """
     inbox: queue.SimpleQueue[AnyCommand] = queue.SimpleQueue()
-    commands(AnyCommand, inbox)  # type: ignore[arg-type]  # a union is a type to msgspec
+    commands(AnyCommand, inbox)  # type: ignore[arg-type]  # msgspec accepts a union as a type
     scenario = config.scenario
-    patience = ResponseWatchdog(scenario.run.silence_limit_s)
-    manners = [PX4 if scenario.autopilot.is_px4(i) else OWN for i in range(scenario.agents)]
-    has_px4 = PX4 in manners
+    watchdog = ResponseWatchdog(scenario.run.silence_limit_s)
+    policies = [PX4 if scenario.autopilot.is_px4(i) else OWN for i in range(scenario.agents)]
+    has_px4 = PX4 in policies
 
     met: list[Lockstep] = []
 
@@ -269,29 +269,31 @@ def serve(
         lockstep = Lockstep(
             listeners,
             own_listener=own_listener,
-            patience=patience,
+            watchdog=watchdog,
             on_message=simulation.on_message,
             on_silent=simulation.on_silent,
             on_lost=simulation.on_lost,
-            manners=manners,
+            policies=policies,
         )
         met.append(lockstep)
         return lockstep
 
     with contextlib.ExitStack() as stack:
-        air = None
+        emulator = None
         if clock is not None:
             line = time_masters_end(stack.enter_context(clock))
-            # applications beside PX4s are in no lockstep, so their radios are as unforeseeable as guests'
-            free = bool(scenario.radio.guests) or has_px4
-            air = EmulatorClient(line, period_us=scenario.onboard.loop_period_us, free=free)
+            # applications beside PX4s are outside the lockstep and may transmit at any time, as guests may
+            asynchronous = bool(scenario.radio.guests) or has_px4
+            emulator = EmulatorClient(
+                line, period_us=scenario.onboard.loop_period_us, asynchronous=asynchronous
+            )
         simulation = stack.enter_context(
-            contextlib.closing(Simulation(config, meet=meet, air=air, emit=emit))
+            contextlib.closing(Simulation(config, meet=meet, emulator=emulator, emit=emit))
         )
         if has_px4 and radio_endpoint is not None:
-            from harness.simulator.application_reports import overheard  # noqa: PLC0415  see there
+            from harness.simulator.application_reports import relayed  # noqa: PLC0415  imports Zenoh
 
-            stack.enter_context(overheard(radio_endpoint, config.run_id, met[0]))
+            stack.enter_context(relayed(radio_endpoint, config.run_id, met[0]))
         emit(Ready(name="physics", pid=os.getpid()))
         with profiled(
             PROFILE_GROUPS, now_us=lambda: simulation.time_us, from_us=config.profile_from_us
@@ -301,7 +303,7 @@ def serve(
                 inbox,
                 connect_timeout_s=config.connect_timeout_s,
                 emit=emit,
-                set_pid=patience.set_pid,
+                set_pid=watchdog.set_pid,
             )
     details: dict[str, Any] = {"time_us": simulation.time_us, "formed": simulation.formed, **profile}
     if has_px4:
@@ -324,14 +326,12 @@ def main() -> int:
     parser.add_argument(
         "--clock-fd",
         type=int,
-        help="inherited stream socket to the 802.11 emulator; none flies without a radio",
+        help="inherited stream socket to the 802.11 emulator; without it the swarm has no radio",
     )
     parser.add_argument(
-        "--radio-endpoint", help="the emulator's Zenoh locator, where applications beside PX4s are heard"
+        "--radio-endpoint", help="the emulator's Zenoh locator, for reports of applications beside PX4s"
     )
-    parser.add_argument(
-        "--supervised", action="store_true", help="accepted for likeness: this server always is"
-    )
+    parser.add_argument("--supervised", action="store_true", help="accepted for uniformity, no effect")
     arguments = parser.parse_args()
     try:
         config = msgspec.json.decode(arguments.config.read_bytes(), type=PhysicsConfig)

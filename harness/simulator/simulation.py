@@ -1,8 +1,8 @@
-"""The physics server's core: master of simulated time, whoever its vehicles and its air are.
+"""The physics server's core: the master of simulated time.
 
-Owns the world, the wind and the sensors, meets the vehicles in lockstep, tells the air how far it may go, and
-writes the truth down. How vehicles and air are reached is their own: over sockets
-(`harness.simulator.server`) or in this process (`harness.launch.one_process`). Knows no wall clock.
+Owns the world, the wind and the sensors, steps the vehicles in lockstep, requests intervals of the radio
+channel, and logs the truth. Vehicles and emulator are connected over sockets (`harness.simulator.server`) or
+run in this process (`harness.launch.one_process`). Independent of the wall clock.
 """
 
 import contextlib
@@ -39,6 +39,7 @@ from harness.simulator.motion_start import START_NAME, agreed, start_us
 from harness.simulator.truth_record import AIR_RECORD, EVENT_KINDS, TRUTH_RECORD
 from harness.world import esc
 from harness.world.faults import MOST_ATTENUATION_DB, AnyFault, Faults, kind
+from harness.world.physics.interface import Physics
 from harness.world.physics.model import IRIS
 from harness.world.physics.truth import Truth
 from harness.world.physics.world import World
@@ -46,15 +47,15 @@ from harness.world.sensors.suite import SensorSuite
 from harness.world.wind import Wind, WindNow
 
 STREAM = 250
-"""Sets the physics' random streams apart from those of the run's other processes."""
+"""Part of the seed that separates the physics' random streams from those of the run's other processes."""
 _RECORDED_OF_TRUTH = ("pos_ned_m", "vel_ned_m_s", "q_ned_frd", "omega_frd_rad_s", "rotor_speed_rad_s")
 
 
 class Simulation:
-    """World, wind, sensors, vehicles and air, stepped together.
+    """World, wind, sensors, vehicles and radio channel, stepped together.
 
-    ``meet`` makes the rendezvous with the vehicles, which tells this one's `on_message`, `on_silent` and
-    `on_lost` of them. ``emit`` is given what happens. Raises OSError for a log.
+    ``meet`` returns the vehicles' interface, which calls this object's `on_message`, `on_silent` and
+    `on_lost`. ``emit`` receives the events. Raises OSError if a log cannot be written.
     """
 
     def __init__(
@@ -62,19 +63,19 @@ class Simulation:
         config: PhysicsConfig,
         *,
         meet: Callable[["Simulation"], Vehicles],
-        air: ChannelInterface | None,
+        emulator: ChannelInterface | None,
         emit: Callable[[AnyEvent], None],
     ) -> None:
         scenario = config.scenario
         self._scenario = scenario
-        self._air = air
-        self._tell = emit
+        self._emulator = emulator
+        self._on_event = emit
         self._step_us = scenario.run.step_us
         self._record_period_us = self._air_record_us = scenario.record_period_us
         n = scenario.agents
         streams = np.random.SeedSequence([scenario.run.seed, STREAM]).spawn(3)
         self._plan = scenario.plan()
-        spawn_ned_m = scenario.places_ned_m()  # on the ground below the places
+        spawn_ned_m = scenario.places_ned_m()  # on the ground below the formation
         spawn_ned_m[:, 2] = -IRIS.standing_height_m
         self._wind = Wind(
             scenario.wind,
@@ -96,27 +97,26 @@ class Simulation:
             scenario.site, px4=px4, epoch_us=scenario.run.epoch_unix_us, px4_rc=scenario.autopilot.px4_rc
         )
         self._has_escs = len(px4) < n
-        self._tells_truth = scenario.onboard.enabled and scenario.onboard.localisation == "truth"
-        self.time_us = self._step_us  # PX4 takes 0 for a clock that is not set
+        self._sends_truth = scenario.onboard.enabled and scenario.onboard.localisation == "truth"
+        self.time_us = self._step_us  # to PX4 0 is a clock that is not set
         self.formed = False
-        self._answers = ActuatorInbox(n)
+        self._inbox = ActuatorInbox(n)
         self._wind_now = WindNow(np.zeros((n, 3)), np.zeros((n, 3)))
-        self._gone: tuple[int, ...] = ()
-        """Vehicles that were lost."""
+        self._lost: tuple[int, ...] = ()
         self._instances = np.arange(n)
         self._modes = [""] * n
         self._phases: list[FlightPhase | None] = [None] * n
         self._starts_us: list[int | None] = [None] * n
         self._start_us: int | None = None
-        """Start of the formation's motion: as each vehicle says, and as they agree."""
-        self._phase_news = False
-        """Whether the formation may have been reached, or its start agreed, since it was last looked at."""
+        """Start of the formation's motion: reported by each vehicle, and agreed by the majority."""
+        self._phase_changed = False
+        """Whether the formation may have been reached, or its start agreed, since the last check."""
         self._touching: set[tuple[int, int]] = set()
         self._attenuation_db: float | None = None
-        """On every radio link, as commanded; None is the scenario's."""
-        with contextlib.ExitStack() as stack:  # nothing stays open if anything of it fails
+        """Commanded attenuation of every radio link; None: the scenario's value."""
+        with contextlib.ExitStack() as stack:  # closes everything if a part cannot be opened
             keep = stack.enter_context
-            self._world = keep(
+            self._world: Physics = keep(
                 World(
                     model=IRIS,
                     spawn_pos_ned_m=spawn_ned_m,
@@ -139,28 +139,31 @@ class Simulation:
 
     @property
     def must_end(self) -> bool:
-        """Whether a vehicle has been lost in a scenario that ends for it."""
+        """Whether a vehicle was lost in a scenario whose ``run.on_vehicle_loss`` is "end"."""
         return self._scenario.run.on_vehicle_loss == "end" and self.lockstep.living < self._scenario.agents
 
     def step(self) -> None:
-        """One step: sensors of this instant out, answers in, air, world and wind on to the next instant.
+        """Simulate one step: send the sensors of this instant, receive the answers, advance world and wind.
 
-        What needs no answer is done between the two, beside the vehicles: they idle while the rest is done.
-        The air goes on beside world and vehicles over an interval of several steps, and is waited for when
-        what it delivers is to be told.
+        Work that needs no answers runs between sending and receiving, in parallel with the vehicles. The
+        emulator runs in parallel over an interval of several steps, and is awaited when its deliveries are
+        due.
         """
-        truth, air = self._world.truth, self._air
+        truth, emulator = self._world.truth, self._emulator
         recorded = self.time_us % self._record_period_us == 0
         self._advance_faults()
         frame = self._sensors.sample(self.time_us, truth, self._faults)
-        told = truth if self._tells_truth and self.time_us % TRUTH_PERIOD_US < self._step_us else None
+        sends_truth = self._sends_truth and self.time_us % TRUTH_PERIOD_US < self._step_us
+        sent_truth = truth if sends_truth else None
         delivered: tuple[int, ...] = ()
-        if air is not None:
-            if air.is_awaited(self.time_us):
+        if emulator is not None:
+            if emulator.is_pending(self.time_us):
                 self.settle()
-            delivered = air.delivered(self.time_us)
-        alive = [seat.alive for seat in self.lockstep.seats] if recorded else []
-        self.lockstep.send(self._encoder.encode(self.time_us, frame, self._escs(truth), told, delivered))
+            delivered = emulator.delivered(self.time_us)
+        alive = [slot.alive for slot in self.lockstep.slots] if recorded else []
+        self.lockstep.send(
+            self._encoder.encode(self.time_us, frame, self._escs(truth), sent_truth, delivered)
+        )
         if recorded:
             self._record(truth, alive)
         self.notice_collisions()
@@ -168,45 +171,45 @@ class Simulation:
             self._step_us * 1e-6, time_us=self.time_us, height_m=-truth.pos_ned_m[:, 2]
         )
         self._sensors.begin_fast_steps()
-        answers = self._answers = self.lockstep.answers(self.time_us)
-        air_begins = air is not None and air.begins_at(self.time_us)
-        if air_begins:
+        inbox = self._inbox = self.lockstep.receive(self.time_us)
+        interval_begins = emulator is not None and emulator.begins_at(self.time_us)
+        if interval_begins:
             self.settle()
-        if self._gone:
-            answers.armed[list(self._gone)] = False
-        if air is not None and air_begins:
+        if self._lost:
+            inbox.armed[list(self._lost)] = False
+        if emulator is not None and interval_begins:
             if self.time_us >= self._air_record_us:
                 period_us = self._record_period_us
                 self._air_record_us = self.time_us - self.time_us % period_us + period_us
-                self._air_log.append([(self.time_us, air.busy_ns)])
-            air.begin(self.time_us, self._step_us, truth, senders=answers.senders, silent=self._gone)
+                self._air_log.append([(self.time_us, emulator.busy_ns)])
+            emulator.begin(self.time_us, self._step_us, truth, senders=inbox.senders, silent=self._lost)
         self._world.step(
-            answers.controls,
-            answers.armed,
+            inbox.controls,
+            inbox.armed,
             self._wind_now.force_ned_n,
             rotors_stopped=self._faults.rotor_stopped,
             air_vel_ned_m_s=self._wind_now.air_vel_ned_m_s,
             rotor_effectiveness=self._faults.rotor_effectiveness,
         )
         self.time_us += self._step_us
-        if self._phase_news:
+        if self._phase_changed:
             self._notice_formation()
             self._notice_motion()
 
     def set_extra_attenuation_db(self, value: float | None) -> None:
-        """From the air's next interval on, attenuate every radio link by this; None: as the scenario says."""
+        """Set the attenuation of every radio link from the next interval on; None: the scenario's value."""
         self._attenuation_db = value
-        self._spoil_air()
+        self._apply_radio_faults()
 
     def inject(self, fault: AnyFault) -> None:
-        """Have a fault begin its ``start_s`` after the next step. Raises ValueError for a wrong vehicle."""
+        """Schedule a fault for ``start_s`` after the next step. Raises ValueError for a wrong vehicle."""
         self._faults.add(fault, self.time_us)
 
     def _advance_faults(self) -> None:
-        """Bring the faults to this step, and report which end and begin."""
+        """Advance the faults to this step, and report which of them end and begin."""
         changes = self._faults.advance(self.time_us)
         if changes:
-            self._spoil_air()
+            self._apply_radio_faults()
         for change in changes:
             self._emit(
                 FaultChanged(
@@ -219,20 +222,20 @@ class Simulation:
                 )
             )
 
-    def _spoil_air(self) -> None:
-        """Have the faults of the radio in force, on top of what was commanded."""
-        air, fault_db = self._air, self._faults.extra_attenuation_db
-        if air is None:
+    def _apply_radio_faults(self) -> None:
+        """Set the emulator's attenuation and range offsets: the radio's faults on top of the commands."""
+        emulator, fault_db = self._emulator, self._faults.extra_attenuation_db
+        if emulator is None:
             return
         own_db = self._attenuation_db
         if fault_db is not None:
             own_db = self._scenario.radio.extra_attenuation_db if own_db is None else own_db
             own_db = min(own_db + fault_db, MOST_ATTENUATION_DB)
-        air.extra_attenuation_db = own_db
-        air.range_offsets_m = self._faults.range_offsets_m
+        emulator.extra_attenuation_db = own_db
+        emulator.range_offsets_m = self._faults.range_offsets_m
 
     def _escs(self, truth: Truth) -> esc.EscReadings | None:
-        """What the motors' controllers report, when it is time."""
+        """Return the readings of the motors' speed controllers if they are due in this step."""
         if self.time_us % esc.PERIOD_US >= self._step_us or not self._has_escs:
             return None
         return esc.readings(
@@ -240,23 +243,23 @@ class Simulation:
         )
 
     def settle(self) -> None:
-        """Wait until the air is through with what it was let do."""
-        if self._air is not None:
-            waited_for = self._air.end()
-            while waited_for:
-                self.lockstep.judge(waited_for)
-                waited_for = self._air.wait_on(self._gone)
+        """Wait until the emulator has completed the requested interval."""
+        if self._emulator is not None:
+            missing = self._emulator.end()
+            while missing:
+                self.lockstep.check(missing)
+                missing = self._emulator.wait_on(self._lost)
 
     def vehicles(self) -> tuple[VehicleTruth, ...]:
-        """Everyone as they are now."""
+        """Return the present truth of all vehicles."""
         truth = self._world.truth
         since_start_s = 0.0 if self._start_us is None else (self.time_us - self._start_us) * 1e-6
         places_ned_m = self._plan.at(since_start_s).pos_ned_m
         error_m = np.linalg.norm((truth.pos_ned_m - places_ned_m)[:, :2], axis=1)
         return tuple(
             VehicleTruth(
-                alive=seat.alive,
-                armed=bool(self._answers.armed[i]),
+                alive=slot.alive,
+                armed=bool(self._inbox.armed[i]),
                 mode=self._modes[i],
                 phase=_name(self._phases[i]),
                 pos_ned_m=tuple(truth.pos_ned_m[i].tolist()),
@@ -264,16 +267,18 @@ class Simulation:
                 q_ned_frd=tuple(truth.q_ned_frd[i].tolist()),
                 error_m=float(error_m[i]),
             )
-            for i, seat in enumerate(self.lockstep.seats)
+            for i, slot in enumerate(self.lockstep.slots)
         )
 
     @property
     def busy_fraction(self) -> float:
-        """Part of the simulated time for which the channel was occupied."""
-        return self._air.busy_ns / (self.time_us * 1e3) if self._air is not None and self.time_us else 0.0
+        """Fraction of the simulated time for which the channel was occupied."""
+        if self._emulator is None or not self.time_us:
+            return 0.0
+        return self._emulator.busy_ns / (self.time_us * 1e3)
 
     def close(self) -> None:
-        """End connections, logs and world, each whatever becomes of the others; harmless when repeated."""
+        """Close connections, logs and world, each even if another fails; harmless when repeated."""
         self._open.close()
 
     def _record(self, truth: Truth, alive: list[bool]) -> None:
@@ -281,7 +286,7 @@ class Simulation:
         rows["time_us"] = self.time_us
         rows["uav"] = self._instances
         rows["alive"] = alive
-        rows["armed"] = self._answers.armed
+        rows["armed"] = self._inbox.armed
         for name in _RECORDED_OF_TRUTH:
             rows[name] = truth.rows[name]
         rows["wind_force_ned_n"] = self._wind_now.force_ned_n
@@ -289,7 +294,7 @@ class Simulation:
         self._truth_log.append_array(rows)
 
     def notice_collisions(self) -> None:
-        """Report collisions of the last step that have just begun; harmless when repeated."""
+        """Report the collisions that began in the last step; harmless when repeated."""
         touching = self._world.vehicle_contacts
         if not touching and not self._touching:
             return
@@ -301,32 +306,32 @@ class Simulation:
         self._touching = set(contacts)
 
     def _notice_formation(self) -> None:
-        """Report the formation when all who have not left it have reached it for the first time."""
-        self._phase_news = False
+        """Report the formation once all vehicles that have not left it are on station."""
+        self._phase_changed = False
         if not self.formed:
             phases = [
                 phase
-                for phase, seat in zip(self._phases, self.lockstep.seats, strict=True)
-                if seat.alive and phase not in STAYS_AWAY
+                for phase, slot in zip(self._phases, self.lockstep.slots, strict=True)
+                if slot.alive and phase not in STAYS_AWAY
             ]
             if phases and all(phase == FlightPhase.ON_STATION for phase in phases):
                 self.formed = True
                 self._emit(Formed(time_us=self.time_us))
 
     def _notice_motion(self) -> None:
-        """Report the start of the formation's motion that most of the living vehicles hold agreed."""
-        starts_us = [s for s, seat in zip(self._starts_us, self.lockstep.seats, strict=True) if seat.alive]
+        """Report the start of the formation's motion that most of the living vehicles agree on."""
+        starts_us = [s for s, slot in zip(self._starts_us, self.lockstep.slots, strict=True) if slot.alive]
         agreed_us = agreed(starts_us)
         if agreed_us is not None and agreed_us != self._start_us:
             self._start_us = agreed_us
             self._emit(FormationMoves(time_us=self.time_us, start_us=agreed_us))
 
     def on_message(self, instance: int, message: Message) -> None:
-        """Take in what a vehicle said beside its answer."""
+        """Process a vehicle's message other than an answer: its mode, phase or start of motion."""
         if message.get_msgId() == mavlink.MAVLINK_MSG_ID_NAMED_VALUE_INT:
             if message.get_srcComponent() == APPLICATION_COMPONENT and message.name == START_NAME:
                 self._starts_us[instance] = start_us(message.value)
-                self._phase_news = True
+                self._phase_changed = True
             return
         if message.get_msgId() != mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             return
@@ -336,23 +341,23 @@ class Simulation:
         elif message.get_srcComponent() == APPLICATION_COMPONENT:
             with contextlib.suppress(ValueError):
                 self._phases[instance] = FlightPhase(message.custom_mode)
-                self._phase_news = True
+                self._phase_changed = True
 
     def on_silent(self, instance: int, wall_silence_s: float) -> None:
         """Report a vehicle that has not answered for a while."""
         self._emit(VehicleSilent(time_us=self.time_us, instance=instance, wall_silence_s=wall_silence_s))
 
     def on_lost(self, instance: int, reason: str) -> None:
-        """Report a vehicle that has left for good."""
-        self._gone += (instance,)
-        self._phase_news = True  # the others may be all there
+        """Report a vehicle that was removed from the run."""
+        self._lost += (instance,)
+        self._phase_changed = True  # all others may be on station
         self._emit(VehicleLost(time_us=self.time_us, instance=instance, reason=reason))
 
     def _emit(self, event: AnyEvent) -> None:
         line = msgspec.json.encode(event)
         if type(event).__name__.lower() in EVENT_KINDS:
             self._event_log.write(line + b"\n")
-        self._tell(event)
+        self._on_event(event)
 
 
 def _name(phase: FlightPhase | None) -> str:
@@ -366,7 +371,7 @@ def run(
     interrupted: Callable[[], bool] = lambda: False,
     on_step: Callable[[], None] = lambda: None,
 ) -> Paused:
-    """Step until the command is done, or can not be, or ``interrupted``; ``on_step`` is called after each."""
+    """Step until the command is done, impossible or ``interrupted``; call ``on_step`` after each step."""
     reason = "time"
     while simulation.time_us < command.time_us:
         if not simulation.any_alive:

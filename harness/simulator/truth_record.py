@@ -1,4 +1,4 @@
-"""What the physics server writes down: the truth, vehicle by vehicle, and the air's occupancy."""
+"""Log records of the physics server: the truth of each vehicle, and the channel's occupancy."""
 
 import numpy as np
 
@@ -19,11 +19,11 @@ TRUTH_RECORD = np.dtype(
 )
 """One row per vehicle and recorded instant.
 
-The state at ``time_us``, the wind and rotors of the step that led to it. Of the wind one is zero: it is a
-force or a velocity.
+The state at ``time_us``, with the wind and the rotors of the step before it. Either the force or the velocity
+of the wind is zero, depending on the wind's kind.
 """
 
 AIR_RECORD = np.dtype([("time_us", "i8"), ("busy_ns", "i8")])
-"""One row per recorded instant: time since the start for which the channel carried something."""
+"""One row per recorded instant: total time since the start for which the channel was occupied."""
 EVENT_KINDS = ("formed", "formationmoves", "vehiclelost", "collision", "faultchanged")
-"""Events that belong to the run itself, not to the wall clock; they are written to events.jsonl."""
+"""Events in simulated time, which are written to events.jsonl."""

@@ -1,4 +1,4 @@
-"""What the vehicles' motor controllers report."""
+"""Reports of the vehicles' electronic speed controllers (ESCs)."""
 
 from typing import NamedTuple
 
@@ -12,15 +12,15 @@ PERIOD_US = 40_000
 """25 Hz"""
 HOVER_CURRENT_A = 4.0
 HOVER_SPEED_RAD_S = 806.7
-"""Of the Iris: 3.8 N per rotor."""
+"""Rotor speed of the hovering Iris, 3.8 N per rotor."""
 RPM_PER_RAD_S = 60.0 / (2.0 * np.pi)
 
 
 class EscReadings(NamedTuple):
-    """Of the four motors of each of n vehicles."""
+    """Readings of the four motors of each of n vehicles."""
 
     speed_rpm: Array
-    """(n, 4), positive whichever way a rotor is meant to turn"""
+    """(n, 4), positive for either direction of rotation"""
     current_a: Array
     """(n, 4)"""
 
@@ -28,11 +28,11 @@ class EscReadings(NamedTuple):
 def readings(
     rotor_speed_rad_s: Array, effectiveness: Array | None = None, density_ratio: Array | None = None
 ) -> EscReadings:
-    """Read motors that turn at (n, 4); of rotors (n, 4) that are not whole, None for whole ones.
+    """Return the readings for rotor speeds (n, 4) and effectivenesses (n, 4), None for 1.
 
-    ``density_ratio`` (n,) is that of the air over sea level's, None for 1. A rotor's torque goes with the
-    square of its speed, with its effectiveness and the density, and so its power, of which the current at the
-    battery's voltage is made, with the cube.
+    ``density_ratio`` (n,) is the air density over that at sea level, None for 1. A rotor's torque is
+    proportional to its effectiveness, the density and the square of its speed; its power, and thus the
+    current at constant voltage, to the cube of its speed.
     """
     current_a = HOVER_CURRENT_A * (rotor_speed_rad_s / HOVER_SPEED_RAD_S) ** 3
     if density_ratio is not None:
@@ -43,7 +43,7 @@ def readings(
 
 
 def statuses(time_us: int, escs: EscReadings) -> NDArray[np.void]:
-    """ESC_STATUS of each vehicle, as `harness.simulator.hil_frames` has it; the voltage is 0, not known."""
+    """Return ESC_STATUS of each vehicle for `harness.simulator.hil_frames`; the voltage is 0: unknown."""
     rows = np.zeros(len(escs.speed_rpm), ESC_STATUS.dtype)
     rows["time_usec"] = time_us
     rows["rpm"] = np.rint(escs.speed_rpm)

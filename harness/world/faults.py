@@ -1,8 +1,8 @@
-"""Faults that a scenario injects at a time: what fails, in which vehicle, from when to when.
+"""Faults that a scenario or a program injects: kinds, affected vehicles, start and duration.
 
-Pure: the physics server asks `Faults.advance` in every step, which costs next to nothing while nothing begins
-or ends; sensors, rotors and the air read what is in force. Faults of one kind that overlap in a vehicle add
-up, as independent noises do, by their variances; rotors' effectivenesses multiply.
+No I/O. The physics server calls `Faults.advance` in every step, which is cheap while no fault begins or ends;
+sensors, rotors and radio channel read the active faults. Overlapping faults of one kind in a vehicle add up,
+noises by their variances; rotors' effectivenesses are multiplied.
 """
 
 import math
@@ -19,16 +19,16 @@ from harness.scenario.validation_errors import explain
 
 ROTORS = 4
 MOST_TIME_S = 1e6
-"""Eleven days: nothing is scheduled later."""
+"""Eleven days: the latest time of a fault."""
 LEAST_DURATION_S = 0.004
-"""One step of the physics: what is shorter might fall between two. Radios know of it when the air next goes
-on, at the multiples of ``onboard.loop_period_ms``."""
+"""One step of the physics: a shorter fault might fall between two steps. Faults of the radio take effect at
+the next interval of the channel, at multiples of ``onboard.loop_period_ms``."""
 Vector = tuple[float, float, float]
 Start = Annotated[float, Meta(ge=0.0, le=MOST_TIME_S)]
 Duration = Annotated[float, Meta(ge=LEAST_DURATION_S, le=MOST_TIME_S)]
 Motor = Annotated[int, Meta(ge=0, lt=ROTORS)]
 
-# per axis; far beyond what an autopilot can make sense of, and well within what its messages can say
+# per axis; far beyond plausible values, and well within the ranges of the messages
 PositionOffset = Annotated[float, Meta(ge=-10_000.0, le=10_000.0)]
 AccelOffset = Annotated[float, Meta(ge=-100.0, le=100.0)]
 GyroOffset = Annotated[float, Meta(ge=-35.0, le=35.0)]
@@ -36,11 +36,11 @@ MagOffset = Annotated[float, Meta(ge=-10.0, le=10.0)]
 RangeOffset = Annotated[float, Meta(ge=-1000.0, le=1000.0)]
 MOST_ATTENUATION_DB = 1_000.0
 MOST_RANGE_OFFSET_M = 1e6
-"""What `netsim.wire.messages.Advance` can say, of whatever adds up to more."""
+"""Limit of `netsim.wire.lockstep.Advance`, to which larger sums are clipped."""
 
 
 def _tag(name: str) -> str:
-    """``GpsLoss`` is written ``gps_loss``."""
+    """Return the tag of a class: ``gps_loss`` for ``GpsLoss``."""
     return "".join(f"_{c.lower()}" if c.isupper() else c for c in name).lstrip("_")
 
 
@@ -48,30 +48,34 @@ class Fault(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_f
     """One of the scenario's ``[[faults]]``; its ``kind`` is that of a class below, such as ``gps_loss``."""
 
     uav: Annotated[int, Meta(ge=0)] | Literal["all"]
+    """Number of the vehicle, from 0; "all" for every vehicle."""
     start_s: Start = 0.0
-    """Simulated time from the run's start; from now, if it is injected into a run."""
+    """Simulated time since the run's start, or since the injection into a run."""
     duration_s: Duration | None = None
-    """Without it the fault lasts to the end."""
+    """None: the fault lasts to the end."""
 
 
 class GpsLoss(Fault, frozen=True, kw_only=True):
-    """The receiver, jammed, goes on reporting, but neither fix nor satellites."""
+    """The receiver is jammed: it continues to report, but without fix and satellites."""
 
 
 class GpsBias(Fault, frozen=True, kw_only=True):
-    """Fixes lie elsewhere, as a spoofer wants them to."""
+    """Fixes have an offset, as under spoofing."""
 
     offset_ned_m: tuple[PositionOffset, PositionOffset, PositionOffset]
+    """Position error, metres, NED."""
     rate_m_s: Annotated[float, Meta(gt=0.0, le=100.0)] | None = None
-    """At which the offset creeps from nothing to its length, and the velocity is then wrong by as much;
-    without it the position alone steps."""
+    """Rate at which the offset grows from zero to its length; the velocity has this error meanwhile. None:
+    the position steps, and the velocity has no error."""
 
 
 class GpsNoise(Fault, frozen=True, kw_only=True):
-    """White noise on top of the receiver's own, per axis and fix; its accuracy claims stay."""
+    """White noise in addition to the receiver's own, per axis and fix; the reported accuracy is unchanged."""
 
     position_std_m: Annotated[float, Meta(ge=0.0, le=1000.0)] = 0.0
+    """Standard deviation of the position, metres."""
     velocity_std_m_s: Annotated[float, Meta(ge=0.0, le=50.0)] = 0.0
+    """Standard deviation of the velocity, m/s."""
 
     def __post_init__(self) -> None:
         """Check what no single field can."""
@@ -83,70 +87,76 @@ class AccelBias(Fault, frozen=True, kw_only=True):
     """The accelerometer's bias jumps."""
 
     offset_frd_m_s2: tuple[AccelOffset, AccelOffset, AccelOffset]
+    """Added to the measured acceleration, m/s^2, FRD."""
 
 
 class GyroBias(Fault, frozen=True, kw_only=True):
     """The gyroscope's bias jumps."""
 
     offset_frd_rad_s: tuple[GyroOffset, GyroOffset, GyroOffset]
+    """Added to the measured angular rate, rad/s, FRD."""
 
 
 class MagBias(Fault, frozen=True, kw_only=True):
-    """A magnet or a current at the compass."""
+    """Offset of the magnetometer, as by a magnet or a current."""
 
     offset_frd_gauss: tuple[MagOffset, MagOffset, MagOffset]
+    """Added to the measured field, gauss, FRD."""
 
 
 class MagYaw(Fault, frozen=True, kw_only=True):
-    """The field around the vehicle is turned about the vertical, as over reinforced concrete."""
+    """The magnetic field at the vehicle is rotated about the vertical, as over reinforced concrete."""
 
     heading_error_deg: Annotated[float, Meta(ge=-180.0, le=180.0)]
-    """By which a compass reads too much, clockwise."""
+    """Error of the heading that a compass reads, positive clockwise."""
 
 
 class BaroFreeze(Fault, frozen=True, kw_only=True):
-    """The barometer goes on reporting, but always its last sample."""
+    """The barometer continues to report its last sample."""
 
 
 class BaroBias(Fault, frozen=True, kw_only=True):
     """The barometer reads the pressure of another altitude."""
 
     offset_m: Annotated[float, Meta(ge=-5000.0, le=5000.0)]
-    """By which it reads too high."""
+    """Error of the altitude, positive upwards."""
 
 
 class MotorLoss(Fault, frozen=True, kw_only=True, tag="motor"):
-    """A rotor has lost part of its thrust and torques, at whatever speed it turns: a broken propeller."""
+    """A rotor loses part of its thrust and torques at every speed, as with a broken propeller."""
 
     motor: Motor
     """In PX4's order: front right, back left, front left, back right."""
     effectiveness: Annotated[float, Meta(ge=0.0, le=1.0)]
+    """Remaining fraction of thrust and torques."""
 
 
 class MotorStop(Fault, frozen=True, kw_only=True):
-    """A motor gets no current: its rotor runs down and stands."""
+    """A motor has no current: its rotor runs down and stops."""
 
     motor: Motor
+    """In PX4's order: front right, back left, front left, back right."""
 
 
 class RadioAttenuation(Fault, frozen=True, kw_only=True):
-    """Every link of the channel is weaker, guests' too; 200 dB cut it. Interferers keep their power."""
+    """All links, also guests', are attenuated; 200 dB block them. Interferers keep their power."""
 
     uav: Annotated[int, Meta(ge=0)] | Literal["all"] = "all"
+    """Always "all": the channel is common to all stations."""
     attenuation_db: Annotated[float, Meta(ge=0.0, le=300.0)]
-    """On top of what the run has on every link already."""
+    """In addition to the run's attenuation of every link."""
 
     def __post_init__(self) -> None:
         """Check what no single field can."""
         if self.uav != "all":
-            raise ValueError('uav: expected "all", for the channel is everybody\'s')
+            raise ValueError('uav: expected "all", because all vehicles share the channel')
 
 
 class RangingBias(Fault, frozen=True, kw_only=True):
-    """A radio that is calibrated wrongly: it tells so of all distances that it measures itself."""
+    """A wrongly calibrated radio: all distances that it measures have an offset."""
 
     offset_m: RangeOffset
-    """By which it measures too far."""
+    """Error of its distances, positive if too long."""
 
 
 AnyFault = (
@@ -172,32 +182,32 @@ class FaultChange(NamedTuple):
     fault: AnyFault
     began: bool
     number: int
-    """Among the scenario's faults, from 0 on; those that are injected count on from there."""
+    """Index among the scenario's faults, from 0; injected faults continue the numbering."""
 
     @property
     def motor(self) -> int | None:
-        """Which motor it is about; None for all other faults."""
+        """The affected motor; None for faults of other kinds."""
         return self.fault.motor if isinstance(self.fault, MotorLoss | MotorStop) else None
 
 
 def check(fault: AnyFault, vehicles: int, *, path: str) -> None:
-    """Check what a fault alone cannot know. Raises ValueError with the field's path."""
+    """Check that a fault's vehicle exists. Raises ValueError with the field's path."""
     if fault.uav != "all" and fault.uav >= vehicles:
         raise ValueError(f"{path}.uav: {fault.uav} is none of {vehicles} vehicles from 0 on")
 
 
 def validated(fault: AnyFault, vehicles: int) -> AnyFault:
-    """Give a fault back that a program made, whose values nobody has looked at yet. Raises ValueError."""
+    """Return a fault that a program constructed after checking all its values. Raises ValueError."""
     try:
-        sound: AnyFault = msgspec.convert(msgspec.to_builtins(fault), AnyFault)
+        valid: AnyFault = msgspec.convert(msgspec.to_builtins(fault), AnyFault)
     except msgspec.ValidationError as error:
         raise ValueError(explain(error, EXPECTED, root="fault")) from None
-    check(sound, vehicles, path="fault")
-    return sound
+    check(valid, vehicles, path="fault")
+    return valid
 
 
 def kind(fault: AnyFault) -> str:
-    """Give what the scenario calls it."""
+    """Return the fault's ``kind`` in a scenario."""
     return _kind(type(fault))
 
 
@@ -209,7 +219,7 @@ EXPECTED = {
     r"faults?(\[\d+\])?\.kind": f"one of {', '.join(_kind(each) for each in get_args(AnyFault))}",
     r"faults?(\[\d+\])?\.uav": 'a number or "all"',
 }
-"""What a wrong field of a fault should have been, for `harness.scenario.validation_errors.explain`."""
+"""Expected values of a fault's fields, for `harness.scenario.validation_errors.explain`."""
 
 
 class _Scheduled(NamedTuple):
@@ -220,14 +230,13 @@ class _Scheduled(NamedTuple):
 
 
 class Faults:
-    """What is in force in n vehicles; None stands for nothing of a kind anywhere.
+    """Active faults of n vehicles; an attribute is None if no vehicle has a fault of its kind.
 
-    A fault is in force at steps whose time is its start or later, and before its end. ``rng`` is for noise
-    alone.
+    A fault is active in steps at or after its start and before its end. ``rng`` is used for noise only.
     """
 
     def __init__(self, faults: Iterable[AnyFault], vehicles: int, rng: np.random.Generator) -> None:
-        """Take the faults of the scenario. Raises ValueError for a vehicle that there is not."""
+        """Schedule the faults of the scenario. Raises ValueError for a vehicle that does not exist."""
         self._vehicles = vehicles
         self._rng = rng
         self._now_us = 0
@@ -252,14 +261,14 @@ class Faults:
         self.rotor_stopped: NDArray[np.bool_] | None = None
         """(n, 4)"""
         self.extra_attenuation_db: float | None = None
-        """On every link, on top of what there is already."""
+        """In addition to the attenuation of every link."""
         self.range_offsets_m: Mapping[int, float] = {}
-        """By vehicle, of those whose radios measure too far."""
+        """Error of the distances that a vehicle's radio measures, for affected vehicles."""
         for fault in faults:
             self.add(fault, 0)
 
     def add(self, fault: AnyFault, now_us: int) -> None:
-        """Have a fault begin its ``start_s`` after ``now_us``. Raises ValueError for a wrong vehicle."""
+        """Schedule a fault for ``start_s`` after ``now_us``. Raises ValueError for a wrong vehicle."""
         check(fault, self._vehicles, path="fault")
         start_us = now_us + round(fault.start_s * 1e6)
         end_us = math.inf if fault.duration_s is None else start_us + round(fault.duration_s * 1e6)
@@ -268,12 +277,12 @@ class Faults:
         self._next_change_us = min(self._next_change_us, start_us)
 
     def advance(self, time_us: int) -> tuple[FaultChange, ...]:
-        """Go on to the step at ``time_us``; returns what ends and then what begins there."""
+        """Advance to the step at ``time_us``; returns the faults that end and then those that begin there."""
         self._now_us = time_us
         if time_us < self._next_change_us:
             return ()
         ended = [each for each in self._active if each.end_us <= time_us]
-        # one that is over at the first step that sees it has never been in force
+        # a fault that is over at its first step was never active
         began = [each for each in self._waiting if each.start_us <= time_us < each.end_us]
         self._waiting = [each for each in self._waiting if each.start_us > time_us]
         self._active = [each for each in self._active if each.end_us > time_us] + began
@@ -281,17 +290,17 @@ class Faults:
             [each.start_us for each in self._waiting] + [each.end_us for each in self._active],
             default=math.inf,
         )
-        self._put_in_force()
+        self._update()
         return (
             *(FaultChange(each.fault, began=False, number=each.number) for each in ended),
             *(FaultChange(each.fault, began=True, number=each.number) for each in began),
         )
 
     def gps_errors(self) -> tuple[Array, Array] | None:
-        """Errors of the fixes that arrive now: position (n, 3) in metres, velocity (n, 3) in m/s, NED.
+        """Return errors of the fixes that arrive now: position (n, 3) in m, velocity (n, 3) in m/s, NED.
 
-        To be asked once per fix: it draws the noise of all vehicles, whatever is in force, so that what one
-        suffers changes nothing for another.
+        Call it once per fix. It draws noise for all vehicles in any case, so that a fault of one vehicle does
+        not change the others' random streams. None without faults.
         """
         noise = self._rng.standard_normal((2, self._vehicles, 3))
         variances = np.zeros((2, self._vehicles, 1))
@@ -302,16 +311,16 @@ class Faults:
             if errors is None:
                 errors = np.zeros((2, self._vehicles, 3))
             if isinstance(fault, GpsBias):
-                errors[:, _who(fault)] += _spoofed(fault, (self._now_us - start_us) * 1e-6)[:, None]
+                errors[:, _affected(fault)] += _spoofed(fault, (self._now_us - start_us) * 1e-6)[:, None]
             else:
                 stds = np.array((fault.position_std_m, fault.velocity_std_m_s))
-                variances[:, _who(fault)] += np.square(stds)[:, None, None]
+                variances[:, _affected(fault)] += np.square(stds)[:, None, None]
         if errors is None:
             return None
         errors += np.sqrt(variances) * noise
         return errors[0], errors[1]
 
-    def _put_in_force(self) -> None:
+    def _update(self) -> None:
         active = [each.fault for each in self._active]
         self.accel_offset_frd_m_s2 = self._sum(
             (fault, fault.offset_frd_m_s2) for fault in active if isinstance(fault, AccelBias)
@@ -335,11 +344,11 @@ class Faults:
             if isinstance(fault, MotorLoss):
                 if self.rotor_effectiveness is None:
                     self.rotor_effectiveness = np.ones((self._vehicles, ROTORS))
-                self.rotor_effectiveness[_who(fault), fault.motor] *= fault.effectiveness
+                self.rotor_effectiveness[_affected(fault), fault.motor] *= fault.effectiveness
             elif isinstance(fault, MotorStop):
                 if self.rotor_stopped is None:
                     self.rotor_stopped = np.zeros((self._vehicles, ROTORS), dtype=np.bool_)
-                self.rotor_stopped[_who(fault), fault.motor] = True
+                self.rotor_stopped[_affected(fault), fault.motor] = True
         losses_db = [fault.attenuation_db for fault in active if isinstance(fault, RadioAttenuation)]
         self.extra_attenuation_db = min(sum(losses_db), MOST_ATTENUATION_DB) if losses_db else None
         offsets_m = self._sum((fault, fault.offset_m) for fault in active if isinstance(fault, RangingBias))
@@ -349,30 +358,30 @@ class Faults:
             self.range_offsets_m = {i: offset_m for i, offset_m in enumerate(limited_m) if offset_m}
 
     def _sum(self, parts: Iterable[tuple[AnyFault, Vector | float]]) -> Array | None:
-        """(n, 3) or (n,) sum of vectors or numbers, each for its fault's vehicles; None of nothing."""
+        """Return the sum (n, 3) or (n,) of the faults' vectors or numbers by vehicle; None without faults."""
         total: Array | None = None
         for fault, part in parts:
             if total is None:
                 total = np.zeros((self._vehicles, *np.shape(part)))
-            total[_who(fault)] += part
+            total[_affected(fault)] += part
         return total
 
     def _any(self, faults: Iterable[AnyFault]) -> NDArray[np.bool_] | None:
-        """(n,) whose vehicles are affected; None of nothing."""
+        """Return (n,) which vehicles are affected; None without faults."""
         flags: NDArray[np.bool_] | None = None
         for fault in faults:
             if flags is None:
                 flags = np.zeros(self._vehicles, dtype=np.bool_)
-            flags[_who(fault)] = True
+            flags[_affected(fault)] = True
         return flags
 
 
-def _who(fault: AnyFault) -> slice:
+def _affected(fault: AnyFault) -> slice:
     return slice(None) if fault.uav == "all" else slice(fault.uav, fault.uav + 1)
 
 
 def _spoofed(fault: GpsBias, since_s: float) -> Array:
-    """Offset (3,) in metres and its rate (3,) in m/s so long after the start, NED, as two rows."""
+    """Return offset (3,) in m and rate (3,) in m/s, NED, as two rows, ``since_s`` after the start."""
     offset_ned_m = np.array(fault.offset_ned_m)
     length_m = float(np.linalg.norm(offset_ned_m))
     if fault.rate_m_s is None or fault.rate_m_s * since_s >= length_m:

@@ -1,1 +1,1 @@
-"""The emulated channel as Wireshark sees it: frames as bytes, radiotap headers, pcapng files."""
+"""Captures of the emulated channel for Wireshark: encoded frames, radiotap headers, pcapng files."""

@@ -1,10 +1,10 @@
-"""A frame of the emulated channel as the bytes that a real one would have, FCS included.
+"""Encode frames of the emulated channel as IEEE 802.11 MPDUs, FCS included.
 
 All stations belong to one ad-hoc network (IBSS). A datagram is an 802.11 data frame without QoS control that
-carries LLC/SNAP, IPv4 and UDP; Fine Time Measurement goes in action frames, whose body encodes itself.
+carries LLC/SNAP, IPv4 and UDP. Fine Time Measurement uses action frames, whose bodies have `encode`.
 
 Sources: IEEE 802.11-2016 clause 9 (formats), 9.2.4.8 (FCS); RFC 1042, RFC 791, RFC 768, RFC 1071
-(checksums). Integers of 802.11 are little-endian, those of the Internet big-endian.
+(checksums). 802.11 integers are little-endian, IP integers big-endian.
 """
 
 from struct import Struct as Layout
@@ -15,10 +15,13 @@ from netsim.phy.frames import DATA_OVERHEAD_BYTES, GROUP, UDP_OVERHEAD_BYTES, Fr
 
 GROUP_ADDRESS = bytes.fromhex("ffffffffffff")
 NETWORK_ADDRESS = bytes.fromhex("020000010000")
-"""BSSID, locally administered; no station has it."""
+"""BSSID, locally administered; no station has this address."""
 UDP_PORT = 50_802
-"""Of both ends; dynamic, and no protocol's that Wireshark knows, so it guesses by the payload and takes one
-beacon in 10,000 for Thrift. ``tshark -d udp.port==50802,data`` ("Decode As") leaves the bytes alone."""
+"""Source and destination port, from the dynamic range.
+
+Wireshark has no protocol for it and guesses from the payload: it decodes one beacon in 10,000 as Thrift.
+``tshark -d udp.port==50802,data`` ("Decode As") shows the plain bytes.
+"""
 
 _FRAME_CONTROL = {
     FrameKind.DATA: 0x08,
@@ -50,25 +53,25 @@ class ActionBody(Protocol):
     """Body of an action frame."""
 
     def encode(self) -> bytes:
-        """From the category field on."""
+        """Return the bytes of the body, from the category field on."""
 
 
 def address(station: int) -> bytes:
-    """MAC address 02:00:00:00:hi:lo of a station, locally administered; `GROUP` is the broadcast address."""
+    """Return the locally administered MAC address 02:00:00:00:hi:lo; `GROUP` is the broadcast address."""
     return GROUP_ADDRESS if station == GROUP else b"\x02\x00\x00\x00" + station.to_bytes(2, "big")
 
 
 def ipv4_address(station: int) -> bytes:
-    """IPv4 address 10.1.hi.lo of a station in 10.0.0.0/8; `GROUP` is the broadcast address."""
+    """Return the IPv4 address 10.1.hi.lo of a station; `GROUP` is the broadcast address 10.255.255.255."""
     return b"\x0a\xff\xff\xff" if station == GROUP else b"\x0a\x01" + station.to_bytes(2, "big")
 
 
 def mpdu(frame: Frame, *, retry: bool = False) -> bytes:
-    """All ``frame.bytes`` bytes of a frame, from frame control to FCS.
+    """Return the ``frame.bytes`` bytes of a frame, from frame control to FCS.
 
-    ``retry`` says that this data or action frame was sent before. A data frame without a body carries zeros.
-    Raises ValueError for a body whose length is not that of the frame, and TypeError for the body of an
-    action frame that does not encode itself.
+    ``retry`` sets the Retry bit of a data or action frame. The payload of a data frame without a body is
+    zeros. Raises ValueError if the body's length does not match the frame, and TypeError if an action
+    frame's body has no `encode`.
     """
     kind = frame.kind
     control = _FRAME_CONTROL[kind]
@@ -89,18 +92,18 @@ def mpdu(frame: Frame, *, retry: bool = False) -> bytes:
         )
         content += _datagram(frame) if kind is FrameKind.DATA else _action(frame)
     if len(content) + _FCS_BYTES != frame.bytes:
-        raise ValueError(f"a {kind} frame of {frame.bytes} bytes has {len(content) + _FCS_BYTES}")
+        raise ValueError(f"{kind} frame: encoded {len(content) + _FCS_BYTES} bytes, expected {frame.bytes}")
     return content + crc32(content).to_bytes(_FCS_BYTES, "little")
 
 
 def _action(frame: Frame) -> bytes:
     if not isinstance(frame.body, ActionBody):
-        raise TypeError(f"the body of a {frame.kind} frame does not encode itself")
+        raise TypeError(f"the body of a {frame.kind} frame has no method encode()")
     return frame.body.encode()
 
 
 def _datagram(frame: Frame) -> bytes:
-    """LLC/SNAP, IPv4 and UDP headers and the payload; the IPv4 identification is the host's number of it."""
+    """Return LLC/SNAP, IPv4 and UDP headers and the payload; the IPv4 identification is ``frame.seq``."""
     payload = frame.body
     if not isinstance(payload, bytes):
         payload = bytes(max(0, frame.bytes - DATA_OVERHEAD_BYTES - UDP_OVERHEAD_BYTES))
@@ -112,7 +115,7 @@ def _datagram(frame: Frame) -> bytes:
     checksum = _checksum(_IPV4.pack(*header, 0, source, destination))
     pseudo_header = source + destination + _PROTOCOL_UDP.to_bytes(2, "big") + udp_bytes.to_bytes(2, "big")
     udp = _UDP.pack(UDP_PORT, UDP_PORT, udp_bytes, 0) + payload
-    udp_checksum = _checksum(pseudo_header + udp) or 0xFFFF  # 0 would say that there is none
+    udp_checksum = _checksum(pseudo_header + udp) or 0xFFFF  # 0 means "no checksum"
     return b"".join(
         (
             _SNAP_IPV4,
@@ -125,9 +128,9 @@ def _datagram(frame: Frame) -> bytes:
 
 
 def _checksum(data: bytes) -> int:
-    """Complement of the ones' complement sum of 16-bit words, the last one filled up with zeros (RFC 1071).
+    """Return the Internet checksum (RFC 1071); data of odd length are padded with a zero byte.
 
-    That sum is the whole number modulo 65535, as 65536 is 1 to this modulus.
+    The ones' complement sum of 16-bit words equals the whole number modulo 65535, since 65536 = 1 mod 65535.
     """
     if len(data) % 2:
         data += b"\x00"

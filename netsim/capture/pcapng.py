@@ -1,8 +1,8 @@
-"""The three blocks of a pcapng file that a capture needs.
+"""Encode the three pcapng blocks that a capture needs.
 
-Source: draft-ietf-opsawg-pcapng, sections 3.1 (blocks), 3.5 (options), 4.1 to 4.3. Written here because
-the one library that is kept (python-pcapng) takes 20 us for a packet's block, thirty times as long. All
-integers are little-endian, which the section's byte-order magic says.
+Source: draft-ietf-opsawg-pcapng, sections 3.1 (blocks), 3.5 (options), 4.1 to 4.3. The only
+maintained library (python-pcapng) takes 20 us for a packet block, thirty times as long as this module. All
+integers are little-endian, as the byte-order magic of the section states.
 """
 
 from struct import Struct as Layout
@@ -15,25 +15,25 @@ _COMMENT = 1
 _USER_APPLICATION = 4
 _IF_NAME, _IF_DESCRIPTION, _IF_TIME_RESOLUTION = 2, 3, 9
 _NANOSECONDS = b"\x09"
-"""Times count 10^-9 s."""
+"""Time stamps are in units of 10^-9 s."""
 _U32 = Layout("<I")
 _BLOCK_HEAD = Layout("<II")
 _OPTION_HEAD = Layout("<HH")
 _SECTION_BODY = Layout("<IHHq").pack(0x1A2B3C4D, 1, 0, -1)
-"""Byte-order magic, version 1.0, length not given."""
+"""Byte-order magic, version 1.0, unspecified section length."""
 _INTERFACE_BODY = Layout("<HHI")
 _PACKET_HEAD = Layout("<IIIIIII")
 _PACKET_FIXED_BYTES = _PACKET_HEAD.size + _U32.size
 
 
 def section_header(*, application: str, comment: str = "") -> bytes:
-    """Block that begins a file."""
+    """Return the section header block, the first of a file."""
     options = _option(_COMMENT, comment.encode()) if comment else b""
     return _block(_SECTION_HEADER, _SECTION_BODY, options + _option(_USER_APPLICATION, application.encode()))
 
 
 def interface_description(*, link_type: int, name: str, description: str) -> bytes:
-    """Block of an interface, the first of which packets refer to; its times are nanoseconds."""
+    """Return the description block of interface 0, which all packets refer to; its times are nanoseconds."""
     options = (
         _option(_IF_NAME, name.encode())
         + _option(_IF_DESCRIPTION, description.encode())
@@ -43,7 +43,7 @@ def interface_description(*, link_type: int, name: str, description: str) -> byt
 
 
 def enhanced_packet(time_ns: int, packet: bytes, *, comment: str = "") -> bytes:
-    """Block of one whole packet, taken at ``time_ns`` from the first interface."""
+    """Return the block of one complete packet, captured at ``time_ns`` on interface 0."""
     size = len(packet)
     gap = bytes(-size % 4)
     options = _option(_COMMENT, comment.encode()) + _END_OF_OPTIONS if comment else b""

@@ -1,14 +1,14 @@
-"""Radiotap headers: what a monitor knows about a frame besides its bytes.
+"""Encode radiotap headers: a captured frame's time, mode, channel and transmit power.
 
-The monitor hears every transmission without error, wherever it comes from; it stands nowhere, so there is no
-signal strength, and the power is that of the transmitter. The channel's frequency is its centre (a driver
-would give the primary 20 MHz channel's, which the emulator does not distinguish). A non-HT frame on a wider
-channel, a duplicate in every 20 MHz, has the rate alone.
+The capture contains every transmission, without reception errors. The monitor has no position, so there is
+no signal strength; the power is the transmitter's. The channel frequency is the centre frequency (a driver
+reports that of the primary 20 MHz channel, which the emulator does not model). A non-HT frame on a wider
+channel, duplicated in every 20 MHz, has only the rate field.
 
-Two times: TSFT, when the first bit of the MPDU is on the air, in whole microseconds; and the timestamp field,
-when the preamble begins, in nanoseconds. Wireshark takes TSFT for the end of a frame unless its preference
-wlan_radio.tsf_at_end is off. Source: radiotap.org, "defined fields"; a field is aligned to its own size,
-counted from the header's first byte.
+There are two times. TSFT is the time of the first bit of the MPDU, in whole microseconds. The timestamp
+field is the beginning of the preamble, in nanoseconds. Wireshark reads TSFT as the end of a frame unless its
+preference wlan_radio.tsf_at_end is off. Source: radiotap.org, "defined fields"; a field is aligned to its own
+size, counted from the header's first byte.
 """
 
 from struct import Struct as Layout
@@ -38,7 +38,7 @@ _TIMESTAMP_TAIL = Layout("<HBB").pack(_ACCURACY_NS, _NANOSECONDS | _START_OF_PRE
 
 
 class Radiotap:
-    """Headers of the frames that one transmitter sends in one mode: they differ in their times alone."""
+    """Headers of the frames that one transmitter sends in one mode; only their times differ."""
 
     __slots__ = ("_head", "_preamble_ns", "_properties")
 
@@ -66,7 +66,7 @@ class Radiotap:
         self._head = _HEAD.pack(0, 0, length, present)
 
     def header(self, start_ns: int) -> bytes:
-        """Header of a frame whose preamble begins at ``start_ns``."""
+        """Return the header of a frame whose preamble begins at ``start_ns``."""
         return b"".join(
             (
                 self._head,
@@ -79,5 +79,5 @@ class Radiotap:
 
 
 def _rate_500_kbps(mode: PhyMode) -> int:
-    """Rate in radiotap's unit: data bits of a 4 us symbol are twice as many as there are units."""
+    """Return the rate in units of 500 kbit/s: half the data bits of a 4 us symbol."""
     return mode.bits_per_symbol // 2

@@ -1,4 +1,4 @@
-"""Writes every transmission of a channel into a pcapng file, in order of start."""
+"""Write all transmissions of a channel to a pcapng file, ordered by start time."""
 
 from heapq import heappop, heappush
 from pathlib import Path
@@ -16,23 +16,25 @@ from netsim.phy.frames import Frame, FrameKind
 from netsim.phy.signals import Transmission
 
 HOLD_NS = 7_000_000
-"""How long a frame waits for others that began before it and end later: the longest there is takes 5.484 ms
-(aPPDUMaxTime), and is reported when it has ended at the last of its receivers."""
+"""Time for which a frame is held back, since frames that began before it may end later.
+
+The longest frame takes 5.484 ms (aPPDUMaxTime) and is reported after its end at the last receiver.
+"""
 CHUNK_BYTES = 1 << 16
-"""What is written at a time: whole blocks, so that a process that is killed leaves a readable file."""
+"""Size from which pending blocks are written; only whole blocks, so a killed process leaves a valid file."""
 WRITE_PERIOD_NS = 1_000_000_000
-"""Simulated time after which less than that is written too."""
+"""Simulated time after which pending blocks are written whatever their size."""
 _SEQUENCE_NUMBERS = 4096
 _NUMBERED = frozenset({FrameKind.DATA, FrameKind.FTM_REQUEST, FrameKind.FTM})
 
 
 class Capture:
-    """A capture file of the whole channel, as a monitor writes it that hears every frame without error.
+    """A capture file of all frames of the channel, including those that no station received.
 
-    A packet's time is the simulated time at which its preamble leaves the transmitter's antenna. A frame
-    that did not reach all it was meant for has a comment that says whom. Equal transmissions give equal
-    bytes, whenever they are written. The file begins readable and stays so. Raises OSError, with the path, if
-    it cannot be made or written.
+    A packet's time is the simulated time at which its preamble leaves the transmitter's antenna. A comment
+    names the receivers that a frame did not reach. The bytes depend only on the transmissions, not on when
+    they are written. The file is valid at any time. Raises OSError, with the path, if it cannot be created or
+    written.
     """
 
     def __init__(self, path: str | Path, *, config: RadioConfig, comment: str = "") -> None:
@@ -46,7 +48,7 @@ class Capture:
         self._radiotap: dict[tuple[str, int, int], Radiotap] = {}
         self._newest_sequence: dict[int, int] = {}
         self._held: list[tuple[int, int, bytes]] = []
-        """Heap of (start, source, block); no station sends two frames at a time."""
+        """Heap of (start, source, block); a station sends one frame at a time."""
         self._chunk = bytearray(section_header(application="coflight", comment=comment))
         self._chunk += interface_description(
             link_type=LINKTYPE_IEEE802_11_RADIOTAP,
@@ -61,7 +63,7 @@ class Capture:
             raise
 
     def append(self, transmission: Transmission) -> None:
-        """Take a transmission that has ended; they come in order of their end."""
+        """Add a transmission that has ended; transmissions are added in order of their end."""
         frame = transmission.frame
         start_ns = transmission.start_ns
         packet = self._header(frame, start_ns) + mpdu(frame, retry=self._is_retry(frame))
@@ -70,9 +72,9 @@ class Capture:
         self.settle(transmission.end_ns)
 
     def settle(self, now_ns: int) -> None:
-        """Let go of frames that none can precede any more, at a time at which all that ended are appended.
+        """Write frames that no later frame can precede. All frames that ended by ``now_ns`` must be appended.
 
-        A frame is in the file `HOLD_NS` and `WRITE_PERIOD_NS` after its start, or at the first call after.
+        A frame is written at the first call later than `HOLD_NS` + `WRITE_PERIOD_NS` after its start.
         """
         held = self._held
         settled_ns = now_ns - HOLD_NS
@@ -83,7 +85,7 @@ class Capture:
             self._write()
 
     def close(self) -> None:
-        """Write what is left. Harmless when repeated."""
+        """Write the remaining frames and close the file; repeated calls have no effect."""
         if self._file.closed:
             return
         try:
@@ -104,10 +106,10 @@ class Capture:
         return radiotap.header(start_ns)
 
     def _is_retry(self, frame: Frame) -> bool:
-        """Whether a data or action frame goes out again.
+        """Whether a data or action frame is a retransmission.
 
-        A station numbers its frames as each goes out first, and one that goes out again keeps its number:
-        then it is not ahead of all before, modulo 4096.
+        A station numbers its frames at their first transmission, and a retransmission keeps its number. So
+        the number of a retransmission is not ahead of all before, modulo 4096.
         """
         if frame.kind not in _NUMBERED:
             return False

@@ -1,4 +1,4 @@
-"""The channels that a run may have, as the emulator sees them: who sends through what, and how busy it is."""
+"""The interface of a channel, and the choice between the emulated and the ideal one."""
 
 from collections.abc import Callable
 from typing import Protocol
@@ -16,25 +16,25 @@ from netsim.phy.signals import Transmission
 
 
 class Channel(Protocol):
-    """The radios of all stations; frames to all are told to whoever made it, the others to the stations."""
+    """The radios of all stations; received group frames go to a callback, unicast frames to the stations."""
 
     def join(self, station: int, upper: Upper) -> FrameSender:
-        """Add a station, whose own frames go to ``upper``; they come in the order of their numbers."""
+        """Add the next station, in the order of their numbers; its unicast frames go to ``upper``."""
 
     def busy_ns(self) -> int:
-        """Time since the start for which the medium carried at least one signal."""
+        """Return the time since the start for which the medium carried at least one signal."""
 
     def surveyed_ns(self) -> list[int]:
-        """Time since the start for which each station sensed the medium busy or was itself sending."""
+        """Return the time since the start, by station, for which it sensed the medium busy or was sending."""
 
     def frames_sent(self) -> list[int]:
-        """Frames that have ended, in the order of `netsim.phy.frames.FrameKind`."""
+        """Return the number of ended frames by kind, in the order of `netsim.phy.frames.FrameKind`."""
 
     def broadcasts(self) -> Integers:
-        """Datagrams to all, (stations, 3): how many each has received, lost to collisions, and to noise."""
+        """Return broadcast datagrams (stations, 3): received, lost to collisions, lost to noise."""
 
     def take_frames(self) -> Integers:
-        """Frames that ended since the last call, in order of their end: see `records.FrameBook`."""
+        """Return the frames that ended since the last call, in order of their end: see `FrameBook.take`."""
 
 
 def channel_of(
@@ -47,9 +47,9 @@ def channel_of(
     on_group_frame: OnGroupFrame,
     on_ended: Callable[[Transmission], None] | None,
 ) -> Channel:
-    """Return the channel that the settings ask for.
+    """Return the channel selected by ``config.channel``.
 
-    ``on_group_frame`` is told of the frames to all, and ``on_ended`` of every frame that has ended.
+    ``on_group_frame`` is called with received group frames, ``on_ended`` with every frame that has ended.
     """
     if config.channel == "ideal":
         return IdealChannel(

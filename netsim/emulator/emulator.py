@@ -1,8 +1,8 @@
-"""The emulated 802.11 channel as a whole: items in, time advances with the vehicles' poses, deliveries out.
+"""The complete 802.11 emulator: simulates submitted items with given vehicle poses and returns deliveries.
 
-Composes hosts, Fine Time Measurement and a channel (`netsim.emulator.channels`), which is emulated or ideal;
-does no I/O and knows no wall clock. The same seed, submissions and poses give the same results, in whatever
-order the stations' batches of one step were submitted.
+It composes hosts, Fine Time Measurement and a channel (`netsim.emulator.channels`), emulated or ideal. It
+does no I/O and does not use the wall clock. The results depend only on seed, submissions and poses, not on
+the order in which the stations' batches of one step are submitted.
 """
 
 from collections.abc import Callable, Mapping
@@ -45,7 +45,7 @@ from netsim.wire.messages import (
 NOTHING_PENDING_US = 2**62 // 1000
 Doubles = NDArray[np.float64]
 _Received = tuple[int, int, int, RxItem]
-"""Something that has reached a station: time, source, sequence number, what it is."""
+"""An item that has reached a station: time in ns, source, sequence number, item."""
 _ORDER = itemgetter(0, 1, 2)
 _ITEM_ORDER = attrgetter("at_us", "seq")
 
@@ -53,9 +53,9 @@ _ITEM_ORDER = attrgetter("at_us", "seq")
 class Emulator:
     """All radios of a run and the channel between them.
 
-    ``seed`` is the emulator's own; every model and link draws from a stream of its own below it.
-    ``on_transmission`` is told of every frame that has ended. Raises ValueError for settings that contradict
-    each other (`netsim.emulator.settings_checks`).
+    ``seed`` seeds the emulator; every model and link has a separate stream derived from it.
+    ``on_transmission`` is called with every frame that has ended. Raises ValueError for inconsistent settings
+    (`netsim.emulator.settings_checks`).
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class Emulator:
         self.queue = EventQueue()
         self.trajectories = Trajectories(stations)
         self._level = np.tile([1.0, 0.0, 0.0, 0.0], (stations, 1))
-        """Attitudes, where nobody says otherwise."""
+        """Default attitudes (n, 4), wxyz."""
         self._shapes = (stations, 3), (stations, 3), self._level.shape
         self._links = Links(config, self.trajectories, stations, self._streams)
         self._channel = channel_of(
@@ -91,7 +91,7 @@ class Emulator:
         )
         self._host_jitter = [Uniforms(self._streams.generator(Model.HOST, i)) for i in range(stations)]
         self._host_losses: list[Uniforms] = []
-        """By station; empty if hosts lose nothing."""
+        """Draws by station; empty if ``drop_fraction`` is 0."""
         if config.drop_fraction > 0.0:
             losses = (self._streams.generator(Model.HOST_LOSS, i) for i in range(stations))
             self._host_losses = [Uniforms(generator) for generator in losses]
@@ -111,9 +111,9 @@ class Emulator:
         self._silent: set[int] = set()
         self._submitted: list[tuple[int, int, int, TxItem]] = []
         self._ready_ns = [0] * stations
-        """By station: when its last item reaches the radio."""
+        """Time by station at which its last item reaches the radio."""
         self._received: list[list[_Received]] = [[] for _ in range(stations)]
-        """By station."""
+        """Items by receiving station."""
 
     def _add_station(self, station: int, clocks: list[Clock]) -> None:
         config = self._config
@@ -136,12 +136,14 @@ class Emulator:
     # --- the hosts' side
 
     def submit(self, batch: TxBatch) -> None:
-        """Take a station's items; each is queued at its ``at_us`` plus the host's latency and jitter.
+        """Accept a station's items; each is queued at its ``at_us`` plus the host's latency and jitter.
 
         Raises ValueError for a station that does not exist.
         """
         if batch.station >= self._stations:
-            raise ValueError(f"there is no station {batch.station}: this channel has {self._stations}")
+            raise ValueError(
+                f"station {batch.station} is out of range: the channel has {self._stations} stations"
+            )
         station = batch.station
         for item in sorted(batch.items, key=_ITEM_ORDER):
             jitter_ns = int(1_000 * self._config.host_jitter_us * self._host_jitter[station].draw())
@@ -163,10 +165,10 @@ class Emulator:
         """Simulate up to and including ``to_us``.
 
         The stations are at ``pos_ned_m`` (n, 3) at ``at_us``, move at ``vel_ned_m_s`` (n, 3) and have the
-        attitudes ``q_ned_frd`` (n, 4), wxyz; without those they are level. Returns what has reached each
-        station that anything has: items in order of (time, source, seq), where the source of a result is the
-        peer or destination, and then a `Survey` if it is a vehicle. Raises ValueError for arrays of another
-        shape or that are not finite, or a time that is past.
+        attitudes ``q_ned_frd`` (n, 4), wxyz, by default level. Returns the received items by station, for
+        stations that received any: in order of (time, source, seq), where the source of a result is the peer
+        or destination, followed by a `Survey` for a vehicle. Raises ValueError for arrays of a wrong shape or
+        with invalid values, or for a time in the past.
         """
         positions, velocities = (np.asarray(each, dtype=np.float64) for each in (pos_ned_m, vel_ned_m_s))
         attitudes = self._level if q_ned_frd is None else q_ned_frd
@@ -178,7 +180,7 @@ class Emulator:
             )
         to_ns = 1_000 * to_us
         if to_ns < self.queue.now_ns:
-            raise ValueError(f"cannot go back to {to_us} us: it is {self.queue.now_ns // 1_000} us")
+            raise ValueError(f"cannot go back to {to_us} us: the time is {self.queue.now_ns // 1_000} us")
         self.trajectories.set(1_000 * at_us, positions, velocities, q_ned_frd)
         self._submitted.sort(key=_ORDER)
         for ready_ns, station, _, item in self._submitted:
@@ -200,7 +202,7 @@ class Emulator:
 
     @property
     def next_event_us(self) -> int:
-        """Unless something is submitted, nothing happens before this time; rounded down."""
+        """Earliest time of the next event if nothing more is submitted; rounded down."""
         submitted_ns = min((entry[0] for entry in self._submitted), default=NOTHING_PENDING_US * 1_000)
         return min(submitted_ns // 1_000, self.queue.next_ns() // 1_000, NOTHING_PENDING_US)
 
@@ -215,14 +217,14 @@ class Emulator:
                 self._unicast(station, item)
             case FtmRequest():
                 self._tally.ftm_requested += 1
-                # a guest does not know the time: its request begins when it comes
-                asked_ns = max(1_000 * item.at_us, self.queue.now_ns - self._host_latency_ns)
-                timeout_ns = asked_ns + 1_000 * self._config.ftm.request_timeout_us
+                # a guest has no simulation time: its request begins on arrival
+                requested_ns = max(1_000 * item.at_us, self.queue.now_ns - self._host_latency_ns)
+                timeout_ns = requested_ns + 1_000 * self._config.ftm.request_timeout_us
                 self._ftm[station].request(item.peer, item.seq, timeout_ns)
 
     @property
     def _host_latency_ns(self) -> int:
-        """Longest time from an application's call to the radio."""
+        """Longest time from an application's call to the radio's queue."""
         return 1_000 * (self._config.host_latency_us + self._config.host_jitter_us)
 
     def _broadcast(self, station: int, item: Broadcast) -> None:
@@ -286,12 +288,14 @@ class Emulator:
                 GroupReception(source, seq, body, [station], [reception.end_ns], [reception.power_mw])
             )
 
-    def _deliver(self, heard: GroupReception) -> None:
-        """Put a datagram among the deliveries of those whom it has reached, unless their hosts lose it."""
-        source, seq, payload = heard.source, heard.seq, heard.body
+    def _deliver(self, received: GroupReception) -> None:
+        """Add a datagram to the deliveries of its receivers, except where the host loses it."""
+        source, seq, payload = received.source, received.seq, received.body
         if not isinstance(payload, bytes):
-            raise TypeError("stations exchange no other frames by group")
-        for station, end_ns, power_mw in zip(heard.stations, heard.ends_ns, heard.powers_mw, strict=True):
+            raise TypeError("the body of a group frame must be bytes")
+        for station, end_ns, power_mw in zip(
+            received.stations, received.ends_ns, received.powers_mw, strict=True
+        ):
             if self._host_losses and self._host_loses(station):
                 self._tally.lost_by_hosts += 1
                 continue
@@ -327,10 +331,10 @@ class Emulator:
         )
         self._received[ranging.initiator].append((ranging.ended_ns, ranging.peer, ranging.seq, result))
 
-    # --- the run's side
+    # --- control and results of the run
 
     def set_silent(self, station: int) -> None:
-        """End a station's radio: nothing is sent, answered or heard. Its frame on the air is completed."""
+        """Switch a station's radio off for good; a frame on the air is completed."""
         if station in self._silent:
             return
         self._silent.add(station)
@@ -338,18 +342,20 @@ class Emulator:
         self._ftm[station].silence()
 
     def set_extra_attenuation_db(self, value: float | None) -> None:
-        """Attenuate every frame that starts from now on by this; None is the configured value."""
+        """Set the extra attenuation of frames that start from now on; None: the configured value."""
         self._links.set_extra_attenuation_db(value)
 
     def set_range_offsets(self, offsets_m: Mapping[int, float]) -> None:
-        """Have stations measure too far by so much, in sessions of theirs that end from now on.
+        """Set offsets that are added to the distances of sessions that end from now on, by initiator.
 
-        Stations that are not named measure as they are. Raises ValueError for one that does not exist, or an
-        offset that is not finite.
+        Stations without an entry have no offset. Raises ValueError for an unknown station or an offset that
+        is not finite.
         """
         for station, offset_m in offsets_m.items():
             if not 0 <= station < self._stations or not isfinite(offset_m):
-                raise ValueError(f"station {station} cannot measure {offset_m} m too far")
+                raise ValueError(
+                    f"range offset {offset_m} m of station {station}: unknown station or not finite"
+                )
         self._range_offsets_m = dict(offsets_m)
 
     @property
@@ -359,25 +365,25 @@ class Emulator:
 
     @property
     def counters(self) -> EmulatorCounters:
-        """Counts since the start."""
+        """Counters since the start of the run."""
         return self._tally.counters(self._channel.frames_sent(), self._channel.broadcasts())
 
     def take_frames(self) -> list[FrameRecord]:
-        """Transmissions that ended since the last call, in order of their end."""
+        """Return the transmissions that ended since the last call, in order of their end."""
         return frame_records(self.take_frame_rows())
 
     def take_frame_rows(self) -> Integers:
-        """Give the same in rows, for `netsim.emulator.records.frame_log_rows`."""
+        """Return the same as rows, for `netsim.emulator.records.frame_log_rows`."""
         return self._channel.take_frames()
 
     def take_sessions(self) -> list[Ranging]:
-        """Ranging sessions that ended since the last call, in order of their end."""
+        """Return the ranging sessions that ended since the last call, in order of their end."""
         return self._tally.take_sessions()
 
-    # --- what ranging asks of the world
+    # --- environment of ranging: `netsim.ftm.port.Environment`
 
     def calibration_bias_m(self, a: int, b: int) -> float:
-        """Constant range offset that calibration left between two devices."""
+        """Return the constant residual range offset of a pair of devices."""
         config = self._config.ftm
         if config.calibration_bias_std_m == 0.0:
             return config.calibration_bias_m
@@ -385,5 +391,5 @@ class Emulator:
         return config.calibration_bias_m + float(generator.normal(0.0, config.calibration_bias_std_m))
 
     def blocked(self, a: int, b: int, at_ns: int) -> bool:
-        """Whether something stands in the line of sight between two stations."""
+        """Whether the line of sight between two stations is blocked."""
         return self._links.blocked(a, b, at_ns)

@@ -1,14 +1,13 @@
-"""The ideal channel, against which the emulated one is measured: whatever is sent arrives at all in range.
+"""The ideal channel, the reference for the emulated one: every frame reaches all stations in range.
 
-A frame goes on the air in the moment in which it is handed over, whatever else is on the air and whatever its
-own station is sending, and ends after its own time on the air. Who is in range of it by path loss, antennas
-and extra attenuation, at ``cca_preamble_dbm`` or more, has it after the flight time; so a cut channel is cut.
-A frame to one station is acknowledged SIFS later, and otherwise comes again at its time-out up to the retry
-limit. Ranging is `netsim.ftm` above these exchanges: its frames take their time, its stamps have their noise.
+A frame is sent as soon as it is enqueued, regardless of other transmissions, also of the same station, and
+takes its normal air time. A station receives it after the propagation delay if path loss, antennas and extra
+attenuation leave at least ``cca_preamble_dbm``. A unicast frame is acknowledged after SIFS; without an ACK it
+is sent again at the time-out, up to the retry limit. Ranging (`netsim.ftm`) runs on top: its frames have
+their normal air time and its time stamps their noise.
 
-Left out is what makes a channel less than ideal: contention, reservations (no RTS, no NAV), queues,
-collisions, noise, fading, shadowing, blocked lines of sight and interferers, whatever the settings say of
-them. The medium is never occupied.
+Not modelled, whatever the settings: contention, reservations (no RTS, no NAV), queues, collisions, noise,
+fading, shadowing, blocked lines of sight and interferers. The medium is never busy.
 """
 
 from collections.abc import Callable
@@ -29,7 +28,7 @@ from netsim.phy.signals import Transmission
 
 
 def undisturbed(config: RadioConfig) -> RadioConfig:
-    """Settings less all that disturbs links."""
+    """Return the settings without fading, shadowing, blocked lines of sight and interferers."""
     return msgspec.structs.replace(
         config, rician_k_db=None, shadowing_std_db=0.0, nlos_fraction=0.0, interferers=()
     )
@@ -58,13 +57,13 @@ class IdealChannel:
         self._radios: list[IdealRadio] = []
 
     def join(self, station: int, upper: Upper) -> "IdealRadio":
-        """Add a station; they come in the order of their numbers."""
+        """Add a station; stations are added in the order of their numbers."""
         radio = IdealRadio(station, self, upper)
         self._radios.append(radio)
         return radio
 
     def note_end(self, transmission: Transmission) -> None:
-        """Put down a frame that has ended."""
+        """Record a frame that has ended."""
         self._book.add(transmission)
         if self._on_ended is not None:
             self._on_ended(transmission)
@@ -82,24 +81,24 @@ class IdealChannel:
         return self._book.take()
 
     def busy_ns(self) -> int:
-        """Nothing ever keeps anybody waiting."""
+        """Return 0: the medium is never busy."""
         return 0
 
     def surveyed_ns(self) -> list[int]:
-        """Nor does any station find it busy."""
+        """Return 0 for every station: none senses the medium busy."""
         return [0] * self._stations
 
     def start(self, frame: Frame) -> Transmission:
-        """Put a frame on the air now."""
+        """Start the transmission of a frame now."""
         row = self._links.row(frame.source, self.queue.now_ns)
         return Transmission(frame, self.queue.now_ns, row, row.powers_mw)
 
     def is_silent(self, station: int) -> bool:
-        """Whether a station's radio has ended."""
+        """Whether a station's radio is off."""
         return self._radios[station].silent
 
     def reach(self, transmission: Transmission, station: int) -> "IdealRadio | None":
-        """Radio of a station that a frame is meant for, and None if it is out of range; counts either."""
+        """Return an intended receiver's radio, None if it is off or out of range; records the outcome."""
         radio = self._radios[station]
         if radio.silent:
             return None
@@ -109,8 +108,8 @@ class IdealChannel:
         transmission.delivered.append(station)
         return radio
 
-    def tell_all(self, transmission: Transmission) -> None:
-        """Have a frame to all received by those in range of it."""
+    def deliver_group_frame(self, transmission: Transmission) -> None:
+        """Deliver a group frame to all stations in range."""
         frame = transmission.frame
         others = (i for i in range(self._stations) if i != transmission.source)
         stations = [i for i in others if self.reach(transmission, i) is not None]
@@ -123,19 +122,19 @@ class IdealChannel:
 
 
 class _Exchange:
-    """Attempts to bring one frame to one station."""
+    """Transmission attempts of one unicast frame."""
 
     __slots__ = ("arrived", "job", "over")
 
     def __init__(self, job: Job) -> None:
         self.job = job
         self.arrived = False
-        """The station has the frame, though its ACK may be missing."""
+        """The station has received the frame; its ACK may be missing."""
         self.over = False
 
 
 class IdealRadio:
-    """MAC of one station: sends whatever it is given at once; see `netsim.mac.jobs.Sender`."""
+    """MAC of one station that sends every frame at once; see `netsim.mac.jobs.FrameSender`."""
 
     def __init__(self, index: int, channel: IdealChannel, upper: Upper) -> None:
         self.index = index
@@ -145,10 +144,10 @@ class IdealRadio:
         self._queue = channel.queue
         self._sequence = 0
         self._exchanges: list[_Exchange] = []
-        """Those under way."""
+        """Unfinished exchanges."""
 
     def enqueue(self, _category: str, job: Job, /) -> None:
-        """Send a frame now; all categories are alike."""
+        """Send a frame now; the access category has no effect."""
         if self.silent:
             job.done(job, JobOutcome.OVERFLOW)
             return
@@ -167,15 +166,15 @@ class IdealRadio:
             self._attempt(exchange)
 
     def cancel(self, job: Job, /) -> None:
-        """See `netsim.mac.jobs.Sender`."""
+        """See `netsim.mac.jobs.FrameSender`."""
         job.cancelled = True
 
     def has_begun(self, job: Job, /) -> bool:
-        """See `netsim.mac.jobs.Sender`: what is handed over is sent."""
+        """See `netsim.mac.jobs.FrameSender`: an enqueued frame is sent at once."""
         return job.attempts > 0
 
     def silence(self) -> None:
-        """See `netsim.mac.jobs.Sender`: what is on the air is completed."""
+        """See `netsim.mac.jobs.FrameSender`: a frame on the air is completed."""
         self.silent = True
         for exchange in list(self._exchanges):
             self._finish(exchange, JobOutcome.EXPIRED)
@@ -198,7 +197,7 @@ class IdealRadio:
 
     def _on_group_ended(self, ended: tuple[Job, Transmission]) -> None:
         job, transmission = ended
-        self._channel.tell_all(transmission)
+        self._channel.deliver_group_frame(transmission)
         job.done(job, JobOutcome.SENT)
         self._channel.note_end(transmission)
 
@@ -218,7 +217,7 @@ class IdealRadio:
             duplicate=duplicate,
         )
 
-    # --- frames to one station
+    # --- unicast frames
 
     def _attempt(self, exchange: _Exchange) -> None:
         job = exchange.job
@@ -241,12 +240,12 @@ class IdealRadio:
             self._await_time_out(exchange, sent)
         else:
             duplicate, exchange.arrived = exchange.arrived, True
-            self._queue.at(self._queue.now_ns + SIFS_NS, self._on_answered, (exchange, sent))
+            self._queue.at(self._queue.now_ns + SIFS_NS, self._send_ack, (exchange, sent))
             radio.take(sent, duplicate=duplicate)
         self._channel.note_end(sent)
 
-    def _on_answered(self, attempt: tuple[_Exchange, Transmission]) -> None:
-        """Put the ACK on the air, unless who should send it has fallen silent."""
+    def _send_ack(self, attempt: tuple[_Exchange, Transmission]) -> None:
+        """Send the ACK, unless the responder's radio is off."""
         exchange, sent = attempt
         data = sent.frame
         mode = response_mode(data.mode)
@@ -262,9 +261,9 @@ class IdealRadio:
                 frame_bytes=ACK_BYTES,
             )
         )
-        self._queue.at(ack.end_ns + ack.delay_ns(self.index), self._on_answer, (exchange, sent, ack))
+        self._queue.at(ack.end_ns + ack.delay_ns(self.index), self._on_ack, (exchange, sent, ack))
 
-    def _on_answer(self, attempt: tuple[_Exchange, Transmission, Transmission]) -> None:
+    def _on_ack(self, attempt: tuple[_Exchange, Transmission, Transmission]) -> None:
         exchange, sent, ack = attempt
         if self._channel.reach(ack, self.index) is None:
             self._await_time_out(exchange, sent)

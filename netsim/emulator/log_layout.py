@@ -1,4 +1,4 @@
-"""Fixed-size rows of the emulator's binary logs: the fields of `netsim.emulator.records`, in their order."""
+"""Row layouts of the emulator's binary logs: the fields of `netsim.emulator.records`, in the same order."""
 
 import numpy as np
 
@@ -32,4 +32,4 @@ SESSION_LOG = np.dtype(
         ("rssi_dbm", "f8"),
     ]
 )
-"""One `netsim.ftm.initiator.Ranging`: a request and its end."""
+"""One `netsim.ftm.initiator.Ranging`: the result of a ranging request."""

@@ -1,4 +1,4 @@
-"""What the emulator remembers for logs and summaries: frames, ranging sessions, counts."""
+"""Records for logs and summaries: frames, ranging sessions, counters."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -20,7 +20,7 @@ from netsim.phy.signals import Transmission
 
 
 class FrameRecord(NamedTuple):
-    """One transmission; the fields of `netsim.emulator.log_layout.FRAME_LOG` in their order."""
+    """One transmission; the fields and their order are those of `netsim.emulator.log_layout.FRAME_LOG`."""
 
     start_ns: int
     end_ns: int
@@ -31,14 +31,14 @@ class FrameRecord(NamedTuple):
     kind: str
     mode: str
     bytes: int
-    """With MAC header and FCS."""
+    """Length including MAC header and FCS."""
     seq: int
-    """Of the item or session it belongs to; a measurement frame's number within its session, from 1 on; 0 for
-    a refusal, RTS, CTS and ACK."""
+    """Sequence number of the item or request; for a measurement frame its number in the session, from 1; for
+    a rejection, RTS, CTS and ACK 0."""
     delivered: int
-    """Intended receivers that got it."""
+    """Intended receivers that received it."""
     collided: int
-    """Intended receivers that would have got it had nothing else been on the air."""
+    """Intended receivers that would have received it without other transmissions."""
     lost_to_noise: int
 
 
@@ -46,48 +46,48 @@ _KIND, _MODE = FrameRecord._fields.index("kind"), FrameRecord._fields.index("mod
 
 
 class FtmCounters(Struct, frozen=True, kw_only=True):
-    """Ranging requests since the start."""
+    """Counters of ranging requests since the start of the run."""
 
     requested: int
     completed: int
     failed: dict[str, int]
     """By status."""
     error_sum_m: float
-    """Sum over the completed of measured less true distance."""
+    """Sum of measured minus true distance over completed requests."""
     error_square_sum_m2: float
 
 
 class EmulatorCounters(Struct, frozen=True, kw_only=True):
-    """Counts since the start."""
+    """Counters since the start of the run."""
 
     frames_sent: dict[str, int]
-    """By kind; every transmission counts, repeated ones too."""
+    """Transmissions by kind, retransmissions included."""
     broadcasts_delivered: tuple[int, ...]
-    """Broadcast datagrams that each station received, indexed by receiver."""
+    """Broadcast datagrams received, indexed by receiver."""
     broadcasts_collided: tuple[int, ...]
-    """Those it would have received had nothing else been on the air."""
+    """Broadcast datagrams that would have been received without other transmissions."""
     broadcasts_lost_to_noise: tuple[int, ...]
     drops: dict[str, int]
-    """Broadcast datagrams that were never sent, by reason."""
+    """Broadcast datagrams dropped before transmission, by reason."""
     unicasts: dict[str, int]
-    """Datagrams to one station, by what became of them."""
+    """Unicast datagrams by outcome."""
     lost_by_hosts: int
-    """Datagrams that stations received and their hosts lost."""
+    """Datagrams that the radio received and the host lost."""
     ftm: FtmCounters
 
 
 class FrameBook:
-    """Frames that have ended, one by one: rows and counts as `netsim.mac.radios.Radios` keeps them."""
+    """Rows and counts of ended frames, in the form of `netsim.mac.radios.Radios`."""
 
     def __init__(self, stations: int) -> None:
         self.sent = [0] * len(KINDS)
-        """By kind."""
+        """Frames by kind."""
         self.counts = np.zeros((stations, 3), np.int64)
-        """Datagrams to all by receiver: delivered, collided, lost to noise."""
+        """Broadcast datagrams (n, 3) by receiver: delivered, collided, lost to noise."""
         self._rows: list[tuple[int, ...]] = []
 
     def add(self, transmission: Transmission) -> None:
-        """Put down a frame that has ended at all its receivers."""
+        """Record a frame that has ended at all receivers."""
         frame = transmission.frame
         kind = KINDS.index(frame.kind)
         ends = {
@@ -105,7 +105,7 @@ class FrameBook:
         self._rows.append((*times_ns, *what, *map(len, ends.values())))
 
     def take(self) -> Integers:
-        """Rows since the last call: the fields of `FrameRecord`, kind and mode by their numbers."""
+        """Return the rows since the last call: fields of `FrameRecord`, kind and mode as numbers."""
         rows, self._rows = self._rows, []
         return np.array(rows, np.int64).reshape(-1, RECORD_COLUMNS)
 
@@ -115,7 +115,7 @@ _MODE_BYTES = np.array(MODE_NAMES, "S16")
 
 
 def frame_log_rows(frames: Integers) -> NDArray[np.void]:
-    """Rows of the frame log, of frames as a channel gives them."""
+    """Return `FRAME_LOG` rows for frame rows of a channel's `take_frames`."""
     rows = np.empty(len(frames), FRAME_LOG)
     for column, field in enumerate(FrameRecord._fields):
         rows[field] = frames[:, column]
@@ -127,12 +127,12 @@ _SESSION_FIELDS = attrgetter(*(SESSION_LOG.names or ()))
 
 
 def session_log_rows(sessions: Iterable[Ranging]) -> Iterable[tuple[Any, ...]]:
-    """Rows of the session log."""
+    """Return the fields of `SESSION_LOG` for each session."""
     return map(_SESSION_FIELDS, sessions)
 
 
 def frame_records(frames: Integers) -> list[FrameRecord]:
-    """Records of frames as a channel gives them."""
+    """Return records for frame rows of a channel's `take_frames`."""
     rows = frames.tolist()
     for row in rows:
         row[_KIND], row[_MODE] = KINDS[row[_KIND]], MODE_NAMES[row[_MODE]]
@@ -140,7 +140,7 @@ def frame_records(frames: Integers) -> list[FrameRecord]:
 
 
 class Tally:
-    """Keeps count of what is above the channel, and the sessions until somebody takes them."""
+    """Counters above the channel, and the ended ranging sessions until `take_sessions`."""
 
     def __init__(self) -> None:
         self.ftm_requested = 0
@@ -153,7 +153,7 @@ class Tally:
         self._error_square_sum_m2 = 0.0
 
     def count_session(self, ranging: Ranging) -> None:
-        """Remember a ranging request that has ended."""
+        """Record a ranging request that has ended."""
         self._ftm_ended[ranging.status] += 1
         if ranging.status == "ok":
             error_m = ranging.distance_m - ranging.true_distance_m
@@ -162,7 +162,7 @@ class Tally:
         self._sessions.append(ranging)
 
     def counters(self, frames_sent: list[int], broadcasts: Integers) -> EmulatorCounters:
-        """Counts since the start, with a channel's frames by kind and datagrams to all, (n, 3)."""
+        """Return all counters; a channel supplies its frames by kind and its broadcast datagrams (n, 3)."""
         delivered, collided, lost = (tuple(column) for column in broadcasts.T.tolist())
         return EmulatorCounters(
             frames_sent=dict(zip((kind.value for kind in KINDS), frames_sent, strict=True)),
@@ -182,6 +182,6 @@ class Tally:
         )
 
     def take_sessions(self) -> list[Ranging]:
-        """Ranging sessions that ended since the last call, in order of their end."""
+        """Return the ranging sessions that ended since the last call, in order of their end."""
         sessions, self._sessions = self._sessions, []
         return sessions

@@ -1,7 +1,7 @@
-"""The emulator as a run's processes know it: batches in, intervals on request, deliveries out, logs written.
+"""The emulator behind the messages of `netsim.wire`: accepts batches, simulates intervals, writes logs.
 
-What is between `netsim.emulator.emulator` and whoever carries its messages: sockets
-(`netsim.transport.server`), or plain calls in one process. Does no I/O but for its logs.
+It sits between `netsim.emulator.emulator` and the transport: sockets (`netsim.transport.server`), or direct
+calls in one process. Its only I/O is the log files.
 """
 
 import contextlib
@@ -28,7 +28,7 @@ Doubles = NDArray[np.float64]
 
 
 class VehicleMotion(NamedTuple):
-    """Positions (n, 3), velocities (n, 3) and attitudes (n, 4), wxyz, of the stations."""
+    """Positions (n, 3) in metres, velocities (n, 3) in m/s and attitudes (n, 4), wxyz, of the stations."""
 
     pos_ned_m: Doubles
     vel_ned_m_s: Doubles
@@ -36,23 +36,23 @@ class VehicleMotion(NamedTuple):
 
 
 _BATCH_ORDER = attrgetter("now_us", "station")
-_REFUSED = "the 802.11 emulator refuses to go on as it is told"
+_REFUSED = "the 802.11 emulator rejects the request to advance: bad motion, station or time"
 STREAM = 802
-"""Sets the emulator's random streams apart from those of the run's other processes."""
+"""Key of the emulator's random streams, different from those of the run's other processes."""
 
 
 class EmulatorService:
-    """The emulator with what was handed over and not yet simulated, and its logs.
+    """The emulator, the batches submitted and not yet simulated, and the logs.
 
-    `submit` may be called from any thread, all else from one. Raises ValueError for settings that do not go
-    together; `open_logs` makes the files.
+    `submit` may be called from any thread, all other methods from one. Raises ValueError for inconsistent
+    settings; `open_logs` creates the files.
     """
 
     def __init__(self, config: ServerConfig) -> None:
         self._config = config
         radio = config.radio
         self.stations = config.stations + len(radio.guests)
-        """Vehicles and guests."""
+        """Number of vehicles and guests."""
         self._guests_pos_ned_m = np.array([guest.pos_ned_m for guest in radio.guests]).reshape(-1, 3)
         self._emulator = Emulator(
             config=radio,
@@ -69,7 +69,7 @@ class EmulatorService:
         self._files = contextlib.ExitStack()
 
     def open_logs(self) -> None:
-        """Make the files that the settings name. Raises OSError."""
+        """Create the log files named in the settings. Raises OSError."""
         config, keep = self._config, self._files.enter_context
         if config.frame_log_path is not None:
             self._frame_log = keep(contextlib.closing(RecordLog(config.frame_log_path, FRAME_LOG)))
@@ -80,26 +80,26 @@ class EmulatorService:
             self._capture = keep(contextlib.closing(capture))
 
     def close(self) -> None:
-        """Write the rest of the logs; harmless when repeated."""
+        """Write the rest of the logs and close them; repeated calls have no effect."""
         self._files.close()
 
     @property
     def counters(self) -> dict[str, Any]:
-        """The run's counters, by name."""
+        """Counters of the run, by name."""
         counters: dict[str, Any] = msgspec.to_builtins(self._emulator.counters)
         return counters
 
     @property
     def reached_us(self) -> int:
-        """How far the air has been simulated."""
+        """Time up to which the channel has been simulated."""
         return self._reached_us
 
     def is_guest(self, station: Station) -> bool:
-        """Whether that station is another program's."""
+        """Whether the station's host is an external program."""
         return self._config.stations <= station < self.stations
 
     def submit(self, batch: TxBatch) -> bool:
-        """Keep a station's batch until its interval; False for one that no station can have sent."""
+        """Store a batch until its interval; return False for an unknown station or a time too far ahead."""
         if batch.station >= self.stations or self._too_early(batch):
             return False
         if batch.items:
@@ -107,7 +107,7 @@ class EmulatorService:
         return True
 
     def _too_early(self, batch: TxBatch) -> bool:
-        """Whether a vehicle speaks of a time far ahead; guests have none."""
+        """Whether a vehicle's batch is more than `LEAD_US` ahead; guests have no simulation time."""
         latest_us = max((item.at_us for item in batch.items), default=0)
         return (
             batch.station < self._config.stations
@@ -119,7 +119,7 @@ class EmulatorService:
             self._capture.append(transmission)
 
     def missing(self, request: Advance) -> set[Station]:
-        """Those of an interval's senders whose batches have not been submitted whole."""
+        """Return the senders of an interval whose batches are missing or incomplete."""
         missing = set(request.senders) - set(request.silent)
         if missing:
             at_us = request.at_us
@@ -127,7 +127,7 @@ class EmulatorService:
         return missing
 
     def _motion(self, request: Advance) -> VehicleMotion:
-        """Where an `Advance` puts the stations. Raises ValueError."""
+        """Return the motion in an `Advance`. Raises ValueError if the request is invalid."""
         vehicles = self._config.stations
         pos_ned_m = unpack_rows(request.pos_ned_m, stations=vehicles, columns=3)
         vel_ned_m_s = unpack_rows(request.vel_ned_m_s, stations=vehicles, columns=3)
@@ -142,7 +142,7 @@ class EmulatorService:
         return self._with_guests(VehicleMotion(pos_ned_m, vel_ned_m_s, q_ned_frd))
 
     def _with_guests(self, motion: VehicleMotion) -> VehicleMotion:
-        """Motion of all stations: guests stand still, upright."""
+        """Return the motion of all stations; guests are at rest and level."""
         guests = len(self._guests_pos_ned_m)
         if guests == 0:
             return motion
@@ -152,14 +152,14 @@ class EmulatorService:
             np.vstack([motion.q_ned_frd, np.tile([1.0, 0.0, 0.0, 0.0], (guests, 1))]),
         )
 
-    def give_way(self, how: Callable[[], object] | None) -> None:
-        """Have ``how`` called between events from now on; None calls nothing."""
-        self._emulator.queue.between = how
+    def set_between_events(self, function: Callable[[], object] | None) -> None:
+        """Set a function that is called between events; None removes it."""
+        self._emulator.queue.between = function
 
     def advance(self, request: Advance) -> dict[Station, RxBatch]:
-        """Simulate what an `Advance` asks for and return its deliveries.
+        """Simulate the interval of an `Advance` and return its deliveries by station.
 
-        Raises ValueError unless it is about all vehicles, somewhere, and goes on in time.
+        Raises ValueError unless it has finite motion of all vehicles, known stations and a later time.
         """
         motion = self._motion(request)
         for station in frozenset(request.silent) - self._silent:
@@ -170,7 +170,7 @@ class EmulatorService:
         return deliveries
 
     def advanced(self, *, delivered: tuple[Station, ...] = (), missing: tuple[Station, ...] = ()) -> Advanced:
-        """What the time master is told after `advance`, or instead of it if somebody is missing."""
+        """Return the reply to the time master after `advance`, or instead of it if senders are missing."""
         return Advanced(
             to_us=self._reached_us,
             quiet_until_us=self._emulator.next_event_us,
@@ -180,7 +180,7 @@ class EmulatorService:
         )
 
     def _simulate(self, request: Advance, motion: VehicleMotion) -> dict[Station, RxBatch]:
-        # other threads append to the list while this runs, so what is taken is cut off by position first.
+        # other threads append to the list meanwhile: copy and delete the same leading part
         count = len(self._submitted)
         batches = self._submitted[:count]
         del self._submitted[:count]
@@ -216,6 +216,6 @@ class EmulatorService:
 
 
 def _at_once(batch: TxBatch) -> TxBatch:
-    """Batch of a guest, whose time is not the simulation's: whatever it says, it means now."""
+    """Return a guest's batch with all times set to 0 (at once): its clock is not the simulation's."""
     items = tuple(msgspec.structs.replace(item, at_us=0) for item in batch.items)
     return msgspec.structs.replace(batch, now_us=0, items=items)

@@ -1,9 +1,9 @@
-"""What no single field of a radio's settings can tell: that they go together."""
+"""Checks across several fields of the radio's settings."""
 
 from typing import Literal
 
 from netsim.ftm.elements import NON_HT_FORMAT, Measurement
-from netsim.ftm.negotiation import grant, wish
+from netsim.ftm.negotiation import grant, requested_parameters
 from netsim.mac.access import DCF, EDCA, SIFS_NS
 from netsim.model.config import Mode, RadioConfig
 from netsim.phy.frames import ACK_BYTES, DATA_OVERHEAD_BYTES
@@ -11,9 +11,9 @@ from netsim.phy.modes import phy_mode, response_mode
 
 
 def check(config: RadioConfig, vehicles: int) -> None:
-    """Raise ValueError, with the field's path below ``radio``, for settings that contradict each other."""
+    """Raise ValueError, with the field's path below ``radio``, for inconsistent settings."""
     if config.control_mode.startswith("vht"):
-        raise ValueError(f"control_mode: RTS is a non-HT frame, {config.control_mode} is none")
+        raise ValueError(f"control_mode: RTS needs a non-HT mode, {config.control_mode} is VHT")
     modes: dict[str, Mode | Literal["adaptive"] | None] = {
         "broadcast_mode": config.broadcast_mode,
         "data_mode": config.data_mode,
@@ -24,9 +24,9 @@ def check(config: RadioConfig, vehicles: int) -> None:
     for number, own in enumerate(config.stations):
         path = f"stations[{number}]"
         if own.station >= stations:
-            raise ValueError(f"{path}.station: {own.station} is not on a channel of {stations} stations")
+            raise ValueError(f"{path}.station: {own.station} is out of range for {stations} stations")
         if own.station in seen:
-            raise ValueError(f"{path}.station: {own.station} has a table already")
+            raise ValueError(f"{path}.station: duplicate entry of station {own.station}")
         seen.add(own.station)
         modes |= {f"{path}.broadcast_mode": own.broadcast_mode, f"{path}.data_mode": own.data_mode}
     for path, mode in modes.items():
@@ -39,21 +39,21 @@ def check(config: RadioConfig, vehicles: int) -> None:
     names = [guest.name for guest in config.guests]
     for number, name in enumerate(names):
         if name in names[:number]:
-            raise ValueError(f"guests[{number}].name: {name!r} is there already")
+            raise ValueError(f"guests[{number}].name: duplicate name {name!r}")
 
 
 def _check_burst(config: RadioConfig) -> None:
-    """Raise ValueError unless a granted burst has time for the two measurement frames of a round trip.
+    """Raise ValueError if a granted burst is too short for the two measurement frames of a round trip.
 
-    They begin the granted least time apart, or as soon as the medium is free again after the first one's ACK;
-    and the second one's ACK is in the burst too.
+    The second frame begins at the granted least interval after the first, or as soon as the medium is free
+    after the first one's ACK. The ACK of the second frame is part of the burst.
     """
     ftm = config.ftm
-    granted = grant(wish(ftm, NON_HT_FORMAT), ftm, NON_HT_FORMAT, 0)
+    granted = grant(requested_parameters(ftm, NON_HT_FORMAT), ftm, NON_HT_FORMAT, 0)
     mode = phy_mode(ftm.mode, config.bandwidth_mhz)
-    answer_ns = SIFS_NS + response_mode(mode).duration_ns(ACK_BYTES)
+    response_ns = SIFS_NS + response_mode(mode).duration_ns(ACK_BYTES)
     first_ns, second_ns = (
-        mode.duration_ns(DATA_OVERHEAD_BYTES + Measurement(token=1, parameters=parameters).size) + answer_ns
+        mode.duration_ns(DATA_OVERHEAD_BYTES + Measurement(token=1, parameters=parameters).size) + response_ns
         for parameters in (granted, None)
     )
     access = DCF if config.access == "dcf" else EDCA[ftm.access_category]
@@ -61,6 +61,6 @@ def _check_burst(config: RadioConfig) -> None:
     least_us = (max(1_000 * delta_us, first_ns + access.aifs_ns) + second_ns) // 1_000
     if duration_us < least_us:
         raise ValueError(
-            f"ftm.burst_duration_us: {duration_us} us are too short for two measurement frames, which take "
-            f"{least_us} us with ftm.min_delta_us of {delta_us}"
+            f"ftm.burst_duration_us: {duration_us} us is too short for two measurement frames, which take "
+            f"{least_us} us with ftm.min_delta_us = {delta_us}"
         )

@@ -1,7 +1,7 @@
-"""A moment on the air: runs every numerical kernel of the emulator, so that all are compiled and on disk.
+"""A short simulation that runs every compiled kernel of the emulator, so that all are in the cache on disk.
 
-Three stations near each other and one out of everybody's reach send all at once, under an interferer: what
-they compute is of no interest, only that they compute it.
+Three stations in range of each other and one out of range send at the same time, beside an interferer. The
+results are not used.
 """
 
 import numpy as np
@@ -20,14 +20,14 @@ _CONFIG = RadioConfig(
     data_mode="adaptive",
     queue_lifetime_us=10_000,
     broadcast_access_category="vi",
-    host_jitter_us=0,  # what is handed over at a time collides
+    host_jitter_us=0,  # frames submitted at the same time collide
     rts_threshold_bytes=0,
     interferers=(InterfererConfig(pos_ned_m=(20.0, 20.0, 0.0), duty_cycle=0.1),),
 )
 
 
 def warm_up() -> None:
-    """Talk, range, collide and call in vain for a tenth of a second. Raises WarmUpError."""
+    """Simulate 0.1 s of broadcasts, ranging, collisions and unreachable unicasts. Raises WarmUpError."""
     stations = len(_PLACES_NED_M)
     seen: list[Transmission] = []
     emulator = Emulator(
@@ -51,6 +51,6 @@ def warm_up() -> None:
         )
     emulator.set_silent(_FAR)
     if emulator.next_event_us <= STEPS * STEP_US:
-        raise WarmUpError("the radio's rehearsal has left something undone")
+        raise WarmUpError("radio warm-up: events are left at the end")
     if not any(frame.delivered for frame in seen) or not any(frame.collided for frame in seen):
-        raise WarmUpError("the radio's rehearsal has frames that arrive or frames that collide, not both")
+        raise WarmUpError("radio warm-up: no frame was delivered, or none collided")

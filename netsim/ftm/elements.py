@@ -1,8 +1,8 @@
-"""The action frames of Fine Time Measurement as bytes, from the category on: no MAC header, no FCS.
+"""Encode and decode Fine Time Measurement action frames, from the category on: no MAC header, no FCS.
 
 Source: IEEE 802.11-2016, 9.6.8.32 (request), 9.6.8.33 (measurement), 9.4.2.168 (parameters element). Bytes
-that are no such frame decode to None; elements of other kinds are skipped. Left out: location reports, vendor
-elements, and the synchronisation element, for the stations of an ad-hoc network keep one TSF.
+of other or malformed frames decode to None; elements of other kinds are skipped. Not supported: location
+reports, vendor elements, and the synchronisation element, since stations of an ad-hoc network share one TSF.
 """
 
 from enum import IntEnum
@@ -20,14 +20,14 @@ PARAMETERS_BYTES = 9
 _ELEMENT_BYTES = 2 + PARAMETERS_BYTES
 STAMP_BITS = 48
 NO_PREFERENCE = 15
-"""Number of bursts exponent and burst duration; in the other fields it is 0."""
+"""Code for "no preference" of bursts exponent and burst duration; in the other fields it is 0."""
 MIN_DELTA_UNIT_US = 100
 BURST_PERIOD_UNIT_MS = 100
 SHORTEST_BURST_US = 250
 """Code 2; each code up to 11 doubles it."""
 BURST_DURATION_CODES = range(2, 12)
 NON_HT_FORMAT = 8
-"""Non-HT 20 MHz; there is no code for its duplicate on a wider channel."""
+"""Code of non-HT 20 MHz; non-HT duplicate on a wider channel has no code."""
 VHT_FORMATS = {20: 10, 40: 12, 80: 13}
 """By channel width in MHz."""
 _HEAD = Layout("<BBB")
@@ -41,18 +41,18 @@ class Status(IntEnum):
     """Status indication of the responder."""
 
     RESERVED = 0
-    """In a request."""
+    """Value in a request."""
     SUCCESSFUL = 1
     INCAPABLE = 2
     """Do not send the same request again."""
     FAILED = 3
-    """Do not send a new request for as many seconds as the value field says."""
+    """Do not send a new request for the number of seconds in the value field."""
 
 
 class Parameters(Struct, frozen=True, kw_only=True, gc=False):
-    """Fine Timing Measurement Parameters element: a wish in a request, a grant or refusal in the answer.
+    """Fine Timing Measurement Parameters element of a request, or of the responder's grant or rejection.
 
-    None is no preference; a field that does not apply is None, too.
+    None means no preference or not applicable.
     """
 
     status: Status = Status.RESERVED
@@ -76,7 +76,7 @@ class Parameters(Struct, frozen=True, kw_only=True, gc=False):
     """100..6553500, a multiple of 100."""
 
     def encode(self) -> bytes:
-        """Bytes of the element with its header."""
+        """Return the bytes of the element with its header."""
         partial_tsf, free = (0, 1) if self.partial_tsf is None else (self.partial_tsf, 0)
         exponent = NO_PREFERENCE if self.bursts_exponent is None else self.bursts_exponent
         bits = (
@@ -97,10 +97,10 @@ class Parameters(Struct, frozen=True, kw_only=True, gc=False):
 
 
 class Request(Struct, frozen=True, kw_only=True):
-    """Body of a request frame: with parameters it asks for a session, without it is a burst's trigger."""
+    """Body of a request frame: with parameters it requests a session, without it triggers a burst."""
 
     trigger: bool = True
-    """Start or continue sending measurement frames; False: stop."""
+    """True: start or continue sending measurement frames; False: stop."""
     parameters: Parameters | None = None
 
     @property
@@ -109,7 +109,7 @@ class Request(Struct, frozen=True, kw_only=True):
         return _HEAD.size if self.parameters is None else _HEAD.size + _ELEMENT_BYTES
 
     def encode(self) -> bytes:
-        """Give the body."""
+        """Return the bytes of the body."""
         head = _HEAD.pack(PUBLIC_ACTION, REQUEST_ACTION, self.trigger)
         return head if self.parameters is None else head + self.parameters.encode()
 
@@ -120,13 +120,13 @@ class Measurement(Struct, frozen=True, kw_only=True, gc=False):
     token: int
     """Dialog token, 1..255; 0 ends the session."""
     followed: int = 0
-    """Dialog token that the time stamps belong to; 0 if there are none."""
+    """Dialog token of the frame that the time stamps belong to; 0: no time stamps."""
     t1_ps: int = 0
     """Departure of the followed frame, 48 bits."""
     t4_ps: int = 0
     """Arrival of its acknowledgement, 48 bits."""
     t1_error_exponent: int = 0
-    """0..31: the error is at most 2^(this - 1) ps; 0 is unknown."""
+    """0..31: the error is at most 2^(exponent - 1) ps; 0: unknown."""
     t4_error_exponent: int = 0
     parameters: Parameters | None = None
     """In the first frames of a session, until one is acknowledged."""
@@ -137,7 +137,7 @@ class Measurement(Struct, frozen=True, kw_only=True, gc=False):
         return _STAMPS.size if self.parameters is None else _STAMPS.size + _ELEMENT_BYTES
 
     def encode(self) -> bytes:
-        """Give the body."""
+        """Return the bytes of the body."""
         body = _STAMPS.pack(
             PUBLIC_ACTION,
             MEASUREMENT_ACTION,
@@ -154,7 +154,7 @@ class Measurement(Struct, frozen=True, kw_only=True, gc=False):
 
 
 def decode(body: bytes) -> Request | Measurement | None:
-    """Frame of these bytes, or None."""
+    """Decode a frame body; return None if it is another or a malformed frame."""
     if len(body) < _HEAD.size or body[0] != PUBLIC_ACTION:
         return None
     if body[1] == REQUEST_ACTION:
@@ -165,12 +165,12 @@ def decode(body: bytes) -> Request | Measurement | None:
 
 
 def format_and_bandwidth(mode: PhyMode) -> int:
-    """Code of a mode's format and bandwidth."""
+    """Return the format and bandwidth code of a mode."""
     return VHT_FORMATS[mode.bandwidth_mhz] if mode.vht else NON_HT_FORMAT
 
 
 def error_exponent(bound_ps: float) -> int:
-    """Least exponent that says of an error that it is at most ``bound_ps``."""
+    """Return the least error exponent that covers a bound of ``bound_ps``."""
     if bound_ps <= 1.0:
         return 1
     return min((int(bound_ps - 1e-9)).bit_length() + 1, _EXPONENT_MASK)
@@ -209,7 +209,7 @@ def _decode_measurement(body: bytes) -> Measurement | None:
 
 
 def _find_parameters(elements: bytes) -> tuple[bool, Parameters | None]:
-    """Whether these are whole elements, and the parameters if they are among them."""
+    """Return whether all elements are complete and valid, and the parameters element if present."""
     parameters = None
     while elements:
         if len(elements) < 2 or len(elements) < 2 + elements[1]:

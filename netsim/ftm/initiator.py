@@ -1,4 +1,4 @@
-"""The initiator's side of ranging sessions: asks, stamps what arrives, triggers further bursts, sums up."""
+"""Initiator of ranging sessions: requests, time-stamps measurements, triggers bursts, reports results."""
 
 from collections.abc import Callable
 from math import log10, sqrt
@@ -7,7 +7,7 @@ import numpy as np
 from msgspec import Struct
 
 from netsim.ftm.elements import Measurement, Parameters, Request, Status
-from netsim.ftm.negotiation import TIME_UNIT_NS, Schedule, wish
+from netsim.ftm.negotiation import TIME_UNIT_NS, Schedule, requested_parameters
 from netsim.ftm.port import ObservedRequest, Port
 from netsim.ftm.stamps import measured_m
 from netsim.mac.access import SIFS_NS
@@ -15,12 +15,14 @@ from netsim.mac.jobs import Job, JobOutcome, Reception
 from netsim.model.event_queue import Event
 
 GRACE_NS = TIME_UNIT_NS + 1_000_000
-"""From a session's last moment by its schedule to its end here: the schedule may be early by a time unit, and
-a frame that went out in time has to arrive."""
+"""Time from the scheduled end of a session to its end at the initiator.
+
+The schedule may be early by one time unit, and the last frame needs time to arrive.
+"""
 
 
 class Ranging(Struct, frozen=True, kw_only=True):
-    """How a request ended, in the terms of `netsim.wire.messages.FtmResult`."""
+    """Result of a ranging request; fields as in `netsim.wire.messages.FtmResult`."""
 
     initiator: int
     peer: int
@@ -29,19 +31,19 @@ class Ranging(Struct, frozen=True, kw_only=True):
     ended_ns: int
     measured_ns: int
     true_distance_m: float
-    """Mean over the round trips that were used, at the end if there were none; 0.0 without such a peer."""
+    """Mean over the round trips; without any, the distance at the end. Unknown peer: 0.0."""
     distance_m: float = 0.0
     distance_std_m: float = 0.0
     rssi_dbm: float = 0.0
     round_trips: int = 0
     measurements: int = 0
-    """Measurement frames that arrived, repetitions not counted."""
+    """Measurement frames received, duplicates not counted."""
     retry_after_s: int = 0
-    """With ``rejected`` by a responder: for how long it does not want to be asked again."""
+    """If ``rejected`` by a responder: time for which it requests no new request, in seconds."""
 
 
 def lost(ranging: Ranging) -> Ranging:
-    """Return what is left of a result that the initiator's host has lost: that there was one."""
+    """Return the result as the initiator's host loses it: status ``lost``, without measured values."""
     return Ranging(
         initiator=ranging.initiator,
         peer=ranging.peer,
@@ -66,21 +68,21 @@ class _Arrival(Struct, gc=False):
 
 class _Session:
     __slots__ = (
-        "arrival", "asked_until_ns", "burst", "burst_begin", "end", "excess_m", "job", "measurements", "peer",
-        "round_trips", "schedule", "seq", "time_out",
+        "arrival", "burst", "burst_begin", "end", "excess_m", "job", "measurements", "peer",
+        "request_deadline_ns", "round_trips", "schedule", "seq", "time_out",
     )  # fmt: skip
 
-    def __init__(self, peer: int, seq: int, asked_until_ns: int) -> None:
+    def __init__(self, peer: int, seq: int, request_deadline_ns: int) -> None:
         self.peer = peer
         self.seq = seq
-        self.asked_until_ns = asked_until_ns
+        self.request_deadline_ns = request_deadline_ns
         self.excess_m = 0.0
         self.job: Job | None = None
         """The request, later the last trigger."""
         self.schedule: Schedule | None = None
         """None until the responder has granted the session."""
         self.burst = 0
-        """The next that has to be triggered."""
+        """Number of the next burst to trigger."""
         self.time_out: Event | None = None
         self.burst_begin: Event | None = None
         self.end: Event | None = None
@@ -88,11 +90,11 @@ class _Session:
         """The last measurement frame."""
         self.measurements = 0
         self.round_trips: list[tuple[float, _Arrival]] = []
-        """Their distances in metres, and what they began with here."""
+        """Distance in metres and first measurement frame of each round trip."""
 
 
 class Initiator:
-    """Sessions that one station began."""
+    """Sessions that one station initiates."""
 
     def __init__(
         self,
@@ -104,16 +106,16 @@ class Initiator:
         self._port = port
         self._queue = port.queue
         self._nlos = nlos
-        """Generator and mean in metres of what a blocked line of sight adds; None if it never is."""
+        """Generator and mean in metres of the excess range of a blocked line of sight; None: no excess."""
         self._on_result = on_result
-        self._wish = wish(port.config, port.format_and_bandwidth)
+        self._parameters = requested_parameters(port.config, port.format_and_bandwidth)
         self._sessions: dict[int, _Session] = {}
 
     def request(self, peer: int, seq: int, timeout_ns: int) -> None:
-        """Range to a peer.
+        """Start a session with a peer.
 
-        Without an answer it ends by the absolute time ``timeout_ns``; a grant moves that by the time to the
-        beginning of the last burst.
+        Without a response it ends at the absolute time ``timeout_ns``. A grant extends this by the time to
+        the beginning of the last burst.
         """
         session = _Session(peer, seq, timeout_ns)
         if peer == self._port.station or not 0 <= peer < self._port.stations or peer in self._sessions:
@@ -124,7 +126,7 @@ class Initiator:
             generator, mean_m = self._nlos
             session.excess_m = float(generator.exponential(mean_m))
         session.time_out = self._queue.at(max(timeout_ns, self._queue.now_ns), self._on_time_out, session)
-        body = ObservedRequest(parameters=self._wish, excess_m=session.excess_m)
+        body = ObservedRequest(parameters=self._parameters, excess_m=session.excess_m)
         session.job = self._port.job(body, peer, self._on_request_done, seq=seq)
         self._port.send(session.job)
 
@@ -165,9 +167,9 @@ class Initiator:
         if wait_ns > 0 and session.time_out is not None:
             self._queue.cancel(session.time_out)
             session.time_out = self._queue.at(
-                max(now, session.asked_until_ns + wait_ns), self._on_time_out, session
+                max(now, session.request_deadline_ns + wait_ns), self._on_time_out, session
             )
-        # as soon as possible means that the first burst has begun with this frame
+        # ASAP: the first burst has begun with this frame
         session.burst = 1 if granted.asap else 0
         self._await_burst(session, schedule)
 
@@ -192,7 +194,7 @@ class Initiator:
     # --- measurements
 
     def on_measurement(self, reception: Reception, body: Measurement) -> None:
-        """Take a measurement frame; one that comes again brings new time stamps."""
+        """Process a measurement frame; a retransmission has new time stamps."""
         peer, end_ns, power_mw = reception.source, reception.end_ns, reception.power_mw
         session = self._sessions.get(peer)
         if session is None:
@@ -205,9 +207,9 @@ class Initiator:
                 return
             self._on_granted(session, granted)
             if not granted.asap:
-                return  # it announces the first burst and is not part of it
+                return  # this frame announces the first burst and is not part of it
         elif session.schedule is None:
-            return  # of a session that has ended here
+            return  # the session has already ended here
         arrival = session.arrival
         if arrival is not None and arrival.token == body.followed:
             trip_m = measured_m(body.t1_ps, arrival.t2_ps, arrival.t3_ps, body.t4_ps, arrival.rate_ratio)
@@ -217,7 +219,7 @@ class Initiator:
         if body.token == 0:
             self._finish(session, "timeout", ended_ns=end_ns)
             return
-        # a frame comes again if its ACK was lost: t1 and t4 will be those of its last transmission
+        # a frame is repeated if its ACK was lost: t1 and t4 belong to its last transmission
         session.arrival = _Arrival(
             token=body.token,
             t2_ps=self._port.arrival_ps(reception, session.excess_m)[0],
@@ -233,7 +235,7 @@ class Initiator:
     def _finish(
         self, session: _Session, failure: str, *, retry_after_s: int = 0, ended_ns: int | None = None
     ) -> None:
-        """End a session, now if not said otherwise: ``ok`` if there is a round trip, else the failure."""
+        """End a session, by default now, with ``ok`` if there is a round trip, else with the failure."""
         del self._sessions[session.peer]
         for event in (session.time_out, session.burst_begin, session.end):
             if event is not None:

@@ -1,7 +1,7 @@
-"""What an initiator asks for, what a responder grants, and when the bursts of a session are.
+"""Negotiation of ranging sessions: requested and granted parameters, and the schedule of the bursts.
 
-Source: IEEE 802.11-2016, 11.24.6.3 and 9.4.2.168. The TSF is that of the ad-hoc network, which its stations
-keep in step: simulated time in microseconds.
+Source: IEEE 802.11-2016, 11.24.6.3 and 9.4.2.168. All stations share the TSF of the ad-hoc network:
+simulated time in microseconds.
 """
 
 from msgspec import Struct
@@ -20,7 +20,7 @@ from netsim.model.config import BandwidthMhz, FtmConfig
 
 TIME_UNIT_NS = 1_024_000
 LEAST_WAIT_NS = 10_000_000
-"""To a first burst that is not as soon as possible: the frame that announces it has to get through."""
+"""Least time to a first burst that is not ASAP: the frame that announces it has to arrive before."""
 LONGEST_BURST_US = SHORTEST_BURST_US << len(BURST_DURATION_CODES) - 1
 LONGEST_RETRY_S = 31
 _PARTIAL_TSF = 2**16
@@ -28,13 +28,13 @@ _FORMATS_WITHIN = {
     widest: {NON_HT_FORMAT, *(code for width, code in VHT_FORMATS.items() if width <= widest)}
     for widest in VHT_FORMATS
 }
-"""By the width of a channel in MHz: codes of the formats that fit into it."""
+"""Format codes that fit into a channel, by its width in MHz."""
 
 
-def wish(config: FtmConfig, format_and_bandwidth: int) -> Parameters:
-    """Return what the initiator's request asks for; the time of a first burst is the responder's choice.
+def requested_parameters(config: FtmConfig, format_and_bandwidth: int) -> Parameters:
+    """Return the parameters of the initiator's request; the responder chooses the time of the first burst.
 
-    The protocol counts in units of 100 us: the time between frames is rounded up.
+    The time between frames is rounded up to the protocol's unit of 100 us.
     """
     return Parameters(
         bursts_exponent=config.bursts_exponent,
@@ -47,37 +47,37 @@ def wish(config: FtmConfig, format_and_bandwidth: int) -> Parameters:
     )
 
 
-def can_measure(wanted: Parameters, bandwidth_mhz: BandwidthMhz) -> bool:
-    """Whether frames of the wanted format fit into the responder's channel."""
-    code = wanted.format_and_bandwidth
+def can_measure(requested: Parameters, bandwidth_mhz: BandwidthMhz) -> bool:
+    """Whether frames of the requested format fit into the responder's channel."""
+    code = requested.format_and_bandwidth
     return code is None or code in _FORMATS_WITHIN[bandwidth_mhz]
 
 
-def grant(wanted: Parameters, config: FtmConfig, format_and_bandwidth: int, now_ns: int) -> Parameters:
-    """Return what the responder agrees to: what is wanted, within its own limits.
+def grant(requested: Parameters, config: FtmConfig, format_and_bandwidth: int, now_ns: int) -> Parameters:
+    """Return the granted parameters: the requested ones within the responder's limits.
 
-    No preference leaves the choice to what the responder's own requests ask for. If it needs more time
-    between frames than is wanted, bursts become as long as all their frames take, up to the longest there is,
-    and their period no shorter than they are.
+    Without a preference the responder's own request parameters apply. If the responder needs more time
+    between frames than requested, bursts are lengthened to fit all frames, up to the longest duration, and
+    the period is at least the burst duration.
     """
-    exponent = _wanted(wanted.bursts_exponent, config.bursts_exponent)
-    frames = min(_wanted(wanted.ftms_per_burst, config.ftms_per_burst), config.responder_ftms_per_burst)
-    wanted_delta_us = _wanted(wanted.min_delta_us, _whole_units_us(config.min_delta_us))
-    delta_us = max(wanted_delta_us, _whole_units_us(config.responder_min_delta_us))
-    duration_us = _wanted(wanted.burst_duration_us, config.burst_duration_us)
-    if delta_us > wanted_delta_us:
+    exponent = _or_own(requested.bursts_exponent, config.bursts_exponent)
+    frames = min(_or_own(requested.ftms_per_burst, config.ftms_per_burst), config.responder_ftms_per_burst)
+    requested_delta_us = _or_own(requested.min_delta_us, _whole_units_us(config.min_delta_us))
+    delta_us = max(requested_delta_us, _whole_units_us(config.responder_min_delta_us))
+    duration_us = _or_own(requested.burst_duration_us, config.burst_duration_us)
+    if delta_us > requested_delta_us:
         while duration_us < min(frames * delta_us, LONGEST_BURST_US):
             duration_us *= 2
     period_ms = None
     if exponent:
         least_ms = -(-duration_us // (1_000 * BURST_PERIOD_UNIT_MS)) * BURST_PERIOD_UNIT_MS
-        period_ms = max(_wanted(wanted.burst_period_ms, config.burst_period_ms), least_ms)
-    asap = wanted.asap and config.responder_asap_capable
+        period_ms = max(_or_own(requested.burst_period_ms, config.burst_period_ms), least_ms)
+    asap = requested.asap and config.responder_asap_capable
     first_ns = now_ns
     if not asap:
         first_ns += LEAST_WAIT_NS + TIME_UNIT_NS - 1
-        if wanted.partial_tsf is not None and not wanted.asap:
-            first_ns = max(first_ns, from_partial_tsf_ns(wanted.partial_tsf, now_ns))
+        if requested.partial_tsf is not None and not requested.asap:
+            first_ns = max(first_ns, from_partial_tsf_ns(requested.partial_tsf, now_ns))
     return Parameters(
         status=Status.SUCCESSFUL,
         bursts_exponent=exponent,
@@ -92,14 +92,14 @@ def grant(wanted: Parameters, config: FtmConfig, format_and_bandwidth: int, now_
     )
 
 
-def refusal(status: Status, retry_after_ns: int = 0) -> Parameters:
-    """Return a refusal; the time after which to ask again is rounded up to seconds, of which 31 is most."""
+def rejection(status: Status, retry_after_ns: int = 0) -> Parameters:
+    """Return the parameters of a rejection; the time to retry is rounded up to seconds, at most 31."""
     retry_s = min(-(-retry_after_ns // 1_000_000_000), LONGEST_RETRY_S) if status is Status.FAILED else 0
     return Parameters(status=status, value=retry_s, partial_tsf=0)
 
 
 class Schedule(Struct, frozen=True, kw_only=True):
-    """When the bursts of a session are; a first one as soon as possible began up to a time unit later."""
+    """Times of a session's bursts; the first ASAP burst may begin up to one time unit later."""
 
     first_ns: int
     period_ns: int
@@ -109,7 +109,7 @@ class Schedule(Struct, frozen=True, kw_only=True):
 
     @classmethod
     def of(cls, granted: Parameters, now_ns: int) -> "Schedule":
-        """Return that of a grant which is read at ``now_ns``."""
+        """Return the schedule of a grant that is received at ``now_ns``."""
         return cls(
             first_ns=from_partial_tsf_ns(granted.partial_tsf or 0, now_ns),
             period_ns=1_000_000 * (granted.burst_period_ms or 0),
@@ -118,15 +118,15 @@ class Schedule(Struct, frozen=True, kw_only=True):
         )
 
     def begin_ns(self, burst: int) -> int:
-        """Beginning of a burst."""
+        """Return the begin of a burst."""
         return self.first_ns + burst * self.period_ns
 
     def end_ns(self, burst: int) -> int:
-        """When the time of a burst is over."""
+        """Return the end of a burst."""
         return self.begin_ns(burst) + self.duration_ns
 
     def burst_at(self, at_ns: int) -> int | None:
-        """Number of the burst that a time is in, or None between them."""
+        """Return the number of the burst at a time, or None between bursts."""
         since_ns = at_ns - self.first_ns
         if since_ns < 0:
             return None
@@ -135,7 +135,7 @@ class Schedule(Struct, frozen=True, kw_only=True):
 
 
 def from_partial_tsf_ns(partial_tsf: int, now_ns: int) -> int:
-    """Time that bits 10 to 25 of a TSF stand for: of those 67 s apart, the nearest to now."""
+    """Return the time of a partial TSF (bits 10 to 25, ambiguous by 67 s) that is nearest to now."""
     now_units = now_ns // TIME_UNIT_NS
     ahead = (partial_tsf - now_units + _PARTIAL_TSF // 2) % _PARTIAL_TSF - _PARTIAL_TSF // 2
     return (now_units + ahead) * TIME_UNIT_NS
@@ -145,5 +145,5 @@ def _whole_units_us(delta_us: int) -> int:
     return -(-delta_us // MIN_DELTA_UNIT_US) * MIN_DELTA_UNIT_US
 
 
-def _wanted(wanted: int | None, own: int) -> int:
-    return own if wanted is None else wanted
+def _or_own(requested: int | None, own: int) -> int:
+    return own if requested is None else requested

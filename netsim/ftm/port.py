@@ -1,7 +1,7 @@
-"""What both roles of a station in Fine Time Measurement share: its clock, its receiver's noise, its MAC.
+"""State shared by initiator and responder of a station: clock, time-stamp noise and MAC.
 
-Time stamps are of the start of a frame at the antenna. A departure is stamped without error; the noise of
-both arrivals stands for all that a round trip has.
+A time stamp refers to the start of a frame at the antenna. Departures have no error; the noise of the two
+arrivals accounts for the error of the whole round trip.
 """
 
 from collections.abc import Callable
@@ -25,27 +25,27 @@ PS_PER_M = 1e12 / SPEED_OF_LIGHT_M_S
 
 
 class Environment(Protocol):
-    """What all radios share."""
+    """Environment shared by all radios."""
 
     trajectories: Trajectories
     queue: EventQueue
 
     def calibration_bias_m(self, a: int, b: int) -> float:
-        """Constant range offset of a pair of devices."""
+        """Return the constant range offset of a pair of devices."""
 
     def blocked(self, a: int, b: int, at_ns: int) -> bool:
         """Whether the line of sight between two stations is blocked."""
 
 
 class ObservedRequest(Request, frozen=True, kw_only=True):
-    """A request with what is true of the session and in none of its bytes."""
+    """A request with simulation data of the session that is not encoded in the frame."""
 
     excess_m: float = 0.0
-    """What a blocked line of sight adds to the range."""
+    """Excess range while the line of sight is blocked, metres."""
 
 
 class Port:
-    """Clock, noise and MAC of one station, which is attached before anything is sent."""
+    """Clock, noise and MAC of one station; the MAC is attached before the first frame."""
 
     def __init__(
         self,
@@ -67,14 +67,14 @@ class Port:
         self.clock = clocks[station]
         self.mac: FrameSender
         self.send: Callable[[Job], None]
-        """Queues a frame; a full queue ends its job at once."""
+        """Enqueue a frame; a full queue ends its job at once."""
         self._trajectories = environment.trajectories
         self._blocked = environment.blocked
         self._bias_m = [
             environment.calibration_bias_m(peer, station) if peer != station else 0.0
             for peer in range(stations)
         ]
-        """By peer: what calibration left belongs to the pair."""
+        """Residual calibration offset of the pair, by peer."""
         self._clocks = clocks
         self._carrier_hz = config.frequency_mhz * 1e6
         self._lifetime_ns = 1_000 * config.queue_lifetime_us
@@ -84,21 +84,21 @@ class Port:
         self._errors = Normals(generator)
 
     def attach(self, mac: FrameSender) -> None:
-        """Give it the MAC to send through."""
+        """Set the MAC that frames are sent through."""
         self.mac = mac
         self.send = partial(mac.enqueue, self.config.access_category)
 
     def distance_m(self, peer: int) -> float:
-        """True distance to another station now; 0.0 to one that does not exist."""
+        """Return the true distance to another station now; 0.0 if it does not exist."""
         if not 0 <= peer < self.stations:
             return 0.0
         return self._trajectories.distance_m(self.station, peer, self.queue.now_ns)
 
     def arrival_ps(self, reception: Reception, excess_m: float) -> tuple[int, float]:
-        """Stamp of a frame's arrival here, and the standard deviation of its noise in picoseconds.
+        """Return the arrival stamp of a frame and the standard deviation of its noise, in picoseconds.
 
-        To what calibration left the session's excess is added while the line of sight is blocked: each way
-        takes its share, so that a round trip grows by twice the range's.
+        The calibration offset, and the session's excess range while the line of sight is blocked, are added
+        to each way, so they add twice to the round trip and once to the range.
         """
         source, start_ns = reception.source, reception.start_ns
         way_m = self._trajectories.distance_m(source, self.station, start_ns)
@@ -111,7 +111,7 @@ class Port:
         return self.clock.stamp_ps(true_ps + round(error_ps)), std_ps
 
     def rate_ratio(self, peer: int, power_mw: float) -> float:
-        """Rate of a peer's clock in terms of the own one, as a frame's carrier offset tells it."""
+        """Return the rate of a peer's clock relative to the own, estimated from a frame's carrier offset."""
         snr_linear = power_mw / self._noise_mw
         std = frequency_ratio_std(self._carrier_hz, self.bandwidth_mhz, snr_linear)
         return self._clocks[peer].rate / self.clock.rate + std * self._errors.draw()
@@ -125,7 +125,7 @@ class Port:
         seq: int,
         expires_ns: int | None = None,
     ) -> Job:
-        """A frame to one station, for `send`; what has not gone out by ``expires_ns`` is dropped."""
+        """Return a job for `send`: a frame to one station, dropped if not sent by ``expires_ns``."""
         lives_until_ns = self.queue.now_ns + self._lifetime_ns
         return Job(
             kind=FrameKind.FTM if isinstance(body, Measurement) else FrameKind.FTM_REQUEST,

@@ -1,30 +1,30 @@
-"""The responder's side of ranging sessions: grants or refuses them and sends the measurement frames."""
+"""Responder of ranging sessions: grants or rejects requests and sends the measurement frames."""
 
 from functools import partial
 
 import msgspec
 
 from netsim.ftm.elements import Measurement, Parameters, Request, Status, error_exponent
-from netsim.ftm.negotiation import Schedule, can_measure, grant, refusal
+from netsim.ftm.negotiation import Schedule, can_measure, grant, rejection
 from netsim.ftm.port import ObservedRequest, Port
 from netsim.mac.jobs import Job, JobOutcome
 from netsim.model.event_queue import Event
 
 HIGHEST_TOKEN = 255
 DEPARTURE_ERROR_EXPONENT = error_exponent(1.0)
-"""Departures are exact but for their unit."""
+"""Departures are exact to the unit of 1 ps."""
 ARRIVAL_ERROR_STD = 3.0
-"""Standard deviations of an arrival's noise that its stated error bound covers."""
+"""Error bound of an arrival, in standard deviations of its noise."""
 
 
 _NOTHING = Measurement(token=0)
-"""What follows no frame."""
+"""Follow-up data if no frame precedes."""
 
 
 class _Session:
     __slots__ = (
-        "burst", "burst_end_ns", "closing", "closing_ns", "excess_m", "followed", "granted", "initiator",
-        "job", "known", "number", "number_in_burst", "schedule", "token",
+        "burst", "burst_end_ns", "closing", "closing_ns", "confirmed", "excess_m", "followed", "granted",
+        "initiator", "job", "number", "number_in_burst", "schedule", "token",
     )  # fmt: skip
 
     def __init__(self, initiator: int, granted: Parameters, schedule: Schedule, excess_m: float) -> None:
@@ -32,24 +32,24 @@ class _Session:
         self.granted = granted
         self.schedule = schedule
         self.excess_m = excess_m
-        self.known = False
-        """The initiator has acknowledged a frame with what was granted."""
+        self.confirmed = False
+        """The initiator has acknowledged a frame with the granted parameters."""
         self.burst = -1
-        """The one that is or was last; -1 before the first."""
+        """Number of the current or last burst; -1 before the first."""
         self.burst_end_ns = 0
         self.closing: Event | None = None
         self.closing_ns = 0
         self.job: Job | None = None
         self.number = 0
-        """Measurement frames so far."""
+        """Number of measurement frames so far."""
         self.number_in_burst = 0
         self.token = 0
         self.followed = _NOTHING
-        """What the next frame says of the one before it, which it rides in whatever burst."""
+        """Time stamps of the last frame, which the next frame carries, also in a later burst."""
 
 
 class Responder:
-    """Sessions that one station answers."""
+    """Sessions in which one station is the responder."""
 
     def __init__(self, port: Port) -> None:
         self._port = port
@@ -57,7 +57,7 @@ class Responder:
         self._sessions: dict[int, _Session] = {}
 
     def on_request(self, initiator: int, body: Request) -> None:
-        """Take a request or a trigger."""
+        """Process a request, a trigger or a request to stop."""
         if not body.trigger:
             session = self._sessions.get(initiator)
             if session is not None:
@@ -73,20 +73,20 @@ class Responder:
         for session in list(self._sessions.values()):
             self._end(session)
 
-    def _negotiate(self, initiator: int, wanted: Parameters, excess_m: float) -> None:
+    def _negotiate(self, initiator: int, requested: Parameters, excess_m: float) -> None:
         now = self._queue.now_ns
         port = self._port
         before = self._sessions.get(initiator)
         if before is not None:
-            self._end(before)  # a new request of the same initiator ends the session before
-        if not can_measure(wanted, port.bandwidth_mhz):
-            self._refuse(initiator, refusal(Status.INCAPABLE))
+            self._end(before)  # a new request of an initiator ends its previous session
+        if not can_measure(requested, port.bandwidth_mhz):
+            self._reject(initiator, rejection(Status.INCAPABLE))
             return
         if len(self._sessions) >= port.config.responder_sessions:
             free_ns = min(session.closing_ns for session in self._sessions.values())
-            self._refuse(initiator, refusal(Status.FAILED, max(1, free_ns - now)))
+            self._reject(initiator, rejection(Status.FAILED, max(1, free_ns - now)))
             return
-        granted = grant(wanted, port.config, port.format_and_bandwidth, now)
+        granted = grant(requested, port.config, port.format_and_bandwidth, now)
         schedule = Schedule.of(granted, now)
         session = _Session(initiator, granted, schedule, excess_m)
         if granted.asap:
@@ -99,19 +99,19 @@ class Responder:
         self._sessions[initiator] = session
         self._send_next(session)
 
-    def _refuse(self, initiator: int, parameters: Parameters) -> None:
+    def _reject(self, initiator: int, parameters: Parameters) -> None:
         body = Measurement(token=0, parameters=parameters)
         self._port.send(self._port.job(body, initiator, lambda _job, _outcome: None, seq=0))
 
     def _on_trigger(self, initiator: int) -> None:
-        """Begin the burst that is due; a trigger at another time is none, nor is a second in one burst."""
+        """Begin the current burst; a trigger between bursts or a second one in a burst is ignored."""
         session = self._sessions.get(initiator)
         if session is None:
             return
         burst = session.schedule.burst_at(self._queue.now_ns)
         if burst is None or burst <= session.burst:
             return
-        session.known = True  # or the initiator would not know that it is time
+        session.confirmed = True  # the trigger shows that the initiator has the grant
         session.burst = burst
         session.burst_end_ns = session.schedule.end_ns(burst)
         session.number_in_burst = 0
@@ -128,14 +128,14 @@ class Responder:
             and session.number_in_burst == session.granted.ftms_per_burst
         )
         session.token = 0 if is_last else session.token % HIGHEST_TOKEN + 1
-        granted = None if session.known else session.granted
+        granted = None if session.confirmed else session.granted
         body = msgspec.structs.replace(session.followed, token=session.token, parameters=granted)
         session.job = self._port.job(
             body,
             session.initiator,
             partial(self._on_sent, session),
             seq=session.number,
-            expires_ns=session.burst_end_ns,  # what has not gone out by then is of no use
+            expires_ns=session.burst_end_ns,  # frames after the burst are useless
         )
         self._port.send(session.job)
 
@@ -143,10 +143,10 @@ class Responder:
         if self._sessions.get(session.initiator) is not session or session.job is not job:
             return
         acknowledged = outcome is JobOutcome.ACKNOWLEDGED
-        session.known = session.known or acknowledged
+        session.confirmed = session.confirmed or acknowledged
         if session.burst < 0:
             if not acknowledged:
-                self._end(session)  # the initiator will not trigger what it does not know of
+                self._end(session)  # the initiator may not have the grant and will not trigger
             return
         sent_ns = job.sent_ns
         session.followed = _NOTHING

@@ -1,29 +1,28 @@
 """Fine Time Measurement (IEEE 802.11-2016, 11.24.6) of one radio, as initiator and responder, above its MAC.
 
-A session: the initiator's request says what it wants, the responder's first measurement frame what it
-grants. Then 2^e bursts, the first at once (ASAP) or at the time that was granted; the initiator triggers all
-but an ASAP one at their beginning. In a burst the responder sends measurement frames, each acknowledged. t1
-(departure) and t4 (arrival of the ACK) of one frame are known to the responder alone and ride in the next
-one, if need be in the next burst's, so N frames give N - 1 round trips. A frame or ACK that is lost for good
-costs the round trips it had a part in; the grant rides until it has been acknowledged. No frame goes out
-after its burst's time. A session ends with a frame of dialog token 0, or with the time of its last burst.
+The initiator's request contains the requested parameters, the responder's first measurement frame the granted
+ones. Then 2^e bursts follow, the first at once (ASAP) or at the granted time. The initiator triggers each
+burst at its beginning, except an ASAP one. In a burst the responder sends measurement frames, each
+acknowledged. t1 (departure) and t4 (arrival of the ACK) of a frame are measured by the responder and sent in
+the next frame, if necessary in the next burst, so N frames give N - 1 round trips. If a frame or ACK is lost
+after all retries, its round trips are lost. The grant is repeated until it has been acknowledged. No frame is
+sent after the end of its burst. A session ends with a frame of dialog token 0, or with the end of its last
+burst.
 
-How a request ends, once, with a result over all bursts:
+A request has one result over all bursts, with one of these statuses:
 
 - ``ok``: at least one round trip.
 - ``no_response``: the request was never acknowledged.
-- ``rejected``: by a responder that serves as many as it can, with the seconds for which it does not want to
-  be asked again, which the application is told and not kept to; or at once, for a peer that is no other
-  station or is being ranged to already.
+- ``rejected``: the responder has no free session; the result has the retry time in seconds, which is not
+  enforced. Or, at once: the peer is unknown, is the station itself, or has a session already.
 - ``incapable``: the responder cannot measure in the requested format.
-- ``dropped``: the queue gave the request up, which found no room or outlived its time, or the radio fell
-  silent.
-- ``timeout``: anything else without a round trip by the request's time-out, which a grant moves by the time
-  to the beginning of the last burst, or by the end of the session.
-- ``lost``: at least one round trip, and the initiator's host has lost what the radio said of it
-  (``drop_fraction``, `netsim.emulator.emulator`).
+- ``dropped``: the queue was full, the request expired in it, or the radio was switched off.
+- ``timeout``: no round trip by the request's time-out (which a grant extends by the time to the beginning of
+  the last burst) or by the end of the session.
+- ``lost``: at least one round trip, but the initiator's host has lost the result (``drop_fraction``,
+  `netsim.emulator.emulator`).
 
-Left out: location reports. A responder obeys a request to stop; no initiator here sends one.
+Not modelled: location reports. A responder obeys a request to stop, but initiators do not send one.
 """
 
 from collections.abc import Callable
@@ -44,9 +43,9 @@ __all__ = ["Environment", "FtmRadio", "Ranging", "lost"]
 class FtmRadio:
     """Fine Time Measurement of one station; see `netsim.mac.jobs.Upper`.
 
-    ``generator`` draws its time stamps' noise, ``nlos_generator`` what a blocked line of sight adds to the
-    range of each session that it begins; without the latter a blocked one measures like a clear one.
-    ``on_datagram`` takes what arrives and is no frame of it.
+    ``generator`` draws the noise of its time stamps, ``nlos_generator`` the excess range of a blocked line of
+    sight for each session that it initiates (None: no excess). ``on_datagram`` is called with all other
+    received frames.
     """
 
     def __init__(
@@ -78,15 +77,15 @@ class FtmRadio:
         self._responder = Responder(self._port)
 
     def attach(self, mac: FrameSender) -> None:
-        """Give it the MAC to send through."""
+        """Set the MAC that frames are sent through."""
         self._port.attach(mac)
 
     def request(self, peer: int, seq: int, timeout_ns: int) -> None:
-        """Range to a peer: see `netsim.ftm.initiator.Initiator.request`."""
+        """Start a session with a peer: see `netsim.ftm.initiator.Initiator.request`."""
         self._initiator.request(peer, seq, timeout_ns)
 
     def on_frame(self, reception: Reception) -> None:
-        """Take a frame; a measurement that comes again brings new time stamps, a request nothing."""
+        """Process a frame; a repeated measurement has new time stamps, a repeated request is ignored."""
         body = reception.body
         if isinstance(body, Measurement):
             self._initiator.on_measurement(reception, body)

@@ -1,1 +1,1 @@
-"""The radio alone, without a flight: simulations of one link and measurements of the emulator."""
+"""Radio simulations without a flight: one link at bit level, and measurements with the emulator."""

@@ -1,7 +1,7 @@
-"""How periodic broadcasts of many stations fare: the work of a swarm's position beacons.
+"""Delivery ratio and delay of periodic broadcasts of many stations, as position beacons of a swarm.
 
-No acknowledgement, no repetition: what collides is lost. All stations tick together; a tick's datagram is
-sent after uniform jitter.
+There are no acknowledgements and no retries: a frame that collides is lost. All stations share one tick; the
+datagram of a tick is sent after uniform jitter.
 """
 
 import numpy as np
@@ -17,10 +17,10 @@ QUEUE_LIFETIME_US = 500_000
 
 
 class BroadcastResult(Struct, frozen=True, kw_only=True):
-    """What became of periodic broadcasts. Delays are those of what arrived, and None if nothing did."""
+    """Result of periodic broadcasts. Delays are those of received datagrams, None without any."""
 
     delivery_ratio: float
-    """Datagrams received over those sent, times the stations that should have."""
+    """Datagrams received, divided by datagrams sent times their intended receivers."""
     mean_delay_ms: float | None
     """From the application's call to the end of the frame at the receiver."""
     p50_ms: float | None
@@ -39,10 +39,10 @@ def broadcast(
     rts: bool = False,
     seed: int = 1,
 ) -> BroadcastResult:
-    """Let every station broadcast every ``period_s`` for ``seconds``, all on one tick.
+    """Simulate broadcasts of every station, every ``period_s`` for ``seconds``, on a common tick.
 
-    Each adds jitter, uniform in [0, ``jitter_s``), afresh each period; a negative ``jitter_s`` gives each
-    station one phase for good, uniform in the period.
+    Each datagram has a jitter, uniform in [0, ``jitter_s``). With a negative ``jitter_s`` each station has
+    one constant phase instead, uniform in the period.
     """
     config = RadioConfig(
         bandwidth_mhz=20,
@@ -61,7 +61,7 @@ def broadcast(
     phases_s = generator.uniform(0.0, period_s, stations) if jitter_s < 0.0 else np.zeros(stations)
     payload = bytes(payload_bytes)
     sent_us: list[list[int]] = [[0] for _ in range(stations)]
-    """By station and sequence number, which counts from 1."""
+    """Send time by station and sequence number, which counts from 1."""
     delays_us: list[float] = []
     ticks = max(1, round(seconds / period_s))
     for tick in range(ticks):
@@ -80,9 +80,9 @@ def broadcast(
         delays_ms = np.array(delays_us) / 1e3
         mean_ms = float(delays_ms.mean())
         p50_ms, p95_ms, p99_ms = np.percentile(delays_ms, (50, 95, 99)).tolist()
-    wanted = ticks * stations * (stations - 1)
+    expected = ticks * stations * (stations - 1)
     return BroadcastResult(
-        delivery_ratio=len(delays_us) / wanted if wanted else 0.0,
+        delivery_ratio=len(delays_us) / expected if expected else 0.0,
         mean_delay_ms=mean_ms,
         p50_ms=p50_ms,
         p95_ms=p95_ms,

@@ -1,6 +1,6 @@
-"""The command line of the emulator alone: no flight, one number or table at a time, JSON on request.
+"""Command line of the radio emulator without a flight; prints tables, or JSON with ``--json``.
 
-Exit status: 0 fine, 2 bad input, which is one line on stderr, 130 broken off by Ctrl-C.
+Exit status: 0 success, 2 invalid input (one line on stderr), 130 interrupted by Ctrl-C.
 """
 
 import sys
@@ -27,12 +27,12 @@ FINE, BAD_INPUT, INTERRUPTED = 0, 2, 130
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, no_args_is_help=True)
 
-Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
-# A range with both its ends refuses what is not finite.
-Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0, max=2**63 - 1)]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object to stdout.")]
+# A range with both limits also rejects values that are not finite.
+Seed = Annotated[int, typer.Option(help="Seed of all random numbers.", min=0, max=2**63 - 1)]
 Stations = Annotated[int, typer.Option(help="Number of stations that send.", min=1, max=1000)]
 MOST_BYTES = MAX_MSDU_BYTES - UDP_OVERHEAD_BYTES
-"""Of UDP in one frame; more than IP hands to a network of 1500 bytes, as Bianchi's packets are."""
+"""Largest UDP payload of one frame; above the 1500-byte IP MTU, as the packets of Bianchi's paper."""
 Payload = Annotated[int, typer.Option("--payload", help="UDP payload, bytes.", min=0, max=MOST_BYTES)]
 Seconds = Annotated[float, typer.Option(help="Simulated seconds.", min=0.001, max=1e6)]
 Width = Annotated[int, typer.Option(help="Channel width, MHz: 20, 40 or 80.")]
@@ -45,14 +45,16 @@ def _mode(name: str) -> Mode:
     for mode in get_args(Mode):
         if mode == name:
             return mode  # type: ignore[no-any-return]
-    raise typer.BadParameter(f"{name!r} is no mode: ofdm6, 9, 12, 18, 24, 36, 48, 54 or vht_mcs0 .. vht_mcs9")
+    raise typer.BadParameter(
+        f"{name!r} is not a mode; use ofdm6, 9, 12, 18, 24, 36, 48, 54 or vht_mcs0 .. vht_mcs9"
+    )
 
 
 def _width(width: int) -> BandwidthMhz:
     for each in get_args(BandwidthMhz):
         if each == width:
             return each  # type: ignore[no-any-return]
-    raise typer.BadParameter(f"{width}: the channel is 20, 40 or 80 MHz wide")
+    raise typer.BadParameter(f"{width}: the channel width must be 20, 40 or 80 MHz")
 
 
 def _show(result: msgspec.Struct | dict[str, Any], *, as_json: bool, title: str) -> None:
@@ -80,12 +82,12 @@ def saturation(
     seconds: Seconds = 10.0,
     retry_limit: Annotated[
         int | None,
-        typer.Option(help="Repetitions of a frame; without it none is given up.", min=0, max=UNLIMITED),
+        typer.Option(help="Retries of a frame; unlimited by default.", min=0, max=UNLIMITED),
     ] = None,
     seed: Seed = 1,
     json: Json = False,
 ) -> None:
-    """Stations that always have something to send, to one sink: Bianchi's model, 802.11a."""
+    """Throughput of saturated stations that send to one sink: Bianchi's model, 802.11a."""
     result = saturate(
         stations=stations,
         rts=rts,
@@ -107,16 +109,18 @@ def broadcast(
     jitter: Annotated[
         float,
         typer.Option(
-            help="Each tick is delayed by uniform [0, this); below 0 a phase for good.", min=-1e4, max=1e4
+            help="Uniform delay of each datagram, seconds; < 0: constant random phases.", min=-1e4, max=1e4
         ),
     ] = 0.0,
     seconds: Seconds = 30.0,
     mode: ModeName = "ofdm6",
-    rts: Annotated[bool, typer.Option("--rts", help="The article's RTS and CTS in front.")] = False,
+    rts: Annotated[
+        bool, typer.Option("--rts", help="Send RTS and CTS before each broadcast, as the article.")
+    ] = False,
     seed: Seed = 1,
     json: Json = False,
 ) -> None:
-    """Periodic broadcasts of all stations on one tick, without acknowledgement."""
+    """Delivery and delay of periodic broadcasts of all stations on one tick."""
     result = run_broadcast(
         stations=stations,
         payload_bytes=payload,
@@ -134,14 +138,16 @@ def broadcast(
 def per(
     *,
     mode: Annotated[str, typer.Option(help="ofdm6 .. ofdm54, vht_mcs0 .. vht_mcs9.", metavar="MODE")],
-    snr_db: Annotated[float, typer.Option(help="Signal over noise in the channel, dB.", min=-300, max=300)],
+    snr_db: Annotated[
+        float, typer.Option(help="Signal-to-noise ratio in the channel, dB.", min=-300, max=300)
+    ],
     width: Width = 20,
     payload_bytes: Annotated[
         int, typer.Option("--bytes", help="Bytes of the frame.", min=1, max=65_535)
     ] = 1458,
     json: Json = False,
 ) -> None:
-    """Probability that a frame is lost at one signal-to-noise ratio, its preamble not counted."""
+    """Packet error rate at one signal-to-noise ratio, without preamble errors."""
     phy = phy_mode(_mode(mode), _width(width))
     result = {"per": packet_error_rate(phy, payload_bytes, 10.0 ** (snr_db / 10.0))}
     _show(result, as_json=json, title=f"{mode}, {width} MHz, {payload_bytes} B at {snr_db:g} dB")
@@ -150,9 +156,11 @@ def per(
 @app.command()
 def ftm(
     *,
-    distance: Annotated[float, typer.Option(help="Between the two, metres.", min=0.0, max=4_000.0)] = 10.0,
+    distance: Annotated[
+        float, typer.Option(help="Distance of the pair, metres.", min=0.0, max=4_000.0)
+    ] = 10.0,
     width: Width = 80,
-    sessions: Annotated[int, typer.Option(help="One after the other.", min=1, max=1_000_000)] = 200,
+    sessions: Annotated[int, typer.Option(help="Sessions, one after the other.", min=1, max=1_000_000)] = 200,
     ftms_per_burst: Annotated[int, typer.Option(help="Measurement frames.", min=2, max=31)] = 8,
     bias: Annotated[
         float, typer.Option(help="Calibration offset of the pair, metres.", min=-1_000.0, max=1_000.0)
@@ -161,7 +169,7 @@ def ftm(
     seed: Seed = 1,
     json: Json = False,
 ) -> None:
-    """Fine Time Measurement of one pair."""
+    """Fine Time Measurement between two stations."""
     result = range_pair(
         distance_m=distance,
         width_mhz=_width(width),
@@ -179,19 +187,20 @@ def ftm_mesh(
     *,
     stations: Annotated[int, typer.Option(help="Number of stations.", min=2, max=200)] = 8,
     period: Annotated[
-        float, typer.Option(help="Seconds in which each ranges to every other.", min=1e-3, max=1e4)
+        float,
+        typer.Option(help="Period in which each station ranges to all others, seconds.", min=1e-3, max=1e4),
     ] = 0.1,
     seconds: Seconds = 10.0,
     width: Width = 80,
     ftms_per_burst: Annotated[int, typer.Option(help="Measurement frames.", min=2, max=31)] = 8,
     mode: ModeName = None,
     figure: Annotated[
-        Path | None, typer.Option(help="Draw completion and delay by number of stations.", metavar="PNG")
+        Path | None, typer.Option(help="Plot completion and delay by number of stations.", metavar="PNG")
     ] = None,
     seed: Seed = 1,
     json: Json = False,
 ) -> None:
-    """Fine Time Measurement of all pairs; the table goes from two stations up to that many."""
+    """Fine Time Measurement between all pairs; the table has rows from two stations to --stations."""
 
     def run(count: int) -> MeshResult:
         return range_mesh(
@@ -213,7 +222,7 @@ def ftm_mesh(
     ]
     results = list(map(run, track(counts, console=console, description="ranging", transient=True)))
     if figure is not None:
-        from netsim.lab.figures import mesh_figure  # noqa: PLC0415  slower to import than most runs
+        from netsim.lab.figures import mesh_figure  # noqa: PLC0415  the import takes longer than most runs
 
         figure.parent.mkdir(parents=True, exist_ok=True)
         mesh_figure(results, period_s=period).savefig(figure, dpi=120)
@@ -224,7 +233,7 @@ def ftm_mesh(
     for name in (
         "stations",
         "sessions/s",
-        "airtime wanted",
+        "airtime needed",
         "completed",
         "round trips",
         "mean delay",
@@ -248,22 +257,22 @@ def ftm_mesh(
 def serve(
     *,
     stations: Annotated[int, typer.Option(help="Number of stations, on a circle.", min=1, max=1000)] = 2,
-    radius: Annotated[float, typer.Option(help="Of the circle, metres.", min=0.0, max=1e5)] = 15.0,
+    radius: Annotated[float, typer.Option(help="Radius of the circle, metres.", min=0.0, max=1e5)] = 15.0,
     settings: Annotated[
-        Path | None, typer.Option(help="JSON file of settings, as a scenario's [radio].", metavar="JSON")
+        Path | None, typer.Option(help="JSON file of settings, with the fields of [radio].", metavar="JSON")
     ] = None,
     host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
     port: Annotated[
-        int, typer.Option(help="TCP port to listen on; 0 is any free one.", min=0, max=65_535)
+        int, typer.Option(help="TCP port to listen on; 0: any free port.", min=0, max=65_535)
     ] = 7447,
-    speed: Annotated[float, typer.Option(help="Simulated against wall time.", min=1e-3, max=1e6)] = 1.0,
+    speed: Annotated[float, typer.Option(help="Simulated time per wall time.", min=1e-3, max=1e6)] = 1.0,
     capture: Annotated[
-        Path | None, typer.Option(help="Write every frame there, for Wireshark.", metavar="PCAPNG")
+        Path | None, typer.Option(help="Capture every frame to this file, for Wireshark.", metavar="PCAPNG")
     ] = None,
     seed: Seed = 1,
 ) -> None:
-    """An emulator that other programs join as stations s0, s1, ...: see docs/radio-api.md."""
-    from netsim.lab.serve import serve_in_real_time, with_guests  # noqa: PLC0415  nothing else needs Zenoh
+    """Run an emulator in real time for programs that join as stations s0, s1, ..."""
+    from netsim.lab.serve import serve_in_real_time, with_guests  # noqa: PLC0415  only this command needs Zenoh
 
     radio = RadioConfig()
     if settings is not None:
@@ -286,20 +295,20 @@ def serve(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status."""
+    """Run the command line; return the exit status."""
     try:
         status = app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False)
     except typer.TyperException as error:
-        return _refuse(error.format_message())
-    except OSError as error:  # of a file, or of the transport, which says it in a line of its own
-        return _refuse(f"{error.filename}: {error.strerror}" if error.filename else str(error))
-    except ValueError as error:  # of settings, each alone or together
-        return _refuse(" ".join(str(error).split()))
+        return _reject(error.format_message())
+    except OSError as error:  # of a file, or of the transport, whose message is one line
+        return _reject(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+    except ValueError as error:  # invalid settings
+        return _reject(" ".join(str(error).split()))
     except KeyboardInterrupt:
         return INTERRUPTED
     return status if isinstance(status, int) else FINE
 
 
-def _refuse(line: str) -> int:
+def _reject(line: str) -> int:
     sys.stderr.write(f"coflight: {line}\n")
     return BAD_INPUT

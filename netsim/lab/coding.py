@@ -1,34 +1,34 @@
-"""Kernels of the link simulation: the convolutional encoder, the amplitudes, and the soft decoder."""
+"""Kernels of the link simulation: convolutional encoder, modulator and soft-decision decoder."""
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-# Delays, in bits, that the generators 133 and 171 (octal) add: their highest digit is the newest bit.
+# Delays, in bits, of the taps of the generators 133 and 171 (octal); the highest digit is the newest bit.
 _TAPS = ((0, 2, 3, 5, 6), (0, 1, 2, 3, 6))
 _MATH = {"nnan", "nsz"}
-"""Lets loops be vectorised; sums keep their order, so that a seed counts the same on every processor."""
+"""Allows vectorised loops but keeps the order of sums: results of a seed are equal on all processors."""
 _BLOCK_BITS = 8
-"""Bits that the decoder settles at a time."""
+"""Bits that the decoder decides at a time."""
 
 
 def _outputs() -> NDArray[np.uint8]:
-    """(2, 128) outputs A and B by the last seven bits, the newest lowest."""
+    """Return the (2, 128) outputs A and B by the last seven bits, newest bit lowest."""
     last = np.arange(128)
     return np.array([sum((last >> delay) & 1 for delay in delays) % 2 for delays in _TAPS], np.uint8)
 
 
 _OUTPUTS = _outputs()
 _SIGNS = _OUTPUTS[:, :64:2].astype(np.float32) * 2.0 - 1.0
-"""(2, 32): A and B as signs when a 0 comes in a state below 32.
+"""(2, 32): outputs A and B as signs, for input 0 in states below 32.
 
-Both generators take the newest bit and the oldest: both outputs turn over with either of them.
+Both generators tap the newest and the oldest bit, so both outputs are inverted with either of them.
 """
 
 
 @njit(cache=True)
 def encode(bits: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Encode (frames, n) bits from state 0 at rate 1/2: (frames, 2 n), outputs A and B in turn."""
+    """Encode (frames, n) bits from state 0 at rate 1/2; return (frames, 2 n), outputs A and B alternating."""
     frames, n = bits.shape
     coded = np.empty((frames, 2 * n), np.uint8)
     for f in range(frames):
@@ -47,7 +47,7 @@ def modulate(
     levels: NDArray[np.float32],
     sent: NDArray[np.float32],
 ) -> None:
-    """Turn (frames, 2 n) outputs of the encoder into (frames, m) amplitudes."""
+    """Map (frames, 2 n) outputs of the encoder to (frames, m) amplitudes ``sent``."""
     for f in range(sent.shape[0]):
         for k in range(sent.shape[1]):
             value = 0
@@ -58,17 +58,17 @@ def modulate(
 
 @njit(cache=True, fastmath=_MATH)
 def _demap(
-    heard: NDArray[np.float32],
+    received: NDArray[np.float32],
     on_air: NDArray[np.int64],
     levels_by_bit: NDArray[np.float32],
     likelihoods: NDArray[np.float32],
 ) -> None:
-    """Give each bit's max-log likelihood ratio, to a common factor: positive for a 1.
+    """Compute the max-log likelihood ratio of each bit, up to a common factor; positive means 1.
 
-    It is the least squared distance to a level with a 0 there, less that to one with a 1.
+    It is the least squared distance to a level with 0 in that place minus that to a level with 1.
     """
-    for k in range(heard.size):
-        y = heard[k]
+    for k in range(received.size):
+        y = received[k]
         for b in range(on_air.shape[1]):
             zero = one = np.float32(np.inf)
             for i in range(levels_by_bit.shape[2]):
@@ -86,9 +86,9 @@ def _add_compare_select(
     one: NDArray[np.float32],
     decision: NDArray[np.uint8],
 ) -> None:
-    """Take one step of Viterbi's algorithm: ``metric`` by state, ``decision`` whether the path is the higher.
+    """Do one step of the Viterbi algorithm: update ``metric`` and ``decision`` (1: upper path) by state.
 
-    States j and j + 32 both lead to 2 j and 2 j + 1: a butterfly with one metric, taken with either sign.
+    States j and j + 32 both lead to 2 j and 2 j + 1: a butterfly with one branch metric of either sign.
     """
     for j in range(32):
         step = _SIGNS[0, j] * a + _SIGNS[1, j] * b
@@ -107,7 +107,7 @@ def _add_compare_select(
 def _trace_back(
     decisions: NDArray[np.uint8], state: int, last: int, first: int, until: int, decoded: NDArray[np.uint8]
 ) -> None:
-    """Follow the path to ``state`` from bit ``last`` back to bit ``first``; keep its bits below ``until``."""
+    """Trace the path to ``state`` back from bit ``last`` to ``first``; store its bits below ``until``."""
     for t in range(last, first - 1, -1):
         bit = state & 1
         if t < until:
@@ -122,9 +122,9 @@ def _viterbi(
     decisions: NDArray[np.uint8],
     decoded: NDArray[np.uint8],
 ) -> None:
-    """Find the likeliest path from state 0 to state 0, settling bits about ``delay`` bits after they came.
+    """Find the most likely path from state 0 to state 0; decide bits after about ``delay`` further bits.
 
-    They are settled in blocks, the middle of a block after that delay, by the path that is then the best.
+    Bits are decided in blocks, the middle of a block after that delay, from the best path at that time.
     """
     n = decoded.size
     metric = np.full(64, np.float32(-1e9))
@@ -145,16 +145,16 @@ def _viterbi(
 
 @njit(cache=True, fastmath=_MATH)
 def decode(
-    heard: NDArray[np.float32],
+    received: NDArray[np.float32],
     on_air: NDArray[np.int64],
     levels_by_bit: NDArray[np.float32],
     delay: int,
     decoded: NDArray[np.uint8],
 ) -> None:
-    """Decode (frames, m) noisy amplitudes into (frames, n) bits, each settled some ``delay`` bits later."""
+    """Decode (frames, m) noisy amplitudes into (frames, n) bits, each decided about ``delay`` bits later."""
     n = decoded.shape[1]
-    likelihoods = np.zeros(2 * n, np.float32)  # what was punctured stays 0
+    likelihoods = np.zeros(2 * n, np.float32)  # punctured bits stay 0
     decisions = np.empty((n, 64), np.uint8)
-    for f in range(heard.shape[0]):
-        _demap(heard[f], on_air, levels_by_bit, likelihoods)
+    for f in range(received.shape[0]):
+        _demap(received[f], on_air, levels_by_bit, likelihoods)
         _viterbi(likelihoods, delay, decisions, decoded[f])

@@ -1,18 +1,17 @@
-"""One link bit by bit: frames through encoder, interleaver, constellation and noise into a soft decoder.
+"""Bit-level simulation of one link: encoder, interleaver, constellation, noise and soft-decision decoder.
 
-Out of it come the packet errors of `netsim.phy.vht_tables`. The chain is that of VHT with one spatial stream
-and binary convolutional coding (IEEE 802.11-2016, 21.3.10): SERVICE, frame, pad and tail through the encoder
-133/171 (octal), puncturing, the interleaver of the channel's width, Gray-coded QAM, white Gaussian noise,
-max-log likelihoods without quantisation, and Viterbi's algorithm. A frame is lost if one of its own bits is
-wrong.
+It generates the packet errors of `netsim.phy.vht_tables`. The chain is VHT with one spatial stream and binary
+convolutional coding (IEEE 802.11-2016, 21.3.10): SERVICE, frame, pad and tail through the encoder 133/171
+(octal), puncturing, the interleaver of the channel width, Gray-coded QAM, white Gaussian noise, max-log
+likelihoods without quantisation, and the Viterbi algorithm. A frame is lost if one of its bits is wrong.
 
-The decoder settles each bit after a delay of 2.5 m / (1 - R) bits, m = 6 the code's memory and R its rate
-(Moision, "A truncation depth rule of thumb for convolutional codes", 2008), as receivers do. Whole frames of
-memory would gain 0.1 to 0.5 dB; with this rule the tables of ns-3 are met within 0.1 dB.
+The decoder decides each bit after 2.5 m / (1 - R) further bits, where m = 6 is the memory of the code and R
+its rate (Moision, "A truncation depth rule of thumb for convolutional codes", 2008), as receivers do.
+Traceback over whole frames would gain 0.1 to 0.5 dB; with this rule the results match the tables of ns-3
+within 0.1 dB.
 
 The signal-to-noise ratio is that of an occupied subcarrier: mean energy of a constellation point over the
-noise there. The receiver knows channel, timing and phase. Scrambling is left out: the bits are random
-already.
+noise. Channel, timing and phase are known to the receiver. Scrambling is omitted since the bits are random.
 """
 
 from functools import cache
@@ -37,11 +36,11 @@ _SENT: dict[tuple[int, int], tuple[tuple[int, ...], tuple[int, ...]]] = {
 # MHz -> columns of the interleaver, N_COL (21.3.10.8)
 _COLUMNS = {20: 13, 40: 18, 80: 26}
 _BATCH_BITS = 400_000
-"""Data bits that are worked on at a time; it is part of what a seed means."""
+"""Data bits simulated at a time; a change changes the results of a seed."""
 
 
 class Count(Struct, frozen=True, kw_only=True):
-    """Frames sent at one ratio and how many of them were lost."""
+    """Number of frames sent and lost at one signal-to-noise ratio."""
 
     frames: int
     lost: int
@@ -53,13 +52,13 @@ class Count(Struct, frozen=True, kw_only=True):
 
 
 def sent_positions(code_rate: tuple[int, int], bits: int) -> NDArray[np.int64]:
-    """Positions in the output of `encode` that puncturing leaves, for a number of bits before coding."""
+    """Return the positions in the output of `encode` that remain after puncturing, for ``bits`` data bits."""
     period = np.array(_SENT[code_rate], dtype=bool).T.ravel()
     return np.flatnonzero(np.resize(period, 2 * bits))
 
 
 def interleaver(mode: PhyMode) -> NDArray[np.int64]:
-    """Place of each coded bit of a symbol after the first two permutations; one stream has no third.
+    """Return the position of each coded bit of a symbol after two permutations; one stream has no third.
 
     i = N_ROW (k mod N_COL) + floor(k / N_COL); j = s floor(i / s) + (i + N_CBPS - floor(N_COL i / N_CBPS))
     mod s with s = max(1, N_BPSCS / 2) (21.3.10.8).
@@ -75,9 +74,9 @@ def interleaver(mode: PhyMode) -> NDArray[np.int64]:
 
 @cache
 def amplitudes(bits_per_axis: int) -> NDArray[np.float32]:
-    """Amplitude on one axis by the bits read as a number, the first bit highest (17.3.5.8, 21.3.10.9).
+    """Return the amplitude on one axis by its bits as a number, first bit highest (17.3.5.8, 21.3.10.9).
 
-    Odd numbers; their order is Gray's, so that neighbours differ in one bit.
+    Amplitudes are odd numbers in Gray order: neighbours differ in one bit.
     """
     count = 2**bits_per_axis
     index = np.arange(count)
@@ -87,7 +86,7 @@ def amplitudes(bits_per_axis: int) -> NDArray[np.float32]:
 
 
 class Link:
-    """Frames of one length in one VHT mode; ``delay``, in bits, is the decoder's, by default the rule's."""
+    """Link with frames of one length in one VHT mode; ``delay`` in bits is the decoder's, see the module."""
 
     def __init__(self, mode: PhyMode, frame_bytes: int, *, delay: int | None = None) -> None:
         self._frame = slice(SERVICE_BITS, SERVICE_BITS + 8 * frame_bytes)
@@ -102,7 +101,7 @@ class Link:
         )
         axes = 1 if mode.bits_per_subcarrier == 1 else 2
         self._on_air = on_air.reshape(-1, mode.bits_per_subcarrier // axes)
-        """(amplitudes, bits of each): which output of the encoder it is."""
+        """(amplitudes, bits of each): index into the outputs of the encoder."""
         self._levels = amplitudes(mode.bits_per_subcarrier // axes)
         self._levels_by_bit = np.array(
             [
@@ -110,18 +109,18 @@ class Link:
                 for b in reversed(range(self._on_air.shape[1]))
             ]
         )
-        """(bits, 2, half of the levels): those with a 0 and those with a 1 in that place."""
+        """(bits, 2, half of the levels): levels with 0 and with 1 in that place."""
         self._noise_std = np.sqrt(0.5 * axes * np.mean(self._levels**2))
-        """Of one axis at a ratio of 1, in units of the amplitudes."""
+        """Noise of one axis at a signal-to-noise ratio of 1, in units of the amplitudes."""
 
     def data(self, frames: int, rng: np.random.Generator) -> NDArray[np.uint8]:
-        """Draw (frames, n) bits: SERVICE, frame, pad, and the tail of zeros that ends the last symbol."""
+        """Return (frames, n) random bits: SERVICE, frame, pad, and a tail of zeros."""
         bits = rng.integers(0, 2, (frames, self._bits), np.uint8)
         bits[:, self._bits - TAIL_BITS :] = 0
         return bits
 
     def transmit(self, bits: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Turn (frames, n) bits into (frames, m) amplitudes, one axis after the other."""
+        """Map (frames, n) bits to (frames, m) amplitudes, one axis after the other."""
         sent = np.empty((bits.shape[0], self._on_air.shape[0]), np.float32)
         modulate(encode(bits), self._on_air, self._levels, sent)
         return sent
@@ -129,15 +128,15 @@ class Link:
     def receive(
         self, sent: NDArray[np.float32], snr_linear: float, rng: np.random.Generator
     ) -> NDArray[np.uint8]:
-        """Add noise to (frames, m) amplitudes and decode them: (frames, n) bits."""
+        """Add noise to (frames, m) amplitudes; return the (frames, n) decoded bits."""
         noise = rng.standard_normal(sent.shape, np.float32)
-        heard = sent + noise * np.float32(self._noise_std / np.sqrt(snr_linear))
+        received = sent + noise * np.float32(self._noise_std / np.sqrt(snr_linear))
         decoded = np.empty((sent.shape[0], self._bits), np.uint8)
-        decode(heard, self._on_air, self._levels_by_bit, self._delay, decoded)
+        decode(received, self._on_air, self._levels_by_bit, self._delay, decoded)
         return decoded
 
     def count(self, snr_linear: float, rng: np.random.Generator, *, frames: int, enough: int) -> Count:
-        """Send whole batches until ``enough`` frames were lost and as many not, or ``frames`` were sent."""
+        """Simulate batches until ``enough`` frames are lost and as many received, or ``frames`` are sent."""
         batch = min(frames, max(1, _BATCH_BITS // self._bits))
         sent = lost = 0
         while sent < frames and min(lost, sent - lost) < enough:

@@ -1,4 +1,4 @@
-"""Makes `netsim.phy.vht_tables`: which rows a mode has, and the command line."""
+"""Generate `netsim.phy.vht_tables`: the rows of each mode, and the command line."""
 
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -23,13 +23,13 @@ STEP_DB = 0.25
 SHORT_BYTES = 32
 LONG_BYTES = 1458
 CERTAIN = 0.99
-"""Share of short frames lost, of which the first row has less."""
+"""Loss of short frames below which the table begins."""
 FEW = 0.1
-"""Share of short frames lost; after the first row with less, frames are long."""
+"""Loss of short frames below which the following rows use long frames."""
 HARDLY_ANY = 1e-3
-"""Share of long frames lost that ends the table."""
+"""Loss of long frames at which the table ends."""
 ENOUGH = 200
-"""Lost frames, and frames that were not, that end a row: its hazard is known to 7 %."""
+"""Lost frames, and received frames, that end a row: the standard error of the hazard is 7 %."""
 MOST_FRAMES = 20_000
 PROBE_FRAMES = 1_000
 
@@ -50,9 +50,9 @@ tables_app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
 def rows(mode: PhyMode, *, seed: int, enough: int = ENOUGH, most_frames: int = MOST_FRAMES) -> Iterator[Row]:
-    """Simulate one mode from where short frames begin to survive to where long ones are hardly ever lost.
+    """Simulate one mode over rising signal-to-noise ratios, from short frames to long ones.
 
-    The random numbers of a row depend on the seed, the mode and the ratio alone.
+    The random numbers of a row depend only on seed, mode and ratio.
     """
     index = get_args(Mode).index(mode.name)
     frame_bytes, begun = SHORT_BYTES, False
@@ -80,13 +80,13 @@ def _module_part(name: Mode, seed: int) -> str:
 
 @tables_app.command()
 def link_tables(
-    seed: Annotated[int, typer.Option(help="Of all random numbers.", min=0)] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of all random numbers.", min=0)] = 1,
     jobs: Annotated[
-        int, typer.Option(help="Modes simulated side by side; the result is the same.", min=1)
+        int, typer.Option(help="Modes simulated in parallel; does not change the result.", min=1)
     ] = 1,
-    out: Annotated[Path | None, typer.Option(help="The module to write; stdout without it.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Module to write; stdout by default.")] = None,
 ) -> None:
-    """Simulate links bit by bit and write the module with the frames that VHT loses, in half an hour."""
+    """Simulate links at bit level and write the VHT packet error tables; takes half an hour."""
     names = [name for name in get_args(Mode) if name.startswith("vht")]
     parts: dict[str, str] = {}
     with ProcessPoolExecutor(jobs) as pool, Progress(console=Console(stderr=True)) as progress:

@@ -1,4 +1,4 @@
-"""How well, how fast and how much radios range: one pair, or every station to every other."""
+"""Error, delay and airtime of ranging: one pair, or all pairs of stations."""
 
 import numpy as np
 from msgspec import Struct
@@ -13,38 +13,37 @@ from netsim.wire.messages import FtmRequest, FtmResult
 STEP_US = 1_000
 MESH_RADIUS_M = 15.0
 FTM_MODES: dict[BandwidthMhz, Mode] = {20: "ofdm6", 40: "vht_mcs0", 80: "vht_mcs0"}
-"""Most robust format of measurement frames on a channel."""
+"""Most robust mode of measurement frames by channel width."""
 
 
 class FtmResultSummary(Struct, frozen=True, kw_only=True):
-    """What sessions of one pair measured; None is what too few completed to tell."""
+    """Statistics of the sessions of one pair; None where too few sessions completed."""
 
     error_mean_m: float | None
-    """Of the sessions' distances."""
+    """Mean error of the sessions' distances."""
     error_std_m: float | None
-    """Of the same; one alone has none."""
+    """Standard deviation of that error; None for fewer than two."""
     round_trip_std_m: float | None
-    """Standard deviation of a single round trip, as a range, within sessions, which takes two of them."""
+    """Standard deviation of a single round trip's range within sessions of two or more."""
     airtime_ms: float
-    """What a session takes from others: its frames, SIFS, and AIFS and mean backoff of every exchange."""
+    """Airtime of a session: its frames, SIFS, and AIFS and mean backoff of every exchange."""
     completed: int
     failed: int
 
 
 class MeshResult(Struct, frozen=True, kw_only=True):
-    """What became of ranging between all pairs."""
+    """Result of ranging between all pairs."""
 
     stations: int
     completed_fraction: float
     mean_delay_ms: float | None
-    """From the request to the result, of the completed; None if none was."""
+    """Mean time from request to result of completed sessions; None without any."""
     round_trips_mean: float
-    """Of the completed: a burst that does not get through in its time ends with fewer than asked for. 0 if
-    none was."""
+    """Mean over completed sessions, 0 without any; a burst that runs out of time has fewer than requested."""
     busy_fraction: float
-    """Of the time, with a frame on the air."""
+    """Fraction of the time with a frame on the air."""
     airtime_fraction: float
-    """Of the time, that the sessions asked for would take if each went well: over 1 they do not fit."""
+    """Airtime of all requested sessions without losses, per time; above 1 they do not fit."""
 
 
 def range_pair(
@@ -57,9 +56,9 @@ def range_pair(
     mode: Mode | None = None,
     seed: int = 1,
 ) -> FtmResultSummary:
-    """Range from one station to another, session after session, without fading.
+    """Simulate consecutive sessions between two stations, without fading.
 
-    ``bias_m`` is the pair's calibration offset. Raises ValueError for a mode that the width does not have.
+    ``bias_m`` is the pair's calibration offset. Raises ValueError for a mode not available at that width.
     """
     ftm = FtmConfig(
         ftms_per_burst=ftms_per_burst,
@@ -78,7 +77,7 @@ def range_pair(
         while not found:
             found = [item for _, item in bench.run(bench.now_us + STEP_US) if isinstance(item, FtmResult)]
         results += found
-        # the last ACK is on the air when the result is there already
+        # the last ACK is still on the air when the result arrives
         bench.run(bench.now_us + STEP_US)
         airtime_ns += airtime_of_ns(bench.emulator.take_frames())
     good = [result for result in results if result.status == "ok"]
@@ -95,7 +94,7 @@ def range_pair(
 
 
 def airtime_of_ns(frames: list[FrameRecord]) -> int:
-    """Time that ranging frames keep the medium from others."""
+    """Return the time for which ranging frames occupy the medium, contention included."""
     access = EDCA["vo"]
     contention_ns = access.aifs_ns + SLOT_NS * access.cw_min // 2
     total_ns = 0
@@ -115,11 +114,11 @@ def range_mesh(
     mode: Mode | None = None,
     seed: int = 1,
 ) -> MeshResult:
-    """Range from every station to every other once in a period.
+    """Simulate ranging from every station to every other once in a period.
 
-    A station's requests are spread evenly over the period, from a phase of its own on; each has a period's
-    time, at most 1.5 s. The stations stand on a circle of 30 m. Raises ValueError for a mode that the width
-    does not have.
+    A station's requests are spread evenly over the period, from a random phase. The time-out of a request is
+    the period, at most 1.5 s. The stations are on a circle of 30 m diameter. Raises ValueError for a mode not
+    available at that width.
     """
     timeout_us = min(max(round(1e6 * period_s), 1_000), 1_500_000)
     ftm = FtmConfig(

@@ -1,9 +1,9 @@
-"""How much stations that always have something to send get through: the work of Bianchi's model.
+"""Throughput of saturated stations, for comparison with Bianchi's model.
 
 G. Bianchi, "Performance analysis of the IEEE 802.11 distributed coordination function", IEEE JSAC, 2000.
-Stations send datagrams to one more station, the sink, by DCF at 6 Mbit/s control, all in range, none stronger
-than another, no channel errors. Frames are repeated without limit, as in the model; the emulator's own limit
-is `netsim.model.config.RadioConfig.retry_limit`.
+Stations send datagrams to one more station, the sink, by DCF with control frames at 6 Mbit/s. All are in
+range with equal powers and no channel errors. Retries are unlimited, as in the model; the emulator's default
+limit is `netsim.model.config.RadioConfig.retry_limit`.
 """
 
 from msgspec import Struct
@@ -21,14 +21,14 @@ UNLIMITED = 2**31
 
 
 class SaturationResult(Struct, frozen=True, kw_only=True):
-    """What came out of a saturated channel."""
+    """Result of a saturated channel."""
 
     throughput_mbps: float
-    """UDP payload that was acknowledged, all stations together."""
+    """Acknowledged UDP payload of all stations."""
     collisions_fraction: float
-    """Of the frames that contend (data, or RTS) those that collided."""
+    """Fraction of contending frames (data, or RTS) that collided."""
     dropped: int
-    """Datagrams given up after the retry limit."""
+    """Datagrams dropped at the retry limit."""
 
 
 def saturate(
@@ -41,7 +41,7 @@ def saturate(
     seed: int = 1,
     retry_limit: int = UNLIMITED,
 ) -> SaturationResult:
-    """Saturate ``stations`` for ``seconds``, after half a second of warm-up."""
+    """Simulate ``stations`` with full queues for ``seconds``, after half a second of warm-up."""
     config = RadioConfig(
         bandwidth_mhz=20,
         frequency_mhz=5180.0,

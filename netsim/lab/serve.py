@@ -1,4 +1,4 @@
-"""An emulator whose time follows the wall clock, for programs that join as its guests."""
+"""Run an emulator in real time for programs that join as guests."""
 
 import contextlib
 import sys
@@ -16,7 +16,7 @@ STEP_US = 4_000
 
 
 def with_guests(radio: RadioConfig, stations: int, radius_m: float) -> RadioConfig:
-    """Settings with that many guests, s0, s1, ..., on a circle."""
+    """Return the settings with guests s0, s1, ... on a circle."""
     guests = tuple(
         GuestConfig(name=f"s{i}", pos_ned_m=place) for i, place in enumerate(ring_ned_m(stations, radius_m))
     )
@@ -24,7 +24,10 @@ def with_guests(radio: RadioConfig, stations: int, radius_m: float) -> RadioConf
 
 
 def serve_in_real_time(config: ServerConfig, *, speed: float) -> None:
-    """Serve until Ctrl-C; one line says when guests may join. Raises TransportError, OSError, ValueError."""
+    """Serve until Ctrl-C, after one line with endpoint and stations.
+
+    Raises TransportError, OSError, ValueError.
+    """
     pause = threading.Event()
     with contextlib.closing(Server(config)) as server:
         names = ", ".join(guest.name for guest in config.radio.guests)

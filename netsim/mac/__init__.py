@@ -1,1 +1,1 @@
-"""Channel access (when) and frame exchange (which sequence); what survives is `netsim.phy`'s."""
+"""Channel access and frame exchange; propagation and reception are in `netsim.phy`."""

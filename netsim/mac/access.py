@@ -1,4 +1,4 @@
-"""Interframe spaces and contention windows: how eagerly the queue of an access category contends.
+"""Interframe spaces and contention windows of the access categories.
 
 Source: IEEE 802.11-2016, 10.3.4 (DCF) and 10.22.2 (EDCA); 5 GHz OFDM timing of table 17-21.
 """
@@ -11,25 +11,25 @@ from netsim.phy.modes import phy_mode
 SLOT_NS = 9_000
 SIFS_NS = 16_000
 EIFS_EXTRA_NS = SIFS_NS + phy_mode("ofdm6", 20).duration_ns(ACK_BYTES)
-"""EIFS less DIFS: room for an ACK at the lowest rate that this station may not hear."""
+"""EIFS minus DIFS: time for an ACK at the lowest rate that this station may not receive."""
 CCA_NS = 4_000
-"""aCCATime, for which energy goes unnoticed: who begins to send within it does so in spite of it."""
+"""aCCATime: energy is detected after this time; until then a planned transmission still begins."""
 
 
 class AccessParameters(Struct, frozen=True, kw_only=True):
-    """How eagerly a queue contends."""
+    """Contention parameters of a queue."""
 
     aifsn: int
     cw_min: int
     cw_max: int
     txop_ns: int = 0
-    """TXOP limit, for which a queue may go on after a success; 0 is one exchange."""
+    """TXOP limit, within which a queue may continue after a success; 0: one exchange."""
     edca: bool = True
-    """Backoff counts at the boundaries of slots; DCF's counts slots that have passed."""
+    """EDCA backoff is decremented at slot boundaries, DCF backoff (False) after idle slots."""
 
     @property
     def aifs_ns(self) -> int:
-        """Arbitration interframe space, SIFS + AIFSN slots."""
+        """Arbitration interframe space: SIFS + AIFSN slots."""
         return SIFS_NS + self.aifsn * SLOT_NS
 
 

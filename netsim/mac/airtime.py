@@ -1,4 +1,4 @@
-"""How long frames and exchanges of them take.
+"""Air times of frames and frame exchanges.
 
 The functions are compiled and work on `netsim.model.tables.Air`.
 """
@@ -15,15 +15,15 @@ from netsim.phy.modes import SERVICE_AND_TAIL_BITS, SYMBOL_NS, VHT_DELIMITER_BYT
 
 @njit(cache=True)
 def duration_ns(air: Air, mode: int, frame_bytes: int) -> int:
-    """Air time of a frame: see `netsim.phy.modes.PhyMode.duration_ns`."""
+    """Return the air time of a frame: see `netsim.phy.modes.PhyMode.duration_ns`."""
     length = frame_bytes + VHT_DELIMITER_BYTES * t.modes(air, mode)[c.VHT]
     symbols = -(-(SERVICE_AND_TAIL_BITS + 8 * length) // t.modes(air, mode)[c.BITS_PER_SYMBOL])
     return int(t.modes(air, mode)[c.PREAMBLE] + SYMBOL_NS * symbols)
 
 
 @njit(cache=True)
-def answer_ns(air: Air, job: int) -> int:
-    """Time from the end of a job's frame to the end of its ACK."""
+def response_ns(air: Air, job: int) -> int:
+    """Return the time from the end of a job's frame to the end of its ACK; 0 for a group frame."""
     if t.jobs(air, job)[c.JOB_TO] == GROUP:
         return 0
     mode = t.modes(air, t.jobs(air, job)[c.JOB_MODE])[c.RESPONSE_MODE]
@@ -32,21 +32,21 @@ def answer_ns(air: Air, job: int) -> int:
 
 @njit(cache=True)
 def data_ns(air: Air, job: int) -> int:
-    """Time from the beginning of a job's frame to the end of its ACK."""
+    """Return the time from the beginning of a job's frame to the end of its ACK."""
     mode, frame_bytes = t.jobs(air, job)[c.JOB_MODE], t.jobs(air, job)[c.JOB_BYTES]
-    return duration_ns(air, mode, frame_bytes) + answer_ns(air, job)
+    return duration_ns(air, mode, frame_bytes) + response_ns(air, job)
 
 
 @njit(cache=True)
 def cts_ns(air: Air) -> int:
-    """Air time of the CTS that answers an RTS."""
+    """Return the air time of a CTS."""
     mode = t.modes(air, air[c.CONTROL_MODE])[c.RESPONSE_MODE]
     return duration_ns(air, mode, CTS_BYTES)
 
 
 @njit(cache=True)
 def exchange_ns(air: Air, job: int) -> int:
-    """Time that the exchange of a job takes from its RTS or its frame on."""
+    """Return the duration of a job's exchange, RTS and CTS included."""
     if not t.jobs(air, job)[c.JOB_RTS]:
         return data_ns(air, job)
     rts_ns = duration_ns(air, air[c.CONTROL_MODE], RTS_BYTES)

@@ -1,9 +1,9 @@
-"""Arrays that a compiled function borrows from its caller, without counting who refers to their memory.
+"""Arrays without reference counting inside a compiled function.
 
-Numba counts references to an array's memory, by an atomic instruction for every view that is made and another
-for every one that is dropped. A row of `netsim.model.tables` is a view, and the air's events look at hundreds
-of rows: counting took half of their time. But whoever calls a compiled function holds its arguments until it
-returns, so in between nobody need own them.
+Numba counts references to an array's memory with one atomic instruction for every view created and one for
+every view dropped. A row of `netsim.model.tables` is a view, and each event accesses hundreds of rows:
+counting took half of the time. The caller of a compiled function holds references to its arguments until the
+function returns, so no further counting is needed meanwhile.
 """
 
 from collections.abc import Callable
@@ -21,9 +21,9 @@ A = TypeVar("A")
 
 
 def borrowed(array: A) -> A:
-    """Give the same array without its owner, for the time of the compiled function that was given it.
+    """Return a view of an argument without an owner, valid until the compiled function returns.
 
-    Views of it have no owner either. Without the compiler it is the array itself.
+    Views of it have no owner either. In uncompiled code it is the array itself.
     """
     return array
 
@@ -31,14 +31,14 @@ def borrowed(array: A) -> A:
 @overload(borrowed)
 def _compiled(array: types.Array) -> Callable[[types.Array], types.Array]:  # noqa: ARG001
     def view(array: types.Array) -> types.Array:
-        return _without_owner(array)  # type: ignore[call-arg,arg-type]  # Numba adds the first
+        return _without_owner(array)  # type: ignore[call-arg,arg-type]  # Numba supplies the first argument
 
     return view
 
 
 @intrinsic
 def _without_owner(_typing: Context, array: types.Array) -> tuple[Signature, Callable[..., ir.Value]]:
-    """See numba.core.datamodel.models.ArrayModel: ``meminfo`` is what counts, ``parent`` Python's object."""
+    """Clear ``meminfo``, the reference count, and ``parent`` of numba.core.datamodel.models.ArrayModel."""
 
     def generate(
         context: BaseContext, builder: ir.IRBuilder, _signature: Signature, arguments: list[ir.Value]

@@ -1,19 +1,17 @@
-"""When a station may send: its queues' contention for a medium that it senses, physically and by NAV.
+"""Channel access: contention of a station's queues by physical carrier sense, NAV and backoff.
 
-The medium counts as busy from `CCA_NS` after energy arrives, while the station sends, while NAV stands, and
-after a broken frame for EIFS. A frame that finds it idle for AIFS, with no backoff left, goes at once
-(10.3.4.2; EDCA's alignment of that to slots since the last busy period is left out: after a long silence no
-two stations would agree on them).
+The medium is busy from `CCA_NS` after energy arrives, while the station sends, while the NAV is set, and for
+EIFS after a frame with errors. A frame is sent at once if the medium has been idle for AIFS and the backoff
+is 0 (10.3.4.2). EDCA's alignment of this access to slots since the last busy period is not modelled: after a
+long idle time the slots of different stations would not coincide.
 
-DCF counts a slot once it has passed idle; EDCA counts at the boundaries of slots, so also the one whose
-beginning was idle though somebody began to send in it (10.22.2.4). A station that has nothing to send still
-counts its last backoff down.
+DCF decrements the backoff after an idle slot. EDCA decrements it at slot boundaries, so also for a slot in
+which another station begins to send (10.22.2.4). A station with empty queues completes its last backoff.
 
-A frame whose lifetime is over leaves its queue at once, from any place in it and however long the medium
-stays busy; only an exchange that has begun goes on to its end.
+A frame whose lifetime is over leaves its queue at once, at any position and also while the medium is busy;
+only an exchange that has begun is completed.
 
-The functions are compiled and work on `netsim.model.tables.Air`. What is said at access, and what follows
-from it, is `netsim.mac.station`'s.
+The functions are compiled and work on `netsim.model.tables.Air`. Frame exchanges are in `netsim.mac.station`.
 """
 
 from numba import njit
@@ -30,7 +28,7 @@ from netsim.model.tables import Air, call, draw_backoff
 
 @njit(cache=True)
 def push(air: Air, q: int, job: int) -> None:
-    """Add a job behind all others of a queue."""
+    """Append a job to a queue."""
     queue = t.queues(air, q)
     t.jobs(air, job)[c.NEXT_JOB] = c.NOTHING
     if queue[c.FIRST] == c.NOTHING:
@@ -43,18 +41,18 @@ def push(air: Air, q: int, job: int) -> None:
 
 @njit(cache=True)
 def give_up(air: Air, q: int, outcome: int) -> None:
-    """End the first job of a queue."""
+    """Remove the first job of a queue and report its outcome."""
     queue = t.queues(air, q)
     job = queue[c.FIRST]
     queue[c.FIRST] = t.jobs(air, job)[c.NEXT_JOB]
     t.stations(air, q // air[c.CATEGORIES])[c.HELD] -= 1
     if queue[c.FIRST] == c.NOTHING:
         unwatch(air, q)
-    _tell_done(air, q, job, outcome)
+    _report_done(air, q, job, outcome)
 
 
 @njit(cache=True)
-def _tell_done(air: Air, q: int, job: int, outcome: int) -> None:
+def _report_done(air: Air, q: int, job: int, outcome: int) -> None:
     i = call(air, c.DONE, q // air[c.CATEGORIES], job)
     t.calls(air, i)[c.CALL_DETAIL] = outcome
     t.calls(air, i)[c.CALL_SOURCE] = c.NOTHING
@@ -62,7 +60,7 @@ def _tell_done(air: Air, q: int, job: int, outcome: int) -> None:
 
 @njit(cache=True)
 def drop_expired(air: Air, q: int) -> None:
-    """End the jobs at the head of a queue whose lifetime is over or that are wanted no more."""
+    """Remove expired and cancelled jobs from the head of a queue."""
     queue = t.queues(air, q)
     while queue[c.FIRST] != c.NOTHING:
         job = t.jobs(air, queue[c.FIRST])
@@ -73,7 +71,7 @@ def drop_expired(air: Air, q: int) -> None:
 
 @njit(cache=True)
 def is_full(air: Air, station: int) -> bool:
-    """Whether a station can take no frame, those gone whose lifetime is over."""
+    """Whether a station's queues are full after removing expired frames."""
     if t.stations(air, station)[c.HELD] >= air[c.QUEUE_FRAMES]:
         k = air[c.CATEGORIES]
         for q in range(station * k, station * k + k):
@@ -84,21 +82,21 @@ def is_full(air: Air, station: int) -> bool:
 
 @njit(cache=True)
 def watch(air: Air, q: int, expires_ns: int) -> None:
-    """Look for frames whose lifetime is over at that time, which is before any other that is planned."""
+    """Schedule the check for expired frames at ``expires_ns``, earlier than the scheduled one."""
     t.queues(air, q)[c.DEADLINE_AT] = expires_ns
     t.queues(air, q)[c.DEADLINE] = schedule(air, max(expires_ns, air[c.NOW]), c.ON_DEADLINE, q)
 
 
 @njit(cache=True)
 def unwatch(air: Air, q: int) -> None:
-    """Look no more."""
+    """Cancel the check for expired frames."""
     t.queues(air, q)[c.DEADLINE] = 0
     t.queues(air, q)[c.DEADLINE_AT] = NEVER_NS
 
 
 @njit(cache=True)
 def on_deadline(air: Air, q: int) -> None:
-    """End the frames whose lifetime is over, all but the one that is being exchanged."""
+    """Remove all expired frames of a queue except one whose exchange is under way."""
     unwatch(air, q)
     queue, station = t.queues(air, q), t.stations(air, q // air[c.CATEGORIES])
     spared = queue[c.FIRST] if station[c.CURRENT] == q else c.NOTHING
@@ -116,7 +114,7 @@ def on_deadline(air: Air, q: int) -> None:
             else:
                 t.jobs(air, before)[c.NEXT_JOB] = behind
             station[c.HELD] -= 1
-            _tell_done(air, q, job, c.EXPIRED)
+            _report_done(air, q, job, c.EXPIRED)
         job = behind
     queue[c.LAST] = before
     if next_ns < NEVER_NS:
@@ -137,19 +135,16 @@ def _back_off(air: Air, q: int) -> None:
 
 @njit(cache=True)
 def succeeded(air: Air, q: int) -> None:
-    """Return to the smallest window and back off.
-
-    So after a success, and after a frame was given up at its retry limit (10.3.3).
-    """
+    """Reset the contention window and back off, after a success or at the retry limit (10.3.3)."""
     t.queues(air, q)[c.WINDOW] = t.queues(air, q)[c.WINDOW_LEAST]
     _back_off(air, q)
 
 
 @njit(cache=True)
 def fail(air: Air, q: int) -> None:
-    """Back off in twice the window after an exchange in vain.
+    """Double the contention window and back off after a failed exchange.
 
-    The retry limit or the lifetime may end its frame.
+    The frame is dropped if its retry limit is exceeded or its lifetime is over.
     """
     job = t.queues(air, q)[c.FIRST]
     t.jobs(air, job)[c.JOB_FAILURES] += 1
@@ -165,7 +160,7 @@ def fail(air: Air, q: int) -> None:
 
 @njit(cache=True)
 def freeze(air: Air, station: int, from_ns: int) -> None:
-    """Stop all backoffs, as the medium is sensed busy from then on; an access until then goes ahead."""
+    """Freeze all backoffs: the medium is busy from ``from_ns``; accesses until then still take place."""
     t.stations(air, station)[c.PLANNED] = 0
     k = air[c.CATEGORIES]
     for q in range(station * k, station * k + k):
@@ -175,7 +170,7 @@ def freeze(air: Air, station: int, from_ns: int) -> None:
 
 @njit(cache=True)
 def _freeze_queue(air: Air, q: int, from_ns: int) -> None:
-    """Turn the slots that have passed into a smaller backoff."""
+    """Subtract the elapsed slots from a queue's backoff."""
     queue = t.queues(air, q)
     if queue[c.ACCESS]:
         if queue[c.ACCESS_AT] <= from_ns:
@@ -196,7 +191,7 @@ def _freeze_queue(air: Air, q: int, from_ns: int) -> None:
 
 @njit(cache=True)
 def contend(air: Air, station: int, q: int, job: int) -> None:
-    """Queue a frame, and plan its access if it is the first."""
+    """Enqueue a frame, and plan its access if it is the first."""
     queue, now = t.queues(air, q), air[c.NOW]
     queue[c.IN_USE] = 1
     first = queue[c.FIRST] == c.NOTHING
@@ -228,15 +223,15 @@ def _is_busy(air: Air, station: int) -> bool:
 
 @njit(cache=True)
 def resume(air: Air, station: int) -> None:
-    """Plan each queue's next access from what is known of the medium; what changes that calls again."""
+    """Plan each queue's next access from the state of the medium; to be called after each change of it."""
     now, row = air[c.NOW], t.stations(air, station)
     if row[c.CURRENT] != c.NOTHING or row[c.SENDING_UNTIL] > now or row[c.RADIO_OFF]:
         return
     idle_ns = row[c.BUSY_UNTIL]
     unsensed = False
-    # what NAV covers holds back no plan, and so no frame that comes meanwhile
+    # a busy period within the NAV does not prevent planning an access after the NAV
     if idle_ns > now and idle_ns > row[c.RESERVED_UNTIL]:
-        # a busy period that the station cannot have sensed yet does not hold it back
+        # a busy period that the station cannot have sensed yet does not prevent an access
         unsensed = now <= row[c.BUSY_FROM] + CCA_NS
         if not unsensed:
             return
@@ -248,7 +243,7 @@ def resume(air: Air, station: int) -> None:
     k = air[c.CATEGORIES]
     for q in range(station * k, station * k + k):
         queue = t.queues(air, q)
-        # if it is unsensed, the slots before that busy period were counted when it froze the backoff
+        # if unsensed, the slots before that busy period were subtracted when the backoff was frozen
         frozen = queue[c.BACKOFF] and queue[c.BASE] == NEVER_NS
         if queue[c.IN_USE] and not (unsensed and frozen):
             _plan(air, q, idle_ns + queue[c.AIFS])
@@ -258,7 +253,7 @@ def resume(air: Air, station: int) -> None:
 
 @njit(cache=True)
 def _plan(air: Air, q: int, base_ns: int) -> None:
-    """Plan one queue's access to a medium that falls or has fallen idle, from ``base_ns`` on."""
+    """Plan one queue's access to a medium that is idle, AIFS included, from ``base_ns``."""
     queue = t.queues(air, q)
     queue[c.BASE] = base_ns
     if queue[c.FIRST] == c.NOTHING:
@@ -271,9 +266,9 @@ def _plan(air: Air, q: int, base_ns: int) -> None:
 
 @njit(cache=True)
 def win(air: Air, q: int) -> int:
-    """Have a queue get the access that it planned; returns the queue that does, or `columns.NOTHING`.
+    """Return the queue that gets the access planned by ``q``, or `columns.NOTHING`.
 
-    It may be another of the same station, before which it has to stand back.
+    It may be a queue of higher priority of the same station.
     """
     queue, now = t.queues(air, q), air[c.NOW]
     queue[c.ACCESS] = 0
@@ -296,7 +291,7 @@ def win(air: Air, q: int) -> int:
 
 @njit(cache=True)
 def _collide_inside(air: Air, station: int, q: int) -> int:
-    """Of queues that would send at one time the first in priority does; the others have collided."""
+    """Resolve an internal collision: the queue of highest priority wins, the access of the others fails."""
     k = air[c.CATEGORIES]
     winner = c.NOTHING
     for rival in range(station * k, station * k + k):

@@ -1,4 +1,4 @@
-"""What stands in the tables of the air before anything has happened: settings, modes, stations at rest."""
+"""Initial state of the tables of `netsim.model.tables`: settings, modes, idle stations."""
 
 from collections.abc import Sequence
 from typing import get_args
@@ -15,17 +15,17 @@ from netsim.phy.modes import PhyMode, phy_mode, response_mode
 from netsim.phy.propagation import thermal_noise_mw
 
 MODE_NAMES: list[Mode] = list(get_args(Mode))
-"""In the order of the tables' rows."""
+"""Mode names in the order of the rows of ``modes``."""
 
 
 class ModeRows(dict[PhyMode, int]):
-    """Rows of the modes in ``tables``, which are filled when a mode is first asked for."""
+    """Row numbers of modes in ``tables``; a row is filled at the first access to its mode."""
 
     def __init__(self, tables: Tables) -> None:
         self.tables = tables
 
     def __missing__(self, mode: PhyMode) -> int:
-        """Fill the row of a mode with its numbers and those of its answers."""
+        """Fill the rows of a mode and of the mode of its responses."""
         row = self[mode] = MODE_NAMES.index(mode.name)
         errors, tables = error_model(mode), self.tables
         columns = [c.PREAMBLE, c.BITS_PER_SYMBOL, c.VHT, c.HAZARDS]
@@ -41,7 +41,7 @@ class ModeRows(dict[PhyMode, int]):
 def silent_air(
     config: RadioConfig, *, stations: int, queues: Sequence[AccessParameters], observed: bool
 ) -> tuple[Air, ModeRows]:
-    """Tables of stations that have these queues each; ``observed`` has the end of every frame told."""
+    """Return tables of stations with these queues each; ``observed``: report the end of every frame."""
     air = t.new_air(stations=stations, categories=len(queues))
     tables = t.tables_of(air)
     modes = ModeRows(tables)
@@ -67,6 +67,6 @@ def silent_air(
         rows[k :: len(queues), columns] = (
             each.aifs_ns, each.cw_min, each.cw_min, each.cw_max, each.txop_ns, each.edca,
         )  # fmt: skip
-    tables.heard_ns[...] = -NEVER_NS
+    tables.last_received_ns[...] = -NEVER_NS
     tables.budgets[:, c.BUDGET_UNTIL] = -1
     return air, modes

@@ -1,4 +1,4 @@
-"""When interferers send: bursts as events of Python's queue, cut into parts that fit moving receivers."""
+"""Schedule interferers' bursts as events of the queue, split into parts because receivers move."""
 
 from collections.abc import Callable
 
@@ -8,11 +8,11 @@ from netsim.model.random_streams import Model, RandomStreams
 from netsim.phy.interferers import Interferer
 
 PART_NS = 20_000_000
-"""A longer burst goes on the air in parts, each with the powers of its beginning: receivers move."""
+"""A longer burst is sent in parts of this length; received powers are constant within a part."""
 
 
 class Bursts:
-    """Bursts of all interferers: ``start`` puts one on the air, by its interferer's index, until a time."""
+    """Bursts of all interferers; ``start(index, end_ns)`` starts a burst of an interferer now."""
 
     def __init__(
         self,
@@ -29,16 +29,16 @@ class Bursts:
                 queue.at(queue.now_ns + interferer.first_ns(), self._begin, interferer)
 
     def _begin(self, interferer: Interferer) -> None:
-        self._go_on((interferer, self._queue.now_ns + interferer.burst_ns()))
+        self._continue((interferer, self._queue.now_ns + interferer.burst_ns()))
 
-    def _go_on(self, rest: tuple[Interferer, int]) -> None:
-        """Put what is left of a burst on the air, or the next part of it."""
+    def _continue(self, rest: tuple[Interferer, int]) -> None:
+        """Start the next part of a burst."""
         interferer, until_ns = rest
         now = self._queue.now_ns
         end_ns = min(until_ns, now + PART_NS)
-        # what follows at once is on the air before this has ended everywhere
+        # the next part starts before this one has ended at all receivers
         if end_ns < until_ns:
-            self._queue.at(end_ns, self._go_on, rest)
+            self._queue.at(end_ns, self._continue, rest)
         else:
             self._queue.at(end_ns + interferer.pause_ns(), self._begin, interferer)
         self._start(interferer.index, end_ns)

@@ -1,4 +1,4 @@
-"""What a station is asked to send and how that ended, and what it receives."""
+"""Interface of a station's MAC: jobs to send and their outcomes, received frames."""
 
 from collections.abc import Callable
 from enum import StrEnum
@@ -15,97 +15,97 @@ class JobOutcome(StrEnum):
     """How a job ended."""
 
     SENT = "sent"
-    """A group-addressed frame went out."""
+    """A group-addressed frame was sent."""
     ACKNOWLEDGED = "acknowledged"
     RETRY_LIMIT = "retry_limit"
     EXPIRED = "expired"
-    """It outlived its time in the queue, tried or not, was taken back, or its radio fell silent."""
+    """Its lifetime was over, it was cancelled, or its radio was switched off."""
     OVERFLOW = "overflow"
     """The queue was full."""
 
 
 class Reception(Struct, frozen=True):
-    """A frame as one station has received it."""
+    """A frame received by one station."""
 
     source: int
     start_ns: int
-    """At the sender's antenna."""
+    """Begin of the frame at the sender's antenna."""
     end_ns: int
-    """At this one's."""
+    """End of the frame at this station's antenna."""
     power_mw: float
     seq: int = 0
-    """The host's number of what it carries."""
+    """The host's sequence number of the payload."""
     body: object = None
     duplicate: bool = False
-    """The same has been received before."""
+    """The frame has been received before."""
 
 
 class GroupReception(Struct, frozen=True):
-    """A datagram to all as those have received it who did: lists are by receiver."""
+    """A received group datagram; lists have one entry per receiver."""
 
     source: int
     seq: int
-    """The host's number of it."""
+    """The host's sequence number."""
     body: object
     stations: list[int]
     ends_ns: list[int]
-    """At their antennas."""
+    """End of the frame at their antennas."""
     powers_mw: list[float]
 
 
 class Job(Struct, kw_only=True, eq=False):
-    """One frame to be delivered, by as many transmissions as it takes."""
+    """One frame to be sent, with retransmissions."""
 
     kind: FrameKind
     destination: int
     mode: PhyMode
     rates: RateControl | None = None
-    """Chooses ``mode`` anew before each attempt; None keeps it."""
+    """Selects ``mode`` before each attempt; None: fixed mode."""
     frame_bytes: int
     expires_ns: int
     retry_limit: int
-    """Failed exchanges after which the next failure gives the frame up."""
+    """Failed exchanges after which the next failure drops the frame."""
     done: Callable[["Job", JobOutcome], None]
     seq: int = 0
-    """The host's number of it."""
+    """The host's sequence number."""
     body: object = None
     rts: bool = False
-    """Reserve the medium first: with the destination, or for a group frame with a neighbour."""
+    """Send RTS first: to the destination, or for a group frame to a neighbour."""
     cancelled: bool = False
     attempts: int = 0
-    """Transmissions of the frame itself; this and the rest is known when it has ended."""
+    """Transmissions of the frame itself; this and the following fields are set at the end of the job."""
     failures: int = 0
     sequence: int = 0
     sent_ns: int | None = None
-    """When it last went on the air."""
+    """Time of the last transmission."""
     ack: Reception | None = None
-    """The acknowledgement that ended it."""
+    """The acknowledgement that ended the job."""
     row: int | None = None
-    """Where it is kept by who sends it."""
+    """Row in the sender's table of jobs; None when it has none."""
 
 
 class FrameSender(Protocol):
-    """One station's way to the air."""
+    """Sending side of one station's MAC."""
 
     def enqueue(self, category: str, job: Job, /) -> None:
-        """Take a frame for transmission in an access category; its job tells how that ends, at once too."""
+        """Enqueue a frame in an access category; ``job.done`` reports its outcome, possibly at once."""
 
     def cancel(self, job: Job, /) -> None:
-        """Have a frame leave its queue instead of going out; harmless when it has ended."""
+        """Remove a frame from its queue before it is sent; no effect after its end."""
 
     def has_begun(self, job: Job, /) -> bool:
-        """Whether a frame has gone out at least once."""
+        """Whether a frame has been sent at least once."""
 
     def silence(self) -> None:
-        """End for good: nothing is sent, answered or heard any more."""
+        """Switch the radio off for good: it no longer sends, responds or receives."""
 
 
 class Upper(Protocol):
-    """Who gets the frames that are for a station."""
+    """Layer above the MAC of a station."""
 
     def on_frame(self, reception: Reception) -> None:
-        """Take a data or action frame."""
+        """Process a received data or action frame."""
 
 
 OnGroupFrame = Callable[[GroupReception], None]
-"""Takes a frame to all, for all who have received it."""
+"""Processes a group frame for all stations that have received it."""

@@ -1,7 +1,7 @@
-"""The air's events, one after the other: what each has the medium and the stations do.
+"""Event loop of the channel: runs the events of medium and stations in order.
 
-`run` goes on without Python until it has to ask or to tell something. What is told is told after the event
-in which it happens: what the layers above make of it then comes behind all that the event itself has caused.
+`run` stays in compiled code until it needs data from Python or has calls to report. Calls are reported after
+the event that causes them, so that reactions of the upper layers follow all effects of the event.
 """
 
 import numpy as np
@@ -18,20 +18,21 @@ from netsim.phy import medium, sensing
 from netsim.phy.frames import GROUP
 from netsim.phy.path_loss import Doubles
 
-# Why `run` comes back.
-REACHED, TELLS, WANTS_BUDGET, WANTS_MODE, WANTS_ROOM = range(5)
-"""It is through; has calls to be told; lacks the link budget of the station `columns.WANTED`, which
-sends now; the mode of the next frame of the queue `columns.DUE`; draws or free rows."""
+# Reasons for which `run` returns.
+REACHED, HAS_CALLS, NEEDS_BUDGET, NEEDS_MODE, NEEDS_ROOM = range(5)
+"""No more events are due; there are calls to report; needed: the link budget of the station
+`columns.BUDGET_SENDER`, which sends now; the mode of the next frame of the queue `columns.DUE`; random draws
+or free rows."""
 
-# What becomes of a job in `enqueue`.
-TAKEN, REFUSED, LACKS_ROOM = range(3)
+# Results of `enqueue`.
+ACCEPTED, REJECTED, LACKS_ROOM = range(3)
 
 
 @njit(cache=True)
 def run(air: Air, fading: Doubles, until_ns: int, until_order: int) -> int:
-    """Run the events before a time and an order of scheduling; returns why it stops.
+    """Run the events before a time and an order of scheduling; return the reason for stopping.
 
-    What it has stopped for is to be there when it is called again.
+    The missing data must be supplied before the next call.
     """
     air, fading = borrowed(air), borrowed(fading)
     while True:
@@ -44,12 +45,12 @@ def run(air: Air, fading: Doubles, until_ns: int, until_order: int) -> int:
         if lack != REACHED:
             return lack
         if air[c.CALLS] and air[c.DUE] == c.NOTHING:
-            return TELLS
+            return HAS_CALLS
 
 
 @njit(cache=True)
 def _next_is_due(air: Air, until_ns: int, until_order: int) -> bool:
-    """Whether there is an event before a time and an order, those taken back gone."""
+    """Whether there is an event before a time and an order; drops cancelled events."""
     while air[c.EVENTS] and is_off(air):
         drop_next(air)
     if not air[c.EVENTS]:
@@ -60,19 +61,19 @@ def _next_is_due(air: Air, until_ns: int, until_order: int) -> bool:
 
 @njit(cache=True)
 def _run_next(air: Air, fading: Doubles) -> int:
-    """Run the next event, unless it lacks something, which is returned."""
+    """Run the next event; return `REACHED`, or what it needs first."""
     event = t.events(air, 0)
     what, about = event[c.WHAT], event[c.ABOUT]
     air[c.NOW] = event[c.AT]
     if not has_room(air):
-        return WANTS_ROOM
+        return NEEDS_ROOM
     if what in (c.SEND_JOB, c.SEND_FRAME):
         sender = mac.sender(air, what, about)
         if sender == c.NOTHING:
             drop_next(air)
             return REACHED
         if _lacks_budget(air, sender):
-            return WANTS_BUDGET
+            return NEEDS_BUDGET
     first, second = event[c.FURTHER], event[c.FURTHER + 1]
     third, fourth = event[c.FURTHER + 2], event[c.FURTHER + 3]
     drop_next(air)
@@ -82,13 +83,13 @@ def _run_next(air: Air, fading: Doubles) -> int:
 
 @njit(cache=True)
 def _begin_due(air: Air, fading: Doubles) -> int:
-    """Begin the exchange that is due, unless it lacks something, which is returned."""
+    """Begin the exchange that is due; return `REACHED`, or what it needs first."""
     q = air[c.DUE]
     if mac.lacks_mode(air, q):
-        return WANTS_MODE
+        return NEEDS_MODE
     if mac.has_time(air, q):
         if _lacks_budget(air, q // air[c.CATEGORIES]):
-            return WANTS_BUDGET
+            return NEEDS_BUDGET
         mac.begin(air, fading, q)
     else:
         mac.leave(air, q)
@@ -98,17 +99,17 @@ def _begin_due(air: Air, fading: Doubles) -> int:
 
 @njit(cache=True)
 def _lacks_budget(air: Air, sender: int) -> bool:
-    """Whether the link budget of who sends now has to be computed.
+    """Whether the link budget of a station that sends now has to be computed.
 
-    It holds for a while from then on, so it is never asked for ahead, nor for what may come to nothing.
+    It is valid for a limited time, so it is requested only when a transmission begins.
     """
-    air[c.WANTED] = sender
+    air[c.BUDGET_SENDER] = sender
     return bool(air[c.NOW] > t.budgets(air, sender)[c.BUDGET_UNTIL])
 
 
 @njit(cache=True)
 def has_room(air: Air) -> bool:
-    """Whether there are draws, and free rows, for all that one event may take."""
+    """Whether there are enough draws and free rows for any one event."""
     return bool(
         not air[c.DRAWS_LOW]
         and air[c.FREE_SIGNAL] != c.NOTHING
@@ -119,7 +120,7 @@ def has_room(air: Air) -> bool:
 
 @njit(cache=True)
 def spare_events(air: Air) -> int:
-    """Events that one event schedules at most: an access and a deadline of every queue, an answer."""
+    """Return the most events that one event schedules: access and deadline per queue, a response."""
     return int(air[c.STATIONS] * (2 * air[c.CATEGORIES] + 2) + 8)
 
 
@@ -127,7 +128,7 @@ def spare_events(air: Air) -> int:
 def _act(
     air: Air, fading: Doubles, what: int, about: int, first: int, second: int, third: int, fourth: int
 ) -> None:
-    """Do what an event is."""
+    """Run one event."""
     if what == c.END_FRAME:
         _end_frame(air, about)
     elif what == c.DETECT:
@@ -159,7 +160,7 @@ def _act(
 def _end_frame(air: Air, frame: int) -> None:
     medium.settle(air, frame)
     if t.signals(air, frame)[c.TO] == GROUP:
-        mac.hand_up_to_all(air, frame)
+        mac.report_group_frame(air, frame)
     for r in range(air[c.STATIONS]):
         if t.ends(air, c.FATES)[r] != c.ABSENT:
             mac.on_end(air, frame, r)
@@ -172,14 +173,14 @@ def _end_frame(air: Air, frame: int) -> None:
         end_signal(air, frame)
 
 
-# --- what Python does between the events
+# --- called from Python between events
 
 
 @njit(cache=True)
-def have_budget(
+def set_budget(
     air: Air, source: int, powers_mw: Doubles, delays_ns: Integers, until_ns: int, longest_delay_ns: int
 ) -> None:
-    """Have the link budget of a station: powers and delays (n,) until a time."""
+    """Set the link budget of a station: powers and delays (n,), valid until a time."""
     t.budgets_mw(air, source)[:] = powers_mw
     t.budget_delays_ns(air, source)[:] = delays_ns
     budget = t.budgets(air, source)
@@ -202,9 +203,10 @@ def enqueue(
     seq: int,
     cancelled: int,
 ) -> int:
-    """Have a queue take a job, a free row of jobs.
+    """Fill a free row of jobs and append it to a queue.
 
-    It is refused if its station's queues are full or it is silent; nothing is done without `has_room`.
+    Returns `REJECTED` if the station's queues are full or its radio is off, and `LACKS_ROOM` without any
+    change if `has_room` is False.
     """
     if not has_room(air):
         return LACKS_ROOM
@@ -215,32 +217,32 @@ def enqueue(
     row[c.JOB_RTS], row[c.JOB_ADAPTS], row[c.JOB_SEQ], row[c.JOB_CANCELLED] = rts, adapts, seq, cancelled
     station = q // air[c.CATEGORIES]
     if t.stations(air, station)[c.RADIO_OFF] or is_full(air, station):
-        return REFUSED
+        return REJECTED
     contend(air, station, q, job)
-    return TAKEN
+    return ACCEPTED
 
 
 @njit(cache=True)
 def silence(air: Air, station: int) -> None:
-    """End a station for good."""
+    """Switch a station's radio off for good."""
     mac.silence(air, station)
 
 
 @njit(cache=True)
 def start_burst(air: Air, burst: int) -> None:
-    """Put an interferer's burst on the air, which is a row of signals."""
+    """Start an interferer's burst, a row of signals."""
     mac.on_busy(air, burst, medium.start_burst(air, burst))
 
 
 @njit(cache=True)
 def release(air: Air, frame: int) -> None:
-    """Let go of a frame whose end has been told."""
+    """Free the row of a frame whose end has been reported."""
     end_signal(air, frame)
 
 
 @njit(cache=True)
 def surveyed_ns(air: Air, at_ns: int) -> Integers:
-    """Time up to ``at_ns``, which is now, for which each station, (n,), sensed the medium busy or sent."""
+    """Return the time (n,) up to now, ``at_ns``, for which each station sensed the medium busy or sent."""
     busy_ns = np.empty(air[c.STATIONS], np.int64)
     for r in range(len(busy_ns)):
         busy_ns[r] = sensing.surveyed_ns(t.stations(air, r), at_ns)
@@ -249,7 +251,7 @@ def surveyed_ns(air: Air, at_ns: int) -> Integers:
 
 @njit(cache=True)
 def next_ns(air: Air, never_ns: int) -> int:
-    """Time of the next event, or ``never_ns``."""
+    """Return the time of the next event, or ``never_ns``."""
     while air[c.EVENTS]:
         if not is_off(air):
             return int(t.events(air, 0)[c.AT])

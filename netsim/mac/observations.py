@@ -1,4 +1,4 @@
-"""A frame that has ended everywhere as who watches the whole channel is told of it."""
+"""Convert a frame that has ended at all stations to a `Transmission` for observers of the channel."""
 
 from netsim.mac.initial_state import MODE_NAMES
 from netsim.model import columns as c
@@ -10,11 +10,11 @@ from netsim.phy.propagation import LinkRow
 from netsim.phy.signals import Transmission
 
 KINDS = list(FrameKind)
-"""In the order of `netsim.model.columns`."""
+"""Frame kinds in the order of `netsim.model.columns`."""
 
 
 def transmission_of(tables: Tables, row: int, bandwidth_mhz: BandwidthMhz, body: object) -> Transmission:
-    """Give a frame, a row of signals with what it carries, whose end has just been settled."""
+    """Return the transmission of a row of signals whose outcomes have just been determined."""
     signal = tables.signals[row].tolist()
     frame = Frame(
         kind=KINDS[signal[c.KIND]],

@@ -1,7 +1,7 @@
-"""All stations' radios and the medium between them: the tables, and Python's side of their events.
+"""All radios of the emulated channel: the tables, and the Python side of their events.
 
-`netsim.mac.loop` runs the events; here are what it cannot have compiled (link budgets, adaptive modes,
-interferers' and everybody's random streams) and whom it tells.
+`netsim.mac.loop` runs the events in compiled code. This module supplies what is not compiled (link budgets,
+adaptive modes, interferers, random streams) and dispatches calls to the upper layers.
 """
 
 from collections.abc import Callable, Mapping
@@ -35,25 +35,25 @@ _NO_FADING = np.empty(0)
 
 
 class LinkBudgets(Protocol):
-    """What signals lose on their ways: `netsim.phy.propagation.Links`."""
+    """Link budgets of all signals: `netsim.phy.propagation.Links`."""
 
     fading: RicianFading | None
 
     @property
     def version(self) -> int:
-        """Another number whenever budgets that were given do not hold any more."""
+        """Version number, which changes when earlier link budgets become invalid."""
 
     def row(self, source: int, at_ns: int) -> LinkRow:
-        """From a station to all others."""
+        """Return the link budget from a station to all others."""
 
     def interferer_row(self, index: int, at_ns: int) -> LinkRow:
-        """From an interferer to all stations."""
+        """Return the link budget from an interferer to all stations."""
 
 
 class Radios:
     """Stations that contend for one medium; see `netsim.emulator.channels.Channel`.
 
-    ``on_ended`` is told of every frame that has ended everywhere.
+    ``on_ended`` is called with every frame that has ended at all stations.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class Radios:
         self._on_ended = on_ended
         parameters = list(dict.fromkeys(access.values()))
         self._categories = {category: parameters.index(access[category]) for category in access}
-        """Those with the same parameters share a queue (DCF)."""
+        """Queue by access category; categories with equal parameters share a queue (DCF)."""
         self._air, self._modes = silent_air(
             config, stations=stations, queues=parameters, observed=on_ended is not None
         )
@@ -88,26 +88,26 @@ class Radios:
         self._backoffs: list[Uniforms] = []
         self._receptions = [Uniforms(streams.generator(Model.RECEPTION, i)) for i in range(stations)]
         self._jobs: list[Job] = []
-        """By row; a free one has its last."""
+        """Jobs by row; a free row holds its previous job."""
         self._free_jobs: list[int] = []
         self._taken: list[Integers] = []
-        """Records that had to make room."""
+        """Blocks of records moved out of the full table."""
         self._bursts = Bursts(config, queue, streams, self._start_burst)
         queue.machine = self
 
     # --- stations
 
     def join(self, station: int, upper: Upper, backoff: Uniforms | None = None) -> "RadioStation":
-        """Add a station, whose received frames go to ``upper``; they come in the order of their numbers.
+        """Add the next station, in the order of their numbers; its received frames go to ``upper``.
 
-        ``backoff`` is what its backoffs are drawn from, if not the stream of its own.
+        ``backoff`` draws its backoffs, by default from the station's random stream.
         """
         self._uppers.append(upper)
         self._backoffs.append(backoff or Uniforms(self._streams.generator(Model.BACKOFF, station)))
         return RadioStation(station, self)
 
     def enqueue(self, station: int, category: str, job: Job) -> None:
-        """See `netsim.mac.jobs.Sender`."""
+        """See `netsim.mac.jobs.FrameSender`."""
         if self._free_jobs:
             row = self._free_jobs.pop()
             self._jobs[row] = job
@@ -127,8 +127,8 @@ class Radios:
             end = loop.enqueue(self._air, *what)
         queue.scheduled = self._head[c.SCHEDULED]
         if self._head[c.CALLS]:
-            self._tell()
-        if end == loop.REFUSED:
+            self._dispatch_calls()
+        if end == loop.REJECTED:
             job.row = None
             self._free_jobs.append(row)
             job.done(job, JobOutcome.OVERFLOW)
@@ -141,26 +141,26 @@ class Radios:
         return row
 
     def cancel(self, job: Job) -> None:
-        """See `netsim.mac.jobs.Sender`."""
+        """See `netsim.mac.jobs.FrameSender`."""
         job.cancelled = True
         if job.row is not None:
             self._tables.jobs[job.row, c.JOB_CANCELLED] = 1
 
     def has_begun(self, job: Job) -> bool:
-        """See `netsim.mac.jobs.Sender`."""
+        """See `netsim.mac.jobs.FrameSender`."""
         if job.row is None:
             return job.attempts > 0
         return bool(self._tables.jobs[job.row, c.JOB_ATTEMPTS] > 0)
 
     def silence(self, station: int) -> None:
-        """See `netsim.mac.jobs.Sender`."""
+        """See `netsim.mac.jobs.FrameSender`."""
         self._make_ready()
         loop.silence(self._air, station)
-        # a frame of its may be on the air: what it carries is still asked for
-        self._tell(keep=True)
+        # a frame of the station may be on the air: its receivers still need the job's body
+        self._dispatch_calls(keep=True)
 
     def transmit(self, frame: Frame) -> None:
-        """Have a station send a frame now, whatever it senses."""
+        """Send a frame now, regardless of the medium."""
         self._make_ready()
         what = KIND_ROWS[frame.kind] * c.MODES + self._modes[frame.mode]
         schedule(
@@ -175,33 +175,33 @@ class Radios:
         )
         self._queue.scheduled = self._head[c.SCHEDULED]
 
-    # --- what is known of them
+    # --- state and statistics
 
     @property
     def air(self) -> Air:
-        """The tables, until they grow."""
+        """The current block of tables, which is replaced when they grow."""
         return self._air
 
     def busy_ns(self) -> int:
-        """Time up to now for which the medium carried at least one signal."""
+        """Return the time up to now for which the medium carried at least one signal."""
         return self._head[c.BUSY_NS] - max(0, self._head[c.BUSY_UNTIL_NS] - self._queue.now_ns)
 
     def surveyed_ns(self) -> list[int]:
-        """Time up to now for which each station sensed the medium busy or was itself sending."""
+        """Return the time up to now, by station, for which it sensed the medium busy or was sending."""
         surveyed: list[int] = loop.surveyed_ns(self._air, self._queue.now_ns).tolist()
         return surveyed
 
     def frames_sent(self) -> list[int]:
-        """Frames by kind."""
+        """Return the number of ended frames by kind."""
         sent: list[int] = self._tables.sent[0].tolist()
         return sent
 
     def broadcasts(self) -> Integers:
-        """Datagrams to all, (n, 3) by receiver: delivered, collided, lost to noise."""
+        """Return broadcast datagrams (n, 3) by receiver: delivered, collided, lost to noise."""
         return self._tables.counts.copy()
 
     def take_frames(self) -> Integers:
-        """Give the frames that have ended since the last call: see `netsim.emulator.records`."""
+        """Return the frames that ended since the last call: see `netsim.emulator.records`."""
         self._put_records_aside()
         taken, self._taken = self._taken, []
         return taken[0] if len(taken) == 1 else np.concatenate(taken)
@@ -211,31 +211,31 @@ class Radios:
         self._head[c.RECORDS] = 0
         self._taken.append(self._tables.records[:count].copy())
 
-    # --- the air's events
+    # --- events
 
     def next_ns(self) -> int:
-        """See `netsim.model.event_queue.Machine`."""
+        """See `netsim.model.event_queue.EventSource`."""
         return int(loop.next_ns(self._air, NEVER_NS))
 
     def begin(self) -> None:
-        """See `netsim.model.event_queue.Machine`."""
+        """See `netsim.model.event_queue.EventSource`."""
         version = self._links.version
         if version != self._links_version:
             self._links_version = version
             self._tables.budgets[:, c.BUDGET_UNTIL] = -1
 
     def run(self, until_ns: int, until_order: int) -> bool:
-        """See `netsim.model.event_queue.Machine`."""
+        """See `netsim.model.event_queue.EventSource`."""
         queue, head = self._queue, self._head
         head[c.NOW], head[c.SCHEDULED] = queue.now_ns, queue.scheduled
         while (why := loop.run(self._air, self._fading_block, until_ns, until_order)) != loop.REACHED:
             queue.now_ns, queue.scheduled = head[c.NOW], head[c.SCHEDULED]
-            if why == loop.WANTS_BUDGET:
-                self._have_budget(head[c.WANTED], queue.now_ns)
-            elif why == loop.TELLS:
-                self._tell()
+            if why == loop.NEEDS_BUDGET:
+                self._update_budget(head[c.BUDGET_SENDER], queue.now_ns)
+            elif why == loop.HAS_CALLS:
+                self._dispatch_calls()
                 return False
-            elif why == loop.WANTS_MODE:
+            elif why == loop.NEEDS_MODE:
                 self._choose_mode(head[c.DUE])
                 return False
             else:
@@ -245,7 +245,7 @@ class Radios:
         return True
 
     def _make_ready(self) -> None:
-        """Have draws, and room for what an event may add, and the clock right."""
+        """Provide random draws and free rows for the next event, and set the clock."""
         head = self._head
         head[c.NOW], head[c.SCHEDULED] = self._queue.now_ns, self._queue.scheduled
         if head[c.DRAWS_LOW]:
@@ -266,18 +266,18 @@ class Radios:
         self._head = memoryview(self._air.data)
         self._tables = self._modes.tables = t.tables_of(self._air)
 
-    def _have_budget(self, source: int, at_ns: int) -> None:
+    def _update_budget(self, source: int, at_ns: int) -> None:
         row = self._links.row(source, at_ns)
         until_ns = max(row.until_ns, at_ns)
-        loop.have_budget(self._air, source, row.powers_mw, row.delays_ns, until_ns, row.longest_delay_ns)
+        loop.set_budget(self._air, source, row.powers_mw, row.delays_ns, until_ns, row.longest_delay_ns)
 
     def _choose_mode(self, q: int) -> None:
-        self._tell()
+        self._dispatch_calls()
         tables = self._tables
         row = int(tables.queues[q, c.FIRST])
         job = self._jobs[row]
         if job.rates is None:
-            raise AssertionError("a frame that chooses no mode waits for one")
+            raise AssertionError("a mode is needed for a frame without rate control")
         job.mode = job.rates.mode_for(
             job.destination,
             frame_bytes=job.frame_bytes,
@@ -290,7 +290,7 @@ class Radios:
     # --- interferers
 
     def _start_burst(self, interferer: int, end_ns: int) -> None:
-        """Put a burst on the air now."""
+        """Start an interferer's burst now."""
         now = self._queue.now_ns
         row = self._links.interferer_row(interferer, now)
         self._make_ready()
@@ -302,20 +302,20 @@ class Radios:
         loop.start_burst(self._air, burst)
         self._queue.scheduled = self._head[c.SCHEDULED]
 
-    # --- who is told
+    # --- calls to the upper layers
 
-    def _tell(self, *, keep: bool = False) -> None:
-        """Tell what the last event has to tell; ``keep`` leaves the rows of jobs that have ended theirs."""
+    def _dispatch_calls(self, *, keep: bool = False) -> None:
+        """Dispatch the calls of the last event; ``keep`` does not free the rows of ended jobs."""
         count, tables = self._head[c.CALLS], self._tables
         if not count:
             return
         self._head[c.CALLS] = 0
-        told: list[tuple[list[int], float, Job | None]] = []
-        # before anybody is told: who is may have something sent at once, in rows that are free by now
+        pending: list[tuple[list[int], float, Job | None]] = []
+        # free the rows first: a callback may enqueue a frame at once
         for i, call in enumerate(tables.calls[:count].tolist()):
             row = call[c.CALL_JOB]
             job = self._jobs[row] if row >= 0 else None
-            told.append((call, tables.calls_mw.item(i), job))
+            pending.append((call, tables.calls_mw.item(i), job))
             if call[c.CALL] == c.DONE and job is not None:
                 kept = tables.jobs[row].tolist()
                 job.attempts, job.failures = kept[c.JOB_ATTEMPTS], kept[c.JOB_FAILURES]
@@ -324,7 +324,7 @@ class Radios:
                 job.row = None
                 if not keep:
                     self._free_jobs.append(row)
-        for call, power_mw, job in told:
+        for call, power_mw, job in pending:
             what = call[c.CALL]
             if what == c.FRAME:
                 _, station, _, again, source, start_ns, end_ns = call[: c.CALL_END + 1]
@@ -332,9 +332,9 @@ class Radios:
                 reception = Reception(source, start_ns, end_ns, power_mw, seq, body, bool(again))
                 self._uppers[station].on_frame(reception)
             elif what == c.GROUP_FRAME:
-                self._tell_all(job, call[c.CALL_DETAIL])
+                self._report_group_frame(job, call[c.CALL_DETAIL])
             elif what == c.FRAME_ENDED:
-                self._tell_ended(job)
+                self._report_ended(job)
             elif what == c.DONE and job is not None:
                 outcome = OUTCOMES[call[c.CALL_DETAIL]]
                 if outcome is JobOutcome.ACKNOWLEDGED:
@@ -345,8 +345,8 @@ class Radios:
             elif what == c.FAILED and job is not None and job.rates is not None:
                 job.rates.report(job.destination, job.mode, acknowledged=False)
 
-    def _tell_all(self, job: Job | None, frame: int) -> None:
-        """Tell of a frame to all that has just ended."""
+    def _report_group_frame(self, job: Job | None, frame: int) -> None:
+        """Report a group frame that has just ended to its receivers."""
         seq, body = (0, None) if job is None else (job.seq, job.body)
         tables = self._tables
         signal = tables.signals[frame].tolist()
@@ -364,8 +364,8 @@ class Radios:
             )
         )
 
-    def _tell_ended(self, job: Job | None) -> None:
-        """Tell of the frame that has ended, and let go of it."""
+    def _report_ended(self, job: Job | None) -> None:
+        """Report the frame that has ended, and free its row."""
         ended = self._head[c.ENDED]
         body = None if job is None else job.body
         transmission = transmission_of(self._tables, ended, self._config.bandwidth_mhz, body)
@@ -375,7 +375,7 @@ class Radios:
 
 
 def _draw_ahead(stations: Integers, column: int, draws: Doubles, streams: list[Uniforms]) -> None:
-    """Fill up the draws of those that have used most of theirs."""
+    """Refill the draws of stations that have used more than half of theirs."""
     used_by = stations[:, column]
     for station in (used_by > c.BLOCK_DRAWS // 2).nonzero()[0].tolist():
         used = int(used_by[station])
@@ -386,7 +386,7 @@ def _draw_ahead(stations: Integers, column: int, draws: Doubles, streams: list[U
 
 
 class RadioStation:
-    """MAC of one station; see `netsim.mac.jobs.Sender`."""
+    """MAC of one station; see `netsim.mac.jobs.FrameSender`."""
 
     def __init__(self, index: int, radios: Radios) -> None:
         self.index = index

@@ -1,10 +1,10 @@
-"""Which mode a station sends its next frame in, learnt from what its neighbours acknowledge.
+"""Rate control: selects the mode of each frame from the acknowledgements of earlier frames.
 
-The method is that of minstrel, which Linux's mac80211 uses: success by mode and destination as a moving
-average over intervals, the mode of best expected throughput first, and a regular share of frames in other
-modes to learn of them. Two things differ: the average weighs attempts, not intervals, so that two samples do
-not outvote two hundred frames; and a mode that keeps failing is sampled more and more rarely. Losses by
-collision count as losses, for an acknowledgement that stays away says no more.
+The algorithm is Minstrel of Linux mac80211: it keeps a moving average of the success probability by mode and
+destination, sends in the mode of highest expected throughput first, and samples other modes with a fixed
+share of frames. There are two differences. The average is weighted by attempts, not by intervals, so that a
+few samples do not dominate. And a mode that keeps failing is sampled less and less often. Losses by collision
+are not distinguished from other losses.
 """
 
 from typing import Annotated, NamedTuple, Protocol, get_args
@@ -19,37 +19,37 @@ from netsim.phy.modes import PhyMode, phy_mode, response_mode
 OVERHEAD_NS = 34_000 + 67_500 + 16_000
 """Share of an exchange that no mode shortens: DIFS, the mean of the smallest backoff, SIFS."""
 HOPELESS = 0.1
-"""A mode that succeeds more rarely is not taken for its throughput."""
+"""Success probability below which a mode's throughput counts as 0."""
 LONGEST_REST = 15
-"""Sampling turns that a hopeless mode sits out at most."""
+"""Most consecutive sampling turns that a failing mode skips."""
 FAILURES_PER_STAGE = 2
 
 
 class RateControl(Protocol):
-    """Chooses the mode of each attempt of frames to one station, and learns how it ended."""
+    """Selects the mode of each transmission attempt to a station, from the outcomes of earlier ones."""
 
     def mode_for(self, destination: int, *, frame_bytes: int, failures: int, now_ns: int) -> PhyMode:
-        """Mode of the next attempt of a frame that has failed ``failures`` times."""
+        """Return the mode of the next attempt of a frame that has failed ``failures`` times."""
 
     def report(self, destination: int, mode: PhyMode, *, acknowledged: bool) -> None:
-        """Take how an attempt ended in which the frame itself was sent."""
+        """Record the outcome of an attempt in which the frame itself was sent."""
 
 
 class RateParameters(Struct, frozen=True, kw_only=True):
-    """How fast it learns. The interval is minstrel's, whose memory is 0.75 and whose lookaround is 0.1."""
+    """Rate of adaptation. Minstrel has the same interval, memory 0.75 and lookaround ratio 0.1."""
 
     interval_ns: Annotated[int, Meta(ge=1_000_000)] = 100_000_000
-    """Between two updates of the averages."""
+    """Time between two updates of the averages."""
     memory: Annotated[float, Meta(ge=0.0, lt=1.0)] = 0.9
-    """Weight that an attempt keeps from one update to the next."""
+    """Factor by which the weight of an attempt decays per update."""
     most_evidence: Annotated[float, Meta(ge=1.0)] = 300.0
-    """Weight of all attempts together, at most: how soon a mode in use is known to have changed."""
+    """Largest weight of all attempts; limits the time to detect a change of a mode in use."""
     lookaround_ratio: Annotated[float, Meta(ge=0.0, le=0.5)] = 0.05
-    """Share of frames that may be sent in another mode to learn of it."""
+    """Share of frames that may sample another mode."""
 
 
 def channel_modes(bandwidth_mhz: BandwidthMhz, *, vht: bool) -> tuple[PhyMode, ...]:
-    """All modes of a channel's width in order of rate, VHT or non-HT ones."""
+    """Return all VHT or non-HT modes of a channel width in order of rate."""
     names: list[Mode] = [name for name in get_args(Mode) if name.startswith("vht") is vht]
     if bandwidth_mhz == 20 and vht:
         names.remove("vht_mcs9")
@@ -57,7 +57,7 @@ def channel_modes(bandwidth_mhz: BandwidthMhz, *, vht: bool) -> tuple[PhyMode, .
 
 
 class _Mode:
-    """What is known of one mode to one destination."""
+    """Statistics of one mode to one destination."""
 
     __slots__ = ("attempts", "evidence", "mode", "rest", "skips", "success", "successes", "time_ns")
 
@@ -65,19 +65,19 @@ class _Mode:
         self.mode = mode
         self.attempts = 0
         self.successes = 0
-        """Both since the last update."""
+        """Attempts and successes since the last update."""
         self.success: float | None = None
-        """Average probability; None before the first attempt."""
+        """Average success probability; None before the first attempt."""
         self.evidence = 0.0
-        """Attempts in that average, the older the less."""
+        """Decayed number of attempts in that average."""
         self.time_ns = 1
-        """Of an exchange that succeeds at once."""
+        """Duration of an exchange without failures."""
         self.skips = 0
         self.rest = 0
-        """Sampling turns left to sit out, and how many it was sentenced to."""
+        """Sampling turns left to skip, and the last number of turns to skip."""
 
     def throughput(self) -> float:
-        """Expected frames per nanosecond."""
+        """Return the expected frames per nanosecond."""
         success = self.success
         return success / self.time_ns if success is not None and success >= HOPELESS else 0.0
 
@@ -98,7 +98,7 @@ class _Mode:
 
 
 class _Destination:
-    """What is known of one destination."""
+    """Rate control state of one destination."""
 
     __slots__ = ("by_name", "chain", "frames", "modes", "sample", "samples", "turn", "turns", "update_ns")
 
@@ -111,7 +111,7 @@ class _Destination:
         self.frames = 0
         self.samples = 0.0
         self.sample: _Mode | None = None
-        """To be tried with the first repetition."""
+        """Mode to sample with the first retry."""
         self.turns: list[_Mode] = []
         self.turn = 0
 
@@ -125,7 +125,7 @@ class AdaptiveRate:
         uniforms: Uniforms,
         parameters: RateParameters | None = None,
     ) -> None:
-        """Choose among ``modes``, of which the first is the most robust. ``uniforms`` orders the samples."""
+        """Select among ``modes``, the most robust first; ``uniforms`` draws the order of samples."""
         self._modes = modes
         self._uniforms = uniforms
         self._parameters = parameters or RateParameters()
@@ -177,9 +177,10 @@ class AdaptiveRate:
             known.chain = [lowest] * 4
 
     def _next_sample(self, known: _Destination) -> _Mode | None:
-        """Mode to try now, each in turn in an order drawn anew; None for none that is worth it.
+        """Return the mode to sample now, in random order; None if it is not worth sampling.
 
-        What cannot beat the best mode even if it never failed waits for the first repetition of this frame.
+        A mode that cannot exceed the best throughput even without failures is sampled with the first retry of
+        this frame.
         """
         if known.turn >= len(known.turns):
             known.turns = sorted(known.modes, key=lambda _: self._uniforms.draw())
@@ -200,17 +201,17 @@ class AdaptiveRate:
 
 
 class DatagramModes(NamedTuple):
-    """What one station sends its datagrams in."""
+    """Modes of one station's datagrams."""
 
     broadcast: PhyMode
     data: PhyMode
-    """To one station; the first of all, if it is learnt which is best."""
+    """Mode of unicast datagrams; the most robust one with rate control."""
     rates: AdaptiveRate | None
-    """None where the mode is fixed."""
+    """Rate control; None with a fixed mode."""
 
 
 def datagram_modes(config: RadioConfig, own: StationConfig, streams: RandomStreams) -> DatagramModes:
-    """Return what a station's settings, or else everybody's, ask for."""
+    """Return the modes of a station from its own settings, else from the common ones."""
     width_mhz = config.bandwidth_mhz
     broadcast = phy_mode(own.broadcast_mode or config.broadcast_mode, width_mhz)
     data_mode = own.data_mode or config.data_mode

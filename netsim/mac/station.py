@@ -1,18 +1,19 @@
-"""Which frames follow which: exchanges of RTS, CTS, data and ACK, their failures, and TXOPs of several.
+"""Frame exchanges of a station: RTS, CTS, data and ACK, their failures, and TXOPs of several exchanges.
 
-After a success a queue that has a TXOP limit goes on after SIFS, as long as its next exchange as a whole ends
-within the limit (10.22.2.8). The Duration field of a frame covers the rest of its own exchange and the one
-that is to follow it in the TXOP, as between fragments: others that are not in reach of the answer keep quiet,
-and little is reserved in vain if the TXOP breaks off. After a failure it does: the queue backs off.
+After a success a queue with a TXOP limit continues after SIFS if its complete next exchange ends within the
+limit (10.22.2.8). The Duration field of a frame covers the rest of its exchange and the next exchange of the
+TXOP, as between fragments. So stations out of range of the response defer, and little time is reserved in
+vain if the TXOP ends early. After a failure the TXOP ends and the queue backs off.
 
-Group frames after RTS, which the standard does not have: the RTS goes to the neighbour heard loudest within
-the last second, the CTS of that neighbour clears the way, and the group frame follows after SIFS; a station
-that has heard nobody for a second sends without. No CTS means a collision: the window doubles, and the next
-RTS goes to the next loudest, for the first may be gone; after the retry limit the frame is dropped.
+Group frames after RTS (not in the standard): the RTS is addressed to the neighbour with the highest received
+power within the last second, and the group frame follows SIFS after its CTS. A station without a neighbour
+within the last second sends without RTS. A missing CTS counts as a collision: the window is doubled, and the
+next RTS goes to the neighbour with the next lower power, since the first may be gone. The frame is dropped
+after the retry limit.
 
-At the retry limit the window falls back to its smallest (10.3.3). A frame that expires leaves it as it is.
+At the retry limit the window is reset to its minimum (10.3.3). The expiry of a frame does not change it.
 
-Left out: fragmentation, power save, aggregation, block acknowledgement, CF-End.
+Not modelled: fragmentation, power save, aggregation, block acknowledgement, CF-End.
 
 The functions are compiled and work on `netsim.model.tables.Air`.
 """
@@ -20,7 +21,7 @@ The functions are compiled and work on `netsim.model.tables.Air`.
 from numba import njit
 
 from netsim.mac.access import CCA_NS, SIFS_NS, SLOT_NS
-from netsim.mac.airtime import answer_ns, cts_ns, data_ns, duration_ns, exchange_ns
+from netsim.mac.airtime import cts_ns, data_ns, duration_ns, exchange_ns, response_ns
 from netsim.mac.channel import drop_expired, fail, freeze, give_up, resume, succeeded, unwatch, win
 from netsim.model import columns as c
 from netsim.model import tables as t
@@ -32,23 +33,22 @@ from netsim.phy.modes import NON_HT_PREAMBLE_NS
 from netsim.phy.path_loss import Doubles
 
 RESPONSE_TIMEOUT_NS = SIFS_NS + SLOT_NS + NON_HT_PREAMBLE_NS
-"""From the end of a frame to the moment at which its CTS or ACK must have begun (10.3.2.9)."""
-HEARD_WITHIN_NS = 1_000_000_000
+"""Time from the end of a frame to the latest begin of its CTS or ACK (10.3.2.9)."""
+NEIGHBOUR_LIFETIME_NS = 1_000_000_000
 
-# Where an exchange stands. Sending: the frame itself is on the air or follows within SIFS, and nothing is
-# awaited.
+# State of an exchange. SENDING: the frame itself is on the air or follows after SIFS; no response is awaited.
 IDLE, AWAITING_CTS, SENDING, AWAITING_ACK = range(4)
 
 
-# --- the own exchange
+# --- the station's own exchange
 
 
 @njit(cache=True)
 def sender(air: Air, what: int, about: int) -> int:
-    """Give the station that sends at an event now; `netsim.model.columns.NOTHING` if it cannot any more.
+    """Return the station that sends at an event now; `netsim.model.columns.NOTHING` if it no longer can.
 
-    The event is the frame itself of an exchange, or one that is nobody's job. Since it was planned a station
-    may have given up the one, and fallen silent or begun to send another instead of the other.
+    The event is the frame of a job (`SEND_JOB`), whose exchange may have ended meanwhile, or a control frame
+    (`SEND_FRAME`), whose station may have been switched off or be sending another frame.
     """
     if what == c.SEND_JOB:
         return about // air[c.CATEGORIES] if _may_send(air, about) else c.NOTHING
@@ -58,7 +58,7 @@ def sender(air: Air, what: int, about: int) -> int:
 
 @njit(cache=True)
 def on_access(air: Air, q: int) -> None:
-    """Have the exchange of the queue that gets the access which ``q`` has planned be due."""
+    """Resolve the access planned by ``q`` and make the exchange of the winning queue due."""
     winner = win(air, q)
     if winner != c.NOTHING:
         t.stations(air, winner // air[c.CATEGORIES])[c.TXOP_END] = air[c.NOW] + t.queues(air, winner)[c.TXOP]
@@ -67,7 +67,7 @@ def on_access(air: Air, q: int) -> None:
 
 @njit(cache=True)
 def schedule_access(air: Air, q: int) -> None:
-    """Have the exchange of a queue's first job begin now, if the queue may still send and has one."""
+    """Make the exchange of a queue's first job due now, if the queue may still send and has one."""
     if _may_send(air, q):
         air[c.DUE], air[c.CHOSEN] = q, 0
 
@@ -86,10 +86,9 @@ def lacks_mode(air: Air, q: int) -> bool:
 
 @njit(cache=True)
 def has_time(air: Air, q: int) -> bool:
-    """Whether the exchange of a queue's first job can begin now.
+    """Whether the exchange of a queue's first job fits into the current TXOP.
 
-    In a mode that has been chosen just now it may not end within the TXOP any more: then it has to wait for
-    its own.
+    It may not fit in a mode that has just been selected; then it needs a new access.
     """
     txop_end_ns, queue = t.stations(air, q // air[c.CATEGORIES])[c.TXOP_END], t.queues(air, q)
     goes_on = air[c.NOW] > txop_end_ns - queue[c.TXOP]  # the TXOP has begun before
@@ -107,24 +106,24 @@ def begin(air: Air, fading: Doubles, q: int) -> None:
         return
     t.stations(air, station)[c.PHASE] = AWAITING_CTS
     rts = _frame(air, c.RTS, station, target, air[c.CONTROL_MODE], RTS_BYTES)
-    answered_ns = SIFS_NS + cts_ns(air)
-    t.signals(air, rts)[c.NAV] = answered_ns + SIFS_NS + data_ns(air, job)
-    t.signals(air, rts)[c.LAPSE] = answered_ns + SIFS_NS + NON_HT_PREAMBLE_NS + 2 * SLOT_NS
+    cts_end_ns = SIFS_NS + cts_ns(air)
+    t.signals(air, rts)[c.NAV] = cts_end_ns + SIFS_NS + data_ns(air, job)
+    t.signals(air, rts)[c.LAPSE] = cts_end_ns + SIFS_NS + NON_HT_PREAMBLE_NS + 2 * SLOT_NS
     _send(air, fading, rts)
-    _await_answer(air, station, rts)
+    _await_response(air, station, rts)
 
 
 @njit(cache=True)
 def _rts_target(air: Air, station: int, job: int) -> int:
     if t.jobs(air, job)[c.JOB_TO] != GROUP:
         return int(t.jobs(air, job)[c.JOB_TO])
-    oldest_ns = air[c.NOW] - HEARD_WITHIN_NS
+    oldest_ns = air[c.NOW] - NEIGHBOUR_LIFETIME_NS
     return medium.loudest(air, station, oldest_ns, t.jobs(air, job)[c.JOB_FAILURES])
 
 
 @njit(cache=True)
 def send_job(air: Air, fading: Doubles, q: int) -> None:
-    """Send the frame itself of a queue's exchange, which may send: see `sender`."""
+    """Send the data frame of a queue's exchange; requires that the queue may send: see `sender`."""
     station = q // air[c.CATEGORIES]
     row, queue = t.stations(air, station), t.queues(air, q)
     which = queue[c.FIRST]
@@ -132,7 +131,7 @@ def send_job(air: Air, fading: Doubles, q: int) -> None:
     if job[c.JOB_ATTEMPTS] == 0:
         row[c.SEQUENCE] += 1
         job[c.JOB_SEQUENCE] = row[c.SEQUENCE]
-    nav_ns = answer_ns(air, which)
+    nav_ns = response_ns(air, which)
     if queue[c.TXOP] and job[c.NEXT_JOB] != c.NOTHING:
         next_ns = SIFS_NS + exchange_ns(air, job[c.NEXT_JOB])
         if air[c.NOW] + data_ns(air, which) + next_ns <= row[c.TXOP_END]:
@@ -146,12 +145,12 @@ def send_job(air: Air, fading: Doubles, q: int) -> None:
     row[c.PHASE] = SENDING if job[c.JOB_TO] == GROUP else AWAITING_ACK
     _send(air, fading, frame)
     if job[c.JOB_TO] != GROUP:
-        _await_answer(air, station, frame)
+        _await_response(air, station, frame)
 
 
 @njit(cache=True)
 def _frame(air: Air, kind: int, source: int, to: int, mode: int, frame_bytes: int) -> int:
-    """Make a frame that begins now, with what all have."""
+    """Allocate a row of signals for a frame that begins now, and fill the common fields."""
     row = take_signal(air)
     frame = t.signals(air, row)
     frame[c.SOURCE], frame[c.TO], frame[c.KIND] = source, to, kind
@@ -171,14 +170,14 @@ def _send(air: Air, fading: Doubles, frame: int) -> None:
 
 @njit(cache=True)
 def on_busy(air: Air, signal: int, count: int) -> None:
-    """Have those freeze their backoffs to whom the medium falls busy with a signal: the first of ``told``."""
+    """Freeze the backoffs of the ``count`` stations in `NEWLY_BUSY`, where the medium becomes busy."""
     for r in t.ends(air, c.NEWLY_BUSY)[:count]:
         if t.stations(air, r)[c.PLANNED]:
             freeze(air, r, t.signals(air, signal)[c.START] + t.delays_ns(air, signal)[r] + CCA_NS)
 
 
 @njit(cache=True)
-def _await_answer(air: Air, station: int, frame: int) -> None:
+def _await_response(air: Air, station: int, frame: int) -> None:
     t.stations(air, station)[c.TIMED_OUT] = 0
     at_ns = t.signals(air, frame)[c.END] + RESPONSE_TIMEOUT_NS
     t.stations(air, station)[c.TIMEOUT] = schedule(air, at_ns, c.ON_TIMEOUT, station)
@@ -192,7 +191,7 @@ def _stop_waiting(air: Air, station: int) -> None:
 
 @njit(cache=True)
 def _succeed(air: Air, station: int, outcome: int, end_ns: int) -> None:
-    """End the exchange at ``end_ns``, and begin the next one of the same TXOP if it fits."""
+    """End the exchange with success at ``end_ns``, and begin the next one of the TXOP if it fits."""
     q = t.stations(air, station)[c.CURRENT]
     if q == c.NOTHING:
         return
@@ -204,7 +203,7 @@ def _succeed(air: Air, station: int, outcome: int, end_ns: int) -> None:
 
 @njit(cache=True)
 def leave(air: Air, q: int) -> None:
-    """Let others contend after a success."""
+    """Release the medium after a success and back off."""
     station = q // air[c.CATEGORIES]
     t.stations(air, station)[c.CURRENT] = c.NOTHING
     t.stations(air, station)[c.PHASE] = IDLE
@@ -214,14 +213,14 @@ def leave(air: Air, q: int) -> None:
 
 @njit(cache=True)
 def _goes_on(air: Air, station: int, q: int, start_ns: int) -> bool:
-    """Have the next exchange of a TXOP begin at ``start_ns`` if there is one and it ends within the limit."""
+    """Schedule the next exchange of a TXOP at ``start_ns`` if there is one that ends within the limit."""
     queue = t.queues(air, q)
     queue[c.WINDOW] = queue[c.WINDOW_LEAST]
     drop_expired(air, q)
     job = queue[c.FIRST]
     if job == c.NOTHING:
         return False
-    # what has no mode yet is looked at when it has one
+    # the duration of a frame without a mode is checked when the mode has been selected
     if (
         not t.jobs(air, job)[c.JOB_ADAPTS]
         and start_ns + exchange_ns(air, job) > t.stations(air, station)[c.TXOP_END]
@@ -251,21 +250,21 @@ def _fail_exchange(air: Air, station: int) -> None:
 
 @njit(cache=True)
 def on_timeout(air: Air, station: int) -> None:
-    """Have an exchange fail whose answer has not begun in time."""
+    """Handle the time-out of a response: the exchange fails unless a frame is being received."""
     t.stations(air, station)[c.TIMEOUT] = 0
     if t.stations(air, station)[c.LOCK] != c.NOTHING:
-        # a frame has begun in time: whether it is the answer shows at its end
+        # a frame has begun in time: it is decided at its end whether it is the response
         t.stations(air, station)[c.TIMED_OUT] = 1
     else:
         _fail_exchange(air, station)
 
 
-# --- what the receiver reports
+# --- reports of the receiver
 
 
 @njit(cache=True)
 def on_end(air: Air, frame: int, station: int) -> None:
-    """Have a station act on a frame that has ended, of which the medium knows what has become."""
+    """Process the end of a frame at a station, after the medium has determined its outcome."""
     row, fate = t.stations(air, station), t.ends(air, c.FATES)[station]
     if t.ends(air, c.UPSETS)[station] and row[c.PLANNED]:
         freeze(air, station, air[c.NOW])
@@ -278,14 +277,14 @@ def on_end(air: Air, frame: int, station: int) -> None:
 
 @njit(cache=True)
 def on_air_changed(air: Air, station: int) -> None:
-    """Have a station that has no plan make one, if it can."""
+    """Plan accesses of a station that has no plan."""
     if not t.stations(air, station)[c.PLANNED]:
         resume(air, station)
 
 
 @njit(cache=True)
 def on_unused(air: Air, station: int) -> None:
-    """Have a station make its plan anew after a reservation has fallen."""
+    """Plan accesses of a station again after its NAV has been reset."""
     if t.stations(air, station)[c.PLANNED]:
         freeze(air, station, air[c.NOW])
     resume(air, station)
@@ -293,13 +292,13 @@ def on_unused(air: Air, station: int) -> None:
 
 @njit(cache=True)
 def on_sent(air: Air, frame: int) -> None:
-    """Have a station go on whose frame has ended everywhere."""
+    """Continue after the own frame of a station has ended at all receivers."""
     station = t.signals(air, frame)[c.SOURCE]
     row = t.stations(air, station)
     if row[c.PHASE] == SENDING and t.signals(air, frame)[c.KIND] not in (c.CTS, c.ACK):
         _succeed(air, station, c.SENT, t.signals(air, frame)[c.END])
     elif row[c.TIMED_OUT] and row[c.LOCK] == c.NOTHING:
-        # to answer somebody it has given up the frame that might have been its own answer
+        # its own transmission has aborted a reception that might have been the response
         _fail_exchange(air, station)
     else:
         resume(air, station)
@@ -324,21 +323,21 @@ def _receive_own(air: Air, frame: int, station: int) -> None:
             t.calls(air, done)[c.CALL_END] = end_ns
             t.calls_mw(air, done)[0] = t.powers_mw(air, frame)[station]
     elif kind == c.RTS:
-        # NAV holds back the answer, unless it is the same station that set it (10.22.2.4)
+        # no CTS while the NAV is set, unless the sender of the RTS set it (10.22.2.4)
         free = row[c.RESERVED_UNTIL] <= end_ns or row[c.RESERVED_BY] == source
         if free and row[c.CURRENT] == c.NOTHING:
-            _answer(air, frame, end_ns, station)
+            _respond(air, frame, end_ns, station)
     else:
-        _answer(air, frame, end_ns, station)
+        _respond(air, frame, end_ns, station)
         sequence = t.signals(air, frame)[c.FRAME_SEQUENCE]
         again = t.last_sequences(air, station)[source * c.KINDS + kind] == sequence
         t.last_sequences(air, station)[source * c.KINDS + kind] = sequence
-        _hand_up(air, frame, station, int(again))
+        _report_frame(air, frame, station, int(again))
 
 
 @njit(cache=True)
-def hand_up_to_all(air: Air, frame: int) -> None:
-    """Have whoever is above the MACs told of a frame to all that has ended, if anybody has received it."""
+def report_group_frame(air: Air, frame: int) -> None:
+    """Report a group frame that has ended to the upper layer if any station has received it."""
     for fate in t.ends(air, c.FATES):
         if fate == c.RECEIVED:
             i = call(air, c.GROUP_FRAME, c.NOTHING, t.signals(air, frame)[c.JOB])
@@ -347,8 +346,8 @@ def hand_up_to_all(air: Air, frame: int) -> None:
 
 
 @njit(cache=True)
-def _hand_up(air: Air, frame: int, station: int, again: int) -> None:
-    """Have whoever is above the MAC told of a frame; ``again`` is 1 if it has been received before."""
+def _report_frame(air: Air, frame: int, station: int, again: int) -> None:
+    """Report a frame to the upper layer of a station; ``again`` is 1 for a duplicate."""
     i = call(air, c.FRAME, station, t.signals(air, frame)[c.JOB])
     t.calls(air, i)[c.CALL_DETAIL] = again
     t.calls(air, i)[c.CALL_SOURCE] = t.signals(air, frame)[c.SOURCE]
@@ -357,12 +356,12 @@ def _hand_up(air: Air, frame: int, station: int, again: int) -> None:
     t.calls_mw(air, i)[0] = t.powers_mw(air, frame)[station]
 
 
-# --- answers
+# --- responses
 
 
 @njit(cache=True)
-def _answer(air: Air, frame: int, end_ns: int, station: int) -> None:
-    """Have a CTS or ACK follow a frame that has ended here at ``end_ns``."""
+def _respond(air: Air, frame: int, end_ns: int, station: int) -> None:
+    """Schedule the CTS or ACK of a frame that has ended at this station at ``end_ns``."""
     mode = t.modes(air, t.signals(air, frame)[c.MODE])[c.RESPONSE_MODE]
     if t.signals(air, frame)[c.KIND] == c.RTS:
         what, frame_bytes = c.CTS, CTS_BYTES
@@ -377,21 +376,21 @@ def _answer(air: Air, frame: int, end_ns: int, station: int) -> None:
 def send_frame(
     air: Air, fading: Doubles, station: int, to: int, what: int, frame_bytes: int, nav_ns: int
 ) -> None:
-    """Send a frame that is nobody's job, if the station can: see `sender`.
+    """Send a control frame or one of `Radios.transmit`, which belongs to no job: see `sender`.
 
-    ``what`` is its kind times the number of modes, and its mode.
+    ``what`` is its kind times the number of modes, plus its mode.
     """
     frame = _frame(air, what // c.MODES, station, to, what % c.MODES, frame_bytes)
     t.signals(air, frame)[c.NAV] = nav_ns
     _send(air, fading, frame)
 
 
-# --- the end
+# --- switching off
 
 
 @njit(cache=True)
 def silence(air: Air, station: int) -> None:
-    """End a station for good: nothing is sent, answered or heard any more."""
+    """Switch a station's radio off for good: it no longer sends, responds or receives."""
     row = t.stations(air, station)
     row[c.RADIO_OFF] = 1
     row[c.LOCK] = c.NOTHING
@@ -405,6 +404,6 @@ def silence(air: Air, station: int) -> None:
         unwatch(air, q)
         while t.queues(air, q)[c.FIRST] != c.NOTHING:
             job = t.queues(air, q)[c.FIRST]
-            # a group frame that is still here though it was sent is on the air, and is completed
+            # a group frame in the queue with an attempt is on the air and is completed
             gone = t.jobs(air, job)[c.JOB_TO] == GROUP and t.jobs(air, job)[c.JOB_ATTEMPTS] > 0
             give_up(air, q, c.SENT if gone else c.EXPIRED)

@@ -1,4 +1,4 @@
-"""What `phy`, `mac` and `ftm` share: settings, tables of state, events, the event queue, random streams.
+"""State shared by `phy`, `mac` and `ftm`: settings, tables, events, the event queue, random streams.
 
-Import `config` for the settings of a scenario's ``[radio]`` table. Behaviour is left to the three of them.
+Import `config` for the settings of a scenario's ``[radio]`` table. The models themselves are in those three.
 """

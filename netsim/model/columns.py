@@ -1,79 +1,79 @@
-"""What the numbers in the tables of the air mean: columns, kinds of events, of calls and of frames.
+"""Indices of the tables in `netsim.model.tables`: columns, kinds of events, calls and frames.
 
-`netsim.model.tables` has the tables themselves. Times are in nanoseconds, powers in milliwatt.
+Times are in nanoseconds, powers in milliwatts.
 """
 
 NOTHING = -1
-"""No row of a table; no station."""
+"""Index value for "no row" or "no station"."""
 
-# --- single numbers, at the beginning of the integers
+# --- single numbers, at the beginning of the block
 
 (
-    STATIONS, CATEGORIES, EVENT_ROWS, JOB_ROWS, SIGNAL_ROWS,  # how many rows the tables have
-    NOW, SCHEDULED,  # the clock, and the events scheduled so far: `netsim.model.event_queue.EventQueue`'s
+    STATIONS, CATEGORIES, EVENT_ROWS, JOB_ROWS, SIGNAL_ROWS,  # numbers of rows of the tables
+    NOW, SCHEDULED,  # the clock and the count of scheduled events, of `netsim.model.event_queue.EventQueue`
     EVENTS, CALLS, RECORDS, ACTIVE, BURSTS,  # rows in use
-    FREE_SIGNAL,  # first of the free rows of ``signals``, which are chained by `NEXT_SIGNAL`
-    STARTED,  # frames so far
-    BUSY_NS, BUSY_UNTIL_NS,  # time for which the medium carried a signal, counted up to then
-    DRAWS_LOW,  # some station has hardly any draws left
-    DUE, CHOSEN,  # the queue whose exchange begins now, or `NOTHING`; its frame has been given a mode
-    WANTED,  # the sender whose link budget has to be computed
+    FREE_SIGNAL,  # first free row of ``signals``; free rows are linked by `NEXT_SIGNAL`
+    STARTED,  # number of frames started
+    BUSY_NS, BUSY_UNTIL_NS,  # time for which the medium carried a signal, counted up to BUSY_UNTIL_NS
+    DRAWS_LOW,  # a station needs more random draws
+    DUE, CHOSEN,  # the queue whose exchange begins now, or `NOTHING`; whether its mode has been selected
+    BUDGET_SENDER,  # the station whose link budget is needed
     QUEUE_FRAMES, CONTROL_MODE,  # settings
-    OBSERVED,  # the end of every frame is told
-    ENDED,  # the frame whose end is being told, and whose row is kept until then
-    FIRST_TABLE,  # from here on, where the tables begin
+    OBSERVED,  # whether the end of every frame is reported
+    ENDED,  # the frame whose end is being reported; its row is kept until then
+    FIRST_TABLE,  # from here on: begin of each table in the block
 ) = range(25)  # fmt: skip
 NUMBERS = 56
 
-# --- columns of a station: what it senses of the medium, and its MAC
+# --- columns of a station: carrier sense, reception, and MAC
 
 (
-    BUSY_FROM, BUSY_UNTIL,  # the last busy period; it may begin later than now, by the propagation delay
-    IDLE_BEFORE,  # end of the one before
-    ENDED_BUSY,  # length of all before the last
+    BUSY_FROM, BUSY_UNTIL,  # the last busy period; its begin may be in the future by the propagation delay
+    IDLE_BEFORE,  # end of the busy period before the last
+    ENDED_BUSY,  # total length of all busy periods before the last
     SENDING_FROM, SENDING_UNTIL,
-    SENSED_AT_START,  # busy time when the own transmission began
-    SENT_ALONE,  # time of the own transmissions that have ended in which nothing was sensed
-    LOCK, LOCK_ARRIVED,  # number of the frame that is being received, or `NOTHING`; when it began here
-    LOCKED,  # when a preamble was last found
-    RESERVED_UNTIL, RESERVED_BY,  # the Duration field's (NAV, IEEE 802.11-2016, 10.3.2.4)
-    BROKEN,  # when a frame ended here in errors; 0 if one has come through since
+    SENSED_AT_START,  # busy time at the begin of the own transmission
+    SENT_ALONE,  # time of ended own transmissions without a sensed signal
+    LOCK, LOCK_ARRIVED,  # number of the frame being received, or `NOTHING`; time of its arrival
+    LOCKED,  # time of the last preamble detection
+    RESERVED_UNTIL, RESERVED_BY,  # NAV from the Duration field (IEEE 802.11-2016, 10.3.2.4)
+    BROKEN,  # end of the last frame received with errors; 0 after a correct one
     RADIO_OFF,  # the radio is off for good
     RECEPTIONS,  # draws of ``receptions`` used
-    PLANNED,  # the planned accesses follow from what is known of the medium
+    PLANNED,  # the planned accesses match the state of the medium
     CURRENT,  # the queue whose exchange is under way, or `NOTHING`
     PHASE,
-    HELD,  # frames in its queues
+    HELD,  # number of frames in its queues
     WAIT_UNTIL, TXOP_END,
-    TIMEOUT,  # the event at which an awaited answer is missing, by its order; 0 for none
-    TIMED_OUT,  # it has come, while a frame was being received that may be the answer
-    SEQUENCE,  # of the last frame that has a number
+    TIMEOUT,  # order of the event at which an awaited response times out; 0: none
+    TIMED_OUT,  # the time-out has passed during a reception that may be the response
+    SEQUENCE,  # sequence number of the last numbered frame
     BACKOFFS,  # draws of ``backoffs`` used
     STATION_COLUMNS,
 ) = range(27)  # fmt: skip
 
-# --- columns of a queue: that of category k of station s is row s * categories + k, the first before all
+# --- columns of a queue: row s * categories + k is category k of station s, the lowest k first in priority
 
 (
     IN_USE,
     FIRST, LAST,  # jobs
     WINDOW, BACKOFF,  # contention window; slots left
-    BASE,  # while the medium is idle, where slot 0 begins: AIFS after it fell idle
-    ACCESS, ACCESS_AT,  # the planned access by its event's order; 0 when frozen or with nothing to send
-    FRESH,  # the frame found the medium idle and drew no backoff
-    DEADLINE, DEADLINE_AT,  # likewise, when frames whose lifetime is over are looked for
+    BASE,  # begin of slot 0 while the medium is idle: AIFS after the end of the busy period
+    ACCESS, ACCESS_AT,  # order and time of the planned access event; 0 when frozen or empty
+    FRESH,  # the frame found the medium idle and has no backoff
+    DEADLINE, DEADLINE_AT,  # order and time of the check for expired frames
     AIFS, WINDOW_LEAST, WINDOW_MOST, TXOP, SLOT_OFFSET,  # `netsim.mac.access.AccessParameters`
     QUEUE_COLUMNS,
 ) = range(17)  # fmt: skip
 
-# --- columns of a job, a frame to be delivered: `netsim.mac.jobs.Job`
+# --- columns of a job: `netsim.mac.jobs.Job`
 
 (
     NEXT_JOB,
     JOB_KIND, JOB_TO, JOB_MODE, JOB_BYTES, JOB_EXPIRES,
-    JOB_RETRIES,  # failed exchanges after which the next failure gives it up
+    JOB_RETRIES,  # failed exchanges after which the next failure drops it
     JOB_RTS,
-    JOB_ADAPTS,  # its mode is chosen anew before each attempt
+    JOB_ADAPTS,  # its mode is selected before each attempt
     JOB_SEQ, JOB_SEQUENCE,
     JOB_CANCELLED,
     JOB_ATTEMPTS, JOB_FAILURES,
@@ -88,12 +88,12 @@ NUMBERS = 56
     START, END, LONGEST_DELAY,
     NUMBER,
     KIND, TO, MODE, BYTES,
-    NAV,  # Duration field: how long the medium stays reserved after this frame
-    LAPSE,  # time after it at which the reservation falls where nothing was heard since; 0 is never
+    NAV,  # Duration field: time for which the medium is reserved after this frame
+    LAPSE,  # time after it at which the NAV is reset where no frame was detected since; 0: never
     SEQ, FRAME_SEQUENCE,
-    JOB,  # what it carries; `NOTHING` for control frames
-    OVERLAPS,  # how many signals were on the air at some time with it
-    HOLDERS,  # how many others' overlaps and events have this row
+    JOB,  # row of its job; `NOTHING` for control frames
+    OVERLAPS,  # number of signals that overlap it in time
+    HOLDERS,  # number of references to this row in overlaps and events
     OVER,
     NEXT_SIGNAL,
     SIGNAL_COLUMNS,
@@ -102,11 +102,11 @@ NUMBERS = 56
 # --- columns of an event, of a call to Python, of a mode, and of a link budget
 
 AT, ORDER, WHAT, ABOUT, FURTHER, EVENT_COLUMNS = 0, 1, 2, 3, 4, 8
-"""Events of one time are run in the order in which they were scheduled. They are about a station, a queue or
-a signal; up to four numbers further."""
+"""Events of equal time run in the order of scheduling. ``ABOUT`` is a station, a queue or a signal;
+``FURTHER`` are up to four more numbers."""
 (
     CALL, CALL_STATION, CALL_JOB, CALL_DETAIL,
-    CALL_SOURCE, CALL_START, CALL_END,  # of the frame, or of the ACK that ended the job
+    CALL_SOURCE, CALL_START, CALL_END,  # of the frame, or of the ACK of the job
     CALL_COLUMNS,
 ) = range(8)  # fmt: skip
 PREAMBLE, BITS_PER_SYMBOL, VHT, RESPONSE_MODE, HAZARDS, MODE_COLUMNS = range(6)
@@ -124,32 +124,32 @@ DETECT, END_FRAME, LOOK_FOR_UNUSED, ON_UNUSED, END_BURST = range(6, 11)
 # --- calls to Python
 
 FRAME, GROUP_FRAME, DONE, FAILED, FRAME_ENDED = range(5)
-"""A data or action frame has reached the one station that it is for (detail: again); one to all has reached
-those whose fates say so (detail: its row of signals); a job has ended (detail: its outcome, in the order of
-`netsim.mac.jobs.Outcome`); an attempt whose mode was chosen was not acknowledged; a frame has ended
-everywhere."""
+"""FRAME: a unicast data or action frame was received (detail: 1 if a duplicate). GROUP_FRAME: a group frame
+has ended; its receivers are in ``FATES`` (detail: its row of signals). DONE: a job has ended (detail: its
+outcome, in the order of `netsim.mac.jobs.JobOutcome`). FAILED: an attempt with rate control was not
+acknowledged. FRAME_ENDED: a frame has ended at all stations."""
 SENT, ACKNOWLEDGED, RETRY_LIMIT, EXPIRED = range(4)
 
-# --- what becomes of a frame: at a station, and in the end where it was meant to arrive
+# --- outcome of a frame: at any station, and at an intended receiver
 
 ABSENT, MISSED, RECEIVED, BROKE = range(-1, 3)
-"""It is the sender's own or the radio is off; not locked on to; received whole; ended in errors."""
+"""The station is the sender or its radio is off; not locked on to; received; received with errors."""
 NOT_MEANT, DELIVERED, COLLIDED, LOST = range(4)
 
 # --- rows of `netsim.model.tables.ends` and of the levels
 
 FATES, UPSETS, NOTES, NEWLY_BUSY = range(4)
-"""What became of the frame at each station; whether that upset a plan; where it was meant to arrive, how that
-went. And, of any signal's beginning, the stations to which the medium falls busy."""
+"""Of the end of a frame, by station: outcome; whether it changes the access plan; outcome at intended
+receivers. Of the begin of a signal: the stations at which the medium becomes busy."""
 
 NOISE_MW, ENERGY_MW, PREAMBLE_MW, SENSED_MW, LEVELS = range(5)
-"""The noise; from which powers on energy is sensed, a preamble can be found, a frame is sensed by itself."""
+"""Noise power, and least powers of: energy detection, preamble detection, sensing of a single frame."""
 
-# --- how large things are
+# --- sizes
 
 BLOCK_DRAWS, LEAST_DRAWS = 64, 16
-"""Draws that lie ready for a station, and what one event takes of them at most."""
+"""Random draws buffered per station, and the most that one event uses."""
 RECORD_ROWS, RECORD_COLUMNS = 256, 11
-"""Frames that have ended and have not been taken: columns are `netsim.emulator.records.FrameRecord`'s."""
+"""Buffered records of ended frames; columns are the fields of `netsim.emulator.records.FrameRecord`."""
 MODES, RATIOS = 18, 1_102
-"""802.11's modes up to 80 MHz, and entries of a mode's hazards."""
+"""Number of 802.11 modes up to 80 MHz, and of entries of a mode's table of hazards."""

@@ -1,7 +1,7 @@
-"""Settings of the emulated radio: what a scenario's ``[radio]`` table may say.
+"""Settings of the emulated radio: the fields of a scenario's ``[radio]`` table.
 
-Frozen, keyword-only and range-checked by msgspec when a scenario is decoded. Only data: the models that read
-it are in `netsim.phy`, `netsim.mac` and `netsim.ftm`.
+Frozen, keyword-only and range-checked by msgspec when a scenario is decoded. The models that
+use them are in `netsim.phy`, `netsim.mac` and `netsim.ftm`.
 """
 
 from typing import Annotated, Literal
@@ -22,165 +22,186 @@ PowerDbm = Annotated[float, Meta(ge=-50.0, le=50.0)]
 
 
 class FtmConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Fine Time Measurement (IEEE 802.11-2016, 11.24.6) as every radio of the run performs it."""
+    """Settings of Fine Time Measurement (IEEE 802.11-2016, 11.24.6), the same for all radios."""
 
     ftms_per_burst: Annotated[int, Meta(ge=2, le=31)] = 8
     """Measurement frames in a burst; N frames give N - 1 round trips."""
     min_delta_us: Annotated[int, Meta(ge=100, le=25_500)] = 200
     """Least time between two measurement frames of a burst (protocol unit 100 us)."""
     burst_duration_us: Literal[250, 500, 1_000, 2_000, 4_000, 8_000, 16_000, 32_000, 64_000, 128_000] = 16_000
-    """Longest time a burst may take before its remaining frames are given up."""
+    """Longest duration of a burst, after which its remaining frames are not sent."""
     mode: Mode = "vht_mcs0"
-    """Transmission mode of the measurement frames; their time stamps have the bandwidth of the channel."""
+    """Mode of the measurement frames; the precision of time stamps depends on the channel bandwidth."""
     access_category: AccessCategory = "vo"
+    """EDCA access category of the frames of a session."""
     bursts_exponent: Annotated[int, Meta(ge=0, le=6)] = 0
-    """The initiator asks for 2^this bursts in a session."""
+    """The initiator requests 2^(this value) bursts in a session."""
     burst_period_ms: Annotated[int, Meta(ge=100, le=6_553_500, multiple_of=100)] = 100
-    """From the beginning of one burst to the next (protocol unit 100 ms); of no effect with one burst."""
+    """Time from the beginning of one burst to the next (protocol unit 100 ms); unused with one burst."""
     asap: bool = True
-    """Ask for the first burst as soon as possible. A responder that is not capable of it measures from the
-    time on that it names in its first frame."""
+    """Request the first burst as soon as possible (ASAP). A responder without ASAP capability starts at the
+    time stated in its first frame."""
     responder_asap_capable: bool = True
+    """Whether a responder can send the first burst as soon as it is requested."""
     responder_ftms_per_burst: Annotated[int, Meta(ge=2, le=31)] = 31
-    """Most measurement frames in a burst that a responder grants."""
+    """Most measurement frames per burst that a responder grants."""
     responder_min_delta_us: Annotated[int, Meta(ge=100, le=25_500)] = 100
-    """Least time between two measurement frames that a responder keeps up with."""
+    """Least time between two measurement frames that a responder grants."""
     request_timeout_us: Annotated[int, Meta(ge=1_000, le=1_500_000)] = 100_000
-    """From the application's request to the time-out result, if nothing else ended the session."""
+    """Time from the application's request to the time-out of the session."""
     clock_ppm: Annotated[float, Meta(ge=0.0, le=100.0)] = 20.0
-    """Largest crystal error of a radio; each radio's is drawn uniformly in +- this."""
+    """Largest clock error; each radio's error is drawn uniformly from +- this value."""
     round_trip_std_ps: NonNegative | None = None
-    """Standard deviation of one round trip at high SNR; None takes the measured figure of the bandwidth."""
+    """Standard deviation of one round trip at high SNR; None: the measured value for the bandwidth."""
     responder_sessions: Annotated[int, Meta(ge=1, le=64)] = 8
-    """Sessions that a radio answers at the same time; a further request is rejected."""
+    """Concurrent sessions of a radio as responder; further requests are rejected."""
     calibration_bias_m: Annotated[float, Meta(ge=-1_000.0, le=1_000.0)] = 0.0
-    """Constant range offset of every pair of devices, metres."""
+    """Constant range offset of all device pairs, metres."""
     calibration_bias_std_m: NonNegative = 0.0
-    """Standard deviation over device pairs of the constant range offset that calibration left, metres."""
+    """Standard deviation of the residual constant range offset over device pairs, metres."""
     nlos_bias_mean_m: NonNegative = 3.0
-    """Mean of the extra range, exponentially distributed, of a session whose line of sight is blocked."""
+    """Mean of the exponentially distributed excess range of a session with a blocked path, metres."""
 
 
 class InterfererConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Somebody else's transmitter on the channel: energy that comes and goes and listens to nobody."""
+    """An external transmitter that sends bursts of energy on the channel without carrier sense."""
 
     pos_ned_m: tuple[Metres, Metres, Metres]
+    """Position in the site's NED frame, metres."""
     eirp_dbm: PowerDbm = 20.0
-    """Power of its bursts in the channel, antenna gain included."""
+    """EIRP of its bursts in the channel."""
     duty_cycle: Annotated[float, Meta(ge=0.0, le=1.0)]
-    """Share of the time for which it sends."""
+    """Fraction of the time for which it sends."""
     burst_us: Annotated[float, Meta(ge=10.0, le=1e7)] = 1_000.0
     """Mean length of a burst; bursts and pauses are exponentially distributed."""
 
 
 class StationConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What is different at one station; None is as everywhere."""
+    """Settings of one station that override the common ones; None: no override."""
 
     station: Annotated[int, Meta(ge=0, le=65_535)]
+    """Number of the station: vehicles from 0, then guests."""
     tx_power_dbm: PowerDbm | None = None
+    """Transmit power, dBm."""
     data_mode: Mode | Literal["adaptive"] | None = None
+    """Mode of datagrams to one station."""
     broadcast_mode: Mode | None = None
+    """Mode of group-addressed frames."""
 
 
 class GuestConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A station that is no vehicle: it stands still, and another program is its host (docs/radio-api.md).
+    """A station at a fixed position whose host is an external program.
 
-    Guests are numbered after the vehicles, in the order of their tables.
+    Guests are numbered after the vehicles, in the order of their tables. See docs/reference/radio-api.md.
     """
 
     name: Annotated[str, Meta(min_length=1, max_length=40)]
+    """Name of the station; each guest has its own."""
     pos_ned_m: tuple[Metres, Metres, Metres]
+    """Position in the site's NED frame, metres."""
 
 
 class RadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The 802.11 channel and the radios on it, all alike."""
+    """Settings of the 802.11 channel and of all radios."""
 
     channel: Literal["emulated", "ideal"] = "emulated"
-    """``ideal`` is what the emulation is measured against: whatever is sent arrives, after its own time on
-    the air, at everybody in range; nothing contends, collides or fades. Errors of time stamps remain."""
+    """``ideal`` is a reference channel: every frame is sent at once and reaches all stations in range,
+    without contention, collisions and fading. Time stamps keep their errors."""
     drop_fraction: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
-    """Share of received datagrams and of ranging results that the hosts lose, on top of the channel."""
+    """Fraction of received datagrams and of ranging results that the hosts lose, besides the channel."""
     frequency_mhz: Annotated[float, Meta(ge=100.0, le=100_000.0)] = 5210.0
+    """Centre frequency of the channel, MHz."""
     bandwidth_mhz: BandwidthMhz = 80
+    """Bandwidth of the channel, MHz."""
     tx_power_dbm: PowerDbm = 16.0
+    """Transmit power of each radio at its antenna port, dBm."""
     antenna: Literal["isotropic", "dipole"] = "isotropic"
-    """``dipole`` is a half-wave dipole along the body's vertical axis, which tilts with the vehicle."""
+    """``dipole``: a half-wave dipole along the body's z axis, which tilts with the vehicle."""
     antenna_gain_dbi: Annotated[float, Meta(ge=-50.0, le=50.0)] = 0.0
-    """Gain in the strongest direction."""
+    """Peak gain."""
     noise_figure_db: Annotated[float, Meta(ge=0.0, le=50.0)] = 7.0
+    """Noise figure of each receiver, dB."""
     path_loss: Literal["friis", "log_distance", "two_ray"] = "log_distance"
-    """``log_distance`` takes ``path_loss_exponent``; ``two_ray`` adds the ray that the ground reflects."""
+    """``log_distance`` uses ``path_loss_exponent``; ``two_ray`` adds the ground-reflected ray."""
     path_loss_exponent: Annotated[float, Meta(ge=1.0, le=8.0)] = 2.0
-    """Log-distance exponent beyond 1 m, where the loss is Friis's."""
+    """Log-distance exponent beyond 1 m; at 1 m the loss is Friis."""
     shadowing_std_db: NonNegative = 0.0
-    """Log-normal shadowing of a link, a function of where its two ends are."""
+    """Standard deviation of log-normal shadowing, a function of the positions of both ends."""
     shadowing_distance_m: Positive = 20.0
-    """Way over which the correlation of the shadowing falls to 1/e."""
+    """Distance over which the correlation of the shadowing falls to 1/e."""
     rician_k_db: Annotated[float, Meta(ge=-20.0, le=60.0)] | None = 12.0
-    """Rician K factor of the small-scale fading; None switches fading off."""
+    """Rician K factor of small-scale fading; None: no fading."""
     fading_doppler_hz: NonNegative = 5.0
-    """Doppler spread of a link between stations at rest, from what moves around them; the relative speed of
-    the stations adds its own."""
+    """Doppler spread of a link between stations at rest, from moving surroundings; the relative speed of
+    the stations adds to it."""
     nlos_fraction: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
-    """Share of the time for which a link's line of sight is blocked."""
+    """Fraction of the time for which a link's line of sight is blocked."""
     nlos_duration_s: Annotated[float, Meta(ge=0.01, le=1e6)] = 2.0
-    """Mean time for which it is."""
+    """Mean duration of a blockage."""
     nlos_loss_db: NonNegative = 10.0
-    """Extra loss while it is."""
+    """Extra loss while the line of sight is blocked."""
     extra_attenuation_db: Annotated[float, Meta(ge=0.0, le=1_000.0)] = 0.0
-    """Attenuation added to every link: degrades the channel (20 dB), or cuts it (200 dB)."""
+    """Attenuation added to every link: 20 dB degrades the channel, 200 dB cuts it."""
     cca_energy_dbm: Annotated[float, Meta(ge=-100.0, le=0.0)] = -62.0
-    """Power from which on the medium is sensed busy, whatever sends: of all signals, in the whole channel."""
+    """Energy detection threshold: total power of all signals in the channel from which the medium is busy."""
     cca_preamble_dbm: Annotated[float, Meta(ge=-100.0, le=0.0)] = -82.0
-    """Power in the whole channel from which on a frame is sensed and its preamble can be found, if that is at
-    least 4 dB over the noise."""
+    """Preamble detection threshold: power in the channel from which a frame is sensed and can be received, if
+    it is also at least 4 dB above the noise."""
     access: Literal["edca", "dcf"] = "edca"
-    """``dcf`` is one queue that waits DIFS, as before 802.11e, whatever the category."""
+    """``dcf``: one queue with DIFS for all access categories, as before 802.11e."""
     control_mode: Mode = "ofdm24"
-    """Mode of RTS. A CTS or ACK has the highest of 6, 12, 24 Mbit/s not above the frame it answers."""
+    """Mode of RTS. A CTS or ACK uses the highest of 6, 12, 24 Mbit/s not above the frame it responds to."""
     broadcast_mode: Mode = "ofdm24"
+    """Mode of group-addressed frames."""
     broadcast_access_category: AccessCategory = "be"
+    """EDCA access category of group-addressed frames."""
     broadcast_rts: bool = True
-    """Send RTS to a neighbour and wait for its CTS before a group-addressed frame, as the article does.
-    The standard does not; False sends the frame after contention alone."""
+    """Exchange RTS and CTS with a neighbour before a group-addressed frame, as the article does.
+    False: send after contention alone, as the standard."""
     rts_retry_limit: Annotated[int, Meta(ge=0, le=255)] = 7
-    """RTS in vain after which the next gives up a group-addressed frame."""
+    """Failed RTS after which the next failure drops a group-addressed frame."""
     data_mode: Mode | Literal["adaptive"] = "ofdm24"
-    """Mode of datagrams to one station; ``adaptive`` learns it from what is acknowledged."""
+    """Mode of unicast datagrams; ``adaptive`` selects it from acknowledgements (Minstrel)."""
     data_access_category: AccessCategory = "be"
+    """EDCA access category of datagrams to one station."""
     rts_threshold_bytes: Annotated[int, Meta(ge=0, le=65_535)] = 65_535
-    """Datagrams to one station whose frames are longer are sent after RTS and CTS."""
+    """Unicast datagrams with longer frames are sent after RTS and CTS."""
     retry_limit: Annotated[int, Meta(ge=0, le=2**31)] = 6
-    """Repetitions of a frame to one station before it is given up."""
+    """Retries of a unicast frame before it is dropped."""
     queue_frames: Annotated[int, Meta(ge=1, le=10_000)] = 64
-    """Frames that a radio holds for transmission; a further one is dropped and counted."""
+    """Transmit queue length of a radio in frames; further frames are dropped and counted."""
     queue_lifetime_us: Annotated[int, Meta(ge=1_000, le=60_000_000)] = 500_000
+    """Age in microseconds at which a frame that is still queued is dropped and counted."""
     host_latency_us: Annotated[int, Meta(ge=0, le=100_000)] = 50
-    """Least time from the application's call to the radio's queue."""
+    """Minimum time from the application's call to the radio's queue."""
     host_jitter_us: Annotated[int, Meta(ge=0, le=100_000)] = 100
-    """Uniform extra of the same, drawn per frame."""
+    """Additional uniform latency, drawn per frame."""
     ftm: FtmConfig = FtmConfig()
+    """Fine Time Measurement: the table ``[radio.ftm]``."""
     interferers: tuple[InterfererConfig, ...] = ()
+    """Other transmitters on the channel: tables ``[[radio.interferers]]``."""
     stations: tuple[StationConfig, ...] = ()
+    """Settings of single stations: tables ``[[radio.stations]]``."""
     guests: tuple[GuestConfig, ...] = ()
+    """Stations of other programs: tables ``[[radio.guests]]``."""
     capture: bool = False
-    """Write every frame to radio.pcapng, with radiotap headers, for Wireshark."""
+    """Write every frame with a radiotap header to radio.pcapng, for Wireshark."""
 
 
 class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the launcher tells the emulator's process."""
+    """Configuration of the emulator process, written by the launcher."""
 
     run_id: str
     host: str = "127.0.0.1"
     port: Annotated[int, Meta(ge=0, le=65_535)] = 0
     stations: Annotated[int, Meta(ge=0)]
-    """Vehicles; the guests of ``radio`` are numbered after them."""
+    """Number of vehicles; the guests of ``radio`` are numbered after them."""
     companions: tuple[Annotated[int, Meta(ge=0, le=65_535)], ...] = ()
-    """Those of the vehicles whose radio's host is in no lockstep: an application beside a PX4."""
+    """Vehicles whose radio host is not in lockstep: a companion application of a PX4."""
     seed: Annotated[int, Meta(ge=0)]
     radio: RadioConfig = RadioConfig()
     frame_log_path: str | None = None
     session_log_path: str | None = None
     capture_path: str | None = None
     profile_from_us: Annotated[int, Meta(ge=0)] | None = None
-    """Simulated time from which the process looks where its processor time goes; None: never."""
+    """Simulated time from which the process profiles its CPU time; None: never."""

@@ -1,4 +1,4 @@
-"""Discrete-event kernel: calls at integer nanoseconds, in order of time and then of scheduling."""
+"""Discrete-event queue: calls at integer nanoseconds, ordered by time and then by scheduling."""
 
 from collections.abc import Callable
 from heapq import heappop, heappush
@@ -6,37 +6,38 @@ from typing import Any, Protocol, TypeVar
 
 T = TypeVar("T")
 NEVER_NS = 2**62
-"""Later than anything that is ever scheduled."""
+"""Later than any scheduled event."""
 
 
 Event = list[Any]
-"""A scheduled call as the heap orders it: time, order of scheduling, action (None once run or taken back),
-argument. A plain list, for making and comparing objects of a class took a tenth of the emulator's time.
+"""A scheduled call: time, order of scheduling, action (None once run or cancelled), argument.
+
+A plain list, since creating and comparing objects of a class took a tenth of the emulator's time.
 """
 _ACTION = 2
 _ARGUMENT = 3
 
 
 class EventSource(Protocol):
-    """Something that has events of its own in the same order."""
+    """Another source of events, run in a common order with the calls of the queue."""
 
     def begin(self) -> None:
-        """Take note of what has changed since time last went on."""
+        """Update to changes made since the last `run`."""
 
     def next_ns(self) -> int:
-        """Time of its next event, or `NEVER_NS`."""
+        """Return the time of its next event, or `NEVER_NS`."""
 
     def run(self, until_ns: int, until_order: int) -> bool:
         """Run its events before a time and, at that time, an order of scheduling.
 
-        False if it has stopped before, for what was done meanwhile may have scheduled something earlier.
+        Return False if it stopped early, since its callbacks may have scheduled an earlier call.
         """
 
 
 class EventQueue:
-    """Runs calls in order of (time, order of scheduling); its clock is the time of the call that runs.
+    """Runs calls in order of (time, order of scheduling); its clock is the time of the running call.
 
-    A machine's events, such as those of the air (`netsim.mac.radios`), come among them in their order.
+    The events of ``machine`` (`netsim.mac.radios`) are run among them in their order.
     """
 
     __slots__ = ("_heap", "between", "machine", "now_ns", "scheduled")
@@ -44,16 +45,16 @@ class EventQueue:
     def __init__(self) -> None:
         self.now_ns = 0
         self.scheduled = 0
-        """Calls and events so far."""
+        """Number of calls and events scheduled so far."""
         self.machine: EventSource | None = None
         self.between: Callable[[], object] | None = None
-        """Done between calls; it may change nothing of what they know."""
+        """Function called between calls; it must not change the simulation."""
         self._heap: list[Event] = []
 
     def at(self, time_ns: int, action: Callable[[T], None], argument: T) -> Event:
         """Schedule ``action(argument)``. Raises ValueError for a time before the clock."""
         if time_ns < self.now_ns:
-            raise ValueError(f"cannot schedule at {time_ns} ns: it is {self.now_ns} ns")
+            raise ValueError(f"cannot schedule at {time_ns} ns: the time is {self.now_ns} ns")
         self.scheduled += 1
         event: Event = [time_ns, self.scheduled, action, argument]
         heappush(self._heap, event)
@@ -61,11 +62,11 @@ class EventQueue:
 
     @staticmethod
     def cancel(event: Event) -> None:
-        """Take a call back; nothing happens if it has run or was taken back before."""
+        """Cancel a call; no effect if it has run or was cancelled before."""
         event[_ACTION] = event[_ARGUMENT] = None
 
     def next_ns(self) -> int:
-        """Time of the next call or event, or `NEVER_NS`."""
+        """Return the time of the next call or event, or `NEVER_NS`."""
         heap = self._heap
         while heap and heap[0][_ACTION] is None:
             heappop(heap)
@@ -73,7 +74,7 @@ class EventQueue:
         return own_ns if self.machine is None else min(own_ns, self.machine.next_ns())
 
     def run_until(self, time_ns: int) -> None:
-        """Run everything up to and including ``time_ns``, which the clock then shows."""
+        """Run all calls and events up to and including ``time_ns``, and set the clock to it."""
         heap, machine = self._heap, self.machine
         if machine is not None:
             machine.begin()

@@ -1,4 +1,4 @@
-"""The air's events: a heap by time and order of scheduling, in `netsim.model.tables`."""
+"""Event heap of the tables, ordered by time and order of scheduling."""
 
 from numba import njit
 
@@ -33,7 +33,7 @@ def schedule(
     third: int = 0,
     fourth: int = 0,
 ) -> int:
-    """Have an event come; returns its order, which no other has."""
+    """Schedule an event; return its order, which is unique."""
     air[c.SCHEDULED] += 1
     i = air[c.EVENTS]
     air[c.EVENTS] = i + 1
@@ -49,7 +49,7 @@ def schedule(
 
 @njit(cache=True)
 def drop_next(air: Air) -> None:
-    """Take the next event out."""
+    """Remove the next event."""
     count = air[c.EVENTS] - 1
     air[c.EVENTS] = count
     _swap(air, 0, count)
@@ -66,7 +66,7 @@ def drop_next(air: Air) -> None:
 
 @njit(cache=True)
 def is_off(air: Air) -> bool:
-    """Whether the next event has been taken back: who waited for it waits for another, or for none."""
+    """Whether the next event is cancelled: its station or queue no longer refers to its order."""
     event = t.events(air, 0)
     what, about, order = event[c.WHAT], event[c.ABOUT], event[c.ORDER]
     if what == c.ON_ACCESS:

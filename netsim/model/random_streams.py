@@ -1,6 +1,6 @@
-"""Random streams: one numpy Generator per model and link, so that no draw of one moves another's.
+"""Random streams: one independent NumPy Generator per model and link.
 
-A stream depends on the run's seed, its model and its indices alone: not on which was asked for first.
+A stream depends only on the run's seed, its model and its indices, not on the order of creation.
 """
 
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 
 class Model(IntEnum):
-    """What a stream is for. Values are part of what a seed means: append, never renumber."""
+    """Purpose of a stream. Values enter the seed: append, never renumber."""
 
     BACKOFF = 0
     RECEPTION = 1
@@ -30,7 +30,7 @@ class Model(IntEnum):
 
 
 class RandomStreams:
-    """Generators below one seed."""
+    """Generators derived from one seed."""
 
     def __init__(self, seed: np.random.SeedSequence) -> None:
         self._seed = seed
@@ -42,7 +42,7 @@ class RandomStreams:
 
 
 class _Draws:
-    """Floats from one Generator, in blocks because single draws cost a microsecond."""
+    """Floats from one Generator, drawn in blocks, since a single draw takes a microsecond."""
 
     __slots__ = ("_floats", "draw")
     BLOCK = 256
@@ -50,10 +50,10 @@ class _Draws:
     def __init__(self, more: Callable[[int], NDArray[np.float64]]) -> None:
         self._floats = chain.from_iterable(more(size).tolist() for size in repeat(self.BLOCK))
         self.draw: Callable[[], float] = self._floats.__next__
-        """Gives the next float of the stream."""
+        """Return the next float of the stream."""
 
     def take(self, count: int) -> list[float]:
-        """Give the next floats of the stream."""
+        """Return the next ``count`` floats of the stream."""
         return list(islice(self._floats, count))
 
 

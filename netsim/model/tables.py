@@ -1,12 +1,12 @@
-"""All that the radios and the air between them are at a moment: tables of numbers in one block of memory.
+"""State of all radios and of the medium: tables of numbers in one block of memory.
 
-A frame is some four events, and each concerns a few numbers of some stations. As objects those were spread
-over hundreds of places in memory, and in a swarm's lockstep every step begins with cold caches. So what all
-stations, queues, frames and events are is rows of tables, and `netsim.mac.loop` runs event after event over
-them without Python, as long as nobody above the MAC has to hear of one.
+A frame takes about four events, and each event uses a few numbers of some stations. Stored in Python objects,
+these were spread over hundreds of memory locations, and in lockstep every step begins with cold caches. So
+stations, queues, frames and events are rows of tables, and `netsim.mac.loop` runs events in compiled code
+until one has to be reported to a layer above the MAC.
 
-Here is where everything lies and how rows are taken and given back; `netsim.model.columns` has what stands in
-them. What it means to 802.11 is `netsim.phy`'s and `netsim.mac`'s.
+This module defines the layout and the allocation of rows; `netsim.model.columns` defines the columns. The
+802.11 models that use them are in `netsim.phy` and `netsim.mac`.
 """
 
 from typing import Any, NamedTuple
@@ -22,7 +22,7 @@ Integers = NDArray[np.int64]
 Air = Integers
 """The block: first the single numbers, then the tables one after the other."""
 
-# --- rows of the tables, for compiled code: where each table begins is among the single numbers
+# --- rows of the tables, for compiled code; the begin of each table is one of the single numbers
 
 
 @njit(cache=True)
@@ -39,7 +39,7 @@ def _doubles(air: Air, which: int, row: int, columns: int) -> Doubles:
 
 @njit(cache=True)
 def stations(air: Air, row: int) -> Integers:
-    """What the stations sense, and their MACs."""
+    """Carrier sense, reception and MAC of each station."""
     return _row(air, 0, row, c.STATION_COLUMNS)
 
 
@@ -51,156 +51,156 @@ def queues(air: Air, row: int) -> Integers:
 
 @njit(cache=True)
 def ends(air: Air, row: int) -> Integers:
-    """(4, n): of the frame whose end is being looked at, see `netsim.model.columns.FATES`."""
+    """(4, n): data of the event being processed, see `netsim.model.columns.FATES`."""
     return _row(air, 2, row, air[c.STATIONS])
 
 
 @njit(cache=True)
 def last_sequences(air: Air, row: int) -> Integers:
-    """(n, n x kinds): the last sequence number of each sender and kind, by receiver."""
+    """(n, n x kinds): last sequence number by sender and kind; rows are receivers."""
     return _row(air, 3, row, air[c.STATIONS] * c.KINDS)
 
 
 @njit(cache=True)
 def counts(air: Air, row: int) -> Integers:
-    """(n, 3): datagrams to all by receiver: delivered, collided, lost to noise."""
+    """(n, 3): broadcast datagrams by receiver: delivered, collided, lost to noise."""
     return _row(air, 4, row, 3)
 
 
 @njit(cache=True)
 def sent(air: Air, row: int) -> Integers:
-    """(1, kinds): frames that have ended."""
+    """(1, kinds): number of ended frames."""
     return _row(air, 5, row, c.KINDS)
 
 
 @njit(cache=True)
-def heard_ns(air: Air, row: int) -> Integers:
-    """(n, n): when each station, by row, last heard a frame of each other that was no answer."""
+def last_received_ns(air: Air, row: int) -> Integers:
+    """(n, n): end of the last frame, CTS and ACK excepted, by receiver (row) and sender."""
     return _row(air, 6, row, air[c.STATIONS])
 
 
 @njit(cache=True)
-def heard_mw(air: Air, row: int) -> Doubles:
-    """(n, n): how loud that was."""
+def last_received_mw(air: Air, row: int) -> Doubles:
+    """(n, n): received power of that frame."""
     return _doubles(air, 7, row, air[c.STATIONS])
 
 
 @njit(cache=True)
 def budgets(air: Air, row: int) -> Integers:
-    """Of links, by sender: until when they hold."""
+    """Link budgets by sender: validity and longest delay."""
     return _row(air, 8, row, c.BUDGET_COLUMNS)
 
 
 @njit(cache=True)
 def budget_delays_ns(air: Air, row: int) -> Integers:
-    """(n, n), by sender."""
+    """(n, n): propagation delays by sender."""
     return _row(air, 9, row, air[c.STATIONS])
 
 
 @njit(cache=True)
 def budgets_mw(air: Air, row: int) -> Doubles:
-    """(n, n), by sender: what arrives, before fading."""
+    """(n, n): received powers before fading, by sender."""
     return _doubles(air, 10, row, air[c.STATIONS])
 
 
 @njit(cache=True)
 def modes(air: Air, row: int) -> Integers:
-    """802.11's modes, in the order of `netsim.model.config.Mode`."""
+    """802.11 modes, in the order of `netsim.model.config.Mode`."""
     return _row(air, 11, row, c.MODE_COLUMNS)
 
 
 @njit(cache=True)
 def hazards(air: Air, row: int) -> Doubles:
-    """By mode: the ratio from which on there are none, and `netsim.phy.errors.ErrorModel.log_hazards`."""
+    """By mode: SINR from which the hazard is 0, then `netsim.phy.errors.PacketErrorModel.log_hazards`."""
     return _doubles(air, 12, row, 1 + c.RATIOS)
 
 
 @njit(cache=True)
 def levels_mw(air: Air, row: int) -> Doubles:
-    """(1, levels): powers that matter."""
+    """(1, levels): power thresholds."""
     return _doubles(air, 13, row, c.LEVELS)
 
 
 @njit(cache=True)
 def locks_mw(air: Air, row: int) -> Doubles:
-    """(1, n): power of the frame that each station is locked on to."""
+    """(1, n): power of the frame that each station is receiving."""
     return _doubles(air, 14, row, air[c.STATIONS])
 
 
 @njit(cache=True)
 def backoffs(air: Air, row: int) -> Doubles:
-    """(n, draws): uniforms in [0, 1) to come."""
+    """(n, draws): next uniform draws in [0, 1) for backoffs."""
     return _doubles(air, 15, row, c.BLOCK_DRAWS)
 
 
 @njit(cache=True)
 def receptions(air: Air, row: int) -> Doubles:
-    """(n, draws): likewise."""
+    """(n, draws): next uniform draws in [0, 1) for receptions."""
     return _doubles(air, 16, row, c.BLOCK_DRAWS)
 
 
 @njit(cache=True)
 def records(air: Air, row: int) -> Integers:
-    """Frames that have ended: columns are `netsim.emulator.records.FrameRecord`'s."""
+    """Ended frames; columns are the fields of `netsim.emulator.records.FrameRecord`."""
     return _row(air, 17, row, c.RECORD_COLUMNS)
 
 
 @njit(cache=True)
 def events(air: Air, row: int) -> Integers:
-    """Give the heap."""
+    """Event heap."""
     return _row(air, 18, row, c.EVENT_COLUMNS)
 
 
 @njit(cache=True)
 def jobs(air: Air, row: int) -> Integers:
-    """Frames to be delivered."""
+    """Frames to be sent."""
     return _row(air, 19, row, c.JOB_COLUMNS)
 
 
 @njit(cache=True)
 def calls(air: Air, row: int) -> Integers:
-    """What Python is to be told."""
+    """Calls to report to Python."""
     return _row(air, 20, row, c.CALL_COLUMNS)
 
 
 @njit(cache=True)
 def calls_mw(air: Air, row: int) -> Doubles:
-    """(calls, 1): power of the frame that a call is about."""
+    """(calls, 1): received power of the frame of a call."""
     return _doubles(air, 21, row, 1)
 
 
 @njit(cache=True)
 def signals(air: Air, row: int) -> Integers:
-    """What is on the air, or was."""
+    """Signals that are or were on the air."""
     return _row(air, 22, row, c.SIGNAL_COLUMNS)
 
 
 @njit(cache=True)
 def overlaps(air: Air, row: int) -> Integers:
-    """(signals, signals): rows of those that were on the air with one, in order of their beginning."""
+    """(signals, signals): rows of the signals that overlap each signal, in order of their begin."""
     return _row(air, 23, row, air[c.SIGNAL_ROWS])
 
 
 @njit(cache=True)
 def on_air(air: Air, row: int) -> Integers:
-    """(2, signals): rows of the frames, and of the bursts, on the air now, in order of their beginning."""
+    """(2, signals): rows of the frames, and of the bursts, on the air now, in order of their begin."""
     return _row(air, 24, row, air[c.SIGNAL_ROWS])
 
 
 @njit(cache=True)
 def delays_ns(air: Air, row: int) -> Integers:
-    """(signals, n): how long a signal takes to each station."""
+    """(signals, n): propagation delay to each station."""
     return _row(air, 25, row, air[c.STATIONS])
 
 
 @njit(cache=True)
 def powers_mw(air: Air, row: int) -> Doubles:
-    """(signals, n): what arrives of it."""
+    """(signals, n): received power at each station."""
     return _doubles(air, 26, row, air[c.STATIONS])
 
 
 class Tables(NamedTuple):
-    """Whole tables, (rows, columns) each, for Python: in the order in which they lie."""
+    """Whole tables, (rows, columns) each, for Python code, in their order in memory."""
 
     stations: Integers
     queues: Integers
@@ -208,8 +208,8 @@ class Tables(NamedTuple):
     last_sequences: Integers
     counts: Integers
     sent: Integers
-    heard_ns: Integers
-    heard_mw: Doubles
+    last_received_ns: Integers
+    last_received_mw: Doubles
     budgets: Integers
     budget_delays_ns: Integers
     budgets_mw: Doubles
@@ -233,7 +233,7 @@ class Tables(NamedTuple):
 
 def _shapes(numbers: Integers) -> list[tuple[int, int]]:
     n, k, event_rows, job_rows, signal_rows = numbers[: c.SIGNAL_ROWS + 1].tolist()
-    # most calls that one event makes: every job ends, every station's exchange fails, a frame is heard
+    # most calls of one event: every job ends, every station's exchange fails, a frame is received
     call_rows = job_rows + n + 8
     return [
         (n, c.STATION_COLUMNS), (n * k, c.QUEUE_COLUMNS), (4, n), (n, n * c.KINDS), (n, 3), (1, c.KINDS),
@@ -246,7 +246,7 @@ def _shapes(numbers: Integers) -> list[tuple[int, int]]:
 
 
 def tables_of(air: Air) -> Tables:
-    """Give the tables of a block, which they are views of."""
+    """Return the tables of a block as views."""
     begins = air[c.FIRST_TABLE :].tolist()
     views: list[Any] = []
     for kind, (rows, columns) in zip(Tables.__annotations__.values(), _shapes(air), strict=True):
@@ -257,7 +257,7 @@ def tables_of(air: Air) -> Tables:
 
 
 def new_air(*, stations: int, categories: int) -> Air:
-    """Tables with nothing in them."""
+    """Return a block of empty tables."""
     numbers = np.zeros(c.NUMBERS, np.int64)
     numbers[: c.SIGNAL_ROWS + 1] = stations, categories, 64, 16, 16 + stations
     air = _allocate(numbers)
@@ -266,7 +266,7 @@ def new_air(*, stations: int, categories: int) -> Air:
 
 
 def grown(air: Air, *, events: int = 0, jobs: int = 0, signals: int = 0) -> Air:
-    """Give the same tables with at least so many rows."""
+    """Return a copy of the block with at least that many rows."""
     numbers = air[: c.NUMBERS].copy()
     for which, rows in ((c.EVENT_ROWS, events), (c.JOB_ROWS, jobs), (c.SIGNAL_ROWS, signals)):
         numbers[which] = max(rows, numbers[which])
@@ -288,14 +288,14 @@ def _allocate(numbers: Integers) -> Air:
 
 
 def _chain(signals: Integers, first: int, then: int) -> None:
-    """Chain the rows from ``first`` on as free, and behind them the row ``then``."""
+    """Link the rows from ``first`` on as free rows, followed by the row ``then``."""
     signals[first:, c.NEXT_SIGNAL] = np.arange(first + 1, len(signals) + 1)
     signals[-1, c.NEXT_SIGNAL] = then
 
 
 @njit(cache=True)
 def call(air: Air, what: int, station: int, job: int) -> int:
-    """Have Python told; returns the call's row, for the caller to complete."""
+    """Add a call to Python; return its row, which the caller completes."""
     i = air[c.CALLS]
     air[c.CALLS] = i + 1
     calls(air, i)[c.CALL], calls(air, i)[c.CALL_STATION], calls(air, i)[c.CALL_JOB] = what, station, job
@@ -304,7 +304,7 @@ def call(air: Air, what: int, station: int, job: int) -> int:
 
 @njit(cache=True)
 def draw_backoff(air: Air, station: int) -> float:
-    """Next uniform in [0, 1) of a station's backoff."""
+    """Return the next uniform draw in [0, 1) for a station's backoff."""
     used = stations(air, station)[c.BACKOFFS]
     stations(air, station)[c.BACKOFFS] = used + 1
     if used + 1 > c.BLOCK_DRAWS - c.LEAST_DRAWS:
@@ -314,7 +314,7 @@ def draw_backoff(air: Air, station: int) -> float:
 
 @njit(cache=True)
 def draw_reception(air: Air, station: int) -> float:
-    """Next uniform in [0, 1) of a station's reception."""
+    """Return the next uniform draw in [0, 1) for a station's reception."""
     used = stations(air, station)[c.RECEPTIONS]
     stations(air, station)[c.RECEPTIONS] = used + 1
     if used + 1 > c.BLOCK_DRAWS - c.LEAST_DRAWS:
@@ -324,7 +324,7 @@ def draw_reception(air: Air, station: int) -> float:
 
 @njit(cache=True)
 def take_signal(air: Air) -> int:
-    """Take a free row of ``signals``; there is one."""
+    """Allocate a row of ``signals``; the caller ensures that one is free."""
     row = air[c.FREE_SIGNAL]
     air[c.FREE_SIGNAL] = signals(air, row)[c.NEXT_SIGNAL]
     signals(air, row)[c.OVERLAPS] = signals(air, row)[c.HOLDERS] = signals(air, row)[c.OVER] = 0
@@ -333,7 +333,7 @@ def take_signal(air: Air) -> int:
 
 @njit(cache=True)
 def end_signal(air: Air, row: int) -> None:
-    """Let go of a signal that is over, and of those that it had on the air with it."""
+    """End a signal and release its overlapping signals; free rows that are no longer referenced."""
     for k in range(signals(air, row)[c.OVERLAPS]):
         release(air, overlaps(air, row)[k])
     signals(air, row)[c.OVERLAPS] = 0
@@ -343,7 +343,7 @@ def end_signal(air: Air, row: int) -> None:
 
 @njit(cache=True)
 def release(air: Air, row: int) -> None:
-    """Note one holder less of a signal, which may be over."""
+    """Remove one reference to a signal; free its row if it is over and unreferenced."""
     signals(air, row)[c.HOLDERS] -= 1
     _free_if_unused(air, row)
 

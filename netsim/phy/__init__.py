@@ -1,1 +1,1 @@
-"""What survives: modes and durations, propagation, interference, packet errors, clear-channel assessment."""
+"""Physical layer: modes and durations, propagation, interference, packet errors, clear channel assessment."""

@@ -1,15 +1,15 @@
-"""Half-wave dipoles that tilt with their vehicles: gain towards each other and polarisation.
+"""Gain and polarisation between half-wave dipoles that tilt with their vehicles.
 
 A dipole's far field in direction u is F(c) (z - c u), where z is its axis, c = z . u and F(c) = cos(pi c / 2)
-/ (1 - c^2) (Balanis, Antenna Theory, 4.6). What one dipole takes up of another's field is the product of both
-vectors: pattern and polarisation at once.
+/ (1 - c^2) (Balanis, Antenna Theory, 4.6). The field that one dipole receives from another is the scalar
+product of both vectors, which includes pattern and polarisation.
 
-No antenna has the endless nulls of that formula. Currents on feed line and airframe radiate as well, in all
-directions and polarisations, some 20 dB below the strongest direction; data sheets of small antennas state
-that as cross-polar isolation, and measured patterns show it in the nulls. So each dipole has, besides its own
-field, an unpolarised one of `UNPOLARISED` times the peak's power in every direction. Of unpolarised power a
-polarised antenna takes up half. Against two upright dipoles side by side, two crossed ones then lose 20 dB,
-one whose end looks at the other 23 dB, and two whose ends look at each other 43 dB.
+Real antennas do not have the infinitely deep nulls of that formula. Currents on feed line and airframe also
+radiate in all directions and polarisations, about 20 dB below the peak; data sheets of small antennas state
+this as cross-polar isolation, and measured patterns show it in the nulls. So each dipole has in addition an
+unpolarised field with `UNPOLARISED` times the peak power in every direction, of which a polarised antenna
+receives half. Compared to two upright dipoles side by side, the loss is 20 dB for two crossed ones, 23 dB if
+one points at the other, and 43 dB if both point at each other.
 """
 
 from math import pi
@@ -20,13 +20,13 @@ from netsim.phy.path_loss import Doubles, GroundRay
 
 UNPOLARISED = 0.01
 _PEAK = 1.0 + UNPOLARISED + 0.5 * UNPOLARISED**2
-"""Power between two dipoles in each other's strongest direction, by which all is divided."""
+"""Power between two dipoles in their peak directions; all results are divided by it."""
 
 
 def body_z_ned(q_ned_frd: Doubles) -> Doubles:
-    """Axes of the dipoles, the bodies' z: third column of each quaternion's rotation. (n, 4) to (n, 3).
+    """Return the dipole axes (n, 3) in NED, the bodies' z axes, from quaternions (n, 4), wxyz.
 
-    Quaternions of any length are taken for the unit ones of their direction.
+    Quaternions are normalised.
     """
     lengths = np.sqrt(np.einsum("ij,ij->i", q_ned_frd, q_ned_frd))
     w, x, y, z = (q_ned_frd / np.maximum(lengths, 1e-12)[:, None]).T
@@ -34,19 +34,19 @@ def body_z_ned(q_ned_frd: Doubles) -> Doubles:
 
 
 def _strength(cosine: Doubles) -> Doubles:
-    """F(c) of the module's text; the vector that it multiplies has length sqrt(1 - c^2)."""
+    """Return F(c) of the module docstring; it multiplies a vector of length sqrt(1 - c^2)."""
     return np.asarray(np.cos(0.5 * pi * cosine) / np.maximum(1.0 - cosine * cosine, 1e-12))
 
 
 def _unpolarised(strength_a: Doubles, cosine_a: Doubles, strength_b: Doubles, cosine_b: Doubles) -> Doubles:
-    """Power that passes by the unpolarised part of either end: half of e (g_a + g_b + e)."""
+    """Return the power by the unpolarised part of either end: half of e (g_a + g_b + e)."""
     gain_a = strength_a * strength_a * (1.0 - cosine_a * cosine_a)
     gain_b = strength_b * strength_b * (1.0 - cosine_b * cosine_b)
     return 0.5 * UNPOLARISED * (gain_a + gain_b + UNPOLARISED) / _PEAK
 
 
 def direct_coupling(direction_ned: Doubles, from_axes: Doubles, to_axes: Doubles) -> tuple[Doubles, Doubles]:
-    """Field that passes from m dipoles to n, and power beside it, both 1 at most.
+    """Return the polarised field (m, n) from m dipoles to n, and the unpolarised power, both at most 1.
 
     ``direction_ned`` (m, n, 3) are unit vectors from those with axes (m, 3) in NED to those with axes (n, 3).
     """
@@ -60,11 +60,11 @@ def direct_coupling(direction_ned: Doubles, from_axes: Doubles, to_axes: Doubles
 def reflected_coupling(
     ray: GroundRay, from_axes: Doubles, to_axes: Doubles
 ) -> tuple[Doubles, Doubles, Doubles]:
-    """Fields that pass by way of the ground with vertical and with horizontal polarisation, and power beside.
+    """Return the ground-reflected fields of vertical and horizontal polarisation, and the unpolarised power.
 
-    From m dipoles to n, as in `direct_coupling`. The ray leaves along u = (cos n, -sin up) and arrives along
-    (cos n, sin up), n being the direction across. Its vertical unit vectors are (sin n, cos up) before and
-    (-sin n, cos up) after.
+    All are (m, n), from m dipoles to n, as in `direct_coupling`. With n the horizontal direction, the ray
+    leaves along (cos n, -sin up) and arrives along (cos n, sin up). Its vertical unit vectors are
+    (sin n, cos up) before and (-sin n, cos up) after the reflection.
     """
     north, east = ray.across_ned[..., 0], ray.across_ned[..., 1]
     (north_a, east_a, down_a), (north_b, east_b, down_b) = from_axes.T[..., None], to_axes.T
@@ -83,7 +83,7 @@ def reflected_coupling(
 
 
 def unpolarised_source_coupling(direction_ned: Doubles, to_axes: Doubles) -> Doubles:
-    """Power that dipoles take up from somebody of whose polarisation nothing is known: half their gain."""
+    """Return the power (m, n) that dipoles receive from sources of unknown polarisation: half their gain."""
     cosine = np.einsum("ijk,jk->ij", direction_ned, to_axes)
     strength = _strength(cosine)
     gain = strength * strength * (1.0 - cosine * cosine)

@@ -1,17 +1,17 @@
-"""Packet errors from the signal-to-noise ratio: a hazard per data bit, by mode.
+"""Packet error model: hazard per data bit as a function of mode and signal-to-noise ratio.
 
-Non-HT modes take the hard-decision union bound of the NIST model (Pei and Henderson, "Validation of OFDM
-error rate model in ns-3", 2010). VHT modes take what a link simulation with soft decisions counted
-(`netsim.phy.vht_tables`). One hazard serves frames of all lengths: simulated with 32, 100 and 1458 bytes it
-differs by less than 8 %, which are 0.04 dB. The tables are those of 80 MHz; the interleavers of 20 and 40 MHz
-gain up to 0.1 dB at MCS 4 and above, which is left out. At a packet error rate of 0.1 ns-3's tables are met
-within 0.06 dB, but for frames below 400 bytes by MCS 7 (0.23 dB), where ns-3's two tables contradict each
-other.
+Non-HT modes use the hard-decision union bound of the NIST model (Pei and Henderson, "Validation of OFDM error
+rate model in ns-3", 2010). VHT modes use the results of a link simulation with soft decisions
+(`netsim.phy.vht_tables`). The hazard does not depend on the frame length: in simulations with 32, 100 and
+1458 bytes it differs by less than 8 %, or 0.04 dB. The tables are for 80 MHz; the interleavers of 20 and 40
+MHz gain up to 0.1 dB at MCS 4 and above, which is not modelled. At a packet error rate of 0.1 the results
+match ns-3's tables within 0.06 dB, except for frames below 400 bytes at MCS 7 (0.23 dB), where ns-3's two
+tables are inconsistent.
 
-The simulation's ratio is that of an occupied subcarrier. The emulator's, power over noise in the whole
+The simulation's ratio is per occupied subcarrier. The emulator's ratio, power over noise in the whole
 channel, is 0.6, 0.5 and 0.2 dB lower at 20, 40 and 80 MHz, where 56 of 64, 114 of 128 and 242 of 256
-subcarriers are occupied. It is taken for the same, as in ns-3: what estimating the channel costs a receiver
-is left out in return.
+subcarriers are occupied. Both are used as equal, as in ns-3; in return, the channel estimation loss of a
+receiver is not modelled.
 """
 
 from bisect import bisect_right
@@ -45,15 +45,15 @@ _STEP_DB = 0.05
 _FIRST_DB = -10.0
 _LAST_DB = 45.0
 _NEGLIGIBLE = 1e-17
-"""Hazard that cannot matter: a frame of 10^5 bits fails once in 10^12."""
+"""Negligible hazard: a frame of 10^5 bits fails once in 10^12."""
 _GUESSING = log(2.0)
-"""Hazard of a decoder that guesses: half of the bits are right."""
+"""Hazard of a random decision: half of the bits are correct."""
 _END_ROWS = 4
-"""Rows at either end, over 1 dB, from which a table is continued; one alone is too noisy."""
+"""Rows at either end, over 1 dB, used to extrapolate a table; a single row is too noisy."""
 
 
 def uncoded_bit_error_rate(bits_per_subcarrier: int, snr_linear: float) -> float:
-    """Bit error rate of BPSK or Gray-coded square QAM at a ratio per symbol (Pei and Henderson, 2)."""
+    """Return the bit error rate of BPSK or square QAM at an SNR per symbol (Pei and Henderson, 2)."""
     if bits_per_subcarrier == 1:
         return 0.5 * erfc(sqrt(snr_linear))
     points = 2**bits_per_subcarrier
@@ -62,7 +62,7 @@ def uncoded_bit_error_rate(bits_per_subcarrier: int, snr_linear: float) -> float
 
 
 def hard_decision_bound(mode: PhyMode, snr_linear: float) -> float:
-    """Bit error rate after a decoder of hard decisions, at most 1.
+    """Return the union bound of the bit error rate after hard-decision decoding, at most 1.
 
     (1/2b) sum c_d D^d with D = sqrt(4 p (1 - p)), p the uncoded rate, b the information bits per period.
     """
@@ -74,10 +74,9 @@ def hard_decision_bound(mode: PhyMode, snr_linear: float) -> float:
 
 
 def soft_decision_bound(mode: PhyMode, snr_linear: float) -> float:
-    """Bit error rate after a decoder of soft decisions, which is tight where it is small.
+    """Return the union bound of the bit error rate after soft-decision decoding, tight where it is small.
 
-    (1/b) sum c_d Q(sqrt(2 d g)), where g, the ratio at which BPSK has the uncoded rate, stands for the
-    constellation.
+    (1/b) sum c_d Q(sqrt(2 d g)), where g is the SNR at which BPSK has the uncoded bit error rate of the mode.
     """
     p = uncoded_bit_error_rate(mode.bits_per_subcarrier, snr_linear)
     if p <= 0.0:
@@ -93,11 +92,11 @@ def _hard_hazard(mode: PhyMode) -> Callable[[float], float]:
 
 
 def _counted_hazard(mode: PhyMode) -> Callable[[float], float]:
-    """Hazard by ratio in dB from the counts of a VHT mode.
+    """Return the hazard as a function of the SNR in dB, from the counts of a VHT mode.
 
-    -ln(1 - lost/sent) per bit in the rows, log-linear between them. Below the first its slope goes on until
-    the decoder guesses. In the last rows, where few frames were lost, and above, it is proportional to the
-    bound for soft decisions, which has the same shape there, and these rows lose as many as were counted.
+    It is -ln(1 - lost/sent) per bit in the rows, and log-linear between them. Below the first row it is
+    extrapolated up to the hazard of a random decision. In the last rows, where few frames were lost, and
+    above, it is the soft-decision bound, scaled to the total count of lost frames in these rows.
     """
     rows = VHT_COUNTS[mode.name]
     snrs_db = [row[0] for row in rows]
@@ -124,7 +123,7 @@ def _counted_hazard(mode: PhyMode) -> Callable[[float], float]:
 
 @njit(cache=True)
 def hazard_per_bit(log_hazards: Doubles, clean_linear: float, sinr_linear: float) -> float:
-    """Hazard of one data bit by an `PacketErrorModel`'s table; log-linear between points 0.05 dB apart."""
+    """Return the hazard of one data bit from the table of a `PacketErrorModel`, log-linearly interpolated."""
     if sinr_linear >= clean_linear:
         return 0.0
     if sinr_linear <= 0.0:
@@ -139,17 +138,17 @@ def hazard_per_bit(log_hazards: Doubles, clean_linear: float, sinr_linear: float
 
 
 class PacketErrorModel:
-    """Hazard of a mode as a function of the ratio, tabulated once.
+    """Table of the hazard per data bit of a mode over the SINR.
 
-    Hazards add over bits and over chunks of different interference: a frame survives with exp(-sum of hazard
-    times bits).
+    Hazards add over bits and over chunks of different interference: the probability of success of a frame is
+    exp(-sum of hazard times bits).
     """
 
     __slots__ = ("clean_linear", "log_hazards")
 
     def __init__(self, mode: PhyMode) -> None:
         self.clean_linear = inf
-        """Ratio from which on the hazard is none."""
+        """SINR from which the hazard is 0."""
         log_hazards: list[float] = []
         hazard_at = _counted_hazard(mode) if mode.vht else _hard_hazard(mode)
         for k in range(round((_LAST_DB - _FIRST_DB) / _STEP_DB) + 1):
@@ -160,19 +159,19 @@ class PacketErrorModel:
                 break
             log_hazards.append(log(hazard))
         self.log_hazards = np.array(log_hazards)
-        """By ratio, 0.05 dB apart."""
+        """Log of the hazard in steps of 0.05 dB."""
 
     def hazard_per_bit(self, sinr_linear: float) -> float:
-        """Hazard of one data bit."""
+        """Return the hazard of one data bit."""
         return float(hazard_per_bit(self.log_hazards, self.clean_linear, sinr_linear))
 
 
 @cache
 def error_model(mode: PhyMode) -> PacketErrorModel:
-    """Return the mode's model, built at its first use."""
+    """Return the cached error model of a mode."""
     return PacketErrorModel(mode)
 
 
 def packet_error_rate(mode: PhyMode, frame_bytes: int, snr_linear: float) -> float:
-    """Probability that a frame of that many bytes is lost at a constant ratio, its preamble not counted."""
+    """Return the loss probability of a frame at a constant SNR, without preamble errors."""
     return -expm1(-8 * frame_bytes * error_model(mode).hazard_per_bit(snr_linear))

@@ -1,21 +1,19 @@
-"""Small-scale fading: a steady ray and scattered waves that turn with the Doppler spread.
+"""Small-scale Rician fading: a line-of-sight component and scattered waves with a Doppler spread.
 
-Power gain |h|^2 of a link, mean 1, with h = sqrt(K / (K + 1)) + sqrt(1 / (K + 1)) s. The scattered part s is
-Clarke's: waves from all around, of phase theta cos(alpha_m) + phi_m, where theta is the integral of 2 pi
-times the Doppler spread over time. Its correlation is then J0(theta' - theta): with a steady spread f_d, J0(2
-pi f_d tau). Angles lie one in each sector of the half circle, and each stands for the wave from the other
-side as well, whose phase turns the other way: cosine and sine serve both (Zheng and Xiao, IEEE Transactions
-on Communications 51, 2003, on such sums).
+The power gain of a link is |h|^2, with mean 1 and h = sqrt(K / (K + 1)) + sqrt(1 / (K + 1)) s. The scattered
+part s follows Clarke's model: waves from all directions, of phase theta cos(alpha_m) + phi_m, where theta is
+the integral of 2 pi times the Doppler spread over time. Its correlation is J0(theta' - theta), or J0(2 pi f_d
+tau) for a constant spread f_d. There is one angle in each sector of the half circle. The wave from the
+opposite direction has the opposite phase rotation, so the same cosine and sine are used for both (Zheng and
+Xiao, IEEE Transactions on Communications 51, 2003, on such sums).
 
-The spread of what moves around the stations and that of the stations' own relative motion, v / lambda, are of
-independent causes: their squares add. From one instant at which positions are stated to the next, v is the
-way of the one end as seen from the other over the time between; after the last it is as the velocities say.
-So it hardly matters at how many instants they are stated: a turn counts as its chord.
+The Doppler spread of moving surroundings and that of the relative motion of the stations, v / lambda, are
+independent: their squares add. Between two updates of the positions, v is the relative displacement divided
+by the time between; after the last update it is the relative velocity. So the update rate has little
+influence: the path between two updates is approximated by its chord.
 
-All is a function of the seed, the unordered pair and theta, so a link is the same in both directions and no
-matter who sends when.
-
-A frame has the gain of its beginning throughout, and the same on all subcarriers.
+The gain is a function of seed, unordered pair and theta, so a link is reciprocal and independent of the
+order of transmissions. It is constant during a frame, and equal on all subcarriers.
 """
 
 from math import cos, pi, sin, sqrt
@@ -27,7 +25,7 @@ from netsim.model.random_streams import Model, RandomStreams
 from netsim.phy.path_loss import SPEED_OF_LIGHT_M_S, Doubles
 
 SECTORS = 8
-"""Angles of a link, as many as Zheng and Xiao find sufficient; it has twice as many waves."""
+"""Angles per link, sufficient according to Zheng and Xiao; the number of waves is twice that."""
 
 
 @njit(cache=True)
@@ -41,8 +39,8 @@ def _turn(
     doppler_hz: float,
     wavelength_m: float,
 ) -> None:
-    """Turn every pair's theta (n, n) on by its ends' ways between places (n, 3), and take its new rate."""
-    # products, not powers: of those Python's pow rounds some otherwise than compiled code
+    """Advance every pair's theta (n, n) by the motion between positions (n, 3), and update its rate."""
+    # products instead of powers, since Python's pow and compiled code round differently
     wavelength_m2, doppler_turns = wavelength_m * wavelength_m, doppler_hz * since_s
     for a in range(len(theta_rad)):
         for b in range(a):
@@ -62,7 +60,7 @@ def _turn(
 
 @njit(cache=True)
 def fade(block: Doubles, source: int, at_ns: int, powers_mw: Doubles) -> None:
-    """Multiply the powers (n,) of a station's signals by |h|^2 of its links, in a `RicianFading.block`."""
+    """Multiply the received powers (n,) of a station's signal by the fading gains in ``block``."""
     n = len(powers_mw)
     since_ns, line_of_sight = int(block[0]), block[1]
     theta_rad, rates_rad_ns, cosines, weights = _parts(block, n)
@@ -79,9 +77,9 @@ def fade(block: Doubles, source: int, at_ns: int, powers_mw: Doubles) -> None:
 
 @njit(cache=True)
 def _parts(block: Doubles, n: int) -> tuple[Doubles, Doubles, Doubles, Doubles]:
-    """Give every pair's theta and its rate (n, n), the waves' cosines (n, n, sectors), and their weights.
+    """Return views of theta and its rate (n, n), and the waves' cosines (n, n, sectors) and weights.
 
-    Weights (n, n, sectors, 4) are of each one's cosine and sine, in the real and then in the imaginary part.
+    Weights (n, n, sectors, 4) are those of cosine and sine in the real part, then in the imaginary part.
     """
     square = n * n
     at = 2
@@ -94,7 +92,7 @@ def _parts(block: Doubles, n: int) -> tuple[Doubles, Doubles, Doubles, Doubles]:
 
 
 class RicianFading:
-    """Fading of all links."""
+    """Rician fading of all links."""
 
     def __init__(
         self, *, k_db: float, doppler_hz: float, frequency_mhz: float, stations: int, streams: RandomStreams
@@ -106,7 +104,7 @@ class RicianFading:
         self._stations = stations
         self._pos_ned_m: Doubles | None = None
         self.block = np.zeros(2 + stations**2 * (2 + 5 * SECTORS))
-        """All that `fade` needs: since when the parts hold, in nanoseconds, the steady ray, and the parts."""
+        """Data of `fade`: time of the last update in ns, line-of-sight amplitude, arrays of `_parts`."""
         self.block[1] = (k / (k + 1.0)) ** 0.5
         self._theta_rad, self._rates_rad_ns, self._cosines, self._weights = _parts(self.block, stations)
         self._rates_rad_ns[...] = 2e-9 * pi * doppler_hz
@@ -117,11 +115,11 @@ class RicianFading:
                 self._weights[a, b] = self._weights[b, a] = weights
 
     def move(self, at_ns: int, pos_ned_m: Doubles, vel_ned_m_s: Doubles) -> None:
-        """At ``at_ns`` the stations are at these places (n, 3), and go on with these velocities (n, 3).
+        """Set positions (n, 3) at ``at_ns`` and velocities (n, 3) from then on.
 
-        While all rest this need not be said again.
+        No update is needed while all stations are at rest.
         """
-        # before the first instant everybody stood still
+        # before the first update all stations are at rest
         from_ned_m = pos_ned_m if self._pos_ned_m is None else self._pos_ned_m
         _turn(
             self._theta_rad,
@@ -136,13 +134,13 @@ class RicianFading:
         self.block[0], self._pos_ned_m = at_ns, pos_ned_m
 
     def gains(self, source: int, at_ns: int) -> Doubles:
-        """Gain of each link of ``source``, by station; of no meaning for itself."""
+        """Return the gains (n,) of the links of ``source``; its own entry is meaningless."""
         gains = np.ones(self._stations)
         fade(self.block, source, at_ns, gains)
         return gains
 
     def _waves(self, generator: np.random.Generator) -> tuple[Doubles, Doubles]:
-        """Draw the waves of one link: their cosines (sectors,) and weights (sectors, 4)."""
+        """Return random waves of one link: cosines (sectors,) and weights (sectors, 4)."""
         cosines = np.cos(pi / SECTORS * (np.arange(SECTORS) + generator.random(SECTORS)))
         ahead, behind = self._amplitude * np.exp(2j * pi * generator.random((2, SECTORS)))
         # ahead e^(ix) + behind e^(-ix)

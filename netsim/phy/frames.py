@@ -1,11 +1,11 @@
-"""Frames as the air carries them, and their sizes."""
+"""Frames and their sizes."""
 
 from enum import StrEnum
 
 from netsim.phy.modes import PhyMode
 
 GROUP = -1
-"""Destination of a frame to everybody."""
+"""Destination of a group frame."""
 RTS_BYTES = 20
 CTS_BYTES = 14
 ACK_BYTES = 14
@@ -14,11 +14,11 @@ DATA_OVERHEAD_BYTES = 24 + 4
 UDP_OVERHEAD_BYTES = 8 + 20 + 8
 """LLC/SNAP, IPv4 and UDP headers."""
 MAX_MSDU_BYTES = 2304
-"""Most that one frame carries behind its MAC header (9.2.4.7)."""
+"""Largest frame body after the MAC header (9.2.4.7)."""
 
 
 class FrameKind(StrEnum):
-    """What a frame is for."""
+    """Kind of a frame."""
 
     DATA = "data"
     RTS = "rts"
@@ -29,7 +29,7 @@ class FrameKind(StrEnum):
 
 
 class Frame:
-    """One frame, ready for the air; never changed once sent."""
+    """One frame; immutable once sent."""
 
     __slots__ = (
         "body",
@@ -68,11 +68,11 @@ class Frame:
         self.bytes = frame_bytes
         self.duration_ns = mode.duration_ns(frame_bytes)
         self.nav_ns = nav_ns
-        """Duration field: how long the medium stays reserved after this frame."""
+        """Duration field: time for which the medium is reserved after this frame."""
         self.lapse_ns = lapse_ns
-        """Time after this frame at which the reservation falls where nothing was heard since; 0 is never."""
+        """Time after this frame at which the NAV is reset where no frame was detected since; 0: never."""
         self.seq = seq
-        """The host's number of what it carries."""
+        """The host's sequence number of the payload."""
         self.sequence = sequence
-        """The MAC's sequence number: that of a retransmission is the first one's."""
+        """MAC sequence number; a retransmission has that of the first transmission."""
         self.body = body

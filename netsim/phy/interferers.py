@@ -1,7 +1,7 @@
-"""Somebody else's transmitter: when its bursts begin and end.
+"""Bursts of an interferer.
 
-Bursts and pauses are exponentially distributed, independent of all that happens on the channel: it senses
-nothing and answers nobody.
+Lengths of bursts and pauses are exponentially distributed and independent of the channel: an interferer has
+no carrier sense and sends no responses.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ LONGEST_NS = 1e18
 
 
 class Interferer:
-    """One transmitter's bursts, drawn one after the other. Its duty cycle is over 0."""
+    """Random bursts and pauses of one transmitter with a duty cycle above 0."""
 
     __slots__ = ("_burst_ns", "_generator", "_pause_ns", "duty_cycle", "index")
 
@@ -24,13 +24,13 @@ class Interferer:
         self._pause_ns = self._burst_ns * (1.0 - self.duty_cycle) / self.duty_cycle
 
     def first_ns(self) -> int:
-        """Begin of the first burst after time 0, at which it sends already with the duty cycle's chance."""
+        """Return the begin of the first burst; 0 with the probability of the duty cycle."""
         return 0 if self._generator.random() < self.duty_cycle else self.pause_ns()
 
     def burst_ns(self) -> int:
-        """Length of the next burst; 1 ns at least."""
+        """Return the length of the next burst, at least 1 ns."""
         return 1 + round(self._generator.exponential(self._burst_ns))
 
     def pause_ns(self) -> int:
-        """Length of the pause after it."""
+        """Return the length of the next pause."""
         return round(min(self._generator.exponential(self._pause_ns), LONGEST_NS))

@@ -1,21 +1,20 @@
-"""The shared medium: which signals overlap at whom, what each receiver locks on to, and what survives.
+"""The shared medium: overlap of signals, preamble detection, capture, and reception of frames.
 
-A frame is three passes over all stations. At its start every receiver's energy detection learns of it; 4 us
-later receivers find its preamble or not; when its end has reached the last of them, what they made of it is
-settled, with every signal known that overlapped it. All times at a receiver include the propagation delay to
-it. Interferers' bursts are signals that nobody can find a preamble in. Clear channel assessment is
-`netsim.phy.sensing`'s.
+A frame takes three passes over all stations. At its start the carrier sense of every receiver is updated.
+4 us later receivers detect its preamble or not. When its end has reached the last receiver, the outcomes are
+determined from all overlapping signals. All times at a receiver include the propagation delay. Interferers'
+bursts are signals without a preamble. Clear channel assessment is in `netsim.phy.sensing`.
 
-Preambles are found from -82 dBm and 4 dB over noise and interference on, as with ns-3's
-ThresholdPreambleDetection, and a frame 5 dB stronger that begins within 16 us of the one being received takes
-its place, as with its SimpleFrameCaptureModel.
+A preamble is detected from -82 dBm and 4 dB above noise and interference, as in ns-3's
+ThresholdPreambleDetection. A frame that is 5 dB stronger and begins within 16 us of the one being received
+captures the receiver, as in its SimpleFrameCaptureModel.
 
-Left out: adjacent channels; secondary channels, as every frame occupies the whole channel; propagation longer
-than SIFS (4.8 km), beyond which 802.11's own timing fails and nobody hears anybody; and giving up a frame
-whose signal field failed: its receiver stays with it until it ends in errors.
+Not modelled: adjacent channels; secondary channels, as every frame occupies the whole channel; propagation
+delays above SIFS (4.8 km), for which the timing of 802.11 fails and no signal is received; abort of a
+reception after a failed signal field: the receiver stays locked until the frame ends with errors.
 
-The functions are compiled and work on `netsim.model.tables.Air`. Whose MAC has to hear of something is for
-the caller to see: in ``told``, or in ``fates`` and ``upsets``.
+The functions are compiled and work on `netsim.model.tables.Air`. Rows of `tables.ends` report to the caller
+which MACs are affected: `NEWLY_BUSY`, or `FATES` and `UPSETS`.
 """
 
 from math import inf
@@ -34,9 +33,9 @@ from netsim.phy.survival import alone, among_others, clean_mw
 
 PREAMBLE_DETECTION_NS = 4_000
 PREAMBLE_SINR = 10.0**0.4
-"""Least ratio at which a preamble is found, 4 dB."""
+"""Least SINR at which a preamble is detected, 4 dB."""
 CAPTURE_RATIO = 10.0**0.5
-"""A later frame takes over a receiver that is in an earlier frame's preamble if it is 5 dB stronger."""
+"""A later frame captures a receiver during an earlier frame's preamble if it is 5 dB stronger."""
 CAPTURE_WINDOW_NS = 16_000
 FRAMES, BURSTS = 0, 1
 """Rows of `netsim.model.tables.on_air`."""
@@ -44,9 +43,9 @@ FRAMES, BURSTS = 0, 1
 
 @njit(cache=True)
 def start(air: Air, fading: Doubles, frame: int) -> int:
-    """Put a frame on the air now, a row of signals that has all but its powers; returns how many are told.
+    """Start a frame now, a row of signals without powers; return the number of stations in `NEWLY_BUSY`.
 
-    The sender's link budget holds. Told are the stations at which the medium falls busy.
+    The sender's link budget must be valid.
     """
     now = air[c.NOW]
     sent = t.signals(air, frame)
@@ -65,15 +64,15 @@ def start(air: Air, fading: Doubles, frame: int) -> int:
     t.on_air(air, FRAMES)[air[c.ACTIVE]] = frame
     air[c.ACTIVE] += 1
     begin_sending(t.stations(air, source), now, sent[c.END])
-    told = _radiate(air, frame, t.levels_mw(air, 0)[c.SENSED_MW])
+    newly_busy = _radiate(air, frame, t.levels_mw(air, 0)[c.SENSED_MW])
     schedule(air, now + PREAMBLE_DETECTION_NS, c.DETECT, frame)
     schedule(air, sent[c.END] + sent[c.LONGEST_DELAY], c.END_FRAME, frame)
-    return told
+    return newly_busy
 
 
 @njit(cache=True)
 def start_burst(air: Air, burst: int) -> int:
-    """Put an interferer's burst on the air now, powers and all; as `start`."""
+    """Start an interferer's burst now, a row of signals with powers; return as `start`."""
     signal = t.signals(air, burst)
     _overlap(air, burst)
     bursts = t.on_air(air, BURSTS)
@@ -82,25 +81,25 @@ def start_burst(air: Air, burst: int) -> int:
             _add_overlap(air, burst, other)
     bursts[air[c.BURSTS]] = burst
     air[c.BURSTS] += 1
-    told = _radiate(air, burst, inf)
-    # what overlaps it matters only now; kept, each burst would keep all before it
+    newly_busy = _radiate(air, burst, inf)
+    # its overlaps are needed only now; if kept, each burst would keep all previous ones
     for other in t.overlaps(air, burst)[: signal[c.OVERLAPS]]:
         release(air, other)
     signal[c.OVERLAPS] = 0
     schedule(air, signal[c.END] + signal[c.LONGEST_DELAY], c.END_BURST, burst)
-    return told
+    return newly_busy
 
 
 @njit(cache=True)
 def end_burst(air: Air, burst: int) -> None:
-    """Take a burst off the air."""
+    """End an interferer's burst."""
     air[c.BURSTS] = _remove(t.on_air(air, BURSTS), air[c.BURSTS], burst)
     end_signal(air, burst)
 
 
 @njit(cache=True)
 def _remove(rows: Integers, count: int, row: int) -> int:
-    """Take a row out of the first ``count``, whose order stays; returns how many are left."""
+    """Remove a row from the first ``count``, keeping their order; return the new count."""
     kept = 0
     for k in range(count):
         if rows[k] != row:
@@ -111,7 +110,7 @@ def _remove(rows: Integers, count: int, row: int) -> int:
 
 @njit(cache=True)
 def _overlap(air: Air, signal: int) -> None:
-    """Note the frames that a signal which begins now is on the air with, and it with them."""
+    """Record the overlaps of a signal that begins now with the frames on the air, in both directions."""
     for other in t.on_air(air, FRAMES)[: air[c.ACTIVE]]:
         frame = t.signals(air, other)
         if frame[c.END] + frame[c.LONGEST_DELAY] > air[c.NOW]:
@@ -129,9 +128,10 @@ def _add_overlap(air: Air, signal: int, other: int) -> None:
 
 @njit(cache=True)
 def _radiate(air: Air, which: int, sensed_mw: float) -> int:
-    """Have the stations sense a signal that begins now, from ``sensed_mw`` on by itself.
+    """Update the carrier sense of all stations for a signal that begins now.
 
-    Returns how many are told: those to which the medium falls busy, but for what a reservation covers.
+    The signal is sensed by itself from ``sensed_mw``. Returns the number of stations in `NEWLY_BUSY`: those
+    where the medium becomes busy beyond the NAV.
     """
     signal = t.signals(air, which)
     start_ns, end_ns = signal[c.START], signal[c.END]
@@ -139,7 +139,7 @@ def _radiate(air: Air, which: int, sensed_mw: float) -> int:
         air[c.BUSY_NS] += end_ns - max(start_ns, air[c.BUSY_UNTIL_NS])
         air[c.BUSY_UNTIL_NS] = end_ns
     count = 0
-    told = t.ends(air, c.NEWLY_BUSY)
+    newly_busy = t.ends(air, c.NEWLY_BUSY)
     powers_mw, delays_ns = t.powers_mw(air, which), t.delays_ns(air, which)
     energy_mw = t.levels_mw(air, 0)[c.ENERGY_MW]
     for r in range(air[c.STATIONS]):
@@ -154,17 +154,17 @@ def _radiate(air: Air, which: int, sensed_mw: float) -> int:
             if until_ns == 0:
                 continue
         if occupy(row, arrival_ns, until_ns) and row[c.BUSY_UNTIL] > row[c.RESERVED_UNTIL]:
-            told[count] = r
+            newly_busy[count] = r
             count += 1
     return count
 
 
 @njit(cache=True)
 def find(air: Air, frame: int) -> None:
-    """Have every free receiver look for a frame's preamble, now.
+    """Detect a frame's preamble at all receivers, now.
 
-    It takes the least power, and 4 dB over the noise and all other signals since the arrival. Who is locked
-    on to another frame changes to one that is stronger and began soon after it.
+    Detection requires the least power, and 4 dB above the noise and all other signals since the arrival. A
+    receiver that is locked on to another frame changes to a stronger one that began soon after it.
     """
     sent = t.signals(air, frame)
     powers_mw, delays_ns, locks_mw = t.powers_mw(air, frame), t.delays_ns(air, frame), t.locks_mw(air, 0)
@@ -196,7 +196,7 @@ def find(air: Air, frame: int) -> None:
 
 @njit(cache=True)
 def _floor_mw(air: Air, frame: int, r: int, arrival_ns: int) -> float:
-    """Power of all other signals at ``r`` that were there at some time since a frame's arrival."""
+    """Return the total power at ``r`` of all other signals present since a frame's arrival."""
     sent = t.signals(air, frame)
     floor_mw = 0.0
     for k in t.overlaps(air, frame)[: sent[c.OVERLAPS]]:
@@ -212,12 +212,12 @@ def _floor_mw(air: Air, frame: int, r: int, arrival_ns: int) -> float:
 
 @njit(cache=True)
 def settle(air: Air, frame: int) -> None:
-    """Find out what has become of a frame that has ended everywhere, and have all stations take note.
+    """Determine the outcomes of a frame that has ended at all stations, and update the stations.
 
-    Fates become what each made of it, notes whether it has arrived where it was meant to, and if not, whether
-    it would have alone. One draw decides whether it survives, and whether it would have without the others;
-    nothing is drawn for one that is certain to survive. Upset are stations whose plans cannot stay: it was an
-    error, the end of EIFS, a longer reservation.
+    `FATES` become the outcomes at all stations, `NOTES` those at intended receivers: delivered, collided
+    (it would have been received without other signals) or lost. One draw decides whether it is received, and
+    whether it would have been without the others; there is no draw if reception is certain. `UPSETS` mark
+    stations that must plan their accesses again: after an error, at the end of EIFS, with a longer NAV.
     """
     air[c.ACTIVE] = _remove(t.on_air(air, FRAMES), air[c.ACTIVE], frame)
     sent, powers_mw = t.signals(air, frame), t.powers_mw(air, frame)
@@ -247,7 +247,7 @@ def settle(air: Air, frame: int) -> None:
 
 @njit(cache=True)
 def _take_note(air: Air, frame: int, r: int, fate: int) -> bool:
-    """Have a station that was locked on to a frame take note of how it ended; True if that upsets a plan."""
+    """Update a station that was locked on to a frame at its end; return whether its plan must change."""
     row, sent = t.stations(air, r), t.signals(air, frame)
     end_here_ns = sent[c.END] + t.delays_ns(air, frame)[r]
     row[c.LOCK] = c.NOTHING
@@ -257,20 +257,20 @@ def _take_note(air: Air, frame: int, r: int, fate: int) -> bool:
     upset = row[c.BROKEN] != 0
     row[c.BROKEN] = 0
     is_answer = sent[c.KIND] in (c.CTS, c.ACK)
-    # whom it is not for keeps the medium reserved
+    # other stations than the addressed one set their NAV
     if r != sent[c.TO] and sent[c.NAV] and end_here_ns + sent[c.NAV] > row[c.RESERVED_UNTIL]:
         row[c.RESERVED_UNTIL] = end_here_ns + sent[c.NAV]
         row[c.RESERVED_BY] = sent[c.TO] if is_answer else sent[c.SOURCE]
         upset = True
     if not is_answer:
-        t.heard_ns(air, r)[sent[c.SOURCE]] = end_here_ns
-        t.heard_mw(air, r)[sent[c.SOURCE]] = t.powers_mw(air, frame)[r]
+        t.last_received_ns(air, r)[sent[c.SOURCE]] = end_here_ns
+        t.last_received_mw(air, r)[sent[c.SOURCE]] = t.powers_mw(air, frame)[r]
     return bool(upset)
 
 
 @njit(cache=True)
 def _judge(air: Air, frame: int, r: int, fate: int, draw: float) -> int:
-    """Whether an intended receiver has got a frame, and if not, whether it would have got it alone."""
+    """Return the outcome at an intended receiver: `DELIVERED`, `COLLIDED` or `LOST`."""
     if fate == c.RECEIVED:
         return c.DELIVERED
     power_mw = t.powers_mw(air, frame)[r]
@@ -284,9 +284,9 @@ def _judge(air: Air, frame: int, r: int, fate: int, draw: float) -> int:
 
 @njit(cache=True)
 def conclude(air: Air, frame: int) -> None:
-    """Count a frame that has ended, put it down among the records, and note that its sender has sent it.
+    """Count and record a frame that has ended, and end its transmission at the sender.
 
-    A reservation that nobody uses will be seen.
+    Schedules the check for an unused reservation.
     """
     sent, notes = t.signals(air, frame), t.ends(air, c.NOTES)
     if sent[c.LAPSE]:
@@ -306,12 +306,12 @@ def conclude(air: Air, frame: int) -> None:
     end_sending(t.stations(air, sent[c.SOURCE]))
 
 
-# --- reservations that nobody uses
+# --- unused reservations
 
 
 @njit(cache=True)
 def look_for_unused(air: Air, frame: int) -> None:
-    """Have a reservation fall where nothing was heard after the frame that made it (10.3.2.4)."""
+    """Schedule a NAV reset at stations that detected no frame after the one that set it (10.3.2.4)."""
     nav_ns, lapse_ns = t.signals(air, frame)[c.NAV], t.signals(air, frame)[c.LAPSE]
     for r in range(air[c.STATIONS]):
         end_here_ns = t.signals(air, frame)[c.END] + t.delays_ns(air, frame)[r]
@@ -325,7 +325,7 @@ def look_for_unused(air: Air, frame: int) -> None:
 
 @njit(cache=True)
 def drop_reservation(air: Air, r: int, end_here_ns: int, until_ns: int) -> bool:
-    """Have a reservation fall if it is still the same and still unused."""
+    """Reset the NAV if it is unchanged and still unused; return whether it was reset."""
     row = t.stations(air, r)
     if row[c.RESERVED_UNTIL] == until_ns and row[c.LOCKED] <= end_here_ns:
         row[c.RESERVED_UNTIL] = air[c.NOW]
@@ -335,24 +335,25 @@ def drop_reservation(air: Air, r: int, end_here_ns: int, until_ns: int) -> bool:
 
 @njit(cache=True)
 def loudest(air: Air, station: int, oldest_ns: int, turn: int) -> int:
-    """Who is heard loudest by a station since ``oldest_ns``; `netsim.model.columns.NOTHING` if nobody is.
+    """Return a neighbour received since ``oldest_ns``; `netsim.model.columns.NOTHING` without any.
 
-    ``turn`` counts through all of them, in order of falling power and then of their numbers, again and again.
+    ``turn`` selects cyclically among them, in order of falling received power and then of their numbers.
     """
-    heard_ns, heard_mw = t.heard_ns(air, station), t.heard_mw(air, station)
+    last_received_ns, last_received_mw = t.last_received_ns(air, station), t.last_received_mw(air, station)
     count = 0
-    for other in range(len(heard_ns)):
-        count += heard_ns[other] >= oldest_ns
+    for other in range(len(last_received_ns)):
+        count += last_received_ns[other] >= oldest_ns
     if count == 0:
         return c.NOTHING
     rank = turn % count
-    for other in range(len(heard_ns)):
-        if heard_ns[other] < oldest_ns:
+    for other in range(len(last_received_ns)):
+        if last_received_ns[other] < oldest_ns:
             continue
         ahead = 0
-        for rival in range(len(heard_ns)):
-            if heard_ns[rival] >= oldest_ns and (
-                heard_mw[rival] > heard_mw[other] or (heard_mw[rival] == heard_mw[other] and rival < other)
+        for rival in range(len(last_received_ns)):
+            if last_received_ns[rival] >= oldest_ns and (
+                last_received_mw[rival] > last_received_mw[other]
+                or (last_received_mw[rival] == last_received_mw[other] and rival < other)
             ):
                 ahead += 1
                 if ahead > rank:

@@ -1,4 +1,4 @@
-"""Modes and the air time of a frame: non-HT OFDM and VHT with one spatial stream, long guard interval.
+"""PHY modes and air times of frames: non-HT OFDM and VHT with one spatial stream, long guard interval.
 
 Sources: IEEE 802.11-2016 clause 17 (OFDM), clause 21 (VHT), 10.7.6.5 (rates of control responses).
 """
@@ -16,7 +16,7 @@ VHT_PREAMBLE_NS = 40_000
 """The non-HT preamble, VHT-SIG-A 8 us, VHT-STF, one VHT-LTF and VHT-SIG-B of 4 us each."""
 SERVICE_AND_TAIL_BITS = 22
 VHT_DELIMITER_BYTES = 4
-"""Even a single VHT frame is an A-MPDU: its delimiter goes in front."""
+"""A single VHT frame is also an A-MPDU, with a delimiter before it."""
 
 _NON_HT_SUBCARRIERS = 48
 _VHT_SUBCARRIERS: dict[int, int] = {20: 52, 40: 108, 80: 234}
@@ -31,7 +31,7 @@ _MODULATION: dict[str, tuple[int, int, int]] = {
 
 
 class PhyMode(Struct, frozen=True, kw_only=True, eq=False):
-    """One modulation and coding on one channel width; of each there is one object, made by `phy_mode`."""
+    """One modulation and coding at one channel width; use `phy_mode`, which returns one object each."""
 
     name: Mode
     bandwidth_mhz: BandwidthMhz
@@ -43,7 +43,7 @@ class PhyMode(Struct, frozen=True, kw_only=True, eq=False):
     preamble_ns: int
 
     def duration_ns(self, frame_bytes: int) -> int:
-        """Air time of a frame of that many bytes, MAC header and FCS included.
+        """Return the air time of a frame; ``frame_bytes`` includes MAC header and FCS.
 
         Non-HT: 20 us + 4 us ceil((22 + 8 L) / N_DBPS), equation 17-29. VHT: 40 us + 4 us ceil((22 + 8 (L +
         4)) / N_DBPS), equation 21-107 with one encoder.
@@ -55,11 +55,11 @@ class PhyMode(Struct, frozen=True, kw_only=True, eq=False):
 
 @cache
 def phy_mode(name: Mode, bandwidth_mhz: BandwidthMhz) -> PhyMode:
-    """Mode on a channel of that width.
+    """Return the mode at a channel width.
 
-    A non-HT frame on a wider channel is a non-HT duplicate (17.3.9): the same bits in every 20 MHz, so it
-    takes as long as on 20 MHz and its power spreads over the channel. Raises ValueError for VHT MCS 9 at 20
-    MHz, which does not exist.
+    A non-HT frame on a wider channel is a non-HT duplicate (17.3.9): the same bits in every 20 MHz, with the
+    duration of 20 MHz and the power spread over the channel. Raises ValueError for VHT MCS 9 at 20 MHz, which
+    does not exist.
     """
     bits, numerator, denominator = _MODULATION[name]
     vht = name.startswith("vht")
@@ -79,10 +79,10 @@ def phy_mode(name: Mode, bandwidth_mhz: BandwidthMhz) -> PhyMode:
 
 @cache
 def response_mode(of: PhyMode) -> PhyMode:
-    """Mode of the CTS or ACK that answers a frame.
+    """Return the mode of the CTS or ACK that responds to a frame.
 
-    The highest mandatory rate (6, 12, 24 Mbit/s) not above the frame's. A VHT frame counts as the non-HT rate
-    of its modulation (10.7.6.5.2, 10.7.10).
+    It is the highest mandatory rate (6, 12, 24 Mbit/s) not above the frame's. A VHT frame counts with the
+    non-HT rate of its modulation (10.7.6.5.2, 10.7.10).
     """
     bits = of.bits_per_subcarrier
     return phy_mode("ofdm6" if bits == 1 else "ofdm12" if bits == 2 else "ofdm24", of.bandwidth_mhz)
@@ -90,5 +90,5 @@ def response_mode(of: PhyMode) -> PhyMode:
 
 @cache
 def response_ns(of: PhyMode, frame_bytes: int) -> int:
-    """Air time of a CTS or ACK of that many bytes that answers a frame."""
+    """Return the air time of a CTS or ACK of ``frame_bytes`` that responds to a frame in mode ``of``."""
     return response_mode(of).duration_ns(frame_bytes)

@@ -1,9 +1,8 @@
-"""When something stands between two stations: a two-state process in time for every unordered pair.
+"""Blockage of lines of sight: a two-state random process in time for every unordered pair of stations.
 
 Clear and blocked times are exponentially distributed, as in the two-state channel of Lutz et al. (IEEE
-Transactions on Vehicular Technology 40, 1991); their means follow from the share of blocked time and the
-mean blocked time. A pair's switches are a function of seed and pair alone. Where the stations are has no
-influence.
+Transactions on Vehicular Technology 40, 1991). Their means follow from the fraction of blocked time and the
+mean blocked time. The process depends only on seed and pair, not on the positions of the stations.
 """
 
 from array import array
@@ -15,15 +14,15 @@ from netsim.model.event_queue import NEVER_NS
 from netsim.model.random_streams import Model, RandomStreams
 
 LONGEST_NS = 1e18
-"""Mean time beyond which it makes no difference, 30 years."""
+"""Upper limit of mean times, 30 years."""
 KEPT_NS = 100_000_000
-"""Nobody asks for an earlier time than that before the latest: frames that have ended lasted 6 ms at most."""
+"""Time for which past switches are kept. Queries go back by the length of a frame, at most 6 ms."""
 MOST_SWITCHES = 64
-"""So many make a pair look for those that are too old."""
+"""Number of switches from which old ones are removed."""
 
 
 class _Pair:
-    """Switches of one pair, drawn as far as anybody has asked and kept for `KEPT_NS`."""
+    """Switches of one pair, drawn up to the latest query and kept for `KEPT_NS`."""
 
     __slots__ = ("_generator", "_means_ns", "_starts_blocked", "switches_ns")
 
@@ -33,11 +32,11 @@ class _Pair:
         self._generator = generator
         self._means_ns = means_ns
         self._starts_blocked = bool(generator.random() < fraction)
-        """Whether it is blocked after the first switch that is kept."""
+        """Whether the pair is blocked after the first kept switch."""
         self.switches_ns = array("q", [0])
 
     def at(self, at_ns: int) -> tuple[bool, int]:
-        """Whether it is blocked, and until when that stays so; `KEPT_NS` before the latest asked at most."""
+        """Return whether the pair is blocked, and until when; ``at_ns`` may be `KEPT_NS` in the past."""
         switches_ns = self.switches_ns
         while switches_ns[-1] <= at_ns:
             # the interval after an even number of switches is of the first kind
@@ -50,14 +49,14 @@ class _Pair:
         return self._starts_blocked == (k % 2 == 1), switches_ns[k]
 
     def _forget(self, before_ns: int) -> None:
-        """Drop the switches by which nothing is told from ``before_ns`` on: in pairs, so that kinds stay."""
+        """Remove the switches not needed from ``before_ns`` on, in pairs, to keep their parity."""
         old = bisect_right(self.switches_ns, before_ns) - 1
         if old > 1:
             del self.switches_ns[: old - old % 2]
 
 
 class Obstruction:
-    """Lines of sight of all pairs."""
+    """Blockage of the lines of sight of all pairs."""
 
     def __init__(self, *, fraction: float, duration_s: float, stations: int, streams: RandomStreams) -> None:
         self._fraction = fraction
@@ -66,13 +65,13 @@ class Obstruction:
             min(1e9 * duration_s * (1.0 - fraction) / max(fraction, 1e-300), LONGEST_NS),
             min(1e9 * duration_s, LONGEST_NS),
         )
-        """Of clear and of blocked times."""
+        """Means of clear and of blocked times."""
         self._streams = streams
         self._stations = stations
         self._pairs: dict[tuple[int, int], _Pair] = {}
 
     def blocked(self, a: int, b: int, at_ns: int) -> tuple[bool, int]:
-        """Whether the line of sight is blocked, and until when that stays so."""
+        """Return whether the line of sight is blocked, and until when this is valid."""
         if self._always or self._fraction == 0.0:
             return self._always, NEVER_NS
         key = (a, b) if a < b else (b, a)
@@ -83,7 +82,7 @@ class Obstruction:
         return pair.at(at_ns)
 
     def row(self, source: int, at_ns: int) -> tuple[list[bool], int]:
-        """Whom the station has no line of sight to, by station, and until when all of that stays so."""
+        """Return whether the lines of sight to all stations are blocked, and until when this is valid."""
         states = [
             (False, NEVER_NS) if other == source else self.blocked(source, other, at_ns)
             for other in range(self._stations)

@@ -1,6 +1,6 @@
-"""Path loss, antennas and shadowing together, from many places to many: what arrays are quicker for.
+"""Total gain of path loss, antennas and shadowing from many positions to many, as arrays.
 
-Gains are against isotropic antennas in free space over the reference distance of `netsim.phy.path_loss`.
+Gains are relative to isotropic antennas in free space at the reference distance of `netsim.phy.path_loss`.
 """
 
 import numpy as np
@@ -21,18 +21,18 @@ from netsim.phy.path_loss import (
 from netsim.phy.shadowing import Shadowing
 
 ALL = slice(None)
-"""Every station as a source."""
+"""Selects all stations as sources."""
 
 
 class PathGain:
-    """The settings' models."""
+    """The propagation models selected by the settings."""
 
     def __init__(self, config: RadioConfig, streams: RandomStreams) -> None:
         self._frequency_mhz = config.frequency_mhz
         self._bandwidth_mhz = config.bandwidth_mhz
         self._two_ray = config.path_loss == "two_ray"
         self.exponent = 2.0 if config.path_loss == "friis" else config.path_loss_exponent
-        """Of the power law, if that is the path loss."""
+        """Exponent of the power law, if that is the path loss."""
         self._permittivity = ground_permittivity(config.frequency_mhz)
         self._shadowing: Shadowing | None = None
         if config.shadowing_std_db > 0.0:
@@ -41,9 +41,10 @@ class PathGain:
     def between_stations(
         self, sources: slice, pos_ned_m: Doubles, axes_ned: Doubles | None
     ) -> tuple[Doubles, Doubles]:
-        """Gains (m, n) from some of n stations to all, and distances in metres; of no meaning to itself.
+        """Return gains and distances in metres, (m, n), from m of n stations to all.
 
-        ``axes_ned`` (n, 3) are those of dipoles; None has isotropic antennas.
+        ``axes_ned`` (n, 3) are the axes of dipoles; None: isotropic antennas. The gain of a station to itself
+        is meaningless.
         """
         from_ned_m = pos_ned_m if sources == ALL else pos_ned_m[sources]
         away_m = pos_ned_m - from_ned_m[:, None]
@@ -65,7 +66,7 @@ class PathGain:
                 ray, axes_ned[sources], axes_ned
             )
             polarised = vertical * vertical_field + horizontal * horizontal_field
-            # what goes beside the dipoles' own fields has no phase: powers add
+            # the unpolarised parts are incoherent: powers add
             kept = 0.5 * (np.abs(vertical) ** 2 + np.abs(horizontal) ** 2)
             beside = beside / np.maximum(distances_m, REFERENCE_DISTANCE_M) ** 2
             beside += reflected_beside * kept / np.maximum(ray.distance_m, REFERENCE_DISTANCE_M) ** 2
@@ -75,7 +76,7 @@ class PathGain:
     def from_others(
         self, from_ned_m: Doubles, to_ned_m: Doubles, to_axes_ned: Doubles | None
     ) -> tuple[Doubles, Doubles]:
-        """Gains (m, n) from transmitters of unknown antennas to stations, and the distances in metres."""
+        """Return gains and distances in metres, (m, n), from sources with unknown antennas to stations."""
         away_m = to_ned_m - from_ned_m[:, None]
         distances_m = np.sqrt(np.einsum("ijk,ijk->ij", away_m, away_m))
         if self._two_ray:

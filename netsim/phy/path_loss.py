@@ -1,8 +1,8 @@
-"""What distance takes: power laws, and the two-ray model of a smooth ground under both antennas.
+"""Path loss: Friis, and the two-ray model with a smooth ground.
 
-All gains are against what isotropic antennas in free space lose over 1 m, and nearer than 1 m as at 1 m. The
-ground is the plane NED z = 0. It is smooth and endless: relief, vegetation and the Earth's curvature are left
-out.
+All gains are relative to isotropic antennas in free space at 1 m; below 1 m the gain is that of 1 m. The
+ground is the plane NED z = 0, smooth and infinite: relief, vegetation and the Earth's curvature are not
+modelled.
 """
 
 from math import log10, pi
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 SPEED_OF_LIGHT_M_S = 299_792_458.0
 REFERENCE_DISTANCE_M = 1.0
 LEAST_HEIGHT_M = 0.1
-"""Of an antenna over the ground: on its legs a vehicle's stands about so high, wherever its centre is."""
+"""Least height of an antenna above ground, about that of a vehicle on its landing gear."""
 
 Vector = tuple[float, float, float]
 Doubles = NDArray[np.float64]
@@ -22,12 +22,12 @@ Complexes = NDArray[np.complex128]
 
 
 def friis_loss_db(distance_m: float, frequency_mhz: float) -> float:
-    """Free-space path loss between isotropic antennas."""
+    """Return the free-space path loss between isotropic antennas, dB."""
     return 20.0 * log10(4.0 * pi * distance_m * frequency_mhz * 1e6 / SPEED_OF_LIGHT_M_S)
 
 
 def ground_permittivity(frequency_mhz: float) -> complex:
-    """Complex relative permittivity of medium dry ground, fitted to 1 to 10 GHz (ITU-R P.2040-3, table 3).
+    """Return the complex permittivity of medium dry ground, fitted to 1 to 10 GHz (ITU-R P.2040-3, table 3).
 
     Real part 15 f^-0.1, conductivity 0.035 f^1.63 S/m with f in GHz; imaginary part 17.98 sigma / f.
     """
@@ -36,29 +36,29 @@ def ground_permittivity(frequency_mhz: float) -> complex:
 
 
 class GroundRay(Struct, frozen=True, kw_only=True):
-    """Geometry of the rays that the ground reflects, from m places to n places."""
+    """Geometry of the ground-reflected rays from m positions to n positions."""
 
     across_ned: Doubles
-    """(m, n, 2) horizontal unit vectors from the one place to the other, north and east."""
+    """(m, n, 2) horizontal unit vectors from source to receiver, north and east."""
     distance_m: Doubles
-    """(m, n) along the ray."""
+    """(m, n) length of the ray."""
     detour_m: Doubles
-    """(m, n) longer than the direct ray."""
+    """(m, n) length minus that of the direct ray."""
     sine: Doubles
-    """(m, n) of the angle between ray and ground."""
+    """(m, n) sine of the angle between ray and ground."""
     cosine: Doubles
-    """(m, n) of the same."""
+    """(m, n) cosine of that angle."""
 
 
 def ground_ray(from_ned_m: Doubles, to_ned_m: Doubles, direct_m: Doubles) -> GroundRay:
-    """Reflect at z = 0: rays seem to come from the images of ``from_ned_m`` (m, 3) under the ground."""
+    """Return the rays reflected at z = 0, from the mirror images of ``from_ned_m`` (m, 3)."""
     across_m = to_ned_m[:, :2] - from_ned_m[:, None, :2]
     horizontal_m = np.sqrt(np.einsum("ijk,ijk->ij", across_m, across_m))
     from_m = np.maximum(-from_ned_m[:, 2:], LEAST_HEIGHT_M)
     to_m = np.maximum(-to_ned_m[:, 2], LEAST_HEIGHT_M)
     sum_m = from_m + to_m
     distance_m = np.hypot(horizontal_m, sum_m)
-    across_m[horizontal_m == 0.0] = (1.0, 0.0)  # straight below each other any direction will do
+    across_m[horizontal_m == 0.0] = (1.0, 0.0)  # arbitrary direction for vertical rays
     return GroundRay(
         across_ned=across_m / np.where(horizontal_m == 0.0, 1.0, horizontal_m)[..., None],
         distance_m=distance_m,
@@ -70,9 +70,9 @@ def ground_ray(from_ned_m: Doubles, to_ned_m: Doubles, direct_m: Doubles) -> Gro
 
 
 def reflection(permittivity: complex, ray: GroundRay) -> tuple[Complexes, Complexes]:
-    """Fresnel's coefficients of the electric field, vertical and horizontal polarisation.
+    """Return the Fresnel coefficients of the electric field for vertical and horizontal polarisation.
 
-    Vertical fields count as positive upwards before and after, so that a perfect conductor has +1 and -1.
+    Vertical fields are positive upwards before and after: a perfect conductor has +1 and -1.
     """
     root = np.sqrt(permittivity - ray.cosine * ray.cosine)
     vertical = (permittivity * ray.sine - root) / (permittivity * ray.sine + root)
@@ -87,12 +87,12 @@ def two_ray_gain(
     frequency_mhz: float,
     bandwidth_mhz: float,
 ) -> Doubles:
-    """Power of both rays' fields together, averaged over the channel.
+    """Return the total power gain of both rays, averaged over the channel.
 
-    ``direct_field`` and ``reflected_field`` say what antennas and ground make of each ray's field, 1 if
-    nothing. Over a channel of width B the product of the fields turns with the detour D, so that its mean is
-    the one at the centre times sin(x) / x, x = pi B D / c: an 80 MHz channel has no deep notches any more
-    where the rays are 3.7 m apart.
+    ``direct_field`` and ``reflected_field`` are the field gains by antennas and ground, 1 for none. Over a
+    channel of width B the phase of the product of the fields rotates with the detour D, so its mean is the
+    value at the centre times sin(x) / x, x = pi B D / c. An 80 MHz channel has no deep notches for a detour
+    of 3.7 m or more.
     """
     direct = direct_field / np.maximum(direct_m, REFERENCE_DISTANCE_M)
     reflected = reflected_field / np.maximum(ray.distance_m, REFERENCE_DISTANCE_M)

@@ -1,7 +1,7 @@
-"""Where stations are and what a frame loses on its way to each other one: the link budget, and its delay.
+"""Positions of the stations, and link budgets: received powers and propagation delays.
 
 The models are in `netsim.phy.path_gain` (path loss, antennas, shadowing), `netsim.phy.obstruction` and
-`netsim.phy.fading`; a budget is the product of those that are switched on.
+`netsim.phy.fading`; a budget is the product of the enabled ones.
 """
 
 from collections.abc import Callable
@@ -35,19 +35,19 @@ __all__ = [
 BOLTZMANN_J_K = 1.380649e-23
 REFERENCE_TEMPERATURE_K = 290.0
 ROW_LIFETIME_NS = 4_000_000
-"""A moving station's link budget is computed afresh after this: at 20 m/s it has moved 8 cm."""
+"""Validity of the link budget of a moving station, which moves 8 cm meanwhile at 20 m/s."""
 COMPUTED_TOGETHER = 16
-"""Up to so many stations the arrays of all links cost less than those of two stations' links, one by one."""
+"""Number of stations up to which computing all links at once costs less than two stations' links."""
 AUDIBLE_BELOW_NOISE = 0.01
-"""Signals more than 20 dB below the noise, and the thresholds of sensing, do not matter to anybody."""
+"""Power ratio to the noise, and to the sensing thresholds, below which a signal is ignored: -20 dB."""
 FARTHEST_PLACE_M, FASTEST_M_S, NORM_TOLERANCE = 1e8, 1e5, 1e-3
-"""What a station's state may be: limits against senseless numbers."""
+"""Limits of a station's state, to reject invalid numbers."""
 FARTHEST_M = 16e-6 * SPEED_OF_LIGHT_M_S
-"""Beyond a delay of SIFS, 4.8 km, answers would be due before their cause has ended everywhere."""
+"""Range limit, a delay of SIFS or 4.8 km: beyond it a response could begin before the frame has ended."""
 
 
 def thermal_noise_mw(bandwidth_mhz: float, noise_figure_db: float) -> float:
-    """Noise power k T B F at the receiver's input, in milliwatt."""
+    """Return the noise power k T B F at the receiver's input, in milliwatts."""
     return (
         BOLTZMANN_J_K
         * REFERENCE_TEMPERATURE_K
@@ -59,10 +59,7 @@ def thermal_noise_mw(bandwidth_mhz: float, noise_figure_db: float) -> float:
 
 @njit(cache=True)
 def is_possible(pos_ned_m: Doubles, vel_ned_m_s: Doubles, q_ned_frd: Doubles) -> bool:
-    """Whether places and velocities (n, 3) and attitudes (n, 4) make sense: of Earth, and of length one.
-
-    What is not a number does not.
-    """
+    """Whether positions and velocities (n, 3) are finite and within limits, and quaternions have norm 1."""
     for r in range(len(pos_ned_m)):
         for axis in range(3):
             if not (abs(pos_ned_m[r, axis]) <= FARTHEST_PLACE_M and abs(vel_ned_m_s[r, axis]) <= FASTEST_M_S):
@@ -88,16 +85,16 @@ def _power_law(
     distances_m: Doubles,
     delays_ns: Integers,
 ) -> int:
-    """Fill powers, distances and delays (n,) from a station to all; returns the longest as `_reach` does.
+    """Fill powers, distances and delays (n,) from a station to all; return the longest delay as `_reach`.
 
-    They are where they get to in ``dt_s`` from where it is stated.
+    Positions are extrapolated by ``dt_s``.
     """
     for r in range(len(pos_ned_m)):
         square_m2 = 0.0
         for axis in range(3):
             to_m = pos_ned_m[r, axis] + dt_s * vel_ned_m_s[r, axis]
             way_m = to_m - (pos_ned_m[source, axis] + dt_s * vel_ned_m_s[source, axis])
-            square_m2 += way_m * way_m  # not way_m**2, of which Python's pow rounds some otherwise
+            square_m2 += way_m * way_m  # not way_m**2, since Python's pow rounds differently
         distances_m[r] = sqrt(square_m2)
         powers_mw[r] = at_reference_mw * max(distances_m[r], REFERENCE_DISTANCE_M) ** -exponent
     powers_mw[source] = 0.0
@@ -108,7 +105,7 @@ def _power_law(
 def _reach(
     powers_mw: Doubles, distances_m: Doubles, farthest_m: float, audible_mw: float, delays_ns: Integers
 ) -> int:
-    """Fill the delays (n,); returns the longest to who can hear anything, as nobody can from farther away."""
+    """Fill the delays (n,); return the longest one to a station that can sense the signal."""
     longest_ns = 0
     for r in range(len(powers_mw)):
         if distances_m[r] > farthest_m:
@@ -121,9 +118,9 @@ def _reach(
 
 
 class Trajectories:
-    """Positions of the stations, going on at the velocity of the last known instant. World NED, metres.
+    """Positions of the stations, extrapolated with the velocities of the last update. World NED, metres.
 
-    Attitudes stay as they are until the next instant.
+    Attitudes are constant between updates.
     """
 
     __slots__ = (
@@ -144,26 +141,25 @@ class Trajectories:
         self._pos_ned_m = np.zeros((stations, 3))
         self._vel_ned_m_s = np.zeros((stations, 3))
         self._rows: tuple[list[list[float]], list[list[float]]] | None = None
-        """Places and velocities as single numbers, once somebody has asked for them."""
+        """Positions and velocities as lists of floats, created on demand."""
         self._attitudes: bytes | None = None
         self._axes_ned: Doubles | None = None
         self.moving = False
         self.on_set: Callable[[int, Doubles, Doubles], None] | None = None
-        """Called with time, positions and velocities of a `set` that changes the course, before it holds."""
+        """Called with time, positions and velocities by `set`, before it changes the motion."""
         self.version = 0
-        """Rises whenever positions may have changed otherwise than by the motion announced before."""
+        """Incremented when positions may differ from the extrapolated ones."""
         self.pose_version = 0
-        """Rises with it, and when an attitude has changed."""
+        """Incremented with ``version`` and when an attitude has changed."""
 
     def set(
         self, at_ns: int, pos_ned_m: ArrayLike, vel_ned_m_s: ArrayLike, q_ned_frd: ArrayLike | None = None
     ) -> None:
-        """State where the stations are at ``at_ns``, and how fast they go on from there.
+        """Set positions and velocities (n, 3) at ``at_ns``.
 
-        Positions and velocities are (n, 3). ``q_ned_frd`` (n, 4) are Hamilton quaternions wxyz that map FRD
-        to NED; None has all of them level.
+        ``q_ned_frd`` (n, 4) are Hamilton quaternions wxyz that map FRD to NED; None: all level.
         """
-        # copies, which nobody else changes
+        # copies, as the caller may change its arrays
         places, velocities = np.array(pos_ned_m, np.float64), np.array(vel_ned_m_s, np.float64)
         moving = bool(np.count_nonzero(velocities))
         if moving or self.moving or places.tobytes() != self._pos_ned_m.tobytes():
@@ -186,16 +182,16 @@ class Trajectories:
         return self._at_ns
 
     def course(self, at_ns: int) -> tuple[Doubles, Doubles, float]:
-        """Places and velocities (n, 3) as they were stated, and the time since then in seconds."""
+        """Return positions and velocities (n, 3) of the last update, and the time since then in seconds."""
         return self._pos_ned_m, self._vel_ned_m_s, (at_ns - self._at_ns) * 1e-9
 
     def positions_ned_m(self, at_ns: int) -> Doubles:
-        """Where all stations are, (n, 3)."""
+        """Return the positions (n, 3) of all stations."""
         pos_ned_m, vel_ned_m_s, dt_s = self.course(at_ns)
         return pos_ned_m + dt_s * vel_ned_m_s if self.moving else pos_ned_m
 
     def distance_m(self, a: int, b: int, at_ns: int) -> float:
-        """Distance between two stations."""
+        """Return the distance between two stations."""
         rows = self._rows
         if rows is None:
             rows = self._rows = self._pos_ned_m.tolist(), self._vel_ned_m_s.tolist()
@@ -206,7 +202,7 @@ class Trajectories:
         return hypot(xa - xb + dt_s * (ua - ub), ya - yb + dt_s * (va - vb), za - zb + dt_s * (wa - wb))
 
     def body_z_ned(self) -> Doubles:
-        """The bodies' z axes, (stations, 3)."""
+        """Return the bodies' z axes (n, 3) in NED."""
         if self._axes_ned is None:
             level = np.tile([1.0, 0.0, 0.0, 0.0], len(self._pos_ned_m))
             attitudes = level if self._attitudes is None else np.frombuffer(self._attitudes)
@@ -215,22 +211,22 @@ class Trajectories:
 
 
 class LinkRow(Struct, frozen=True):
-    """What one transmitter's signals are at every station, by station.
+    """Link budget from one transmitter to every station, by station.
 
-    Entries are zero of a station's own, and of those over 4.8 km away, who hear nothing (`FARTHEST_M`).
+    Entries of the transmitter itself and of stations beyond `FARTHEST_M` (4.8 km) are zero.
     """
 
     powers_mw: Doubles
     """Mean received power, before fading."""
     delays_ns: Integers
     longest_delay_ns: int
-    """To the stations that can hear anything at all."""
+    """Longest delay to a station that can sense the signal."""
     until_ns: int = 0
-    """How long it holds while `Links.version` stays as it is; always for the time that it was asked for."""
+    """End of its validity while `Links.version` is unchanged; it is valid at least at the requested time."""
 
 
 class Links:
-    """Link budgets of all pairs, computed row by row when somebody transmits and kept while nobody moves."""
+    """Link budgets of all pairs, computed when a station transmits and cached while no station moves."""
 
     def __init__(
         self, config: RadioConfig, trajectories: Trajectories, stations: int, streams: RandomStreams
@@ -240,7 +236,7 @@ class Links:
         self._stations = stations
         self._extra_db = config.extra_attenuation_db
         self._dipoles = config.antenna == "dipole"
-        # who may sense a signal has to be told of its end
+        # stations that may sense a signal must process its end
         self._audible_mw = min(
             AUDIBLE_BELOW_NOISE * thermal_noise_mw(config.bandwidth_mhz, config.noise_figure_db),
             10.0 ** (min(config.cca_energy_dbm, config.cca_preamble_dbm) / 10.0 - 2.0),
@@ -252,10 +248,10 @@ class Links:
         self._path_gain = PathGain(config, streams)
         self._together = stations <= COMPUTED_TOGETHER
         self._paths: tuple[Doubles, Doubles] | None = None
-        """Gains and distances of all links, and what they were computed for."""
+        """Gains and distances of all links; ``_paths_of`` is the pose version and time of them."""
         self._paths_of: tuple[int, int] | None = None
         self._poses: tuple[Doubles, Doubles | None] | None = None
-        """Places (n, 3) and the dipoles' axes, and what they hold for."""
+        """Positions (n, 3) and dipole axes; ``_poses_of`` is the pose version and time of them."""
         self._poses_of: tuple[int, int] | None = None
         self._interferer_rows: list[LinkRow] = []
         self._interferer_rows_of: tuple[int, int] | None = None
@@ -284,25 +280,25 @@ class Links:
             or config.shadowing_std_db > 0.0
             or self._obstruction is not None
         )
-        """Nothing but a power law of the distance, which is quicker without arrays."""
+        """The path gain is only a power law of the distance, which is computed in a kernel."""
         self._distances_m = np.empty(stations)
-        """Of no use but while a row is computed."""
+        """Buffer used while a row is computed."""
         self._tx_power_dbm = [config.tx_power_dbm] * stations
         for station in config.stations:
             if station.tx_power_dbm is not None:
                 self._tx_power_dbm[station.station] = station.tx_power_dbm
         self._at_reference_mw: list[float] = []
-        """By source: what isotropic antennas' ends would receive over `REFERENCE_DISTANCE_M`."""
+        """By source: power received at `REFERENCE_DISTANCE_M`, antenna gains and attenuation included."""
         self._update_powers()
 
     def set_extra_attenuation_db(self, value: float | None) -> None:
-        """Attenuation on every link from now on; None is the configured one. Interferers keep their power.
+        """Set the extra attenuation of all links; None: the configured value. Interferers are not attenuated.
 
-        Raises ValueError for one that is negative or not finite.
+        Raises ValueError if it is negative or not finite.
         """
         extra_db = self._config.extra_attenuation_db if value is None else value
         if not 0.0 <= extra_db < inf:
-            raise ValueError(f"cannot attenuate by {extra_db} dB")
+            raise ValueError(f"extra attenuation of {extra_db} dB is negative or not finite")
         if extra_db != self._extra_db:
             self._extra_db = extra_db
             self._update_powers()
@@ -316,21 +312,21 @@ class Links:
 
     @property
     def version(self) -> int:
-        """Rises whenever rows may have changed otherwise than by the motion announced before."""
+        """Incremented when rows may differ from those of the extrapolated motion."""
         trajectories = self._trajectories
         poses = trajectories.pose_version if self._dipoles else trajectories.version
         return poses + self._powers_version
 
     def blocked(self, a: int, b: int, at_ns: int) -> bool:
-        """Whether something stands between two stations."""
+        """Whether the line of sight between two stations is blocked."""
         return self._obstruction is not None and self._obstruction.blocked(a, b, at_ns)[0]
 
     def fading_gains(self, source: int, at_ns: int) -> Doubles:
-        """What small-scale fading makes of each power of a row, by station; 1 without fading."""
+        """Return the power gains (n,) of small-scale fading for a row; 1 without fading."""
         return np.ones(self._stations) if self.fading is None else self.fading.gains(source, at_ns)
 
     def row(self, source: int, at_ns: int) -> LinkRow:
-        """Link budget from a station to all others."""
+        """Return the link budget from a station to all others, without fading."""
         row = self._rows[source]
         trajectories = self._trajectories
         version = trajectories.pose_version if self._dipoles else trajectories.version
@@ -366,7 +362,7 @@ class Links:
         return row
 
     def interferer_row(self, index: int, at_ns: int) -> LinkRow:
-        """Link budget from ``config.interferers[index]`` to all stations, without fading and blockage."""
+        """Return the link budget from an interferer to all stations, without fading and blockage."""
         trajectories = self._trajectories
         key = trajectories.pose_version, self._since_ns(at_ns)
         if key != self._interferer_rows_of:
@@ -383,7 +379,7 @@ class Links:
         return self._interferer_rows[index]
 
     def _since_ns(self, at_ns: int) -> int:
-        """When the stations were where rows of ``at_ns`` have them: whole lifetimes after the last set."""
+        """Return the time of the positions used at ``at_ns``: whole row lifetimes after the last update."""
         trajectories = self._trajectories
         if not trajectories.moving:
             return 0
@@ -399,7 +395,7 @@ class Links:
         return self._poses
 
     def _paths_from(self, source: int, since_ns: int) -> tuple[Doubles, Doubles]:
-        """Gains and distances (n,) of one station's links, computed with all others' if they are few."""
+        """Return gains and distances (n,) of one station's links; with few stations computes all links."""
         if not self._together:
             sources = slice(source, source + 1)
             gains, distances = self._path_gain.between_stations(sources, *self._poses_at(since_ns))

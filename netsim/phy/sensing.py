@@ -1,11 +1,11 @@
-"""What a station senses of the medium: since when it is busy and until when, and how long it has been.
+"""Carrier sense of a station: the current busy period and the accumulated busy time.
 
-Clear channel assessment (IEEE 802.11-2016, 17.3.10.6): the medium is busy while all signals together are over
--62 dBm, and while a frame lasts that is over -82 dBm and 4 dB over the noise. Such a frame counts from its
-arrival on, whatever else is on the air and whatever the receiver makes of it: the short training fields of
-frames that collide trip a correlator all the same, and ns-3 takes frames as busy from its CCA sensitivity on.
-That it takes 4 us is the MAC's matter (`netsim.mac.access.CCA_NS`). Both thresholds apply to the power in the
-whole channel, which is more alert than the standard asks of wide channels.
+Clear channel assessment (IEEE 802.11-2016, 17.3.10.6): the medium is busy while the total power is above -62
+dBm, and during a frame above -82 dBm and 4 dB above the noise. Such a frame counts from its arrival,
+regardless of other signals and of its reception: the short training fields of colliding frames are also
+detected by a correlator, and ns-3 treats frames as busy from its CCA sensitivity. The detection time of 4 us
+is applied by the MAC (`netsim.mac.access.CCA_NS`). Both thresholds apply to the power in the whole channel,
+which is more sensitive than the standard requires for wide channels.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ from netsim.model.tables import Air, Integers
 
 @njit(cache=True)
 def occupy(row: Integers, from_ns: int, until_ns: int) -> bool:
-    """Have a station sense the medium busy from now or soon on; False if it does so anyway."""
+    """Extend a station's busy period; return False if it already covers the time."""
     if from_ns > row[c.BUSY_UNTIL]:
         row[c.ENDED_BUSY] += row[c.BUSY_UNTIL] - row[c.BUSY_FROM]
         row[c.IDLE_BEFORE] = row[c.BUSY_UNTIL]
@@ -33,10 +33,10 @@ def occupy(row: Integers, from_ns: int, until_ns: int) -> bool:
 
 @njit(cache=True)
 def energy_until_ns(air: Air, signal: int, r: int, arrival_ns: int, last_ns: int) -> int:
-    """Until when all signals together keep up the energy threshold at ``r``; 0 if they do not reach it.
+    """Return the time until which the total power at ``r`` exceeds the energy threshold; 0 if it does not.
 
-    For a signal that arrives now and lasts until ``last_ns``, and is not sensed by itself. What the others
-    amount to without it has been added up before.
+    To be called for a signal that arrives now, lasts until ``last_ns`` and is not sensed by itself. The
+    total power without this signal was checked at the arrival of the others.
     """
     others = t.overlaps(air, signal)[: t.signals(air, signal)[c.OVERLAPS]]
     count = 1
@@ -51,7 +51,7 @@ def energy_until_ns(air: Air, signal: int, r: int, arrival_ns: int, last_ns: int
         power_mw = t.powers_mw(air, other)[r]
         if end_ns > last_ns:
             last_ns, last_mw = end_ns, power_mw
-        # the later end first, and of equal ones the stronger
+        # sorted by falling end, then by falling power
         i = count
         while i and (ends_ns[i - 1], powers_mw[i - 1]) < (end_ns, power_mw):
             ends_ns[i], powers_mw[i] = ends_ns[i - 1], powers_mw[i - 1]
@@ -70,7 +70,7 @@ def energy_until_ns(air: Air, signal: int, r: int, arrival_ns: int, last_ns: int
 
 @njit(cache=True)
 def begin_sending(row: Integers, from_ns: int, until_ns: int) -> None:
-    """Note that a station sends from now on: what is being received is given up."""
+    """Record the begin of a station's transmission; a reception under way is aborted."""
     row[c.LOCK] = c.NOTHING
     row[c.SENDING_FROM] = from_ns
     row[c.SENDING_UNTIL] = until_ns
@@ -79,20 +79,23 @@ def begin_sending(row: Integers, from_ns: int, until_ns: int) -> None:
 
 @njit(cache=True)
 def end_sending(row: Integers) -> None:
-    """Note that the own transmission is over, after it has ended everywhere."""
+    """Record the end of a station's transmission, after it has ended at all stations."""
     row[c.SENT_ALONE] += _sending_alone_ns(row, row[c.SENDING_UNTIL])
     row[c.SENDING_FROM] = row[c.SENDING_UNTIL]
 
 
 @njit(cache=True)
 def surveyed_ns(row: Integers, at_ns: int) -> int:
-    """Time up to ``at_ns``, which is now, for which the medium was sensed busy or the station sent."""
+    """Return the time up to now, ``at_ns``, for which the medium was sensed busy or the station sent."""
     return int(_sensed_ns(row, at_ns) + row[c.SENT_ALONE] + _sending_alone_ns(row, at_ns))
 
 
 @njit(cache=True)
 def _sensed_ns(row: Integers, at_ns: int) -> int:
-    """Time up to ``at_ns`` for which the medium was sensed busy; the last but one period may be on."""
+    """Return the time up to ``at_ns`` for which the medium was sensed busy.
+
+    At ``at_ns`` the last period or, before its begin, the last but one may be under way.
+    """
     if at_ns >= row[c.BUSY_UNTIL]:
         return int(row[c.ENDED_BUSY] + row[c.BUSY_UNTIL] - row[c.BUSY_FROM])
     if at_ns >= row[c.BUSY_FROM]:
@@ -102,7 +105,7 @@ def _sensed_ns(row: Integers, at_ns: int) -> int:
 
 @njit(cache=True)
 def _sending_alone_ns(row: Integers, at_ns: int) -> int:
-    """Time up to ``at_ns`` of the own transmission under way in which nothing was sensed."""
+    """Return the time up to ``at_ns`` of the current own transmission in which no signal was sensed."""
     until_ns, from_ns = min(at_ns, row[c.SENDING_UNTIL]), row[c.SENDING_FROM]
     if until_ns <= from_ns:
         return 0

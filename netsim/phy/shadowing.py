@@ -1,15 +1,16 @@
-"""Shadowing as a function of where a link's two ends are.
+"""Shadowing as a function of the positions of both ends of a link.
 
-Gudmundson's exponential correlation (Electronics Letters 27, 1991) holds for the way of either end, and the
-product of both if both move (Wang, Tameh and Nix, IEEE Transactions on Vehicular Technology 57, 2008):
+The correlation is Gudmundson's exponential (Electronics Letters 27, 1991) in the displacement of either end,
+and the product of both if both move (Wang, Tameh and Nix, IEEE Transactions on Vehicular Technology 57,
+2008):
 
-    exp(-|way of a| / D) exp(-|way of b| / D)
+    exp(-|displacement of a| / D) exp(-|displacement of b| / D)
 
-The field over both places is a sum of waves cos(k . a + l . b + phase). Its correlation is the characteristic
-function of the wave vectors; exp(-|way| / D) is that of Cauchy's distribution in three dimensions with scale
-1 / D, so k and l are drawn from that, independently. A link is the same in both directions: the field of
-(a, b) and that of (b, a) are added. Where the ends are close to each other these two are correlated by
-exp(-2 d / D), which would raise the deviation; the sum is divided by what it is then.
+The field over both positions is a sum of waves cos(k . a + l . b + phase). Its correlation is the
+characteristic function of the wave vectors. exp(-|displacement| / D) is that of the three-dimensional Cauchy
+distribution with scale 1 / D, from which k and l are drawn independently. Links are reciprocal: the fields of
+(a, b) and (b, a) are added. Their correlation exp(-2 d / D) at distance d would increase the standard
+deviation, so the sum is divided accordingly.
 """
 
 from math import pi
@@ -25,7 +26,7 @@ _Waves = tuple[Doubles, Doubles, Doubles, Doubles]
 
 
 class Shadowing:
-    """One run's field."""
+    """Shadowing field of one run."""
 
     def __init__(self, std_db: float, distance_m: float, streams: RandomStreams) -> None:
         generator = streams.generator(Model.SHADOWING)
@@ -47,9 +48,9 @@ class Shadowing:
         return cosine[:, :WAVES], sine[:, :WAVES], cosine[:, WAVES:], sine[:, WAVES:]
 
     def between_db(self, from_ned_m: Doubles, to_ned_m: Doubles, distances_m: Doubles) -> Doubles:
-        """Shadowing (m, n) from m places to n places; positive is more power.
+        """Return the shadowing (m, n) in dB from m positions to n positions; positive is more power.
 
-        What belongs to ``to_ned_m`` is kept for the next call with the same array, which must not change.
+        Waves at ``to_ned_m`` are cached for the next call with the same array, which must not be modified.
         """
         to = self._last_waves
         if to is None or to_ned_m is not self._last_ned_m:

@@ -1,4 +1,4 @@
-"""A frame on the air as whoever watches the whole channel sees it."""
+"""A frame on the air with its outcome, for observers of the whole channel."""
 
 from netsim.phy.frames import Frame
 from netsim.phy.path_loss import Doubles
@@ -6,7 +6,7 @@ from netsim.phy.propagation import LinkRow
 
 
 class Transmission:
-    """A frame that is or was on the air, and what became of it."""
+    """A frame that is or was on the air, and its outcome."""
 
     __slots__ = (
         "collided", "delays_ns", "delivered", "end_ns", "frame", "longest_delay_ns", "lost_to_noise",
@@ -19,19 +19,19 @@ class Transmission:
         self.start_ns = start_ns
         self.end_ns = start_ns + frame.duration_ns
         self.powers_mw = powers_mw
-        """By station, as are the delays."""
+        """Received powers by station; delays are also by station."""
         self.delays_ns = row.delays_ns
         self.longest_delay_ns = row.longest_delay_ns
         self.delivered: list[int] = []
-        """Intended receivers that got it."""
+        """Intended receivers that received it."""
         self.collided: list[int] = []
-        """Those that would have got it had nothing else been on the air."""
+        """Intended receivers that would have received it without other signals."""
         self.lost_to_noise: list[int] = []
 
     def power_mw(self, station: int) -> float:
-        """Power at one station."""
+        """Return the received power at one station."""
         return self.powers_mw.item(station)
 
     def delay_ns(self, station: int) -> int:
-        """Time that it takes to one station."""
+        """Return the propagation delay to one station."""
         return self.delays_ns.item(station)

@@ -1,6 +1,6 @@
-"""Whether a frame survives noise and interference: chunks of constant ratio, whose hazards add.
+"""Probability that a frame is received despite noise and interference: hazards of chunks of constant SINR.
 
-Compiled, over `netsim.model.tables.Air`; the signal fields go at the lowest rate, which is mode 0.
+The functions are compiled and work on `netsim.model.tables.Air`. Signal fields use the lowest rate, mode 0.
 """
 
 from math import exp
@@ -15,7 +15,7 @@ from netsim.phy.errors import hazard_per_bit
 from netsim.phy.modes import NON_HT_PREAMBLE_NS
 
 SIGNAL_MODE = 0
-"""The row of modes that L-SIG goes in, 6 Mbit/s."""
+"""Row of the mode of L-SIG, 6 Mbit/s."""
 SIGNAL_BITS = 24
 """Bits of L-SIG, at 6 Mbit/s."""
 VHT_SIGNAL_BITS = 72
@@ -24,7 +24,7 @@ VHT_SIGNAL_BITS = 72
 
 @njit(cache=True)
 def clean_mw(air: Air, mode: int) -> float:
-    """Power from which on neither signal field nor payload of a frame can fail without interference."""
+    """Return the power from which a frame without interference is received with certainty."""
     return float(
         max(t.hazards(air, SIGNAL_MODE)[0], t.hazards(air, mode)[0]) * t.levels_mw(air, 0)[c.NOISE_MW]
     )
@@ -39,7 +39,7 @@ def _hazard_per_bit(air: Air, mode: int, sinr: float) -> float:
 
 @njit(cache=True)
 def alone(air: Air, frame: int, power_mw: float) -> float:
-    """Probability that a frame survives the noise, its signal field included."""
+    """Return the probability that a frame is received without interference, signal field included."""
     mode = t.signals(air, frame)[c.MODE]
     sinr = power_mw / t.levels_mw(air, 0)[c.NOISE_MW]
     signal_bits = VHT_SIGNAL_BITS if t.modes(air, mode)[c.VHT] else SIGNAL_BITS
@@ -50,7 +50,7 @@ def alone(air: Air, frame: int, power_mw: float) -> float:
 
 @njit(cache=True)
 def among_others(air: Air, frame: int, r: int) -> float:
-    """Probability that a frame survives noise and each chunk's interference at receiver ``r``."""
+    """Return the probability that a frame is received with interference at receiver ``r``."""
     power_mw = t.powers_mw(air, frame)[r]
     if t.signals(air, frame)[c.OVERLAPS] == 0:
         return alone(air, frame, power_mw)
@@ -83,7 +83,7 @@ def _hazard(air: Air, frame: int, r: int, power_mw: float) -> float:
             (max(other_start_ns, start_ns), t.powers_mw(air, other)[r]),
             (min(other_end_ns, end_ns), -t.powers_mw(air, other)[r]),
         ):
-            # in order of time and, of equal times, of power
+            # sorted by time, then by change of power
             i = count
             while i and (
                 when_ns < at_ns[i - 1] or (when_ns == at_ns[i - 1] and change_mw < changes_mw[i - 1])

@@ -1,7 +1,7 @@
-"""A radio whose host is in no lockstep: another program's, or that of an application beside a PX4.
+"""A radio whose host is not in lockstep: an external program, or a companion application of a PX4.
 
-What it sends goes on the air when it comes, and is acknowledged. What arrives is offered to it; nobody waits
-until it is taken, and what is not is lost.
+Transmissions go on the air when they reach the emulator, and are acknowledged. The emulator does not wait for
+received batches to be accepted; a batch that is not accepted is lost.
 """
 
 import logging
@@ -15,10 +15,10 @@ logger = logging.getLogger(__name__)
 
 
 class AsynchronousRadio:
-    """One station's radio; ``put`` is given its deliveries as they come in, in a thread of Zenoh's.
+    """One station's radio; ``put`` is called with each delivery, in a Zenoh thread.
 
-    Raises RadioLost if the emulator does not answer. A station number that is in use is not refused: the
-    deliveries go to the first.
+    Raises RadioLost if the emulator does not respond. A station number in use is not rejected: the deliveries
+    go to the first client.
     """
 
     def __init__(
@@ -28,22 +28,22 @@ class AsynchronousRadio:
         self._put = put
         self._newest_us = -1
         self.malformed = 0
-        """Bytes on this station's key that were no delivery."""
+        """Number of invalid messages on this station's key."""
         transport.serve(receive_key(run_id, station), self._take)
         self._asker = transport.asker(transmit_key(run_id), timeout_s=ANSWER_LIMIT_S)
-        self.hand_over(())  # acknowledged only after what was declared is known: deliveries find the way
+        self.hand_over(())  # its acknowledgement shows that the key above is declared at the emulator
 
     def hand_over(self, items: Sequence[TxItem], *, now_us: int = 0) -> None:
-        """Have the emulator take transmissions and acknowledge them. Raises RadioLost."""
+        """Send transmissions to the emulator and wait for its acknowledgement. Raises RadioLost."""
         hand_over(self._asker, TxBatch(station=self._station, now_us=now_us, items=tuple(items)))
 
     def _take(self, question: Question) -> None:
         batch = decode(RxBatch, question.payload)
         if batch is None or batch.station != self._station:
             self.malformed += 1
-            logger.warning("dropped %d bytes that are no delivery", len(question.payload))
+            logger.warning("dropped %d bytes that are not a valid delivery", len(question.payload))
             return
-        if batch.release_us > self._newest_us:  # deliveries rise; what does not is a stranger's
+        if batch.release_us > self._newest_us:  # release times rise; others are not of this run
             self._newest_us = batch.release_us
             self._put(batch)
         question.answer(_ACK)

@@ -1,7 +1,7 @@
-"""The time master's line to the emulator: one stream socket, an interval asked for, an interval done.
+"""Stream socket between time master and emulator: requests for intervals, and their replies.
 
-Made by whoever starts the two processes and inherited by both, so nobody else can be at either end, and the
-end of one process is an end of file at the other at once.
+It is created by the parent of the two processes and inherited by both, so no other process can connect, and
+the exit of one process is an end of file at the other.
 """
 
 import contextlib
@@ -14,41 +14,43 @@ import msgspec
 from netsim.wire.lockstep import Advance, Advanced
 
 ADVANCE_LIMIT_S = 20.0
-"""Wall time that the emulator has for one interval; far beyond what a loaded machine needs."""
+"""Time-out of one interval, wall time; far above the need of a loaded machine."""
 BATCH_LIMIT_S = 0.25
-"""Wall time that the emulator waits for a vehicle's batch before the time master is asked about it."""
+"""Wall time that the emulator waits for a vehicle's batch before it reports it missing."""
 _HEADER = struct.Struct("<I")
-"""Length of the message that follows."""
+"""Length of the following message."""
 _RECEIVE_BYTES = 65_536
 _encoder = msgspec.msgpack.Encoder()
 
 SentT = TypeVar("SentT", Advance, Advanced)
-HeardT = TypeVar("HeardT", Advance, Advanced)
+ReceivedT = TypeVar("ReceivedT", Advance, Advanced)
 
 
-class IntervalStream(Generic[SentT, HeardT]):
-    """One end of the line; close it. For one thread."""
+class IntervalStream(Generic[SentT, ReceivedT]):
+    """One end of the stream, for one thread; to be closed."""
 
-    def __init__(self, connection: socket.socket, heard: type[HeardT], *, limit_s: float | None) -> None:
+    def __init__(
+        self, connection: socket.socket, received: type[ReceivedT], *, limit_s: float | None
+    ) -> None:
         self._connection = connection
-        self._decoder: msgspec.msgpack.Decoder[HeardT] = msgspec.msgpack.Decoder(heard)
+        self._decoder: msgspec.msgpack.Decoder[ReceivedT] = msgspec.msgpack.Decoder(received)
         self._rest = b""
         if limit_s is not None:
-            # the kernel's time limit, for Python's own costs a system call more each time
+            # a time-out of the kernel: Python's own costs one more system call per receive
             whole_s = int(limit_s)
             timeval = struct.pack("ll", whole_s, round((limit_s - whole_s) * 1e6))
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, timeval)
 
     def send(self, message: SentT) -> None:
-        """Send a message; that nobody is at the other end any more is what `receive` tells."""
+        """Send a message; a closed connection is ignored here and reported by `receive`."""
         body = _encoder.encode(message)
         with contextlib.suppress(BrokenPipeError, ConnectionResetError):
             self._connection.sendall(_HEADER.pack(len(body)) + body)
 
-    def receive(self) -> HeardT | None:
-        """Next message, None if the other end has hung up.
+    def receive(self) -> ReceivedT | None:
+        """Return the next message, or None if the connection is closed.
 
-        Raises TimeoutError when it takes too long, and msgspec.DecodeError for what is no message.
+        Raises TimeoutError after the time-out, and msgspec.DecodeError for an invalid message.
         """
         data = self._rest
         while len(data) < _HEADER.size or len(data) < (end := _HEADER.size + _HEADER.unpack_from(data)[0]):
@@ -66,15 +68,15 @@ class IntervalStream(Generic[SentT, HeardT]):
         return self._decoder.decode(data[_HEADER.size : end])
 
     def close(self) -> None:
-        """Hang up; harmless when repeated."""
+        """Close the connection; repeated calls have no effect."""
         self._connection.close()
 
 
 def time_masters_end(connection: socket.socket) -> IntervalStream[Advance, Advanced]:
-    """The end that asks."""
+    """Return the stream of the time master, which requests intervals."""
     return IntervalStream(connection, Advanced, limit_s=ADVANCE_LIMIT_S)
 
 
 def emulators_end(connection: socket.socket) -> IntervalStream[Advanced, Advance]:
-    """The end that simulates; it waits as long as the run does."""
+    """Return the stream of the emulator, which waits for requests without a time-out."""
     return IntervalStream(connection, Advance, limit_s=None)

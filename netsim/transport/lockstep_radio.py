@@ -1,8 +1,8 @@
-"""A vehicle's way to the emulated channel, in lockstep: hand over transmissions, take what arrived.
+"""Radio client of a vehicle in lockstep, and the Zenoh keys of a run's radio.
 
-Everything is sent one way, for what has to come is known: the vehicle tells the time master that it has
-handed over a batch, and is told when one has been delivered to it (`netsim.wire.lockstep`). Stations
-outside the lockstep have `netsim.transport.asynchronous_radio`. Here are the keys of the run's radio too.
+Batches are sent one way without acknowledgement: the vehicle reports to the time master that it has sent a
+batch, and the time master reports when one has been delivered (`netsim.wire.lockstep`). Stations outside the
+lockstep use `netsim.transport.asynchronous_radio`.
 """
 
 import logging
@@ -19,40 +19,40 @@ logger = logging.getLogger(__name__)
 BatchT = TypeVar("BatchT", TxBatch, RxBatch)
 
 ANSWER_LIMIT_S = 20.0
-"""Wall time within which what is owed has to come; far beyond what a loaded machine needs."""
+"""Time-out of expected messages, wall time; far above the need of a loaded machine."""
 MOST_ITEMS = 24
-"""In one batch on a direct connection, where they must fit `zenoh_session.LONGEST_DIRECT_BYTES`."""
+"""Most items of a batch on a direct connection, limited by `zenoh_session.LONGEST_DIRECT_BYTES`."""
 
 
 def transmit_key(run_id: str) -> str:
-    """TxBatch, sent by vehicles; or asked by other stations and answered with an Ack by the emulator."""
+    """Return the key of TxBatch: published by vehicles, or queried by other stations with an Ack as reply."""
     return f"coflight/{run_id}/radio/tx"
 
 
 def receive_key(run_id: str, station: int) -> str:
-    """RxBatch, sent to a vehicle; or asked of another station, which answers with an Ack."""
+    """Return the key of RxBatch: published to vehicles, or queried at other stations with an Ack as reply."""
     return f"coflight/{run_id}/radio/rx/{station}"
 
 
 def directory_key(run_id: str) -> str:
-    """Served by the emulator: DirectoryRequest -> Directory; ``*`` finds the run behind an endpoint."""
+    """Return the key of the emulator's directory: DirectoryRequest -> Directory; ``*`` matches any run."""
     return f"coflight/{run_id}/radio/directory"
 
 
 class RadioLost(ConnectionError):
-    """The emulator does not answer or deliver; the text is one line."""
+    """The emulator does not respond or deliver; the text is one line."""
 
 
 class Deliveries:
-    """What has come in for a station and waits for its time."""
+    """Batches received for a station before their release time."""
 
     def __init__(self) -> None:
         self._batches: deque[RxBatch] = deque()
         self.put = self._batches.append
-        """Add a batch; each is released later than the one before."""
+        """Add a batch; its release time is later than that of the previous one."""
 
     def take(self, now_us: int) -> list[RxItem]:
-        """What may be seen at ``now_us``, in order of (time, source, sequence)."""
+        """Return the items released by ``now_us``, in order of (time, source, sequence)."""
         items: list[RxItem] = []
         while self._batches and self._batches[0].release_us <= now_us:
             items.extend(self._batches.popleft().items)
@@ -60,15 +60,15 @@ class Deliveries:
 
 
 def checked(batch: TxBatch) -> bytes:
-    """Bytes of a batch that an emulator takes. Raises ValueError for what no station can send."""
+    """Return the bytes of a batch. Raises ValueError if an emulator would reject it."""
     payload = encode(batch)
-    if decode(TxBatch, payload) is None:  # the wire's own checks are made where it is decoded
-        raise ValueError(f"station {batch.station}: the 802.11 emulator refuses what is sent")
+    if decode(TxBatch, payload) is None:  # ranges are checked by the decoder
+        raise ValueError(f"station {batch.station}: invalid transmission for the 802.11 emulator")
     return payload
 
 
 def hand_over(asker: Asker, batch: TxBatch) -> None:
-    """Have the emulator take a batch and acknowledge it. Raises RadioLost."""
+    """Send a batch to the emulator and wait for its acknowledgement. Raises RadioLost."""
     answer = asker.ask(encode(batch)).answer()
     if answer is None or decode(Ack, answer) is None:
         raise RadioLost(f"station {batch.station}: the 802.11 emulator does not acknowledge")
@@ -77,20 +77,19 @@ def hand_over(asker: Asker, batch: TxBatch) -> None:
 class RadioClient:
     """A vehicle's radio, for one thread.
 
-    Raises TransportError or RadioLost if the emulator cannot be reached. A station number that is in use is
-    not refused: both hear.
+    Raises TransportError or RadioLost if the emulator cannot be reached. A station number in use is not
+    rejected: both clients receive the deliveries.
     """
 
     def __init__(self, *, endpoint: str, run_id: str, station: int) -> None:
         self._station = station
         self.malformed = 0
-        """Count of what came in on this station's key and was no delivery."""
+        """Number of invalid messages on this station's key."""
         self._transport = Transport.connect(endpoint, direct=True)
         try:
             self._mailbox = self._transport.mailbox(receive_key(run_id, station))
             self._sender = self._transport.sender(transmit_key(run_id))
-            # The declarations above travel ahead of this empty batch: once it is acknowledged, deliveries
-            # find the way.
+            # The acknowledgement of this empty batch shows that the declarations above have arrived.
             asker = self._transport.asker(transmit_key(run_id), timeout_s=ANSWER_LIMIT_S)
             hand_over(asker, TxBatch(station=station, now_us=0, items=()))
         except BaseException:
@@ -98,14 +97,14 @@ class RadioClient:
             raise
 
     def send(self, now_us: int, items: Sequence[TxItem]) -> None:
-        """Hand over transmissions. Raises ValueError for what no station can send."""
+        """Send transmissions to the emulator. Raises ValueError for an invalid item."""
         for batch in in_pieces(TxBatch(station=self._station, now_us=now_us, items=tuple(items))):
             self._sender.send(checked(batch))
 
     def receive(self, now_us: int) -> list[RxItem]:
-        """What is released at ``now_us``, in order of (time, source, sequence), waiting for it if need be.
+        """Wait for the items released at ``now_us`` and return them, in order of (time, source, sequence).
 
-        To be called in the steps for which a delivery is announced, and in no other. Raises RadioLost.
+        To be called only in steps for which a delivery is announced. Raises RadioLost.
         """
         items: list[RxItem] = []
         while True:
@@ -115,7 +114,7 @@ class RadioClient:
             batch = decode(RxBatch, payload)
             if batch is None or batch.station != self._station:
                 self.malformed += 1
-                logger.warning("dropped %d bytes that are no delivery", len(payload))
+                logger.warning("dropped %d bytes that are not a valid delivery", len(payload))
                 continue
             items.extend(batch.items)
             if batch.release_us >= now_us and not batch.more:
@@ -127,7 +126,7 @@ class RadioClient:
 
 
 def in_pieces(batch: BatchT) -> Iterator[BatchT]:
-    """A batch as one that a direct connection takes, or as several; almost always it is one."""
+    """Split a batch into batches of at most `MOST_ITEMS` items; usually it is one."""
     if len(batch.items) <= MOST_ITEMS:
         yield batch
         return

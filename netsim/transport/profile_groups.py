@@ -1,4 +1,4 @@
-"""Parts of the 802.11 emulator's process, for `foundation.profiling.profiler`: which modules are what."""
+"""Profile groups of the 802.11 emulator's modules, for `foundation.profiling.profiler`."""
 
 from foundation.profiling.profiler import LINK
 

@@ -1,9 +1,9 @@
-"""The 802.11 emulator's process: Zenoh and the time master's line in front, the emulator behind.
+"""Server process of the 802.11 emulator, with Zenoh and the time master's interval stream.
 
-One thread takes an interval from the time master, what the vehicles have sent for it, simulates and sends
-what arrived. Vehicles send one way and nothing of Python's runs when they do; the time master says whose
-batches there are, and they are waited for. What belongs to later steps stays, so the air does not depend on
-which of two messages happened to come first. Stations in no lockstep are answered in threads of Zenoh's.
+One thread receives an interval request from the time master, collects the vehicles' batches, simulates, and
+sends the deliveries. Vehicles publish without acknowledgement, which runs no Python code here; the request
+lists the senders, and the server waits for their batches. Batches of later steps are kept, so the simulation
+does not depend on the order of messages. Stations outside the lockstep are served in Zenoh threads.
 """
 
 import contextlib
@@ -41,18 +41,18 @@ from netsim.wire.messages import (
 
 logger = logging.getLogger(__name__)
 OFFER_LIMIT_S = 0.25
-"""Wall time for which Zenoh remembers that a station in no lockstep may answer; nobody waits for it."""
+"""Time-out of queries to stations outside the lockstep, wall time; the server does not wait for replies."""
 
 
 class Server:
-    """Owns the session and the emulator.
+    """The Zenoh session and the emulator.
 
-    ``on_visit`` is called when a guest first sends. Raises TransportError, OSError for a log, ValueError for
-    settings that do not go together.
+    ``on_visit`` is called at the first transmission of a guest. Raises TransportError, OSError for a log
+    file, ValueError for inconsistent settings.
     """
 
     def __init__(self, config: ServerConfig, *, on_visit: Callable[[], None] = lambda: None) -> None:
-        self._hosted = EmulatorService(config)
+        self._service = EmulatorService(config)
         self._directory = encode(
             Directory(
                 run_id=config.run_id,
@@ -65,17 +65,17 @@ class Server:
         self._malformed = 0
         self._transport = Transport.listen(config.host, config.port)
         try:
-            self._hosted.open_logs()  # last: a start that is refused leaves what was there
+            self._service.open_logs()  # last, so that a failed start keeps existing files
         except OSError:
             self.close()
             raise
         self._askers: dict[Station, Asker] = {}
-        """By station in no lockstep."""
+        """By station outside the lockstep."""
         self._senders: dict[Station, TopicSender] = {}
         """By vehicle in lockstep."""
-        for station in range(self._hosted.stations):
+        for station in range(self._service.stations):
             key = receive_key(config.run_id, station)
-            if station in config.companions or self._hosted.is_guest(station):
+            if station in config.companions or self._service.is_guest(station):
                 self._askers[station] = self._transport.asker(key, timeout_s=OFFER_LIMIT_S, lossy=True)
             else:
                 self._senders[station] = self._transport.sender(key)
@@ -85,52 +85,52 @@ class Server:
 
     @property
     def endpoint(self) -> str:
-        """Where the stations connect."""
+        """Endpoint to which the stations connect."""
         return self._transport.endpoint
 
     @property
     def reached_us(self) -> int:
-        """How far the air has been simulated."""
-        return self._hosted.reached_us
+        """Time up to which the channel has been simulated."""
+        return self._service.reached_us
 
     def serve(self, clock: IntervalStream[Advanced, Advance]) -> dict[str, Any]:
-        """Simulate as the time master asks until it hangs up; returns the run's counters.
+        """Simulate requested intervals until the stream is closed; return the run's counters.
 
-        Raises ValueError for what it cannot mean.
+        Raises ValueError for an invalid request.
         """
         while (request := clock.receive()) is not None:
-            # Linux weighs who yields among the processes of one session
-            self._hosted.give_way(os.sched_yield if _shares_a_processor() else None)
+            # Linux weighs sched_yield among the processes of one session, here the vehicles on this processor
+            self._service.set_between_events(os.sched_yield if _shares_a_processor() else None)
             self.advance(request, clock.send)
-        return {"counters": self._hosted.counters, "malformed": self._malformed}
+        return {"counters": self._service.counters, "malformed": self._malformed}
 
     def close(self) -> None:
         """End the session and the logs; harmless when repeated."""
         self._transport.close()
-        self._hosted.close()
+        self._service.close()
 
     def advance(self, request: Advance, answer: Callable[[Advanced], None] = lambda _: None) -> None:
-        """Simulate what an `Advance` asks for, if all that it takes is there; answer it, and deliver.
+        """Simulate the interval of an `Advance`, reply, and deliver; or reply with the missing senders.
 
-        In this order: the time master goes on, and who hears from it of a batch waits for that. Raises
-        ValueError for what the time master cannot mean.
+        The reply is sent first, so that the time master continues; vehicles wait for announced deliveries.
+        Raises ValueError for an invalid request.
         """
         missing = self._take_in(request)
         if missing:
-            answer(self._hosted.advanced(missing=tuple(sorted(missing))))
+            answer(self._service.advanced(missing=tuple(sorted(missing))))
             return
-        batches = self._hosted.advance(request)
+        batches = self._service.advance(request)
         delivered = sorted(batches.keys() & self._senders.keys())
-        answer(self._hosted.advanced(delivered=tuple(delivered)))
-        # the first vehicles may have to share this processor, and could not begin before all is sent anyway
+        answer(self._service.advanced(delivered=tuple(delivered)))
+        # the first vehicles may share this processor and cannot run before the end of this loop
         for station in reversed(delivered):
             self._send(self._senders[station], batches.pop(station))
         for station, batch in batches.items():
-            self._askers[station].ask(encode(batch))  # it may not be there, or slow: nobody waits for it
+            self._askers[station].ask(encode(batch))  # without waiting for the reply
 
     def _take_in(self, request: Advance) -> set[Station]:
-        """Take what vehicles have sent; returns those whose batches do not come."""
-        missing = self._hosted.missing(request)
+        """Collect the vehicles' batches; return the senders whose batches are missing."""
+        missing = self._service.missing(request)
         while (payload := self._transmissions.take(BATCH_LIMIT_S if missing else 0.0)) is not None:
             batch = self._submit(payload)
             if batch is not None and batch.now_us == request.at_us and not batch.more:
@@ -142,15 +142,15 @@ class Server:
             sender.send(encode(piece))
 
     def _submit(self, payload: bytes) -> TxBatch | None:
-        """Keep a batch for its interval; None for bytes that are none that a station can have sent."""
+        """Decode a batch and submit it; return None if it is invalid."""
         batch = decode(TxBatch, payload)
-        if batch is not None and batch.items and not self._visited and self._hosted.is_guest(batch.station):
-            # a guest's traffic depends on more than scenario and seed
+        if batch is not None and batch.items and not self._visited and self._service.is_guest(batch.station):
+            # a guest's traffic is not a function of scenario and seed
             self._visited = True
             self._on_visit()
-        if batch is None or not self._hosted.submit(batch):
+        if batch is None or not self._service.submit(batch):
             self._malformed += 1
-            logger.warning("dropped %d bytes that are no transmission", len(payload))
+            logger.warning("dropped %d bytes that are not a valid transmission", len(payload))
             return None
         return batch
 
@@ -169,17 +169,17 @@ _ACK = encode(Ack())
 
 
 def _shares_a_processor() -> bool:
-    """Whether this process has been given a processor, with vehicles that wait for it otherwise.
+    """Whether this process is bound to one processor, which it shares with vehicles.
 
-    Where it may go anywhere, others work too, and would take what it leaves.
+    An unbound process does not yield, since other processes of the machine would take the time.
     """
     return sys.platform == "linux" and len(os.sched_getaffinity(0)) == 1
 
 
 def run(config_path: Path, clock_fd: int, *, supervised: bool) -> None:
-    """Serve as the configuration file says, as long as the time master at the other end of the socket does.
+    """Serve with the settings of a configuration file until the time master closes its socket.
 
-    Raises TransportError, OSError, or ValueError, of which msgspec.DecodeError is one.
+    Raises TransportError, OSError, or ValueError (also as msgspec.DecodeError).
     """
     with contextlib.ExitStack() as stack:
         clock = emulators_end(stack.enter_context(socket.socket(fileno=clock_fd)))
@@ -189,7 +189,7 @@ def run(config_path: Path, clock_fd: int, *, supervised: bool) -> None:
         inbox: queue.SimpleQueue[Stop] = queue.SimpleQueue()
         if supervised:
             commands(Stop, inbox)
-        # what is there by now stays: no collection need look at it again
+        # existing objects are permanent: exclude them from garbage collection
         gc.collect()
         gc.freeze()
         emit(Ready(name="radio", pid=os.getpid(), details={"endpoint": server.endpoint}))
@@ -198,5 +198,5 @@ def run(config_path: Path, clock_fd: int, *, supervised: bool) -> None:
         ) as profile:
             details = server.serve(clock)
         if supervised:
-            inbox.get()  # who still talks to it has time to end
+            inbox.get()  # stay until the stop command, so that clients can end
     emit(Finished(name="radio", details=details | profile))

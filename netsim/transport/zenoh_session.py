@@ -1,11 +1,11 @@
-"""Questions, answers and one-way messages over Zenoh: the one module that imports it.
+"""Queries, replies and one-way messages over Zenoh; the only module that imports Zenoh.
 
-One process of a run listens (the 802.11 emulator, as router) and all others connect to it by an explicit
-endpoint; there is no scouting, so runs on one machine or network never meet.
+One process of a run listens (the 802.11 emulator, as router), and all others connect to its explicit
+endpoint. There is no scouting, so runs on one machine or network are separate.
 
-Who is in lockstep sends one way, for both ends know what has to come, and connects without buffers of Zenoh's
-(`Transport.connect`, ``direct``): what was sent is in the receiver's socket when `Sender.send` returns, so
-that not even the sender's death loses it. All others ask, and are answered.
+Processes in lockstep publish one way, since both ends expect every message, over connections without Zenoh's
+buffers (`Transport.connect`, ``direct``): the message is in the receiver's socket when `TopicSender.send`
+returns, and is not lost even if the sender is killed. All others use queries with replies.
 """
 
 import os
@@ -19,15 +19,16 @@ RUNTIME = """(
     app: (worker_threads: 1),
     rx: (handover: app), tx: (handover: app), acc: (handover: app), net: (handover: app)
 )"""
-"""Zenoh's thread pools in one thread: a question then wakes one thread of Zenoh's at each end instead of two
-or three. Python is called in threads beside it, one per served key, so that it never waits for Python.
+"""One thread for all of Zenoh's thread pools: a query wakes one thread at each end instead of two or three.
+
+Python handlers run in other threads, one per served key, so this thread never waits for Python.
 """
 
 LONGEST_DIRECT_BYTES = 49_000
-"""What a direct connection takes in one message, less than Zenoh's 49 152: it takes nothing to pieces."""
+"""Longest message of a direct connection, below Zenoh's batch of 49 152 bytes: it does not fragment."""
 _CHANNEL_MESSAGES = 4_096
 _SHORTEST_NAP_S, _LONGEST_NAP_S = 50e-6, 2e-3
-"""Between two looks for a message that is late; Zenoh's channels know no time limit."""
+"""Polling interval for a late message; Zenoh's channels have no time-out."""
 
 
 class TransportError(ConnectionError):
@@ -35,15 +36,15 @@ class TransportError(ConnectionError):
 
 
 class Pending:
-    """A question under way."""
+    """A query whose reply is pending."""
 
     def __init__(self, replies: zenoh.handlers.Handler[zenoh.Reply]) -> None:
         self._replies = replies
 
     def answer(self) -> bytes | None:
-        """Wait for the answer, and not for Zenoh's word that no other will follow.
+        """Wait for the first reply and return it; does not wait for the end of the query.
 
-        None when none came within the question's time-out or nobody serves the key.
+        Returns None without a reply within the time-out or if no process serves the key.
         """
         for reply in self._replies:  # ends with the query
             if reply.ok is not None:
@@ -52,36 +53,36 @@ class Pending:
 
 
 class Asker:
-    """Asks one key again and again; declared once so that each question costs little."""
+    """Sends queries to one key, declared once to make each query cheap."""
 
     def __init__(self, querier: zenoh.Querier) -> None:
         self._querier = querier
 
     def ask(self, payload: bytes) -> Pending:
-        """Send a question; returns at once."""
+        """Send a query; return at once."""
         return Pending(self._querier.get(payload=payload))
 
 
 class TopicSender:
-    """Sends to one key again and again, one way, in order, and to whoever listens at the time."""
+    """Publishes to one key: one way, in order, to all current subscribers."""
 
     def __init__(self, publisher: zenoh.Publisher) -> None:
         self._publisher = publisher
 
     def send(self, payload: bytes) -> None:
-        """Send; waits while the connection is full."""
+        """Send a message; wait while the connection is full."""
         self._publisher.put(payload)
 
 
 class Mailbox:
-    """What was sent to a key, in its order. Filled beside Python's threads, and read by one of them."""
+    """Messages published to a key, in order. Filled by Zenoh, read by one Python thread."""
 
     def __init__(self, subscriber: zenoh.Subscriber[zenoh.handlers.Handler[zenoh.Sample]]) -> None:
         self._subscriber = subscriber
         self._messages = subscriber.handler
 
     def take(self, wall_limit_s: float) -> bytes | None:
-        """Next message, waiting for it that long at most; None if there is none."""
+        """Return the next message, waiting at most ``wall_limit_s``; None without any."""
         sample = self._messages.try_recv()
         if sample is None:
             if wall_limit_s <= 0.0:
@@ -98,36 +99,36 @@ class Mailbox:
 
 
 class Question:
-    """A question from another process, to be answered once."""
+    """A query from another process, which takes one reply."""
 
     def __init__(self, query: zenoh.Query) -> None:
         self._query = query
         self.payload: bytes = query.payload.to_bytes() if query.payload is not None else b""
 
     def answer(self, payload: bytes) -> None:
-        """Reply and end the question."""
+        """Send the reply and end the query."""
         self._query.reply(self._query.key_expr, payload)
         self._query.drop()  # type: ignore[no-untyped-call]
 
 
 class Transport:
-    """One process's session. Open it with `listen` or `connect`, close it always."""
+    """Zenoh session of a process, opened with `listen` or `connect`; to be closed."""
 
     def __init__(self, session: zenoh.Session, endpoint: str) -> None:
         self._session = session
         self.endpoint = endpoint
-        """Where others connect to (listener), or where this one is connected."""
+        """Endpoint that this process listens on, or is connected to."""
 
     @classmethod
     def listen(cls, host: str, port: int) -> "Transport":
-        """Be the run's router on ``host:port``, port 0 being any free one. Raises TransportError."""
+        """Listen as the run's router on ``host:port``; port 0 is any free one. Raises TransportError."""
         before = _listening_ports()
         try:
             session = zenoh.open(_config("router", "listen", f"tcp/{host}:{port}"))
         except zenoh.ZError as error:
             raise TransportError(f"cannot listen on {host}:{port}: {_first_line(error)}") from None
         if port == 0:
-            # Zenoh does not tell which port it was given; this process's new listening socket does.
+            # Zenoh does not report the port it was given: find this process's new listening socket.
             (port,) = _listening_ports() - before
         return cls(session, f"tcp/{host}:{port}")
 
@@ -135,9 +136,9 @@ class Transport:
     def connect(cls, endpoint: str, *, direct: bool = False) -> "Transport":
         """Connect to a router's endpoint. Raises TransportError.
 
-        A ``direct`` connection is written to by whoever sends, at either end, in messages of at most
-        `LONGEST_DIRECT_BYTES`. It takes half the time, but one that does not read holds up all who send to
-        it, so it is for those that everybody waits for anyway.
+        On a ``direct`` connection the sending thread writes to the socket, with messages of at most
+        `LONGEST_DIRECT_BYTES`. It takes half the time, but a receiver that does not read blocks all senders,
+        so it is only for processes in lockstep.
         """
         try:
             return cls(zenoh.open(_config("client", "connect", endpoint, direct=direct)), endpoint)
@@ -145,57 +146,57 @@ class Transport:
             raise TransportError(f"cannot connect to {endpoint}: {_first_line(error)}") from None
 
     def asker(self, key: str, *, timeout_s: float, lossy: bool = False) -> Asker:
-        """Declare that this process will ask ``key``; an answer may take that long.
+        """Declare queries to ``key`` with a time-out.
 
-        Whoever asks waits while the connection is full; a ``lossy`` question is dropped instead.
+        A query waits while the connection is full; a ``lossy`` query is dropped instead.
         """
         control = zenoh.CongestionControl.DROP if lossy else zenoh.CongestionControl.BLOCK
         return Asker(self._session.declare_querier(key, timeout=timeout_s, congestion_control=control))
 
     def sender(self, key: str) -> TopicSender:
-        """Declare that this process will send to ``key``."""
+        """Declare a publisher for ``key``."""
         return TopicSender(
             self._session.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
         )
 
     def mailbox(self, key: str) -> Mailbox:
-        """Have what is sent to ``key`` from now on kept for this process."""
+        """Declare a subscriber that stores messages to ``key`` from now on."""
         return Mailbox(self._session.declare_subscriber(key, zenoh.handlers.FifoChannel(_CHANNEL_MESSAGES)))
 
     @property
     def connected(self) -> bool:
-        """Whether there is a router at the other end; for those that `connect`."""
+        """Whether a router is connected; for sessions opened with `connect`."""
         return any(True for _ in self._session.info.routers_zid())
 
     def serve(self, key: str, handler: Callable[[Question], None]) -> None:
-        """Answer ``key``.
+        """Serve queries to ``key``.
 
-        The handler is called in a thread of Zenoh's and answers there or hands the question on.
+        The handler is called in a Zenoh thread; it replies there or passes the query on.
         """
         self._session.declare_queryable(key, lambda query: handler(Question(query)), complete=True)
 
     def close(self) -> None:
-        """End the session; harmless when repeated."""
+        """Close the session; repeated calls have no effect."""
         if not self._session.is_closed():
             self._session.close()  # type: ignore[no-untyped-call]
 
 
 def _config(mode: str, verb: str, endpoint: str, *, direct: bool = True) -> zenoh.Config:
-    # Zenoh reads this once, when its first session opens
+    # Zenoh reads this once, when it opens the first session
     os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)
     config = zenoh.Config()
     config.insert_json5("mode", f'"{mode}"')
     config.insert_json5("scouting/multicast/enabled", "false")
     config.insert_json5("scouting/gossip/enabled", "false")
     config.insert_json5(f"{verb}/endpoints", f'["{endpoint}"]')
-    # a listener that is not there is an error now, not something to retry behind the caller's back
+    # a missing listener is an error, without retries
     config.insert_json5(f"{verb}/timeout_ms", "2000" if verb == "connect" else "0")
     config.insert_json5(f"{verb}/exit_on_failure", "true")
-    # a segment of shared memory would stay behind every process, and nothing here is passed by it
+    # every process would leave a segment of shared memory behind, and it is not used
     config.insert_json5("transport/shared_memory/enabled", "false")
-    # one queue per connection instead of one per priority: all messages here have the same
+    # one queue per connection instead of one per priority: all messages have the same priority
     config.insert_json5("transport/unicast/qos/enabled", "false")
-    # a connection has the mode if both its ends want it: a router's with a guest as Zenoh comes has not
+    # low latency is used if both ends enable it, so not between the router and a guest
     config.insert_json5("transport/unicast/lowlatency", "true" if direct else "false")
     return config
 
@@ -206,5 +207,5 @@ def _listening_ports() -> set[int]:
 
 
 def _first_line(error: Exception) -> str:
-    """What went wrong, less Zenoh's own source locations."""
+    """Return the first line of an error message, without Zenoh's source locations."""
     return str(error).split(" at /")[0].splitlines()[0].replace(": [", ": ")

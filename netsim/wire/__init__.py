@@ -1,1 +1,1 @@
-"""What crosses process borders between radios, emulator and time master."""
+"""Messages between radios, emulator and time master."""

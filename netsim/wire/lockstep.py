@@ -1,8 +1,8 @@
-"""What the time master tells the emulator and the vehicles so that they keep step.
+"""Messages and flags that keep time master, emulator and vehicles in lockstep.
 
-The emulator hears of an interval by messages over a line of its own (`netsim.transport.interval_stream`),
-whose two ends are of one run and so of one version. The vehicles' batches go another way than the step's
-messages, and two bits of the simulator's link tell who waits for one that it comes.
+Interval requests use a separate socket (`netsim.transport.interval_stream`), whose two ends belong to one run
+and so to one version. The vehicles' batches use Zenoh; two bits of the messages between simulator and vehicle
+announce that a batch follows there.
 """
 
 from typing import Annotated
@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from netsim.wire.messages import Station, TimeUs
 
 BATCH_HANDED_OVER = 1 << 32
-"""Bit of HIL_ACTUATOR_CONTROLS.flags, free in the standard: the vehicle gave its radio something to send."""
+"""Bit of HIL_ACTUATOR_CONTROLS.flags, unused in the standard: the vehicle has sent a batch to its radio."""
 BATCH_DELIVERED = 1 << 30
-"""Bit of HIL_SENSOR.fields_updated, free in the standard: the radio has brought something for this step."""
+"""Bit of HIL_SENSOR.fields_updated, unused in the standard: the radio delivers a batch for this step."""
 
 LEAD_US = 60_000_000
-"""How far ahead of the air a transmission's time may lie."""
+"""Most time by which a transmission may be ahead of the simulated channel."""
 RangeOffset = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Rows = bytes
 """A matrix of little-endian float64, row after row, one row per station: `pack_rows`, `unpack_rows`."""
@@ -27,54 +27,54 @@ _FLOAT64_BYTES = 8
 
 
 class Advance(Struct, frozen=True, kw_only=True, array_like=True):
-    """From the time master: simulate the air up to ``to_us``. Answered by `Advanced`."""
+    """Request of the time master: simulate the channel up to ``to_us``. The reply is `Advanced`."""
 
     to_us: TimeUs
     release_us: TimeUs
-    """When the hosts may see what arrives in this interval."""
+    """Time at which the hosts may process items received in this interval."""
     at_us: TimeUs
-    """Beginning of the interval, for which the positions hold; the stations go on at these velocities."""
+    """Beginning of the interval and time of the positions; velocities are constant in the interval."""
     pos_ned_m: Rows
     """(stations, 3)"""
     vel_ned_m_s: Rows
     """(stations, 3)"""
     q_ned_frd: Rows
-    """(stations, 4), Hamilton wxyz: attitude, from which the antennas' directions follow."""
+    """(stations, 4), Hamilton wxyz: attitudes, which orient the antennas."""
     senders: tuple[Station, ...] = ()
-    """Vehicles that have handed over a batch of ``at_us``, without which the air does not go on."""
+    """Vehicles that have sent a batch of ``at_us``; the emulator waits for these batches."""
     silent: tuple[Station, ...] = ()
-    """Stations that are gone: their radios send and answer nothing, and nobody waits for their batches."""
+    """Stations that have ended: their radios are off, and the emulator does not wait for their batches."""
     extra_attenuation_db: Annotated[float, Meta(ge=0.0, le=1_000.0)] | None = None
-    """From now on, this attenuation on every link instead of the scenario's."""
+    """Extra attenuation of every link from now on; None: the scenario's."""
     range_offsets_m: tuple[tuple[Station, RangeOffset], ...] = ()
-    """From now on, by how much stations' radios measure too far, each in the sessions that it began; none is
-    in force that is not named."""
+    """Offsets added to measured ranges from now on, by initiator; without an entry there is none."""
 
 
 class Advanced(Struct, frozen=True, kw_only=True, array_like=True):
-    """The air has been simulated up to ``to_us``, and its deliveries are under way.
+    """The channel has been simulated up to ``to_us``, and its deliveries are being sent.
 
-    Or, with somebody ``missing``, it has not: the time master decides on them and asks again.
+    With ``missing`` stations the interval has not been simulated: the time master decides about them and
+    repeats the request.
     """
 
     to_us: TimeUs
     quiet_until_us: TimeUs
-    """Unless a station hands over something new, nothing happens on the air before this time."""
+    """Earliest time of the next event on the channel without further submissions."""
     busy_ns: Annotated[int, Meta(ge=0)] = 0
     """Time since the start for which the medium carried at least one transmission."""
     delivered: tuple[Station, ...] = ()
-    """Vehicles that get a batch for the interval's ``release_us``, and have to be told."""
+    """Vehicles that receive a batch for the interval's ``release_us`` and must be notified."""
     missing: tuple[Station, ...] = ()
-    """Senders whose batches have not come within `netsim.transport.interval_stream.BATCH_LIMIT_S`."""
+    """Senders whose batches have not arrived within `netsim.transport.interval_stream.BATCH_LIMIT_S`."""
 
 
 def pack_rows(matrix: NDArray[np.float64]) -> Rows:
-    """Bytes of a matrix with one row per station."""
+    """Return the bytes of a matrix with one row per station."""
     return matrix.astype("<f8", copy=False).tobytes()
 
 
 def unpack_rows(rows: Rows, *, stations: int, columns: int) -> NDArray[np.float64] | None:
-    """Matrix (stations, columns), or None if the bytes are not of that many numbers."""
+    """Return the matrix (stations, columns), or None if the length of the bytes does not match."""
     if len(rows) != _FLOAT64_BYTES * stations * columns:
         return None
     return np.frombuffer(rows, "<f8").astype(np.float64).reshape(stations, columns)

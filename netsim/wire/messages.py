@@ -1,11 +1,11 @@
-"""Messages between the radio's users and the emulator.
+"""Messages between the radio's hosts and the emulator.
 
-Versioned, typed, MessagePack on the wire.
+They are versioned, typed and encoded as MessagePack.
 
-Decoding never raises: bytes that are no message of this version give None, and the caller counts them.
-Times are simulated: integer microseconds (``_us``) at the host's side, nanoseconds (``_ns``) on the air.
+`decode` does not raise for invalid bytes: it returns None, and the caller counts them. Times are simulated:
+integer microseconds (``_us``) at the host, nanoseconds (``_ns``) on the channel.
 
-Items are nothing to Python's collector of cycles (``gc=False``): they hold numbers, texts and bytes.
+Items are not tracked by Python's garbage collector (``gc=False``): they contain numbers, strings and bytes.
 """
 
 from typing import Annotated, TypeVar
@@ -14,14 +14,14 @@ import msgspec
 from msgspec import Meta, Struct
 
 VERSION = 5
-"""First field of every message; a change of any message's fields raises it."""
+"""First field of every message; incremented with every change of a message's fields."""
 MAX_PAYLOAD_BYTES = 1472
 """Largest UDP payload that fits one 1500-byte IP packet."""
 
 MAX_STATION = 65_535
 Station = Annotated[int, Meta(ge=0, le=MAX_STATION)]
 TimeUs = Annotated[int, Meta(ge=0, le=2**53)]
-"""Some 285 years: what is later is no time, and its nanoseconds would not fit the logs."""
+"""At most 285 years, so that nanoseconds fit the logs."""
 TimeNs = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Seq = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 
@@ -30,14 +30,14 @@ class Broadcast(Struct, frozen=True, kw_only=True, array_like=True, gc=False, ta
     """One UDP datagram to every station in range."""
 
     seq: Seq
-    """Rises by one with each item that a station hands over, whatever its kind."""
+    """Incremented with each item that a station submits, of any kind."""
     at_us: TimeUs
-    """When the application hands it to its host stack; not before the batch's ``now_us``."""
+    """Time at which the application passes it to its host stack; not before the batch's ``now_us``."""
     payload: Annotated[bytes, Meta(max_length=MAX_PAYLOAD_BYTES)]
 
 
 class FtmRequest(Struct, frozen=True, kw_only=True, array_like=True, gc=False, tag="f"):
-    """Ask the driver to range to a peer; exactly one `FtmResult` with this ``seq`` comes back."""
+    """Request to range to a peer; exactly one `FtmResult` with this ``seq`` is returned."""
 
     seq: Seq
     at_us: TimeUs
@@ -45,7 +45,7 @@ class FtmRequest(Struct, frozen=True, kw_only=True, array_like=True, gc=False, t
 
 
 class Unicast(Struct, frozen=True, kw_only=True, array_like=True, gc=False, tag="u"):
-    """One UDP datagram to one station; exactly one `Sent` with this ``seq`` comes back."""
+    """One UDP datagram to one station; exactly one `Sent` with this ``seq`` is returned."""
 
     seq: Seq
     at_us: TimeUs
@@ -57,10 +57,10 @@ TxItem = Broadcast | FtmRequest | Unicast
 
 
 class TxBatch(Struct, frozen=True, kw_only=True, array_like=True):
-    """All that one station hands to its radio in one step.
+    """All items that one station submits to its radio in one step.
 
-    Vehicles put it and say in lockstep that they did (`netsim.wire.lockstep`); who is in none asks, and has
-    an `Ack`.
+    Vehicles publish it and announce it in lockstep (`netsim.wire.lockstep`). Stations outside the lockstep
+    send it as a query, and the reply is an `Ack`.
     """
 
     version: int = VERSION
@@ -84,34 +84,34 @@ class Delivery(Struct, frozen=True, kw_only=True, array_like=True, gc=False, tag
 
 
 class FtmResult(Struct, frozen=True, kw_only=True, array_like=True, gc=False, tag="r"):
-    """What the driver reports of one ranging session, at the initiator."""
+    """Result of one ranging session, at the initiator."""
 
     peer: Station
     seq: Seq
-    """That of the `FtmRequest`."""
+    """Sequence number of the `FtmRequest`."""
     status: str
     """``ok``, ``timeout``, ``no_response``, ``rejected``, ``incapable`` or ``dropped``: see
-    `netsim.ftm.session`; or ``lost``, if the radio has measured and the host lost what it said."""
+    `netsim.ftm.session`; or ``lost`` if the host has lost the radio's result."""
     measured_ns: TimeNs
-    """Mean time of the round trips that were used; when the session ended if there were none."""
+    """Mean time of the used round trips; without any, the end of the session."""
     ended_ns: TimeNs
-    """When the session ended and the driver reported."""
+    """End of the session, when the driver reports."""
     distance_m: float
     """c/2 times the mean round trip; 0.0 unless ``status`` is ``ok``."""
     distance_std_m: float
     """Sample standard deviation of a single round trip's distance; 0.0 with fewer than two."""
     rssi_dbm: float
-    """Mean of the measurement frames that were used; 0.0 unless ``status`` is ``ok``."""
+    """Mean over the used measurement frames; 0.0 unless ``status`` is ``ok``."""
     round_trips: int
-    """Round trips that were averaged."""
+    """Number of averaged round trips."""
     measurements: int
-    """Measurement frames that arrived."""
+    """Number of received measurement frames."""
     retry_after_s: int = 0
-    """If rejected: for how long the responder does not want to be asked again."""
+    """If rejected by a responder: time after which a new request may be sent."""
 
 
 class Sent(Struct, frozen=True, kw_only=True, array_like=True, gc=False, tag="s"):
-    """What became of a `Unicast`, at its sender."""
+    """Outcome of a `Unicast`, at its sender."""
 
     destination: Station
     seq: Seq
@@ -124,24 +124,25 @@ class Sent(Struct, frozen=True, kw_only=True, array_like=True, gc=False, tag="s"
 
 
 class Survey(Struct, frozen=True, kw_only=True, array_like=True, gc=False, tag="v"):
-    """How occupied this station has found the channel, as the busy-time counter of a driver tells it."""
+    """Channel busy time at this station, as a driver's survey counter."""
 
     ended_ns: TimeNs
-    """Up to when it counted."""
+    """End of the counted time."""
     busy_ns: TimeNs
-    """Time since the start for which this station sensed energy on the medium or was itself sending; what NAV
-    alone reserves is not busy."""
+    """Time since the start for which this station sensed the medium busy or was sending; the NAV alone does
+    not count."""
 
 
 RxItem = Delivery | FtmResult | Sent | Survey
 
 
 class RxBatch(Struct, frozen=True, kw_only=True, array_like=True):
-    """All that one station gets from one interval of the air.
+    """All items that one station receives in one interval.
 
-    Items are in order of (time, source, seq), and a vehicle's last is a `Survey`; for that alone there is no
-    batch. The application may see them at ``release_us`` and not before. A vehicle is told of it in that
-    step's sensors; others are asked to take it, answer with an `Ack`, and are not waited for.
+    Items are in order of (time, source, seq), and a vehicle's last is a `Survey`; no batch has only a
+    `Survey`. The application may process them from ``release_us`` on. The sensor message of that step
+    announces the batch to a vehicle. To other stations it is sent as a query, which they reply to with an
+    `Ack`; the emulator does not wait for it.
     """
 
     version: int = VERSION
@@ -153,26 +154,26 @@ class RxBatch(Struct, frozen=True, kw_only=True, array_like=True):
 
 
 class Ack(Struct, frozen=True, kw_only=True, array_like=True):
-    """The batch has been received whole."""
+    """The batch has been received completely."""
 
     version: int = VERSION
 
 
 class DirectoryRequest(Struct, frozen=True, kw_only=True, array_like=True):
-    """Which stations are there? Answered by `Directory`."""
+    """Request for the list of stations; the reply is `Directory`."""
 
     version: int = VERSION
 
 
 class Directory(Struct, frozen=True, kw_only=True, array_like=True):
-    """A run and its stations."""
+    """Identifier of a run and its stations."""
 
     version: int = VERSION
     run_id: str
     vehicles: int
-    """Stations 0 to this less one are vehicles."""
+    """Number of vehicles, the first stations."""
     guests: tuple[str, ...]
-    """Names of the stations that follow; other programs are their hosts."""
+    """Names of the following stations, whose hosts are external programs."""
 
 
 Message = TxBatch | RxBatch | Ack | DirectoryRequest | Directory
@@ -184,12 +185,12 @@ _decoders = {
 
 
 def encode(message: Message) -> bytes:
-    """Bytes of a message."""
+    """Return the bytes of a message."""
     return _encoder.encode(message)
 
 
 def decode(kind: type[M], buffer: bytes) -> M | None:
-    """Message of that kind, or None if the bytes are not one of this version."""
+    """Return the message, or None if the bytes are not a message of that kind and version."""
     decoder: msgspec.msgpack.Decoder[M] = _decoders[kind]  # type: ignore[assignment]  # each under its own kind
     try:
         message = decoder.decode(buffer)

@@ -19,7 +19,7 @@ from studies.antenna.plan import AntennaPlan
 from studies.common.report import Check, ReportTable, Section
 from studies.common.runner import Job, Results
 
-REFERENCE = Path(__file__).parents[2] / "tests" / "reference" / "antenna_sensitivity.csv"
+REFERENCE = Path(__file__).parents[2] / "studies" / "reference" / "antenna_sensitivity.csv"
 TOLERANCE_DB = 0.05
 STANDARD_ERRORS = 2.0
 GRID_DEG = 2.0

@@ -44,7 +44,7 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section: 
             f"validation running, on {cores} core{'s' if cores > 1 else ''}: both solvers compute the "
             "patterns of the same random formations of eight dipoles on a grid of 5 degrees with a refined "
             "maximum, in turn, on one core each; then the batch solver runs with two threads, measured in "
-            "wall time. docs/antenna.md describes the fields.\n"
+            "wall time. docs/concepts/antenna.md describes the fields.\n"
             + said_missing([] if fields is not None else ["nec2 (PyNEC), which all comparisons require"])
         ),
         checks=() if fields is None else requirements(fields),

@@ -34,7 +34,7 @@ from studies.article.retained_flights import figure_flights, figure_patterns_of,
 from studies.article.setup_findings import IDEAL_DBI
 from studies.article.statements import StatementVerdict, count, judge_all
 from studies.common.command_line import WIDTH, progress_lines
-from studies.common.report import Section, markdown, show, write
+from studies.common.report import Section, figures_folder, figures_link, markdown, show, write
 from studies.common.standard_output import keep_stdout
 
 FINE, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -172,7 +172,7 @@ def _measure(plan: ArticlePlan, tables: Mapping[str, Table], messages: Console) 
 
 def _write(results: page.Results, sections: Sequence[Section], out: Path, *, quick: bool) -> None:
     """Write page, figures and CSV; raises OSError."""
-    images, evidence = out / "images", results.evidence
+    images, evidence = figures_folder(out), results.evidence
     images.mkdir(parents=True, exist_ok=True)
     figures.save_densities(images / page.FIGURE3, evidence.cells, evidence.winds_n, IDEAL_DBI)
     figures.save_wind(images / page.WIND_FIGURE, evidence.cells, IDEAL_DBI)
@@ -183,7 +183,8 @@ def _write(results: page.Results, sections: Sequence[Section], out: Path, *, qui
         figures.save_patterns(images / page.MEANS, results.figure, mean=True)
     (out / page.CSV_NAME).write_text(csv_text(evidence.cells.values()), encoding="utf-8")
     introduction = page.introduction(results, quick=quick)
-    write(out / page.FILE_NAME, markdown(sections, title=page.TITLE, introduction=introduction))
+    text = markdown(sections, title=page.TITLE, introduction=introduction, figures=figures_link(out))
+    write(out / page.FILE_NAME, text)
 
 
 def _print(

@@ -83,7 +83,7 @@ _CODESIGN = "[codesign-results.md](codesign-results.md)"
 _IDEAL = "the ideal array by all solvers: [antenna-validation.md](antenna-validation.md)"
 _GAINS = f"maximum gains at λ = 5 and 10 m in 2 and 5 N, with FTM and GPS alone: {_CODESIGN}"
 _SHAPES = f"shape errors in 0, 2 and 5 N: {_CODESIGN}"
-_DRAWS = "maximum gains of random formations: `tests/reference/antenna_sensitivity.csv`"
+_DRAWS = "maximum gains of random formations: `studies/reference/antenna_sensitivity.csv`"
 
 STATEMENTS = (
     Statement(

@@ -1,1 +1,1 @@
-"""Co-design study of ranging, localisation and formation control; generates docs/codesign-results.md."""
+"""Co-design study of ranging, localisation and formation control: makes docs/results/codesign-results.md."""

@@ -34,7 +34,7 @@ from studies.codesign.sections import Judge, judge_wavelength, judge_wind_agents
 from studies.codesign.tables import write_csv
 from studies.codesign.trouble_section import judge_trouble
 from studies.common.command_line import BAD_INPUT, Page, chosen, progress_lines, report_and_exit
-from studies.common.report import Section
+from studies.common.report import Section, figures_folder
 from studies.common.standard_output import keep_stdout
 
 INTERRUPTED = 130
@@ -112,7 +112,7 @@ def codesign(
         if changed:
             messages.print("the sources changed during the run: its flights cannot be assigned to one state")
     book = Book(plan=plan, flights=flights)
-    images = None if out is None else out / "images"
+    images = None if out is None else figures_folder(out)
     if images is not None:
         images.mkdir(parents=True, exist_ok=True)
     sections = [JUDGES[name](book, images) for name in JUDGES if name in names]

@@ -170,7 +170,7 @@ def judge_wavelength(book: Book, images: Path | None) -> Section:
             "the standard deviation per axis of independent errors with the same rms as in flight (the "
             "alignment removes 3 of 16 horizontal degrees of freedom). The expected gain is that of "
             "independent Gaussian errors of this σ on every axis, interpolated in σ/λ between the points "
-            "of `tests/reference/antenna_sensitivity.csv`. The errors in flight are neither independent "
+            "of `studies/reference/antenna_sensitivity.csv`. The errors in flight are neither independent "
             "nor Gaussian, vertical errors differ from horizontal ones, and the dipoles tilt with their "
             "UAVs against the wind, which costs gain without any position error.\n"
         ),

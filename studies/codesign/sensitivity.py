@@ -1,4 +1,4 @@
-"""Expected gain of the array for a position error, from a table in tests/reference; see its README."""
+"""Expected gain of the array for a position error, from a table in studies/reference; see its README."""
 
 import csv
 import math
@@ -10,7 +10,7 @@ import numpy as np
 from msgspec import Struct
 from scipy.interpolate import PchipInterpolator
 
-SENSITIVITY = Path(__file__).parents[2] / "tests" / "reference" / "antenna_sensitivity.csv"
+SENSITIVITY = Path(__file__).parents[2] / "studies" / "reference" / "antenna_sensitivity.csv"
 IDEAL_DBI = 13.26
 """Gain of the ideal array with short dipoles by NEC2, at any wavelength"""
 

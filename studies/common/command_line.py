@@ -11,7 +11,7 @@ from msgspec import Struct
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from studies.common.report import Section, markdown, show, write
+from studies.common.report import Section, figures_folder, figures_link, markdown, show, write
 from studies.common.runner import Subject, run_subjects
 
 FINE, MISSED, BAD_INPUT = 0, 1, 2
@@ -65,7 +65,7 @@ def run_with_progress(
 ) -> list[Section]:
     """Run all subjects with a progress line for each; figures are written to ``images`` in ``out``."""
     with progress_lines(messages) as (note, _):
-        images = None if out is None else out / "images"
+        images = None if out is None else figures_folder(out)
         return run_subjects(plan, subjects, images=images, progress=note)
 
 
@@ -77,7 +77,8 @@ def report_and_exit(
     ``px4``: include the numbers of a real PX4.
     """
     if out is not None:
-        write(out / page.file_name, markdown(sections, title=page.title, introduction=page.introduction))
+        text = markdown(sections, title=page.title, introduction=page.introduction, figures=figures_link(out))
+        write(out / page.file_name, text)
     if json:
         print(msgspec.json.encode(_numbers(sections, px4=px4)).decode(), file=stdout)
     else:

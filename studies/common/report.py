@@ -1,5 +1,6 @@
 """Results of a validation: checks against requirements and tables, as Markdown and on the terminal."""
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -63,8 +64,23 @@ class Section(Struct, frozen=True, kw_only=True):
     """(file name, what it shows)"""
 
 
+def figures_folder(out: Path) -> Path:
+    """Return the folder for figures of pages in ``out``: ``../images`` where it exists, else ``images``."""
+    shared = out.parent / "images"
+    return shared if shared.is_dir() else out / "images"
+
+
+def figures_link(out: Path | None) -> str:
+    """Return the path of the figures' folder from a page in ``out``, with slashes."""
+    return "images" if out is None else Path(os.path.relpath(figures_folder(out), out)).as_posix()
+
+
 def markdown(
-    sections: Sequence[Section], *, introduction: str, title: str = "Validation of one vehicle"
+    sections: Sequence[Section],
+    *,
+    introduction: str,
+    title: str = "Validation of one vehicle",
+    figures: str = "images",
 ) -> str:
     """Return the whole page; its figures are in ``images/`` beside it."""
     parts = [f"# {title}\n", introduction]
@@ -82,7 +98,7 @@ def markdown(
             parts.append(_markdown_table(columns, rows))
         for table in section.tables:
             parts += [f"{table.caption}\n", _markdown_table(table.columns, table.rows)]
-        parts += [f"![{shows}](images/{name})\n" for name, shows in section.figures]
+        parts += [f"![{shows}]({figures}/{name})\n" for name, shows in section.figures]
     return "\n".join(parts).rstrip() + "\n"
 
 

@@ -103,8 +103,8 @@ class _Application:
 
     def receive(self, item: RxItem, now_us: int) -> None:
         if isinstance(item, Delivery):
-            self.traffic.hearing.pages.put(item.source, item.payload)
-            self.traffic.hearing.read(now_us)
+            self.traffic.table.pages.put(item.source, item.payload)
+            self.traffic.table.read(now_us)
         elif isinstance(item, FtmResult):
             self.traffic.measured(item)
 

@@ -12,7 +12,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 
 from msgspec import Struct
 
@@ -24,7 +23,6 @@ from netsim.wire.messages import RxBatch, TxBatch, decode, encode
 from studies.radio.article_traffic import Step, advance, emulator_of, record
 from studies.radio.saturation_section import MODES
 
-WIFI_LAB = Path(__file__).parents[2] / "scripts" / "wifi_lab.py"
 PAYLOAD_BYTES = 1000
 FASTER_LIMIT = 10.0
 """Smallest allowed ratio of speeds, emulator over peer"""
@@ -82,8 +80,8 @@ def bench_saturated(
     Raises subprocess.CalledProcessError or OSError if the peer fails.
     """
     command = [
-        sys.executable, str(WIFI_LAB), "saturation", "--stations", str(stations), "--rate-mbps",
-        str(rate_mbps), "--payload", str(PAYLOAD_BYTES), "--seconds", str(seconds), "--json",
+        sys.executable, "-m", "coflight", "radio", "saturation", "--stations", str(stations),
+        "--rate-mbps", str(rate_mbps), "--payload", str(PAYLOAD_BYTES), "--seconds", str(seconds), "--json",
     ]  # fmt: skip
 
     def run() -> None:

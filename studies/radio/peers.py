@@ -1,4 +1,4 @@
-"""Reference results for the same traffic: tables in tests/reference; its README states their origin."""
+"""Reference results for the same traffic: tables in studies/reference; its README states their origin."""
 
 import csv
 from collections.abc import Iterator
@@ -8,7 +8,7 @@ from msgspec import Struct
 
 from netsim.model.config import BandwidthMhz, Mode
 
-REFERENCE = Path(__file__).parents[2] / "tests" / "reference"
+REFERENCE = Path(__file__).parents[2] / "studies" / "reference"
 NS3_PAYLOAD_OVERHEAD_BYTES = 8 + 20 + 8
 """UDP, IPv4 and LLC/SNAP headers around a UDP payload."""
 BIANCHI_PACKET_BYTES = 1500

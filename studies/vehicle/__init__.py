@@ -1,1 +1,1 @@
-"""Flight performance of one vehicle (generates docs/validation.md), and the benchmark of its step."""
+"""Flight performance of one vehicle (generates docs/results/validation.md), and the benchmark of its step."""

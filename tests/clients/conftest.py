@@ -1,4 +1,4 @@
-"""Clients are processes of their own, and so are the swarms that they fly; none outlives its test."""
+"""Clients and the swarms that they fly are separate processes; all end with their test."""
 
 import contextlib
 import importlib.util
@@ -16,14 +16,14 @@ from harness.launch import kernel_cache
 
 PACKAGES = {"mavsdk": "mavsdk", "MAVProxy": "MAVProxy", "serial": "pyserial"}
 REQUIRED = os.environ.get("COFLIGHT_CLIENTS") == "required"
-"""So it is where the clients are installed for these tests: then none of them is skipped."""
+"""Set where the clients must be installed: then none of these tests is skipped."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     absent = [name for module, name in PACKAGES.items() if importlib.util.find_spec(module) is None]
     if absent and not REQUIRED:
-        reason = f"{', '.join(absent)} not installed: make test-clients does so"
-        for item in items:  # those of the whole session, not of this folder alone
+        reason = f"{', '.join(absent)} not installed; run make test-clients"
+        for item in items:  # the items are those of the whole session, not of this folder
             if item.get_closest_marker("clients") is not None:
                 item.add_marker(pytest.mark.skip(reason=reason))
 
@@ -35,12 +35,12 @@ def kernels() -> None:
 
 @pytest.fixture
 def hold(tmp_path: Path) -> Iterator[Callable[..., Held]]:
-    """Give a factory of swarms; none outlives the test."""
+    """Return a factory of swarms, which are killed at the end of the test."""
     with contextlib.ExitStack() as stack:
 
         def make(*options: str) -> Held:
             swarm = Held(tmp_path / f"run{len(list(tmp_path.iterdir()))}", *options)
-            stack.callback(swarm.kill)  # known before it is started: that may fail
+            stack.callback(swarm.kill)  # registered first, since the start may fail
             swarm.start()
             return swarm
 
@@ -49,7 +49,7 @@ def hold(tmp_path: Path) -> Iterator[Callable[..., Held]]:
 
 @pytest.fixture
 def client() -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Give a starter of client scripts of this folder; none outlives the test."""
+    """Yield a function that starts a client script of tests/support; clients are killed at the end."""
     started: list[subprocess.Popen[str]] = []
 
     def start(script: str, *arguments: object) -> subprocess.Popen[str]:

@@ -1,4 +1,4 @@
-"""The code blocks of docs/ground-control.md run as they stand there, but for the ports."""
+"""The code blocks of docs/ground-control.md run unchanged, except for the ports."""
 
 import re
 import subprocess
@@ -11,10 +11,12 @@ pytestmark = [pytest.mark.clients, pytest.mark.timeout(200)]
 
 
 def test_the_blocks_of_the_ground_stations_page(hold, tmp_path) -> None:
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "ground-control.md").read_text(), re.DOTALL)
+    blocks = re.findall(
+        r"```python\n(.*?)```", (ROOT / "docs" / "how-to" / "ground-control.md").read_text(), re.DOTALL
+    )
     assert len(blocks) == 2
     swarm = hold()
-    # the last first: it flies a vehicle that waits, and the formation is released afterwards
+    # in reverse: the last block flies a waiting vehicle, and the first releases the formation
     for number, block in enumerate(reversed(blocks)):
         script = tmp_path / f"block{number}.py"
         script.write_text(
@@ -25,4 +27,4 @@ def test_the_blocks_of_the_ground_stations_page(hold, tmp_path) -> None:
         )
         assert done.returncode == 0, done.stdout + done.stderr
     swarm.end()
-    assert any("released" in line for line in swarm.said)
+    assert any("released" in line for line in swarm.log_lines)

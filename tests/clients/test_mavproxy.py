@@ -1,4 +1,4 @@
-"""MAVProxy without a window, on the ground stations' port of a swarm that holds."""
+"""MAVProxy without a window, on the ground station port of a swarm with --hold."""
 
 import pytest
 from swarms import ROOT, failures, findings
@@ -10,7 +10,7 @@ pytestmark = [pytest.mark.clients, pytest.mark.timeout(300)]
 
 def test_a_session_of_mavproxy(hold, client, tmp_path) -> None:
     site = load(ROOT / "scenarios" / "article.toml").site
-    # one vehicle alone calls the ground stations' port: its user flies by the numbers of one
+    # a single vehicle, since MAVProxy selects one vehicle on the port
     swarm = hold("--agents", "1")
     process = client(
         "mavproxy_session.py",

@@ -1,4 +1,4 @@
-"""MAVSDK flies vehicles of a swarm that holds, as it flies PX4's."""
+"""MAVSDK flies vehicles of a swarm with --hold like PX4's."""
 
 import statistics
 
@@ -9,21 +9,21 @@ from swarms import failures, findings
 pytestmark = [pytest.mark.clients, pytest.mark.timeout(400)]
 
 
-def test_everything_that_a_user_of_px4_does_on_one_vehicle_while_the_others_hold(hold, client) -> None:
+def test_a_px4_users_session_on_one_vehicle_while_the_others_hold(hold, client) -> None:
     swarm = hold()
     found = findings(client("mavsdk_flight.py", swarm.companion_port), wall_limit_s=280.0)
     assert failures(found) == []
     assert len(found) >= 64
     manifest = swarm.end()
-    # only who was spoken to is named, and nobody else left the ground
+    # only the contacted vehicle is named, and no other left the ground
     assert [line for line in manifest["nondeterminism"] if "spoken to" in line] == [
         "uav 0 was spoken to by a ground station or companion"
     ]
-    assert not any("touched" in line or "lost" in line for line in swarm.said)
+    assert not any("touched" in line or "lost" in line for line in swarm.log_lines)
 
 
 LEAST_IDLE = 0.1
-"""Part of the machine's time; with less it is others' doing if a swarm does not keep pace."""
+"""Idle fraction of the machine's time below which a slow swarm is due to other load."""
 
 
 def test_three_clients_on_three_vehicles_at_once(hold, client) -> None:
@@ -37,5 +37,5 @@ def test_three_clients_on_three_vehicles_at_once(hold, client) -> None:
     passed = [after - then for after, then in zip(psutil.cpu_times(), before, strict=True)]
     idle = passed[before._fields.index("idle")] / sum(passed)
     swarm.end()
-    # the clock's pace is kept with all that, where the machine has the time
+    # the swarm keeps real time, if the machine has idle time
     assert statistics.median(swarm.pace) > 0.9 or idle < LEAST_IDLE, f"{swarm.pace}, {idle:.0%} idle"

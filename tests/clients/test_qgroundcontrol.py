@@ -1,6 +1,6 @@
-"""QGroundControl's first minute, replayed: what it asks a vehicle for when it finds one, in its order.
+"""Replay of QGroundControl's first minute: its requests to a newly found vehicle, in order.
 
-QGroundControl has no version without windows. What it asks, and which fields of the answers it uses, is read
+QGroundControl has no version without windows. Its requests, and the fields of the answers that it uses, are
 from its sources (Vehicle/InitialConnectStateMachine, ComponentInformation, MissionManager/PlanManager).
 """
 
@@ -19,7 +19,7 @@ pytestmark = [pytest.mark.clients, pytest.mark.timeout(200)]
 
 LIMIT_S = 5.0
 DEG_M = 1.0 / 111_319.5
-"""Latitude of a metre."""
+"""Degrees of latitude per metre."""
 HASH_INDEX = 65_535
 PX4_MODES = {
     "Hold": (4, 3), "Mission": (4, 4), "Return": (4, 5), "Land": (4, 6), "Takeoff": (4, 2),
@@ -29,15 +29,15 @@ PX4_MODES = {
 
 
 class Station:
-    """One ground station on the vehicle's port, as system 255."""
+    """A ground station on the vehicle's port, as system 255."""
 
     def __init__(self, swarm: Swarm) -> None:
         self.swarm = swarm
         self.link = swarm.mavlink(0)
-        self.heard: list[Any] = []
+        self.received: list[Any] = []
 
     def ask(self, send: Callable[[Any], None], kinds: str, count: int = 1, *, times: int = 3) -> list[Any]:
-        """Send, and fly until so many answers of that kind have come; asked again as stations do."""
+        """Send a request and fly until ``count`` answers of ``kinds`` have arrived; repeat after LIMIT_S."""
         answers: list[Any] = []
         for _ in range(times):
             send(self.link.mav)
@@ -45,7 +45,7 @@ class Station:
             while self.swarm.truth.t_s < limit_s:
                 self.swarm.run_for(0.1)
                 while (message := self.link.recv_msg()) is not None:
-                    self.heard.append(message)
+                    self.received.append(message)
                     if message.get_type() in kinds.split() and message.get_srcComponent() == 1:
                         answers.append(message)
                 if len(answers) >= count:
@@ -53,7 +53,7 @@ class Station:
         raise AssertionError(f"{len(answers)} of {count} {kinds}")
 
     def request(self, message: int, kind: str, count: int = 1, *, index: float = 0.0) -> list[Any]:
-        """Ask for a message by MAV_CMD_REQUEST_MESSAGE."""
+        """Request a message by MAV_CMD_REQUEST_MESSAGE."""
         params = (float(message), index, 0.0, 0.0, 0.0, 0.0, 0.0)
         return self.ask(
             lambda mav: mav.command_long_send(1, 1, common.MAV_CMD_REQUEST_MESSAGE, 0, *params), kind, count
@@ -63,25 +63,25 @@ class Station:
 @pytest.fixture
 def station() -> Any:
     with Swarm("scenarios/article.toml", agents=1, overrides=["onboard.hold=true"], speed=4.0) as swarm:
-        swarm.run_for(10.0)  # until its estimate is there
+        swarm.run_for(10.0)  # until the estimate is valid
         yield Station(swarm)
 
 
-def test_what_it_asks_for_in_its_first_minute(station: Station) -> None:
-    _looks_at_heartbeat_and_status(station)
-    _looks_at_version(station)
-    _lists_modes(station)
-    names = _loads_parameters(station)
+def test_the_requests_of_its_first_minute(station: Station) -> None:
+    _check_heartbeat_and_status(station)
+    _check_version(station)
+    _check_modes(station)
+    names = _load_parameters(station)
     assert {"SYS_AUTOSTART", "COM_RC_IN_MODE", "MIS_TAKEOFF_ALT", "RTL_RETURN_ALT"} <= names
-    _loads_plans(station)
-    _gets_home(station)
+    _load_plans(station)
+    _request_home(station)
 
 
-def _looks_at_heartbeat_and_status(station: Station) -> None:
+def _check_heartbeat_and_status(station: Station) -> None:
     (beat,) = station.ask(lambda _: None, "HEARTBEAT")[:1]
     assert (beat.type, beat.autopilot, beat.base_mode & 1) == (2, 12, 1)
     (status,) = station.ask(lambda _: None, "SYS_STATUS")[:1]
-    # every sensor that is there and used is healthy, and arming would be let: it says "Ready to fly"
+    # every sensor in use is healthy and arming would be accepted: QGroundControl shows "Ready to fly"
     present, enabled, health = (
         status.onboard_control_sensors_present,
         status.onboard_control_sensors_enabled,
@@ -92,7 +92,7 @@ def _looks_at_heartbeat_and_status(station: Station) -> None:
     assert not enabled & common.MAV_SYS_STATUS_GEOFENCE or present & common.MAV_SYS_STATUS_GEOFENCE
 
 
-def _looks_at_version(station: Station) -> None:
+def _check_version(station: Station) -> None:
     (version,) = station.request(common.MAVLINK_MSG_ID_AUTOPILOT_VERSION, "AUTOPILOT_VERSION")[:1]
     needs = (
         common.MAV_PROTOCOL_CAPABILITY_MISSION_INT,
@@ -103,11 +103,11 @@ def _looks_at_version(station: Station) -> None:
         common.MAV_PROTOCOL_CAPABILITY_FTP,
     )
     assert all(version.capabilities & need for need in needs)
-    assert version.flight_sw_version >> 16 == 0x0111  # 1.17: features go off below some version
+    assert version.flight_sw_version >> 16 == 0x0111  # 1.17: features are disabled for older versions
     assert version.uid or any(version.uid2)
 
 
-def _lists_modes(station: Station) -> None:
+def _check_modes(station: Station) -> None:
     modes = station.request(dialect.AvailableModes.id, "AVAILABLE_MODES", 9)
     number = modes[0].number_modes
     assert sorted(mode.mode_index for mode in modes) == list(range(1, number + 1))
@@ -115,17 +115,17 @@ def _lists_modes(station: Station) -> None:
     assert {main << 16 | sub << 24 for main, sub in PX4_MODES.values()} <= custom
 
 
-def _loads_parameters(station: Station) -> set[str]:
+def _load_parameters(station: Station) -> set[str]:
     (first,) = station.ask(lambda mav: mav.param_request_list_send(1, 1), "PARAM_VALUE")[:1]
     assert (first.param_id, first.param_index) == ("_HASH_CHECK", HASH_INDEX)
     values: dict[int, Any] = {}
     limit_s = station.swarm.truth.t_s + 4 * LIMIT_S
     while len(values) < first.param_count and station.swarm.truth.t_s < limit_s:
         station.swarm.run_for(0.1)
-        heard: list[Any] = []
+        received: list[Any] = []
         while (message := station.link.recv_msg()) is not None:
-            heard.append(message)
-        for message in [*station.heard, *heard]:
+            received.append(message)
+        for message in [*station.received, *received]:
             if message.get_type() == "PARAM_VALUE" and message.param_index != HASH_INDEX:
                 values[message.param_index] = message
     assert sorted(values) == list(range(first.param_count))
@@ -135,7 +135,7 @@ def _loads_parameters(station: Station) -> set[str]:
     return set(names)
 
 
-def _loads_plans(station: Station) -> None:
+def _load_plans(station: Station) -> None:
     for kind in (
         common.MAV_MISSION_TYPE_MISSION, common.MAV_MISSION_TYPE_FENCE, common.MAV_MISSION_TYPE_RALLY,
     ):  # fmt: skip
@@ -147,10 +147,10 @@ def _loads_plans(station: Station) -> None:
         station.link.mav.mission_ack_send(1, 1, common.MAV_MISSION_ACCEPTED, kind)
 
 
-def _gets_home(station: Station) -> None:
+def _request_home(station: Station) -> None:
     answers = station.request(common.MAVLINK_MSG_ID_HOME_POSITION, "COMMAND_ACK HOME_POSITION", 2)
-    said = {message.get_type(): message for message in answers}
-    ack, home = said["COMMAND_ACK"], said["HOME_POSITION"]
+    answer = {message.get_type(): message for message in answers}
+    ack, home = answer["COMMAND_ACK"], answer["HOME_POSITION"]
     assert (ack.command, ack.result) == (common.MAV_CMD_REQUEST_MESSAGE, common.MAV_RESULT_ACCEPTED)
     site = station.swarm.scenario.site
     place = ned_to_geodetic(
@@ -159,6 +159,6 @@ def _gets_home(station: Station) -> None:
         origin_lon_deg=site.longitude_deg,
         origin_alt_m=site.altitude_m,
     )
-    # where it stands, which it has from its receiver: to metres, and twice as much in height
+    # the GPS position of the vehicle: within metres, and twice as much in height
     assert (1e-7 * home.latitude, 1e-7 * home.longitude) == pytest.approx(place[:2], abs=6.0 * DEG_M)
     assert 1e-3 * home.altitude == pytest.approx(place[2], abs=12.0)

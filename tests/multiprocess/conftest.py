@@ -1,4 +1,4 @@
-"""Kernels are compiled before the first process is timed: a fresh checkout would do it within a test."""
+"""Compile all kernels before the first test, so that no test with a time limit compiles them."""
 
 import pytest
 

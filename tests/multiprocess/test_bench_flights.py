@@ -1,4 +1,4 @@
-"""A short bench of real flights."""
+"""A short benchmark of real flights, and interrupted ones."""
 
 import json
 import os
@@ -18,7 +18,7 @@ BENCH = ROOT / "scripts" / "bench.py"
 WALL_LIMIT_S = 60.0
 
 
-def test_bench_tells_speed_floor_parts_memory_and_start_up():
+def test_bench_reports_speed_floor_parts_memory_and_start_up():
     command = [sys.executable, str(BENCH), "--quick", "--agents", "1,2", "--duration", "1", "--json"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     found = json.loads(done.stdout)
@@ -27,7 +27,7 @@ def test_bench_tells_speed_floor_parts_memory_and_start_up():
     for run in found["runs"]:
         spent = run["cpu_s_per_simulated_s"]
         assert {"physics", "radio", VEHICLES, "launcher"} <= set(spent)
-        # processor time, for what else the machine does takes a share of the wall time of either
+        # processor time, since other work of the machine changes both wall times
         assert run["floor_cpu_s_per_simulated_s"] < sum(spent.values())
         assert run["real_time_factor"] > 0.0
         assert run["floor_real_time_factor"] > 0.0
@@ -40,7 +40,7 @@ def test_bench_tells_speed_floor_parts_memory_and_start_up():
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_a_bench_that_is_broken_off_in_mid_flight_leaves_nothing_behind(tmp_path, number):
+def test_interrupted_bench_leaves_no_process_and_no_file(tmp_path, number):
     command = [sys.executable, str(BENCH), "--agents", "2", "--duration", "1000", "--repeats", "1"]
     environment = os.environ | {"TMPDIR": str(tmp_path)}
     with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as bench:
@@ -56,7 +56,7 @@ def test_a_bench_that_is_broken_off_in_mid_flight_leaves_nothing_behind(tmp_path
         bench.send_signal(number)
         _, errors = bench.communicate(timeout=WALL_LIMIT_S)
     assert psutil.wait_procs(descendants.values(), timeout=WALL_LIMIT_S)[1] == []
-    if number == signal.SIGKILL:  # nobody is left to tidy
+    if number == signal.SIGKILL:  # no process is left to delete the files
         return
     assert bench.returncode == 130
     assert errors.splitlines()[-1] == "bench: broken off"

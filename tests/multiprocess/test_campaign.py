@@ -1,4 +1,4 @@
-"""Campaigns on real workers: a killed one goes on, a dead worker costs its own run (40 s)."""
+"""Campaigns on real workers: resumption after SIGKILL, dead workers, wrong sources (40 s)."""
 
 import errno
 import io
@@ -49,7 +49,7 @@ def command(folder: Path, out: str, *, workers: int) -> list[str]:
 
 
 def complete(folder: Path, out: str, *, workers: int) -> tuple[dict[str, object], dict[str, bytes]]:
-    """Fly to the end; returns what is said, and all that is kept for good, by its name."""
+    """Fly to the end; returns the printed JSON, and the contents of the tables and series by file name."""
     ended = subprocess.run(
         command(folder, out, workers=workers),
         capture_output=True,
@@ -62,10 +62,10 @@ def complete(folder: Path, out: str, *, workers: int) -> tuple[dict[str, object]
     return json.loads(ended.stdout), {path.name: path.read_bytes() for path in files}
 
 
-def test_a_campaign_that_is_killed_half_way_finishes_with_the_same_table(tmp_path: Path) -> None:
-    """Two workers end with their client, two more finish; one alone flies the campaign that is not killed.
+def test_killed_campaign_is_resumed_with_the_same_table(tmp_path: Path) -> None:
+    """Two workers end with their client and two others finish; one worker flies the uninterrupted campaign.
 
-    All formations are reached, so that the numbers of flights are compared: 4 gains per second, for 1 s.
+    All formations are reached, so that the series have rows: 4 gains per second, for 1 s.
     """
     (tmp_path / "c.toml").write_text(CAMPAIGN)
     line = command(tmp_path, "killed", workers=2)
@@ -89,20 +89,20 @@ def test_a_campaign_that_is_killed_half_way_finishes_with_the_same_table(tmp_pat
     assert set(listening) == {"127.0.0.1"}
     flown = len(list(runs.glob("[!.]*.json")))
     assert 1 <= flown < RUNS
-    said, kept = complete(tmp_path, "killed", workers=2)
-    assert (said["runs"], said["flown"], said["completed"]) == (RUNS, RUNS - flown, RUNS)
-    said, whole = complete(tmp_path, "whole", workers=1)
-    assert (said["runs"], said["flown"], said["completed"]) == (RUNS, RUNS, RUNS)
+    printed, kept = complete(tmp_path, "killed", workers=2)
+    assert (printed["runs"], printed["flown"], printed["completed"]) == (RUNS, RUNS - flown, RUNS)
+    printed, whole = complete(tmp_path, "whole", workers=1)
+    assert (printed["runs"], printed["flown"], printed["completed"]) == (RUNS, RUNS, RUNS)
     series = [name for name in whole if name.endswith(".gains.parquet")]
     assert whole.keys() == {"table.parquet", "table.csv", *series}
-    assert len({whole[name] for name in series}) == RUNS  # other seeds and winds, other flights
+    assert len({whole[name] for name in series}) == RUNS  # all flights differ in seed or wind
     assert all(pq.read_table(io.BytesIO(whole[name])).num_rows >= 4 for name in series)
     assert kept == whole
     assert not (tmp_path / "killed" / "flying").exists()
 
 
 def fly_or_die(task):
-    """End the process with one seed, and refuse another; all others land."""
+    """Exit with seed 2, return a failed run with seed 4, and a completed one with others."""
     seed = task.scenario.run.seed
     if seed == 2:
         os._exit(3)
@@ -112,14 +112,14 @@ def fly_or_die(task):
 
 
 def out_of_room(_scenario, _folder):
-    """As `harness.launch.one_process.fly` does it: an error whose context leads back to it."""
+    """Raise OSError as `harness.launch.one_process.fly` does, with a cycle of context and cause."""
     full = OSError(errno.ENOSPC, "No space left on device")
     full.__context__ = SwarmError("of the test")
     full.__context__.__cause__ = full
     raise full
 
 
-def test_a_worker_that_dies_costs_its_own_run_alone(tmp_path, monkeypatch):
+def test_dead_worker_fails_only_its_own_run(tmp_path, monkeypatch):
     monkeypatch.setattr(running, "fly_on_worker", fly_or_die)
     campaign = Campaign(
         name="deadly", scenario=ROOT / "scenarios" / "article.toml", seeds=tuple(range(1, 9)), keep=("gains",)
@@ -127,17 +127,17 @@ def test_a_worker_that_dies_costs_its_own_run_alone(tmp_path, monkeypatch):
     landed = []
     table = fly_campaign(campaign, out=tmp_path, workers=2, progress=landed.append)
     assert [each.done for each in landed] == list(range(1, 9))
-    assert landed[-1].run.seed == 2  # flown again alone, when all others were down
+    assert landed[-1].run.seed == 2  # repeated alone after all others
     assert table.column("seed") == list(range(1, 9))
     assert table.column("value") == [1, None, 3, None, 5, 6, 7, 8]
     reasons = dict(zip(table.column("seed"), table.column("reason"), strict=True))
     assert {seed: reason for seed, reason in reasons.items() if reason} == {2: running.DIED, 4: "refused"}
     assert table.store.series_path(table.runs[6].digest, "gains").read_bytes() == bytes([7])
-    monkeypatch.setattr(running, "connected", None)  # nothing is flown any more
+    monkeypatch.setattr(running, "connected", None)  # no run is left to fly
     assert fly_campaign(campaign, out=tmp_path).rows.equals(table.rows)
 
 
-def test_the_workers_of_a_scheduler_fly_and_refuse_for_other_sources(tmp_path, monkeypatch):
+def test_workers_of_a_scheduler_fly_and_refuse_other_sources(tmp_path, monkeypatch):
     scenario = ROOT / "scenarios" / "article.toml"
     campaign = Campaign(name="elsewhere", scenario=scenario, seeds=(1, 3, 5, 7))
     local = {"host": "127.0.0.1", "protocol": "tcp", "dashboard_address": None, "processes": False}
@@ -152,7 +152,7 @@ def test_the_workers_of_a_scheduler_fly_and_refuse_for_other_sources(tmp_path, m
         with pytest.raises(ClusterError, match=r"the worker at .* cannot fly: OSError: .* No space left"):
             fly_campaign(campaign, out=tmp_path / "full", scheduler=address)
         monkeypatch.setattr(worker, "sources_bytes", lambda: "others")
-        with pytest.raises(ClusterError, match="No space left"):  # of other comments, for all that
+        with pytest.raises(ClusterError, match="No space left"):  # comments differ: accepted
             fly_campaign(campaign, out=tmp_path / "full", scheduler=address)
         monkeypatch.setattr(worker, "sources_state", lambda: "others")
         with pytest.raises(ClusterError, match=r"the sources of the worker at .* are not the campaign's"):

@@ -1,4 +1,4 @@
-"""Flying at a human pace: pause, hold and release, a steady speed, heartbeats whatever time does."""
+"""Flights at wall-clock pace: pause, hold and release, steady and changed speed, heartbeats."""
 
 import threading
 import time
@@ -21,7 +21,7 @@ WALL_LIMIT_S = 60.0
 
 @pytest.fixture
 def held() -> Iterator[Callable[..., Swarm]]:
-    """Give a factory of started swarms that hold."""
+    """Yield a factory of started swarms, with `onboard.hold` by default."""
     started: list[Swarm] = []
 
     def start(*, agents: int = 2, hold: bool = True, **options: Any) -> Swarm:
@@ -36,12 +36,12 @@ def held() -> Iterator[Callable[..., Swarm]]:
         swarm.stop()
 
 
-def heard(
+def receive(
     link: Any, kind: str, *, until: Callable[[list[tuple[float, Any]]], bool] = bool, component: int = 1
 ) -> list[tuple[float, Any]]:
-    """Messages of a kind, each with the wall time of its arrival, up to that with which they are enough.
+    """Return messages of a kind with the wall times of their arrival, until ``until`` is true of them.
 
-    By default that is the first; fails if they are not after `WALL_LIMIT_S`.
+    By default this is the first message; raises AssertionError after `WALL_LIMIT_S`.
     """
     messages: list[tuple[float, Any]] = []
     wall_end_s = time.monotonic() + WALL_LIMIT_S
@@ -54,9 +54,9 @@ def heard(
 
 
 def command(link: Any, number: int, *params: float, component: int = 1) -> int:
-    """Send a COMMAND_LONG; its result."""
+    """Send a COMMAND_LONG; returns its result."""
     link.mav.command_long_send(1, component, number, 0, *params, *(0.0,) * (7 - len(params)))
-    answers = heard(
+    answers = receive(
         link, "COMMAND_ACK", until=lambda acks: any(m.command == number for _, m in acks), component=component
     )
     return answers[-1][1].result
@@ -66,10 +66,10 @@ def is_armed(beat: Any) -> bool:
     return bool(beat.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED)
 
 
-def test_while_time_stands_heartbeats_go_on_and_commands_are_answered(held) -> None:
+def test_heartbeats_and_commands_continue_during_a_pause(held) -> None:
     swarm = held(agents=1)
     link = swarm.mavlink(0)
-    swarm.run_for(8.0)  # until it may be armed
+    swarm.run_for(8.0)  # until arming is permitted
     while link.recv_msg() is not None:
         pass
 
@@ -77,14 +77,14 @@ def test_while_time_stands_heartbeats_go_on_and_commands_are_answered(held) -> N
         gaps_s = (later - earlier for (earlier, _), (later, _) in pairwise(beats))
         return min(gaps_s, default=float("inf"))
 
-    # nobody runs it: time stands. A second and a look around, if the machine lets it; stations wait for three
-    beats = heard(link, "HEARTBEAT", until=lambda beats: len(beats) >= 4 and shortest_gap_s(beats) < 1.4)
-    assert beats[-1][0] - beats[0][0] > (len(beats) - 1) * 0.9 - 0.5  # and no more often than that
+    # time is paused. The period is a second and one poll on an idle machine; stations time out after three
+    beats = receive(link, "HEARTBEAT", until=lambda beats: len(beats) >= 4 and shortest_gap_s(beats) < 1.4)
+    assert beats[-1][0] - beats[0][0] > (len(beats) - 1) * 0.9 - 0.5  # and no shorter period
     assert not any(is_armed(beat) for _, beat in beats)
     assert command(link, common.MAV_CMD_COMPONENT_ARM_DISARM, 1.0) == common.MAV_RESULT_ACCEPTED
-    heard(link, "HEARTBEAT", until=lambda beats: bool(beats) and is_armed(beats[-1][1]))
+    receive(link, "HEARTBEAT", until=lambda beats: bool(beats) and is_armed(beats[-1][1]))
     assert command(link, common.MAV_CMD_COMPONENT_ARM_DISARM, 0.0) == common.MAV_RESULT_ACCEPTED
-    # a thousand setpoints are taken from the socket, the last of which is what counts
+    # a thousand setpoints are read from the socket; the last one is used
     for i in range(1_000):
         link.mav.set_position_target_local_ned_send(
             0, 1, 1, common.MAV_FRAME_LOCAL_NED, 0x0DF8, 0.0, 0.0, -float(i), *(0.0,) * 8
@@ -95,50 +95,50 @@ def test_while_time_stands_heartbeats_go_on_and_commands_are_answered(held) -> N
     before_s = swarm.truth.t_s
     swarm.run_for(0.2)
     assert swarm.truth.t_s == pytest.approx(before_s + 0.2)
-    # no time-out of its setpoints passed with the wall clock
+    # the time-out of setpoints is in simulated time
     assert swarm.truth.vehicles[0].mode == "Offboard"
 
 
-def test_a_pause_changes_nothing_of_what_is_flown_and_trips_nothing(held, tmp_path) -> None:
+def test_pause_does_not_change_the_flight(held, tmp_path) -> None:
     hashes = []
     for name, pauses in (("straight", False), ("paused", True)):
         progress: list[Progress] = []
         swarm = held(
             hold=False,
             out=tmp_path / name,
-            on_message=lambda m, said=progress: said.append(m) if isinstance(m, Progress) else None,
+            on_message=lambda m, received=progress: received.append(m) if isinstance(m, Progress) else None,
         )
         if pauses:
             swarm.pause()
             threading.Timer(1.2, swarm.resume).start()
         swarm.run(until_s=3.0)
-        stood = [p for p in progress if p.paused]
-        assert bool(stood) is pauses
-        assert len({p.time_us for p in stood}) <= 1
+        paused = [p for p in progress if p.paused]
+        assert bool(paused) is pauses
+        assert len({p.time_us for p in paused}) <= 1
         summary = swarm.summary(draw=False)
         hashes.append(summary["log_sha256"])
         assert summary["deterministic"]
     assert hashes[0] == hashes[1]
 
 
-def test_held_uavs_range_and_stay_until_they_are_released(held) -> None:
+def test_held_uavs_range_and_stay_until_release(held) -> None:
     swarm = held(agents=2)
     swarm.run_for(12.0)
     assert [vehicle.phase for vehicle in swarm.truth.vehicles] == ["held", "held"]
     assert not any(vehicle.armed for vehicle in swarm.truth.vehicles)
     link = swarm.mavlink(0)
-    # another command, and another component, are not it
+    # other commands and other components do not release
     assert command(link, common.MAV_CMD_USER_2, component=191) == common.MAV_RESULT_UNSUPPORTED
     assert command(link, common.MAV_CMD_USER_1, component=1) != common.MAV_RESULT_ACCEPTED
     assert command(link, common.MAV_CMD_USER_1, component=191) == common.MAV_RESULT_ACCEPTED
-    assert command(link, common.MAV_CMD_USER_1, component=191) == common.MAV_RESULT_ACCEPTED  # a repeat
+    assert command(link, common.MAV_CMD_USER_1, component=191) == common.MAV_RESULT_ACCEPTED  # a repetition
     truth = swarm.run_until(lambda truth: truth.vehicles[0].phase == "on station", timeout_s=60.0)
     assert truth.vehicles[1].phase == "held"
     assert not truth.vehicles[1].armed
     assert swarm.summary(draw=False)["ftm"]["completed"] > 0
 
 
-def test_the_pace_is_steady_and_what_is_late_is_not_caught_up_with(held) -> None:
+def test_pace_is_steady_and_delays_are_not_made_up(held) -> None:
     progress: list[Progress] = []
     swarm = held(
         agents=1, speed=2.0, on_message=lambda m: progress.append(m) if isinstance(m, Progress) else None
@@ -149,21 +149,21 @@ def test_the_pace_is_steady_and_what_is_late_is_not_caught_up_with(held) -> None
     threading.Timer(0.5, swarm.pause).start()
     threading.Timer(1.5, swarm.resume).start()
     first_run = progress.copy()
-    progress.clear()  # nobody keeps a pace between two runs
+    progress.clear()  # no pace is kept between two runs
     swarm.run_for(3.0)
     assert any(p.paused for p in progress)
     for a, b in (*pairwise(first_run), *pairwise(progress)):
         if b.time_us > a.time_us and not a.paused and not b.paused:
             late_s = (b.wall_s - a.wall_s) - (b.time_us - a.time_us) * 1e-6 / 2.0
-            # what it lost it told, and what it did not tell is at most the lateness that it makes good
+            # delays are reported, except those of at most MOST_LAG_S, which are made up
             assert -MOST_LAG_S - 0.02 < late_s - (b.lag_s - a.lag_s) < MOST_LAG_S + 0.02
 
 
-def test_a_speed_can_be_changed_in_a_run(held) -> None:
+def test_speed_can_be_changed_during_a_run(held) -> None:
     swarm = held(agents=1, speed=0.02)
     assert swarm.speed == 0.02
     wall_begin_s = time.monotonic()
     threading.Timer(0.5, swarm.set_speed, ["max"]).start()
     swarm.run_for(3.0)
-    assert time.monotonic() - wall_begin_s < WALL_LIMIT_S  # at 0.02 it would be 150 s
+    assert time.monotonic() - wall_begin_s < WALL_LIMIT_S  # 150 s at 0.02
     assert swarm.speed == "max"

@@ -1,4 +1,4 @@
-"""A run that looks where its time goes: every process tells, and nothing else changes."""
+"""A profiled run: every process reports its parts, and the logs do not change."""
 
 import pytest
 
@@ -12,7 +12,7 @@ pytestmark = pytest.mark.multiprocess
 SECONDS = 3.0
 
 
-def test_every_process_tells_where_its_time_went_and_the_logs_are_those_of_any_run(tmp_path):
+def test_every_process_reports_its_parts_and_logs_do_not_change(tmp_path):
     hashes = []
     for name, profile_from_s in (("plain", None), ("profiled", 1.0)):
         with Swarm(
@@ -24,13 +24,13 @@ def test_every_process_tells_where_its_time_went_and_the_logs_are_those_of_any_r
         assert ("profile" in summary) == (profile_from_s is not None)
     assert hashes[0] == hashes[1]
     profile = swarm.profile
-    assert set(profile) <= {"physics", "radio", "vehicles"}  # one that did all but nothing has no samples
+    assert set(profile) <= {"physics", "radio", "vehicles"}  # a nearly idle process has no samples
     assert profile["vehicles"].processes == 2
     tables = {"physics": physics_parts, "radio": radio_parts, "vehicles": vehicle_parts}
     for name, kind in profile.items():
         parts = kind.parts_cpu_s_per_simulated_s
         assert sum(parts.values()) == pytest.approx(kind.cpu_s_per_simulated_s)
         assert 0.0 <= kind.waiting_fraction + kind.queueing_fraction <= 1.0
-        # which of them were met in so short a flight is chance
+        # the sampled parts of so short a flight vary
         assert set(parts) <= {*tables[name].PROFILE_GROUPS.values(), REST, THREADS}
         assert set(parts) & set(tables[name].PROFILE_GROUPS.values())

@@ -1,4 +1,4 @@
-"""Swarms with stand-ins for PX4 in their seats: they fly, are lost by name, and end with the run."""
+"""Swarms with stand-ins for PX4: flights, losses, errors at the start, end with the run."""
 
 import json
 import socket
@@ -43,7 +43,7 @@ bandwidth_mhz = 80
 
 
 def free_base(count):
-    """First of so many UDP ports that are free now, in a range where nobody is given any unasked."""
+    """Return the first of ``count`` free UDP ports, below the range of ephemeral ports."""
     for base in range(20_000, 30_000, 16):
         try:
             for port in range(base, base + count):
@@ -57,7 +57,7 @@ def free_base(count):
 
 @pytest.fixture
 def swarm(tmp_path):
-    """Give swarms of stand-ins, whose manners are ``**manners``."""
+    """Return a factory of swarms of stand-ins; ``**manners`` are fields of `px4_stand_in.Manners`."""
     build = tmp_path / "build"
     (build / "bin").mkdir(parents=True)
     (build / "etc").mkdir()
@@ -96,16 +96,16 @@ def swarm(tmp_path):
     return make
 
 
-def test_a_swarm_of_px4s_flies_the_formation_and_says_that_it_is_not_repeatable(swarm):
+def test_swarm_of_px4s_flies_the_formation_and_is_not_deterministic(swarm):
     flown = swarm(3, speed=2.0, flies=True, late_every=500)
     with flown:
         flown.run_until_formed(timeout_s=90.0)
-        # fixes have no error here: what is left is the hold, and on a starved machine the application's delay
+        # GPS has no error here: the rest is the hold, and the application's delay on a busy machine
         flown.run_until(lambda truth: truth.error_m.max() < 0.7, timeout_s=10.0)
         truth = flown.run_for(1.0)
         assert [event for event in flown.events if isinstance(event, VehicleLost)] == []
         assert all(vehicle.alive and vehicle.armed for vehicle in truth.vehicles)
-        # the application's word and PX4's reach the simulator by way of the application
+        # the application reports its own phase and PX4's mode to the simulator
         assert {vehicle.mode for vehicle in truth.vehicles} == {"Offboard"}
         assert {vehicle.phase for vehicle in truth.vehicles} == {"on station"}
         summary = flown.summary(draw=False)
@@ -118,19 +118,19 @@ def test_a_swarm_of_px4s_flies_the_formation_and_says_that_it_is_not_repeatable(
         f"uav {i} is flown by a PX4, and its application keeps its time" for i in range(3)
     ]
     details = {process["name"]: process["details"] for process in manifest["processes"]}
-    # 200 ms are waited for; nobody but a starved machine makes a step go on without an answer
+    # a step waits 200 ms; steps continue without an answer only on a busy machine
     assert sum(details["physics"]["late_answers"].values()) <= 5
     for i in range(3):
         assert details[application(i)]["malformed_bytes"] == 0
         assert details[application(i)]["bad_beacons"] == 0
         assert "px4" in (flown.path / "logs" / f"uav-{i}.log").read_text()
         assert (flown.path / "px4" / f"uav-{i}").is_dir()
-    # their beacons went over the emulated channel, and what they believed is on record
+    # beacons crossed the emulated channel, and estimates are recorded
     assert summary["frames"]["delivered"] > 100
     assert all(vehicle["absolute_rms_m"] is not None for vehicle in summary["vehicles"])
 
 
-def test_a_px4_beside_one_of_coflights_own_in_one_formation(swarm):
+def test_px4_and_own_autopilot_fly_in_one_formation(swarm):
     flown = swarm(2, "autopilot.px4_vehicles=[1]", speed=2.0, flies=True)
     with flown:
         flown.run_until_formed(timeout_s=90.0)
@@ -140,7 +140,7 @@ def test_a_px4_beside_one_of_coflights_own_in_one_formation(swarm):
     assert set(flown.pids) == {"radio", "physics", PREFORK, uav(0), uav(1), application(1)}
 
 
-def test_px4s_without_applications_rise_and_their_companion_ports_are_left_to_others(swarm):
+def test_px4s_without_applications_leave_their_companion_ports_free(swarm):
     flown = swarm(2, "onboard.enabled=false", armed_from=200)
     with (
         flown,
@@ -152,11 +152,11 @@ def test_px4s_without_applications_rise_and_their_companion_ports_are_left_to_ot
     assert flown.leftovers() == []
 
 
-def test_one_that_dies_is_lost_by_name_and_the_others_go_on(swarm):
+def test_killed_px4_is_reported_as_lost_and_others_continue(swarm):
     flown = swarm(2)
     with flown:
         flown.run_for(0.5)
-        pid = flown._processes.ready[uav(0)].pid  # PX4's own, not its keeper's
+        pid = flown._processes.ready[uav(0)].pid  # PX4's own, not that of harness.launch.external_process
         assert "px4" in " ".join(psutil.Process(pid).cmdline())
         psutil.Process(pid).kill()
         truth = flown.run_for(1.0)
@@ -169,7 +169,7 @@ def test_one_that_dies_is_lost_by_name_and_the_others_go_on(swarm):
     assert flown.leftovers() == []
 
 
-def test_one_that_stops_answering_is_lost_by_name(swarm):
+def test_px4_without_answers_is_reported_as_lost(swarm):
     flown = swarm(1, mute_from=50)
     with flown, pytest.raises(Exception, match="no vehicle is left"):
         flown.run_for(20.0)
@@ -177,23 +177,23 @@ def test_one_that_stops_answering_is_lost_by_name(swarm):
     assert "has not answered" in lost.reason
 
 
-def test_an_application_that_dies_in_flight_takes_no_px4_with_it(swarm):
+def test_px4_continues_after_the_end_of_its_application(swarm):
     flown = swarm(2, speed=2.0, flies=True)
     with flown:
         flown.run_until(
             lambda truth: min(vehicle.pos_ned_m[2] for vehicle in truth.vehicles) < -1.0, timeout_s=60.0
         )
         psutil.Process(flown.pids[application(0)]).kill()
-        # its radio is asked to take what the other's beacons bring, and answers nothing
+        # its radio is offered the other's beacons and does not answer
         truth = flown.run_for(3.0)
         assert [vehicle.alive for vehicle in truth.vehicles] == [True, True]
-        # PX4's own failsafe has it, for its setpoints have ended
+        # PX4's own failsafe is active, since its setpoints have ended
         assert truth.vehicles[0].armed
         assert truth.vehicles[1].phase in {"joining", "on station"}
     assert not any(isinstance(event, VehicleLost) for event in flown.events)
 
 
-def test_a_px4_that_ends_at_once_is_one_line_with_its_last_words(swarm, tmp_path):
+def test_px4_that_ends_at_once_is_reported_with_its_output(swarm, tmp_path):
     flown = swarm(2)
     (tmp_path / "build" / "bin" / "px4").write_text("#!/bin/sh\necho 'ERROR no such model'\nexit 3\n")
     begin_s = time.monotonic()
@@ -203,12 +203,12 @@ def test_a_px4_that_ends_at_once_is_one_line_with_its_last_words(swarm, tmp_path
     assert flown.leftovers() == []
 
 
-def test_nobody_is_asked_to_hold_a_px4_in_one_process(swarm, tmp_path):
+def test_one_process_refuses_a_px4(swarm, tmp_path):
     with pytest.raises(SetupError, match="one process cannot hold it"):
         OneProcessSwarm(swarm(1).scenario, out=tmp_path / "one").start()
 
 
-def test_a_port_that_the_application_needs_is_one_line_before_anything_starts(swarm):
+def test_port_in_use_of_the_application_is_reported_before_the_start(swarm):
     flown = swarm(1)
     port = flown.scenario.ports.companion_remote_udp
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
@@ -218,14 +218,14 @@ def test_a_port_that_the_application_needs_is_one_line_before_anything_starts(sw
     assert flown.pids == {}
 
 
-def test_px4s_end_when_their_launcher_is_killed(tmp_path):
-    """Not only the keepers, which hear of it, but what they keep."""
+def test_external_process_ends_with_its_parent_process(tmp_path):
+    """The program ends too, not only `harness.launch.external_process`, which runs it."""
     pids = tmp_path / "pids"
-    program = tmp_path / "kept.py"
+    program = tmp_path / "program.py"
     program.write_text(
         textwrap.dedent(f"""
         import os, signal, time
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a PX4 may hang when asked to end
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a PX4 may hang at SIGTERM
         open({str(pids)!r}, "w").write(str(os.getpid()))
         time.sleep(600)
         """),
@@ -235,30 +235,30 @@ def test_px4s_end_when_their_launcher_is_killed(tmp_path):
         "name": "uav 0", "command": [sys.executable, str(program)], "environment": {},
         "folder": str(tmp_path),
     }  # fmt: skip
-    (tmp_path / "kept.json").write_text(json.dumps(config), encoding="ascii")
+    (tmp_path / "program.json").write_text(json.dumps(config), encoding="ascii")
     command = [
         sys.executable,
         "-P",
         "-m",
         "harness.launch.external_process",
         "--config",
-        str(tmp_path / "kept.json"),
+        str(tmp_path / "program.json"),
     ]
     for way in ("stdin", "kill", "stop"):
         pids.unlink(missing_ok=True)
-        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT) as keeper:
-            ready = json.loads(keeper.stdout.readline())
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT) as runner:
+            ready = json.loads(runner.stdout.readline())
             deadline_s = time.monotonic() + 20.0
             while not (pids.exists() and pids.read_text()) and time.monotonic() < deadline_s:
                 time.sleep(0.02)
-            kept = psutil.Process(int(pids.read_text()))
-            assert ready["pid"] == kept.pid
+            program_process = psutil.Process(int(pids.read_text()))
+            assert ready["pid"] == program_process.pid
             if way == "stop":
-                keeper.stdin.write(b'{"command":"stop"}\n')
-                keeper.stdin.flush()
+                runner.stdin.write(b'{"command":"stop"}\n')
+                runner.stdin.flush()
             elif way == "stdin":
-                keeper.stdin.close()
+                runner.stdin.close()
             else:
-                keeper.kill()
-            kept.wait(10.0)
-            keeper.wait(10.0)
+                runner.kill()
+            program_process.wait(10.0)
+            runner.wait(10.0)

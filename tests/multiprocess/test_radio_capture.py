@@ -1,6 +1,6 @@
-"""What Wireshark makes of a capture. It takes 4 s, most of it starts of tshark.
+"""Wireshark's dissection of a capture. It takes 4 s, most of them starts of tshark.
 
-Without tshark these tests are skipped; what they rest on is read back in tests/unit/netsim/capture.
+Without tshark these tests are skipped; tests/unit/netsim/capture reads the bytes of captures.
 """
 
 import contextlib
@@ -28,7 +28,7 @@ STEP_US = 4_000
 END_US = 600_000
 PAYLOAD = b"coflight beacon "
 SUBTYPES = {"rts": 0x1B, "cts": 0x1C, "ack": 0x1D, "data": 0x20, "ftm_request": 0x0D, "ftm": 0x0D}
-"""Type and subtype of every kind as Wireshark joins them."""
+"""Type and subtype of every kind in Wireshark's combined number."""
 COMMENT, NOTE = str(0x00100000), str(0x00400000)
 """Severities of Wireshark's expert information, below warnings and errors."""
 CHECK = ("wlan.check_checksum:TRUE", "ip.check_checksum:TRUE", "udp.check_checksum:TRUE")
@@ -77,7 +77,7 @@ def run(tmp_path_factory):
 
 
 def tshark(path, *fields, condition="", preferences=CHECK):
-    """Rows of fields of the packets for which a condition holds; a field that is absent is empty."""
+    """Return rows of fields of the packets that match a condition; absent fields are empty."""
     command = ["tshark", "-n", "-r", str(path), "-T", "fields"]
     for preference in preferences:
         command += ["-o", preference]
@@ -89,8 +89,8 @@ def tshark(path, *fields, condition="", preferences=CHECK):
     return [line.split("\t") for line in result.stdout.splitlines()]
 
 
-def test_nothing_is_malformed_or_doubtful(run):
-    """Wireshark remarks on comments and retries and has no warning or error."""
+def test_no_packet_is_malformed(run):
+    """Wireshark reports comments and retries, and no warnings or errors."""
     assert tshark(run.path, "frame.number", "_ws.expert.message", condition="_ws.malformed") == []
     remarks = tshark(
         run.path, "frame.comment", "wlan.fc.retry", "_ws.expert.severity", condition="_ws.expert"
@@ -101,7 +101,7 @@ def test_nothing_is_malformed_or_doubtful(run):
         assert set(severities.split(",")) == (expected | {NOTE} if retry == "1" else expected)
 
 
-def test_every_transmission_is_there_with_its_kind_time_and_valid_checksums(run):
+def test_every_transmission_has_its_kind_time_and_valid_checksums(run):
     rows = tshark(
         run.path, "frame.time_epoch", "radiotap.timestamp.ts", "wlan.fc.type_subtype", "frame.len",
         "radiotap.length", "wlan.fcs.status", "ip.checksum.status", "udp.checksum.status",
@@ -119,7 +119,7 @@ def test_every_transmission_is_there_with_its_kind_time_and_valid_checksums(run)
     assert [row[5:] for row in rows] == good
 
 
-def test_payloads_addresses_and_retries_are_those_of_the_frames(run):
+def test_payloads_addresses_and_retries_match_the_frames(run):
     rows = tshark(
         run.path, "udp.payload", "ip.id", "ip.src", "ip.dst", "wlan.sa", "wlan.da", "wlan.fc.retry",
         condition="wlan.fc.type_subtype == 32",
@@ -145,10 +145,10 @@ def test_payloads_addresses_and_retries_are_those_of_the_frames(run):
 
 
 def test_wireshark_computes_the_same_durations_and_gaps(run):
-    """Its own durations of non-HT frames, from rate and length; those of VHT are a rough estimate, it says.
+    """Durations of non-HT frames follow from rate and length; Wireshark's for VHT are rough estimates.
 
     With TSFT where the MPDU begins, every CTS follows its RTS after SIFS, 16 us, and the propagation delay
-    of up to 48 m, 0.16 us; Wireshark counts whole microseconds, which may make one more of it.
+    of up to 48 m, 0.16 us; Wireshark counts whole microseconds, which may add one.
     """
     rows = tshark(
         run.path, "wlan_radio.phy", "wlan_radio.duration", "wlan_radio.start_tsf", "wlan_radio.ifs",
@@ -162,7 +162,7 @@ def test_wireshark_computes_the_same_durations_and_gaps(run):
             assert int(duration_us) * 1_000 == sent.frame.duration_ns
             assert int(start_us) == sent.start_ns // 1_000
             durations += 1
-        # of two RTS within aCCATime of each other the first may be answered, which is sooner after the second
+        # of two RTS within aCCATime the first may be answered, at a shorter gap after the second
         answered = before is not None and before.source == sent.frame.destination
         if answered and (before.frame.kind, sent.frame.kind) == ("rts", "cts"):
             assert 16 <= int(gap_us) <= 17
@@ -172,8 +172,8 @@ def test_wireshark_computes_the_same_durations_and_gaps(run):
     assert gaps > 50
 
 
-def test_ranging_is_dissected_to_what_the_stations_said(run):
-    """Every field of every request and measurement, those of the parameters element where it is there."""
+def test_ranging_frames_are_dissected_to_their_fields(run):
+    """Compare all fields of every request and measurement, including those of a parameters element."""
     rows = tshark(
         run.path, "wlan.fixed.publicact", "wlan.fixed.trigger", "wlan.fixed.dialog_token",
         "wlan.fixed.followup_dialog_token", "wlan.fixed.ftm_tod", "wlan.fixed.ftm_toa",

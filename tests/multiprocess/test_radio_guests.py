@@ -1,4 +1,4 @@
-"""Other programs on the radio: the documentation's own, against a real emulator in its own time."""
+"""Guests of a real emulator at wall-clock pace, among them the programs of the documentation."""
 
 import contextlib
 import os
@@ -19,15 +19,17 @@ from netsim.wire.messages import Delivery, FtmResult, Sent
 pytestmark = pytest.mark.multiprocess
 
 PROGRAMS = re.findall(
-    r"<!-- the tests run it -->\n```python\n(.*?)```", (ROOT / "docs/radio-api.md").read_text(), re.DOTALL
+    r"<!-- the tests run it -->\n```python\n(.*?)```",
+    (ROOT / "docs/reference/radio-api.md").read_text(),
+    re.DOTALL,
 )
 DEADLINE_S = 120.0
-"""Of a whole process: the longest test has 17 MB cross the air, which is 30 s of it on an idle machine."""
+"""Wall time limit of a process: the longest test transmits 17 MB, 30 s of air time on an idle machine."""
 
 
 @contextlib.contextmanager
 def process(*command):
-    """A process whose lines are read with a deadline; gone at the end."""
+    """Start a process, and kill it at the end or after `DEADLINE_S`."""
     child = subprocess.Popen(
         command, stdout=subprocess.PIPE, text=True, cwd=ROOT, env={**os.environ, "PYTHONUNBUFFERED": "1"}
     )
@@ -44,7 +46,7 @@ def process(*command):
 
 @contextlib.contextmanager
 def laboratory(*options):
-    """Endpoint and process of an emulator with s0, s1 and s2, 15 m from their circle's middle."""
+    """Yield endpoint and process of an emulator with s0, s1 and s2 on a circle of 15 m."""
     command = ("scripts/wifi_lab.py", "serve", "--stations", "3", "--port", "0", *options)
     with process(sys.executable, *command) as server:
         endpoint, _, names = server.stdout.readline().strip().split(" ", 2)
@@ -59,7 +61,7 @@ def lab():
 
 
 def wait_for(radio, kind):
-    """The next item of a kind."""
+    """Return the next item of a kind."""
     for _ in range(100):
         for item in radio.receive(timeout_s=DEADLINE_S / 100):
             if isinstance(item, kind):
@@ -67,13 +69,13 @@ def wait_for(radio, kind):
     pytest.fail(f"no {kind.__name__} within {DEADLINE_S} s")
 
 
-def test_the_documentation_has_a_program_with_and_one_without_coflight():
+def test_documentation_has_programs_with_and_without_coflight():
     assert len(PROGRAMS) == 2
     assert all(len(program.splitlines()) <= 24 for program in PROGRAMS)
     assert "netsim" not in PROGRAMS[1]
 
 
-def test_the_documentations_programs_are_stations(lab, tmp_path):
+def test_programs_of_the_documentation_are_stations(lab, tmp_path):
     scripts = [tmp_path / f"program{i}.py" for i in range(2)]
     for script, program in zip(scripts, PROGRAMS, strict=True):
         script.write_text(program)
@@ -85,15 +87,15 @@ def test_the_documentations_programs_are_stations(lab, tmp_path):
         assert (delivery.source, delivery.payload) == (1, b"s1 is station 1")
         # 26 m: 46.8 dB at 1 m and 28.3 dB more, from 16 dBm; the fading has a K factor of 12 dB
         assert -75.0 < delivery.rssi_dbm < -50.0
-        said = first.stdout.readline()
-        assert re.fullmatch(r"station 0: 2[4-8]\.\d\d m\n", said), said
+        line = first.stdout.readline()
+        assert re.fullmatch(r"station 0: 2[4-8]\.\d\d m\n", line), line
         with process(sys.executable, str(scripts[1]), lab, "s2") as second:
             assert wait_for(radio, Delivery).payload == b"s2 is station 2"
             assert "s2 is station 2" in first.stdout.readline()
             assert "thank you" in second.stdout.readline()
 
 
-def test_a_datagram_to_one_station_is_acknowledged_and_ranging_answers(lab):
+def test_unicast_is_acknowledged_and_ranging_completes(lab):
     with Guest(lab, name="s0") as one, Guest(lab, name="s2") as other:
         seq = one.unicast(other.station, b"to you alone")
         assert wait_for(other, Delivery).payload == b"to you alone"
@@ -106,21 +108,21 @@ def test_a_datagram_to_one_station_is_acknowledged_and_ranging_answers(lab):
         assert other.now_us > 0
 
 
-def test_who_is_no_guest_is_told_who_is(lab):
+def test_unknown_guest_is_refused_with_the_list_of_guests(lab):
     with pytest.raises(RadioLost, match="no guest 'ground' on this channel; its guests: s0, s1, s2"):
         Guest(lab, name="ground")
 
 
-def test_an_endpoint_without_a_radio_is_one_line():
-    with contextlib.closing(Transport.listen("127.0.0.1", 0)) as nobody:
+def test_endpoint_without_a_radio_is_one_line():
+    with contextlib.closing(Transport.listen("127.0.0.1", 0)) as router:
         with pytest.raises(RadioLost, match="no radio of this version answers there"):
-            Guest(nobody.endpoint, name="s0")
-        endpoint = nobody.endpoint
+            Guest(router.endpoint, name="s0")
+        endpoint = router.endpoint
     with pytest.raises(TransportError, match="cannot connect to"):
         Guest(endpoint, name="s0")
 
 
-def test_what_no_radio_can_send_is_said_before_it_is_sent(lab):
+def test_invalid_requests_raise_before_transmission(lab):
     with Guest(lab, name="s0") as radio:
         for send in (
             lambda: radio.broadcast(b"x" * 1473),
@@ -131,12 +133,12 @@ def test_what_no_radio_can_send_is_said_before_it_is_sent(lab):
             with pytest.raises(ValueError, match=r"a datagram is at most|a station's number is"):
                 send()
         assert radio.broadcast(b"x" * 1472) == 1
-        for nobody in (0, 3):  # itself, and a number that no station has
-            assert radio.unicast(nobody, b"") > 1
+        for station in (0, 3):  # itself, and an unused number
+            assert radio.unicast(station, b"") > 1
             assert wait_for(radio, Sent).status == "rejected"
 
 
-def test_an_emulator_that_has_ended_is_noticed_by_who_only_listens():
+def test_end_of_the_emulator_raises_in_receive():
     with laboratory() as (endpoint, server), Guest(endpoint, name="s0") as radio:
         assert radio.receive(timeout_s=0.1) == []
         server.kill()
@@ -148,26 +150,26 @@ LISTENER = """
 import signal, sys
 from netsim.transport.guest import Guest
 radio = Guest(sys.argv[1], name=sys.argv[2])
-print("here", flush=True)
+print("ready", flush=True)
 signal.pause()
 """
 
 
-def test_a_guest_that_is_stopped_holds_up_nobody(lab):
+def test_stopped_guest_does_not_block_others(lab):
     with (
         process(sys.executable, "-c", LISTENER, lab, "s2") as stopped,
         Guest(lab, name="s0") as sender,
         Guest(lab, name="s1") as receiver,
     ):
-        assert stopped.stdout.readline() == "here\n"
+        assert stopped.stdout.readline() == "ready\n"
         os.kill(stopped.pid, signal.SIGSTOP)
-        for _ in range(3000):  # 17 MB, more than the buffers on the way to the stopped one hold
+        for _ in range(3000):  # 17 MB, more than the buffers to the stopped guest hold
             for _ in range(4):
                 sender.broadcast(b"x" * 1472)
-            assert receiver.receive(timeout_s=4.0)  # an emulator that is held up is so for longer
+            assert receiver.receive(timeout_s=4.0)  # a blocked emulator would exceed this
 
 
-def test_two_copies_of_the_documentations_program_come_to_rest(lab, tmp_path):
+def test_two_copies_of_the_documentation_program_stop_transmitting(lab, tmp_path):
     script = tmp_path / "program.py"
     script.write_text(PROGRAMS[0])
     with (
@@ -175,17 +177,17 @@ def test_two_copies_of_the_documentations_program_come_to_rest(lab, tmp_path):
         process(sys.executable, str(script), lab, "s2") as other,
         Guest(lab, name="s0") as radio,
     ):
-        # each says who it is; then nobody has anything to say until somebody broadcasts
+        # each broadcasts its name; then there is no traffic until the next broadcast
         for child in (one, other):
             while not child.stdout.readline().startswith("station 0:"):
                 pass
         radio.broadcast(b"a question")
-        heard = []
+        received = []
         for _ in range(30):
             items = radio.receive(timeout_s=2.0)
             if not items:
                 break
-            heard += [item for item in items if isinstance(item, Delivery)]
+            received += [item for item in items if isinstance(item, Delivery)]
         else:
-            pytest.fail("the air never falls silent")
-        assert {item.source for item in heard if item.payload == b"thank you"} == {1, 2}
+            pytest.fail("the stations do not stop transmitting")
+        assert {item.source for item in received if item.payload == b"thank you"} == {1, 2}

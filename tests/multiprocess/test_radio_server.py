@@ -1,7 +1,4 @@
-"""The emulator's real process between real Zenoh clients.
-
-What is handed over arrives, in time, whatever comes first.
-"""
+"""The emulator's process with real Zenoh clients: deliveries, order, errors, determinism."""
 
 import contextlib
 import json
@@ -45,7 +42,7 @@ POSES_M = ((0.0, 0.0, -10.0), (0.0, 8.5, -10.0), (2.5, 0.0, -10.0))
 
 
 class Radio:
-    """An emulator's process, and the time master that tells it how far to go."""
+    """An emulator's process, and the time master's end of its socket."""
 
     def __init__(self, folder, stations=3, seed=1, companions=(), **radio):
         self.frames_path = folder / "frames.bin"
@@ -85,19 +82,19 @@ class Radio:
         return RadioClient(endpoint=self.endpoint, run_id=RUN, station=station)
 
     def advance(self, to_us, **changes):
-        told = {"release_us": to_us + 4000, "at_us": to_us - 4000} | changes
+        fields = {"release_us": to_us + 4000, "at_us": to_us - 4000} | changes
         request = Advance(
             to_us=to_us,
             pos_ned_m=pack_rows(np.array(POSES_M)),
             vel_ned_m_s=pack_rows(np.zeros((3, 3))),
             q_ned_frd=LEVEL,
-            **told,
+            **fields,
         )
         self.clock.send(request)
         return self.clock.receive()
 
     def stop(self):
-        """Ask it to end; returns what it said at last."""
+        """Stop the process; returns the details of its last message."""
         self.clock.close()
         self.process.stdin.write(msgspec.json.encode(Stop()) + b"\n")
         self.process.stdin.flush()
@@ -119,7 +116,7 @@ import sys
 from netsim.transport.lockstep_radio import RadioClient
 from netsim.wire.messages import Broadcast
 client = RadioClient(endpoint=sys.argv[1], run_id=sys.argv[2], station=int(sys.argv[3]))
-print("here", flush=True)
+print("ready", flush=True)
 for line in sys.stdin:
     client.send(int(line), [Broadcast(seq=1, at_us=int(line), payload=b"last words")])
     print("sent", flush=True)
@@ -128,11 +125,11 @@ for line in sys.stdin:
 
 @contextlib.contextmanager
 def sender_process(endpoint, station):
-    """A vehicle's radio in a process of its own; for a time on its stdin it broadcasts and says so."""
+    """A vehicle's radio in a separate process; broadcasts at each time on its stdin and prints ``sent``."""
     command = [sys.executable, "-c", SENDER, endpoint, RUN, str(station)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         try:
-            assert process.stdout.readline() == b"here\n"
+            assert process.stdout.readline() == b"ready\n"
             yield process
         finally:
             process.kill()
@@ -144,7 +141,7 @@ def radio(tmp_path):
         yield each
 
 
-def test_a_broadcast_and_a_distance_come_to_those_they_are_for_and_not_before_their_time(radio):
+def test_broadcasts_and_distances_are_delivered_at_their_time(radio):
     with contextlib.ExitStack() as stack:
         clients = [stack.enter_context(contextlib.closing(radio.client(i))) for i in range(3)]
         clients[0].send(
@@ -168,9 +165,9 @@ def test_a_broadcast_and_a_distance_come_to_those_they_are_for_and_not_before_th
         assert result.distance_m == pytest.approx(8.5, abs=1.0)
 
 
-def test_what_belongs_to_a_later_step_waits_even_if_it_comes_first(radio):
+def test_batch_of_a_later_step_waits(radio):
     with contextlib.closing(radio.client(0)) as sender, contextlib.closing(radio.client(1)) as receiver:
-        # handed over in the step at 8000 us, before the interval that ends there is simulated
+        # sent in the step at 8000 us, before the interval that ends there is simulated
         sender.send(8000, [Broadcast(seq=1, at_us=8000, payload=b"x")])
         assert radio.advance(8000).delivered == ()
         assert radio.advance(12_000, senders=(0,)).delivered == (1, 2)
@@ -178,7 +175,7 @@ def test_what_belongs_to_a_later_step_waits_even_if_it_comes_first(radio):
         assert delivery.received_ns > 8_000_000
 
 
-def test_a_quiet_air_says_until_when(radio):
+def test_quiet_channel_reports_its_next_event(radio):
     quiet = radio.advance(8000)
     assert quiet.quiet_until_us > 10**12
     assert quiet.busy_ns == 0
@@ -189,7 +186,7 @@ def test_a_quiet_air_says_until_when(radio):
         assert radio.advance(44_000).busy_ns > 0
 
 
-def test_hostile_bytes_change_nothing_and_are_counted(radio):
+def test_malformed_bytes_are_dropped_and_counted(radio):
     rng = np.random.default_rng(5)
     with (
         contextlib.closing(Transport.connect(radio.endpoint)) as stranger,
@@ -200,9 +197,9 @@ def test_hostile_bytes_change_nothing_and_are_counted(radio):
             assert stranger.asker(transmit_key(RUN), timeout_s=0.05).ask(data).answer() is None
             for key in (transmit_key(RUN), receive_key(RUN, 1)):
                 stranger.sender(key).send(data)
-        # well formed, and from a station that there is not
+        # well formed, of a station that does not exist
         stranger.sender(transmit_key(RUN)).send(encode(TxBatch(station=3, now_us=0, items=())))
-        # what follows it is not answered before all of it has arrived
+        # a later query is answered after all of it has arrived
         assert stranger.asker(transmit_key(RUN), timeout_s=0.05).ask(b"").answer() is None
         with contextlib.closing(radio.client(0)) as sender:
             sender.send(4000, [Broadcast(seq=1, at_us=4000, payload=b"x")])
@@ -213,7 +210,7 @@ def test_hostile_bytes_change_nothing_and_are_counted(radio):
 
 
 @pytest.mark.parametrize(
-    "senseless",
+    "invalid",
     [
         {"pos_ned_m": pack_rows(np.full((3, 3), np.nan))},
         {"pos_ned_m": pack_rows(np.full((3, 3), 1e308))},
@@ -229,16 +226,16 @@ def test_hostile_bytes_change_nothing_and_are_counted(radio):
     ],
     ids="-".join,
 )
-def test_a_time_master_that_makes_no_sense_is_refused(senseless):
+def test_invalid_advance_is_refused(invalid):
     hosted = EmulatorService(ServerConfig(run_id=RUN, stations=3, seed=1))
     still = pack_rows(np.zeros((3, 3)))
     state = {"pos_ned_m": still, "vel_ned_m_s": still, "q_ned_frd": LEVEL}
     hosted.advance(Advance(to_us=4000, release_us=8000, at_us=0, **state))
     with pytest.raises(ValueError, match="refuses to go on"):
-        hosted.advance(Advance(**({"to_us": 8000, "release_us": 12_000, "at_us": 4000} | state | senseless)))
+        hosted.advance(Advance(**({"to_us": 8000, "release_us": 12_000, "at_us": 4000} | state | invalid)))
 
 
-def test_a_station_that_is_gone_does_not_hold_up_the_others(radio):
+def test_lost_station_does_not_block_others(radio):
     with contextlib.closing(radio.client(0)) as sender, contextlib.closing(radio.client(1)) as receiver:
         radio.client(2).close()
         sender.send(4000, [Broadcast(seq=1, at_us=4000, payload=b"x")])
@@ -248,7 +245,7 @@ def test_a_station_that_is_gone_does_not_hold_up_the_others(radio):
         assert radio.advance(12_000, senders=(0,), silent=(2,)).delivered == (1,)
 
 
-def test_a_batch_that_does_not_come_keeps_the_air_until_it_comes_or_its_sender_is_gone(radio):
+def test_missing_batch_blocks_the_channel_until_it_arrives_or_its_sender_is_lost(radio):
     with contextlib.closing(radio.client(0)) as sender, contextlib.closing(radio.client(1)) as late:
         sender.send(4000, [Broadcast(seq=1, at_us=4000, payload=b"x")])
         for _ in range(2):
@@ -260,7 +257,7 @@ def test_a_batch_that_does_not_come_keeps_the_air_until_it_comes_or_its_sender_i
         assert (done.to_us, done.missing, done.delivered) == (8000, (), (0, 1))
 
 
-def test_the_last_words_of_a_vehicle_that_was_killed_are_heard(radio):
+def test_last_batch_of_a_killed_vehicle_is_delivered(radio):
     with (
         contextlib.closing(radio.client(1)) as receiver,
         sender_process(radio.endpoint, 0) as sender,
@@ -274,36 +271,36 @@ def test_the_last_words_of_a_vehicle_that_was_killed_are_heard(radio):
         assert receiver.receive(12_000)[0].payload == b"last words"
 
 
-def test_a_batch_that_is_too_long_for_one_message_arrives_whole(radio):
-    """64 of the longest datagrams in one step, as many as the radio's queue holds: 94 kB."""
+def test_batch_of_several_messages_is_delivered_completely(radio):
+    """64 datagrams of maximum length in one step, the capacity of the radio's queue: 94 kB."""
     with contextlib.closing(radio.client(0)) as sender, contextlib.closing(radio.client(1)) as receiver:
         items = [Broadcast(seq=i, at_us=4000, payload=bytes([i]) * 1472) for i in range(64)]
         assert len(items) > 2 * MOST_ITEMS
         sender.send(4000, items)
-        heard = []
+        received = []
         if 1 in radio.advance(100_000, at_us=4000, senders=(0,)).delivered:
-            heard = [item for item in receiver.receive(104_000) if isinstance(item, Delivery)]
-        assert [(item.seq, item.payload) for item in heard] == [(i.seq, i.payload) for i in items]
+            received = [item for item in receiver.receive(104_000) if isinstance(item, Delivery)]
+        assert [(item.seq, item.payload) for item in received] == [(i.seq, i.payload) for i in items]
 
 
-def test_a_station_in_no_lockstep_is_offered_what_arrives_and_waited_for_by_nobody(tmp_path):
+def test_asynchronous_station_receives_and_sends_without_lockstep(tmp_path):
     with (
         contextlib.closing(Radio(tmp_path, companions=(1, 2))) as radio,
         contextlib.closing(radio.client(0)) as vehicle,
         contextlib.closing(Transport.connect(radio.endpoint)) as transport,
     ):
         batches = queue.SimpleQueue()
-        free = AsynchronousRadio(transport, run_id=RUN, station=1, put=batches.put)
+        asynchronous = AsynchronousRadio(transport, run_id=RUN, station=1, put=batches.put)
         vehicle.send(4000, [Broadcast(seq=1, at_us=4000, payload=b"x")])
         assert radio.advance(8000, senders=(0,)).delivered == ()
         batch = batches.get(timeout=10.0)
         assert (batch.release_us, batch.items[0].payload) == (12_000, b"x")
-        free.hand_over([Broadcast(seq=1, at_us=8000, payload=b"y")], now_us=8000)
+        asynchronous.hand_over([Broadcast(seq=1, at_us=8000, payload=b"y")], now_us=8000)
         assert radio.advance(12_000).delivered == (0,)
         assert vehicle.receive(16_000)[0].payload == b"y"
 
 
-def test_a_cut_channel_delivers_nothing(radio):
+def test_cut_channel_has_no_deliveries(radio):
     with contextlib.closing(radio.client(0)) as sender, contextlib.closing(radio.client(1)) as receiver:
         sender.send(4000, [Broadcast(seq=1, at_us=4000, payload=b"x"), FtmRequest(seq=2, at_us=4500, peer=1)])
         delivered = {}
@@ -317,14 +314,14 @@ def test_a_cut_channel_delivers_nothing(radio):
         assert result.status in {"no_response", "timeout"}
 
 
-def test_its_frames_are_logged_and_the_same_run_gives_the_same_bytes(tmp_path):
+def test_frame_log_does_not_depend_on_the_order_of_senders(tmp_path):
     logs = []
     for folder in (tmp_path / "a", tmp_path / "b"):
         folder.mkdir()
         with contextlib.closing(Radio(folder, seed=9)) as radio, contextlib.ExitStack() as stack:
             clients = [stack.enter_context(contextlib.closing(radio.client(i))) for i in range(3)]
             for step in range(1, 50):
-                order = clients if folder.name == "a" else clients[::-1]  # who comes first must not matter
+                order = clients if folder.name == "a" else clients[::-1]  # the order must not matter
                 for client in order:
                     client.send(4000 * step, [Broadcast(seq=step, at_us=4000 * step, payload=b"x" * 100)])
                 assert radio.advance(4000 * (step + 1), senders=(0, 1, 2)).missing == ()
@@ -335,7 +332,7 @@ def test_its_frames_are_logged_and_the_same_run_gives_the_same_bytes(tmp_path):
     assert {b"data"} <= set(frames["kind"].tolist())
 
 
-def test_an_endpoint_where_nobody_listens_and_a_radio_that_died_are_clear_errors(radio):
+def test_unreachable_endpoint_and_dead_emulator_are_errors(radio):
     with pytest.raises(TransportError, match=r"cannot connect to tcp/127\.0\.0\.1:1"):
         Transport.connect("tcp/127.0.0.1:1")
     radio.process.kill()
@@ -345,7 +342,7 @@ def test_an_endpoint_where_nobody_listens_and_a_radio_that_died_are_clear_errors
         radio.client(0)
 
 
-def test_what_no_station_can_send_is_said_by_who_would_send_it(radio):
+def test_invalid_transmission_raises_at_the_sender(radio):
     with (
         contextlib.closing(radio.client(0)) as client,
         pytest.raises(ValueError, match=r"station 0: the 802\.11 emulator refuses"),
@@ -353,7 +350,7 @@ def test_what_no_station_can_send_is_said_by_who_would_send_it(radio):
         client.send(4000, [Broadcast(seq=1, at_us=4000, payload=b"x" * 1473)])
 
 
-def test_a_delivery_that_does_not_come_is_a_lost_radio(radio, monkeypatch):
+def test_missing_delivery_raises_radio_lost(radio, monkeypatch):
     monkeypatch.setattr("netsim.transport.lockstep_radio.ANSWER_LIMIT_S", 0.2)
     with (
         contextlib.closing(radio.client(0)) as client,
@@ -362,12 +359,12 @@ def test_a_delivery_that_does_not_come_is_a_lost_radio(radio, monkeypatch):
         client.receive(4000)
 
 
-def test_the_process_ends_when_its_parent_lets_go(radio):
+def test_process_ends_when_its_stdin_is_closed(radio):
     radio.process.stdin.close()
     assert radio.process.wait(10.0) == 0
 
 
-def test_a_port_in_use_is_one_line(radio, tmp_path):
+def test_port_in_use_is_one_line(radio, tmp_path):
     port = int(radio.endpoint.rpartition(":")[2])
     config = ServerConfig(run_id=RUN, stations=1, seed=1, port=port)
     (tmp_path / "second.json").write_bytes(msgspec.json.encode(config))
@@ -394,5 +391,5 @@ def test_a_port_in_use_is_one_line(radio, tmp_path):
     assert f"cannot listen on 127.0.0.1:{port}" in second.stderr
 
 
-def test_acks_are_what_they_say():
+def test_ack_is_decoded():
     assert decode(Ack, encode(Ack())) == Ack()

@@ -1,4 +1,4 @@
-"""What the README shows a user works as it stands there."""
+"""The README's example test passes."""
 
 import re
 
@@ -10,9 +10,9 @@ pytestmark = pytest.mark.multiprocess
 README = ROOT / "README.md"
 
 
-def test_the_readmes_test_of_a_users_passes(swarm):
+def test_example_of_the_readme_passes(swarm):
     (code,) = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
     names = {}
-    exec(compile(code, str(README), "exec"), names)  # noqa: S102  it is ours
+    exec(compile(code, str(README), "exec"), names)  # noqa: S102  the repository's own code
     (test,) = (value for name, value in names.items() if name.startswith("test_"))
     test(swarm)

@@ -1,4 +1,4 @@
-"""Real children are heard, named when they end, and gone when their supervisor stops or dies."""
+"""Child processes: their messages, the report of their end, and their end with the supervisor."""
 
 import contextlib
 import os
@@ -11,7 +11,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from supervising import WALL_LIMIT_S, hear, launcher_and_children, python, wait_for
+from supervising import WALL_LIMIT_S, launcher_and_children, python, receive, wait_for
 
 from foundation.processes.child_protocol import Finished, Ready
 from harness.launch.interrupts import interruptible, interrupts_deferred
@@ -62,73 +62,73 @@ def supervisor(tmp_path: Path) -> Iterator[Supervisor]:
     assert supervisor.strays() == []
 
 
-def test_child_says_that_it_is_ready_stops_on_request_and_leaves_its_last_words(
+def test_child_reports_ready_stops_on_request_and_reports_finished(
     supervisor: Supervisor,
 ) -> None:
     pid = supervisor.start("uav 3", python(POLITE))
-    ready = hear(supervisor, Ready, "uav 3")
+    ready = receive(supervisor, Ready, "uav 3")
     assert ready == Ready(name="uav 3", pid=pid, details={"gcs_local_udp": 18573})
     assert supervisor.alive("uav 3")
     assert supervisor.pids == {"uav 3": pid}
     assert supervisor.end(["uav 3"], grace_s=WALL_LIMIT_S) == []
     assert not supervisor.alive("uav 3")
-    said = [supervisor.hear(0.0), supervisor.hear(0.0), supervisor.hear(0.0)]
-    assert said[0] == ("uav 3", Finished(name="uav 3", details={"steps": 12}))
-    assert said[1] == ("uav 3", Exited(name="uav 3", pid=pid, returncode=0, log_tail=""))
-    assert said[2] is None
+    messages = [supervisor.receive(0.0), supervisor.receive(0.0), supervisor.receive(0.0)]
+    assert messages[0] == ("uav 3", Finished(name="uav 3", details={"steps": 12}))
+    assert messages[1] == ("uav 3", Exited(name="uav 3", pid=pid, returncode=0, log_tail=""))
+    assert messages[2] is None
     assert supervisor.stop() == []
 
 
-def test_end_of_input_is_enough_for_a_child_that_keeps_the_rule(supervisor: Supervisor) -> None:
+def test_child_ends_at_end_of_input(supervisor: Supervisor) -> None:
     supervisor.start("uav 3", python(POLITE))
-    hear(supervisor, Ready, "uav 3")
+    receive(supervisor, Ready, "uav 3")
     assert supervisor.stop() == []
 
 
-def test_killed_child_is_named_with_its_signal_within_a_second(supervisor: Supervisor) -> None:
+def test_killed_child_is_reported_with_its_signal_within_a_second(supervisor: Supervisor) -> None:
     pid = supervisor.start("uav 3", python(POLITE))
-    hear(supervisor, Ready, "uav 3")
+    receive(supervisor, Ready, "uav 3")
     began_s = time.monotonic()
     os.kill(pid, signal.SIGKILL)
-    exited = hear(supervisor, Exited, "uav 3")
+    exited = receive(supervisor, Exited, "uav 3")
     assert time.monotonic() - began_s < 1.0
     assert isinstance(exited, Exited)
     assert exited.describe() == f"uav 3 (pid {pid}) was killed by SIGKILL"
 
 
-def test_kill_returns_when_the_child_is_gone(supervisor: Supervisor) -> None:
+def test_kill_returns_after_the_end_of_the_child(supervisor: Supervisor) -> None:
     pid = supervisor.start("uav 3", python(POLITE))
-    hear(supervisor, Ready, "uav 3")
+    receive(supervisor, Ready, "uav 3")
     supervisor.kill("uav 3")
     assert not psutil.pid_exists(pid)
     assert not supervisor.alive("uav 3")
-    supervisor.send("uav 3", SetPid(instance=0, pid=1))  # nobody hears it, and that is no error
+    supervisor.send("uav 3", SetPid(instance=0, pid=1))  # a message without a receiver is no error
 
 
 def test_crashed_child_is_reported_with_its_status_and_the_end_of_its_log(supervisor: Supervisor) -> None:
     pid = supervisor.start("uav 7", python(CRASHING))
-    exited = hear(supervisor, Exited, "uav 7")
+    exited = receive(supervisor, Exited, "uav 7")
     assert isinstance(exited, Exited)
     assert exited.describe() == f"uav 7 (pid {pid}) ended with status 3"
-    # what is no event on stdout stands in the log as well, in whatever order the two pipes were read
+    # output on stdout that is no event is in the log too; the order of the two pipes is undefined
     assert set(exited.log_tail.splitlines()) == {"a printing library", "uav 7: the simulator is unreachable"}
     assert exited.last_words == "uav 7: the simulator is unreachable"
 
 
-def test_what_a_library_prints_is_nobodys_last_word(supervisor: Supervisor) -> None:
-    chatter = CRASHING.replace("sys.exit(3)", "sys.stderr.flush(); print('build time: May 4'); sys.exit(3)")
-    supervisor.start("talks", python(chatter))
-    exited = hear(supervisor, Exited, "talks")
+def test_last_words_exclude_the_output_of_libraries(supervisor: Supervisor) -> None:
+    printing = CRASHING.replace("sys.exit(3)", "sys.stderr.flush(); print('build time: May 4'); sys.exit(3)")
+    supervisor.start("crashes", python(printing))
+    exited = receive(supervisor, Exited, "crashes")
     assert exited.log_tail.endswith("build time: May 4")
     assert exited.last_words == "uav 7: the simulator is unreachable"
     supervisor.start("prints", python("print('a library'); raise SystemExit(4)"))
-    exited = hear(supervisor, Exited, "prints")
+    exited = receive(supervisor, Exited, "prints")
     assert (exited.log_tail, exited.last_words) == ("a library", "")
 
 
-def test_child_that_ignores_all_but_sigkill_is_killed_and_named(supervisor: Supervisor) -> None:
+def test_child_that_ignores_sigterm_is_killed_and_reported(supervisor: Supervisor) -> None:
     pid = supervisor.start("stubborn", python(STUBBORN))
-    hear(supervisor, Ready, "stubborn")
+    receive(supervisor, Ready, "stubborn")
     assert supervisor.end(["stubborn"], grace_s=0.1) == [
         f"stubborn (pid {pid}) did not stop when asked",
         f"stubborn (pid {pid}) did not end in time: SIGTERM",
@@ -137,12 +137,12 @@ def test_child_that_ignores_all_but_sigkill_is_killed_and_named(supervisor: Supe
     assert not psutil.pid_exists(pid)
 
 
-def test_grandchild_in_a_session_of_its_own_does_not_stay(supervisor: Supervisor) -> None:
+def test_grandchild_in_another_session_is_killed(supervisor: Supervisor) -> None:
     supervisor.start("parent", python(PARENT))
-    ready = hear(supervisor, Ready, "parent")
+    ready = receive(supervisor, Ready, "parent")
     assert isinstance(ready, Ready)
     grandchild = psutil.Process(ready.details["grandchild"])
-    # between fork and exec it has its parent's environment, which is marked as well; within exec it has none
+    # between fork and exec it has its parent's environment, which has the mark too; during exec it has none
     wait_for(lambda: grandchild.environ() != {}, "grandchild's environment")
     assert grandchild.environ()[MARK] == f"{supervisor.token}/parent"
     left = supervisor.stop()
@@ -153,13 +153,13 @@ def test_grandchild_in_a_session_of_its_own_does_not_stay(supervisor: Supervisor
     )
 
 
-def test_several_children_die_each_under_its_own_name(supervisor: Supervisor) -> None:
+def test_end_of_several_children_is_reported_by_name(supervisor: Supervisor) -> None:
     pids = {f"uav {i}": supervisor.start(f"uav {i}", python(STUBBORN)) for i in range(4)}
-    heard = [supervisor.hear(WALL_LIMIT_S) for _ in pids]
-    assert {message[0] for message in heard if message} == set(pids)
+    messages = [supervisor.receive(WALL_LIMIT_S) for _ in pids]
+    assert {message[0] for message in messages if message} == set(pids)
     began_s = time.monotonic()
     forced = supervisor.stop()
-    # all at once: the time is that of one child's patience, not of four
+    # in parallel: the time limits of one child, not of four
     assert time.monotonic() - began_s < 1.0 + 2.0 + 5.0
     assert [line.split(" did")[0] for line in forced[:4]] == [
         f"{name} (pid {pid})" for name, pid in pids.items()
@@ -167,27 +167,27 @@ def test_several_children_die_each_under_its_own_name(supervisor: Supervisor) ->
     assert not any(psutil.pid_exists(pid) for pid in pids.values())
 
 
-def test_nothing_can_be_started_once_stopped(supervisor: Supervisor) -> None:
+def test_start_after_stop_is_refused(supervisor: Supervisor) -> None:
     supervisor.stop()
     with pytest.raises(SupervisorError, match="uav 0: not started"):
         supervisor.start("uav 0", python(POLITE))
 
 
-def test_command_that_does_not_exist_is_one_line(supervisor: Supervisor) -> None:
+def test_unknown_command_is_one_line(supervisor: Supervisor) -> None:
     with pytest.raises(SupervisorError, match=r"^px4: cannot be started: .*No such file.*no-such-program'$"):
         supervisor.start("px4", ["no-such-program"])
 
 
-def test_child_that_reads_nothing_does_not_stop_its_launcher(supervisor: Supervisor) -> None:
+def test_child_that_does_not_read_does_not_block_its_launcher(supervisor: Supervisor) -> None:
     supervisor.start("stubborn", python(STUBBORN))
-    hear(supervisor, Ready, "stubborn")
+    receive(supervisor, Ready, "stubborn")
     with pytest.raises(SupervisorError, match="takes no commands any more"):
         _flood(supervisor, "stubborn")
     supervisor.kill("stubborn")
 
 
 def _flood(supervisor: Supervisor, name: str) -> None:
-    for i in range(10_000):  # ten times what a pipe of 64 KiB holds
+    for i in range(10_000):  # ten times the capacity of a pipe of 64 KiB
         supervisor.send(name, SetPid(instance=0, pid=10_000_000 + i))
 
 
@@ -202,13 +202,13 @@ def test_only_the_given_descriptors_are_inherited(supervisor: Supervisor) -> Non
             emit(Ready(name="physics", pid=os.getpid(), details={"fds": sockets, "port": port}))
         """
         supervisor.start("physics", [*python(code), str(given.fileno())], pass_fds=[given.fileno()])
-        ready = hear(supervisor, Ready, "physics")
+        ready = receive(supervisor, Ready, "physics")
         assert isinstance(ready, Ready)
         assert ready.details == {"fds": [given.fileno()], "port": given.getsockname()[1]}
 
 
 @pytest.mark.parametrize(("kind", "word"), [(socket.SOCK_STREAM, "TCP"), (socket.SOCK_DGRAM, "UDP")])
-def test_port_in_use_is_named(kind: socket.SocketKind, word: str) -> None:
+def test_port_in_use_is_reported(kind: socket.SocketKind, word: str) -> None:
     with bind(kind, "127.0.0.1", 0) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(PortError, match=rf"^{word} port {port} on 127\.0\.0\.1: Address already in use$"):
@@ -216,19 +216,19 @@ def test_port_in_use_is_named(kind: socket.SocketKind, word: str) -> None:
     bind(kind, "127.0.0.1", port).close()
 
 
-def test_endings_in_words() -> None:
+def test_ending_describes_a_return_code() -> None:
     assert ending(0) == "ended with status 0"
     assert ending(-signal.SIGSEGV) == "was killed by SIGSEGV"
     assert ending(-40) == "was killed by signal 40"
 
 
-def test_interrupt_comes_after_what_must_not_be_cut() -> None:
+def test_interrupt_is_deferred_to_the_end_of_the_block() -> None:
     done = []
 
     def work() -> None:
         with interrupts_deferred():
             os.kill(os.getpid(), signal.SIGINT)
-            # the handler runs between two instructions of the main thread: give it many
+            # the handler runs between two instructions of the main thread: run many
             done.extend(range(1_000))
 
     with pytest.raises(KeyboardInterrupt):
@@ -238,9 +238,7 @@ def test_interrupt_comes_after_what_must_not_be_cut() -> None:
 
 
 @pytest.mark.parametrize(("found", "interrupts"), [(signal.SIG_DFL, True), (signal.SIG_IGN, False)])
-def test_closed_terminal_interrupts_unless_nohup_has_it_ignored(
-    found: signal.Handlers, *, interrupts: bool
-) -> None:
+def test_sighup_interrupts_unless_it_is_ignored(found: signal.Handlers, *, interrupts: bool) -> None:
     before = signal.signal(signal.SIGHUP, found)
     try:
         with pytest.raises(KeyboardInterrupt) if interrupts else contextlib.nullcontext(), interruptible():
@@ -250,9 +248,9 @@ def test_closed_terminal_interrupts_unless_nohup_has_it_ignored(
         signal.signal(signal.SIGHUP, before)
 
 
-def test_stop_is_not_cut_short_by_ctrl_c(supervisor: Supervisor) -> None:
+def test_stop_completes_after_ctrl_c(supervisor: Supervisor) -> None:
     pid = supervisor.start("stubborn", python(STUBBORN))
-    hear(supervisor, Ready, "stubborn")
+    receive(supervisor, Ready, "stubborn")
     presses = [threading.Timer(delay_s, os.kill, (os.getpid(), signal.SIGINT)) for delay_s in (0.2, 0.4, 1.5)]
     for press in presses:
         press.start()

@@ -1,4 +1,4 @@
-"""A real swarm through the `swarm` fixture: a vehicle is killed, a ground station looks in."""
+"""Real swarms of the `swarm` fixture: a killed vehicle, ground stations with and without signing."""
 
 import time
 from collections.abc import Callable
@@ -15,7 +15,7 @@ pytestmark = pytest.mark.multiprocess
 Factory = Callable[..., Swarm]
 
 
-def test_killed_vehicle_falls_and_the_others_fly_on(swarm: Factory) -> None:
+def test_killed_vehicle_falls_and_the_others_continue(swarm: Factory) -> None:
     flight = swarm("scenarios/article.toml", agents=3, overrides=["wind.mean_n=1"])
     flight.run_until(lambda truth: bool(truth.height_m.min() > 4.0), timeout_s=30.0)
     began_us, wall_began_s = flight.truth.time_us, time.monotonic()
@@ -23,7 +23,7 @@ def test_killed_vehicle_falls_and_the_others_fly_on(swarm: Factory) -> None:
     exited = [event for event in flight.events if isinstance(event, Exited)]
     assert time.monotonic() - wall_began_s < 1.0
     assert [event.describe() for event in exited] == [f"uav 1 (pid {exited[0].pid}) was killed by SIGKILL"]
-    # from 4 m, with its rotors stopped, it needs about a second to the ground; its box is some 0.1 m high
+    # with stopped rotors it falls from 4 m in about a second; its collision box is some 0.1 m high
     truth = flight.run_until(lambda truth: bool(truth.height_m[1] < 0.3), timeout_s=3.0)
     assert truth.alive.tolist() == [True, False, True]
     assert truth.height_m[[0, 2]].min() > 3.5
@@ -33,7 +33,7 @@ def test_killed_vehicle_falls_and_the_others_fly_on(swarm: Factory) -> None:
     assert flight.forced == ()
 
 
-def test_ground_station_hears_its_vehicle(swarm: Factory) -> None:
+def test_ground_station_receives_telemetry_of_its_vehicle(swarm: Factory) -> None:
     flight = swarm("scenarios/article.toml", agents=2)
     links = [flight.mavlink(i) for i in range(2)]
     flight.run_for(3.0)
@@ -46,12 +46,12 @@ def test_ground_station_hears_its_vehicle(swarm: Factory) -> None:
     assert flight.summary(draw=False)["deterministic"] is False
 
 
-def test_a_ground_station_of_a_swarm_with_a_key_signs_and_is_heard(swarm: Factory, tmp_path: Path) -> None:
+def test_ground_station_signs_with_the_key_of_the_swarm(swarm: Factory, tmp_path: Path) -> None:
     key = tmp_path / "key"
     key.write_text("correct horse\n")
     overrides = [f"links.signing_key_file={key}", "onboard.hold=true"]
     flight = swarm("scenarios/article.toml", agents=1, overrides=overrides)
-    links = [flight.mavlink(0) for _ in range(2)]  # each with a stream of its own
+    links = [flight.mavlink(0) for _ in range(2)]  # each with its own sequence of time stamps
     flight.run_for(1.0)
     for link in reversed(links):
         while link.recv_match(blocking=False) is not None:

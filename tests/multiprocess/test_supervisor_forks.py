@@ -1,4 +1,4 @@
-"""What is forked from a child is a child like the others: heard, named when it ends, gone when all are."""
+"""Processes forked from a child are children like the others: messages, report of their end, end with all."""
 
 import os
 import resource
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from supervising import WALL_LIMIT_S, alive, hear, launcher_and_children, python, wait_for
+from supervising import WALL_LIMIT_S, alive, launcher_and_children, python, receive, wait_for
 
 from foundation.processes.child_protocol import Finished, Ready
 from harness.launch.supervisor import Exited, Supervisor, SupervisorError
@@ -71,17 +71,17 @@ FORKER = """
 def supervisor(tmp_path: Path) -> Iterator[Supervisor]:
     supervisor = Supervisor(tmp_path)
     supervisor.start_forker("forker", python(FORKER))
-    hear(supervisor, Ready, "forker")
+    receive(supervisor, Ready, "forker")
     yield supervisor
     supervisor.stop()
     assert supervisor.strays() == []
 
 
-def test_it_has_a_group_streams_a_name_and_a_mark_of_its_own_and_nothing_else(
+def test_fork_has_its_own_group_streams_name_and_mark_only(
     supervisor: Supervisor,
 ) -> None:
     pid = supervisor.fork("uav 3", ["polite", "uav 3"], forker="forker")
-    ready = hear(supervisor, Ready, "uav 3")
+    ready = receive(supervisor, Ready, "uav 3")
     assert isinstance(ready, Ready)
     assert ready.pid == pid == ready.details["group"]
     assert ready.details == {
@@ -94,10 +94,10 @@ def test_it_has_a_group_streams_a_name_and_a_mark_of_its_own_and_nothing_else(
     assert supervisor.alive("uav 3")
     assert [name for process, name in supervisor.strays() if process.pid == pid] == ["uav 3"]
     supervisor.send("uav 3", SetPid(instance=3, pid=1))
-    finished = hear(supervisor, Finished, "uav 3")
+    finished = receive(supervisor, Finished, "uav 3")
     assert isinstance(finished, Finished)
     assert finished.details["instance"] == 3
-    exited = hear(supervisor, Exited, "uav 3")
+    exited = receive(supervisor, Exited, "uav 3")
     assert exited == Exited(name="uav 3", pid=pid, returncode=0, log_tail="")
     assert not psutil.pid_exists(pid)
 
@@ -112,50 +112,52 @@ def test_it_has_a_group_streams_a_name_and_a_mark_of_its_own_and_nothing_else(
         (["crashes"], "was killed by SIGSEGV", ""),
     ],
 )
-def test_its_end_and_last_words_are_told(
+def test_end_and_last_words_of_a_fork_are_reported(
     supervisor: Supervisor, arguments: list[str], ending: str, last_words: str
 ) -> None:
     pid = supervisor.fork("uav 7", arguments, forker="forker")
-    exited = hear(supervisor, Exited, "uav 7")
+    exited = receive(supervisor, Exited, "uav 7")
     assert isinstance(exited, Exited)
     assert exited.describe() == f"uav 7 (pid {pid}) {ending}"
     assert exited.log_tail.endswith(last_words)
     assert supervisor.alive("forker")
 
 
-def test_kill_returns_when_it_is_gone_and_the_others_live(supervisor: Supervisor) -> None:
+def test_kill_returns_after_the_end_of_the_fork_and_others_continue(supervisor: Supervisor) -> None:
     pids = [supervisor.fork(f"uav {i}", ["polite", f"uav {i}"], forker="forker") for i in range(3)]
-    assert {hear_any(supervisor) for _ in pids} == {"uav 0", "uav 1", "uav 2"}
+    assert {receive_ready(supervisor) for _ in pids} == {"uav 0", "uav 1", "uav 2"}
     began_s = time.monotonic()
     supervisor.kill("uav 1")
     assert time.monotonic() - began_s < 1.0
     assert [psutil.pid_exists(pid) for pid in pids] == [True, False, True]
-    exited = hear(supervisor, Exited, "uav 1")
+    exited = receive(supervisor, Exited, "uav 1")
     assert isinstance(exited, Exited)
     assert exited.describe() == f"uav 1 (pid {pids[1]}) was killed by SIGKILL"
-    # theirs are the last ends of their pipes: no sister that was forked meanwhile holds them open
+    # no process forked meanwhile holds the other ends of their pipes open
     assert supervisor.end(["uav 0", "uav 2"]) == []
 
 
-def test_who_ends_at_once_does_not_hold_up_those_that_are_still_forked(supervisor: Supervisor) -> None:
+def test_forks_that_end_at_once_do_not_block_further_forks(supervisor: Supervisor) -> None:
     began_s = time.monotonic()
     names = [f"uav {i}" for i in range(40)]
     for i, name in enumerate(names):
         supervisor.fork(name, ["returns", str(i % 2)], forker="forker")
-    heard = [supervisor.hear(WALL_LIMIT_S) for _ in names]
+    messages = [supervisor.receive(WALL_LIMIT_S) for _ in names]
     assert time.monotonic() - began_s < WALL_LIMIT_S
     ends = {
-        message[0]: message[1].returncode for message in heard if message and isinstance(message[1], Exited)
+        message[0]: message[1].returncode
+        for message in messages
+        if message and isinstance(message[1], Exited)
     }
     assert ends == {name: i % 2 for i, name in enumerate(names)}
 
 
-def test_all_end_when_they_are_stopped_together_and_who_does_not_is_forced(supervisor: Supervisor) -> None:
+def test_stop_ends_all_forks_and_kills_those_that_ignore_it(supervisor: Supervisor) -> None:
     supervisor.fork("uav 0", ["polite", "uav 0"], forker="forker")
     pid = supervisor.fork("uav 1", ["stubborn", "uav 1"], forker="forker")
-    assert {hear_any(supervisor), hear_any(supervisor)} == {"uav 0", "uav 1"}
+    assert {receive_ready(supervisor), receive_ready(supervisor)} == {"uav 0", "uav 1"}
     forced = supervisor.stop()
-    # the forker waits for its own, who else would know how they ended
+    # the forker waits for its forks, to report their status
     forker = f"forker (pid {supervisor.pids['forker']})"
     assert forced[:3] == [
         f"{forker} did not end in time: SIGTERM",
@@ -165,29 +167,29 @@ def test_all_end_when_they_are_stopped_together_and_who_does_not_is_forced(super
     assert not any(alive(pid) for pid in supervisor.pids.values())
 
 
-def test_they_outlive_a_forker_that_is_killed_and_only_their_status_is_lost(supervisor: Supervisor) -> None:
+def test_forks_outlive_a_killed_forker_without_an_exit_status(supervisor: Supervisor) -> None:
     pid = supervisor.fork("uav 0", ["polite", "uav 0"], forker="forker")
-    hear(supervisor, Ready, "uav 0")
+    receive(supervisor, Ready, "uav 0")
     os.kill(supervisor.pids["forker"], signal.SIGKILL)
-    exited = hear(supervisor, Exited, "forker")
+    exited = receive(supervisor, Exited, "forker")
     assert isinstance(exited, Exited)
     assert exited.returncode == -signal.SIGKILL
     assert supervisor.alive("uav 0")
     with pytest.raises(SupervisorError, match=r"^uav 1: cannot be forked by forker: "):
         supervisor.fork("uav 1", ["polite", "uav 1"], forker="forker")
     supervisor.send("uav 0", SetPid(instance=0, pid=1))
-    hear(supervisor, Finished, "uav 0")
-    exited = hear(supervisor, Exited, "uav 0")
+    receive(supervisor, Finished, "uav 0")
+    exited = receive(supervisor, Exited, "uav 0")
     assert isinstance(exited, Exited)
-    assert exited.describe() == f"uav 0 (pid {pid}) ended, nobody knows how"
+    assert exited.describe() == f"uav 0 (pid {pid}) ended with unknown status"
     assert supervisor.stop() == []
 
 
-def test_forker_that_cannot_work_and_a_fork_that_is_refused_are_a_line_each(tmp_path: Path) -> None:
+def test_failed_forker_and_failed_fork_are_one_line_each(tmp_path: Path) -> None:
     supervisor = Supervisor(tmp_path)
     try:
         pid = supervisor.start_forker("forker", [*python(FORKER), "nothing"])
-        exited = hear(supervisor, Exited, "forker")
+        exited = receive(supervisor, Exited, "forker")
         assert exited == Exited(
             name="forker",
             pid=pid,
@@ -196,7 +198,7 @@ def test_forker_that_cannot_work_and_a_fork_that_is_refused_are_a_line_each(tmp_
             last_words="forker: there is nothing to fork",
         )
         supervisor.start_forker("another", [*python(FORKER), "refused"])
-        for name in ("uav 0", "uav 1"):  # it goes on
+        for name in ("uav 0", "uav 1"):  # the forker continues
             with pytest.raises(SupervisorError, match=f"^{name}: cannot be forked by another: .*unavailable"):
                 supervisor.fork(name, ["polite", name], forker="another")
     finally:
@@ -207,30 +209,30 @@ def own_threads() -> set[int]:
     return {thread.id for thread in psutil.Process().threads()}
 
 
-def test_sixty_four_need_few_descriptors_no_threads_and_little_time(supervisor: Supervisor) -> None:
+def test_64_forks_need_two_descriptors_each_no_threads_and_little_time(supervisor: Supervisor) -> None:
     before, threads, count = psutil.Process().num_fds(), own_threads(), 64
     began_s = time.process_time()
     names = [f"uav {i}" for i in range(count)]
     pids = [supervisor.fork(name, ["polite", name], forker="forker") for name in names]
     assert time.process_time() - began_s < 1.0
-    ready = {hear_any(supervisor) for _ in names}
+    ready = {receive_ready(supervisor) for _ in names}
     assert ready == set(names)
     assert psutil.Process().num_fds() - before == 2 * count  # stdin and stdout
-    assert own_threads() <= threads  # those of tests before this one may end
+    assert own_threads() <= threads  # threads of earlier tests may end
     limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     assert psutil.Process(supervisor.pids["forker"]).num_fds() < count + 16 < limit
     assert supervisor.end(names) == []
     assert not any(psutil.pid_exists(pid) for pid in pids)
-    # and gives them back
+    # and closes them
     wait_for(lambda: psutil.Process().num_fds() <= before, "descriptors of children that have ended")
 
 
-def test_who_is_stopped_goes_on_to_end_as_it_should(supervisor: Supervisor) -> None:
-    """A forker that is stopped cannot tell how its own ended, and would hold up everybody's end."""
+def test_end_continues_processes_stopped_by_sigstop(supervisor: Supervisor) -> None:
+    """A stopped forker cannot report the status of its forks, and would delay the end of all."""
     names = ["uav 0", "uav 1", "uav 2"]
     for name in names:
         supervisor.fork(name, ["polite", name], forker="forker")
-    assert {hear_any(supervisor) for _ in names} == set(names)
+    assert {receive_ready(supervisor) for _ in names} == set(names)
     os.kill(supervisor.pids["forker"], signal.SIGSTOP)
     supervisor.kill("uav 0")
     for name in ("forker", "uav 1"):
@@ -240,36 +242,37 @@ def test_who_is_stopped_goes_on_to_end_as_it_should(supervisor: Supervisor) -> N
     assert supervisor.stop() == []
     assert time.monotonic() - began_s < WALL_LIMIT_S / 4
     ends = {}
-    while (heard := supervisor.hear(0.0)) is not None:
-        if isinstance(heard[1], Exited):
-            ends[heard[0]] = heard[1].returncode
+    while (message := supervisor.receive(0.0)) is not None:
+        if isinstance(message[1], Exited):
+            ends[message[0]] = message[1].returncode
     assert ends == {"uav 0": -signal.SIGKILL, "uav 1": 0, "uav 2": 0, "forker": 0}
 
 
-def test_who_is_left_by_a_forker_and_who_ended_with_it_is_told_in_any_order(supervisor: Supervisor) -> None:
-    """The launcher waits for each that the forker has left, without its help."""
+def test_forks_killed_with_their_forker_are_reported(supervisor: Supervisor) -> None:
+    """The launcher itself waits for each fork of a killed forker."""
     names = [f"uav {i}" for i in range(8)]
     pids = [supervisor.fork(name, ["polite", name], forker="forker") for name in names]
-    assert {hear_any(supervisor) for _ in names} == set(names)
+    assert {receive_ready(supervisor) for _ in names} == set(names)
     os.kill(supervisor.pids["forker"], signal.SIGSTOP)
     for pid in pids[::2]:
         os.kill(pid, signal.SIGKILL)
     os.kill(supervisor.pids["forker"], signal.SIGKILL)
     ends = {}
     while len(ends) < 1 + len(pids[::2]):
-        heard = supervisor.hear(WALL_LIMIT_S)
-        assert heard is not None
-        if isinstance(heard[1], Exited):
-            ends[heard[0]] = heard[1].returncode
+        message = supervisor.receive(WALL_LIMIT_S)
+        assert message is not None
+        if isinstance(message[1], Exited):
+            ends[message[0]] = message[1].returncode
     assert ends == dict.fromkeys(names[::2]) | {"forker": -signal.SIGKILL}
     assert supervisor.stop() == []
 
 
-def hear_any(supervisor: Supervisor) -> str:
-    heard = supervisor.hear(WALL_LIMIT_S)
-    assert heard is not None
-    assert isinstance(heard[1], Ready)
-    return heard[0]
+def receive_ready(supervisor: Supervisor) -> str:
+    """Return the name of the next child that reports Ready."""
+    message = supervisor.receive(WALL_LIMIT_S)
+    assert message is not None
+    assert isinstance(message[1], Ready)
+    return message[0]
 
 
 LAUNCHER = """
@@ -280,6 +283,6 @@ LAUNCHER = """
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
-def test_none_outlives_the_launcher(tmp_path: Path, number: signal.Signals) -> None:
+def test_no_fork_outlives_the_launcher(tmp_path: Path, number: signal.Signals) -> None:
     pids = launcher_and_children(LAUNCHER, FORKER, tmp_path, ends_by=number)
     assert len(pids) == 4

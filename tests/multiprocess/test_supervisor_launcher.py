@@ -1,4 +1,4 @@
-"""The launcher as its user meets it: exit status, streams and Ctrl-C, with stand-ins for its processes."""
+"""The launcher's command line: exit status, streams and Ctrl-C, with stand-ins for its processes."""
 
 import fcntl
 import json
@@ -40,7 +40,7 @@ def finish(folder, scenario, outcome, *, draw=True):
 harness.launch.processes.python_module = python_module
 # the analysis needs records of a real flight, and seconds to import
 record = types.SimpleNamespace
-report = types.SimpleNamespace(finish=finish, Outcome=record, ProcessRecord=record)
+report = types.SimpleNamespace(finish=finish, RunOutcome=record, ProcessRecord=record)
 sys.modules["harness.report.report"] = report
 sys.exit(main())
 """
@@ -48,7 +48,7 @@ sys.exit(main())
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Give a working folder with scenarios on free ports."""
+    """Return a working folder with scenarios on free ports."""
     bases = (
         "simulator_tcp",
         "gcs_local_udp",
@@ -74,7 +74,7 @@ def launch(folder: Path, *arguments: str) -> "subprocess.CompletedProcess[str]":
     )
 
 
-def test_run_that_is_fine(folder: Path) -> None:
+def test_completed_run(folder: Path) -> None:
     launched = launch(folder, "fine.toml", "--duration", "1.5", "--out", "run")
     assert launched.returncode == 0
     assert "fine, seed 1: completed" in launched.stdout
@@ -82,7 +82,7 @@ def test_run_that_is_fine(folder: Path) -> None:
     assert "written to run:" in launched.stderr
 
 
-def test_what_was_in_the_folder_before_was_not_written_by_the_run(folder: Path) -> None:
+def test_list_of_written_files_excludes_older_files(folder: Path) -> None:
     (folder / "run" / "figures").mkdir(parents=True)
     for name in ("notes.txt", "figures/mine.png", "summary.json"):
         (folder / "run" / name).touch()
@@ -95,7 +95,7 @@ def test_what_was_in_the_folder_before_was_not_written_by_the_run(folder: Path) 
 
 
 @pytest.mark.parametrize("place", ["a-file", "a-file/below"])
-def test_a_file_in_place_of_the_folder_is_named(folder: Path, place: str) -> None:
+def test_file_in_place_of_the_folder_is_reported(folder: Path, place: str) -> None:
     (folder / "a-file").touch()
     launched = launch(folder, "fine.toml", "--out", place)
     assert launched.returncode == 2
@@ -117,14 +117,14 @@ def test_json_is_alone_on_stdout(folder: Path) -> None:
     assert (run / "logs" / "uav-1.log").exists()
 
 
-def test_formation_that_is_not_reached_fails_the_run_and_is_reported(folder: Path) -> None:
+def test_unreached_formation_fails_the_run(folder: Path) -> None:
     launched = launch(folder, "never-formed.toml", "--json")
     assert launched.returncode == 1
     assert launched.stderr.splitlines()[-1] == "coflight: the formation was not reached within 5 s"
     assert json.loads(launched.stdout)["status"] == "not_formed"
 
 
-def test_failed_process_fails_the_run_with_its_last_words(folder: Path) -> None:
+def test_failed_process_fails_the_run_with_its_message(folder: Path) -> None:
     launched = launch(folder, "physics-fails.toml")
     assert launched.returncode == 1
     last_line = launched.stderr.splitlines()[-1]
@@ -133,7 +133,7 @@ def test_failed_process_fails_the_run_with_its_last_words(folder: Path) -> None:
     assert "Traceback" not in launched.stderr
 
 
-def test_process_that_loses_its_records_as_it_ends_fails_a_run_that_went_well(folder: Path) -> None:
+def test_process_killed_at_its_end_fails_the_run(folder: Path) -> None:
     launched = launch(folder, "physics-dies-at-last.toml", "--duration", "0.5", "--json")
     assert launched.returncode == 1
     last_line = launched.stderr.splitlines()[-1]
@@ -143,7 +143,7 @@ def test_process_that_loses_its_records_as_it_ends_fails_a_run_that_went_well(fo
     assert (summary["status"], f"coflight: {summary['reason']}") == ("failed", last_line)
 
 
-def test_too_few_file_descriptors_are_a_line_before_anything_starts(folder: Path) -> None:
+def test_too_few_file_descriptors_are_reported_before_the_start(folder: Path) -> None:
     narrow = f"import resource; resource.setrlimit(resource.RLIMIT_NOFILE, (40, 40)){LAUNCHER}"
     launched = subprocess.run(
         [sys.executable, "-c", narrow, "fine.toml", "--duration", "1.5"],
@@ -156,7 +156,7 @@ def test_too_few_file_descriptors_are_a_line_before_anything_starts(folder: Path
     assert not list((folder / "runs").glob("fine-*/logs/*"))
 
 
-def test_one_ctrl_c_stops_everything_and_keeps_the_records(folder: Path) -> None:
+def test_ctrl_c_stops_all_processes_and_keeps_the_records(folder: Path) -> None:
     launched = launch(folder, "interrupted.toml", "--json", "--duration", "1e6")
     assert launched.returncode == 130
     assert (
@@ -169,13 +169,13 @@ def test_one_ctrl_c_stops_everything_and_keeps_the_records(folder: Path) -> None
 
 
 def take_terminal() -> None:
-    """Have standard input as controlling terminal, and hear of its end even where the tests run by nohup."""
+    """Make standard input the controlling terminal and restore SIGHUP, which nohup ignores."""
     fcntl.ioctl(0, termios.TIOCSCTTY, 0)
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 def start_in_terminal(folder: Path) -> tuple[int, "subprocess.Popen[bytes]"]:
-    """Start a run without end in a terminal of its own, and wait until it flies.
+    """Start an endless run in a terminal of its own, and wait until the formation is reached.
 
     Returns the terminal's other end and the launcher, whose report goes to the file ``reported``.
     """
@@ -193,7 +193,7 @@ def start_in_terminal(folder: Path) -> tuple[int, "subprocess.Popen[bytes]"]:
     return other_end, launcher
 
 
-def test_run_whose_terminal_is_closed_ends_in_good_order_and_is_reported(folder: Path) -> None:
+def test_closed_terminal_ends_and_reports_the_run(folder: Path) -> None:
     other_end, launcher = start_in_terminal(folder)
     with launcher:
         children = psutil.Process(launcher.pid).children(recursive=True)
@@ -207,7 +207,7 @@ def test_run_whose_terminal_is_closed_ends_in_good_order_and_is_reported(folder:
     ("number", "children_at"),
     [(signal.SIGINT, 1), (signal.SIGINT, 3), (signal.SIGTERM, 2), (signal.SIGKILL, 1), (signal.SIGKILL, 4)],
 )
-def test_signal_in_the_middle_of_the_start_leaves_no_process(
+def test_signal_during_the_start_leaves_no_process(
     folder: Path, number: signal.Signals, children_at: int
 ) -> None:
     command = [sys.executable, "-c", LAUNCHER, "fine.toml", "--duration", "1e6"]
@@ -220,5 +220,5 @@ def test_signal_in_the_middle_of_the_start_leaves_no_process(
         launcher.send_signal(number)
         launcher.communicate(timeout=WALL_LIMIT_S)
         assert launcher.returncode == (-signal.SIGKILL if number == signal.SIGKILL else 130)
-    # after SIGKILL they end by themselves, when they notice
+    # after SIGKILL the children end by themselves
     assert psutil.wait_procs(children.values(), timeout=WALL_LIMIT_S)[1] == []

@@ -1,4 +1,4 @@
-"""The pytest plugin, in a pytest of its own: what its user sees of tests that pass, fail or leave things."""
+"""The pytest plugin in a separate pytest: output of tests that pass, fail or leave processes behind."""
 
 import subprocess
 import sys
@@ -33,7 +33,7 @@ def run_pytest(folder: Path, code: str) -> "subprocess.CompletedProcess[str]":
     return subprocess.run(command, capture_output=True, text=True, timeout=60.0, check=False)
 
 
-def test_users_test_passes_from_any_folder(tmp_path: Path) -> None:
+def test_user_test_passes_from_any_folder(tmp_path: Path) -> None:
     finished = run_pytest(
         tmp_path,
         """
@@ -67,7 +67,7 @@ def test_failed_test_shows_the_ends_of_the_logs(tmp_path: Path) -> None:
     assert "1 failed" in finished.stdout
 
 
-def test_swarm_that_does_not_start_shows_why(tmp_path: Path) -> None:
+def test_failed_start_is_reported_with_its_reason(tmp_path: Path) -> None:
     finished = run_pytest(
         tmp_path,
         """
@@ -79,7 +79,7 @@ def test_swarm_that_does_not_start_shows_why(tmp_path: Path) -> None:
     assert "ended with status 2: uav 1: no such airframe" in finished.stdout
 
 
-def test_deadline_ends_a_test_that_flies_too_long(tmp_path: Path) -> None:
+def test_wall_time_limit_ends_a_test(tmp_path: Path) -> None:
     finished = run_pytest(
         tmp_path,
         """
@@ -91,7 +91,7 @@ def test_deadline_ends_a_test_that_flies_too_long(tmp_path: Path) -> None:
     assert "the wall time of 2 s is over" in finished.stdout
 
 
-def test_process_that_is_left_fails_the_test(tmp_path: Path) -> None:
+def test_port_left_in_use_fails_the_test(tmp_path: Path) -> None:
     finished = run_pytest(
         tmp_path,
         """
@@ -114,7 +114,7 @@ def test_process_that_is_left_fails_the_test(tmp_path: Path) -> None:
     assert "2 passed, 1 error" in finished.stdout
 
 
-def test_plugin_is_light(tmp_path: Path) -> None:
+def test_plugin_imports_no_large_library(tmp_path: Path) -> None:
     code = (
         "import sys, harness.launch.pytest_plugin; print({'numpy', 'msgspec', 'psutil'} & sys.modules.keys())"
     )

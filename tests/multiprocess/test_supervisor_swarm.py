@@ -1,4 +1,4 @@
-"""The Python API drives real processes: stand-ins that keep the protocol, and fail when asked to."""
+"""The Python API with real processes: stand-ins that follow the protocol and fail on request."""
 
 import os
 import re
@@ -39,7 +39,7 @@ def _stand_ins(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def launch() -> Iterator[Launch]:
-    """Give a factory of swarms of three, none of which may leave anything behind."""
+    """Yield a factory of swarms of three vehicles; checks at the end that no process or port is left."""
     launched: list[Swarm] = []
 
     def make(name: str = "fine", *, agents: int = 3, run: RunConfig | None = None, **options: Any) -> Swarm:
@@ -54,13 +54,13 @@ def launch() -> Iterator[Launch]:
         assert swarm.leftovers() == []
 
 
-def test_flies_through_all_run_methods_on_exact_times(launch: Launch) -> None:
+def test_run_methods_stop_at_exact_times(launch: Launch) -> None:
     with launch() as swarm:
         assert set(swarm.pids) == {"radio", "physics", "prefork", "uav 0", "uav 1", "uav 2"}
         assert swarm.truth.time_us == 0
         assert swarm.run(until_s=1.0).time_us == 1_000_000
         assert swarm.run_for(0.5).t_s == pytest.approx(1.5)
-        # 1 m/s from the ground: the first instant of the 20 ms grid at which 2.03 m are passed is 2.04 s
+        # 1 m/s from the ground: 2.03 m are first exceeded on the grid of 20 ms at 2.04 s
         truth = swarm.run_until(lambda truth: bool((truth.height_m > 2.03).all()), timeout_s=10.0)
         assert truth.time_us == 2_040_000
         assert truth.pos_ned_m.shape == (3, 3)
@@ -72,7 +72,7 @@ def test_flies_through_all_run_methods_on_exact_times(launch: Launch) -> None:
     assert Formed(time_us=FORMED_US) in swarm.events
 
 
-def test_condition_that_holds_already_costs_no_time_and_one_that_never_does_ends(launch: Launch) -> None:
+def test_run_until_returns_at_once_or_at_the_timeout(launch: Launch) -> None:
     with launch() as swarm:
         assert swarm.run_until(lambda _: True, timeout_s=1.0).time_us == 0
         with pytest.raises(SwarmTimeoutError, match=r"not met within 0\.05 s"):
@@ -81,10 +81,10 @@ def test_condition_that_holds_already_costs_no_time_and_one_that_never_does_ends
         with pytest.raises(ValueError, match="multiple of the step, 4000 us"):
             swarm.run_until(lambda _: True, timeout_s=1.0, every_s=0.005)
         assert swarm.scenario.run.step_us == STEP_US
-        swarm.run_for(1.0)  # a condition that was not met ends nothing
+        swarm.run_for(1.0)  # the run continues after an unmet condition
 
 
-def test_killed_vehicle_is_gone_when_kill_returns_and_the_others_go_on(launch: Launch) -> None:
+def test_kill_returns_after_the_end_of_the_vehicle_and_others_continue(launch: Launch) -> None:
     with launch() as swarm:
         swarm.run(until_s=1.0)
         pid = swarm.pids["uav 1"]
@@ -112,7 +112,7 @@ def test_killed_vehicle_is_gone_when_kill_returns_and_the_others_go_on(launch: L
         ("fine", SEED_RADIO_DIES + 1, r"radio \(pid \d+\) ended with status 0, but did not finish"),
     ],
 )
-def test_who_loses_records_as_it_ends_fails_the_run_that_went_well(
+def test_process_without_complete_records_fails_the_run(
     launch: Launch, name: str, seed: int, ending: str
 ) -> None:
     with launch(name, run=RunConfig(seed=seed)) as swarm:
@@ -124,7 +124,7 @@ def test_who_loses_records_as_it_ends_fails_the_run_that_went_well(
     assert swarm._processes.nondeterminism() == [swarm.records_lost]
 
 
-def test_vehicle_that_is_killed_as_it_ends_is_named_unless_that_was_the_plan() -> None:
+def test_vehicle_killed_at_its_end_is_reported_unless_planned() -> None:
     params = AutopilotConfig(params={"MIS_TAKEOFF_ALT": FAILS_AT_LAST_M + 1})
     swarm = Swarm(Scenario(name="fine", agents=3, autopilot=params), wall_limit_s=30.0)
     with swarm:
@@ -135,19 +135,19 @@ def test_vehicle_that_is_killed_as_it_ends_is_named_unless_that_was_the_plan() -
     died = f"uav 1 (pid {swarm.pids['uav 1']}) was killed by SIGKILL"
     assert swarm._processes.nondeterminism({2}) == [died]
     lost = "uav 2 was lost for no simulated reason: its connection broke"
-    assert swarm._processes.nondeterminism() == [lost, died]  # and it is named once
+    assert swarm._processes.nondeterminism() == [lost, died]  # reported once
 
 
-def test_scenario_may_let_a_loss_end_the_run(launch: Launch) -> None:
+def test_on_vehicle_loss_end_ends_the_run(launch: Launch) -> None:
     with launch(run=RunConfig(on_vehicle_loss="end")) as swarm:
         swarm.kill(2)
         with pytest.raises(SwarmError, match=r"^uav 2 was lost: its connection broke; run\.on_"):
             swarm.run_for(1.0)
-        with pytest.raises(SwarmError, match=r"^uav 2 was lost"):  # and it stays ended
+        with pytest.raises(SwarmError, match=r"^uav 2 was lost"):  # the run does not continue
             swarm.run_for(1.0)
 
 
-def test_channel_commands_arrive_in_order(launch: Launch) -> None:
+def test_channel_commands_are_received_in_order(launch: Launch) -> None:
     with launch() as swarm:
         swarm.cut_channel()
         swarm.degrade_channel(20.0)
@@ -160,7 +160,7 @@ def test_channel_commands_arrive_in_order(launch: Launch) -> None:
     assert attenuations == ["200.0", "20.0", "None"]
 
 
-def test_failed_physics_ends_the_run_with_its_last_words(launch: Launch) -> None:
+def test_failed_physics_ends_the_run_with_its_message(launch: Launch) -> None:
     complaint = r"^physics \(pid \d+\) ended with status 2: physics: the world has ended \(log: .*\)$"
     with launch("physics-fails") as swarm, pytest.raises(SwarmError, match=complaint):
         swarm.run(until_s=5.0)
@@ -174,7 +174,7 @@ def test_killed_radio_ends_the_run(launch: Launch) -> None:
             swarm.run_until(lambda _: False, timeout_s=1e6)
 
 
-def test_killed_hangar_ends_the_run_and_the_vehicles_with_it(launch: Launch) -> None:
+def test_killed_prefork_server_ends_the_run_and_the_vehicles(launch: Launch) -> None:
     with launch() as swarm:
         pid = swarm.pids["prefork"]
         os.kill(pid, signal.SIGKILL)
@@ -182,22 +182,22 @@ def test_killed_hangar_ends_the_run_and_the_vehicles_with_it(launch: Launch) -> 
             swarm.run_until(lambda _: False, timeout_s=1e6)
     assert swarm.forced == ()
     endings = {event.name: event.returncode for event in swarm.events if isinstance(event, Exited)}
-    # who could have known how the vehicles ended was gone
+    # the prefork server would have reported the status of the vehicles
     assert endings == {"prefork": -9, "physics": 0, "radio": 0} | {f"uav {i}": None for i in range(3)}
 
 
-def test_hung_physics_ends_with_the_wall_time_and_by_force(
+def test_hanging_physics_is_ended_at_the_wall_time_limit(
     launch: Launch, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(harness.launch.processes, "STOP_LIMIT_S", 3.0)  # the vehicles' too, on a busy machine
+    monkeypatch.setattr(harness.launch.processes, "STOP_LIMIT_S", 3.0)  # enough on a busy machine
     swarm = launch("physics-hangs", agents=2, wall_limit_s=2.0)
     with swarm, pytest.raises(SwarmTimeoutError, match="the wall time of 2 s is over"):
         swarm.run(until_s=5.0)
-    # its end of input was enough, and with its connections gone the vehicles stopped by themselves
+    # physics ended with its stdin, and the vehicles with their connections
     assert swarm.forced == (f"physics (pid {swarm.pids['physics']}) did not stop when asked",)
 
 
-def test_formation_that_is_not_reached(launch: Launch) -> None:
+def test_unreached_formation_raises_a_timeout(launch: Launch) -> None:
     with (
         launch("never-formed") as swarm,
         pytest.raises(SwarmTimeoutError, match="formation was not reached within 5 s"),
@@ -205,7 +205,7 @@ def test_formation_that_is_not_reached(launch: Launch) -> None:
         swarm.run_until_formed(timeout_s=5.0)
 
 
-def test_vehicle_that_fails_at_the_start_is_named_with_its_reason() -> None:
+def test_vehicle_that_fails_at_the_start_is_reported_with_its_reason() -> None:
     scenario = Scenario(name="fine", agents=3)
     params = type(scenario.autopilot)(params={"MIS_TAKEOFF_ALT": 1.0})
     swarm = Swarm(Scenario(name="fine", agents=3, autopilot=params))
@@ -218,7 +218,7 @@ def test_vehicle_that_fails_at_the_start_is_named_with_its_reason() -> None:
         swarm.start()
 
 
-def test_port_in_use_is_named_before_anything_starts() -> None:
+def test_port_in_use_is_reported_before_the_start() -> None:
     with bind(socket.SOCK_STREAM, "127.0.0.1", 0) as taken:
         port = taken.getsockname()[1]
         ports = PortsConfig(
@@ -242,7 +242,7 @@ def test_folder_of_another_run_is_not_overwritten(launch: Launch, tmp_path: Path
         launch(agents=1, out=tmp_path / "run").start()
 
 
-def test_two_swarms_in_two_threads_do_not_disturb_each_other(launch: Launch) -> None:
+def test_two_swarms_in_two_threads_are_independent(launch: Launch) -> None:
     ends: dict[str, float] = {}
 
     def fly(swarm: Swarm, until_s: float) -> None:
@@ -260,14 +260,14 @@ def test_two_swarms_in_two_threads_do_not_disturb_each_other(launch: Launch) -> 
     assert ends == {"one": pytest.approx(2.0), "two": pytest.approx(4.0)}
 
 
-def test_ctrl_c_in_the_middle_leaves_nothing(launch: Launch) -> None:
+def test_ctrl_c_in_flight_leaves_no_process(launch: Launch) -> None:
     swarm = launch("interrupted")
     with pytest.raises(KeyboardInterrupt), swarm:
         swarm.run_until(lambda _: False, timeout_s=60.0)
     assert not any(psutil.pid_exists(pid) for pid in swarm.pids.values())
 
 
-def test_stopped_swarm_flies_no_more_and_says_so(launch: Launch) -> None:
+def test_run_after_stop_raises(launch: Launch) -> None:
     with launch(agents=1) as swarm:
         swarm.run_for(0.1)
     with pytest.raises(SwarmError, match="not running"):
@@ -275,7 +275,7 @@ def test_stopped_swarm_flies_no_more_and_says_so(launch: Launch) -> None:
     swarm.stop()
 
 
-def test_temporary_folder_goes_with_its_swarm() -> None:
+def test_temporary_folder_is_deleted_with_its_swarm() -> None:
     swarm = Swarm(Scenario(name="fine", agents=1))
     path = swarm.path
     assert path.is_dir()

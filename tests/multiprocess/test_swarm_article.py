@@ -1,4 +1,4 @@
-"""The article's scenario, whole: eight vehicles, their radio, their antenna, and what is left on disk."""
+"""The article's scenario with all processes: eight vehicles, radio, antenna, files of the run folder."""
 
 import json
 import shutil
@@ -23,10 +23,10 @@ HOLD_S = 8.0
 
 @pytest.fixture(scope="module")
 def own_kernels(tmp_path_factory):
-    """A copy of the compiled kernels for this swarm: tests beside it compile for types that nobody flies."""
+    """Copy the compiled kernels for this swarm, since parallel tests compile for other types."""
     shared = kernel_cache.folder()
     own = tmp_path_factory.mktemp("kernels") / shared.name
-    shutil.copytree(shared, own, ignore=shutil.ignore_patterns("*.tmp.*"))  # those are being written
+    shutil.copytree(shared, own, ignore=shutil.ignore_patterns("*.tmp.*"))  # incomplete files
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(kernel_cache.VARIABLE, str(own))
         kernel_cache.folder.cache_clear()
@@ -36,7 +36,7 @@ def own_kernels(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory, own_kernels):
-    """Fly it once, for all tests: the summary, the folder, and what was seen in flight."""
+    """Fly once for all tests; returns summary, folder, and observations in flight."""
     folder = tmp_path_factory.mktemp("article") / "run"
     with Swarm(ARTICLE, out=folder, overrides=["radio.capture=true"], wall_limit_s=280.0) as swarm:
         kernels = set(own_kernels.rglob("*.nb?"))
@@ -62,7 +62,7 @@ def flown(tmp_path_factory, own_kernels):
         }
 
 
-def test_eight_autopilots_and_the_emulator_were_processes_of_their_own(flown):
+def test_autopilots_and_emulator_are_separate_processes(flown):
     manifest = json.loads((flown["folder"] / "manifest.json").read_text())
     listed = {process["name"]: process["pid"] for process in manifest["processes"]}
     assert listed == flown["pids"]
@@ -73,11 +73,11 @@ def test_eight_autopilots_and_the_emulator_were_processes_of_their_own(flown):
     assert all(process["ending"].endswith("ended with status 0") for process in manifest["processes"])
 
 
-def test_a_vehicle_needs_little_memory_of_its_own(flown):
+def test_unique_memory_of_a_vehicle_is_small(flown):
     assert max(flown["uss_mb"][f"uav {i}"] for i in range(8)) < 60.0
 
 
-def test_it_forms_and_holds_without_touching_and_leaves_nothing_behind(flown):
+def test_formation_is_reached_without_collision_and_no_process_is_left(flown):
     kinds = [type(event) for event in flown["events"]]
     assert kinds.count(Formed) == 1
     assert Collision not in kinds
@@ -86,7 +86,7 @@ def test_it_forms_and_holds_without_touching_and_leaves_nothing_behind(flown):
     assert flown["leftovers"] == []
 
 
-def test_the_summary_says_what_a_user_wants_to_know(flown):
+def test_summary_has_the_results_of_the_flight(flown):
     summary = flown["summary"]
     assert summary == json.loads((flown["folder"] / "summary.json").read_text())
     assert summary["status"] == "completed"
@@ -95,7 +95,7 @@ def test_the_summary_says_what_a_user_wants_to_know(flown):
     assert summary["real_time_factor"] == pytest.approx(summary["simulated_s"] / summary["wall_s"], rel=1e-3)
     assert summary["collisions"] == 0
     assert summary["deterministic"] is True
-    # metre-level GPS, yet the shape is a fraction of it: the distances have come through the channel
+    # the shape error is a fraction of the GPS error: distances were measured over the channel
     assert 0.0 < summary["formation_rms_m"]["shape"] < 0.4
     assert summary["formation_rms_m"]["shape"] < summary["formation_rms_m"]["absolute"] < 3.0
     assert [vehicle["uav"] for vehicle in summary["vehicles"]] == list(range(8))
@@ -115,7 +115,7 @@ def test_the_summary_says_what_a_user_wants_to_know(flown):
     assert len(summary["log_sha256"]) == 64
 
 
-def test_the_tables_hold_truth_and_estimates_side_by_side(flown):
+def test_tables_have_truth_and_estimates(flown):
     flight = pq.read_table(flown["folder"] / "flight.parquet").to_pydict()
     time_us = np.array(flight["time_us"]).reshape(-1, 8)
     assert (np.diff(time_us[:, 0]) == 40_000).all()
@@ -124,7 +124,7 @@ def test_the_tables_hold_truth_and_estimates_side_by_side(flown):
         np.stack([np.array(flight[f"{name}.{axis}"]).reshape(-1, 8)[hold] for axis in "ne"], axis=2)
         for name in ("pos_ned_m", "estimator_pos_ned_m", "onboard_pos_ned_m")
     ]
-    # of the distances between vehicles the applications know far more than the autopilots, who have GPS alone
+    # the applications' distances between vehicles are far better than the autopilots', which have GPS alone
     truth, autopilots, applications = (np.linalg.norm(p[:, :, None] - p[:, None], axis=3) for p in positions)
     assert np.std(applications - truth) < 0.2 * np.std(autopilots - truth)
     radio = pq.read_table(flown["folder"] / "radio.parquet")
@@ -137,20 +137,20 @@ def test_the_tables_hold_truth_and_estimates_side_by_side(flown):
     }
 
 
-def test_every_figure_is_drawn(flown):
+def test_all_figures_are_drawn(flown):
     names = {path.name for path in (flown["folder"] / "figures").iterdir()}
     expected = ("channel", "formation_error", "ftm_error", "gain_density", "patterns", "tracks")
     assert names == {f"{name}.png" for name in expected}
     assert not (flown["folder"] / "raw").exists()
 
 
-def test_nothing_was_compiled_in_flight(flown):
+def test_no_kernel_is_compiled_in_flight(flown):
     assert flown["compiled"] == set()
-    assert flown["kernels"]  # they were looked for where they are
+    assert flown["kernels"]  # the folder is the right one
 
 
 @pytest.mark.skipif(shutil.which("tshark") is None, reason="tshark is not installed")
-def test_wireshark_reads_what_was_on_the_air_and_names_every_kind_of_frame(flown):
+def test_wireshark_dissects_every_kind_of_frame(flown):
     command = ["tshark", "-n", "-r", str(flown["folder"] / "radio.pcapng"), "-d", "udp.port==50802,data"]
     malformed = subprocess.run(
         [*command, "-Y", "_ws.malformed || _ws.expert.severity >= 0x00600000"],

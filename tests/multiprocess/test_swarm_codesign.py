@@ -1,6 +1,6 @@
-"""The co-design in flight: a formation that moves (real processes), baselines and troubles (one process).
+"""Co-design in flight: a moving formation (many processes), baselines and faults (one process).
 
-One seed each; statistics over many are the co-design experiment's. Some 90 s.
+One seed each; `studies.codesign` has statistics over many. Some 90 s.
 """
 
 import numpy as np
@@ -20,7 +20,7 @@ SMALL = ["formation.columns=2", "antenna.snapshot_rate_hz=0.001"]
 
 
 def vectors(folder, name, agents, *, axes="ned"):
-    """Times (T,) in s and a recorded vector (T, N, 3)."""
+    """Return times (T,) in s and a recorded vector (T, N, 3)."""
     table = pq.read_table(folder / "flight.parquet")
     time_s = np.array(table["time_us"]).reshape(-1, agents)[:, 0] * 1e-6
     parts = [np.array(table[f"{name}.{axis}"]).reshape(-1, agents) for axis in axes]
@@ -32,7 +32,7 @@ def one_process(tmp_path, *, agents=4, overrides=()):
     return OneProcessSwarm(ARTICLE, agents=agents, overrides=[*small, *overrides], out=tmp_path / "run")
 
 
-def test_a_formation_agrees_on_its_start_and_flies_its_track_in_shape(swarm, tmp_path):
+def test_formation_agrees_on_its_start_and_flies_its_track_in_shape(swarm, tmp_path):
     """12 m at 3 m/s and 1 m/s^2 take 3 s up, 1 s and 3 s down."""
     motion = 'formation.motion={kind="track", length_m=12.0, acceleration_m_s2=1.0, course_deg=90.0}'
     overrides = [*SMALL, motion, "onboard.ranging=scheduled"]
@@ -42,7 +42,7 @@ def test_a_formation_agrees_on_its_start_and_flies_its_track_in_shape(swarm, tmp
     summary = flight.summary(draw=False)
     starts = [event for event in flight.events if isinstance(event, FormationMoves)]
     assert len(starts) == 1
-    assert starts[0].start_us > starts[0].time_us  # agreed before it came
+    assert starts[0].start_us > starts[0].time_us  # agreed before the start
     assert summary["moves_s"] * 1e6 == pytest.approx(starts[0].start_us)
     assert summary["formation_rms_m"]["shape_horizontal"] < 0.25
     assert summary["collisions"] == 0
@@ -52,7 +52,7 @@ def test_a_formation_agrees_on_its_start_and_flies_its_track_in_shape(swarm, tmp
     assert np.ptp(centre_ned_m[moving, 1]) == pytest.approx(12.0, abs=0.7)
     _, desired_ned_m = vectors(tmp_path / "run", "desired_pos_ned_m", 4)
     assert desired_ned_m[-1, :, 1] - desired_ned_m[0, :, 1] == pytest.approx(12.0, abs=1e-3)
-    # each pair is measured by one of its ends alone
+    # each pair is measured by one of its ends only
     sessions = pq.read_table(tmp_path / "run" / "ftm.parquet")
     pairs = set(
         zip(np.array(sessions["initiator"]).tolist(), np.array(sessions["peer"]).tolist(), strict=True)
@@ -70,17 +70,17 @@ def shape_m(tmp_path, overrides):
     return summary
 
 
-def test_truth_needs_no_radio_and_no_estimate_beats_it(tmp_path):
+def test_truth_needs_no_radio_and_has_the_smallest_error(tmp_path):
     truth = shape_m(tmp_path / "truth", ["onboard.localisation=truth"])
     assert truth["ftm"]["requested"] == 0
-    # who is told the truth is where it shall be: what is left is control in the wind
+    # with true positions the remaining error is that of control in the wind
     assert truth["formation_rms_m"]["absolute_horizontal"] < 0.25
     ftm = shape_m(tmp_path / "ftm", [])
     assert ftm["formation_rms_m"]["shape_horizontal"] < 0.25
     assert ftm["formation_rms_m"]["absolute_horizontal"] > truth["formation_rms_m"]["absolute_horizontal"]
 
 
-def test_on_an_ideal_channel_nothing_is_lost_and_the_medium_is_never_busy(tmp_path):
+def test_ideal_channel_has_no_losses_and_an_idle_medium(tmp_path):
     ideal = shape_m(tmp_path, ["radio.channel=ideal"])
     assert ideal["channel_busy_fraction"] == 0.0
     assert ideal["frames"]["collided"] == ideal["frames"]["lost_to_noise"] == 0
@@ -88,14 +88,14 @@ def test_on_an_ideal_channel_nothing_is_lost_and_the_medium_is_never_busy(tmp_pa
     assert ideal["formation_rms_m"]["shape_horizontal"] < 0.25
 
 
-def test_a_learned_wind_does_for_an_autopilot_that_does_not_lean_by_itself(tmp_path):
+def test_wind_feed_forward_helps_an_autopilot_without_disturbance_observer(tmp_path):
     params = ["autopilot.params.CF_DOB_EN=0", "onboard.localisation=truth"]
     left = shape_m(tmp_path / "left", params)["formation_rms_m"]["absolute_horizontal"]
     fed = shape_m(tmp_path / "fed", [*params, "onboard.wind_feed_forward=true"])
     assert fed["formation_rms_m"]["absolute_horizontal"] < 0.7 * left
 
 
-def test_ten_seconds_without_a_channel_are_survived_and_mended(tmp_path):
+def test_shape_recovers_after_ten_seconds_without_a_channel(tmp_path):
     with one_process(tmp_path, agents=8) as flight:
         flight.run_until_formed(timeout_s=60.0)
         flight.inject(RadioAttenuation(attenuation_db=200.0, start_s=1.0, duration_s=10.0))
@@ -111,30 +111,30 @@ def test_ten_seconds_without_a_channel_are_survived_and_mended(tmp_path):
     time_s, pos_ned_m = vectors(tmp_path / "run", "pos_ned_m", 8)
     _, desired_ned_m = vectors(tmp_path / "run", "desired_pos_ned_m", 8)
     late = time_s > back_s + 10.0
-    flown, wanted = (
+    flown, desired = (
         rows[late][..., :2] - rows[late][..., :2].mean(axis=1, keepdims=True)
         for rows in (pos_ned_m, desired_ned_m)
     )
-    a, b = (rows[..., 0] + 1j * rows[..., 1] for rows in (flown, wanted))
+    a, b = (rows[..., 0] + 1j * rows[..., 1] for rows in (flown, desired))
     turn = np.exp(1j * np.angle((b.conj() * a).sum(axis=1)))[:, None]
     assert np.sqrt(np.mean(np.abs(a - b * turn) ** 2)) < 0.25
 
 
-def test_one_that_measures_5_m_too_much_pulls_nobody(tmp_path):
+def test_ranging_bias_of_one_uav_does_not_displace_others(tmp_path):
     tracks = []
-    for lies in (False, True):
-        with one_process(tmp_path / str(lies), agents=8) as flight:
+    for biased in (False, True):
+        with one_process(tmp_path / str(biased), agents=8) as flight:
             flight.run_until_formed(timeout_s=60.0)
-            if lies:
+            if biased:
                 flight.inject(RangingBias(uav=3, offset_m=5.0))
             flight.run_for(8.0)
             flight.summary(draw=False)
-        tracks.append(vectors(tmp_path / str(lies) / "run", "pos_ned_m", 8)[1])
-        told = pq.read_table(tmp_path / str(lies) / "run" / "ftm.parquet")
-    # the last flight's radio 3 did measure wrongly
-    own = (np.array(told["initiator"]) == 3) & (np.array(told["status"]) == "ok")
-    error_m = np.array(told["distance_m"])[own] - np.array(told["true_distance_m"])[own]
+        tracks.append(vectors(tmp_path / str(biased) / "run", "pos_ned_m", 8)[1])
+        sessions = pq.read_table(tmp_path / str(biased) / "run" / "ftm.parquet")
+    # in the last flight radio 3 had the bias
+    own = (np.array(sessions["initiator"]) == 3) & (np.array(sessions["status"]) == "ok")
+    error_m = np.array(sessions["distance_m"])[own] - np.array(sessions["true_distance_m"])[own]
     assert np.median(error_m[-30:]) == pytest.approx(5.0, abs=0.1)
     others = [0, 1, 2, 4, 5, 6, 7]
-    pulled_m = np.linalg.norm(tracks[1][:, others, :2] - tracks[0][:, others, :2], axis=2)
-    assert pulled_m.max() < 0.3
+    displacement_m = np.linalg.norm(tracks[1][:, others, :2] - tracks[0][:, others, :2], axis=2)
+    assert displacement_m.max() < 0.3

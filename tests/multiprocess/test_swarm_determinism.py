@@ -1,4 +1,4 @@
-"""The same scenario and seed give the same bytes in every log, whatever else the machine has to do."""
+"""The same scenario and seed give the same bytes in every log, under any load of the machine."""
 
 import contextlib
 import hashlib
@@ -19,12 +19,12 @@ pytestmark = pytest.mark.multiprocess
 
 ARTICLE = SCENARIOS / "article.toml"
 UNTIL_S = 9.0
-"""On the ground, take-off, and under way in offboard; beacons and distances from second two."""
+"""Covers the ground, take-off and offboard flight; beacons and distances begin at 2 s."""
 
 
 @contextlib.contextmanager
 def burners(count):
-    """Processes that want every processor all the time."""
+    """Run ``count`` processes that use all of their processor time."""
     command = [sys.executable, "-c", "print(flush=True)\nwhile True: pass"]
     with contextlib.ExitStack() as stack:
         for _ in range(count):
@@ -36,7 +36,7 @@ def burners(count):
 
 @contextlib.contextmanager
 def one_processor():
-    """Processes that are started meanwhile may use one processor only."""
+    """Restrict processes started within the block to one processor."""
     if sys.platform != "linux":
         yield
         return
@@ -52,7 +52,7 @@ def fly(folder, *, seed, results, link="unix"):
     overrides = [f"ports.simulator_link={link}"]
     with Swarm(ARTICLE, agents=4, seed=seed, overrides=overrides, out=folder, wall_limit_s=280.0) as swarm:
         swarm.run(until_s=4.0)
-        swarm.degrade_channel(30.0)  # what a program does between run calls belongs to the run
+        swarm.degrade_channel(30.0)  # commands between run calls are part of the run
         swarm.run(until_s=UNTIL_S)
         summary = swarm.summary(draw=False)
     results[folder.name] = summary
@@ -63,12 +63,12 @@ def hashes(folder):
     return {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in LOGS}
 
 
-def test_equal_runs_are_equal_byte_for_byte_and_two_at_once_do_not_disturb_each_other(tmp_path):
+def test_logs_are_equal_under_load_and_on_one_processor(tmp_path):
     results = {}
     fly(tmp_path / "alone", seed=5, results=results)
-    with one_processor():  # the emulator gives way to the vehicles there
+    with one_processor():  # the emulator yields to the vehicles there
         fly(tmp_path / "confined", seed=5, results=results)
-    with burners(3):  # on two processors, with twelve processes of ours
+    with burners(3):  # beside the processes of two swarms
         threads = [
             threading.Thread(
                 target=fly, args=(tmp_path / name,), kwargs={"seed": seed, "results": results, "link": link}
@@ -90,8 +90,8 @@ def test_equal_runs_are_equal_byte_for_byte_and_two_at_once_do_not_disturb_each_
     )
 
 
-def fly_with_troubles(swarm):
-    """What a program can do to a flight, at exact times; who is killed leaves whole blocks of its log."""
+def fly_with_faults(swarm):
+    """Fly with commands of a program at exact times; a killed vehicle leaves whole blocks of its log."""
     with swarm:
         swarm.run(until_s=4.0)
         swarm.degrade_channel(30.0)
@@ -103,10 +103,10 @@ def fly_with_troubles(swarm):
         return swarm.summary(draw=False)
 
 
-def test_one_process_writes_the_bytes_of_many(tmp_path):
+def test_one_process_writes_the_same_bytes_as_many(tmp_path):
     kinds = {"many": Swarm, "one": OneProcessSwarm}
     results = {
-        name: fly_with_troubles(kind(ARTICLE, agents=4, seed=5, out=tmp_path / name, wall_limit_s=280.0))
+        name: fly_with_faults(kind(ARTICLE, agents=4, seed=5, out=tmp_path / name, wall_limit_s=280.0))
         for name, kind in kinds.items()
     }
     assert hashes(tmp_path / "one") == hashes(tmp_path / "many")

@@ -1,4 +1,4 @@
-"""Every failsafe flown by a real swarm: what the vehicle does, and how it comes down."""
+"""Failsafes of real swarms: modes and landings after each cause."""
 
 import json
 import math
@@ -21,12 +21,12 @@ NAN = math.nan
 
 
 def toml(table):
-    """A table in one line of TOML."""
+    """Return a table as one line of TOML."""
     return "{" + ", ".join(f"{name}={json.dumps(value)}" for name, value in table.items()) + "}"
 
 
 class Recorded:
-    """One run's flight log, by vehicle."""
+    """The flight log of a run; columns (T, N)."""
 
     def __init__(self, folder, agents):
         table = pq.read_table(folder / "flight.parquet").to_pydict()
@@ -39,11 +39,11 @@ class Recorded:
         self.causes = column("causes")
         self.height_m, self.vel_down_m_s = -column("pos_ned_m.d"), column("vel_ned_m_s.d")
         self.up = 1.0 - 2.0 * (column("q_ned_frd.x") ** 2 + column("q_ned_frd.y") ** 2)
-        """Cosine of the tilt"""
+        """Cosine of the tilt."""
 
     def modes(self, uav, *, after_s):
-        """(seconds, mode) of the changes while armed, and to be."""
-        armed = self.armed[:, uav] & np.append(self.armed[1:, uav], False)  # the truth's, a step behind
+        """Return (s, mode) of the changes of mode while armed, also in the next row."""
+        armed = self.armed[:, uav] & np.append(self.armed[1:, uav], False)  # armed is recorded one step later
         rows = np.flatnonzero((self.time_s > after_s) & armed)
         return [
             (float(self.time_s[row]), mode_from_custom(int(self.mode[row, uav])))
@@ -52,12 +52,12 @@ class Recorded:
         ]
 
     def begin_s(self, uav, cause):
-        """When a cause was there first in the air."""
+        """Return the time of a cause's first row in flight, s."""
         rows = np.flatnonzero((self.causes[:, uav] & cause > 0) & (self.height_m[:, uav] > 1.0))
         return float(self.time_s[rows[0]])
 
-    def came_down(self, uav, *, after_s):
-        """Whether it disarmed by itself on the ground, upright, after a landing at a landing's speed."""
+    def has_landed(self, uav, *, after_s):
+        """Return whether the vehicle disarmed on the ground, upright, after a landing at landing speed."""
         off = np.flatnonzero((self.time_s > after_s) & ~self.armed[:, uav])
         if not off.size:
             return False
@@ -69,8 +69,8 @@ class Recorded:
         )
 
 
-def test_faults_of_single_vehicles_lead_to_what_their_parameters_say(swarm, tmp_path):
-    """Six vehicles fail, each in its own way; the seventh stays where it is."""
+def test_faults_cause_the_configured_actions(swarm, tmp_path):
+    """Six vehicles fail in different ways; the seventh stays in the formation."""
     faults = [
         {"kind": "gps_loss", "uav": 0, "start_s": FAULT_S},
         {"kind": "motor", "uav": 2, "motor": 0, "effectiveness": 0.65, "start_s": FAULT_S},
@@ -81,7 +81,7 @@ def test_faults_of_single_vehicles_lead_to_what_their_parameters_say(swarm, tmp_
     per_uav = {
         1: {"BAT1_CAPACITY": 130.0, "COM_LOW_BAT_ACT": 2},
         # a healthy motor draws 5.5 A and more per full thrust above FD_ACT_MOT_THR and 7.5 A at the hover,
-        # this one 6.0 A at the 0.82 of full thrust that it is asked for in place of 0.535
+        # this one 6.0 A at the requested 0.82 of full thrust instead of 0.535
         2: {"COM_ACT_FAIL_ACT": 2, "FD_ACT_MOT_C2T": 6.5, "FD_ACT_MOT_THR": 0.45},
         3: {"GF_MAX_VER_DIST": 8.0, "GF_ACTION": 5},
         5: {"CBRK_FLIGHTTERM": 0},
@@ -98,13 +98,13 @@ def test_faults_of_single_vehicles_lead_to_what_their_parameters_say(swarm, tmp_
     assert flight.summary(draw=False)["deterministic"] is True
     seen = Recorded(tmp_path / "run", 7)
 
-    # GPS loss: a warning, then dead reckoning, then down without a position
+    # GPS loss: a warning, then dead reckoning, then descent without a position
     lost_s = seen.begin_s(0, Cause.GPS_LOST)
-    assert lost_s == pytest.approx(FAULT_S + 2.0, abs=0.3)  # that long fixes may be absent
+    assert lost_s == pytest.approx(FAULT_S + 2.0, abs=0.3)  # time limit of missing fixes
     ((descend_s, mode),) = seen.modes(0, after_s=FAULT_S)
-    assert mode is LAND  # as which Descend is shown
+    assert mode is LAND  # MAVLink shows Descend as Land
     assert descend_s == pytest.approx(FAULT_S + 5.0, abs=0.5)  # EKF2_NOAID_TOUT
-    assert seen.came_down(0, after_s=descend_s)
+    assert seen.has_landed(0, after_s=descend_s)
 
     # battery: hold, then land, 5 s later
     critical_s = seen.begin_s(1, Cause.BATTERY_CRITICAL)
@@ -112,43 +112,43 @@ def test_faults_of_single_vehicles_lead_to_what_their_parameters_say(swarm, tmp_
     assert (first, second) == (HOLD, LAND)
     assert hold_s - critical_s < 0.1
     assert land_s - hold_s == pytest.approx(5.0, abs=0.1)  # COM_FAIL_ACT_T
-    assert seen.came_down(1, after_s=land_s)
+    assert seen.has_landed(1, after_s=land_s)
 
-    # motor: seen within a second by its current, and landed although it gives two thirds of its thrust
+    # motor: detected within a second by its current; lands with two thirds of the thrust
     failed_s = seen.begin_s(2, Cause.MOTOR_FAILED)
     assert FAULT_S < failed_s < FAULT_S + 1.0
     assert [mode for _, mode in seen.modes(2, after_s=FAULT_S)] == [HOLD, LAND]
-    assert seen.came_down(2, after_s=failed_s)
+    assert seen.has_landed(2, after_s=failed_s)
 
-    # geofence: it never gets to its place above the ceiling
+    # geofence: its place is above the ceiling and is not reached
     breach_s = seen.begin_s(3, Cause.GEOFENCE)
     assert breach_s < FAULT_S
     assert [mode for _, mode in seen.modes(3, after_s=breach_s - 0.1)] == [HOLD, LAND]
     assert seen.height_m[:, 3].max() < 10.0
-    assert seen.came_down(3, after_s=breach_s)
+    assert seen.has_landed(3, after_s=breach_s)
 
-    # an accelerometer that is suddenly wrong: the estimator contradicts its fixes
+    # accelerometer bias: the estimator becomes inconsistent with its fixes
     failed_s = seen.begin_s(4, Cause.ESTIMATOR_FAILED)
     assert FAULT_S < failed_s < FAULT_S + 10.0
     assert seen.modes(4, after_s=FAULT_S)[0][1] is LAND
     assert seen.failsafe[np.searchsorted(seen.time_s, failed_s + 0.1), 4]
-    # down for as long as it lasts: once the filter has learned to lean on the others it may fly on
+    # descends while it lasts; when the filter has adapted to the other sensors it may continue
     soon = (seen.time_s > failed_s) & (seen.time_s < failed_s + 15.0)
     assert seen.height_m[soon, 4].min() < 0.5
 
-    # two motors of one side: it tips over, and the flight is terminated
+    # two motors of one side: the vehicle tips over, and the flight is terminated
     tipped_s = seen.begin_s(5, Cause.TIPPED_OVER)
     assert FAULT_S < tipped_s < FAULT_S + 2.0
     assert not seen.armed[np.searchsorted(seen.time_s, tipped_s + 0.1), 5]
 
-    # and nothing of all that concerns the seventh
+    # the seventh is not affected
     assert seen.modes(6, after_s=FAULT_S) == []
     assert truth.vehicles[6].mode == OFFBOARD.label
     assert truth.height_m[6] == pytest.approx(10.0, abs=1.5)
 
 
 class Pilot:
-    """A ground station or companion of one vehicle, which listens while the swarm flies."""
+    """A ground station or companion of one vehicle."""
 
     def __init__(self, flight, uav):
         self.link = flight.mavlink(uav)
@@ -156,7 +156,7 @@ class Pilot:
         self.texts = []
         self.acks = {}
 
-    def listen(self):
+    def read(self):
         while (message := self.link.recv_msg()) is not None:
             if message.get_type() == "STATUSTEXT":
                 self.texts.append(message.text)
@@ -181,7 +181,7 @@ class Pilot:
         self.link.mav.manual_control_send(self.uav + 1, 0, 0, 500, 0, 0)
 
 
-def test_lost_links_lead_to_what_their_parameters_say(swarm, tmp_path):
+def test_lost_links_cause_the_configured_actions(swarm, tmp_path):
     """Three vehicles without an application lose setpoints, ground station and sticks at 30 s."""
     per_uav = {
         0: {"COM_OBL_RC_ACT": 4},
@@ -196,18 +196,18 @@ def test_lost_links_lead_to_what_their_parameters_say(swarm, tmp_path):
     flight = swarm(ARTICLE, agents=3, overrides=overrides, out=tmp_path / "run")
     pilots = [Pilot(flight, uav) for uav in range(3)]
     offboard, ground, joystick = pilots
-    wanted = {0: (6.0, 0.0), 2: (3.0, 0.0)}
+    requested = {0: (6.0, 0.0), 2: (3.0, 0.0)}
     while flight.truth.t_s < FAULT_S:
         ground.heartbeat()
         offboard.setpoint(3.0)
         joystick.sticks()
         for pilot, vehicle in zip(pilots, flight.truth.vehicles, strict=True):
-            pilot.listen()
+            pilot.read()
             if not vehicle.armed and flight.truth.t_s > 8.0:
                 pilot.command(common.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
                 pilot.command(common.MAV_CMD_NAV_TAKEOFF, 0.0, 0.0, 0.0, NAN, NAN, NAN, NAN)
-            elif vehicle.mode == HOLD.label and vehicle.armed and pilot.uav in wanted:
-                pilot.command(common.MAV_CMD_DO_SET_MODE, 1.0, *wanted[pilot.uav])
+            elif vehicle.mode == HOLD.label and vehicle.armed and pilot.uav in requested:
+                pilot.command(common.MAV_CMD_DO_SET_MODE, 1.0, *requested[pilot.uav])
         flight.run_for(0.2)
     modes = [vehicle.mode for vehicle in flight.truth.vehicles]
     assert modes == [OFFBOARD.label, HOLD.label, FlightMode.POSITION.label]
@@ -215,7 +215,7 @@ def test_lost_links_lead_to_what_their_parameters_say(swarm, tmp_path):
     for _ in range(150):
         flight.run_for(0.2)
         for pilot in pilots:
-            pilot.listen()
+            pilot.read()
         if not any(vehicle.armed for vehicle in flight.truth.vehicles):
             break
     summary = flight.summary(draw=False)
@@ -223,7 +223,7 @@ def test_lost_links_lead_to_what_their_parameters_say(swarm, tmp_path):
     seen = Recorded(tmp_path / "run", 3)
     expected = {
         0: ([(1.0, LAND)], "Failsafe: no offboard setpoints, Land"),  # COM_OF_LOSS_T
-        1: ([(7.0, LAND)], "Failsafe: no ground station, Hold, Land in 2 s"),  # it was in hold
+        1: ([(7.0, LAND)], "Failsafe: no ground station, Hold, Land in 2 s"),  # was in hold
         2: ([(0.5, HOLD), (2.5, RETURN)], "Failsafe: no manual control, Hold, Return in 2 s"),
     }
     for pilot in pilots:
@@ -231,7 +231,7 @@ def test_lost_links_lead_to_what_their_parameters_say(swarm, tmp_path):
         modes = seen.modes(pilot.uav, after_s=silent_s - 0.1)
         assert [mode for _, mode in modes] == [mode for _, mode in timeline]
         for (time_s, _), (after_s, _) in zip(modes, timeline, strict=True):
-            # the last message came up to 0.2 s before, and the links are read every 20 to 40 ms
+            # the last message was up to 0.2 s earlier, and links are read every 20 to 40 ms
             assert silent_s - 0.25 + after_s <= time_s <= silent_s + after_s + 0.15
         assert text in pilot.texts
-        assert seen.came_down(pilot.uav, after_s=silent_s)
+        assert seen.has_landed(pilot.uav, after_s=silent_s)

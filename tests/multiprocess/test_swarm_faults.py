@@ -1,4 +1,4 @@
-"""What happens to a real swarm: vehicles that stop, a channel that is cut, ground stations that look in."""
+"""Real swarms with stopped processes, a cut channel, ground stations, and the launcher's command line."""
 
 import contextlib
 import json
@@ -26,16 +26,14 @@ pytestmark = pytest.mark.multiprocess
 ARTICLE = "scenarios/article.toml"
 
 
-@pytest.mark.parametrize("beacon_period_ms", [100, 10])  # at 10 ms some delivery to it is always under way
-def test_a_vehicle_that_stops_answering_is_named_within_a_second_and_the_others_go_on(
-    swarm, beacon_period_ms
-):
+@pytest.mark.parametrize("beacon_period_ms", [100, 10])  # at 10 ms a delivery is always in progress
+def test_stopped_vehicle_is_reported_within_a_second_and_others_continue(swarm, beacon_period_ms):
     flight = swarm(ARTICLE, agents=3, overrides=[f"onboard.beacon_period_ms={beacon_period_ms}"])
     flight.run_until(lambda truth: truth.height_m.min() > 2.0, timeout_s=30.0)
     os.kill(flight.pids["uav 2"], signal.SIGSTOP)
     wall_begin_s = time.monotonic()
     flight.run_for(0.1)
-    assert time.monotonic() - wall_begin_s < 1.5  # named after 0.25 to 0.5 s, and the steps themselves
+    assert time.monotonic() - wall_begin_s < 1.5  # reported after 0.25 to 0.5 s, plus the steps themselves
     events = flight.events
     (lost,) = [event for event in events if isinstance(event, VehicleLost)]
     assert (lost.instance, lost.reason) == (2, "its process is stopped")
@@ -45,22 +43,22 @@ def test_a_vehicle_that_stops_answering_is_named_within_a_second_and_the_others_
     assert truth.height_m[:2].min() > 1.8
     wall_begin_s = time.monotonic()
     flight.stop()
-    assert flight.forced == ()  # it goes on in order to end
+    assert flight.forced == ()  # it is continued in order to end
     assert time.monotonic() - wall_begin_s < 5.0
 
 
-def test_a_hangar_that_is_stopped_does_not_hold_up_the_end(swarm):
+def test_stopped_prefork_server_does_not_delay_the_end(swarm):
     flight = swarm(ARTICLE, agents=2)
     flight.run_for(0.1)
     os.kill(flight.pids["prefork"], signal.SIGSTOP)
     wall_begin_s = time.monotonic()
     flight.stop()
-    assert time.monotonic() - wall_begin_s < 5.0  # what a vehicle is given alone is 10 s
+    assert time.monotonic() - wall_begin_s < 5.0  # the time limit of a vehicle alone is 10 s
     assert flight.forced == ()
     assert flight.summary(draw=False)["status"] == "completed"
 
 
-def test_a_scenario_may_end_with_the_first_loss(swarm):
+def test_scenario_can_end_with_the_first_loss(swarm):
     flight = swarm(ARTICLE, agents=2, overrides=["run.on_vehicle_loss=end"])
     flight.run_for(1.0)
     flight.kill(0)
@@ -70,13 +68,13 @@ def test_a_scenario_may_end_with_the_first_loss(swarm):
 
 
 def recorded_ne_m(folder, name, agents):
-    """Times (T,) s and a recorded vector's horizontal part (T, N, 2)."""
+    """Return times (T,) in s and the horizontal part of a recorded vector (T, N, 2)."""
     table = pq.read_table(folder / "flight.parquet").to_pydict()
     time_s = np.array(table["time_us"]).reshape(-1, agents)[:, 0] * 1e-6
     return time_s, np.stack([np.array(table[f"{name}.{axis}"]).reshape(-1, agents) for axis in "ne"], axis=2)
 
 
-def test_with_the_channel_cut_ranging_ends_and_the_correction_stops(swarm, tmp_path):
+def test_cut_channel_ends_ranging_and_freezes_the_correction(swarm, tmp_path):
     flight = swarm(ARTICLE, agents=4, out=tmp_path / "run")
     flight.run_until_formed(timeout_s=60.0)
     flight.run_for(3.0)
@@ -91,14 +89,14 @@ def test_with_the_channel_cut_ranging_ends_and_the_correction_stops(swarm, tmp_p
     sessions = pq.read_table(tmp_path / "run" / "ftm.parquet").to_pydict()
     at_s = np.array(sessions["measured_ns"]) * 1e-9
     fine = np.array(sessions["status"]) == "ok"
-    grace_s = 0.2  # a session that was under way
+    grace_s = 0.2  # of a session in progress
     between = (at_s > cut_s + grace_s) & (at_s < restored_s)
     assert between.sum() > 12
     assert not fine[between].any()
     assert fine[at_s > restored_s + grace_s].any()
 
-    # what ranging contributes to the correction moves all the time, stands still once the last distance is
-    # 3 s old, and moves again when distances are back
+    # the contribution of ranging to the correction varies, is constant when the last distance is older than
+    # 3 s, and varies again with new distances
     time_s, offset_ne_m = recorded_ne_m(tmp_path / "run", "odometry_offset_ned_m", 4)
     ranging_silence_s = 3.0
     before = (time_s > cut_s - 3.0) & (time_s < cut_s)
@@ -110,12 +108,12 @@ def test_with_the_channel_cut_ranging_ends_and_the_correction_stops(swarm, tmp_p
         assert (np.ptp(offset_ne_m[moving], axis=0).max(axis=1) > 0.02).all()
 
 
-def test_without_a_channel_from_the_start_there_is_no_correction_at_all(swarm, tmp_path):
+def test_without_a_channel_the_correction_is_zero(swarm, tmp_path):
     overrides = ["radio.extra_attenuation_db=200"]
     flight = swarm(ARTICLE, agents=3, overrides=overrides, out=tmp_path / "run")
     flight.run(until_s=20.0)
     summary = flight.summary(draw=False)
-    assert summary["ftm"]["completed"] == 0  # nobody was ever heard, so nobody is even asked
+    assert summary["ftm"]["completed"] == 0  # no beacon was received, so no session is requested
     assert summary["frames"]["sent"] > 0
     assert summary["frames"]["delivered"] == 0
     _, correction_ne_m = recorded_ne_m(tmp_path / "run", "correction_ned_m", 3)
@@ -124,7 +122,7 @@ def test_without_a_channel_from_the_start_there_is_no_correction_at_all(swarm, t
     assert np.isnan(offset_ne_m).all()
 
 
-def test_a_ground_station_sees_every_vehicle_on_one_port(swarm):
+def test_ground_station_receives_every_vehicle_on_one_port(swarm):
     station = mavutil.mavlink_connection("udpin:127.0.0.1:0")
     port = station.port.getsockname()[1]
     try:
@@ -132,7 +130,7 @@ def test_a_ground_station_sees_every_vehicle_on_one_port(swarm):
         overrides = [f"ports.{name}=0" for name in free] + [f"ports.gcs_remote_udp={port}"]
         flight = swarm(ARTICLE, overrides=overrides, ports="scenario")
         seen = {}
-        for _ in range(40):  # 4 s of simulated time; the station reads as it goes, as one does
+        for _ in range(40):  # 4 s of simulated time; the station reads continuously
             flight.run_for(0.1)
             while (message := station.recv_match(blocking=False)) is not None:
                 seen.setdefault(message.get_srcSystem(), set()).add(message.get_type())
@@ -145,13 +143,13 @@ def test_a_ground_station_sees_every_vehicle_on_one_port(swarm):
                 "GLOBAL_POSITION_INT",
                 "GPS_RAW_INT",
             }
-        # it only listened, so the run is what it would have been without it
+        # the station did not send, so the run is deterministic
         assert flight.summary(draw=False)["deterministic"] is True
     finally:
         station.close()
 
 
-def test_a_vehicle_that_was_spoken_to_and_then_killed_still_marks_the_run(swarm):
+def test_killed_vehicle_with_input_of_a_station_marks_the_run(swarm):
     flight = swarm(ARTICLE, agents=2)
     flight.run_for(0.5)
     link = flight.mavlink(1)
@@ -164,7 +162,7 @@ def test_a_vehicle_that_was_spoken_to_and_then_killed_still_marks_the_run(swarm)
     assert manifest["nondeterminism"] == ["uav 1 was spoken to by a ground station or companion"]
 
 
-def test_an_emulator_that_stands_still_for_a_while_costs_no_vehicle(swarm):
+def test_paused_emulator_causes_no_loss(swarm):
     flight = swarm(ARTICLE, agents=2, overrides=["run.silence_limit_s=0.5"])
     flight.run_for(1.0)
     os.kill(flight.pids["radio"], signal.SIGSTOP)
@@ -174,7 +172,7 @@ def test_an_emulator_that_stands_still_for_a_while_costs_no_vehicle(swarm):
     assert flight.summary(draw=False)["deterministic"] is True
 
 
-def test_a_run_that_is_broken_off_cannot_be_flown_on_and_is_marked(swarm):
+def test_interrupted_run_cannot_be_continued_and_is_marked(swarm):
     flight = swarm(ARTICLE, agents=2)
     flight.run_for(0.5)
     threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT)).start()
@@ -186,7 +184,7 @@ def test_a_run_that_is_broken_off_cannot_be_flown_on_and_is_marked(swarm):
     assert (summary["status"], summary["deterministic"]) == ("failed", False)
 
 
-def test_a_formation_that_comes_late_is_formed(swarm):
+def test_late_formation_is_reported(swarm):
     flight = swarm(ARTICLE, agents=2, overrides=["wind.mean_n=0"])
     with pytest.raises(SwarmTimeoutError, match="within 1 s"):
         flight.run_until_formed(timeout_s=1.0)
@@ -195,7 +193,7 @@ def test_a_formation_that_comes_late_is_formed(swarm):
     assert (summary["status"], summary["deterministic"]) == ("completed", True)
 
 
-def test_without_the_application_the_launcher_leaves_the_flying_to_others(tmp_path):
+def test_launcher_runs_without_applications(tmp_path):
     ports = [
         f"--set=ports.{name}=0"
         for name in ("simulator_tcp", "gcs_local_udp", "companion_local_udp", "radio_tcp")
@@ -205,7 +203,7 @@ def test_without_the_application_the_launcher_leaves_the_flying_to_others(tmp_pa
     assert (summary["status"], summary["simulated_s"]) == ("completed", pytest.approx(1.5, abs=0.01))
 
 
-def test_a_radio_that_dies_ends_the_run_by_name(swarm):
+def test_killed_radio_ends_the_run_with_its_name(swarm):
     flight = swarm(ARTICLE, agents=2)
     flight.run_for(1.0)
     os.kill(flight.pids["radio"], signal.SIGKILL)
@@ -213,7 +211,7 @@ def test_a_radio_that_dies_ends_the_run_by_name(swarm):
         flight.run_for(30.0)
 
 
-def test_an_autopilot_without_a_simulator_says_so_in_one_line():
+def test_autopilot_without_a_simulator_is_one_line():
     command = [sys.executable, "-m", "autopilot", "--instance", "77", "--connect-timeout-s", "0.3"]
     result = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60.0)
     assert result.returncode == 2
@@ -225,20 +223,20 @@ ARTICLE_PATH = ROOT / ARTICLE
 
 
 def launch(out, *options):
-    """The launcher's process, with the summary on its stdout."""
+    """Start the launcher's process, which prints the summary on its stdout."""
     command = [sys.executable, str(LAUNCHER), str(ARTICLE_PATH), "--json", "--out", str(out), *options]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 def finish(launched):
-    """The summary that it printed; it must have ended well."""
+    """Wait for the launcher; returns its output. The exit status must be 0."""
     out, err = launched.communicate(timeout=200.0)
     assert launched.returncode == 0, err
     return out
 
 
 def free_offsets(count, vehicles):
-    """Port offsets with which the standard ports of so many vehicles are free at the moment."""
+    """Return ``count`` port offsets for which the standard ports of ``vehicles`` vehicles are free."""
     ports = load(ARTICLE_PATH).ports
     bases = [(socket.SOCK_STREAM, base) for base in (ports.simulator_tcp, ports.radio_tcp)]
     bases += [
@@ -260,7 +258,7 @@ def free_offsets(count, vehicles):
     pytest.fail("no free ports")
 
 
-def test_the_launcher_flies_and_prints_the_summary_alone(tmp_path):
+def test_launcher_prints_the_summary_alone(tmp_path):
     ports = [
         f"--set=ports.{name}=0"
         for name in ("simulator_tcp", "gcs_local_udp", "companion_local_udp", "radio_tcp")
@@ -269,7 +267,7 @@ def test_the_launcher_flies_and_prints_the_summary_alone(tmp_path):
     assert out == (tmp_path / "run" / "summary.json").read_text()
 
 
-def test_two_launches_with_different_ports_fly_at_once_and_do_not_disturb_each_other(tmp_path):
+def test_two_launchers_with_different_ports_are_independent(tmp_path):
     offsets = free_offsets(2, vehicles=2)
     launched = [
         launch(tmp_path / str(offset), "--agents=2", "--duration=2", f"--port-offset={offset}")

@@ -1,4 +1,4 @@
-"""What Zenoh carries between sessions that share one thread of its: a process can have it no tighter."""
+"""Queries and one-way messages between Zenoh sessions of one process, which share one thread of Zenoh."""
 
 import contextlib
 import queue
@@ -16,31 +16,29 @@ pytestmark = pytest.mark.multiprocess
 
 
 @pytest.mark.parametrize("size", [0, 1_000, 1_000_000])
-def test_eight_are_asked_at_once_and_all_answer_however_long_the_question(size):
+def test_eight_concurrent_queries_are_answered_for_any_payload_size(size):
     with contextlib.ExitStack() as stack:
         router = stack.enter_context(contextlib.closing(Transport.listen("127.0.0.1", 0)))
-        heard: list[tuple[int, int]] = []
+        received: list[tuple[int, int]] = []
         askers = []
         for i in range(8):
             client = stack.enter_context(contextlib.closing(Transport.connect(router.endpoint)))
 
             def answer(question, i=i):
-                heard.append((i, len(question.payload)))
+                received.append((i, len(question.payload)))
                 question.answer(bytes([i]))
 
             client.serve(f"test/{i}", answer)
-            # what follows a declaration on the same connection tells that it has arrived
-            nobody = client.asker("test/nobody", timeout_s=5.0)
-            assert nobody.ask(b"").answer() is None
+            wait_for_declarations(client)
             askers.append(router.asker(f"test/{i}", timeout_s=5.0))
         for _ in range(3):
-            heard.clear()
+            received.clear()
             pending = [asker.ask(bytes(size)) for asker in askers]
             assert [each.answer() for each in pending] == [bytes([i]) for i in range(8)]
-            assert sorted(heard) == [(i, size) for i in range(8)]
+            assert sorted(received) == [(i, size) for i in range(8)]
 
 
-def test_an_answer_may_come_from_another_thread_and_later():
+def test_answer_may_be_sent_later_by_another_thread():
     with contextlib.ExitStack() as stack:
         router = stack.enter_context(contextlib.closing(Transport.listen("127.0.0.1", 0)))
         client = stack.enter_context(contextlib.closing(Transport.connect(router.endpoint)))
@@ -54,19 +52,19 @@ def test_an_answer_may_come_from_another_thread_and_later():
         assert later.answer() == b"late" * 100_000
 
 
-def known(client):
-    """Wait until what a client declared has arrived: what follows it on the same connection has an answer."""
-    assert client.asker("test/nobody", timeout_s=5.0).ask(b"").answer() is None
+def wait_for_declarations(client):
+    """Wait until the router has a client's declarations: a later query on the same connection is answered."""
+    assert client.asker("test/unserved", timeout_s=5.0).ask(b"").answer() is None
 
 
 @pytest.mark.parametrize(("direct", "size"), [(True, 0), (True, LONGEST_DIRECT_BYTES), (False, 1_000_000)])
-def test_what_is_sent_one_way_arrives_whole_and_in_order_at_either_end(direct, size):
+def test_one_way_messages_arrive_complete_and_in_order_in_both_directions(direct, size):
     with contextlib.ExitStack() as stack:
         router = stack.enter_context(contextlib.closing(Transport.listen("127.0.0.1", 0)))
         client = stack.enter_context(contextlib.closing(Transport.connect(router.endpoint, direct=direct)))
         for one, other in ((router, client), (client, router)):
             mailbox = other.mailbox("test/letters")
-            known(client)
+            wait_for_declarations(client)
             sender = one.sender("test/letters")
             letters = [bytes([i]) * size for i in range(20)]
             for letter in letters:
@@ -76,7 +74,7 @@ def test_what_is_sent_one_way_arrives_whole_and_in_order_at_either_end(direct, s
             del mailbox
 
 
-def test_who_waits_for_what_does_not_come_waits_that_long():
+def test_take_returns_none_at_its_timeout():
     with contextlib.closing(Transport.listen("127.0.0.1", 0)) as router:
         mailbox = router.mailbox("test/letters")
         wall_begin_s = time.monotonic()
@@ -89,14 +87,14 @@ import os, signal, sys
 from netsim.transport.zenoh_session import Transport
 sender = Transport.connect(sys.argv[1], direct=True)
 letters = sender.sender("test/letters")
-sender.asker("test/nobody", timeout_s=5.0).ask(b"").answer()
+sender.asker("test/unserved", timeout_s=5.0).ask(b"").answer()
 for i in range(10):
     letters.send(bytes([i]) * 1_000)
 os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
-def test_what_was_sent_on_a_direct_connection_survives_its_sender():
+def test_messages_of_a_killed_sender_on_a_direct_connection_are_delivered():
     with contextlib.closing(Transport.listen("127.0.0.1", 0)) as router:
         mailbox = router.mailbox("test/letters")
         done = subprocess.run([sys.executable, "-c", SENDER, router.endpoint], check=False, timeout=60.0)
@@ -104,10 +102,10 @@ def test_what_was_sent_on_a_direct_connection_survives_its_sender():
         assert [mailbox.take(10.0) for _ in range(10)] == [bytes([i]) * 1_000 for i in range(10)]
 
 
-def test_sessions_share_no_memory_of_which_a_file_would_stay():
-    """Zenoh's segments in /dev/shm outlive their processes: a run left a dozen kilobytes for good."""
+def test_sessions_use_no_shared_memory():
+    """Zenoh's segments in /dev/shm would outlive their processes, a dozen kilobytes per run."""
     with contextlib.ExitStack() as stack:
         router = stack.enter_context(contextlib.closing(Transport.listen("127.0.0.1", 0)))
         for direct in (False, True):
             stack.enter_context(contextlib.closing(Transport.connect(router.endpoint, direct=direct)))
-        assert "/dev/shm" not in Path("/proc/self/maps").read_text()  # noqa: S108  no file is made
+        assert "/dev/shm" not in Path("/proc/self/maps").read_text()  # noqa: S108  no file is written

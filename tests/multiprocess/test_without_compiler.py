@@ -1,4 +1,4 @@
-"""What is flown without the compiler is what is flown with it: kernels are plain Python to the last bit."""
+"""A flight without the compiler is identical to one with it: kernels are plain Python to the last bit."""
 
 import os
 import subprocess
@@ -13,15 +13,15 @@ FLY = """
 import sys
 from harness.launch.one_process import OneProcessSwarm
 with OneProcessSwarm(sys.argv[1], agents=3, seed=5, out=sys.argv[2]) as swarm:
-    swarm.run(until_s=16.0)  # up in the wind, in offboard, with beacons and distances, joining the formation
+    swarm.run(until_s=16.0)  # in offboard in the wind, with beacons and distances, joining the formation
 assert {vehicle.armed for vehicle in swarm.truth.vehicles} == {True}
 print(swarm.summary(draw=False)["log_sha256"])
 """
 
 
 @pytest.mark.timeout(900)
-def test_a_flight_without_the_compiler_has_the_same_bytes_in_every_log(tmp_path):
-    """In processes of their own, for Numba reads the variable when it is imported."""
+def test_flight_without_the_compiler_has_the_same_bytes_in_every_log(tmp_path):
+    """Each flight has its own process, since Numba reads the variable on import."""
     hashes = []
     for disabled in ("0", "1"):
         command = [sys.executable, "-c", FLY, str(ARTICLE), str(tmp_path / disabled)]

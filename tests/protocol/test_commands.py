@@ -1,11 +1,11 @@
-"""Commands: one acknowledgement for each, what it is, and what is done at all."""
+"""Commands: their acknowledgements and their effects."""
 
 import math
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from protocol_bench import ASKER, EVERYTHING, HOME, NAN, Commanded
+from protocol_bench import CLIENT, EVERYTHING, HOME, NAN, Commanded
 from pymavlink.dialects.v20 import common
 
 from autopilot.commander.conditions import Condition, Reason
@@ -33,9 +33,7 @@ single = st.floats(width=32, allow_nan=True, allow_infinity=True) | st.sampled_f
     landed=st.booleans(),
     confirmation=st.integers(0, 255),
 )
-def test_whatever_is_asked_is_acknowledged_once_and_breaks_nothing(
-    command, params, refusal, landed, confirmation
-):
+def test_any_command_is_acknowledged_once_and_raises_nothing(command, params, refusal, landed, confirmation):
     vehicle = Commanded()
     vehicle.refusal = refusal
     vehicle.hold(EVERYTHING, landed=landed)
@@ -56,12 +54,12 @@ def test_whatever_is_asked_is_acknowledged_once_and_breaks_nothing(
     z=single,
     at_home=st.booleans(),
 )
-def test_nor_does_any_command_with_a_place(command, params, frame, x, y, z, at_home):
+def test_any_command_with_a_position_passes_only_valid_ones_on(command, params, frame, x, y, z, at_home):
     vehicle = Commanded()
     vehicle.flight.home = HOME if at_home else None
     vehicle.int(command, *params, frame=frame, x=x, y=y, z=z)
     for name, *values in vehicle.done:
-        if name in {"reposition", "set_home"}:  # what reaches the pilot is a place on Earth
+        if name in {"reposition", "set_home"}:  # the pilot receives valid positions only
             lat_deg, lon_deg, alt_m = values[:3]
             assert lat_deg is None or abs(lat_deg) <= 90.0
             assert lon_deg is None or abs(lon_deg) <= 180.0
@@ -69,37 +67,37 @@ def test_nor_does_any_command_with_a_place(command, params, frame, x, y, z, at_h
             assert (lat_deg is None) is (lon_deg is None)
 
 
-def test_answers_are_the_askers_and_texts_are_for_all():
+def test_acknowledgements_are_for_the_sender_and_texts_for_all():
     vehicle = Commanded()
     vehicle.hold(0)
     message = common.MAVLink_command_long_message(1, 1, ARM, 0, 1.0, *[0.0] * 6)
-    ack, text = vehicle.service.on_message(message, 0, ASKER)
-    assert (ack.partner, text.partner) == (ASKER, ALL)
+    ack, text = vehicle.service.on_message(message, 0, CLIENT)
+    assert (ack.partner, text.partner) == (CLIENT, ALL)
     message = common.MAVLink_command_long_message(1, 1, common.MAV_CMD_REQUEST_MESSAGE, 0, 148.0, *[0.0] * 6)
-    ack, sent = vehicle.service.on_message(message, 0, ASKER)
-    assert (ack.partner, sent.partner) == (ASKER, Partner(ASKER.link))
+    ack, sent = vehicle.service.on_message(message, 0, CLIENT)
+    assert (ack.partner, sent.partner) == (CLIENT, Partner(CLIENT.link))
 
 
-def test_a_repetition_is_answered_and_not_done_again():
+def test_a_repetition_is_answered_and_not_executed_again():
     vehicle = Commanded()
 
-    def ask(confirmation, now_us, height_m=10.0):
+    def repeat_command(confirmation, now_us, height_m=10.0):
         return vehicle.long(
             common.MAV_CMD_DO_CHANGE_SPEED, 1.0, height_m, confirmation=confirmation, now_us=now_us
         )
 
-    assert ask(0, 0)[0] == ACCEPTED
-    assert ask(1, 500_000)[0] == ACCEPTED
+    assert repeat_command(0, 0)[0] == ACCEPTED
+    assert repeat_command(1, 500_000)[0] == ACCEPTED
     assert len(vehicle.done) == 1
-    assert ask(0, 600_000)[0] == ACCEPTED  # a new command that says the same
+    assert repeat_command(0, 600_000)[0] == ACCEPTED  # a new command with equal parameters
     assert len(vehicle.done) == 2
-    ask(1, 600_000, height_m=9.0)  # another one, whose first copy was lost
+    repeat_command(1, 600_000, height_m=9.0)  # another one, whose first copy was lost
     assert len(vehicle.done) == 3
-    ask(2, 600_001 + REMEMBERED_US)
+    repeat_command(2, 600_001 + REMEMBERED_US)
     assert len(vehicle.done) == 4
 
 
-def test_of_commands_only_so_many_are_remembered():
+def test_the_number_of_remembered_commands_is_bounded():
     vehicle = Commanded()
     for i in range(10 * REMEMBERED_MAX):
         vehicle.long(common.MAV_CMD_DO_CHANGE_SPEED, 1.0, float(i + 1), confirmation=1)
@@ -107,7 +105,7 @@ def test_of_commands_only_so_many_are_remembered():
     assert len(vehicle.done) == 10 * REMEMBERED_MAX
 
 
-def test_addresses():
+def test_a_message_is_addressed_by_target_system_and_component():
     def to(system, component):
         return common.MAVLink_command_long_message(system, component, 400, 0, *[0.0] * 7)
 
@@ -125,7 +123,7 @@ def test_addresses():
 # ---- arming and modes
 
 
-def test_a_refusal_is_acknowledged_with_its_reason_in_words():
+def test_a_refusal_is_acknowledged_with_its_reason_as_text():
     vehicle = Commanded()
     vehicle.hold(0)
     result, (text,) = vehicle.long(ARM, 1.0)
@@ -154,7 +152,7 @@ def test_a_refusal_is_acknowledged_with_its_reason_in_words():
         (common.MAV_CMD_DO_SET_STANDARD_MODE, (3.0,), UNSUPPORTED),
         (ARM, (NAN,), DENIED),
         (common.MAV_CMD_NAV_LAND, (), ACCEPTED),
-        (common.MAV_CMD_DO_FLIGHTTERMINATION, (1.0,), DENIED),  # nothing flies
+        (common.MAV_CMD_DO_FLIGHTTERMINATION, (1.0,), DENIED),  # not armed
         (common.MAV_CMD_MISSION_START, (NAN,), DENIED),
         (common.MAV_CMD_MISSION_START, (99.0,), DENIED),
         (common.MAV_CMD_DO_SET_MISSION_CURRENT, (4.0,), ACCEPTED),
@@ -164,7 +162,7 @@ def test_a_refusal_is_acknowledged_with_its_reason_in_words():
         (common.MAV_CMD_DO_SET_MISSION_CURRENT, (-1.0,), ACCEPTED),
         (common.MAV_CMD_DO_SET_MISSION_CURRENT, (-2.0,), DENIED),
         (common.MAV_CMD_LOGGING_START, (), UNSUPPORTED),
-        (common.MAV_CMD_DO_CHANGE_SPEED, (2.0, 3.0), UNSUPPORTED),  # of climbing
+        (common.MAV_CMD_DO_CHANGE_SPEED, (2.0, 3.0), UNSUPPORTED),  # climb speed
         (common.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, (1.0,), DENIED),
         (common.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, (0.0,), ACCEPTED),
         (common.MAV_CMD_PREFLIGHT_STORAGE, (0.0,), UNSUPPORTED),
@@ -184,14 +182,14 @@ def test_results(command, params, result):
     assert Commanded().long(command, *params)[0] == result
 
 
-def test_who_waits_for_an_end_hears_it_once_and_from_memory_again():
+def test_the_end_of_a_command_in_progress_is_acknowledged_once_and_then_from_memory():
     vehicle = Commanded()
     storage, in_progress = common.MAV_CMD_PREFLIGHT_STORAGE, common.MAV_RESULT_IN_PROGRESS
     assert vehicle.long(storage, 1.0)[0] == in_progress
     assert vehicle.long(storage, 1.0, confirmation=1)[0] == in_progress
     assert vehicle.service.finish(common.MAV_CMD_PREFLIGHT_CALIBRATION, ACCEPTED, 10) == []
     ((to, ack),) = vehicle.service.finish(storage, common.MAV_RESULT_FAILED, 10)
-    assert to == ASKER
+    assert to == CLIENT
     assert (ack.command, ack.result, ack.target_system, ack.target_component) == (
         storage, common.MAV_RESULT_FAILED, 255, 190,
     )  # fmt: skip
@@ -200,14 +198,14 @@ def test_who_waits_for_an_end_hears_it_once_and_from_memory_again():
     assert vehicle.long(storage, 1.0, confirmation=2, now_us=11 + REMEMBERED_US)[0] == in_progress
 
 
-def test_those_who_wait_for_an_end_do_not_pile_up():
+def test_the_number_of_commands_in_progress_is_bounded():
     vehicle = Commanded()
     for number in range(10 * REMEMBERED_MAX):
         vehicle.long(common.MAV_CMD_PREFLIGHT_STORAGE, 1.0, float(number))
     assert len(vehicle.service.finish(common.MAV_CMD_PREFLIGHT_STORAGE, ACCEPTED, 0)) == REMEMBERED_MAX
 
 
-def test_an_armed_vehicle_keeps_its_parameters():
+def test_parameters_are_not_reset_while_armed():
     vehicle = Commanded()
     assert vehicle.long(ARM, 1.0)[0] == ACCEPTED
     result, (text,) = vehicle.long(common.MAV_CMD_PREFLIGHT_STORAGE, 2.0)
@@ -215,17 +213,17 @@ def test_an_armed_vehicle_keeps_its_parameters():
     assert text.text == "Parameter reset denied: armed"
 
 
-def test_offboard_is_asked_for_the_partner_before_the_commander_is():
+def test_offboard_is_requested_for_the_partner_before_the_mode_is_changed():
     vehicle = Commanded()
     vehicle.hold(EVERYTHING & ~Condition.SETPOINTS)
     assert vehicle.long(MODE, 1.0, 6.0, 0.0, now_us=5)[0] == REFUSED
-    assert vehicle.done == [("ask_offboard", ASKER, 5)]
+    assert vehicle.done == [("ask_offboard", CLIENT, 5)]
     vehicle.hold(EVERYTHING)
     assert vehicle.long(MODE, 1.0, 6.0, 0.0, now_us=6)[0] == ACCEPTED
     assert vehicle.commander.mode is FlightMode.OFFBOARD
 
 
-def test_set_mode_does_the_same_and_is_acknowledged_as_the_command():
+def test_set_mode_is_equivalent_to_do_set_mode_and_acknowledged_as_such():
     vehicle = Commanded()
     message = common.MAVLink_set_mode_message(
         1, common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, FlightMode.LAND.custom_mode
@@ -236,7 +234,7 @@ def test_set_mode_does_the_same_and_is_acknowledged_as_the_command():
     assert vehicle.commander.mode is FlightMode.LAND
 
 
-def test_a_mission_is_started_at_an_item_and_only_if_there_is_one():
+def test_a_mission_starts_at_an_item_and_only_if_there_is_one():
     vehicle = Commanded()
     vehicle.hold(EVERYTHING & ~Condition.MISSION)
     result, (text,) = vehicle.long(common.MAV_CMD_MISSION_START, 0.0)
@@ -250,21 +248,21 @@ def test_a_mission_is_started_at_an_item_and_only_if_there_is_one():
     assert vehicle.commander.mode is FlightMode.MISSION
     assert vehicle.long(common.MAV_CMD_DO_PAUSE_CONTINUE, 0.0)[0] == ACCEPTED
     assert vehicle.commander.mode is FlightMode.HOLD
-    assert vehicle.long(common.MAV_CMD_DO_PAUSE_CONTINUE, 0.0)[0] == ACCEPTED  # it holds
+    assert vehicle.long(common.MAV_CMD_DO_PAUSE_CONTINUE, 0.0)[0] == ACCEPTED  # already in Hold
     assert vehicle.long(common.MAV_CMD_DO_PAUSE_CONTINUE, 1.0)[0] == ACCEPTED
     assert vehicle.commander.mode is FlightMode.MISSION
     assert vehicle.long(common.MAV_CMD_MISSION_START, -1.0)[0] == ACCEPTED
-    assert vehicle.done == [("seq", 3)]  # goes on where it stands
+    assert vehicle.done == [("seq", 3)]  # continues at the current item
 
 
-def test_a_mission_that_is_not_started_keeps_its_item():
+def test_a_mission_start_that_is_refused_leaves_the_current_item():
     vehicle = Commanded()
     assert vehicle.long(common.MAV_CMD_MISSION_START, 99.0)[0] == DENIED
     assert vehicle.commander.mode is not FlightMode.MISSION
     vehicle.commander.update(0, conditions=EVERYTHING & ~Condition.CHARGE, landed=True)
-    assert vehicle.long(common.MAV_CMD_MISSION_START, 3.0)[0] == REFUSED  # it does not arm
+    assert vehicle.long(common.MAV_CMD_MISSION_START, 3.0)[0] == REFUSED  # arming is refused
     vehicle.hold(EVERYTHING)
     assert vehicle.long(ARM, 1.0)[0] == ACCEPTED
     vehicle.commander.update(0, conditions=EVERYTHING & ~Condition.POSITION, landed=False)
-    assert vehicle.long(common.MAV_CMD_MISSION_START, 3.0)[0] == REFUSED  # nor enters the mode
+    assert vehicle.long(common.MAV_CMD_MISSION_START, 3.0)[0] == REFUSED  # the mode is refused
     assert vehicle.done == []

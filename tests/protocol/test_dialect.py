@@ -1,4 +1,4 @@
-"""Messages that are declared here against MAVLink's own rules, since no generated code stands behind them."""
+"""Declared messages against MAVLink's rules, since they are not generated."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from autopilot.mavlink import dialect
 from autopilot.mavlink.codec import Encoder, Parser
 
 EXTENSIONS = {"MISSION_COUNT": 2, "MISSION_ACK": 2, "MISSION_CURRENT": 6, "SET_ATTITUDE_TARGET": 1}
-"""How many fields at the end were added later, and are no part of the checksum."""
+"""Number of extension fields, which are not part of the checksum."""
 DECLARED = [kind for kind in common.mavlink_map.values() if hasattr(kind, "fields")]
 GENERATED = {
     "MISSION_COUNT": common.MAVLink_mission_count_message,
@@ -43,7 +43,7 @@ def test_there_are_some():
 
 
 @pytest.mark.parametrize("kind", DECLARED, ids=name_of)
-def test_the_extra_byte_of_the_checksum_follows_from_name_and_fields(kind):
+def test_crc_extra_follows_from_name_and_fields(kind):
     crc = x25crc()
     crc.accumulate_str(kind.msgname + " ")
     for field in kind.fields[: len(kind.fields) - EXTENSIONS.get(kind.msgname, 0)]:
@@ -54,7 +54,7 @@ def test_the_extra_byte_of_the_checksum_follows_from_name_and_fields(kind):
 
 
 @pytest.mark.parametrize("kind", DECLARED, ids=name_of)
-def test_the_fields_are_ordered_by_size_as_the_wire_wants_it(kind):
+def test_the_fields_are_in_wire_order_by_size(kind):
     base = kind.fields[: len(kind.fields) - EXTENSIONS.get(kind.msgname, 0)]
     sizes = [SIZES.get(field.kind, 1) for field in base]
     assert sizes == sorted(sizes, reverse=True)
@@ -63,7 +63,7 @@ def test_the_fields_are_ordered_by_size_as_the_wire_wants_it(kind):
 
 
 @pytest.mark.parametrize("kind", DECLARED, ids=name_of)
-def test_there_and_back(kind):
+def test_packing_and_parsing_preserve_the_fields(kind):
     values = {field.name: some(field, i) for i, field in enumerate(kind.fields)}
     (got,) = Parser().push(Encoder(system=7, component=1).encode(kind(**values)))
     assert type(got) is kind
@@ -75,8 +75,8 @@ def test_there_and_back(kind):
 
 
 @pytest.mark.parametrize("name", EXTENSIONS)
-def test_extensions_change_nothing_for_those_who_do_not_know_them(name):
-    """What an older program packs is read with zeros; ours without extensions is theirs, byte for byte."""
+def test_extensions_are_compatible_with_programs_without_them(name):
+    """Frames without extensions are read with zeros; ours with zero extensions are equal byte for byte."""
     old = GENERATED[name]
     lengths = dict(zip(old.ordered_fieldnames, old.array_lengths, strict=True))
     values = {
@@ -94,6 +94,6 @@ def test_extensions_change_nothing_for_those_who_do_not_know_them(name):
     assert isinstance(got, kind)
 
 
-def test_a_field_that_does_not_exist_is_refused():
+def test_an_unknown_field_is_refused():
     with pytest.raises(TypeError, match=r"^PROTOCOL_VERSION has the fields version, min_version"):
         dialect.ProtocolVersion(versions=1)

@@ -1,4 +1,4 @@
-"""What a vehicle's files hold: the component's metadata, and the packed parameters."""
+"""Contents of a vehicle's files: the component metadata, and the packed parameters."""
 
 import json
 import lzma
@@ -29,7 +29,7 @@ def read_whole(files, path):
     return station.content
 
 
-def test_the_metadata_lead_from_the_message_to_every_parameter():
+def test_the_metadata_are_found_from_the_message_and_describe_every_parameter():
     files, parameters = vehicle_files()
     message = metadata.message_builder(lambda: 1_234_567)()
     (received,) = Parser().push(Encoder(system=1, component=1).encode(message))
@@ -53,7 +53,7 @@ def test_the_metadata_lead_from_the_message_to_every_parameter():
 
 
 def unpacked(data):
-    """Decode the packed parameters: (name, value, default or None) of each, by the format's description."""
+    """Decode the packed parameters by the format's description: (name, value, default or None) of each."""
     magic, count, total = struct.unpack_from("<HHH", data)
     assert magic in {0x671B, 0x671C}
     values, at, name = [], 6, ""
@@ -74,7 +74,7 @@ def unpacked(data):
     return total, values
 
 
-def test_the_packed_parameters_are_all_as_they_are_when_opened():
+def test_the_packed_parameters_have_the_values_at_the_time_of_opening():
     files, parameters = vehicle_files()
     parameters.set("MPC_XY_P", 1.25)
     total, values = unpacked(read_whole(files, "@PARAM/param.pck?withdefaults=1"))

@@ -1,4 +1,4 @@
-"""Logs: listed, and downloaded over links that lose with the stations' retries. About 5 s."""
+"""Logs: listed, and downloaded over lossy links with the stations' retries. About 5 s."""
 
 import pytest
 from hypothesis import given, settings
@@ -11,10 +11,10 @@ from autopilot.services.files import Contents, FileStore, Log
 from autopilot.services.logs import MOST_DOWNLOADS, PIECE_BYTES, PIECES, LogService
 from autopilot.services.service import NEVER_US, Partner
 
-ASKER = Partner(0, 3)
+CLIENT = Partner(0, 3)
 CHUNK_BYTES = 512 * PIECE_BYTES
-"""What stations ask for at a time."""
-CONTENT = bytes(range(256)) * 250  # 64 kB: more than a chunk, and no whole number of pieces
+"""Size of the stations' requests."""
+CONTENT = bytes(range(256)) * 250  # 64 kB: more than a chunk, and not a multiple of a piece
 MS = 1_000
 
 
@@ -25,7 +25,7 @@ def make_service(*contents):
     return LogService(files)
 
 
-def ask(service, message, partner=ASKER, now_us=0):
+def send(service, message, partner=CLIENT, now_us=0):
     (received,) = Parser().push(Encoder(system=255, component=190).encode(message))
     answers = service.on_message(received, now_us, partner)
     assert {to for to, _ in answers} <= {partner}
@@ -41,7 +41,7 @@ def sent(service):
     return pieces
 
 
-def wanted(number, offset, count):
+def data_request(number, offset, count):
     return common.MAVLink_log_request_data_message(1, 1, number, offset, count)
 
 
@@ -52,14 +52,14 @@ def listing(start=0, end=0xFFFF):
 # ---- requests
 
 
-def test_without_a_log_the_list_says_so():
-    (entry,) = ask(make_service(), listing())
+def test_without_a_log_the_list_is_empty():
+    (entry,) = send(make_service(), listing())
     assert (entry.num_logs, entry.size) == (0, 0)
 
 
 def test_logs_are_listed_with_number_size_and_time():
     service = make_service(b"a" * 10, CONTENT, b"")
-    entries = ask(service, listing())
+    entries = send(service, listing())
     assert [(entry.id, entry.num_logs, entry.last_log_num) for entry in entries] == [
         (0, 3, 2),
         (1, 3, 2),
@@ -67,8 +67,8 @@ def test_logs_are_listed_with_number_size_and_time():
     ]
     assert [entry.size for entry in entries] == [10, len(CONTENT), 0]
     assert [entry.time_utc for entry in entries] == [1_700_000_000, 1_700_000_001, 1_700_000_002]
-    assert [entry.id for entry in ask(service, listing(1, 1))] == [1]
-    assert [entry.id for entry in ask(service, listing(9, 3))] == [2]
+    assert [entry.id for entry in send(service, listing(1, 1))] == [1]
+    assert [entry.id for entry in send(service, listing(9, 3))] == [2]
 
 
 @pytest.mark.parametrize(
@@ -83,36 +83,36 @@ def test_logs_are_listed_with_number_size_and_time():
         (0, 0, [(0, 0)]),
     ],
 )
-def test_what_is_asked_for_is_sent_and_no_more(offset, count, pieces):
+def test_the_requested_bytes_are_sent(offset, count, pieces):
     service = make_service(CONTENT)
-    assert ask(service, wanted(0, offset, count)) == []
+    assert send(service, data_request(0, offset, count)) == []
     got = sent(service)
     assert [(at, len(data)) for _, at, data in got] == pieces
     assert b"".join(data for _, _, data in got) == CONTENT[offset : offset + count]
 
 
-def test_an_end_another_request_and_a_log_that_is_not_there_end_what_is_being_sent():
+def test_another_request_ends_a_download():
     end = common.MAVLink_log_request_end_message(1, 1)
-    for message in (end, wanted(7, 0, 90)):
+    for message in (end, data_request(7, 0, 90)):
         service = make_service(CONTENT)
-        ask(service, wanted(0, 0, 10_000))
+        send(service, data_request(0, 0, 10_000))
         service.on_timer(0)
-        ask(service, message)
+        send(service, message)
         assert sent(service) == []
 
 
 def test_logs_are_not_erased():
     service = make_service(CONTENT)
-    (text,) = ask(service, common.MAVLink_log_erase_message(1, 1))
+    (text,) = send(service, common.MAVLink_log_erase_message(1, 1))
     assert "denied" in text.text
-    assert len(ask(service, listing())) == 1
+    assert len(send(service, listing())) == 1
 
 
-def test_partners_have_what_they_asked_for_each():
+def test_partners_download_independently():
     service = make_service(CONTENT, CONTENT[::-1])
     partners = [Partner(0, 0), Partner(0, 1)]
     for number, partner in enumerate(partners):
-        ask(service, wanted(number, 0, 5_000), partner)
+        send(service, data_request(number, 0, 5_000), partner)
     got = sent(service)
     for partner, content in zip(partners, (CONTENT, CONTENT[::-1]), strict=True):
         assert b"".join(data for to, _, data in got if to == partner) == content[:5_000]
@@ -121,17 +121,17 @@ def test_partners_have_what_they_asked_for_each():
 u16, u32 = st.integers(0, 2**16 - 1), st.integers(0, 2**32 - 1)
 anything = st.one_of(
     st.builds(listing, u16, u16),
-    st.builds(wanted, st.integers(0, 3), u32 | st.integers(0, 300), u32 | st.integers(0, 300)),
+    st.builds(data_request, st.integers(0, 3), u32 | st.integers(0, 300), u32 | st.integers(0, 300)),
     st.just(common.MAVLink_log_request_end_message(1, 1)),
 )
 
 
 @settings(max_examples=200, deadline=None)
 @given(st.lists(st.tuples(anything, st.integers(0, 50)), max_size=30))
-def test_whatever_comes_is_coped_with(requests):
+def test_any_sequence_of_requests_is_handled(requests):
     service = make_service(b"x" * 200, b"y" * 50)
     for place, (message, number) in enumerate(requests):
-        ask(service, message, Partner(0, number), place)
+        send(service, message, Partner(0, number), place)
         assert len(service.on_timer(place * 4 * MS)) <= PIECES * MOST_DOWNLOADS
 
 
@@ -139,7 +139,7 @@ def test_whatever_comes_is_coped_with(requests):
 
 
 class Downloader:
-    """Lists the logs and reads the first as MAVSDK does: a chunk, then its gaps after a silence."""
+    """Lists the logs and reads the first as MAVSDK does: a chunk, then its gaps after a timeout."""
 
     def __init__(self):
         self.size = None
@@ -163,11 +163,11 @@ class Downloader:
         missing, end = self.missing()
         begin = missing[0]
         if len(missing) == (end - self.chunk * CHUNK_BYTES + PIECE_BYTES - 1) // PIECE_BYTES:
-            return [wanted(0, begin, end - begin)]
+            return [data_request(0, begin, end - begin)]
         until = begin
         while until in missing:
             until += PIECE_BYTES
-        return [wanted(0, begin, min(until, end) - begin)]
+        return [data_request(0, begin, min(until, end) - begin)]
 
     def next_deadline_us(self):
         return NEVER_US if self.done else self.due_us
@@ -186,7 +186,7 @@ class Downloader:
         return ()
 
 
-def test_a_log_arrives_whole_over_a_lossy_link():
+def test_a_log_arrives_complete_over_a_lossy_link():
     lost = 0
     for seed in range(50):
         station = Downloader()
@@ -202,7 +202,7 @@ def test_a_log_arrives_whole_over_a_lossy_link():
 # ---- while it is written
 
 
-def test_a_log_that_grows_is_listed_and_read_as_far_as_it_is():
+def test_a_growing_log_is_listed_and_read_up_to_its_current_size():
     class Growing:
         data = CONTENT
 
@@ -215,12 +215,12 @@ def test_a_log_that_grows_is_listed_and_read_as_far_as_it_is():
     files, file = FileStore(), Growing()
     files.add_log(Log("/log/0.ulg", file, 0))
     service = LogService(files)
-    (before,) = ask(service, listing())
-    ask(service, wanted(0, 0, before.size))
+    (before,) = send(service, listing())
+    send(service, data_request(0, 0, before.size))
     file.data += b"more"
     assert b"".join(data for _, _, data in sent(service)) == CONTENT
-    (after,) = ask(service, listing())
+    (after,) = send(service, listing())
     assert after.size == before.size + 4
-    file.data = CONTENT  # a file that has become shorter has no more than it has
-    ask(service, wanted(0, before.size, 4))
+    file.data = CONTENT  # reading beyond the end of a truncated file returns nothing
+    send(service, data_request(0, before.size, 4))
     assert b"".join(data for _, _, data in sent(service)) == b""

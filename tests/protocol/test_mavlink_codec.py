@@ -1,4 +1,4 @@
-"""Framing: every message comes through, whatever lies before, between or around it, and nothing raises."""
+"""Framing: every message is found, whatever precedes, separates or surrounds it, and nothing raises."""
 
 import time
 
@@ -26,7 +26,7 @@ def numbers(messages):
     return [message.time_boot_ms for message in messages]
 
 
-def test_what_is_encoded_is_decoded_with_its_source_and_sequence():
+def test_encoded_messages_are_decoded_with_source_and_sequence():
     messages = Parser().push(b"".join(frames(300)))
     assert numbers(messages) == list(range(300))
     assert {(m.get_srcSystem(), m.get_srcComponent()) for m in messages} == {(3, 1)}
@@ -42,7 +42,7 @@ def test_a_stamped_message_keeps_its_source():
     assert message.get_srcComponent() == 1
 
 
-def test_a_frames_length_is_told_without_changing_the_message():
+def test_the_length_of_a_frame_is_computed_without_changing_the_message():
     message = stamp(attitude(0), system=3, component=191)
     assert frame_bytes(message) == len(Encoder(system=3, component=1).encode(message))
     assert (message.get_srcSystem(), message.get_srcComponent()) == (3, 191)
@@ -62,8 +62,8 @@ def test_any_cut_of_the_stream_gives_the_same_messages(cuts):
 
 
 @given(st.lists(st.binary(max_size=40), min_size=5, max_size=5))
-def test_garbage_between_messages_costs_only_itself(garbage):
-    # enough good bytes behind it to complete any frame that the garbage pretends to begin
+def test_garbage_between_messages_hides_none_of_them(garbage):
+    # enough valid bytes at the end to complete any frame that the garbage appears to begin
     parser = Parser()
     good = frames(4 + 20)
     stream = b"".join(g + f for g, f in zip(garbage, [*good[:4], b""], strict=True)) + b"".join(good[4:])
@@ -76,11 +76,11 @@ def test_random_bytes_never_raise_and_are_counted():
     parser = Parser()
     data = rng.integers(0, 256, 300_000, dtype=np.uint8)
     data[rng.integers(0, data.size, 6_000)] = 0xFD
-    heard = 0
+    received = 0
     for chunk in np.array_split(data, 500):
-        heard += len(parser.push(chunk.tobytes()))
-    assert heard <= 1  # a checksum of 16 bits lets one of 65536 frames through
-    assert parser.bad_bytes > data.size - 300 - 280 * heard
+        received += len(parser.push(chunk.tobytes()))
+    assert received <= 1  # a checksum of 16 bits lets one of 65536 frames through
+    assert parser.bad_bytes > data.size - 300 - 280 * received
 
 
 def test_mutated_frames_give_the_original_or_nothing():
@@ -94,17 +94,17 @@ def test_mutated_frames_give_the_original_or_nothing():
         assert Parser().push_datagram(bytes(frame)) == []
 
 
-def test_a_datagram_ends_what_is_in_it():
+def test_a_frame_does_not_continue_beyond_its_datagram():
     whole, cut = frames(2)
     parser = Parser()
     assert numbers(parser.push_datagram(cut[:-1])) == []
     assert parser.bad_bytes == len(cut) - 1
     assert numbers(parser.push_datagram(whole)) == [0]
-    # a false beginning must not hide the message behind it
+    # a false start of a frame must not hide the message after it
     assert numbers(parser.push_datagram(b"\xfd\xff" + whole)) == [0]
 
 
-def test_version_1_is_heard():
+def test_version_1_is_accepted():
     sender = common.MAVLink(None, srcSystem=255, srcComponent=190)
     frame = common.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(sender, force_mavlink1=True)
     (message,) = Parser().push(frame)
@@ -125,23 +125,23 @@ def test_version_1_is_heard():
         ),
         (
             common.MAVLink_mission_count_message(3, 1, 200),
-            # what version 1 has no place for: the mission's type and its opaque id
+            # fields that version 1 lacks: mission type and opaque id
             {"count": 200, "target_component": 1, "mission_type": 0, "opaque_id": 0},
         ),
     ],
     ids=["COMMAND_LONG", "PARAM_SET", "MISSION_COUNT"],
 )
-def test_what_version_1_stations_say_is_heard_with_extensions_at_zero(message, fields):
+def test_version_1_messages_have_extension_fields_of_zero(message, fields):
     sender = common.MAVLink(None, srcSystem=255, srcComponent=190)
     frame = message.pack(sender, force_mavlink1=True)
     assert frame[0] == 0xFE
     parser = Parser()
-    (heard,) = parser.push_datagram(frame)
-    assert {name: getattr(heard, name) for name in fields} == fields
+    (received,) = parser.push_datagram(frame)
+    assert {name: getattr(received, name) for name in fields} == fields
     assert parser.counters == Counters()
 
 
-def test_unknown_incompatibility_flags_forbid_reading():
+def test_frames_with_unknown_incompatibility_flags_are_rejected():
     frame = bytearray(frames(1)[0])
     frame[2] = 0x02
     parser = Parser()
@@ -161,9 +161,9 @@ def wrong_checksum(frame):
 @pytest.mark.parametrize(
     ("spoil", "cause"), [(unknown_kind, "frames_unknown"), (wrong_checksum, "frames_bad_checksum")]
 )
-def test_each_cause_is_counted_for_itself(spoil, cause):
+def test_each_cause_has_its_own_counter(spoil, cause):
     whole, spoiled = frames(2)[0], bytearray(frames(2)[1])
-    assert spoiled.count(0xFD) + spoiled.count(0xFE) == 1  # else a frame seems to begin inside it too
+    assert spoiled.count(0xFD) + spoiled.count(0xFE) == 1  # otherwise it contains another apparent frame
     spoil(spoiled)
     parser = Parser()
     for _ in range(7):
@@ -171,8 +171,8 @@ def test_each_cause_is_counted_for_itself(spoil, cause):
     assert parser.counters == Counters(bytes_bad=7 * len(spoiled), **{cause: 7})
 
 
-def test_a_datagram_of_nothing_but_beginnings_takes_no_long_time():
-    """Every byte seems to begin a whole frame of a known kind: as dear as garbage gets."""
+def test_a_datagram_of_frame_starts_is_parsed_quickly():
+    """Every byte appears to begin a complete frame of a known message: the most expensive garbage."""
     header = bytes([0xFE, 0xFE, 0, 0, 0, common.MAVLINK_MSG_ID_ATTITUDE])
     parser = Parser()
     datagram = (header * 11_000)[:65_000]
@@ -182,10 +182,10 @@ def test_a_datagram_of_nothing_but_beginnings_takes_no_long_time():
     assert parser.bad_bytes == len(datagram)
 
 
-def test_each_partner_hears_every_source_without_gaps():
-    """What one partner alone is sent leaves no gap in what others hear, nor one component in another's."""
+def test_each_partner_receives_every_source_without_gaps():
+    """Messages to one partner or from one component leave no gap in the sequence numbers of others."""
     encoder, sequences = Encoder(system=3, component=1), [Sequences(), Sequences()]
-    heard = [[], []]
+    received = [[], []]
     for i in range(600):
         message = attitude(i)
         if i % 3 == 0:
@@ -193,21 +193,21 @@ def test_each_partner_hears_every_source_without_gaps():
         frame = encoder.encode(message)
         for partner in (0, 1) if i % 5 else (1,):
             renumbered = sequences[partner].renumber(frame, common.MAVLINK_MSG_ID_ATTITUDE)
-            heard[partner] += Parser().push_datagram(renumbered)
-    assert [len(messages) for messages in heard] == [480, 600]
-    for messages in heard:
+            received[partner] += Parser().push_datagram(renumbered)
+    assert [len(messages) for messages in received] == [480, 600]
+    for messages in received:
         for component in (1, 191):
             of_one = [m.get_seq() for m in messages if m.get_srcComponent() == component]
             assert of_one == [i % 256 for i in range(len(of_one))]
 
 
 @pytest.mark.parametrize("mode", [m for m in FlightMode if m is not FlightMode.DESCEND])
-def test_modes_have_px4s_numbers_and_come_back(mode):
+def test_modes_have_px4s_numbers_and_convert_back(mode):
     assert mode_from_custom(mode.custom_mode) is mode
     assert mode_from_main_sub(mode.custom_mode >> 16 & 0xFF, mode.custom_mode >> 24) is mode
 
 
-def test_modes_as_seen_on_the_wire_of_px4():
+def test_modes_as_observed_from_px4():
     # PX4 v1.17: hold 4/3; base_mode 29 disarmed, 157 armed in auto modes, 145 armed in offboard
     assert FlightMode.HOLD.custom_mode == 4 << 16 | 3 << 24
     assert FlightMode.HOLD.base_mode == 29
@@ -219,5 +219,5 @@ def test_modes_as_seen_on_the_wire_of_px4():
 @pytest.mark.parametrize(
     ("main", "sub"), [(9.0, 0.0), (float("nan"), 0.0), (4.0, float("inf")), (-1.0, 3.0), (4.0, 3e9)]
 )
-def test_numbers_that_are_no_mode_give_none(main, sub):
+def test_invalid_mode_numbers_give_none(main, sub):
     assert mode_from_main_sub(main, sub) is None

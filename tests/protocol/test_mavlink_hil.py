@@ -1,4 +1,4 @@
-"""The struct codecs of the simulator's link, against pymavlink: same bytes, same fields, any input."""
+"""The struct codecs of the simulator link against pymavlink: equal bytes and fields for any input."""
 
 import math
 import struct
@@ -57,12 +57,12 @@ THEIRS = {
 
 
 def theirs(message):
-    """Make pymavlink's message of the same fields."""
+    """Return pymavlink's message with the same fields."""
     return THEIRS[type(message)](*message)
 
 
 def bits(message):
-    """Give what tells two values apart, NaNs and signs of zero included."""
+    """Return a representation that distinguishes values, NaNs and signs of zero included."""
     flat = [x for field in message for x in (field if isinstance(field, list | tuple) else [field])]
     return [struct.pack("<d", x) if isinstance(x, float) else x for x in flat]
 
@@ -80,7 +80,7 @@ def test_frames_are_those_of_pymavlink(message, sequence, system, component):
 
 
 @given(HOT)
-def test_pymavlinks_frames_come_out_with_the_same_fields(message):
+def test_pymavlinks_frames_are_parsed_with_the_same_fields(message):
     parser = HilParser(type(message))
     (ours,) = parser.push(Encoder(system=1, component=1).encode(theirs(message)))
     assert type(ours) is type(message)
@@ -89,7 +89,7 @@ def test_pymavlinks_frames_come_out_with_the_same_fields(message):
     assert parser.bad_bytes == 0
 
 
-def test_one_sequence_runs_through_hot_and_other_messages():
+def test_hot_and_other_messages_share_one_sequence():
     encoder, parser = HilEncoder(system=7, component=1), Parser()
     controls = HilActuatorControls(4000, [0.5] * 16, 129, 1)
     for _ in range(150):
@@ -104,8 +104,8 @@ def test_one_sequence_runs_through_hot_and_other_messages():
     st.lists(st.sampled_from("shaxv") | st.binary(max_size=30), max_size=8),
     st.lists(st.integers(1, 120), min_size=1, max_size=5),
 )
-def test_any_stream_in_any_pieces_gives_what_the_general_parser_gives(parts, pieces):
-    """Hot frames (s), others (h, a), a hot frame broken (x) or of MAVLink 1 (v), and bytes of any kind."""
+def test_any_split_of_a_stream_gives_the_same_messages_as_the_general_parser(parts, pieces):
+    """Hot frames (s), others (h, a), a broken hot frame (x) or one of MAVLink 1 (v), and random bytes."""
     encoder, old = Encoder(system=1, component=1), common.MAVLink(None)
     stream = bytearray()
     for number, part in enumerate(parts):
@@ -134,16 +134,16 @@ def test_any_stream_in_any_pieces_gives_what_the_general_parser_gives(parts, pie
 
 
 @given(st.binary(max_size=400))
-def test_hostile_bytes_never_raise(data):
+def test_random_bytes_never_raise(data):
     for hot in (HilSensor, HilActuatorControls):
         HilParser(hot).push(data)
-        # a right header in front of them
+        # preceded by a right header
         kind = 107 if hot is HilSensor else 93
         HilParser(hot).push(bytes([0xFD, len(data) % 256, 0, 0, 0, 1, 1, kind, 0, 0]) + data)
 
 
 @given(HOT, st.data())
-def test_a_frame_with_any_bit_wrong_is_no_message(message, data):
+def test_a_frame_with_any_wrong_bit_is_rejected(message, data):
     frame = bytearray(pack(message, sequence=1, system=1, component=1))
     bit = data.draw(st.integers(0, 8 * len(frame) - 1))
     frame[bit // 8] ^= 1 << bit % 8
@@ -151,7 +151,7 @@ def test_a_frame_with_any_bit_wrong_is_no_message(message, data):
     assert [m for m in parser.push(bytes(frame)) if isinstance(m, type(message))] == []
 
 
-def test_a_signed_frame_is_the_general_parsers():
+def test_a_signed_frame_is_parsed_by_the_general_parser():
     encoder = common.MAVLink(None, srcSystem=1)
     encoder.signing.secret_key, encoder.signing.sign_outgoing = bytes(32), True
     frame = common.MAVLink_hil_sensor_message(4000, *[0.5] * 13, 0x3F, 0).pack(encoder)
@@ -161,7 +161,7 @@ def test_a_signed_frame_is_the_general_parsers():
 
 
 @pytest.mark.parametrize("value", [1e39, math.inf])
-def test_a_value_beyond_float32_is_an_error_of_the_sender_and_infinity_is_not(value):
+def test_a_value_beyond_float32_raises_in_the_sender_and_infinity_does_not(value):
     message = HilActuatorControls(0, [value] * 16, 1, 1)
     if math.isinf(value):
         (got,) = HilParser(HilActuatorControls).push(pack(message, sequence=0, system=1, component=1))

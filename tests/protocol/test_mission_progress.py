@@ -1,4 +1,4 @@
-"""Where a mission stands, as stations are told: a timeline of messages, no flight. Costs under a second."""
+"""Mission progress as reported to stations: a timeline of messages without a flight. Under a second."""
 
 from types import SimpleNamespace
 
@@ -35,7 +35,7 @@ MARKER = MissionItem(command=MissionCommand.ACT, act=common.MAV_CMD_DO_LAND_STAR
 
 
 class Bench:
-    """A mission's progress by itself: the test moves runner and mode."""
+    """A mission's progress alone: the test changes runner and mode."""
 
     def __init__(self, *items):
         self.runner, self.plans = MissionRunner(), PlanStore()
@@ -52,16 +52,16 @@ class Bench:
         self.runner.load(mission)
 
     def due(self, until_us):
-        """[(time, name, seq or text)] to the ground station; the companion is told the same."""
-        told = []
+        """[(time, name, seq or text)] to the ground station; the companion receives the same."""
+        sent = []
         while (deadline_us := max(self.progress.next_deadline_us(), self.now_us)) <= until_us:
             self.now_us = deadline_us
             messages = self.progress.on_timer(self.now_us)
             to = {link: [m for p, m in messages if p in (Partner(link), ALL)] for link in (0, 1)}
             assert to[GROUND_STATION] == to[COMPANION]
-            told += [(self.now_us, m.get_type(), getattr(m, "seq", getattr(m, "text", None))) for m in to[0]]
+            sent += [(self.now_us, m.get_type(), getattr(m, "seq", getattr(m, "text", None))) for m in to[0]]
         self.now_us = until_us
-        return told
+        return sent
 
     def ask(self, seq):
         message = common.MAVLink_mission_set_current_message(1, 1, seq)
@@ -79,7 +79,7 @@ def test_states_are_px4s():
         bench.commander.mode = mode
         assert (progress.state, progress.mission_current().mission_mode) == (ACTIVE, IN_MISSION)
     bench.commander.mode = FlightMode.HOLD
-    assert progress.state == NOT_STARTED  # nothing was reached
+    assert progress.state == NOT_STARTED  # no item was reached
     runner.advance()
     assert (progress.state, progress.mission_current().mission_mode) == (PAUSED, SUSPENDED)
     runner.advance()
@@ -98,7 +98,7 @@ def test_ids_are_those_of_the_plans():
     assert current.rally_points_id != 0
 
 
-def test_what_is_reached_is_told_at_once_and_the_last_again_ten_times():
+def test_reached_items_are_reported_at_once_and_the_last_ten_times_again():
     bench = Bench(PHOTO, WAYPOINT, MARKER, WAYPOINT)
     assert bench.due(0) == [(0, "MISSION_CURRENT", 0)]
     assert bench.progress.next_deadline_us() == NEVER_US
@@ -116,7 +116,7 @@ def test_what_is_reached_is_told_at_once_and_the_last_again_ten_times():
     assert bench.progress.next_deadline_us() == NEVER_US
 
 
-def test_another_mission_ends_the_repetitions_of_the_last():
+def test_another_mission_ends_the_repetitions():
     bench = Bench(WAYPOINT, WAYPOINT)
     bench.runner.advance()
     bench.due(10)
@@ -124,21 +124,21 @@ def test_another_mission_ends_the_repetitions_of_the_last():
     assert bench.due(100 * REPEAT_US) == [(10, "MISSION_CURRENT", 0)]
 
 
-def test_to_go_on_elsewhere_is_answered_with_what_was_asked_for():
+def test_mission_set_current_is_answered_with_the_new_item():
     bench = Bench(WAYPOINT, PHOTO, WAYPOINT)
     bench.due(0)
-    answers = bench.ask(1)  # not flown itself: it stands there until the vehicle comes by
+    answers = bench.ask(1)  # an item that is not flown: current until the vehicle passes it
     assert [(partner, message.get_type(), message.seq) for partner, message in answers] == [
         (Partner(GROUND_STATION), "MISSION_CURRENT", 1), (Partner(COMPANION), "MISSION_CURRENT", 1),
     ]  # fmt: skip
     assert bench.runner.current == 1
-    assert bench.due(REPEAT_US) == []  # said already
+    assert bench.due(REPEAT_US) == []  # already reported
     again = bench.ask(1)
     assert [message.seq for _, message in again] == [1, 1]
 
 
 @pytest.mark.parametrize("items", [(), (WAYPOINT, WAYPOINT)])
-def test_what_does_not_exist_changes_nothing_and_is_said_to_be_so(items):
+def test_an_invalid_item_is_refused_with_a_text_and_no_change(items):
     bench = Bench(*items)
     version = bench.runner.version
     text, current = bench.ask(2)
@@ -150,7 +150,7 @@ def test_what_does_not_exist_changes_nothing_and_is_said_to_be_so(items):
 
 @settings(deadline=None, max_examples=60)
 @given(st.lists(st.integers(0, 65_535) | st.none(), max_size=30))
-def test_whatever_is_asked_nothing_grows(steps):
+def test_any_requests_leave_the_state_bounded(steps):
     loop = MissionItem(command=MissionCommand.JUMP, jump_to=0, jump_count=-1)
     bench = Bench(*[PHOTO] * 200, MissionItem(command=MissionCommand.DELAY), loop)
     for seq in steps:

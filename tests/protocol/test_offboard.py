@@ -1,4 +1,4 @@
-"""Offboard setpoints: what messages mean, by mask and frame, and whose of several sources' counts."""
+"""Offboard setpoints: decoding of masks and frames, and the selection among several sources."""
 
 import itertools
 import math
@@ -84,11 +84,11 @@ def decode(message, flight=None):
 # ---- positions, velocities, accelerations
 
 
-def test_groups_and_axes_follow_the_mask():
+def test_groups_and_axes_match_the_mask():
     got = decode(local(POSITION, x=1.0, y=2.0, z=-3.0))
     assert got.pos_ned_m == (1.0, 2.0, -3.0)
     assert (got.vel_ned_m_s, got.acc_ned_m_s2, got.yaw_rad, got.yaw_rate_rad_s) == (None, None, None, 0.0)
-    # position of north and east, speed of down, with a yaw
+    # north and east position, down velocity, and yaw
     got = decode(local(0b1001_1101_1100, x=1.0, y=2.0, vz=0.5, yaw=0.1))
     assert (got.pos_axes, got.vel_axes) == ((True, True, False), (False, False, True))
     assert (got.vel_ned_m_s[2], got.yaw_rad) == (0.5, 0.1)
@@ -99,7 +99,7 @@ def test_groups_and_axes_follow_the_mask():
     [
         (common.MAV_FRAME_LOCAL_NED, (1.0, 2.0, -3.0)),
         (common.MAV_FRAME_LOCAL_OFFSET_NED, (11.0, -18.0, -8.0)),
-        (common.MAV_FRAME_BODY_OFFSET_NED, (8.0, -19.0, -8.0)),  # to the east, and its right is the south
+        (common.MAV_FRAME_BODY_OFFSET_NED, (8.0, -19.0, -8.0)),  # forward is east, right is south
     ],
 )
 def test_positions_by_frame(frame, expected):
@@ -119,16 +119,16 @@ def test_velocities_and_accelerations_by_frame(frame, mask, names):
 
 
 @pytest.mark.parametrize("frame", GLOBAL_FRAMES)
-def test_a_global_position_is_the_place_on_the_map(frame):
+def test_a_global_position_is_converted_to_the_local_frame(frame):
     lat, lon, _ = ned_to_geodetic([30.0, 40.0, 0.0], **ORIGIN)
     above = 485.0 if frame in {3, 6} else 0.0
     got = decode(global_(POSITION & ~YAW_IGNORED, frame=frame, lat=lat, lon=lon, alt=500.0 - above, yaw=1.0))
-    # a hundred-millionth of a degree is a millimetre; the altitude is no curved one
+    # 1e-8 degrees are 1 mm; the altitude is not curved
     assert np.allclose(got.pos_ned_m, (30.0, 40.0, 488.0 - 500.0), atol=0.01)
     assert got.yaw_rad == 1.0
 
 
-def test_a_height_above_home_needs_a_home():
+def test_a_height_above_home_requires_a_home():
     flight = make_flight()
     flight.home = None
     assert decode(global_(POSITION, frame=6, alt=5.0), flight) is None
@@ -159,14 +159,14 @@ def test_a_height_above_home_needs_a_home():
         attitude(1 << 7 | 0b001, rates=(0.0, 0.0, 0.0)),
     ],
 )
-def test_what_cannot_be_flown_is_dropped_and_counted(message):
+def test_an_invalid_setpoint_is_dropped_and_counted(message):
     assert decode(message) is None
 
 
 # ---- attitudes and rates
 
 
-def test_an_attitude_is_made_a_unit_quaternion_and_carries_the_yaw_rate():
+def test_an_attitude_is_normalised_and_has_the_yaw_rate():
     got = decode(attitude(0b011, q=(0.72, 0.0, 0.0, 0.72), rates=(NAN, NAN, 0.3), thrust=0.4))
     assert isinstance(got, AttitudeSetpoint)
     assert np.allclose(got.q_ned_frd, quat_from_euler(0.0, 0.0, YAW_RAD))
@@ -174,24 +174,24 @@ def test_an_attitude_is_made_a_unit_quaternion_and_carries_the_yaw_rate():
     assert decode(attitude(0b111, rates=(0.0, 0.0, 0.3))).yaw_rate_rad_s == 0.0
 
 
-def test_rates_count_where_the_attitude_is_ignored():
+def test_rates_are_used_if_the_attitude_is_ignored():
     got = decode(attitude(1 << 7, q=(NAN,) * 4, rates=(0.1, -0.2, 0.3), thrust=1.5))
     assert isinstance(got, RateSetpoint)
     assert (got.rate_frd_rad_s.tolist(), got.thrust) == ([0.1, -0.2, 0.3], 1.0)
     assert isinstance(decode(attitude(0, rates=(0.1, -0.2, 0.3))), AttitudeSetpoint)
 
 
-def test_a_thrust_vector_counts_along_the_rotors():
+def test_only_the_component_of_a_thrust_vector_along_the_rotors_is_used():
     wire = Encoder(system=255, component=190).encode(attitude(0b111 | 1 << 5, thrust_body=(0.5, 0.0, -0.25)))
     (message,) = Parser().push(wire)
     assert decode(message).thrust == 0.25
 
 
-# ---- whatever comes
+# ---- arbitrary values
 
 
 def is_flown(setpoint):
-    """The controller makes controls of it, and they are such."""
+    """Whether the controller computes valid controls from it."""
     flight = make_flight()
     controller = FlightController(ControlParams())
     controls = np.array(controller.update(flight.state, setpoint, dt_s=0.004, landed=False))
@@ -199,7 +199,7 @@ def is_flown(setpoint):
 
 
 @pytest.mark.parametrize("frame", [*LOCAL_FRAMES, *GLOBAL_FRAMES])
-def test_every_mask_gives_a_setpoint_of_what_it_does_not_ignore_or_is_rejected(frame):
+def test_every_mask_gives_a_setpoint_of_the_values_not_ignored_or_is_rejected(frame):
     names = ("vx", "vy", "vz", "afx", "afy", "afz", "yaw", "yaw_rate")
     rest = {name: 0.1 + 0.1 * i for i, name in enumerate(names)}
     service = OffboardService(make_flight())
@@ -248,7 +248,7 @@ ANY = st.floats(width=32) | st.sampled_from([0.0, NAN, math.inf, 1e30, -1e9])
 
 
 @given(mask=st.integers(0, 65_535), frame=st.integers(0, 255), values=st.lists(ANY, min_size=11, max_size=11))
-def test_no_numbers_of_a_local_target_raise(mask, frame, values):
+def test_no_values_of_a_local_target_raise(mask, frame, values):
     message = common.MAVLink_set_position_target_local_ned_message(0, 1, 1, frame, mask, *values)
     got = decode(message)
     assert got is None or is_flown(got)
@@ -258,7 +258,7 @@ def test_no_numbers_of_a_local_target_raise(mask, frame, values):
     mask=st.integers(0, 65_535), frame=st.sampled_from([0, 3, 5, 6, 11, 99]),
     place=st.tuples(*[st.integers(-(2**31), 2**31 - 1)] * 2), values=st.lists(ANY, min_size=9, max_size=9),
 )  # fmt: skip
-def test_no_numbers_of_a_global_target_raise(mask, frame, place, values):
+def test_no_values_of_a_global_target_raise(mask, frame, place, values):
     message = common.MAVLink_set_position_target_global_int_message(0, 1, 1, frame, mask, *place, *values)
     got = decode(message)
     assert got is None or is_flown(got)
@@ -266,12 +266,12 @@ def test_no_numbers_of_a_global_target_raise(mask, frame, place, values):
 
 @given(mask=st.integers(0, 255), q=st.lists(ANY, min_size=4, max_size=4),
        values=st.lists(ANY, min_size=4, max_size=4), body=st.lists(ANY, min_size=3, max_size=3))  # fmt: skip
-def test_no_numbers_of_an_attitude_target_raise(mask, q, values, body):
+def test_no_values_of_an_attitude_target_raise(mask, q, values, body):
     got = decode(dialect.SetAttitudeTarget(0, 1, 1, mask, q, *values, body))
     assert got is None or is_flown(got)
 
 
-def test_nothing_raises_before_the_vehicle_knows_where_it_is():
+def test_nothing_raises_before_the_estimate_is_valid():
     flight = make_flight()
     state = flight.state
     state.attitude_valid = state.velocity_valid = state.position_valid = state.height_valid = False
@@ -283,11 +283,11 @@ def test_nothing_raises_before_the_vehicle_knows_where_it_is():
     assert all(decode(global_(0, frame=frame, alt=0.0, **zeros), flight) is None for frame in GLOBAL_FRAMES)
 
 
-# ---- whose setpoints count
+# ---- selection of the source
 
 
 class Sources:
-    """An offboard service, and what each source sends it: its own east."""
+    """An offboard service with sources, each of which sends its own east."""
 
     def __init__(self):
         self.commander = Commander(CommanderParams())
@@ -297,7 +297,7 @@ class Sources:
         self.service.on_message(local(POSITION, x=0.0, y=east_m, z=-5.0), now_us, partner)
 
     def fly(self):
-        """Arm and take to Offboard, as far as the service sees."""
+        """Arm and enter Offboard, as seen by the service."""
         self.commander.update(0, conditions=ALL, landed=True)
         assert self.commander.arm(0) is None
         assert self.commander.set_mode(FlightMode.OFFBOARD) is None
@@ -315,7 +315,7 @@ def test_freshness_ends_with_the_timeout():
     assert not sources.service.is_fresh(501_001, 500_000)
 
 
-def test_before_anybody_asks_the_newest_counts():
+def test_before_any_request_the_newest_source_is_selected():
     sources = Sources()
     sources.send(0, APPLICATION_PARTNER, 1.0)
     sources.send(4_000, STATION, 2.0)
@@ -324,7 +324,7 @@ def test_before_anybody_asks_the_newest_counts():
     assert sources.flown == 3.0
 
 
-def test_who_asks_counts_and_nobody_else_s_newer_ones():
+def test_a_requester_is_selected_over_newer_sources():
     sources = Sources()
     sources.send(0, STATION, 1.0)
     sources.send(4_000, APPLICATION_PARTNER, 2.0)
@@ -338,8 +338,8 @@ def test_who_asks_counts_and_nobody_else_s_newer_ones():
     assert sources.flown == 3.0
 
 
-def test_a_stream_is_not_kept_alive_by_another_s():
-    #  0 s the station is flown by; it stops ... 1 s lost, though the application goes on all the time
+def test_one_sources_stream_does_not_keep_another_alive():
+    # the station's stream stops at 0 s and is lost at 1 s, although the application still sends
     sources = Sources()
     sources.send(0, STATION, 1.0)
     sources.service.ask(STATION, 0)
@@ -349,26 +349,26 @@ def test_a_stream_is_not_kept_alive_by_another_s():
         assert sources.service.is_fresh(now_us, LOSS_US)
     assert not sources.service.is_fresh(LOSS_US + 1, LOSS_US)
     assert sources.flown == 1.0
-    # once something else is flown, Offboard may be asked for with what there is
+    # in another mode Offboard may be requested with any fresh source
     assert sources.commander.set_mode(FlightMode.HOLD) is None
     assert sources.service.is_fresh(LOSS_US + 4_000, LOSS_US)
     assert sources.flown == 2.0
 
 
-def test_a_station_without_a_stream_asks_for_the_program_s():
+def test_a_request_from_a_station_without_a_stream_keeps_the_companions_program():
     sources = Sources()
     sources.send(0, PROGRAM, 1.0)
     sources.service.ask(STATION, 4_000)
     assert sources.service.source == PROGRAM
     sources.fly()
     sources.send(8_000, APPLICATION_PARTNER, 2.0)
-    sources.service.ask(STATION, 12_000)  # again: who is flown by is fresh, and stays
+    sources.service.ask(STATION, 12_000)  # the selected source is fresh, and stays
     assert sources.service.source == PROGRAM
-    sources.service.ask(STATION, 8_000 + LOSS_US)  # the program is lost by now
+    sources.service.ask(STATION, 8_000 + LOSS_US)  # the program has timed out
     assert sources.service.source == APPLICATION_PARTNER
 
 
-def test_a_disarmed_vehicle_in_offboard_takes_who_ever_is_there():
+def test_a_disarmed_vehicle_in_offboard_selects_any_fresh_source():
     sources = Sources()
     sources.send(0, PROGRAM, 1.0)
     sources.service.ask(PROGRAM, 0)
@@ -379,7 +379,7 @@ def test_a_disarmed_vehicle_in_offboard_takes_who_ever_is_there():
     assert sources.flown == 2.0
 
 
-def test_hosts_of_strangers_do_not_push_out_who_is_flown_by_nor_fill_the_memory():
+def test_many_sources_neither_replace_the_selected_one_nor_accumulate():
     sources = Sources()
     sources.send(0, PROGRAM, 1.0)
     sources.service.ask(PROGRAM, 0)

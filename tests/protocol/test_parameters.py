@@ -1,4 +1,4 @@
-"""The parameter services message by message, and what they refuse."""
+"""The parameter services message by message, and their refusals."""
 
 import math
 import struct
@@ -17,7 +17,7 @@ from autopilot.services.parameter_ext import ParameterExtService
 from autopilot.services.parameter_lists import LIST_BATCH, LIST_PERIOD_US
 from autopilot.services.service import ALL, NEVER_US, Partner
 
-ASKER, OTHER = Partner(0, 3), Partner(1, 0)
+CLIENT, OTHER = Partner(0, 3), Partner(1, 0)
 MS = 1_000
 
 
@@ -26,11 +26,11 @@ class Served:
         self.parameters = ParameterSet(Settings())
         self.service = ParameterService(self.parameters, self.parameters.set)
 
-    def ask(self, message, now_us=0, partner=ASKER):
+    def send(self, message, now_us=0, partner=CLIENT):
         return list(self.service.on_message(over_the_wire(message), now_us, partner))
 
-    def listed(self, partner=ASKER, now_us=0):
-        self.ask(common.MAVLink_param_request_list_message(1, 1), now_us, partner)
+    def listed(self, partner=CLIENT, now_us=0):
+        self.send(common.MAVLink_param_request_list_message(1, 1), now_us, partner)
         messages = []
         while self.service.next_deadline_us() < NEVER_US:
             due_us = self.service.next_deadline_us()
@@ -42,10 +42,10 @@ def read_message(name=b"", index=-1):
     return common.MAVLink_param_request_read_message(1, 1, name, index)
 
 
-def test_a_list_begins_with_the_hash_takes_its_pace_and_goes_to_the_asker_alone():
+def test_a_list_begins_with_the_hash_is_paced_and_is_sent_to_the_requester_alone():
     served = Served()
     listed = served.listed()
-    assert {to for _, to, _ in listed} == {ASKER}
+    assert {to for _, to, _ in listed} == {CLIENT}
     assert [message.param_index for _, _, message in listed] == [65_535, *range(len(ROWS))]
     assert {message.param_count for _, _, message in listed} == {len(ROWS)}
     batches = math.ceil((len(ROWS) + 1) / LIST_BATCH)
@@ -53,7 +53,7 @@ def test_a_list_begins_with_the_hash_takes_its_pace_and_goes_to_the_asker_alone(
 
 
 def crc32_bit_by_bit(data):
-    """PX4's table is of this polynomial; it begins with zero and is not inverted."""
+    """PX4's table is of this polynomial; the initial value is 0, and the result is not inverted."""
     checksum = 0
     for byte in data:
         checksum ^= byte
@@ -62,66 +62,66 @@ def crc32_bit_by_bit(data):
     return checksum
 
 
-def hash_of(served, partner=ASKER):
-    ((to, message),) = served.ask(read_message(b"_HASH_CHECK"), partner=partner)
+def hash_of(served, partner=CLIENT):
+    ((to, message),) = served.send(read_message(b"_HASH_CHECK"), partner=partner)
     assert (to, message.param_index, message.param_type) == (partner, 65_535, UINT32)
     frame = Encoder(system=1, component=1).encode(message)
     (value,) = struct.unpack_from("<I", frame, 10)
     return value
 
 
-def test_the_hash_is_over_names_and_values_and_follows_them():
+def test_the_hash_is_over_names_and_values():
     served = Served()
     data = b"".join(name.encode() + value for name, value in expected(served.parameters).values())
     before = hash_of(served)
     assert before == crc32_bit_by_bit(data)
-    served.ask(set_message("MPC_XY_P", 1.25))
+    served.send(set_message("MPC_XY_P", 1.25))
     assert hash_of(served) != before
-    served.ask(set_message("MPC_XY_P", 0.95))
+    served.send(set_message("MPC_XY_P", 0.95))
     assert hash_of(served) == before
 
 
-def test_a_station_that_knows_the_hash_ends_its_list_and_nobody_elses():
+def test_a_station_that_sends_the_hash_ends_its_own_list_only():
     served = Served()
-    for partner in (ASKER, OTHER):
-        served.ask(common.MAVLink_param_request_list_message(1, 1), partner=partner)
+    for partner in (CLIENT, OTHER):
+        served.send(common.MAVLink_param_request_list_message(1, 1), partner=partner)
     served.service.on_timer(0)
-    knows = common.MAVLink_param_set_message(1, 1, b"_HASH_CHECK", 0.0, UINT32)
-    assert served.ask(knows) == []
+    cached = common.MAVLink_param_set_message(1, 1, b"_HASH_CHECK", 0.0, UINT32)
+    assert served.send(cached) == []
     rest = served.service.on_timer(served.service.next_deadline_us())
     assert {to for to, _ in rest} == {OTHER}
 
 
-def test_a_list_that_is_asked_for_again_begins_anew_without_the_hash():
+def test_a_repeated_request_restarts_the_list_without_the_hash():
     served = Served()
-    served.ask(common.MAVLink_param_request_list_message(1, 1))
+    served.send(common.MAVLink_param_request_list_message(1, 1))
     served.service.on_timer(0)
     again = [message.param_index for _, _, message in served.listed(now_us=MS)]
     assert again == list(range(len(ROWS)))
 
 
-def test_what_is_set_is_told_to_everybody():
+def test_a_change_by_param_set_is_reported_to_all_partners():
     served = Served()
-    ((to, echo),) = served.ask(set_message("MPC_XY_P", 1.2))
+    ((to, echo),) = served.send(set_message("MPC_XY_P", 1.2))
     assert (to, echo.param_id, bits(echo)) == (ALL, "MPC_XY_P", struct.pack("<f", 1.2))
     assert served.parameters.settings.control.position.xy_p == 1.2  # the shortest decimal of the float32
-    ((to, echo),) = served.ask(set_message("EKF2_REQ_NSATS", 7))
+    ((to, echo),) = served.send(set_message("EKF2_REQ_NSATS", 7))
     assert (to, bits(echo)) == (ALL, struct.pack("<i", 7))
     assert served.parameters.get("EKF2_REQ_NSATS") == 7
 
 
-def test_what_is_changed_otherwise_is_told_once():
+def test_another_change_is_reported_once():
     served = Served()
     served.service.on_change("MPC_XY_P")
     served.service.on_change("MPC_XY_P")
     assert served.service.next_deadline_us() == 0
-    ((to, told),) = served.service.on_timer(STEP_US)
-    assert (to, told.param_id) == (ALL, "MPC_XY_P")
+    ((to, reported),) = served.service.on_timer(STEP_US)
+    assert (to, reported.param_id) == (ALL, "MPC_XY_P")
     assert served.service.next_deadline_us() == NEVER_US
 
 
-def test_what_one_sets_is_told_once_although_it_counts_as_changed():
-    """As in a vehicle: whoever puts a value there has the service told of it."""
+def test_a_change_by_param_set_is_not_reported_again_as_another_change():
+    """As in a vehicle, where the setter notifies the service of every change."""
     served = Served()
 
     def put(name, value):
@@ -130,24 +130,24 @@ def test_what_one_sets_is_told_once_although_it_counts_as_changed():
 
     served.service = ParameterService(served.parameters, put)
     served.service.on_change("MPC_Z_P")
-    assert len(served.ask(set_message("MPC_XY_P", 1.2))) == 1
-    assert [told.param_id for _, told in served.service.on_timer(STEP_US)] == ["MPC_Z_P"]
+    assert len(served.send(set_message("MPC_XY_P", 1.2))) == 1
+    assert [reported.param_id for _, reported in served.service.on_timer(STEP_US)] == ["MPC_Z_P"]
     assert served.service.next_deadline_us() == NEVER_US
 
 
-def test_all_that_changes_at_once_is_told_in_batches():
+def test_simultaneous_changes_are_reported_in_batches():
     served = Served()
     for _ in range(3):
         for row in ROWS:
             served.service.on_change(row.name)
-    told, now_us = [], STEP_US
+    reported, now_us = [], STEP_US
     while (due_us := served.service.next_deadline_us()) < NEVER_US:
         now_us = max(now_us, due_us)
         batch = served.service.on_timer(now_us)
         assert 0 < len(batch) <= LIST_BATCH
         assert served.service.on_timer(now_us) == []
-        told += [message.param_index for _, message in batch]
-    assert told == list(range(len(ROWS)))
+        reported += [message.param_index for _, message in batch]
+    assert reported == list(range(len(ROWS)))
     assert now_us == STEP_US + LIST_PERIOD_US * ((len(ROWS) - 1) // LIST_BATCH)
 
 
@@ -165,12 +165,12 @@ def test_all_that_changes_at_once_is_told_in_batches():
         (read_message(index=32_767), 1, None),
     ],
 )
-def test_a_refusal_is_an_error_for_the_asker_alone_and_no_value(message, error, text):
-    """An old value for an answer would have MAVSDK set again at once."""
+def test_a_refusal_is_an_error_to_the_requester_alone_without_a_value(message, error, text):
+    """MAVSDK would repeat the request at once if it received the old value."""
     served = Served()
     before = dict(expected(served.parameters))
-    (to, refusal), *texts = served.ask(message)
-    assert to == ASKER
+    (to, refusal), *texts = served.send(message)
+    assert to == CLIENT
     assert (refusal.get_type(), refusal.error) == ("PARAM_ERROR", error)
     assert (refusal.target_system, refusal.target_component) == (255, 190)
     assert refusal.param_id == message.param_id
@@ -179,41 +179,41 @@ def test_a_refusal_is_an_error_for_the_asker_alone_and_no_value(message, error, 
     assert expected(served.parameters) == before
 
 
-def test_refusals_one_after_the_other_are_one_text_a_second():
+def test_repeated_refusals_cause_one_text_per_second():
     served = Served()
     texts = sum(
-        len(served.ask(set_message("MPC_XY_P", 7.0), now_us)) - 1 for now_us in range(0, 5_000 * MS, 20 * MS)
+        len(served.send(set_message("MPC_XY_P", 7.0), now_us)) - 1 for now_us in range(0, 5_000 * MS, 20 * MS)
     )
     assert texts == 5
 
 
-def test_whole_numbers_as_floats_are_taken_from_whoever_has_the_packed_file_until_it_lists():
+def test_integers_as_floats_are_accepted_from_a_reader_of_the_packed_file_until_it_lists():
     served = Served()
-    served.service.take_by_value(ASKER)
+    served.service.take_by_value(CLIENT)
     as_float = set_message("EKF2_REQ_NSATS", 8.0, REAL32)
-    assert served.ask(as_float)[0].message.get_type() == "PARAM_VALUE"
+    assert served.send(as_float)[0].message.get_type() == "PARAM_VALUE"
     assert served.parameters.get("EKF2_REQ_NSATS") == 8
-    assert served.ask(set_message("EKF2_REQ_NSATS", 8.5, REAL32))[0].message.error == 2
-    assert served.ask(as_float, partner=OTHER)[0].message.error == 7
+    assert served.send(set_message("EKF2_REQ_NSATS", 8.5, REAL32))[0].message.error == 2
+    assert served.send(as_float, partner=OTHER)[0].message.error == 7
     served.listed()
-    assert served.ask(as_float)[0].message.error == 7
+    assert served.send(as_float)[0].message.error == 7
 
 
-def test_a_new_station_with_the_packed_file_is_understood_however_many_came_before():
+def test_the_newest_readers_of_the_packed_file_are_stored():
     served = Served()
     for number in range(1_000):
         served.service.take_by_value(Partner(0, number))
-        served.service.take_by_value(Partner(1, 0))  # who fetches it again and again stays
+        served.service.take_by_value(Partner(1, 0))  # a partner that reads it repeatedly is kept
     as_float = set_message("EKF2_REQ_NSATS", 8.0, REAL32)
     for partner in (Partner(0, 999), Partner(1, 0)):
-        assert served.ask(as_float, partner=partner)[0].message.get_type() == "PARAM_VALUE"
-    assert served.ask(as_float, partner=Partner(0, 0))[0].message.error == 7
+        assert served.send(as_float, partner=partner)[0].message.get_type() == "PARAM_VALUE"
+    assert served.send(as_float, partner=Partner(0, 0))[0].message.error == 7
 
 
-def test_many_partners_lists_stay_bounded():
+def test_the_number_of_lists_is_bounded():
     served = Served()
     for number in range(1_000):
-        served.ask(common.MAVLink_param_request_list_message(1, 1), partner=Partner(0, number))
+        served.send(common.MAVLink_param_request_list_message(1, 1), partner=Partner(0, number))
         served.service.take_by_value(Partner(0, number))
     assert len(served.service.on_timer(0)) <= 16 * (LIST_BATCH + 1)
 
@@ -242,7 +242,7 @@ anything_ext = st.one_of(
 
 @settings(max_examples=150, deadline=None)
 @given(st.lists(st.one_of(anything, anything_ext), max_size=12))
-def test_whatever_comes_is_answered_or_left_and_leaves_every_value_in_its_range(messages):
+def test_any_messages_leave_every_value_in_its_range(messages):
     parameters = ParameterSet(Settings())
     services = (ParameterService(parameters, parameters.set), ParameterExtService(parameters, parameters.set))
     encoder = Encoder(system=1, component=1)
@@ -250,7 +250,7 @@ def test_whatever_comes_is_answered_or_left_and_leaves_every_value_in_its_range(
         received = over_the_wire(message)
         for service in services:
             answers = (
-                list(service.on_message(received, place, ASKER))
+                list(service.on_message(received, place, CLIENT))
                 if received.get_msgId() in service.takes
                 else []
             )
@@ -272,7 +272,7 @@ def ext_value(message):
 def test_the_extended_protocol_lists_reads_and_sets_the_same_values():
     parameters = ParameterSet(Settings())
     service = ParameterExtService(parameters, parameters.set)
-    service.on_message(over_the_wire(common.MAVLink_param_ext_request_list_message(1, 1)), 0, ASKER)
+    service.on_message(over_the_wire(common.MAVLink_param_ext_request_list_message(1, 1)), 0, CLIENT)
     listed = []
     while service.next_deadline_us() < NEVER_US:
         listed += service.on_timer(service.next_deadline_us())
@@ -281,29 +281,29 @@ def test_the_extended_protocol_lists_reads_and_sets_the_same_values():
 
     def put(name, data, kind):
         message = common.MAVLink_param_ext_set_message(1, 1, name, data.ljust(128, b"\0"), kind)
-        ((to, ack),) = service.on_message(over_the_wire(message), 0, ASKER)
-        assert to == ASKER
+        ((to, ack),) = service.on_message(over_the_wire(message), 0, CLIENT)
+        assert to == CLIENT
         return ack.param_result, ext_value(ack)
 
-    taken = struct.pack("<f", 1.2)
-    assert put(b"MPC_XY_P", taken, REAL32) == (common.PARAM_ACK_ACCEPTED, taken)
+    value = struct.pack("<f", 1.2)
+    assert put(b"MPC_XY_P", value, REAL32) == (common.PARAM_ACK_ACCEPTED, value)
     assert parameters.get("MPC_XY_P") == 1.2
-    assert put(b"MPC_XY_P", struct.pack("<f", 9.0), REAL32) == (common.PARAM_ACK_VALUE_UNSUPPORTED, taken)
-    assert put(b"MPC_XY_P", taken, INT32) == (common.PARAM_ACK_VALUE_UNSUPPORTED, taken)
-    assert put(b"NO_SUCH", taken, REAL32)[0] == common.PARAM_ACK_FAILED
+    assert put(b"MPC_XY_P", struct.pack("<f", 9.0), REAL32) == (common.PARAM_ACK_VALUE_UNSUPPORTED, value)
+    assert put(b"MPC_XY_P", value, INT32) == (common.PARAM_ACK_VALUE_UNSUPPORTED, value)
+    assert put(b"NO_SUCH", value, REAL32)[0] == common.PARAM_ACK_FAILED
     ((_, refusal),) = service.on_message(
         stamp(common.MAVLink_param_ext_request_read_message(1, 1, b"NO_SUCH", -1), system=255, component=190),
         0,
-        ASKER,
+        CLIENT,
     )
     assert (refusal.get_type(), refusal.error) == ("PARAM_ERROR", 1)
 
 
-def test_a_list_waits_for_its_link_and_for_no_other():
-    parameters, full = ParameterSet(Settings()), {ASKER}
+def test_a_list_waits_for_its_own_link_only():
+    parameters, full = ParameterSet(Settings()), {CLIENT}
     service = ParameterService(parameters, parameters.set, lambda partner: partner not in full)
     request = common.MAVLink_param_request_list_message(1, 1)
-    for partner in (ASKER, OTHER):
+    for partner in (CLIENT, OTHER):
         service.on_message(request, 0, partner)
     sent = []
     for _ in range(100):
@@ -312,4 +312,4 @@ def test_a_list_waits_for_its_link_and_for_no_other():
     full.clear()
     while service.next_deadline_us() < NEVER_US:
         sent += [to for to, _ in service.on_timer(service.next_deadline_us())]
-    assert sent.count(ASKER) == len(ROWS) + 1
+    assert sent.count(CLIENT) == len(ROWS) + 1

@@ -1,4 +1,4 @@
-"""The parameter services over links that lose, with stations' retries. About 15 s."""
+"""The parameter services over lossy links, with stations' retries. About 15 s."""
 
 import pytest
 from lossy import play
@@ -15,7 +15,7 @@ MS = 1_000
 
 
 class Reader:
-    """Reads all parameters as a station does: a list, then by index what is missing once it has ended."""
+    """Reads all parameters as a station does: the list, and then the missing ones by index."""
 
     def __init__(self, *, batch, silence_us):
         self.values = {}
@@ -55,7 +55,7 @@ class Reader:
 
 
 def mavsdk():
-    """Ten at a time, half a second after the last value or when the tenth has come."""
+    """Ten at a time, half a second after the last value or on receipt of the tenth."""
     return Reader(batch=10, silence_us=500 * MS)
 
 
@@ -77,19 +77,19 @@ def test_all_parameters_arrive_and_are_equal_over_a_lossy_link(make):
     parameters = ParameterSet(
         Settings(), {"MPC_XY_P": 1.0 / 3.0, "SENS_BOARD_Z_OFF": -0.1, "COM_FLTMODE1": 8}
     )
-    wanted = expected(parameters)
+    values = expected(parameters)
     lost = 0
     for seed in range(SEEDS):
         station = make()
         service = ParameterService(parameters, parameters.set)
         outcome = play(service, station, seed=seed, **LINK)
         assert station.done, seed
-        assert station.values == wanted, seed
+        assert station.values == values, seed
         lost += outcome.lost
-    assert lost > SEEDS  # the link was one
+    assert lost > SEEDS  # the link was lossy
 
 
-def test_three_stations_are_served_side_by_side():
+def test_three_stations_are_served_concurrently():
     parameters = ParameterSet(Settings())
     stations = [make() for make in STATIONS]
     play(ParameterService(parameters, parameters.set), *stations, seed=1, packed=True, **LINK)
@@ -100,7 +100,7 @@ def test_three_stations_are_served_side_by_side():
 
 
 class Writer:
-    """Sets parameters one after the other as MAVSDK does: again after half a second, until the echo comes."""
+    """Sets parameters one after the other as MAVSDK does: repeated after half a second until the echo."""
 
     def __init__(self, values):
         self._left = list(values.items())
@@ -128,9 +128,9 @@ class Writer:
         return self._due_us if self._left else NEVER_US
 
 
-def test_values_that_are_written_over_a_lossy_link_hold():
+def test_values_written_over_a_lossy_link_are_stored():
     values = {row.name: row.minimum for row in ROWS if row.name.startswith(("MC_ROLL", "RC_MAP", "COM_FLT"))}
-    values = {name: round(value * 64) / 64 for name, value in values.items()}  # what a float32 holds
+    values = {name: round(value * 64) / 64 for name, value in values.items()}  # exact in float32
     for seed in range(SEEDS):
         parameters = ParameterSet(Settings())
         station = Writer(values)

@@ -1,6 +1,6 @@
 """Plans written and read by MAVSDK, QGroundControl and MAVProxy over links of all kinds.
 
-What a client does not mend itself and no vehicle can is counted, with bounds.
+Failures that neither the client nor any vehicle can prevent are counted, with bounds.
 """
 
 import pytest
@@ -41,7 +41,7 @@ def test_qgroundcontrol_writes_and_reads_200_items_over_200_bad_links():
 
 
 def test_mavsdk_writes_200_items_over_200_links_that_lose_and_reorder():
-    """It never sends an item twice unless asked: that all come is the vehicle's doing."""
+    """MAVSDK sends an item only when requested, so the vehicle must request lost ones again."""
     timeouts = 0
     for seed in range(200):
         kept, up, got, down = up_and_down(Mavsdk, seed, **BAD_LINK)
@@ -49,13 +49,13 @@ def test_mavsdk_writes_200_items_over_200_links_that_lose_and_reorder():
         assert kept == bits(PLAN), seed
         timeouts += down.result != "success"
         assert down.result == "timeout" or got == bits(PLAN), seed
-    assert timeouts <= 2  # it asks five times: each of 200 items is in vain with a chance of 1e-5
+    assert timeouts <= 2  # five requests: each of 200 items fails with probability 1e-5
 
 
 def test_mavsdk_over_200_links_that_duplicate_too():
-    """A late copy of a request or of MISSION_COUNT makes it go back, which it does not always survive.
+    """A late copy of a request or of MISSION_COUNT sets MAVSDK back, and may make it fail.
 
-    Then it says that it failed though all is there, or keeps items that it has read before the copy twice.
+    It then reports a failure of a complete upload, or stores items that it read before the copy twice.
     """
     failed = doubled = 0
     for seed in range(200):
@@ -64,21 +64,21 @@ def test_mavsdk_over_200_links_that_duplicate_too():
         failed += up.result != "success"
         doubled += len(got) > len(PLAN)
         assert got == bits(PLAN) or len(got) > len(PLAN), seed
-    assert failed <= 6  # 1 of 200 when this was written
-    assert doubled <= 14  # 6 of 200; copies of MISSION_COUNT: 5 %
+    assert failed <= 6  # 1 of 200 measured
+    assert doubled <= 14  # 6 of 200 measured; copies of MISSION_COUNT: 5 %
 
 
-def test_mavsdk_is_led_on_from_where_late_copies_have_led_it():
-    """Where answers take longer than its requests are apart: nine in ten come through."""
+def test_mavsdk_recovers_from_late_copies_of_requests():
+    """With round trips longer than the interval of its requests, nine in ten uploads succeed."""
     link = {"duplication": 0.05, "delays_us": (0, 250_000), "after_us": 12_000_000}
     successes = sum(up_and_down(Mavsdk, seed, **link)[1].result == "success" for seed in range(100))
-    assert successes >= 90  # 97 when this was written; 80 if it is only asked for what is missing
+    assert successes >= 90  # 97 measured; 80 if only missing items are requested
 
 
 def test_mavproxy_over_200_bad_links():
-    """It says MISSION_COUNT and MISSION_REQUEST_LIST once, and the last item once: no vehicle can mend that.
+    """MAVProxy sends MISSION_COUNT, MISSION_REQUEST_LIST and the last item once; their loss ends a transfer.
 
-    What it has read is what there is, and what is kept is all of what it has written, or nothing.
+    A plan that it has read is complete, and a plan that it has written is stored completely or not at all.
     """
     written = 0
     for seed in range(200):
@@ -94,7 +94,7 @@ def test_mavproxy_over_200_bad_links():
 
 
 @pytest.mark.parametrize("client_type", [Mavsdk, QGroundControl, MavProxy, OldStation])
-def test_nothing_is_lost_on_a_good_link_and_nothing_is_asked_twice(client_type):
+def test_on_a_good_link_no_message_is_lost_or_repeated(client_type):
     plan = PLAN if client_type is not OldStation else [i._replace(x=0, y=0, frame=0) for i in PLAN]
     store, service = machine()
     up, down = Job("up", items=plan), Job("down")
@@ -102,13 +102,13 @@ def test_nothing_is_lost_on_a_good_link_and_nothing_is_asked_twice(client_type):
     assert (up.result, down.result) == ("success", "success")
     assert bits(store[MISSION].items) == bits(down.got) == bits(plan)
     assert down.current == 0
-    if client_type is not OldStation:  # which first has to be found out
+    if client_type is not OldStation:  # its kind of request must be found first
         kinds = [message.get_type() for _, _, message in outcome.from_service]
         assert kinds.count("MISSION_REQUEST_INT") == kinds.count("MISSION_ITEM_INT") == len(plan)
 
 
 @pytest.mark.parametrize("client_type", [Mavsdk, QGroundControl, MavProxy])
-def test_every_message_may_come_twice(client_type):
+def test_every_message_may_be_duplicated(client_type):
     store, service = machine()
     up, down = Job("up", items=PLAN[:20]), Job("down")
     play(service, client_type(up, down), duplication=1.0, delays_us=(2_000, 2_000), after_us=6_000_000)
@@ -119,7 +119,7 @@ def test_every_message_may_come_twice(client_type):
 
 
 def test_mavsdk_may_begin_the_next_transfer_at_once_over_a_slow_link():
-    """It takes any MISSION_ACK for its own, so the last one must not be said again after it has gone on."""
+    """It accepts any MISSION_ACK as its own, so the last one must not be repeated after it has gone on."""
     jobs = [Job("up", kind, PLAN[:5]) for kind in PlanType] + [Job("clear", FENCE), Job("down", RALLY)]
     store, service = machine()
     play(service, Mavsdk(*jobs), delays_us=(100_000, 100_000))
@@ -127,8 +127,8 @@ def test_mavsdk_may_begin_the_next_transfer_at_once_over_a_slow_link():
     assert [len(store[kind].items) for kind in PlanType] == [5, 0, 5]
 
 
-def test_two_stations_at_once_do_not_hear_of_each_other():
-    """One writes; the other is refused with an error and may read what was there before."""
+def test_concurrent_stations_do_not_affect_each_other():
+    """One writes; the other is refused with an error, and may read the old plan."""
     store, service = machine()
     store.put(MISSION, PLAN[:7])
     writer, reader = Job("up", items=PLAN), Job("down")

@@ -1,4 +1,4 @@
-"""A link's budget: what is sent stays within it, and nothing that was asked for starves."""
+"""A link's budget: output stays within it, and requested messages are not starved."""
 
 import numpy as np
 import pytest
@@ -6,13 +6,13 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import frame_bytes
 from autopilot.parameters.config import LinksConfig, OnboardConfig, VehicleConfig
-from autopilot.services.service import COMPANION, EVERYBODY, GROUND_STATION, Addressed, Partner
+from autopilot.services.service import BROADCAST, COMPANION, GROUND_STATION, Addressed, Partner
 from autopilot.services.shaper import BURST_US, MAX_WAITING, TRANSFER_SHARE, Shaper, Shapers
 from studies.vehicle.solo import STEP_US, Solo
 
 BUDGET = 5_000
 ALL_HERE = Partner(GROUND_STATION)
-ASKER = Partner(GROUND_STATION, 0)
+CLIENT = Partner(GROUND_STATION, 0)
 
 
 def attitude(time_ms):
@@ -26,7 +26,7 @@ def home():
 
 
 def value(index):
-    return Addressed(ASKER, common.MAVLink_param_value_message(b"MPC_XY_VEL_MAX", 1.0, 9, 1_000, index))
+    return Addressed(CLIENT, common.MAVLink_param_value_message(b"MPC_XY_VEL_MAX", 1.0, 9, 1_000, index))
 
 
 def sizes(messages):
@@ -38,7 +38,7 @@ def kinds(messages):
 
 
 def run(shaper, seconds, *, begin_us=0, transfers=(), streams=lambda _: ()):
-    """All that goes out, step by step."""
+    """Output of each step."""
     waiting, out = list(transfers), []
     for now_us in range(begin_us + STEP_US, begin_us + round(seconds * 1e6) + 1, STEP_US):
         count = 1 if shaper.has_room() else 0
@@ -47,31 +47,31 @@ def run(shaper, seconds, *, begin_us=0, transfers=(), streams=lambda _: ()):
     return out
 
 
-def test_streams_fill_the_budget_and_no_more():
+def test_streams_use_the_budget_and_no_more():
     shaper = Shaper(BUDGET)
     out = run(shaper, 10.0, streams=lambda now_us: [attitude(now_us // 1_000)])
     assert sum(map(sizes, out)) == pytest.approx(10 * BUDGET, rel=0.01)
     sent = sum(map(len, out))
     assert shaper.limited == pytest.approx(10 * 250 - sent, abs=1)
-    # what goes out is the newest there is
+    # the newest messages are sent
     assert out[-1] == [] or out[-1][0].message.time_boot_ms > 10_000 - 20
 
 
-def test_below_the_budget_everything_goes_out_at_once():
+def test_below_the_budget_all_messages_are_sent_at_once():
     shaper = Shaper(BUDGET)
     out = run(shaper, 5.0, streams=lambda now_us: [attitude(0)] * (now_us % 100_000 == 0))
     assert [bool(messages) for messages in out] == [(i + 1) % 25 == 0 for i in range(len(out))]
     assert shaper.limited == 0
 
 
-def test_a_slow_stream_is_not_crowded_out_by_fast_ones():
-    """250 Hz of ATTITUDE take the budget many times over; two times a second HOME_POSITION comes through."""
+def test_a_slow_stream_is_not_starved_by_fast_ones():
+    """ATTITUDE at 250 Hz exceeds the budget several times; HOME_POSITION at 2 Hz is still sent."""
     shaper = Shaper(BUDGET)
     out = run(shaper, 20.0, streams=lambda now_us: [attitude(0)] + [home()] * (now_us % 500_000 == 0))
     assert sum(kinds(messages).count("HOME_POSITION") for messages in out) >= 39
 
 
-def test_transfers_and_streams_share_as_told_and_either_takes_what_the_other_leaves():
+def test_transfers_and_streams_have_their_shares_and_use_what_the_other_leaves():
     shaper = Shaper(BUDGET)
     values = [value(i) for i in range(200)]
     out = run(shaper, 10.0, transfers=values, streams=lambda _: [attitude(0)])
@@ -80,15 +80,15 @@ def test_transfers_and_streams_share_as_told_and_either_takes_what_the_other_lea
     during = next(i for i, m in enumerate(reversed(out)) if "PARAM_VALUE" in kinds(m))
     busy = [addressed for messages in out[: len(out) - during] for addressed in messages]
     of_list = sizes(a for a in busy if a.message.get_type() == "PARAM_VALUE")
-    assert of_list / sizes(busy) == pytest.approx(0.75, rel=0.05)  # three parts of four
+    assert of_list / sizes(busy) == pytest.approx(0.75, rel=0.05)  # TRANSFER_SHARE to 1
     assert sum(map(sizes, out)) == pytest.approx(10 * BUDGET, rel=0.01)
     alone = run(Shaper(BUDGET), 1.0, transfers=values)
     assert sum(map(sizes, alone)) == pytest.approx(BUDGET, rel=0.02)
 
 
-def test_answers_and_heartbeats_never_wait_and_are_paid_for_later():
+def test_answers_and_heartbeats_are_sent_at_once_and_charged_later():
     shaper = Shaper(BUDGET)
-    ack = Addressed(ASKER, common.MAVLink_command_ack_message(400, 0))
+    ack = Addressed(CLIENT, common.MAVLink_command_ack_message(400, 0))
     beat = Addressed(ALL_HERE, common.MAVLink_heartbeat_message(2, 12, 29, 0, 3, 3))
     shaper.shape(0)
     out = shaper.shape(STEP_US, answers=[ack] * 200, streams=[beat, attitude(0)])
@@ -99,14 +99,14 @@ def test_answers_and_heartbeats_never_wait_and_are_paid_for_later():
     assert (first + 1) * STEP_US == pytest.approx(min(owed_us, 1_000_000), abs=2 * STEP_US)
 
 
-def test_a_silence_saves_up_for_a_short_burst_only():
+def test_a_silence_permits_only_a_short_burst():
     shaper = Shaper(BUDGET)
     shaper.shape(0)
     out = shaper.shape(3_600_000_000, transfers=[value(i) for i in range(400)])
     assert sizes(out) == pytest.approx(BUDGET * BURST_US * 1e-6, abs=frame_bytes(value(0).message))
 
 
-def test_what_waits_is_bounded_and_who_can_wait_is_told():
+def test_the_queue_of_transfers_is_bounded_and_has_room_reports_its_state():
     shaper = Shaper(BUDGET)
     shaper.shape(0)
     assert shaper.has_room()
@@ -117,10 +117,10 @@ def test_what_waits_is_bounded_and_who_can_wait_is_told():
     assert shaper.has_room()
 
 
-def test_without_a_limit_there_is_nothing_to_look_at():
+def test_without_a_limit_there_are_no_shapers():
     shapers = Shapers((GROUND_STATION, COMPANION), 0)
     assert not shapers
-    assert shapers.has_room(ASKER)
+    assert shapers.has_room(CLIENT)
     assert shapers.limited(GROUND_STATION) == 0
 
 
@@ -133,9 +133,9 @@ def test_each_link_has_its_own_budget():
     for link in (GROUND_STATION, COMPANION):
         of_link = [addressed for addressed in out if addressed.partner.link == link]
         assert sizes(of_link) == pytest.approx(BUDGET, rel=0.05)
-    assert not shapers.has_room(ASKER)
+    assert not shapers.has_room(CLIENT)
     assert shapers.has_room(Partner(COMPANION, 0))
-    assert shapers.has_room(Partner(EVERYBODY))
+    assert shapers.has_room(Partner(BROADCAST))
 
 
 def vehicle(bandwidth_bytes_s):
@@ -150,23 +150,23 @@ def vehicle(bandwidth_bytes_s):
     return Solo(config, seed=np.random.SeedSequence(3), recording=False)
 
 
-def test_a_vehicle_on_a_thin_link_lists_its_parameters_and_goes_on_telling_where_it_is():
+def test_a_vehicle_on_a_slow_link_lists_its_parameters_and_still_sends_telemetry():
     free, thin = vehicle(0), vehicle(BUDGET)
     for flight in (free, thin):
         for _ in range(250):
             flight.step(streams=True)
-    wanted = {}
+    unlimited = {}
     for _ in range(500):
         for addressed in free.step(streams=True).links:
             if addressed.partner.link == GROUND_STATION:
                 kind = addressed.message.get_type()
-                wanted[kind] = wanted.get(kind, 0) + frame_bytes(addressed.message)
-    assert sum(wanted.values()) > 1.4 * 2 * BUDGET  # there is more to say than the budget has room for
+                unlimited[kind] = unlimited.get(kind, 0) + frame_bytes(addressed.message)
+    assert sum(unlimited.values()) > 1.4 * 2 * BUDGET  # more than the budget permits
     thin.send(common.MAVLink_param_request_list_message(1, 1))
-    asked_us, out = thin.now_us, []
+    requested_us, out = thin.now_us, []
     read = None
     for step in range(2_500):
-        if step == 250:  # in the midst of it somebody asks for one value
+        if step == 250:  # during the list one value is requested
             thin.send(common.MAVLink_param_request_read_message(1, 1, b"MPC_XY_VEL_MAX", -1))
         sent = [a for a in thin.step(streams=True).links if a.partner.link == GROUND_STATION]
         if step == 250:
@@ -175,7 +175,7 @@ def test_a_vehicle_on_a_thin_link_lists_its_parameters_and_goes_on_telling_where
     assert b"MPC_XY_VEL_MAX" in read or "MPC_XY_VEL_MAX" in read
     assert sizes(a for _, a in out) == pytest.approx(10 * BUDGET, rel=0.1)
     for second in range(10):
-        in_it = [a for us, a in out if second * 1e6 < us - asked_us <= (second + 1) * 1e6]
+        in_it = [a for us, a in out if second * 1e6 < us - requested_us <= (second + 1) * 1e6]
         assert sizes(in_it) == pytest.approx(BUDGET, rel=0.1)
         assert kinds(in_it).count("HEARTBEAT") == 1
     values = [(us, a.message) for us, a in out if a.message.get_type() == "PARAM_VALUE"]
@@ -183,6 +183,6 @@ def test_a_vehicle_on_a_thin_link_lists_its_parameters_and_goes_on_telling_where
     assert {m.param_index for _, m in values} >= set(range(count))
     list_bytes = sum(frame_bytes(m) for _, m in values)
     expected_s = list_bytes / (BUDGET * TRANSFER_SHARE / (TRANSFER_SHARE + 1))
-    assert (values[-1][0] - asked_us) * 1e-6 < 1.2 * expected_s
+    assert (values[-1][0] - requested_us) * 1e-6 < 1.2 * expected_s
     sent_kinds = {a.message.get_type() for _, a in out}
-    assert sent_kinds >= wanted.keys()
+    assert sent_kinds >= unlimited.keys()

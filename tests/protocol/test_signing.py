@@ -1,4 +1,4 @@
-"""Signing: held against pymavlink's own signer and checker, in both directions; forgeries leave no trace."""
+"""Signing against pymavlink's own signer and verifier, in both directions; forged frames change no state."""
 
 import contextlib
 import hashlib
@@ -15,7 +15,7 @@ from autopilot.mavlink import signing
 from autopilot.mavlink.codec import Encoder, Parser, Sequences
 from autopilot.mavlink.codec import signed as sign_frame
 from autopilot.mavlink.counters import Counters
-from autopilot.mavlink.links import EVERYBODY, UdpLink
+from autopilot.mavlink.links import BROADCAST, UdpLink
 from autopilot.mavlink.signing import (
     KEY_BYTES,
     MAX_STREAMS,
@@ -40,7 +40,7 @@ def command(number=0):
 
 
 def oracle(key=KEY, *, now=NOW, link_id=0, system=255, component=190):
-    """Pymavlink as a ground station that signs, and checks what it hears."""
+    """Pymavlink as a ground station that signs and verifies."""
     station = common.MAVLink(None, srcSystem=system, srcComponent=component)
     station.signing.secret_key = key
     station.signing.link_id = link_id
@@ -53,29 +53,29 @@ def signed(key=KEY, number=0, **station):
     return command(number).pack(oracle(key, **station))
 
 
-def test_what_pymavlink_signs_is_good():
+def test_frames_signed_by_pymavlink_are_accepted():
     parser, station = Parser(Signer(KEY, link_id=0)), oracle()
     for i in range(300):
-        (heard,) = parser.push_datagram(command(i).pack(station), NOW)
-        assert heard.param7 == i
+        (received,) = parser.push_datagram(command(i).pack(station), NOW)
+        assert received.param7 == i
     assert parser.counters == Counters()
 
 
-def test_what_is_signed_here_pymavlink_finds_good():
+def test_signed_frames_are_accepted_by_pymavlink():
     station, signer, sequences = oracle(), Signer(KEY, link_id=1), Sequences()
     encoder = Encoder(system=3, component=1)
     for i in range(300):
         unsigned = encoder.encode_for(command(i), sequences)
         frame = sign_frame(unsigned, common.MAVLINK_MSG_ID_COMMAND_LONG, signer, NOW)
-        heard = station.decode(bytearray(frame))
-        assert heard.get_signed()
-        assert (heard.get_link_id(), heard.get_seq(), heard.param7) == (1, i % 256, i)
+        received = station.decode(bytearray(frame))
+        assert received.get_signed()
+        assert (received.get_link_id(), received.get_seq(), received.param7) == (1, i % 256, i)
     assert station.signing.badsig_count == 0
     with pytest.raises(common.MAVError):
         oracle(bytes(KEY_BYTES)).decode(bytearray(frame))
 
 
-def test_every_wrong_bit_of_a_signed_frame_is_found():
+def test_every_single_bit_error_in_a_signed_frame_is_detected():
     frame = signed()
     for at in range(1, len(frame)):
         parser = Parser(Signer(KEY, link_id=0))
@@ -87,7 +87,7 @@ def test_every_wrong_bit_of_a_signed_frame_is_found():
             assert counters == Counters(signature_bad=1)
 
 
-def test_unsigned_and_version_1_frames_are_dropped_and_counted_whole():
+def test_unsigned_and_version_1_frames_are_dropped_and_counted():
     parser = Parser(Signer(KEY, link_id=0))
     sender = common.MAVLink(None, srcSystem=255, srcComponent=190)
     data = command().pack(sender) + command().pack(sender, force_mavlink1=True) + signed()
@@ -95,12 +95,12 @@ def test_unsigned_and_version_1_frames_are_dropped_and_counted_whole():
     assert parser.counters == Counters(unsigned=2)
 
 
-def test_without_a_key_signed_frames_are_heard_as_any():
-    (heard,) = Parser().push_datagram(signed())
-    assert heard.command == 400
+def test_without_a_key_signed_frames_are_accepted():
+    (received,) = Parser().push_datagram(signed())
+    assert received.command == 400
 
 
-def test_timestamps_rise_within_a_stream_and_streams_do_not_disturb_each_other():
+def test_timestamps_increase_within_a_stream_and_streams_are_independent():
     signer = Signer(KEY, link_id=0)
     first, second = signed(now=NOW), signed(now=NOW + 1)
     assert signer.judge(second, NOW) is SignatureVerdict.GOOD
@@ -110,19 +110,19 @@ def test_timestamps_rise_within_a_stream_and_streams_do_not_disturb_each_other()
         assert signer.judge(signed(now=NOW, **other), NOW) is SignatureVerdict.GOOD
 
 
-def test_a_recorded_stream_is_no_new_one_after_a_minute():
+def test_a_new_stream_older_than_a_minute_is_a_replay():
     frame = signed()
     assert Signer(KEY, link_id=0).judge(frame, NOW + OLDEST_NEW_STREAM) is SignatureVerdict.GOOD
     assert Signer(KEY, link_id=0).judge(frame, NOW + OLDEST_NEW_STREAM + 1) is SignatureVerdict.REPLAYED
 
 
-def test_a_forged_timestamp_does_not_make_the_true_sender_look_old():
+def test_a_forged_timestamp_does_not_invalidate_later_frames_of_the_true_sender():
     signer = Signer(KEY, link_id=0)
     assert signer.judge(signed(bytes(KEY_BYTES), now=NOW + 1_000), NOW) is SignatureVerdict.BAD
     assert signer.judge(signed(), NOW) is SignatureVerdict.GOOD
 
 
-def test_own_timestamps_rise_whatever_the_clock_does_and_follow_who_is_ahead():
+def test_own_timestamps_increase_with_any_clock_and_follow_a_sender_that_is_ahead():
     signer = Signer(KEY, link_id=0)
     frame = Encoder(system=1, component=1).encode(command())
 
@@ -133,10 +133,10 @@ def test_own_timestamps_rise_whatever_the_clock_does_and_follow_who_is_ahead():
     assert stamps == [NOW, NOW + 1, NOW + 2, NOW + 10, NOW + 11]
     signer.judge(signed(now=NOW + 500), NOW)
     assert stamp_of(NOW) == NOW + 501
-    assert stamp_of(1 << 60) == stamp_of(1 << 60) == (1 << 48) - 1  # the end of time does not raise
+    assert stamp_of(1 << 60) == stamp_of(1 << 60) == (1 << 48) - 1  # the largest timestamp does not raise
 
 
-def test_streams_are_bounded_and_those_a_minute_old_make_room():
+def test_the_number_of_streams_is_bounded_and_those_older_than_a_minute_are_dropped():
     signer = Signer(KEY, link_id=0)
     streams = [{"link_id": i, "component": 1} for i in range(MAX_STREAMS)]
     for stream in streams:
@@ -144,13 +144,13 @@ def test_streams_are_bounded_and_those_a_minute_old_make_room():
     one_more = {"component": 2, "now": NOW + OLDEST_NEW_STREAM + 2}
     assert signer.judge(signed(**one_more), NOW + OLDEST_NEW_STREAM) is SignatureVerdict.REPLAYED
     assert signer.judge(signed(**one_more), NOW + OLDEST_NEW_STREAM + 1) is SignatureVerdict.GOOD
-    for stream in streams:  # forgotten, and no way in for what was recorded of them
+    for stream in streams:  # dropped, but their frames are still replays
         assert signer.judge(signed(**stream), NOW + OLDEST_NEW_STREAM + 1) is SignatureVerdict.REPLAYED
 
 
-def test_what_one_port_of_a_vehicle_has_heard_no_other_takes():
-    heard = SigningStreams()
-    ports = [Signer(KEY, link_id=i, heard=heard) for i in range(2)]
+def test_a_frame_received_at_one_port_is_a_replay_at_the_others():
+    received = SigningStreams()
+    ports = [Signer(KEY, link_id=i, received=received) for i in range(2)]
     frames = [signed(now=NOW + i) for i in range(4)]
     assert ports[0].judge(frames[1], NOW) is SignatureVerdict.GOOD
     assert [ports[1].judge(frame, NOW) for frame in frames[:2]] == [SignatureVerdict.REPLAYED] * 2
@@ -184,14 +184,14 @@ def test_a_key_file_has_a_passphrase_or_a_key(text, key):
 
 
 @pytest.mark.parametrize("text", [b"", b"\n", b"\0" * 31, b"\xff\xfe", b"two\nlines"])
-def test_other_contents_are_no_key(text):
+def test_other_contents_are_not_a_key(text):
     with pytest.raises(SigningKeyError):
         key_of(text)
     with pytest.raises(SigningKeyError):
         Signer(b"short", link_id=0)
 
 
-def test_a_link_with_a_key_hears_and_answers_only_signed_partners():
+def test_a_link_with_a_key_accepts_and_answers_only_signed_partners():
     with contextlib.ExitStack() as stack:
         ground, stranger = (
             stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(2)
@@ -208,7 +208,7 @@ def test_a_link_with_a_key_hears_and_answers_only_signed_partners():
             )
         )
         clock = link._now()
-        assert clock // TICKS_PER_S + signing.EPOCH_UNIX_S > 1_735_689_600  # of this decade: 2025-01-01
+        assert clock // TICKS_PER_S + signing.EPOCH_UNIX_S > 1_735_689_600  # after 2025-01-01
         for sock, frame in (
             (stranger, command().pack(common.MAVLink(None, srcSystem=255))),
             (stranger, signed(bytes(KEY_BYTES), now=clock)),
@@ -217,17 +217,17 @@ def test_a_link_with_a_key_hears_and_answers_only_signed_partners():
             sock.settimeout(DEADLINE_S)
             sock.sendto(frame, ("127.0.0.1", link.local_port))
             assert select.select([link], [], [], DEADLINE_S)[0]
-            heard = link.receive()
-        assert [message.command for _, message in heard] == [400]
+            received = link.receive()
+        assert [message.command for _, message in received] == [400]
         assert link.counters == Counters(unsigned=1, signature_bad=1)
-        link.send([(EVERYBODY, command())])
+        link.send([(BROADCAST, command())])
         answer = oracle(now=clock).decode(bytearray(ground.recv(2048)))
         assert answer.get_signed()
         assert not select.select([stranger], [], [], 0.0)[0]
 
 
-def test_a_vehicle_with_a_key_does_nothing_that_is_not_signed_and_tells_what_it_heard(tmp_path):
-    """A parameter is set: unsigned, by another's key, and rightly, which is then replayed to both ports."""
+def test_a_vehicle_with_a_key_ignores_unsigned_messages_and_reports_the_counts(tmp_path):
+    """PARAM_SET unsigned, with another key, and signed; the last is then replayed to both ports."""
     key_file = tmp_path / "key"
     key_file.write_text("correct horse\n")
     name = b"MPC_XY_VEL_MAX"
@@ -250,18 +250,18 @@ def test_a_vehicle_with_a_key_does_nothing_that_is_not_signed_and_tells_what_it_
         wrong = setting(3.0, unsigned), setting(4.0, stranger), setting(6.0, unsigned)
         for frame in (*wrong, right, right, read):
             sock.sendto(frame, ("127.0.0.1", vehicle.ports["gcs_local_udp"]))
-        # ports are looked at in their order
+        # ports are read in order
         sock.sendto(right, ("127.0.0.1", vehicle.ports["companion_local_udp"]))
         values = []
-        for _ in range(500):  # of simulated time, two seconds
+        for _ in range(500):  # two seconds of simulated time
             if len(values) == 2:
                 break
             vehicle.step()
             while select.select([sock], [], [], 0.0)[0]:
                 values += [
-                    heard.param_value
-                    for heard in Parser(Signer(KEY, link_id=9)).push_datagram(sock.recv(4096), now)
-                    if heard.get_type() == "PARAM_VALUE"
+                    received.param_value
+                    for received in Parser(Signer(KEY, link_id=9)).push_datagram(sock.recv(4096), now)
+                    if received.get_type() == "PARAM_VALUE"
                 ]
         assert values == [5.0, 5.0]
         links = vehicle.finish()["links"]

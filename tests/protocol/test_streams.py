@@ -1,4 +1,4 @@
-"""Streams: rates, deadlines, intervals that are set, and what goes out at once."""
+"""Streams: rates, deadlines, changed intervals, and immediate messages."""
 
 import pytest
 from protocol_bench import make_flight, make_telemetry
@@ -29,7 +29,7 @@ def count_streams(streams, duration_us, *, on_step=lambda _: None):
 
 
 def dummy_builders(rates_hz):
-    """Builders that all speak, so that the schedule alone decides."""
+    """Builders that always return a message, so that the test is of the schedule alone."""
 
     def make(message_id):
         def build():
@@ -64,16 +64,16 @@ def test_new_data_is_sent_once_and_never_above_the_rate():
     assert count_streams(streams, 10_000_000, on_step=fixes(20_000))[GPS] == pytest.approx(100, abs=1)
 
 
-def test_for_nobody_only_the_heartbeat_is_formed():
+def test_without_a_listener_only_the_heartbeat_is_built():
     streams = MessageStreams(dummy_builders(GROUND_STATION_HZ), GROUND_STATION_HZ)
     streams.active = False
     streams.hasten(HOME, 0)
     assert count_streams(streams, 3_000_000) == {HEARTBEAT: 3}
-    streams.active = True  # what was not sent is not sent after
+    streams.active = True  # skipped messages are not sent later
     assert count_streams(streams, 1_000_000)[ATTITUDE] <= 50
 
 
-def test_the_deadline_says_when_the_next_message_comes():
+def test_the_deadline_is_the_time_of_the_next_message():
     streams = MessageStreams(dummy_builders(COMPANION_HZ), COMPANION_HZ)
     now_us = 0
     for _ in range(200):
@@ -83,7 +83,7 @@ def test_the_deadline_says_when_the_next_message_comes():
         now_us = streams.deadline_us
 
 
-def test_intervals_can_be_set_stopped_and_restored():
+def test_intervals_are_set_stopped_and_restored():
     streams = MessageStreams(dummy_builders(COMPANION_HZ), COMPANION_HZ)
     assert streams.set_interval(ATTITUDE, 500_000, 0)
     assert count_streams(streams, 1_000_000)[ATTITUDE] == 2
@@ -94,7 +94,7 @@ def test_intervals_can_be_set_stopped_and_restored():
     assert not streams.set_interval(12_345, 1_000, 0)
 
 
-def test_nothing_is_sent_more_often_than_the_vehicle_steps():
+def test_no_message_is_sent_more_often_than_the_vehicle_steps():
     streams = MessageStreams(dummy_builders(COMPANION_HZ), COMPANION_HZ)
     assert streams.set_interval(ATTITUDE, 1, 0)
     assert streams.interval_us(ATTITUDE) == STEP_US
@@ -108,7 +108,7 @@ def test_the_heartbeat_cannot_be_stopped(interval_us):
     assert count_streams(streams, 5_000_000)[HEARTBEAT] == 5
 
 
-def test_a_change_goes_out_with_the_next_step_and_then_at_the_rate():
+def test_a_change_is_sent_with_the_next_step_and_then_at_the_rate():
     streams = MessageStreams(dummy_builders(GROUND_STATION_HZ), GROUND_STATION_HZ)
     period_us = round(1e6 / GROUND_STATION_HZ[HOME])
     times_us = []
@@ -119,18 +119,18 @@ def test_a_change_goes_out_with_the_next_step_and_then_at_the_rate():
     assert times_us == [0, period_us // 2, 3 * period_us // 2, 5 * period_us // 2]
 
 
-def test_a_builder_that_comes_later_is_found():
+def test_a_builder_that_is_added_later_is_used():
     builders = {}
     streams = MessageStreams(builders, {ATTITUDE: 50.0})
-    assert not streams.knows(ATTITUDE)
+    assert not streams.is_supported(ATTITUDE)
     assert streams.interval_us(ATTITUDE) == 0
     assert count_streams(streams, 1_000_000) == {}
     builders |= dummy_builders({ATTITUDE: 50.0})
-    assert streams.knows(ATTITUDE)
+    assert streams.is_supported(ATTITUDE)
     assert [message.get_msgId() for message in streams.on_timer(1_000_000)] == [ATTITUDE]
 
 
-def test_every_stream_has_somebody_who_forms_it():
+def test_every_stream_has_a_builder():
     builders = make_telemetry(make_flight()).builders
     others = {
         common.MAVLINK_MSG_ID_MISSION_CURRENT,

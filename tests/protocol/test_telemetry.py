@@ -1,4 +1,4 @@
-"""What the vehicle tells of itself: fields that clients decide by."""
+"""Telemetry: the fields on which clients base decisions."""
 
 import math
 
@@ -35,7 +35,7 @@ def sensor(**values):
     return common.MAVLink_hil_sensor_message(**({"time_usec": 0, "fields_updated": 0} | fields | values))
 
 
-def test_before_the_estimator_knows_anything_every_builder_keeps_silent_or_can_be_packed():
+def test_before_the_first_estimate_every_builder_returns_none_or_a_valid_message():
     encoder = Encoder(system=1, component=1)
     for message_id, build in make_telemetry(make_flight()).builders.items():
         message = build()
@@ -44,11 +44,11 @@ def test_before_the_estimator_knows_anything_every_builder_keeps_silent_or_can_b
             assert decoded.get_msgId() == message_id
 
 
-# ---- words
+# ---- texts
 
 
 @pytest.mark.parametrize("length", [0, 1, 49, 50, 51, 99, 100, 101, 150, 12_000])
-def test_a_text_of_any_length_arrives_whole(length):
+def test_a_text_of_any_length_arrives_complete(length):
     text = "".join(chr(ord("a") + i % 26) for i in range(length))
     pieces = [over_the_wire(piece) for piece in Chunks().split(status_text(4, text))]
     assert "".join(piece.text for piece in pieces) == text
@@ -59,10 +59,10 @@ def test_a_text_of_any_length_arrives_whole(length):
         assert {piece.id for piece in pieces} == {1}
         assert [piece.chunk_seq for piece in pieces] == list(range(len(pieces)))
         assert all(len(piece.text) == TEXT_BYTES for piece in pieces[:-1])
-        assert len(pieces[-1].text) < TEXT_BYTES  # by which the receiver knows that it is the last
+        assert len(pieces[-1].text) < TEXT_BYTES  # which marks the last chunk for the receiver
 
 
-def test_texts_in_pieces_are_told_apart_and_other_messages_pass():
+def test_chunks_of_different_texts_have_different_ids_and_other_messages_pass():
     chunks = Chunks()
     ids = {chunks.split(status_text(4, "x" * 60))[0].id for _ in range(100)}
     assert len(ids) == 100
@@ -71,11 +71,11 @@ def test_texts_in_pieces_are_told_apart_and_other_messages_pass():
     assert chunks.split(other) == (other,)
 
 
-def test_a_fix_has_the_same_height_above_ellipsoid_and_sea_as_the_simulation_knows_no_geoid():
+def test_a_fix_has_equal_heights_above_ellipsoid_and_sea_level():
     flight = make_flight()
     flight.gps = common.MAVLink_hil_gps_message(0, 3, 47, 8, 488_123, 90, 178, 0, 0, 0, 0, 0, 10)
-    told = over_the_wire(make_telemetry(flight).sensors.gps_raw_int())
-    assert (told.alt, told.alt_ellipsoid) == (488_123, 488_123)
+    gps = over_the_wire(make_telemetry(flight).sensors.gps_raw_int())
+    assert (gps.alt, gps.alt_ellipsoid) == (488_123, 488_123)
 
 
 # ---- health
@@ -85,7 +85,7 @@ def status_of(flight, **more):
     return make_telemetry(flight, **more).system.sys_status()
 
 
-def test_a_vehicle_that_may_be_armed_is_healthy_in_all_that_is_there():
+def test_a_vehicle_that_may_be_armed_reports_all_present_sensors_as_healthy():
     flight = make_flight()
     flight.commander.update(0, conditions=EVERYTHING, landed=True)
     status = status_of(flight)
@@ -105,7 +105,7 @@ def test_a_vehicle_that_may_be_armed_is_healthy_in_all_that_is_there():
         (Condition.GPS, common.MAV_SYS_STATUS_SENSOR_GPS),
     ],
 )
-def test_a_sensor_that_is_gone_is_there_but_not_healthy_and_keeps_from_arming(missing, bit):
+def test_a_failed_sensor_is_present_but_unhealthy_and_prevents_arming(missing, bit):
     flight = make_flight()
     flight.conditions = EVERYTHING & ~missing
     flight.commander.update(0, conditions=flight.conditions, landed=True)
@@ -114,14 +114,14 @@ def test_a_sensor_that_is_gone_is_there_but_not_healthy_and_keeps_from_arming(mi
     assert not status.onboard_control_sensors_health & (bit | common.MAV_SYS_STATUS_PREARM_CHECK)
 
 
-def test_a_fence_that_is_not_there_is_not_breached():
-    """MAVProxy looks at its health alone, and says "fence breach" when it connects."""
+def test_an_absent_fence_is_not_breached():
+    """MAVProxy evaluates its health bit alone, and would report "fence breach" on connection."""
     status = status_of(make_flight(), fenced=lambda: False)
     assert status.onboard_control_sensors_health & GEOFENCE
     assert not (status.onboard_control_sensors_present | status.onboard_control_sensors_enabled) & GEOFENCE
 
 
-def test_a_fence_is_claimed_where_there_is_one_and_is_unhealthy_when_breached():
+def test_a_fence_is_reported_as_present_and_is_unhealthy_when_breached():
     flight = make_flight()
     assert status_of(flight, fenced=lambda: True).onboard_control_sensors_health & GEOFENCE
     flight.causes = int(Cause.GEOFENCE)
@@ -130,7 +130,7 @@ def test_a_fence_is_claimed_where_there_is_one_and_is_unhealthy_when_breached():
     assert not status.onboard_control_sensors_health & GEOFENCE
 
 
-def test_sticks_are_a_receiver_and_channels():
+def test_sticks_are_reported_as_a_receiver_and_channels():
     flight = make_flight()
     manual = ManualControlService(flight.commander)
     telemetry = Telemetry(flight, system=1, manual=manual)
@@ -149,7 +149,7 @@ def test_sticks_are_a_receiver_and_channels():
     assert not status.onboard_control_sensors_health & RECEIVER
 
 
-# ---- who and when
+# ---- versions and time
 
 
 def test_versions_and_ids():
@@ -165,14 +165,14 @@ def test_versions_and_ids():
     assert list(version.uid2) != list(other.uid2)
 
 
-def test_the_clock_counts_from_the_scenarios_date():
+def test_system_time_starts_at_the_scenarios_date():
     flight = make_flight()
     flight.now_us = 12_345_678
     time = over_the_wire(make_telemetry(flight, epoch_unix_us=EPOCH_US).system.system_time())
     assert (time.time_unix_usec, time.time_boot_ms) == (EPOCH_US + 12_345_678, 12_345)
 
 
-def test_the_current_mode_says_what_was_intended_where_it_is_known():
+def test_the_current_mode_has_the_intended_mode_if_known():
     flight = make_flight()
     telemetry = make_telemetry(flight)
     flight.commander.mode = FlightMode.RETURN
@@ -183,7 +183,7 @@ def test_the_current_mode_says_what_was_intended_where_it_is_known():
     assert telemetry.system.current_mode().intended_custom_mode == 0
 
 
-def test_flight_information_counts_from_the_start():
+def test_flight_information_has_times_since_the_start():
     flight = make_flight()
     flight.armed_us, flight.took_off_us, flight.landed_us, flight.flights = 5_000_000, 7_000_000, 9_000_000, 2
     information = over_the_wire(make_telemetry(flight).system.flight_information())
@@ -215,7 +215,7 @@ def test_vibration_is_the_mean_step_between_samples():
     assert vibration.coning == pytest.approx(0.004**2 * 0.1 * 0.2, rel=1e-3)
 
 
-def test_outputs_are_the_motors():
+def test_outputs_are_the_motor_controls():
     flight = make_flight()
     flight.motors = (0.1, 0.2, 0.3, 0.4)
     status = over_the_wire(make_telemetry(flight).control.actuator_output_status())
@@ -223,7 +223,7 @@ def test_outputs_are_the_motors():
     assert status.actuator[:5] == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.0])
 
 
-def test_a_setpoint_is_told_on_the_globe_as_in_the_local_frame():
+def test_a_setpoint_is_reported_in_geodetic_coordinates_as_in_the_local_frame():
     flight = make_flight()
     flight.state.origin_lat_deg, flight.state.origin_lon_deg, flight.state.origin_alt_m = 47.0, 8.0, 400.0
     flight.origin_known = True
@@ -237,7 +237,7 @@ def test_a_setpoint_is_told_on_the_globe_as_in_the_local_frame():
     assert target.type_mask == local.type_mask
 
 
-def test_the_truth_is_told_only_where_it_is_known():
+def test_the_true_state_is_reported_only_if_available():
     flight = make_flight()
     telemetry = make_telemetry(flight)
     assert telemetry.sensors.hil_state_quaternion() is None

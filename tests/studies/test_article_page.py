@@ -294,7 +294,7 @@ def test_page_contains_all_statements_cases_and_flights(results, tmp_path):
         for wind_n in SMALL.winds_n:
             assert f"| {wavelength_m:g} | {wind_n:g} | 2 of 2 |" in text
     assert "article, seed 9: fell" in text
-    assert "python scripts/reproduce_article.py --seeds 2 --duration 6 --out docs" in text
+    assert "python scripts/reproduce_article.py --seeds 2 --duration 6 --out docs/results" in text
     shown = [line.split("](")[1].rstrip(")") for line in text.splitlines() if line.startswith("![")]
     assert len(shown) == 6
     assert all((tmp_path / name).read_bytes().startswith(b"\x89PNG") for name in shown)

@@ -170,13 +170,13 @@ def test_flight_with_an_infrastructure_failure_is_broken(tmp_path, monkeypatch):
 
 def test_source_state_ignores_comments_and_layout(tmp_path):
     """Comments, docstrings and layout do not change the state; a number in flight code does."""
-    for package in ("antenna", "netsim", "autopilot", "studies/codesign"):
+    for package in ("antenna", "netsim", "autopilot", "harness/cli", "studies/codesign"):
         (tmp_path / package).mkdir(parents=True)
-    flying, reporting = tmp_path / "autopilot" / "a.py", tmp_path / "studies" / "codesign" / "cli.py"
+    for name in ("flights.py", "measures.py"):
+        (tmp_path / "studies" / "codesign" / name).touch()
+    flying, reporting = tmp_path / "autopilot" / "a.py", tmp_path / "harness" / "cli" / "fly.py"
     flying.write_text('"""One."""\n\n\ndef f(x):\n    """Two."""\n    return x + 1\n')
     reporting.write_text("A = 1\n")
-    for module in ("flights.py", "measures.py"):
-        (reporting.parent / module).write_text("B = 1\n")
     first = sources_state(tmp_path)
     sources_state.cache_clear()
     flying.write_text('"""Three."""\ndef f(x):\n    # four\n    return (x + 1)\n')
@@ -229,7 +229,7 @@ def test_second_run_flies_nothing_and_writes_the_same_page(tmp_path, no_flying, 
     assert first.exit_code == MISSED, first.output
     assert len(no_flying) == 4 * 10
     page = (tmp_path / "docs" / "codesign-results.md").read_text()
-    assert "    python scripts/experiment_codesign.py --only baselines --out docs\n" in page
+    assert "    python scripts/experiment_codesign.py --only baselines --out docs/results\n" in page
     assert "| FTM over the emulated channel | 0.200 (0.200 to 0.200) |" in page
     assert "- ftm-8-5n, seed 2: SwarmError: lost" in page
     assert "from 39 flights" in page

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from autopilot.control.allocation import effectiveness
 from autopilot.control.params import AllocationParams
 from harness.world.sensors.config import PROFILES
-from studies.common.report import Check, ReportTable, Section, markdown
+from studies.common.report import Check, ReportTable, Section, figures_folder, figures_link, markdown
 from studies.vehicle import campaign, estimation_section
 from studies.vehicle.allocation import RANGE_N, _is_achievable, check_allocation
 from studies.vehicle.bench import _PARTS, _StopWatch, measure, record_flight
@@ -58,6 +58,18 @@ def test_page():
     assert "| rms | 3 m | 0.18 m | 0.1 to 0.2 | **no** |\n" in page
     assert "| a | b |\n| --- | --- |\n| 1 | 2 |\n" in page
     assert page.endswith("![a figure](images/x.png)\n")
+
+
+def test_figures_are_in_the_shared_folder_if_it_exists(tmp_path):
+    out = tmp_path / "docs" / "results"
+    assert figures_folder(out) == out / "images"
+    assert figures_link(out) == figures_link(None) == "images"
+    (tmp_path / "docs" / "images").mkdir(parents=True)
+    assert figures_folder(out) == tmp_path / "docs" / "images"
+    assert figures_link(out) == "../images"
+    section = Section(title="Hover", conditions="", checks=(), figures=(("x.png", "a figure"),))
+    page = markdown([section], introduction="", figures=figures_link(out))
+    assert page.endswith("![a figure](../images/x.png)\n")
 
 
 def test_achievable_torques_agree_with_a_linear_programme():

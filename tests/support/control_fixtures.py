@@ -36,7 +36,7 @@ def hover_errors(
     seconds: float,
     settle_s: float = 10.0,
 ) -> Array:
-    """(n, 3) NED position errors of a hover at 5 m height, after ``settle_s``, with sensor noise."""
+    """Return NED position errors (n, 3) of a hover at 5 m height, after ``settle_s``, with sensor noise."""
     iris = Iris(height_m=5.0, noise_seed=seed + 1000)
     gusts = Gusts(mean_n=mean_n, gust_rms_n=gust_rms_n, seed=seed)
     controller = FlightController(params)

@@ -1,4 +1,4 @@
-"""The estimator's tests fly on paper: see `studies.vehicle.sensor_flights`."""
+"""Fixtures of the estimator's tests, which use the simulated flights of `studies.vehicle.sensor_flights`."""
 
 import numpy as np
 
@@ -41,10 +41,10 @@ __all__ = [
 
 
 def rms(values: Array) -> float:
-    """Root of the mean of the squared lengths of rows."""
+    """Return the root mean square of the lengths of rows."""
     return float(np.sqrt(np.mean(np.sum(np.atleast_2d(values) ** 2, axis=-1))))
 
 
 def step(time_s: float) -> int:
-    """Find the step that ends at a time."""
+    """Return the index of the step that ends at a time."""
     return round(time_s / STEP_S) - 1

@@ -1,4 +1,4 @@
-"""Faults as a scenario has them, and flights of simulated sensors with and without."""
+"""Examples of all faults, and frames of simulated sensors with and without faults."""
 
 import msgspec
 import numpy as np
@@ -15,7 +15,7 @@ STEP_US = 4_000
 SITE = Site()
 N = 3
 HIT = 1
-"""The vehicle that the faults are about."""
+"""The vehicle with the faults."""
 BEGIN_US, END_US = 1_000_000, 2_000_000
 EXAMPLES = {
     "gps_loss": {},
@@ -36,7 +36,7 @@ SENSOR_FAULTS = [name for name in EXAMPLES if not name.startswith(("motor", "rad
 
 
 def fault_of(name, **fields):
-    """Through the decoder, as from a scenario."""
+    """Return a fault of a kind, decoded as from a scenario; ``fields`` override its example."""
     table = {"kind": name, "uav": HIT, "start_s": 1.0, "duration_s": 1.0, **EXAMPLES[name], **fields}
     return msgspec.convert(table, AnyFault)
 
@@ -46,7 +46,7 @@ def faults_of(*faults, seed=5):
 
 
 def fly(*faults, until_us=3_000_000, profile="consumer", seed=5):
-    """Frames of vehicles that climb apart, tilted and turning, with the faults in force."""
+    """Return sensor frames of vehicles that climb, tilted and turning, with active faults."""
     suite = SensorSuite(
         config=SensorsConfig(profile=profile),
         site=SITE,
@@ -78,24 +78,24 @@ def truth_at(time_us):
 
 
 def columns(frame):
-    """All that a frame says, by name: arrays whose first axis is the vehicle."""
-    said = {"accel": frame.accel_frd_m_s2, "gyro": frame.gyro_frd_rad_s}
+    """Return the values of a frame by name: arrays whose first axis is the vehicle."""
+    values = {"accel": frame.accel_frd_m_s2, "gyro": frame.gyro_frd_rad_s}
     if frame.mag_frd_gauss is not None:
-        said["mag"] = frame.mag_frd_gauss
+        values["mag"] = frame.mag_frd_gauss
     if frame.baro is not None:
-        said |= {"pressure": frame.baro.pressure_hpa, "temperature": frame.baro.temperature_degc}
+        values |= {"pressure": frame.baro.pressure_hpa, "temperature": frame.baro.temperature_degc}
     if frame.gps is not None:
         pos = geodetic_to_ned(
             frame.gps.lat_deg, frame.gps.lon_deg, frame.gps.alt_m, origin_lat_deg=SITE.latitude_deg,
             origin_lon_deg=SITE.longitude_deg, origin_alt_m=SITE.altitude_m,
         )  # fmt: skip
         lost = np.zeros(N, bool) if frame.gps.lost is None else frame.gps.lost
-        said |= {"gps_pos": pos, "gps_vel": frame.gps.vel_ned_m_s, "gps_lost": lost}
-    return said
+        values |= {"gps_pos": pos, "gps_vel": frame.gps.vel_ned_m_s, "gps_lost": lost}
+    return values
 
 
 def differences(healthy, faulty):
-    """(time_us, name, vehicle, faulty less healthy) of all values that are not the same to the bit."""
+    """Return (time_us, name, vehicle, faulty - healthy) of all values with different bits."""
     found = []
     for before, after in zip(healthy, faulty, strict=True):
         here, there = columns(before), columns(after)

@@ -1,4 +1,4 @@
-"""A station's end of file transfer, for the tests of a vehicle's."""
+"""A ground station's side of file transfer, for tests of the vehicle's side."""
 
 import struct
 
@@ -19,7 +19,7 @@ def request(opcode, *, seq=1, session=0, size=None, offset=0, data=b""):
 class Reply:
     def __init__(self, message):
         payload = bytes(message.payload)
-        self.seq, self.session, self.opcode, size, self.asked, self.complete, self.offset = (
+        self.seq, self.session, self.opcode, size, self.request, self.complete, self.offset = (
             HEADER.unpack_from(payload)
         )
         self.data = payload[HEADER.size : HEADER.size + size]
@@ -29,7 +29,7 @@ class Reply:
 
 
 class Downloader:
-    """Reads a file as QGroundControl and MAVProxy do: in bursts, then the gaps one by one."""
+    """Reads a file as QGroundControl and MAVProxy do: in bursts, then the gaps individually."""
 
     def __init__(self, path, *, session, retry_us=500 * MS):
         self.path, self.session, self.retry_us = path, session, retry_us
@@ -83,18 +83,18 @@ class Downloader:
 
     def on_message(self, message, now_us):
         answer = Reply(message)
-        if answer.session != self.session or answer.asked != self.last[0] or self.done:
+        if answer.session != self.session or answer.request != self.last[0] or self.done:
             return ()
-        if answer.asked == Opcode.OPEN_READ:
+        if answer.request == Opcode.OPEN_READ:
             (self.size,) = struct.unpack("<I", answer.data)
             return self.next_burst(now_us)
-        if answer.asked == Opcode.TERMINATE:
+        if answer.request == Opcode.TERMINATE:
             self.done = answer.seq == (self.seq + 1) % 65_536
             return ()
         if answer.opcode == Opcode.ACK:
             self.parts[answer.offset] = answer.data
             self.at = max(self.at, answer.offset + len(answer.data))
             self.due_us = now_us + self.retry_us
-        if answer.asked == Opcode.READ or answer.opcode == Opcode.NAK:
+        if answer.request == Opcode.READ or answer.opcode == Opcode.NAK:
             return self.next_gap(now_us)
         return self.next_burst(now_us) if answer.complete else ()

@@ -1,7 +1,7 @@
-"""Hostile bytes by seed: what a port may be sent, with what of it is whole and right told beside it.
+"""Random and malformed input from a seed, together with the valid frames that it contains.
 
-The number of bytes that the tests push through each edge is the environment variable COFLIGHT_FUZZ_BYTES;
-without it 10 million.
+The environment variable COFLIGHT_FUZZ_BYTES is the number of bytes that the tests send to each port; its
+default is 10 million.
 """
 
 import hashlib
@@ -17,12 +17,12 @@ from autopilot.mavlink.codec import Message
 
 BYTES = int(os.environ.get("COFLIGHT_FUZZ_BYTES", "10_000_000"))
 LARGEST_DATAGRAM = 65_507
-"""What UDP over IPv4 can carry."""
+"""Capacity of UDP over IPv4."""
 _OTHER_SYSTEM = 77
 _COMMANDS = np.array(sorted(common.enums["MAV_CMD"]))
 _STATION = (255, 190)
 _WITH_EFFECT = frozenset({common.MAVLINK_MSG_ID_HEARTBEAT})
-"""Has no target and tells that somebody is there: whoever sends it right is heard."""
+"""Messages without a target that report the presence of their sender, so a valid one has an effect."""
 
 
 class Datagram(NamedTuple):
@@ -35,7 +35,7 @@ class Datagram(NamedTuple):
 def frame_of(
     kind: int, payload: bytes, *, version_1: bool = False, source: tuple[int, int] = _STATION
 ) -> bytes:
-    """Give a frame with a right checksum, whatever its payload."""
+    """Return a frame with a right checksum and any payload."""
     made = common.mavlink_map[kind]
     sender = common.MAVLink(None, srcSystem=source[0], srcComponent=source[1])
     message = common.MAVLink_message(kind, made.msgname)
@@ -43,7 +43,7 @@ def frame_of(
 
 
 def offset_of(kind: int, field: str) -> int | None:
-    """Where a field of one byte lies in the payload; None if the message does not have it."""
+    """Offset of a one-byte field in the payload; None if the message does not have it."""
     made = common.mavlink_map[kind]
     if field not in made.ordered_fieldnames:
         return None
@@ -55,7 +55,7 @@ def offset_of(kind: int, field: str) -> int | None:
 
 
 class Fuzz:
-    """A source of hostile input; equal seeds give equal input."""
+    """A source of random and malformed input, determined by its seed."""
 
     def __init__(self, seed: int) -> None:
         self._rng = np.random.default_rng(seed)
@@ -71,7 +71,7 @@ class Fuzz:
         )
 
     def datagrams(self, count_bytes: int) -> Iterator[Datagram]:
-        """Datagrams of so many bytes in all, none of which is meant for a vehicle of the tests."""
+        """Yield datagrams with a total of ``count_bytes``, without messages to a vehicle of the tests."""
         rng, sent = self._rng, 0
         while sent < count_bytes:
             datagram = self._makers[rng.integers(len(self._makers))]()
@@ -79,7 +79,7 @@ class Fuzz:
             yield datagram
 
     def message_to(self, kind: int, *, system: int = 1) -> Message:
-        """Give a message for a vehicle that says anything at all: random, nothing, or all ones."""
+        """Return a message to a vehicle with any contents: random bytes, zeros, or all ones."""
         rng = self._rng
         size = common.mavlink_map[kind].unpacker.size
         style = rng.integers(4)
@@ -99,7 +99,7 @@ class Fuzz:
         return Datagram(self._rng.bytes(int(size)), [])
 
     def _beginnings(self) -> Datagram:
-        """Bytes among which much looks like the beginning of a frame."""
+        """Bytes with many apparent starts of frames."""
         data = self._rng.integers(0, 256, self._rng.integers(1, 700), dtype=np.uint8)
         data[self._rng.random(data.size) < 0.2] = 0xFD
         data[self._rng.random(data.size) < 0.2] = 0xFE
@@ -113,7 +113,7 @@ class Fuzz:
         return frame_of(kind, payload, version_1=bool(version_1))
 
     def _mutated(self) -> Datagram:
-        """Frames with up to 16 wrong bits in a row, which no checksum of 16 bits lets through."""
+        """Frames with a burst of up to 16 wrong bits, which a 16-bit checksum always detects."""
         rng, data = self._rng, bytearray()
         for _ in range(rng.integers(1, 6)):
             frame = bytearray(self._whole())
@@ -129,7 +129,7 @@ class Fuzz:
         return Datagram(frame[: self._rng.integers(len(frame))], [])
 
     def _for_another(self) -> Datagram:
-        """Give whole frames with anything in them, for another vehicle."""
+        """Valid frames with random contents, for another vehicle."""
         frames = []
         for _ in range(self._rng.integers(1, 8)):
             kind = int(self._rng.choice(self._for_others))
@@ -139,26 +139,26 @@ class Fuzz:
         return Datagram(b"".join(frames), frames)
 
     def _mixed(self) -> Datagram:
-        """Some of all that, one after the other in one datagram."""
+        """Several of these kinds in one datagram."""
         makers = (self._random, self._beginnings, self._mutated, self._truncated, self._for_another)
         parts = [makers[i]() for i in self._rng.integers(0, len(makers), self._rng.integers(2, 5))]
         data = b"".join(part.data for part in parts)
-        # what a datagram cannot carry is cut off, and with it the frames of which the end is missing
+        # beyond the capacity of a datagram data are cut off, and with them the ends of frames
         if len(data) > LARGEST_DATAGRAM:
             return Datagram(data[:LARGEST_DATAGRAM], [])
         return Datagram(data, [frame for part in parts for frame in part.frames])
 
 
 def digest(thing: object, *, leave_out: frozenset[str] = frozenset()) -> str:
-    """Hash of all that an object holds, down to the last number, less attributes of the names left out.
+    """Hash of all state in an object, without the attributes in ``leave_out``.
 
-    What is code, and not state, does not count.
+    Code is not included.
     """
     hashed = hashlib.sha256()
     seen: dict[int, int] = {}
-    kept: list[object] = []  # so that no id is used twice
+    kept: list[object] = []  # keeps ids unique
 
-    def put(part: Any) -> None:  # anything
+    def put(part: Any) -> None:
         if part is None or isinstance(part, (bool, int, float, complex, str, bytes, bytearray, np.generic)):
             hashed.update(f"{type(part).__name__}{part!r};".encode())
             return

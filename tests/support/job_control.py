@@ -1,6 +1,6 @@
-"""``python job_control.py``: a shell whose job, a `Keyboard`, is in the foreground, the background, and back.
+"""``python job_control.py``: a shell moves its job, a `Keyboard`, to the background and back.
 
-Prints "fine"; an assertion ends it otherwise.
+Prints "fine", or ends with an AssertionError.
 """
 
 import os
@@ -26,23 +26,24 @@ os.write(out, b"ended")
 """
 
 
-def press(terminal, asked):
-    """Be the user, who presses + for every byte that comes."""
-    while os.read(asked, 1):
+def press(terminal, requests):
+    """Type + at the terminal for every byte of ``requests``."""
+    while os.read(requests, 1):
         os.write(terminal, b"+")
 
 
-def hear(out, words):
-    heard, deadline_s = b"", time.monotonic() + LIMIT_S
-    while words not in heard:
-        assert select.select([out], [], [], max(0.0, deadline_s - time.monotonic()))[0], heard
-        heard += os.read(out, 100)
+def wait_for(out, words):
+    """Read the job's output until it contains some bytes."""
+    received, deadline_s = b"", time.monotonic() + LIMIT_S
+    while words not in received:
+        assert select.select([out], [], [], max(0.0, deadline_s - time.monotonic()))[0], received
+        received += os.read(out, 100)
 
 
-def shell(ask):
-    """Do what a shell does with a job; ``ask`` has a key pressed."""
+def shell(request_key):
+    """Control a job as a shell does; ``request_key`` requests a key press."""
     signal.signal(signal.SIGTTOU, signal.SIG_IGN)
-    tty.setcbreak(0)  # as its editor of lines does
+    tty.setcbreak(0)  # as a shell's line editor does
     out, their_out = os.pipe()
     orders, to_job = os.pipe()
     begin, start = os.pipe()
@@ -57,14 +58,14 @@ def shell(ask):
     os.setpgid(job, job)
     os.tcsetpgrp(0, job)
     os.write(start, b".")
-    hear(out, b"listening ")
-    ask()
-    hear(out, b"+")
+    wait_for(out, b"listening ")
+    request_key()
+    wait_for(out, b"+")
 
-    os.tcsetpgrp(0, os.getpgrp())  # as after Ctrl-Z and bg: keys are the shell's
-    ask()
+    os.tcsetpgrp(0, os.getpgrp())  # as after Ctrl-Z and bg: the shell receives the keys
+    request_key()
     assert select.select([0], [], [], LIMIT_S)[0]
-    time.sleep(1.0)  # several looks of the job's
+    time.sleep(1.0)  # several polls of the job
     assert os.waitpid(job, os.WNOHANG | os.WUNTRACED) == (0, 0)
     assert os.read(0, 10) == b"+"
 
@@ -72,14 +73,14 @@ def shell(ask):
     modes[LFLAG] |= termios.ICANON
     termios.tcsetattr(0, termios.TCSANOW, modes)
     os.tcsetpgrp(0, job)  # as after fg
-    ask()
-    hear(out, b"+")
+    request_key()
+    wait_for(out, b"+")
 
     os.tcsetpgrp(0, os.getpgrp())
     tty.setcbreak(0)
     mine = termios.tcgetattr(0)
-    os.write(to_job, b".")  # it ends in the background, and not by being stopped
-    hear(out, b"ended")
+    os.write(to_job, b".")  # the job ends in the background and is not stopped
+    wait_for(out, b"ended")
     _, status = os.waitpid(job, os.WUNTRACED)
     assert os.WIFEXITED(status), status
     assert termios.tcgetattr(0) == mine
@@ -87,15 +88,15 @@ def shell(ask):
 
 
 def main():
-    asked, asking = os.pipe()
+    requests, requesting = os.pipe()
     pid, terminal = pty.fork()
     if pid == 0:
-        shell(lambda: os.write(asking, b"."))
+        shell(lambda: os.write(requesting, b"."))
         sys.stdout.flush()
         os._exit(0)
-    os.close(asking)
-    threading.Thread(target=press, args=(terminal, asked), daemon=True).start()
-    said = b""
+    os.close(requesting)
+    threading.Thread(target=press, args=(terminal, requests), daemon=True).start()
+    printed = b""
     while True:
         try:
             data = os.read(terminal, 1000)
@@ -103,8 +104,8 @@ def main():
             break
         if not data:
             break
-        said += data
-    sys.stdout.write(said.decode())
+        printed += data
+    sys.stdout.write(printed.decode())
     return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
 
 

@@ -1,4 +1,4 @@
-"""What a rehearsal has to call, what it has called, and what is compiled: for the tests of all rehearsals."""
+"""Kernels of a package, kernels that its warm-up calls, and compiled signatures: for tests of warm-ups."""
 
 import ast
 import json
@@ -21,7 +21,7 @@ print(json.dumps(sorted(called)))
 
 
 def kernels(folder: Path, *, without: str = "") -> set[tuple[str, str]]:
-    """(file, name) of the kernels below a folder, less those in subfolders of a name."""
+    """Return (file, name) of the kernels below a folder, except those in subfolders named ``without``."""
     return {
         (str(path), node.name)
         for path in folder.rglob("*.py")
@@ -32,15 +32,15 @@ def kernels(folder: Path, *, without: str = "") -> set[tuple[str, str]]:
 
 
 def called_by_rehearsal(module: str) -> set[tuple[str, str]]:
-    """(file, name) of what the warm-up in a module calls, uncompiled so that calls of kernels are seen."""
+    """Return (file, name) of the functions that a module's ``warm_up`` calls, with the compiler off."""
     program = _CALLED_BY.format(module=module)
     environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}
-    said = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, check=True)
-    return {(file, name) for file, name in json.loads(said.stdout)}
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, check=True)
+    return {(file, name) for file, name in json.loads(done.stdout)}
 
 
 def signatures(package: str, *, without: str = "") -> dict[str, list[object]]:
-    """Types for which each kernel of a package is compiled, less those of a subpackage."""
+    """Return the compiled signatures of each kernel of a package, except those of a subpackage."""
     return {
         f"{kernel.__module__}.{kernel.__name__}": list(kernel.signatures)
         for name, module in list(sys.modules.items())

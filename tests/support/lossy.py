@@ -1,8 +1,7 @@
-"""A service and the stations that speak to it over links that lose, duplicate and reorder by seed.
+"""A service and its stations over links that lose, duplicate and reorder messages, determined by a seed.
 
-Virtual time jumps from one arrival or deadline to the next, so a minute of conversation costs what its
-messages cost. A station is a machine like a service, but it speaks to one partner only:
-
+Virtual time advances from one arrival or deadline to the next, so the cost depends only on the number of
+messages. A station is a state machine like a service, but has a single partner:
     on_message(message, now_us) -> messages     on_timer(now_us) -> messages
     next_deadline_us() -> int                   done: bool
 
@@ -17,20 +16,20 @@ from typing import Protocol
 import numpy as np
 
 from autopilot.mavlink.codec import Encoder, Message, Parser, stamp
-from autopilot.services.service import EVERYBODY, GROUND_STATION, Addressed, Partner, Service
+from autopilot.services.service import BROADCAST, GROUND_STATION, Addressed, Partner, Service
 
 STATION_SYSTEM, STATION_COMPONENT = 255, 190
 VEHICLE_SYSTEM = 1
 STEP_US = 4_000
-"""What is due at a service is done at its next step, as in a vehicle."""
+"""The service's timers run at its next step, as in a vehicle."""
 
 
 class Station(Protocol):
-    """What speaks to a service."""
+    """A client of the service."""
 
     @property
     def done(self) -> bool:
-        """It wants nothing more, whether it got what it wanted or has given up."""
+        """Whether it has ended, successfully or not."""
         ...
 
     def on_message(self, message: Message, now_us: int) -> Sequence[Message]: ...
@@ -42,19 +41,19 @@ class Station(Protocol):
 
 @dataclass
 class Outcome:
-    """What `play` did."""
+    """Result of `play`."""
 
     now_us: int = 0
     sent: int = 0
     lost: int = 0
     copies: int = 0
-    """Sent a second time by the link."""
+    """Duplicates made by the link."""
     from_service: list[tuple[int, int, Message]] = field(default_factory=list)
-    """When, to which station, what; before loss."""
+    """Time, number of the station, and message; before loss."""
 
 
 class _Air:
-    """Messages on their way; each copy's delay is drawn, so that they overtake each other."""
+    """Messages in transit; each copy has its own random delay, so that they overtake each other."""
 
     def __init__(self, seed: int, loss: float, duplication: float, delays_us: tuple[int, int]) -> None:
         self._rng = np.random.default_rng(seed)
@@ -87,7 +86,7 @@ class _Air:
 
 
 _TO_SERVICE = 1_000
-"""Added to a station's number: the other way."""
+"""Added to a station's number in messages to the service."""
 
 
 def play(
@@ -102,11 +101,11 @@ def play(
     after_us: int = 0,
     packed: bool = False,
 ) -> Outcome:
-    """Let the stations speak to a service until all are done, and ``after_us`` longer, or until the limit.
+    """Run stations with a service until all are done, and ``after_us`` longer, or until the limit.
 
-    ``loss`` and ``duplication`` are the chances of each message, also of a copy; a delay is drawn evenly
-    between the two of ``delays_us``. A ``packed`` message goes through bytes. The station at place n is
-    Partner(GROUND_STATION, n); what the service sends elsewhere is dropped.
+    ``loss`` and ``duplication`` are probabilities per message, loss also per copy; delays are uniform within
+    ``delays_us``. A ``packed`` message is encoded and parsed. The station at index n is
+    Partner(GROUND_STATION, n); messages of the service to other links are dropped.
     """
     air = _Air(seed, loss, duplication, delays_us)
     outcome = Outcome(now_us=start_us)
@@ -120,10 +119,10 @@ def play(
 
     def from_service(messages: Sequence[Addressed]) -> None:
         for partner, message in messages:
-            if partner.link not in {GROUND_STATION, EVERYBODY}:
+            if partner.link not in {GROUND_STATION, BROADCAST}:
                 continue
             sent = wires[-1].carry(message, VEHICLE_SYSTEM, 1)
-            for number in range(len(stations)) if partner.number == EVERYBODY else (partner.number,):
+            for number in range(len(stations)) if partner.number == BROADCAST else (partner.number,):
                 outcome.from_service.append((now_us, number, sent))
                 air.send(number, sent, now_us, outcome)
 
@@ -154,7 +153,7 @@ def play(
 
 
 class _Wire:
-    """Gives a message its source, through bytes if wanted."""
+    """Sets the source of a message, by encoding and parsing it if ``packed``."""
 
     def __init__(self, *, packed: bool) -> None:
         self._packed = packed

@@ -1,6 +1,6 @@
-"""``python mavproxy_session.py PORT FOLDER``: MAVProxy without a window, told what to do line by line.
+"""``python mavproxy_session.py PORT FOLDER``: MAVProxy without a window, controlled by commands on stdin.
 
-MAVProxy is its users' program, so it runs as one, and what it prints is what is looked at.
+MAVProxy is an interactive program, so it runs as a process, and its output is checked.
 """
 
 import json
@@ -23,24 +23,24 @@ MISSION = """QGC WPL 110
 
 
 PATIENCE = 2.0
-"""How much slower than the clock a swarm may fly on a busy machine."""
+"""How much slower than the wall clock a swarm may fly on a busy machine."""
 
 
 class Session:
-    """MAVProxy's prompt and what it has printed."""
+    """MAVProxy's prompt and its output."""
 
     def __init__(self, port: int, folder: Path) -> None:
         command = [sys.executable, "-m", "MAVProxy.mavproxy", f"--master=udpin:127.0.0.1:{port}"]
         command += [f"--state-basedir={folder}", "--aircraft=uav", "--force-connected"]
-        # a terminal, for it writes to a pipe in blocks only
+        # a terminal, since MAVProxy's output to a pipe is buffered in blocks
         self._terminal, inside = pty.openpty()
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=inside, stderr=inside, cwd=folder, text=True
         )
         os.close(inside)
         self.printed = ""
-        self._looked = 0
-        self._news = threading.Condition()
+        self._checked_chars = 0
+        self._output = threading.Condition()
         threading.Thread(target=self._read, daemon=True).start()
 
     def _read(self) -> None:
@@ -49,43 +49,43 @@ class Session:
                 data = os.read(self._terminal, 4096)
             except OSError:
                 return
-            with self._news:
+            with self._output:
                 self.printed += data.decode("utf-8", "replace")
-                self._news.notify_all()
+                self._output.notify_all()
 
-    def say(self, line: str) -> None:
-        """Type a command; only what is printed from now on answers it."""
-        with self._news:
-            self._looked = len(self.printed)
+    def send_line(self, line: str) -> None:
+        """Enter a command; checks apply to the output from now on."""
+        with self._output:
+            self._checked_chars = len(self.printed)
         assert self._process.stdin is not None
         self._process.stdin.write(line + "\n")
         self._process.stdin.flush()
 
-    def check(self, name: str, pattern: str, *, limit_s: float = 15.0, asking: str | None = None) -> bool:
-        """Wait until something is printed that the pattern is found in, asking every second, and tell.
+    def check(self, name: str, pattern: str, *, limit_s: float = 15.0, repeat: str | None = None) -> bool:
+        """Wait for output with the pattern, entering ``repeat`` every second, and report the result.
 
-        It has ``limit_s`` of the vehicle's time, which MAVProxy does not print: so much more of the clock's.
+        ``limit_s`` is in the vehicle's time, which MAVProxy does not print: wall time is PATIENCE times that.
         """
         wall_begin_s = time.monotonic()
         found, seen = False, ""
         while not found and time.monotonic() < wall_begin_s + PATIENCE * limit_s:
-            if asking is not None:
-                self.say(asking)
-            with self._news:
-                found = self._news.wait_for(
-                    lambda: re.search(pattern, self.printed[self._looked :]) is not None, 1.0
+            if repeat is not None:
+                self.send_line(repeat)
+            with self._output:
+                found = self._output.wait_for(
+                    lambda: re.search(pattern, self.printed[self._checked_chars :]) is not None, 1.0
                 )
-                seen = self.printed[self._looked :][-400:]
-        told = {"check": name, "ok": found, "wall_s": round(time.monotonic() - wall_begin_s, 2)}
+                seen = self.printed[self._checked_chars :][-400:]
+        report = {"check": name, "ok": found, "wall_s": round(time.monotonic() - wall_begin_s, 2)}
         sys.stdout.write(
-            json.dumps(told | ({} if found else {"trouble": f"no {pattern!r} in {seen!r}"})) + "\n"
+            json.dumps(report | ({} if found else {"trouble": f"no {pattern!r} in {seen!r}"})) + "\n"
         )
         sys.stdout.flush()
         return found
 
     def end(self) -> None:
-        """Have it end; a program that does not is killed."""
-        self.say("exit")
+        """Exit MAVProxy; kill it if it does not end."""
+        self.send_line("exit")
         try:
             self._process.wait(10.0)
         except subprocess.TimeoutExpired:
@@ -96,11 +96,11 @@ def main(port: int, folder: Path, latitude_deg: float, longitude_deg: float, alt
     session = Session(port, folder)
     session.check("it finds the vehicle", r"Detected vehicle 1:1", limit_s=30.0)
     session.check("and its parameters", r"Received \d{3,} parameters", limit_s=30.0)
-    session.say("param show MPC_XY_CRUISE")
+    session.send_line("param show MPC_XY_CRUISE")
     session.check("a parameter", r"MPC_XY_CRUISE +[\d.]+")
-    session.say("param set MIS_TAKEOFF_ALT 4")
-    session.check("a parameter is set", r"MIS_TAKEOFF_ALT +4\.0", asking="param show MIS_TAKEOFF_ALT")
-    session.say("status GPS_RAW_INT")
+    session.send_line("param set MIS_TAKEOFF_ALT 4")
+    session.check("a parameter is set", r"MIS_TAKEOFF_ALT +4\.0", repeat="param show MIS_TAKEOFF_ALT")
+    session.send_line("status GPS_RAW_INT")
     session.check("telemetry", r"fix_type *: *3", limit_s=20.0)
     plan = folder / "mission.txt"
     plan.write_text(
@@ -112,16 +112,16 @@ def main(port: int, folder: Path, latitude_deg: float, longitude_deg: float, alt
             east=longitude_deg + 1e-4,
         )
     )
-    session.say(f"wp load {plan}")
+    session.send_line(f"wp load {plan}")
     session.check("a mission goes up", r"Loaded 5 waypoints in [\d.]+s", limit_s=20.0)
-    session.say(f"wp save {folder / 'back.txt'}")
+    session.send_line(f"wp save {folder / 'back.txt'}")
     session.check("and comes back", r"Saved 5 waypoints", limit_s=20.0)
-    session.say("arm throttle")
+    session.send_line("arm throttle")
     session.check("it arms", r"\bARMED", limit_s=20.0)
-    session.say("takeoff 5")  # which a PX4 takes for a height above the sea, and raises
+    session.send_line("takeoff 5")  # PX4 reads it as an altitude above sea level, and raises it
     session.check("it takes off", r"Mode TAKEOFF", limit_s=10.0)
     session.check("and hovers", r"Mode LOITER", limit_s=25.0)
-    session.say("long DO_SET_MODE 1 4 5")  # its command `mode` cannot send what PX4's modes are
+    session.send_line("long DO_SET_MODE 1 4 5")  # its command `mode` does not support PX4's modes
     session.check("it changes mode", r"Mode RTL", limit_s=10.0)
     session.check("it is down and disarmed", r"DISARMED", limit_s=40.0)
     session.end()

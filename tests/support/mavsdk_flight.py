@@ -1,6 +1,6 @@
-"""``python mavsdk_flight.py PORT``: what a PX4 user does with MAVSDK, in the order of a flight.
+"""``python mavsdk_flight.py PORT``: a PX4 user's session with MAVSDK, in the order of a flight.
 
-Vehicle 0 of a swarm that holds flies them; every expectation is what a PX4 v1.17 does.
+It flies vehicle 0 of a swarm with --hold; the expected results are those of PX4 v1.17.
 """
 
 import asyncio
@@ -33,14 +33,14 @@ STREAMS = (
     "landed_state", "odometry", "position", "position_velocity_ned", "raw_gps", "rc_status",
     "unix_epoch_time", "velocity_ned", "vtol_state",
 )  # fmt: skip
-"""What a PX4 sends a companion without being asked."""
+"""Streams that PX4 sends to a companion by default."""
 EARTH_M_DEG = 111_319.5
 """Length of a degree of latitude."""
 NEAR_M = 1.0
 
 
 class Flight:
-    """The checks, which share one vehicle and what was learned of it."""
+    """The checks, which share one vehicle and its state."""
 
     def __init__(self, system: Any, checks: Checks) -> None:
         self.system = system
@@ -50,7 +50,7 @@ class Flight:
         self.mission, self.geofence = MissionAsync(system), GeofenceAsync(system)
 
     async def run(self) -> None:
-        await self.meet()
+        await self.identify()
         await self.streams()
         await self.parameters()
         await self.files()
@@ -60,9 +60,9 @@ class Flight:
         await self.fly_offboard()
         await self.fly_mission()
         await self.fence()
-        await self.come_home()
+        await self.return_and_land()
 
-    async def meet(self) -> None:
+    async def identify(self) -> None:
         check, info = self.checks.check, self.info
         await check("system id", self._is(self.system.get_system_id(), 1))
         await check("is a PX4", self._is(self.system.autopilot_type(), Autopilot.PX4))
@@ -79,7 +79,7 @@ class Flight:
             limit_s=40.0,
         )
         for name in STREAMS:  # 22
-            await check(f"stream {name}", self._gives(name), limit_s=5.0)
+            await check(f"stream {name}", self._receives(name), limit_s=5.0)
         await check("everything is healthy", first(telemetry.subscribe_health_all_ok(), bool))
         await check("home", first(telemetry.subscribe_home()), limit_s=5.0)
         await check("3-D fix", first(telemetry.subscribe_gps_info(), lambda g: g.fix_type == FixType.FIX_3D))
@@ -101,7 +101,7 @@ class Flight:
     async def files(self) -> None:
         check, metadata = self.checks.check, ComponentMetadataAsync(self.system)
         await check("a folder by FTP", FtpAsync(self.system).list_directory("/"))
-        await check("ask for the metadata", metadata.request_autopilot_component())
+        await check("request the metadata", metadata.request_autopilot_component())
         await check("the parameters'", self._parameter_metadata(metadata), limit_s=20.0)
 
     async def refusals_on_the_ground(self) -> None:
@@ -190,7 +190,7 @@ class Flight:
         data = GeofenceData([Polygon(corners, FenceType.INCLUSION)], [])
         await check("upload a geofence", geofence.upload_geofence(data))
 
-    async def come_home(self) -> None:
+    async def return_and_land(self) -> None:
         check, action, telemetry = self.checks.check, self.action, self.telemetry
         await check("return", action.return_to_launch())
         await check("which is its mode", self._mode(FlightMode.RETURN_TO_LAUNCH))
@@ -204,15 +204,15 @@ class Flight:
 
     # ---- facts
 
-    async def _is(self, asked: Any, expected: Any) -> bool:
-        return bool(await asked == expected)
+    async def _is(self, call: Any, expected: Any) -> bool:
+        return bool(await call == expected)
 
     async def _runs_at(self, factor: float) -> bool:
         while await refusal(self.info.get_speed_factor()) == "INFORMATION_NOT_RECEIVED_YET":
             await first(self.telemetry.subscribe_position())
         return bool(abs(await self.info.get_speed_factor() - factor) <= 0.2)
 
-    async def _gives(self, stream: str) -> tuple[Any]:
+    async def _receives(self, stream: str) -> tuple[Any]:
         return (await first(getattr(self.telemetry, f"subscribe_{stream}")()),)
 
     async def _holds(self, fact: bool) -> bool:  # noqa: FBT001
@@ -256,13 +256,15 @@ class Flight:
         await self.action.set_return_to_launch_altitude(height_m)
         return bool(await self.action.get_return_to_launch_altitude() == height_m)
 
-    async def _velocity(self, wanted: VelocityNedYaw) -> Any:
-        await self.offboard.set_velocity_ned(wanted)
+    async def _velocity(self, target: VelocityNedYaw) -> Any:
+        await self.offboard.set_velocity_ned(target)
         stream = self.telemetry.subscribe_velocity_ned()
-        return await first(stream, lambda v: abs(v.east_m_s - wanted.east_m_s) < 0.3)
+        return await first(stream, lambda v: abs(v.east_m_s - target.east_m_s) < 0.3)
 
     async def _body_velocity(self) -> Any:
-        await self.offboard.set_velocity_body(VelocityBodyYawspeed(-1.5, 0.0, 0.0, 0.0))  # it looks east
+        await self.offboard.set_velocity_body(
+            VelocityBodyYawspeed(-1.5, 0.0, 0.0, 0.0)
+        )  # its heading is east
         return await first(self.telemetry.subscribe_velocity_ned(), lambda v: abs(v.east_m_s + 1.5) < 0.4)
 
     async def _global_place(self) -> Any:
@@ -276,7 +278,7 @@ class Flight:
         )
 
     async def _attitude(self) -> Any:
-        await self.offboard.set_attitude(Attitude(0.0, -8.0, 0.0, 0.72))  # leans ahead
+        await self.offboard.set_attitude(Attitude(0.0, -8.0, 0.0, 0.72))  # pitch down
         return await first(self.telemetry.subscribe_attitude_euler(), lambda a: abs(a.pitch_deg + 8.0) < 2.0)
 
     async def _downloads(self, items: list[MissionItem]) -> bool:
@@ -303,7 +305,7 @@ def _moves(velocity: Any) -> bool:
 
 
 def _item(latitude_deg: float, longitude_deg: float, east_m: float, *, height_m: float) -> MissionItem:
-    """A place that is flown through at 4 m/s, with everything else left to the vehicle."""
+    """A waypoint that is flown through at 4 m/s, with defaults for everything else."""
     east_deg = east_m / (EARTH_M_DEG * math.cos(math.radians(latitude_deg)))
     return MissionItem(
         latitude_deg=latitude_deg,

@@ -1,4 +1,4 @@
-"""``python mavsdk_hop.py PORT SYSTEM``: MAVSDK takes its own vehicle up, sideways, and down."""
+"""``python mavsdk_hop.py PORT SYSTEM``: MAVSDK flies its own vehicle up, sideways, and down."""
 
 import asyncio
 import sys

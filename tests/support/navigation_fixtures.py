@@ -1,4 +1,4 @@
-"""A navigator in closed loop: over the independent 6-DOF Iris, or with a vehicle that obeys exactly."""
+"""A navigator in closed loop: with the independent 6-DOF Iris, or with a vehicle that tracks exactly."""
 
 import itertools
 import math
@@ -31,7 +31,7 @@ def lat_lon(north_m, east_m):
 
 
 class Loop:
-    """What both vehicles have: a navigator, its mode, and what was flown."""
+    """Common parts of both vehicles: a navigator, its mode, and the flown track."""
 
     def __init__(self, params, control, home_ned_m):
         self.params = params
@@ -40,7 +40,7 @@ class Loop:
         self.home_ned_m = home_ned_m
         self.manual = None
         self.track = []
-        """(3,) positions, one per step."""
+        """Positions (3,), one per step."""
         self.setpoint = None
         self.now_s = 0.0
 
@@ -61,7 +61,7 @@ class Loop:
         return None
 
     def run(self, seconds, until=None):
-        """Step for some time, or until a condition holds; returns whether it did."""
+        """Step for some time, or until a condition holds; return whether it did."""
         for _ in range(round(seconds / DT_S)):
             self.step()
             self.now_s += DT_S
@@ -72,7 +72,7 @@ class Loop:
 
 
 class Ideal(Loop):
-    """A vehicle that is where it is told to be: what the navigator says, without anybody's errors."""
+    """A vehicle that is always at the navigator's setpoint, without any error."""
 
     def __init__(self, pos_ned_m, *, vel_ned_m_s=(0.0, 0.0, 0.0), yaw_rad=0.0, params=None, control=CONTROL,
                  home_ned_m=HOME):  # fmt: skip
@@ -99,7 +99,7 @@ class Ideal(Loop):
 
 
 class Real(Loop):
-    """The Iris with its controllers and land detector; the truth is the estimate."""
+    """The Iris with its controllers and land detector; the estimate is the true state."""
 
     def __init__(self, height_m=0.0, *, params=None, control=CONTROL, home_ned_m=HOME):
         super().__init__(params or NavigationParams(), control, home_ned_m)
@@ -143,7 +143,7 @@ class Real(Loop):
 
 
 def off_path_m(points, corners):
-    """Distance of each of ``points`` (n, 3) from the polygon line through ``corners`` (k, 3)."""
+    """Return the distance of each of ``points`` (n, 3) from the polyline through ``corners`` (k, 3)."""
     points, corners = np.asarray(points), np.asarray(corners, float)
     best = np.full(len(points), np.inf)
     for a, b in itertools.pairwise(corners):

@@ -1,8 +1,8 @@
-"""A small world for tests of the on-board application: N apps with scripted autopilots on a lossy radio.
+"""Simulation for tests of the on-board application: N apps with scripted autopilots on a lossy radio.
 
-Truth obeys a position and velocity loop disturbed by gusts. Each autopilot's position follows its GPS bias
-with a lag, its velocity has a coloured error, its height a slow one: the errors that the real estimator
-shows, without its cost.
+The true motion is that of a position and velocity loop disturbed by gusts. Each autopilot's position follows
+its GPS bias with a lag, its velocity has a coloured error, its height a slow one. These are the errors of the
+real estimator at a fraction of its cost.
 """
 
 from dataclasses import dataclass, field
@@ -30,7 +30,7 @@ MODE_TAKE_OFF, MODE_LOITER, MODE_LAND, MODE_OFFBOARD = (
 
 
 def article_places_ned_m(spacing_east_m=8.5, spacing_north_m=2.5, height_m=10.0):
-    """(8, 3): 4 broadside (east) x 2 end-fire (north), centred on the site's origin."""
+    """Return (8, 3) places: 4 broadside (east) x 2 end-fire (north), centred on the site's origin."""
     return np.array(
         [
             ((row - 0.5) * spacing_north_m, (column - 1.5) * spacing_east_m, -height_m)
@@ -40,12 +40,13 @@ def article_places_ned_m(spacing_east_m=8.5, spacing_north_m=2.5, height_m=10.0)
     )
 
 
-def shape_errors_m(found_m, wanted_m):
-    """(N,) horizontal distances that remain after the best rigid alignment (Kabsch, no reflection)."""
-    found, wanted = found_m[:, :2] - found_m[:, :2].mean(0), wanted_m[:, :2] - wanted_m[:, :2].mean(0)
-    u, _, vt = np.linalg.svd(found.T @ wanted)
+def shape_errors_m(found_m, expected_m):
+    """Return (N,) horizontal errors after the best rigid alignment (Kabsch, no reflection)."""
+    found = found_m[:, :2] - found_m[:, :2].mean(0)
+    expected = expected_m[:, :2] - expected_m[:, :2].mean(0)
+    u, _, vt = np.linalg.svd(found.T @ expected)
     turn = u @ np.diag((1.0, np.sign(np.linalg.det(u @ vt)))) @ vt
-    return np.linalg.norm(found @ turn - wanted, axis=1)
+    return np.linalg.norm(found @ turn - expected, axis=1)
 
 
 def rms(values):
@@ -54,7 +55,7 @@ def rms(values):
 
 @dataclass
 class Errors:
-    """The world's imperfections; standard deviations are one sigma."""
+    """Errors of the simulation; standard deviations are one sigma."""
 
     gps_bias_std_m: float = 1.5
     gps_bias_tau_s: float = 60.0
@@ -71,14 +72,14 @@ class Errors:
 
 @dataclass
 class ScriptedAutopilot:
-    """Arms, takes off, follows offboard setpoints and lands as PX4 would, seen from its companion link."""
+    """Arms, takes off, follows offboard setpoints and lands like PX4, as observed on its companion link."""
 
     system: int
     refuse: dict = field(default_factory=dict)
-    """MAV_CMD -> how many times it is denied before it is accepted."""
+    """Number of denials of each MAV_CMD before it is accepted."""
     armed: bool = False
     mode: int = MODE_LOITER
-    height_wanted_m: float = 0.0
+    target_height_m: float = 0.0
     setpoint: object = None
     setpoint_us: int = -1
     commands: list = field(default_factory=list)
@@ -105,7 +106,7 @@ class ScriptedAutopilot:
         elif not self.armed:
             return common.MAV_RESULT_DENIED
         elif msg.command == common.MAV_CMD_NAV_TAKEOFF:
-            self.mode, self.height_wanted_m = MODE_TAKE_OFF, msg.param7 - SITE.altitude_m
+            self.mode, self.target_height_m = MODE_TAKE_OFF, msg.param7 - SITE.altitude_m
         elif msg.command == common.MAV_CMD_NAV_LAND:
             self.mode = MODE_LAND
         elif msg.command == common.MAV_CMD_DO_SET_MODE:
@@ -131,7 +132,7 @@ class ScriptedAutopilot:
 class SwarmWorld:
     """N applications in lockstep; `log` holds (time_s, truth (N, 3), estimates (N, 3)) at 10 Hz.
 
-    They are given what comes at once, and asked for what they have to say at the multiples of ``loop_us``.
+    Inputs are passed to them at once, and their outputs are requested at the multiples of ``loop_us``.
     """
 
     def __init__(
@@ -188,7 +189,7 @@ class SwarmWorld:
             self._step()
 
     def flown(self, *, since_s=0.0):
-        """Truth (T, N, 3) and the estimates (T, N, 3) of the log from a time on."""
+        """Return truth (T, N, 3) and estimates (T, N, 3) of the log from a time on."""
         rows = [row for row in self.log if row[0] >= since_s]
         return np.array([row[1] for row in rows]), np.array([row[2] for row in rows])
 
@@ -254,15 +255,15 @@ class SwarmWorld:
             if not autopilot.armed or i in self.dead:
                 self.vel[i] = 0.0
                 continue
-            wanted_vel = np.zeros(3)
+            target_vel = np.zeros(3)
             if autopilot.mode == MODE_OFFBOARD:
                 s = autopilot.setpoint
-                wanted_vel = 0.95 * (np.array((s.x, s.y, s.z)) - local[i]) + (s.vx, s.vy, s.vz)
+                target_vel = 0.95 * (np.array((s.x, s.y, s.z)) - local[i]) + (s.vx, s.vy, s.vz)
             elif autopilot.mode == MODE_TAKE_OFF:
-                wanted_vel[2] = -np.clip(autopilot.height_wanted_m + local[i, 2], -1.0, 1.5)
+                target_vel[2] = -np.clip(autopilot.target_height_m + local[i, 2], -1.0, 1.5)
             elif autopilot.mode == MODE_LAND:
-                wanted_vel[2] = 0.7
-            acceleration = 2.5 * (wanted_vel - self.vel[i] - self.vel_error[i]) + self.gust[i]
+                target_vel[2] = 0.7
+            acceleration = 2.5 * (target_vel - self.vel[i] - self.vel_error[i]) + self.gust[i]
             self.vel[i] += np.clip(acceleration, -4.0, 4.0) * dt_s
         self.pos += self.vel * dt_s
         landed = self.pos[:, 2] >= 0.0

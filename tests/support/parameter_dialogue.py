@@ -1,4 +1,4 @@
-"""What the tests of the parameter services say and expect."""
+"""Messages and expected values in tests of the parameter services."""
 
 import struct
 

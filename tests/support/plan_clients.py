@@ -1,8 +1,8 @@
-"""How MAVSDK, QGroundControl and MAVProxy write and read plans: their states, time-outs and retries.
+"""Models of the mission protocol in MAVSDK, QGroundControl and MAVProxy: states, time-outs and retries.
 
-Made after MAVSDK's mavlink_mission_transfer_client.cpp, QGroundControl's PlanManager.cc and MAVProxy's
-mission_item_protocol.py, with what they check of an answer and what they do not. A client does its jobs one
-after the other, each at once when the one before has ended, and keeps what came of each.
+Modelled on MAVSDK's mavlink_mission_transfer_client.cpp, QGroundControl's PlanManager.cc and MAVProxy's
+mission_item_protocol.py, including which fields of an answer they check. A client runs its jobs one after the
+other, without a pause by default, and records the result of each.
 """
 
 import math
@@ -28,14 +28,14 @@ ACCEPTED = common.MAV_MISSION_ACCEPTED
 
 
 def bits(items: Iterable[WireItem]) -> list[bytes]:
-    """What tells items apart, also by not-a-number."""
+    """Bytes that distinguish items, NaNs included."""
     return [
         struct.pack("<HBB4fiif", i.command, i.frame, i.autocontinue, *i.params, i.x, i.y, i.z) for i in items
     ]
 
 
 def drawn_plan(count: int, seed: int = 1) -> tuple[WireItem, ...]:
-    """Items with anything in their fields."""
+    """Items with random values in all fields."""
     rng = np.random.default_rng(seed)
 
     def number():
@@ -57,15 +57,15 @@ def drawn_plan(count: int, seed: int = 1) -> tuple[WireItem, ...]:
 
 @dataclass
 class Job:
-    """What a client is to do, and what came of it."""
+    """A task of a client, and its result."""
 
     does: str
     """ "up", "down" or "clear" """
     kind: PlanType = PlanType.MISSION
     items: Sequence[WireItem] = ()
-    """To write"""
+    """Items to write"""
     result: str = ""
-    """ "success", or why not; empty while it runs"""
+    """ "success", or the reason of a failure; empty while it runs"""
     got: list[WireItem] = field(default_factory=list)
     """Items read"""
     current: int | None = None
@@ -73,10 +73,10 @@ class Job:
 
 
 class Client(ABC):
-    """What the models have in common."""
+    """Common parts of the models."""
 
     PAUSE_US = 0
-    """Before the next job with a plan of the same kind"""
+    """Pause before the next job with a plan of the same kind"""
 
     def __init__(self, *jobs: Job) -> None:
         self.jobs = jobs
@@ -137,7 +137,7 @@ class Client(ABC):
     @abstractmethod
     def _time_out(self, now_us: int) -> None: ...
 
-    # ---- what all say
+    # ---- messages of all models
 
     def _say_count(self) -> None:
         self._out.append(MissionCount(*VEHICLE, len(self.job.items), int(self.job.kind)))
@@ -174,7 +174,7 @@ class Client(ABC):
 
 
 class Mavsdk(Client):
-    """MAVSDK: sends MISSION_COUNT again, but no item that it is not asked for; takes any MISSION_ACK."""
+    """MAVSDK: repeats MISSION_COUNT, but sends items only on request; accepts any MISSION_ACK."""
 
     WAIT_US, RETRIES = 500_000, 5
 
@@ -224,7 +224,7 @@ class Mavsdk(Client):
         if self._next_seq == seq:
             self._tries = 0
         elif self._tries >= self.RETRIES:
-            self._end("asked for the same too often", now_us)
+            self._end("the same item requested too often", now_us)
             return
         self.due_us = now_us + self.WAIT_US
         self._next_seq = seq
@@ -257,11 +257,11 @@ class Mavsdk(Client):
 
 
 class QGroundControl(Client):
-    """QGroundControl: looks at the plan's type in all answers; while it is asked for items it waits once."""
+    """QGroundControl: checks the plan type of all answers; during an upload it times out only once."""
 
     WAIT_US, RETRY_US, RETRIES = 1_500_000, 250_000, 5
     PAUSE_US = 3_000_000
-    """Missions, fences and rally points follow each other at once; of a kind, what its user asks for."""
+    """Missions, fences and rally points follow each other at once; the user starts the next of a kind."""
 
     def _start(self, now_us: int) -> None:
         self._tries = 0
@@ -290,7 +290,7 @@ class QGroundControl(Client):
 
     def _time_out(self, now_us: int) -> None:
         if self.job.does == "up" and (not self._left or self._left[0] != 0):
-            self._end("not all items asked for" if self._left else "no last acknowledgement", now_us)
+            self._end("not all items requested" if self._left else "no last acknowledgement", now_us)
         elif self._tries > self.RETRIES:
             self._end("timeout", now_us)
         else:
@@ -316,7 +316,7 @@ class QGroundControl(Client):
                 self._expect(ITEM, now_us)
         elif kind in {REQUEST, REQUEST_INT} and self._expects == REQUEST:
             if message.seq >= len(self.job.items):
-                self._end("asked for what is not there", now_us)
+                self._end("item out of range requested", now_us)
                 return
             if message.seq in self._left:
                 self._left.remove(message.seq)
@@ -337,9 +337,9 @@ class QGroundControl(Client):
 
 
 class MavProxy(Client):
-    """MAVProxy: says MISSION_COUNT and MISSION_REQUEST_LIST once, asks for five items at once, hears no end.
+    """MAVProxy: sends MISSION_COUNT and MISSION_REQUEST_LIST once, requests five items at once, has no end.
 
-    Its user sees whether all has been sent or come; here the user gives up after a time.
+    Its user sees whether all items were sent or received; the model gives up after a time.
     """
 
     REQUESTS, RETRY_US, LOOK_US, LOAD_US, PATIENCE_US = 5, 2_000_000, 2_000_000, 10_000_000, 60_000_000
@@ -404,7 +404,7 @@ class MavProxy(Client):
 
 
 class OldStation(MavProxy):
-    """A station of MAVLink 1's time: it knows MISSION_REQUEST and MISSION_ITEM only."""
+    """A station of MAVLink 1's time: it supports MISSION_REQUEST and MISSION_ITEM only."""
 
     IN_INTEGERS = False
 

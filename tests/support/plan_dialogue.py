@@ -1,4 +1,4 @@
-"""One station's words to a `PlanTransfer`, and what it hears."""
+"""Messages of one station to a `PlanTransfer`, and the answers."""
 
 from pymavlink.dialects.v20 import common
 
@@ -49,8 +49,8 @@ def ack(result, kind=MISSION):
     return MissionAck(*V, result, int(kind))
 
 
-def say(service, message, now_us=0, partner=ME):
-    """Answers to a message, checked to be for its sender or for all."""
+def send(service, message, now_us=0, partner=ME):
+    """Answers to a message, after checks that they are to its sender or to all."""
     answers = service.on_message(stamp(message, system=255, component=190), now_us, partner)
     assert all(to in {partner, ALL} for to, _ in answers)
     assert sum(to == partner for to, _ in answers) <= 1
@@ -64,22 +64,22 @@ def results(messages):
     return [message.type for message in messages if message.get_type() == "MISSION_ACK"]
 
 
-def asked(messages):
+def requested(messages):
     return [message.seq for message in messages if message.get_type().startswith("MISSION_REQUEST")]
 
 
 def write(service, plan, kind=MISSION, *, now_us=0, partner=ME):
-    """Write a plan, each answer at once; what was said at the end."""
-    answers = say(service, count(len(plan), kind), now_us, partner)
+    """Write a plan, with immediate answers; return the last ones."""
+    answers = send(service, count(len(plan), kind), now_us, partner)
     for seq in range(len(plan)):
-        assert asked(answers) == [seq]
-        answers = say(service, item(plan, seq, kind), now_us, partner)
+        assert requested(answers) == [seq]
+        answers = send(service, item(plan, seq, kind), now_us, partner)
     return answers
 
 
-def let_pass(service, until_us):
-    """What is said on timers, with times."""
-    said = []
+def run_timers(service, until_us):
+    """Messages sent by timers, with times."""
+    sent = []
     while (now_us := service.next_deadline_us()) <= until_us:
-        said += [(now_us, message) for _, message in service.on_timer(now_us)]
-    return said
+        sent += [(now_us, message) for _, message in service.on_timer(now_us)]
+    return sent

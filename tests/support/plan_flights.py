@@ -1,4 +1,4 @@
-"""A flying vehicle and a ground station that writes plans to it and reads them, over MAVLink."""
+"""Helpers for plan tests: a flying vehicle, and a ground station that uploads plans over MAVLink."""
 
 import math
 
@@ -23,7 +23,7 @@ def flight_of(params=None, **autopilot):
 
 
 def make_ready(flight):
-    """Wait until the vehicle knows where it is, and arm."""
+    """Wait until the vehicle has a home position, and arm it."""
     assert flight.run(20.0, until=lambda: flight.vehicle.flight.home is not None)
     assert flight.run(
         20.0,
@@ -32,7 +32,7 @@ def make_ready(flight):
 
 
 def of_site(north_m, east_m, site):
-    """1e-7 degrees of a place in metres from the site's origin."""
+    """Return latitude and longitude, 1e-7 degrees, of a place in metres from the site's origin."""
     lat, lon, _ = ned_to_geodetic(
         [north_m, east_m, 0.0], origin_lat_deg=site.latitude_deg, origin_lon_deg=site.longitude_deg,
         origin_alt_m=site.altitude_m,
@@ -53,14 +53,13 @@ def place(flight, command, north_m, east_m, height_m, *params):
 
 
 def upload(flight, items, kind=PlanType.MISSION):
-    """Write a plan as stations do; returns MAV_MISSION_RESULT."""
-    begun = len(flight.heard)
+    """Upload a plan as ground stations do; returns the MAV_MISSION_RESULT."""
+    answered = len(flight.heard)
     flight.send(MissionCount(1, 1, len(items), int(kind)))
-    answered = begun
     for _ in range(40 * (len(items) + 10)):
         flight.step()
-        heard, answered = flight.heard[answered:], len(flight.heard)
-        for _, message in heard:
+        received, answered = flight.heard[answered:], len(flight.heard)
+        for _, message in received:
             if message.get_type() == "MISSION_REQUEST_INT":
                 item = items[message.seq]
                 flight.send(
@@ -79,12 +78,12 @@ def upload(flight, items, kind=PlanType.MISSION):
 
 
 def said(flight, name):
-    """All messages of a name that the vehicle sent to the ground station."""
+    """Return all messages of a name that the vehicle sent to the ground station."""
     return [message for _, message in flight.heard if message.get_type() == name]
 
 
 def reached(flight):
-    """Items in the order in which they were told of, each once."""
+    """Return the items reported as reached, in order, without repetitions."""
     order = []
     for message in said(flight, "MISSION_ITEM_REACHED"):
         if not order or order[-1] != message.seq:

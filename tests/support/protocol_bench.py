@@ -1,4 +1,4 @@
-"""A vehicle's state without a vehicle, and its commands as one partner sends them."""
+"""State of a vehicle without the vehicle, and its commands as one partner sends them."""
 
 import math
 
@@ -22,7 +22,7 @@ from autopilot.services.telemetry import Telemetry
 
 NAN = math.nan
 EVERYTHING = sum(Condition)
-ASKER = Partner(0, 3)
+CLIENT = Partner(0, 3)
 HOME = Home(lat_deg=47.0, lon_deg=8.0, alt_m=400.0, pos_ned_m=(0.0, 0.0, 0.0), q_ned_frd=(1.0, 0.0, 0.0, 0.0))
 TAKEOFF_HEIGHT_M = 2.5
 
@@ -47,7 +47,7 @@ def over_the_wire(message):
 
 
 class Commanded:
-    """Commands whose flying is noted in ``done`` and refused with ``refusal``."""
+    """Command service whose flight actions are recorded in ``done`` and return ``refusal``."""
 
     def __init__(self):
         self.flight = make_flight()
@@ -66,12 +66,12 @@ class Commanded:
             self.flight,
             self.altitude,
             FlightActions(
-                ask_offboard=self._note("ask_offboard"),
-                reposition=self._note("reposition"),
-                orbit=self._note("orbit"),
-                change_speed=self._note("change_speed"),
-                set_home=self._note("set_home"),
-                set_home_here=self._note("set_home_here"),
+                ask_offboard=self._recorder("ask_offboard"),
+                reposition=self._recorder("reposition"),
+                orbit=self._recorder("orbit"),
+                change_speed=self._recorder("change_speed"),
+                set_home=self._recorder("set_home"),
+                set_home_here=self._recorder("set_home_here"),
                 has_mission_item=lambda seq: seq < self.mission_items,
                 set_mission_current=lambda seq: (
                     not self.done.append(("seq", seq)) and seq < self.mission_items
@@ -105,16 +105,16 @@ class Commanded:
         return self.send(message, command, now_us)
 
     def send(self, message, command, now_us=0):
-        """The result and the other messages; that there is one acknowledgement, for the asker, is checked."""
-        answers = self.service.on_message(stamp(message, system=255, component=190), now_us, ASKER)
+        """Return result and other messages; assert that there is one acknowledgement, to the sender."""
+        answers = self.service.on_message(stamp(message, system=255, component=190), now_us, CLIENT)
         (ack, *others) = [message for _, message in answers]
-        assert answers[0].partner == ASKER
+        assert answers[0].partner == CLIENT
         assert ack.get_type() == "COMMAND_ACK"
         assert (ack.command, ack.target_system, ack.target_component) == (command, 255, 190)
         assert all(other.get_type() != "COMMAND_ACK" for other in others)
         return ack.result, others
 
-    def _note(self, name):
+    def _recorder(self, name):
         def act(*values):
             self.done.append((name, *values))
             return self.refusal

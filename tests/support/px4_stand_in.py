@@ -1,14 +1,14 @@
-"""A stand-in for PX4's side of its simulator API, for there is no PX4 in the tests.
+"""A stand-in for PX4's side of its simulator API, for tests without a PX4.
 
-Does what a real PX4 v1.17 was seen to do: looks for the simulator until it is there; says on connecting one
-COMMAND_LONG SET_MESSAGE_INTERVAL and one HEARTBEAT, in either order; takes sensors and is silent while it
-starts, which takes time of its own; then gives one HIL_ACTUATOR_CONTROLS for every HIL_SENSOR, stamped as
-that, now and then late; sends nothing else. As a program it is called as PX4 is:
+It reproduces the observed behaviour of a PX4 v1.17: it tries to connect until the simulator listens; it sends
+one COMMAND_LONG SET_MESSAGE_INTERVAL and one HEARTBEAT, in either order; it receives sensors without an
+answer while it starts, for a wall time of its own; then it sends one HIL_ACTUATOR_CONTROLS for every
+HIL_SENSOR, with the same time stamp, sometimes late, and nothing else. Its command line is PX4's:
 
     STAND_IN='{"seed": 3}' px4 -i 0 -d ETC -w WORK [--tcp 4560 --gcs 18570:14550 --companion 14580:14540]
 
-With ``"flies": true`` what it answers is made by coflight's own autopilot, a process behind it that has
-PX4's ports and no on-board application; else its motors turn at a constant speed once it has armed itself.
+With ``"flies": true`` the answers are computed by coflight's own autopilot, a process behind it with PX4's
+ports and no on-board application. Otherwise the motors turn at a constant speed after arming.
 """
 
 import argparse
@@ -37,28 +37,31 @@ PARAMETER = "PX4_PARAM_"
 
 @dataclass
 class Manners:
+    """Behaviour of a stand-in: the content of the environment variable ``STAND_IN``."""
+
     seed: int = 0
     late: dict[int, float] = field(default_factory=dict)
-    """Seconds by the number of the answer, from 0 on."""
+    """Delays in s, by the number of the answer from 0."""
     late_every: int = 0
     late_s: float = 0.2
     lost: tuple[int, ...] = ()
-    """Numbers of the answers that are never given."""
+    """Numbers of the answers that are not sent."""
     mute_from: int | None = None
     armed_from: int = 100
     flies: bool = False
 
 
 class StandIn:
-    """One PX4; `run` it until the simulator hangs up."""
+    """One PX4; `run` returns when the simulator closes the connection."""
 
     def __init__(self, instance: int, port: int, manners: Manners) -> None:
         self.system = instance + 1
         self.port = port
         self.manners = manners
         self.sensors: list[int] = []
-        """Times of all HIL_SENSOR that were taken, and how many when the first was answered."""
+        """Times of all received HIL_SENSOR, us."""
         self.first_answered: int | None = None
+        """Number of HIL_SENSOR before the first answered one."""
         self.answered = 0
         self.connection: socket.socket | None = None
         self._rng = random.Random(manners.seed)  # noqa: S311
@@ -87,7 +90,7 @@ class StandIn:
             self.connection.sendall(self._encoder.encode(word))
 
     def run(self) -> None:
-        """Take sensors and answer them; whatever does the flying is `fly`."""
+        """Receive sensors and answer them with `fly`."""
         assert self.connection is not None
         frames = b""
         ready_s: float | None = None
@@ -98,7 +101,7 @@ class StandIn:
                     if message.get_type() != "HIL_SENSOR" or message.id != 0:
                         continue
                     self.sensors.append(message.time_usec)
-                    # starting up takes PX4's own time from the first sensors on, however fast these come
+                    # start-up takes wall time from the first sensors on, at any rate of these
                     ready_s = ready_s or time.monotonic() + self.silence_s
                     if time.monotonic() >= ready_s:
                         self._answer(message, frames)
@@ -120,7 +123,7 @@ class StandIn:
         self.connection.sendall(answer)
 
     def fly(self, sensor: mavlink.MAVLink_hil_sensor_message, frames: bytes) -> bytes:  # noqa: ARG002
-        """HIL_ACTUATOR_CONTROLS as bytes, of all that came with the sensors."""
+        """Return HIL_ACTUATOR_CONTROLS as bytes; ``frames`` are all bytes received up to the sensors."""
         armed = self.answered > self.manners.armed_from
         controls = [0.6] * 4 + [0.0] * 12 if armed else [0.0] * 16
         mode = CUSTOM_MODE | (ARMED if armed else 0)
@@ -136,7 +139,7 @@ class StandIn:
 
 
 class FlyingStandIn(StandIn):
-    """PX4's manners in front of coflight's own autopilot."""
+    """A stand-in in front of coflight's own autopilot."""
 
     def __init__(
         self, instance: int, port: int, manners: Manners, *, work: Path, gcs: str, companion: str
@@ -146,18 +149,18 @@ class FlyingStandIn(StandIn):
             config = self._config(instance, server.getsockname()[1], gcs, companion)
             path = work / "autopilot.json"
             path.write_text(json.dumps(config), encoding="ascii")
-            # in the same process group, which is what ends with the run
+            # in the same process group, which is ended with the run
             subprocess.Popen([sys.executable, "-P", "-m", "autopilot", "--config", str(path)])
             self._autopilot, _ = server.accept()
         self._autopilot.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._heard = Parser()
+        self._autopilot_parser = Parser()
 
     def _config(self, instance: int, port: int, gcs: str, companion: str) -> dict[str, object]:
         (gcs_local, gcs_remote), (local, remote) = (each.split(":") for each in (gcs, companion))
         params = {
             name.removeprefix(PARAMETER): float(value)
             for name, value in os.environ.items()
-            if name.startswith(PARAMETER) and not name.endswith("DRIFT")  # of PX4's estimator alone
+            if name.startswith(PARAMETER) and not name.endswith("DRIFT")  # used by PX4's estimator alone
         }
         return {
             "run_id": "px4",
@@ -179,7 +182,7 @@ class FlyingStandIn(StandIn):
     def fly(self, sensor: mavlink.MAVLink_hil_sensor_message, frames: bytes) -> bytes:
         self._autopilot.sendall(frames)
         while data := self._autopilot.recv(65_536):
-            for message in self._heard.push(data):
+            for message in self._autopilot_parser.push(data):
                 if message.get_type() == "HIL_ACTUATOR_CONTROLS" and message.time_usec == sensor.time_usec:
                     return bytes(message.get_msgbuf())
         sys.exit("px4: its autopilot has ended")
@@ -211,7 +214,7 @@ def main() -> None:
     px4.connect()
     sys.stdout.write(f"px4 {arguments.instance} started\n")
     px4.run()
-    # a PX4 whose simulator is gone says so each second, and stays
+    # without its simulator a PX4 prints this line each second and does not end
     while True:
         sys.stdout.write("poll timeout 0, 22\n")
         sys.stdout.flush()

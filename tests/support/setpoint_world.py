@@ -1,4 +1,4 @@
-"""A whole vehicle in the one-process world to which several sources send setpoints."""
+"""A whole vehicle in the one-process simulation, with several sources of setpoints."""
 
 import numpy as np
 from pymavlink.dialects.v20 import common
@@ -19,12 +19,12 @@ QUICK = {"COM_SPOOLUP_TIME": 0.0, "MPC_TKO_RAMP_T": 0.5}
 
 
 class Streamed(Flight):
-    """Beside the ground station of `Flight`, whose partner it is, others may send setpoints."""
+    """In addition to the ground station of `Flight`, other sources may send setpoints."""
 
     def __init__(self, **params):
         super().__init__(vehicle_config(params=QUICK | params))
         self.streams = {}
-        """What each source sends."""
+        """Messages that each source sends repeatedly."""
 
     def step(self, **details):
         if self.now_us // STEP_US % PERIOD == 0:
@@ -45,7 +45,7 @@ class Streamed(Flight):
         return self.vehicle.commander.mode
 
     def lift(self, height_m=5.0):
-        """Take off, and let it come to rest."""
+        """Take off, and run until the vehicle is at rest."""
         commander = self.vehicle.commander
         assert self.run(20.0, until=lambda: commander.arm(self.now_us) is None)
         assert self.command(TAKE_OFF, *[NAN] * 6, self.state.origin_alt_m + height_m) == ACCEPTED
@@ -59,7 +59,7 @@ class Streamed(Flight):
         assert self.vehicle.commander.set_mode(FlightMode.OFFBOARD) is None
 
     def place(self, north_m, east_m):
-        """Latitude and longitude of a place from the estimator's origin."""
+        """Return latitude and longitude of a position from the estimator's origin."""
         state = self.state
         lat, lon, _ = ned_to_geodetic(
             [north_m, east_m, 0.0], origin_lat_deg=state.origin_lat_deg, origin_lon_deg=state.origin_lon_deg,

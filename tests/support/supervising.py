@@ -1,4 +1,4 @@
-"""Children of tests, and waiting for facts about them: shared by the tests of whatever supervises."""
+"""Child processes for tests of supervisors, and functions that wait for their messages and states."""
 
 import signal
 import subprocess
@@ -13,7 +13,7 @@ import psutil
 from harness.launch.supervisor import Supervisor
 
 WALL_LIMIT_S = 20.0
-"""Far beyond what any of these waits takes on a busy machine."""
+"""Wall time limit of every wait; far longer than any of them takes on a busy machine."""
 _LAUNCHER = """
 import sys
 from pathlib import Path
@@ -23,36 +23,39 @@ supervisor = Supervisor(Path(sys.argv[1]))
 {start}
 ready = 0
 while ready < len(supervisor.pids):
-    heard = supervisor.hear(10.0)
-    ready += heard is not None and isinstance(heard[1], Ready)
+    message = supervisor.receive(10.0)
+    ready += message is not None and isinstance(message[1], Ready)
 print(*supervisor.pids.values(), flush=True)
 while True:
-    supervisor.hear(10.0)
+    supervisor.receive(10.0)
 """
 
 
 def python(code: str) -> list[str]:
+    """Return the command line of a Python program."""
     return [sys.executable, "-c", textwrap.dedent(code)]
 
 
-def wait_for(fact: Callable[[], bool], what: str) -> None:
+def wait_for(condition: Callable[[], bool], what: str) -> None:
+    """Poll until a condition is true; raises AssertionError with ``what`` after `WALL_LIMIT_S`."""
     deadline = time.monotonic() + WALL_LIMIT_S
-    while not fact():
+    while not condition():
         assert time.monotonic() < deadline, f"not in time: {what}"
         time.sleep(0.005)
 
 
-def hear(supervisor: Supervisor, kind: type, name: str) -> object:
-    """Next message of that kind from that child."""
+def receive(supervisor: Supervisor, kind: type, name: str) -> object:
+    """Return the next message of a kind from a child; raises AssertionError after `WALL_LIMIT_S`."""
     deadline = time.monotonic() + WALL_LIMIT_S
     while time.monotonic() < deadline:
-        heard = supervisor.hear(deadline - time.monotonic())
-        if heard is not None and heard[0] == name and isinstance(heard[1], kind):
-            return heard[1]
+        message = supervisor.receive(deadline - time.monotonic())
+        if message is not None and message[0] == name and isinstance(message[1], kind):
+            return message[1]
     raise AssertionError(f"no {kind.__name__} from {name}")
 
 
 def alive(pid: int) -> bool:
+    """Return whether a process exists and is no zombie."""
     try:
         return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
     except psutil.NoSuchProcess:
@@ -60,9 +63,10 @@ def alive(pid: int) -> bool:
 
 
 def launcher_and_children(start: str, child: str, folder: Path, *, ends_by: signal.Signals) -> list[int]:
-    """End a launcher by a signal when all its children are ready, and wait until they are gone; their pids.
+    """Signal a launcher when all its children are ready, and wait for their end; returns their pids.
 
-    ``start`` is how it starts them with its ``supervisor``, ``child`` the program in its ``sys.argv[2]``.
+    ``start`` is the code that starts them with ``supervisor``; ``child``, their program, is its
+    ``sys.argv[2]``.
     """
     launcher_code = _LAUNCHER.format(start=textwrap.dedent(start))
     command = [sys.executable, "-c", launcher_code, str(folder), textwrap.dedent(child)]

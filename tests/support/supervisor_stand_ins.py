@@ -1,7 +1,8 @@
 """Stand-ins for a swarm's processes, as ``python supervisor_stand_ins.py MODULE --config FILE ...``.
 
-They keep the protocol of the real ones and fly nothing: vehicles rise at 1 m/s and are formed at 3 s. What
-they shall do wrong is the scenario's name; the radio's is told its seed, and a vehicle's its parameters.
+They follow the protocol of the real processes without a simulation: vehicles rise at 1 m/s and are formed at
+3 s. The name of the scenario selects a fault of physics, the seed one of the radio, a parameter one of a
+vehicle.
 """
 
 import argparse
@@ -33,9 +34,9 @@ from harness.simulator.messages import (
 STEP_US = 4_000
 FORMED_US = 3_000_000
 SEED_RADIO_DIES = 1_300
-"""With it the radio is killed when asked to stop; with the next one it ends without having finished."""
+"""With this seed the radio is killed at its stop command; with the next one it ends without `Finished`."""
 FAILS_AT_LAST_M = 10.0
-"""The takeoff altitude of the first vehicle that is killed when its simulator hangs up."""
+"""Takeoff altitude with which vehicle 0 is killed when its simulator closes the connection."""
 
 
 def complain(line: str) -> None:

@@ -1,4 +1,4 @@
-"""Swarms that hold, at the pace of the wall clock, and what clients found on them."""
+"""Swarms with --hold at wall-clock speed, and the results of clients on them."""
 
 import contextlib
 import json
@@ -23,11 +23,11 @@ START_S = 150.0
 END_S = 60.0
 KILL_S = 10.0
 OFFSETS = range(1_000, 14_000, 50)
-"""With them all ports are below those that Linux gives to whoever asks for any."""
+"""With these all ports are below Linux's range of ephemeral ports."""
 
 
 def free_offset() -> int:
-    """Give an offset with which all ports of a swarm are free; processes begin to look at different ones."""
+    """Return an offset with which all ports of a swarm are free; the search begins at the process id."""
     begin = os.getpid() % len(OFFSETS)
     for offset in (*OFFSETS[begin:], *OFFSETS[:begin]):
         with contextlib.ExitStack() as stack, contextlib.suppress(PortError):
@@ -40,17 +40,17 @@ def free_offset() -> int:
 
 
 class Held:
-    """A swarm of the command line that waits for ground stations; its ports are PX4's plus an offset."""
+    """A swarm started from the command line with --hold; its ports are PX4's plus an offset."""
 
     def __init__(self, folder: Path, *options: str) -> None:
         self.folder = folder
         self._options = options
-        self.said: list[str] = []
+        self.log_lines: list[str] = []
         self._ready = threading.Event()
         self._process: subprocess.Popen[str] | None = None
 
     def start(self) -> None:
-        """Start it; returns when its vehicles wait."""
+        """Start it; return when its vehicles wait."""
         port_offset = free_offset()
         self.ground_station_port, self.companion_port = 14550 + port_offset, 14540 + port_offset
         command = [sys.executable, str(ROOT / "scripts" / "launch_swarm.py")]
@@ -68,27 +68,27 @@ class Held:
         )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
-        assert self._ready.wait(START_S), self.said
-        assert self._process.poll() is None, self.said
+        assert self._ready.wait(START_S), self.log_lines
+        assert self._process.poll() is None, self.log_lines
 
     def _read(self) -> None:
         assert self._process is not None and self._process.stderr is not None  # noqa: PT018
         for line in self._process.stderr:
-            self.said.append(line.rstrip())
+            self.log_lines.append(line.rstrip())
             if line.startswith("uav 0, system 1:"):  # the first of the addresses: all have started
                 self._ready.set()
         self._ready.set()
 
     def end(self) -> dict[str, Any]:
-        """End the run as its user does; returns its manifest."""
+        """End the run by SIGINT; return its manifest."""
         assert self._process is not None
         self._process.send_signal(signal.SIGINT)
-        assert self._process.wait(END_S) == 0, self.said
+        assert self._process.wait(END_S) == 0, self.log_lines
         self._reader.join(END_S)
         return json.loads((self.folder / "manifest.json").read_text())
 
     def kill(self) -> None:
-        """Make sure that it is gone: its processes end when it does, however that is."""
+        """Terminate it if it still runs; its child processes end with it."""
         if self._process is None:
             return
         if self._process.poll() is None:
@@ -103,19 +103,19 @@ class Held:
 
     @property
     def pace(self) -> list[float]:
-        """Speeds against the wall clock that it told, one every few seconds."""
-        return [float(x) for line in self.said for x in re.findall(r"([\d.]+) x real time", line)]
+        """Reported real-time factors, one every few seconds."""
+        return [float(x) for line in self.log_lines for x in re.findall(r"([\d.]+) x real time", line)]
 
 
 def findings(process: subprocess.Popen[str], *, wall_limit_s: float) -> list[dict[str, Any]]:
-    """What a client found, which has so long to end by itself; its lines that are no JSON tell of trouble."""
+    """Results of a client, which is killed after ``wall_limit_s``; other output is added to a failure."""
     wall_deadline_s = time.monotonic() + wall_limit_s
     try:
-        said, _ = process.communicate(timeout=wall_limit_s)
+        output, _ = process.communicate(timeout=wall_limit_s)
     except subprocess.TimeoutExpired:
         process.kill()
-        said, _ = process.communicate()
-    lines = said.splitlines()
+        output, _ = process.communicate()
+    lines = output.splitlines()
     found = [json.loads(line) for line in lines if line.startswith("{")]
     if process.returncode != 0 or time.monotonic() > wall_deadline_s:
         rest = [line for line in lines if not line.startswith("{")][-20:]
@@ -124,7 +124,7 @@ def findings(process: subprocess.Popen[str], *, wall_limit_s: float) -> list[dic
 
 
 def failures(found: list[dict[str, Any]]) -> list[str]:
-    """A line for each check that failed."""
+    """One line for each failed check."""
     return [
         f"{one['check']}: {one['trouble']} ({one.get('wall_s')} s, of the vehicle's {one.get('vehicle_s')} s)"
         for one in found

@@ -1,4 +1,4 @@
-"""A vehicle's process between sockets: a simulator that gives it quiet sensors, and its links' ports."""
+"""A vehicle's process with a simulator that sends sensor data at rest, and the ports of its links."""
 
 import contextlib
 import json
@@ -20,13 +20,13 @@ DEADLINE_S = 30.0
 
 
 def config(**changes):
-    """Give the settings of a vehicle without an application."""
+    """Return the settings of a vehicle without an application."""
     given = {"run_id": "test", "instance": 0, "seed": 7, "places_ned_m": ((0.0, 0.0, -5.0),)}
     return VehicleConfig(**{**given, "onboard": OnboardConfig(enabled=False), **changes})
 
 
 class VehicleProcess:
-    """``python -m autopilot`` on free ports, which has started; it calls nobody."""
+    """A started ``python -m autopilot`` on free ports, without default partners."""
 
     def __init__(self, folder: Path, **changes) -> None:
         self._stack = contextlib.ExitStack()
@@ -61,7 +61,7 @@ class VehicleProcess:
         self._stack.close()
 
     def step(self) -> HilActuatorControls:
-        """Make one step; its answer."""
+        """Make one step and return the answer."""
         self._now_us += STEP_US
         sensors = common.MAVLink_hil_sensor_message(
             self._now_us, 0.0, 0.0, -9.81, 0.0, 0.0, 0.0, 0.2, 0.0, 0.4, 955.0, 0.0, 488.0, 20.0, 0x1FFF
@@ -73,7 +73,7 @@ class VehicleProcess:
                     return message
 
     def finish(self) -> dict[str, object]:
-        """Hang up; what the process says in its last words."""
+        """Close the connection and return the details of the process's last event."""
         self._connection.close()
         events = map(json.loads, self._process.stdout)
         details = next(event["details"] for event in events if event["event"] == "finished")

@@ -1,4 +1,4 @@
-"""One whole `Vehicle` over the real physics, sensors and simulator messages, in one process, no sockets."""
+"""One whole `Vehicle` with the real physics, sensors and simulator messages, in one process."""
 
 import numpy as np
 
@@ -20,7 +20,7 @@ def vehicle_config(*, onboard: bool = False, params: dict[str, float] | None = N
 
 
 class Flight(Solo):
-    """An Iris with consumer sensors in calm air; always the same one."""
+    """An Iris with consumer-grade sensors in calm air; always the same one."""
 
     def __init__(self, config: VehicleConfig, *, gps: bool = True) -> None:
         super().__init__(config, seed=np.random.SeedSequence(3), spawn_yaw_rad=0.5, recording=False)

@@ -1,1 +1,1 @@
-"""Patterns of many snapshots at once, by the method of moments with few unknowns for each element."""
+"""Batch solver: patterns of many snapshots by the method of moments with few unknowns per element."""

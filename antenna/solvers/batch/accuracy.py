@@ -1,4 +1,4 @@
-"""The accuracy that the batch solver claims for a kind of element, limited to what was compared with NEC2."""
+"""Stated accuracy of the batch solver for a kind of element, within the range compared with NEC2."""
 
 import math
 
@@ -8,22 +8,23 @@ from antenna.model.elements import THIN_WIRE_SLENDERNESS, Element
 from antenna.solvers.interface import Accuracy
 
 SMALL_EXTENT = 0.3 / (2.0 * math.pi)
-"""Small elements are within a tenth of the wavelength: the farthest end's distance, in wavelengths."""
+"""Largest distance of a wire end of small elements, in wavelengths: about a tenth of the wave in total."""
 LARGEST_EXTENT = 0.25
 LONGEST_SEGMENT = 0.1
 LARGEST_LOOP = 0.1
 LARGEST_DECK = 1.0 / 6.0
-"""What is compared with NEC2, in wavelengths; segments are also as long as NEC2's guide has them."""
+"""Limits of the comparison with NEC2, in wavelengths; segments are also limited by NEC2's guide."""
 FEWEST_SIDES = 8
-"""Of a loop; with 4 and 3 sides, 1 m round at 10 m, the maximum differs by 0.08 and 0.85 dB."""
+"""Least sides of a loop; with 4 and 3 sides, 1 m circumference at 10 m, the maximum differs by 0.08 and
+0.85 dB."""
 FAINTEST = 2.5e14
-"""Of (wavelength / wire)^3 (wavelength / segment)^2, as which NEC2's error in the power of small elements
-grows: an element's reactance over its resistance, and digits lost where constant and cosine are alike."""
+"""Largest (wavelength / wire)^3 (wavelength / segment)^2, to which NEC2's error in the power of small
+elements is proportional: reactance over resistance, and cancellation of constant and cosine currents."""
 ROUNDING = 1.0 + 1e-9
 
 
 def batch_accuracy(config: AntennaConfig) -> Accuracy:
-    """What the batch solver claims for an element: no more than what it has been compared for."""
+    """Return the accuracy of the batch solver for an element, as far as it was compared with NEC2."""
     element = config.element()
     segments_m = [wire.length_m / wire.segments for wire in element.wires]
     extent, longest, shortest, wire = (
@@ -47,7 +48,7 @@ def batch_accuracy(config: AntennaConfig) -> Accuracy:
 
 
 def _has_ring(element: Element) -> bool:
-    """Whether a wire joins ends that are joined already."""
+    """Whether the wires contain a closed loop."""
     places_m: list[tuple[float, float, float]] = []
     parts: list[int] = []
     for wire in element.wires:

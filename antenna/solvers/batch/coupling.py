@@ -1,9 +1,9 @@
-"""Currents of many arrays: how the elements of each drive one another, and what they take from their sources.
+"""Currents of many arrays with mutual coupling, and the power that their sources supply.
 
-A vector current moment p at r' makes at r, R away in the direction of the unit vector u, the field
+A vector current moment p at r' has, at r at the distance R in the direction of the unit vector u, the field
 E = -(j eta k / 4 pi) (e^{-jkR} / R) [p (1 - j/kR - 1/(kR)^2) - (p.u)u (1 - 3j/kR - 3/(kR)^2)].
-Its reaction with another moment is the same with the two exchanged, so every pair is computed once. Over
-perfect ground each moment has an image below it, with the horizontal components turned round.
+Its reaction with another moment is symmetric, so every pair is computed once. Over perfect ground each moment
+has an image below it, with the horizontal components reversed.
 """
 
 import math
@@ -20,24 +20,24 @@ from antenna.solvers.batch.near import find_near, respond_together
 from antenna.solvers.batch.response import NODES
 
 COUPLING_ACCURACY = 1e-4
-"""Relative error aimed at for the coupling of two elements."""
+"""Target relative error of the coupling of two elements."""
 SETTLED = 1e-10
-"""Part of the currents by which the last repetition may still have changed them."""
+"""Largest relative change of the currents in the last iteration."""
 REPETITIONS = 12
 LEVELS = np.array(NODES)
 
 
 @njit(cache=True, nogil=True)
 def level_for(distance_m: float, half_m: float) -> int:
-    """Index into `NODES` for two wires of this half-length that come as near as this.
+    """Return the index into `NODES` for two wires of this half-length at this least distance.
 
-    On a wire whose nearest source is d half-lengths away, a field's Legendre coefficients fall like those of
+    On a wire whose nearest source is d half-lengths away, a field's Legendre coefficients decay like those of
     a function analytic within the ellipse of parameter d + sqrt(d^2 + 1); both wires are integrated over.
     """
     d = distance_m / half_m
-    wanted = -math.log(COUPLING_ACCURACY) / math.log(d + math.sqrt(d * d + 1.0))
+    needed = -math.log(COUPLING_ACCURACY) / math.log(d + math.sqrt(d * d + 1.0))
     for level in range(len(LEVELS) - 1):
-        if LEVELS[level] >= wanted:
+        if LEVELS[level] >= needed:
             return level
     return len(LEVELS) - 1
 
@@ -55,7 +55,7 @@ def reactions(
 ) -> None:
     """Write into ``found`` (K, K) the reactions of the first element's moments with the second's fields.
 
-    ``fields`` (M, K) is room to work in.
+    ``fields`` (M, K) is a work array.
     """  # fmt: skip
     scale = ETA_OHM * k_rad_m / (4.0 * np.pi)
     currents = moments_am.shape[1]
@@ -105,9 +105,9 @@ def solve_arrays(
 ) -> None:
     """Solve S arrays of n elements: centres (S, n, 3), rotations (S, n, 3, 3), voltages (S, n).
 
-    Writes the currents (S, n, K), the power taken from the sources (S,), and which two elements of each array
-    are nearest to each other, (S, 2) and (S,), as `antenna.model.clearance.measure` does. Where that is no
-    more than the clearance nothing is solved.
+    Writes the currents (S, n, K), the power supplied by the sources (S,), and the two nearest elements of
+    each array and their distance, (S, 2) and (S,), as `antenna.model.clearance.measure`. Arrays whose
+    distance is at most the clearance are not solved.
     """
     arrays, n = voltages.shape
     kept, levels = len(kind.feed_a), len(kind.firsts) - 1
@@ -162,7 +162,7 @@ def solve_arrays(
                         kind.moments_am[a:b], kind.k_rad_m, fields, found,
                     )  # fmt: skip
                     reaction[i, j] += found
-        # each answers with S times the reactions of all others' currents: (1 - S Z) a = V
+        # the response of each is S times the reactions with all others' currents: (1 - S Z) a = V
         for i in range(n):
             for j in range(n):
                 for b in range(kept):
@@ -199,9 +199,9 @@ def solve_near(
     source: Complex,
     answer: Complex,
 ) -> float:
-    """Solve a = V + C a as `repeat` does, where some elements answer together; gives the power in watts.
+    """Solve a = V + C a as `repeat`, with a joint response of the near elements; return the power in watts.
 
-    C (n K, n K), which is changed, has no couplings among these.
+    C (n K, n K), which is modified, excludes couplings among the near elements.
     """
     m, kept = len(near), len(kind.feed_a)
     together = np.empty((m * kept, m * kept), np.complex128)
@@ -232,7 +232,7 @@ def solve_near(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def repeat(coupling: Complex, source: Complex, answer: Complex) -> None:
-    """Solve a = V + C a for the answer (n K,), by repeating it if that settles, or else by elimination."""
+    """Solve a = V + C a for the answer (n K,), by iteration if it converges, or else by elimination."""
     size = len(source)
     following = np.empty(size, np.complex128)
     answer[:] = source

@@ -1,11 +1,10 @@
-"""Far fields of many point currents on the whole grid of directions, in single precision.
+"""Far fields of many point currents on the full grid of directions, in single precision.
 
 A point of moment p at r adds p e^{jk r^.r} to N, and G = k^2 eta |N_perp|^2 / (8 pi P). Four directions share
 one sine and one cosine: with psi = k (x cos phi + y sin phi) sin theta and zeta = k z cos theta, (theta,
 phi), (pi - theta, phi), (theta, phi + pi) and (pi - theta, phi + pi) have the phases psi + zeta, psi - zeta,
-zeta - psi and -psi - zeta. The loop over phi is written so that the compiler turns it into vector
-instructions: no call in it, and sums kept at a fixed distance from each other, which tells it that they do
-not overlap.
+zeta - psi and -psi - zeta. The loop over phi is written so that the compiler can vectorise it: it has no
+calls, and the sums have fixed offsets, so that the compiler can prove that they do not overlap.
 """
 
 import numpy as np
@@ -16,13 +15,13 @@ Single = NDArray[np.float32]
 SingleComplex = NDArray[np.complex64]
 
 LANE = 64
-"""Directions phi that are summed up at once."""
+"""Number of directions phi processed at a time."""
 VECTOR = 8
-"""Numbers of a vector register, which directions fill: what is left over would go one by one."""
+"""Numbers per vector register; directions are padded to a multiple, to avoid a scalar remainder."""
 
 
 def _turn_polynomials() -> tuple[tuple[np.float32, ...], tuple[np.float32, ...]]:
-    """Polynomials in x^2 of sin(2 pi x) / x and cos(2 pi x), |x| <= 1/2, good to single precision."""
+    """Return polynomials in x^2 of sin(2 pi x) / x and cos(2 pi x), |x| <= 1/2, to single precision."""
     x = 0.5 * np.cos(np.pi * (np.arange(400) + 0.5) / 800.0)
     fits = [
         np.polynomial.Chebyshev.fit(x * x, values, degree, domain=[0.0, 0.25]).convert(
@@ -53,7 +52,7 @@ def radiate(
     """Write |N_theta|^2 and |N_phi|^2 on a grid (T, 2H) of one array of n points.
 
     Places (n, 3) are in wavelengths; the angles are those of the grid's first quarter, theta up to pi/2 and
-    phi below pi, (M,) and (H,), the latter filled up to a multiple of `VECTOR` with anything.
+    phi below pi, (M,) and (H,), the latter padded to a multiple of `VECTOR` with any values.
     """
     sums = np.zeros(16 * LANE, np.float32)
     rows, half_turn = len(power_theta), power_theta.shape[1] // 2

@@ -1,4 +1,4 @@
-"""What compiled code knows of one kind of element at one wavelength."""
+"""Data of one kind of element at one wavelength, for compiled code."""
 
 from typing import NamedTuple
 
@@ -15,23 +15,23 @@ class ElementKind(NamedTuple):
     """An element's response in plain arrays: K currents as points, on all levels of `NODES`, N segments."""
 
     firsts: NDArray[np.int64]
-    """(L + 1,) where the points of a level begin."""
+    """(L + 1,) first point of each level."""
     places_m: Array
-    """(M, 3) of the points, in the element's frame."""
+    """(M, 3) positions of the points, in the element's frame."""
     axes: Array
-    """(M, 3) along the wires there."""
+    """(M, 3) unit vectors along the wires at the points."""
     moments_am: Complex
-    """(M, K) of the K currents there."""
+    """(M, K) moments of the K currents at the points."""
     scattering: Complex
-    """(K, K) which of them a field drives, for its reactions with the K."""
+    """(K, K) currents driven by a field, from its reactions with the K currents."""
     feed_a: Complex
     """(K,) current of each at the source."""
     currents_a: Complex
-    """(N, K) each at the segments' centres."""
+    """(N, K) each current at the segments' centres."""
     projection: Complex
-    """(K, N) which of the K radiate as currents at the centres do."""
+    """(K, N) combination of the K currents that radiates like currents at the centres."""
     centres_m: Array
-    """(N, 3) of the segments, as the following."""
+    """(N, 3) centres of the segments; the next three fields are also of the segments."""
     segment_axes: Array
     """(N, 3)"""
     lengths_m: Array
@@ -39,9 +39,9 @@ class ElementKind(NamedTuple):
     radii_m: Array
     """(N,)"""
     spread: Array
-    """(3, N, N) as `antenna.solvers.batch.moments.admittance` gives it."""
+    """(3, N, N) second result of `antenna.solvers.batch.moments.admittance`."""
     admittance_s_m: Complex
-    """(N, N) the same."""
+    """(N, N) first result of the same."""
     fed: int
     """Segment of the source."""
     wires_m: Array
@@ -51,14 +51,14 @@ class ElementKind(NamedTuple):
     clearance_m: float
     """Least distance of two elements."""
     near_m: float
-    """Distance below which they see each other's segments."""
+    """Distance below which couplings are computed by segments."""
     k_rad_m: float
     image: bool
-    """Whether all this stands over perfect ground, at height 0."""
+    """Whether there is perfect ground at height 0."""
 
 
 def make_kind(element: Element, wavelength_m: float, *, image: bool) -> ElementKind:
-    """Compute the response of an element at a wavelength."""
+    """Return the data of an element at a wavelength."""
     response = respond(element, wavelength_m)
     segments = response.segments
     sizes = [len(nodes.places_m) for nodes in response.nodes]

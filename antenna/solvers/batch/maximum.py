@@ -1,4 +1,4 @@
-"""Maxima of arrays of point currents beyond their grids, by Newton's method on the sphere.
+"""Maxima of arrays of point currents between grid directions, by Newton's method on the sphere.
 
 About a direction r with the unit vectors e1, e2 of its tangent plane, r(a, b) = r (1 - (a^2 + b^2) / 2) + a
 e1 + b e2 up to the third order, so that the phase of a point p, k p.r(a, b), has the slopes k p.e1 and k p.e2
@@ -16,7 +16,7 @@ from antenna.model.geometry import Array, Complex
 from antenna.solvers.batch.far_field import Single
 
 ARRIVED_RAD = 1e-5
-"""A step that changes a gain by less than 1e-9 of itself, whatever the array."""
+"""Step at which the search ends; it changes the gain by less than 1e-9, relative, for any array."""
 STEPS = 40
 
 
@@ -84,9 +84,10 @@ def ascend(
     sums: Complex,
     found: Array,
 ) -> None:
-    """Write the maximum next to a direction: linear gain, theta_rad, phi_rad; no step is beyond the reach.
+    """Write the maximum next to a direction: linear gain, theta_rad, phi_rad.
 
-    It never falls: a step that would is taken shorter. ``sums`` (6, 3) is room to work in.
+    Steps are limited to ``reach_rad``, and shortened if the gain would decrease. ``sums`` (6, 3) is a work
+    array.
     """
     theta, phi = theta_rad, phi_rad
     gain, slope_a, slope_b, bend_aa, bend_ab, bend_bb = local_gain(
@@ -124,7 +125,7 @@ def ascend(
 def local_gain(
     points_m: Array, axes: Array, moments: Complex, k_rad_m: float, theta: float, phi: float, sums: Complex
 ) -> tuple[float, float, float, float, float, float]:
-    """Linear gain in a direction, its two slopes towards larger theta and phi, and its three curvatures.
+    """Return the linear gain in a direction, its slopes towards larger theta and phi, and its curvatures.
 
     Per radian: aa, ab, bb with a to the south and b to the east. ``moments`` are scaled so that the gain is
     |N|^2 across the direction.
@@ -182,13 +183,13 @@ def local_gain(
 
 @njit(cache=True, nogil=True)
 def _product(first: complex, second: complex) -> float:
-    """Real part of the product of one number's conjugate with another."""
+    """Return the real part of the product of the first number's conjugate with the second."""
     return first.real * second.real + first.imag * second.imag
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def moved(theta: float, phi: float, a: float, b: float) -> tuple[float, float]:
-    """Direction at an offset a to the south, b to the east in the plane tangent at another; radians."""
+    """Return the direction at offsets a south and b east in the tangent plane of another; radians."""
     outward = math.sin(theta) + a * math.cos(theta)
     x, y = outward * math.cos(phi) - b * math.sin(phi), outward * math.sin(phi) + b * math.cos(phi)
     z = math.cos(theta) - a * math.sin(theta)

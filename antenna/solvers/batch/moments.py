@@ -1,9 +1,9 @@
-"""Thin wires by the method of moments, as NEC2 has them: what drives the currents of one element.
+"""Method of moments for the thin wires of one element, as in NEC2.
 
-On a segment of centre c and axis u the current is A + B sin(k s) + C cos(k s), with s along u from c. It and
-its slope are continuous from segment to segment; where several wires meet, currents add up to nothing and the
-charges on their ends stand as Wu and King have them. The field is matched at the segments' centres, one wire
-radius off the axis (Burke and Poggio, NEC Part I: Program Description - Theory, 1981, II and III).
+On a segment of centre c and axis u the current is A + B sin(k s) + C cos(k s), with s along u from c. Current
+and slope are continuous between segments. At junctions of several wires the currents sum to zero, and the
+charges follow Wu and King. The field is matched at the segments' centres, one wire radius off the axis (Burke
+and Poggio, NEC Part I: Program Description - Theory, 1981, II and III).
 """
 
 import math
@@ -18,16 +18,16 @@ from antenna.model.geometry import Array, Complex
 ETA_OHM = 376.730313668
 """Impedance of free space."""
 SEGMENT_MATCH = 1e-3
-"""Ends nearer than this part of a segment are joined (NEC-2 User's Guide, structure geometry)."""
+"""Ends closer than this part of a segment are connected (NEC-2 User's Guide, structure geometry)."""
 _GAUSS_X, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(16)
 _FEW_X, _FEW_WEIGHTS = np.polynomial.legendre.leggauss(2)
 FAR_HALVES = 8.0
-"""Half-lengths of a segment from where G less 1/R hardly bends any more, and few points are enough."""
+"""Distance in half-lengths of a segment from which few points suffice to integrate G - 1/R."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segments:
-    """Straight pieces of wire, in the frame of their element."""
+    """Straight wire segments, in the frame of their element."""
 
     centres_m: Array
     """(N, 3)"""
@@ -39,16 +39,16 @@ class Segments:
     """(N,)"""
 
     def ends_m(self, side: int) -> Array:
-        """(N, 3) the ends towards the axes (+1), or the other ones (-1)."""
+        """Return the ends (N, 3) in the direction of the axes (side +1), or the opposite ones (-1)."""
         return np.asarray(self.centres_m + 0.5 * side * self.lengths_m[:, None] * self.axes)
 
 
 def admittance(segments: Segments, k_rad_m: float) -> tuple[Complex, Array]:
-    """What an incident field does: currents at the centres, and on the segments for these.
+    """Return the admittance matrix, and the expansion of currents on the segments.
 
-    The first (N, N) takes the incident field (V/m) along the axes at the centres to the currents (A) there;
-    the second (3, N, N) takes those to A, B and C of every segment. A source of V volts on a segment of
-    length d is a field of V / d on it.
+    The first (N, N) maps the incident field (V/m) along the axes at the centres to the currents (A) there.
+    The second (3, N, N) maps these currents to A, B and C of every segment. A source of V volts on a segment
+    of length d is a field of V / d.
     """
     spread = _expansion(segments, k_rad_m)
     fields = fields_of_expansion(segments, segments, k_rad_m)
@@ -57,7 +57,7 @@ def admittance(segments: Segments, k_rad_m: float) -> tuple[Complex, Array]:
 
 
 def _expansion(segments: Segments, k_rad_m: float) -> Array:
-    """(3, N, N) A, B and C of the segments for each current of 1 A at one centre and none at the others."""
+    """Return A, B and C of the segments, (3, N, N), for 1 A at one centre and 0 at the others."""
     n = len(segments.lengths_m)
     phase = 0.5 * k_rad_m * segments.lengths_m
     rows: list[Array] = []
@@ -84,7 +84,7 @@ def _expansion(segments: Segments, k_rad_m: float) -> Array:
 
 
 def _joints(segments: Segments) -> list[list[tuple[int, int]]]:
-    """Segments' ends (segment, side) by the place where they meet; every end is in one of the lists."""
+    """Return lists of connected ends (segment, side); every end is in one list."""
     joints: list[list[tuple[int, int]]] = []
     places_m: list[Array] = []
     for side in (-1, 1):
@@ -101,12 +101,12 @@ def _joints(segments: Segments) -> list[list[tuple[int, int]]]:
 
 
 def fields_of_expansion(seen: Segments, driving: Segments, k_rad_m: float) -> Complex:
-    """(N, M, 3) field along the axis at centre i of A, B and C of the other segment j, each of 1 A.
+    """Return the fields (N, M, 3) along the axis at centre i, of A, B and C of segment j, each of 1 A.
 
-    With I'' = -k^2 I but for A, and G = exp(-jkR)/R, R^2 = rho^2 + a^2 + (z - z')^2, integration by parts
-    leaves the segment's ends alone:  E_z = -j eta/(4 pi k) { [I dG/dz' - I' G] + k^2 A int G dz' }, E_rho =
-    -j eta/(4 pi k rho) [(z' - z) (I dG/dz' - I' G) + I G]  for sine and cosine, and E_rho = j eta/(4 pi k)
-    [dG/drho]  for A.
+    With I'' = -k^2 I except for A, and G = exp(-jkR)/R, R^2 = rho^2 + a^2 + (z - z')^2, integration by parts
+    leaves only terms at the segment's ends:  E_z = -j eta/(4 pi k) { [I dG/dz' - I' G] + k^2 A int G dz' },
+    E_rho = -j eta/(4 pi k rho) [(z' - z) (I dG/dz' - I' G) + I G]  for sine and cosine, and
+    E_rho = j eta/(4 pi k) [dG/drho]  for A.
     """
     fields: Complex = np.empty((len(seen.radii_m), len(driving.radii_m), 3), complex)
     write_fields(
@@ -118,7 +118,7 @@ def fields_of_expansion(seen: Segments, driving: Segments, k_rad_m: float) -> Co
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def turn(rotation: Array, offset_m: Array, vectors: Array, turned: Array) -> None:
-    """Write vectors (M, 3), turned and then moved, into ``turned``."""
+    """Write rotated and translated vectors (M, 3) into ``turned``."""
     for m in range(len(vectors)):
         for x in range(3):
             turned[m, x] = (
@@ -139,9 +139,9 @@ def write_fields(
     k_rad_m: float,
     fields: Complex,
 ) -> None:
-    """Write `fields_of_expansion` (N, M, 3); the radii are those of the wires on which the field is matched.
+    """Write `fields_of_expansion` (N, M, 3).
 
-    As in NEC2, these are the ones that count.
+    As in NEC2, the radii are those of the wires on which the field is matched.
     """
     scale = -ETA_OHM / (4.0 * math.pi * k_rad_m)
     for j in range(len(driving_centres_m)):
@@ -182,7 +182,7 @@ def write_fields(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _potential(along_m: float, rho_m: float, half_m: float, k_rad_m: float) -> complex:
-    """Integral of G over a segment: 1/R in closed form, what is left of G by Gauss points."""
+    """Return the integral of G over a segment: 1/R in closed form, G - 1/R by Gauss quadrature."""
     static = math.asinh((half_m - along_m) / rho_m) + math.asinh((half_m + along_m) / rho_m)
     far = along_m * along_m + rho_m * rho_m > FAR_HALVES**2 * half_m * half_m
     real = imag = 0.0

@@ -1,9 +1,9 @@
-"""Elements near each other, too near for their few strongest currents: they see each other's segments.
+"""Joint response of elements that are near each other, computed with all segments instead of few currents.
 
-The currents c at all centres of m such elements follow from the fields that they make there, c = A (F c) + Q
-y, where y (m K) are the currents that sources and everybody else's fields would drive in each of them alone:
-c = (1 - A F)^-1 Q y. For all others they are again those of the K that radiate like them, a = P c = T y; what
-flows through their sources is exact.
+The currents c at all centres of m such elements follow from their fields there, c = A (F c) + Q y, where y
+(m K) are the currents that sources and the fields of all other elements drive in each of them alone: c =
+(1 - A F)^-1 Q y. For the other elements they are represented by the K currents that radiate like them, a =
+P c = T y; the currents through the sources are exact.
 """
 
 import numpy as np
@@ -17,7 +17,7 @@ from antenna.solvers.batch.moments import turn, write_fields
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def find_near(kind: ElementKind, apart_m: Array, image_apart_m: Array, members: Index) -> int:
-    """Write which of n elements are near another one, or an image, (n,), in order; gives how many."""
+    """Write the indices of elements near another one or an image, (n,), in order; return their number."""
     n, count = len(members), 0
     for i in range(n):
         near = kind.image and image_apart_m[i, i] < kind.near_m
@@ -35,7 +35,7 @@ def find_near(kind: ElementKind, apart_m: Array, image_apart_m: Array, members: 
 def respond_together(
     kind: ElementKind, places_m: Array, rotations: Array, members: Index, together: Complex, feeds_a: Complex
 ) -> None:
-    """Write T (m K, m K), and the currents through the sources for y, (m, m K), of m of n elements."""
+    """Write T (m K, m K), and the currents through the sources for y, (m, m K), of m near elements."""
     m, count, kept = len(members), len(kind.lengths_m), len(kind.feed_a)
     matrix = np.eye(m * count).astype(np.complex128)
     right = np.zeros((m * count, m * kept), np.complex128)
@@ -74,9 +74,10 @@ def respond_together(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_spread(fields: Complex, spread: Array, sine: float, made: Complex) -> None:
-    """Add to (N, N) the fields at N centres, (N, N, 3) of A, B and C, for a current at each centre.
+    """Add to ``made`` (N, N) the fields at N centres of a current at each centre.
 
-    ``sine`` is -1 for the currents of an image, which run against those above along the axes' images.
+    ``fields`` (N, N, 3) are those of A, B and C.
+    ``sine`` is -1 for the currents of an image, which are opposite to those above along the axes' images.
     """
     count = len(made)
     for p in range(count):

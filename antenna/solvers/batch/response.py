@@ -1,9 +1,9 @@
-"""How one element answers the fields of the others, in a few currents instead of one for each segment.
+"""Response of one element to incident fields, with a few currents instead of one per segment.
 
-Elements of an array are alike and some way apart, so that each sees fields which hardly vary along it. What
-such fields drive is spanned by very few current distributions: the one of the element's own source, and the
-strongest of its responses to plane waves from everywhere (a singular value decomposition). They are found
-once for a kind of element and a wavelength.
+The elements of an array are equal and separated, so the incident field varies little along an element. Its
+response is spanned by few current distributions: that of the element's source, and the strongest of its
+responses to plane waves from all directions (a singular value decomposition). They are computed once for a
+kind of element and a wavelength.
 """
 
 from dataclasses import dataclass
@@ -15,48 +15,47 @@ from antenna.model.geometry import Array, Complex
 from antenna.solvers.batch.moments import Segments, admittance
 
 NODES = (1, 2, 3, 4, 6, 8, 12, 20, 40)
-"""Points of a wire by which fields and currents may be represented."""
+"""Numbers of points per wire that represent fields and currents, by level."""
 SIGNIFICANT = 1e-4
-"""Responses to plane waves weaker than this part of the strongest are left out."""
+"""Responses to plane waves below this fraction of the strongest are neglected."""
 _DIRECTIONS = 60
 _GAUSS_X, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(12)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Nodes:
-    """The K currents of an element as currents at M points of it: exact for fields of degree M/wires - 1."""
+    """The K currents of an element as moments at M points, exact for fields of degree M / wires - 1."""
 
     places_m: Array
     """(M, 3) in the element's frame."""
     axes: Array
-    """(M, 3) unit vectors along the wires there."""
+    """(M, 3) unit vectors along the wires at the points."""
     moments_am: Complex
     """(M, K) current times length."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ElementResponse:
-    """K current distributions of an element, the first of which is that of 1 V at its source."""
+    """K current distributions of an element; the first is that of 1 V at its source."""
 
     nodes: tuple[Nodes, ...]
-    """By the entries of `NODES`."""
+    """Points by level, see `NODES`."""
     scattering: Complex
-    """(K, K) the currents that a field drives, for the field's reactions (sum of moment times field) with the
-    K."""
+    """(K, K) currents driven by a field, from its reactions (sum of moment times field) with the K."""
     currents_a: Complex
-    """(N, K) each at the centres of the segments."""
+    """(N, K) each current at the segments' centres."""
     projection: Complex
-    """(K, N) those of the K that radiate like currents at the centres."""
+    """(K, N) combination of the K currents that radiates like currents at the centres."""
     segments: Segments
-    """N of them."""
+    """The N segments."""
     admittance_s_m: Complex
-    """(N, N) as `antenna.solvers.batch.moments.admittance` gives it."""
+    """(N, N) first result of `antenna.solvers.batch.moments.admittance`."""
     spread: Array
-    """(3, N, N) the same."""
+    """(3, N, N) second result of the same."""
 
 
 def cut(element: Element) -> Segments:
-    """Segments of an element's wires, one wire after the other."""
+    """Return the segments of an element's wires, one wire after the other."""
     parts = []
     for wire in element.wires:
         start_m, end_m = np.array(wire.start_m), np.array(wire.end_m)
@@ -72,7 +71,7 @@ def cut(element: Element) -> Segments:
 
 
 def respond(element: Element, wavelength_m: float) -> ElementResponse:
-    """Find the currents of an element and how fields drive them."""
+    """Return the current distributions of an element and their response to fields."""
     k_rad_m = 2.0 * np.pi / wavelength_m
     segments = cut(element)
     admits, spread = admittance(segments, k_rad_m)
@@ -80,26 +79,26 @@ def respond(element: Element, wavelength_m: float) -> ElementResponse:
     source[element.feed_segment] = 1.0 / segments.lengths_m[element.feed_segment]
     driven = admits @ source
     waves = _plane_waves(segments.centres_m, segments.axes, k_rad_m)
-    answers = admits @ waves
+    responses = admits @ waves
     unit = driven / np.linalg.norm(driven)
-    others = answers - np.outer(unit, unit.conj() @ answers)
+    others = responses - np.outer(unit, unit.conj() @ responses)
     shapes, strengths, _ = np.linalg.svd(others, full_matrices=False)
-    strongest = np.linalg.norm(answers, 2)
+    strongest = np.linalg.norm(responses, 2)
     kept = shapes[:, strengths > SIGNIFICANT * strongest] * np.linalg.norm(driven)
     currents = np.column_stack([driven, kept])
     nodes = tuple(make_nodes(element, segments, spread @ currents, k_rad_m, count) for count in NODES)
     finest = nodes[-1]
     reactions = finest.moments_am.T @ _plane_waves(finest.places_m, finest.axes, k_rad_m)
-    wanted = np.linalg.lstsq(currents, answers, rcond=None)[0]
-    scattering: Complex = np.linalg.lstsq(reactions.T, wanted.T, rcond=None)[0].T.astype(complex)
+    coefficients = np.linalg.lstsq(currents, responses, rcond=None)[0]
+    scattering: Complex = np.linalg.lstsq(reactions.T, coefficients.T, rcond=None)[0].T.astype(complex)
     alone = make_nodes(element, segments, spread, k_rad_m, NODES[-1]).moments_am
-    heard = alone.T @ _plane_waves(finest.places_m, finest.axes, k_rad_m)
-    projection: Complex = np.linalg.lstsq(reactions.T, heard.T, rcond=None)[0].astype(complex)
+    segment_reactions = alone.T @ _plane_waves(finest.places_m, finest.axes, k_rad_m)
+    projection: Complex = np.linalg.lstsq(reactions.T, segment_reactions.T, rcond=None)[0].astype(complex)
     return ElementResponse(nodes, scattering, currents, projection, segments, admits, spread)
 
 
 def _plane_waves(places_m: Array, axes: Array, k_rad_m: float) -> Complex:
-    """(M, W) fields along the axes of plane waves of 1 V/m from all over the sphere, in two polarisations."""
+    """Return fields (M, W) along the axes of plane waves of 1 V/m from all directions, two polarisations."""
     turn = np.arange(_DIRECTIONS) * np.pi * (3.0 - np.sqrt(5.0))  # directions on a spiral, evenly spread
     cosine = 1.0 - (2.0 * np.arange(_DIRECTIONS) + 1.0) / _DIRECTIONS
     sine = np.sqrt(1.0 - cosine**2)
@@ -117,8 +116,8 @@ def make_nodes(
     """Represent K currents, A, B and C on N segments (3, N, K), by ``count`` Gauss points on each wire.
 
     The moment at a point is the integral of the current times the polynomial that is 1 there and 0 at the
-    wire's other points, so that reactions with fields that are polynomials of lower degree are exact, kinks
-    or not.
+    wire's other points. So reactions with fields that are polynomials of lower degree are exact, also for
+    currents with kinks.
     """
     points, _ = np.polynomial.legendre.leggauss(count)
     to_points = np.linalg.inv(np.polynomial.legendre.legvander(points, count - 1))

@@ -1,4 +1,4 @@
-"""The batch backend: patterns of many snapshots by few unknowns each, compiled, on all cores it is given."""
+"""Backend ``batch``: compiled computation of patterns of many snapshots on several threads."""
 
 import math
 from collections.abc import Sequence
@@ -22,13 +22,13 @@ from antenna.solvers.batch.moments import ETA_OHM, turn
 from antenna.solvers.batch.response import NODES
 
 FAR_FIELD_NODES = ((0.03, 1), (0.15, 2), (0.5, 4), (1.0, 6), (1.8, 8), (3.3, 12), (8.0, 20), (np.inf, 40))
-"""Points of a wire for its far field, by its greatest k times half-length."""
+"""Points per wire for the far field, by upper limits of k times half-length."""
 SLICE = 64
-"""Snapshots a thread takes at a time: their patterns fit into a processor's second cache."""
+"""Snapshots per task of a thread, so that their patterns fit into the L2 cache."""
 
 
 class Grid(NamedTuple):
-    """The first quarter of a pattern's directions, as `radiate` takes them."""
+    """The first quarter of a pattern's directions, for `radiate`."""
 
     cos_theta: Single
     sin_theta: Single
@@ -48,7 +48,7 @@ def place_points(
     axes: Array,
     moments: Complex,
 ) -> None:
-    """Write the points (S, N, 3) that radiate of S arrays: the kind's from ``first`` on, with images."""
+    """Write the radiating points (S, N, 3) of S arrays: the kind's from ``first`` on, with images."""
     n, m = centres_m.shape[1], last - first
     none = np.zeros(3)
     for s in range(len(centres_m)):
@@ -86,7 +86,7 @@ def radiate_arrays(
     single, single_axes = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
     single_moments = np.empty(count, np.complex64)
     for s in range(len(moments)):
-        middle_m[:] = 0.0  # about which single precision is enough for phases
+        middle_m[:] = 0.0  # phases relative to the centre need only single precision
         for q in range(count):
             for x in range(3):
                 middle_m[x] += points_m[s, q, x] / count
@@ -102,7 +102,7 @@ def radiate_arrays(
 
 
 class Directions:
-    """A grid of directions, with what is known of it beforehand."""
+    """A grid of directions with precomputed values."""
 
     def __init__(self, step_deg: float, *, grounded: bool) -> None:
         self.theta_deg, self.phi_deg = directions_deg(step_deg)
@@ -116,7 +116,7 @@ class Directions:
 
 
 class Currents(NamedTuple):
-    """What radiates of S arrays: N points each."""
+    """Radiating points of S arrays, N each."""
 
     points_m: Array
     """(S, N, 3)"""
@@ -125,13 +125,13 @@ class Currents(NamedTuple):
     moments: Complex
     """(S, N) scaled so that |sum of moment times axis times e^{jk r.p}|^2 across r is the gain."""
     nearest: NDArray[np.int64]
-    """(S, 2) as `antenna.model.clearance.measure` gives them."""
+    """(S, 2) nearest elements, from `antenna.model.clearance.measure`."""
     nearest_m: Array
     """(S,)"""
 
 
 class Batch:
-    """Patterns of arrays of alike elements, in free space or over perfect ground."""
+    """Patterns of arrays of equal elements, in free space or over perfect ground."""
 
     name = "batch"
 
@@ -150,7 +150,7 @@ class Batch:
         self._step_deg = float(self.directions.theta_deg[1])
 
     def patterns(self, snapshots: Sequence[Snapshot]) -> list[Pattern | ElementsTouch]:
-        """See `antenna.solvers.interface.Backend`; equal whatever the number of threads."""
+        """See `antenna.solvers.interface.Backend`; results do not depend on the number of threads."""
         slices = [snapshots[first : first + SLICE] for first in range(0, len(snapshots), SLICE)]
         if self._threads <= 1 or len(slices) <= 1:
             found = [self._of_slice(part) for part in slices]
@@ -160,7 +160,7 @@ class Batch:
         return [result for part in found for result in part]
 
     def _of_slice(self, snapshots: Sequence[Snapshot]) -> list[Pattern | ElementsTouch]:
-        """Results of few snapshots, those of equally many elements together that take equally fine grids."""
+        """Solve a slice; snapshots with equal numbers of elements and equal grids are solved together."""
         alike: dict[tuple[int, int], list[int]] = {}
         for s, snapshot in enumerate(snapshots):
             alike.setdefault((len(snapshot.voltages), self._times(snapshot)), []).append(s)
@@ -171,7 +171,7 @@ class Batch:
         return [results[s] for s in range(len(snapshots))]
 
     def _times(self, snapshot: Snapshot) -> int:
-        """How many times finer than the grid a snapshot is solved, see `times_finer`."""
+        """Return the grid refinement for a snapshot, see `times_finer`."""
         return times_finer(
             snapshot.centres_m, self._reach_m, self._config.wavelength_m, self._step_deg, self.kind.image
         )
@@ -198,7 +198,7 @@ class Batch:
         )
 
     def currents(self, snapshots: Sequence[Snapshot]) -> Currents:
-        """Solve snapshots of equally many elements."""
+        """Return the currents of snapshots with equal numbers of elements."""
         kind, count = self.kind, len(snapshots)
         centres_m = np.array([snapshot.centres_m for snapshot in snapshots])
         rotations = np.array([snapshot.rotations for snapshot in snapshots])
@@ -219,7 +219,7 @@ class Batch:
         return Currents(points_m, axes, moments, nearest, nearest_m)
 
     def gains(self, radiating: Currents, directions: Directions | None = None) -> tuple[Single, Single]:
-        """Linear partial gains (S, T, P) on the grid, or in other directions."""
+        """Return linear partial gains (S, T, P) on the grid, or in other directions."""
         directions = directions or self.directions
         shape = len(radiating.moments), *directions.shape
         gain_theta, gain_phi = np.empty(shape, np.float32), np.empty(shape, np.float32)

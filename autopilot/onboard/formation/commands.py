@@ -8,12 +8,13 @@ from autopilot.mavlink.components import AUTOPILOT_COMPONENT
 from autopilot.mavlink.modes import FlightMode
 
 SILENCE_US = 500_000
-"""No COMMAND_ACK within this: sent again with the confirmation counter raised, as MAVLink asks."""
+"""Without a COMMAND_ACK for this time the command is repeated with a higher confirmation counter, as MAVLink
+requires."""
 REFUSAL_US = 1_000_000
-"""A refused command is tried anew after this: reasons such as a missing GPS fix pass."""
+"""A refused command is repeated after this time: reasons such as a missing GPS fix are temporary."""
 
 NEVER_US = 1 << 62
-"""A deadline that does not come."""
+"""A deadline that is never reached."""
 NAN = float("nan")
 
 
@@ -33,16 +34,16 @@ OFFBOARD = RepeatedCommand(
 
 
 def take_off(altitude_m: float) -> RepeatedCommand:
-    """Take off here to an altitude above mean sea level."""
+    """Return the command to take off at the present position to an altitude above mean sea level."""
     return RepeatedCommand(common.MAV_CMD_NAV_TAKEOFF, (0.0, 0.0, 0.0, NAN, NAN, NAN, altitude_m))
 
 
 class CommandSender:
-    """Sends what is wanted until it is accepted.
+    """Sends the requested command until it is accepted.
 
     Attributes:
-        accepted: the wanted command has been acknowledged as accepted or in progress.
-        refusals: acknowledgements that said no, over all commands.
+        accepted: the requested command has been acknowledged as accepted or in progress.
+        refusals: number of refusals, over all commands.
 
     """
 
@@ -50,26 +51,26 @@ class CommandSender:
         self.accepted = False
         self.refusals = 0
         self._target_system = target_system
-        self._wanted: RepeatedCommand | None = None
+        self._requested: RepeatedCommand | None = None
         self._send_us = 0
         self._confirmation = 0
 
-    def want(self, command: RepeatedCommand | None, now_us: int) -> None:
-        """Make this the command to get accepted; None wants nothing, the same again changes nothing."""
-        if command == self._wanted:
+    def request(self, command: RepeatedCommand | None, now_us: int) -> None:
+        """Set the command to send; None: none. Requesting the same command again has no effect."""
+        if command == self._requested:
             return
-        self._wanted = command
+        self._requested = command
         self.accepted = False
         self._send_us = now_us
         self._confirmation = 0
 
-    def wants(self, command: RepeatedCommand) -> bool:
-        """Whether this is the command that was wanted last."""
-        return command == self._wanted
+    def is_requested(self, command: RepeatedCommand) -> bool:
+        """Return whether this command is the one requested last."""
+        return command == self._requested
 
     def on_ack(self, ack: common.MAVLink_command_ack_message, now_us: int) -> None:
-        """Take a COMMAND_ACK; those of other commands are not ours."""
-        if self._wanted is None or ack.command != self._wanted.number or self.accepted:
+        """Process a COMMAND_ACK; those of other commands are ignored."""
+        if self._requested is None or ack.command != self._requested.number or self.accepted:
             return
         if ack.result in {common.MAV_RESULT_ACCEPTED, common.MAV_RESULT_IN_PROGRESS}:
             self.accepted = True
@@ -79,14 +80,14 @@ class CommandSender:
             self._send_us = now_us + REFUSAL_US
 
     def next_deadline_us(self) -> int:
-        """When the command is to be sent, or sent again; NEVER_US if none is."""
-        return NEVER_US if self._wanted is None or self.accepted else self._send_us
+        """Return the time at which the command is sent next; NEVER_US if none is pending."""
+        return NEVER_US if self._requested is None or self.accepted else self._send_us
 
     def on_timer(self, now_us: int) -> list[common.MAVLink_message]:
-        """COMMAND_LONG if one is due."""
-        if now_us < self.next_deadline_us() or self._wanted is None:
+        """Return a COMMAND_LONG if one is due."""
+        if now_us < self.next_deadline_us() or self._requested is None:
             return []
-        number, params = self._wanted.number, self._wanted.params
+        number, params = self._requested.number, self._requested.params
         message = common.MAVLink_command_long_message(
             self._target_system, AUTOPILOT_COMPONENT, number, self._confirmation, *params
         )

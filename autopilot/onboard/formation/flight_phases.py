@@ -1,11 +1,11 @@
-"""The course of a flight: which phase it is in, and which command it wants of the autopilot. No I/O.
+"""State machine of a flight: selects the phase and the command for the autopilot. No I/O.
 
-Take-off is the autopilot's own, for its spool-up and its landed-state logic are made for leaving the ground;
-but it holds the uncorrected position, which drifts with the GPS bias, so at `HAND_OVER_HEIGHT_M`, while it
-still climbs, the application takes over in offboard with a setpoint that goes on climbing at the same speed
-over the corrected position. Nobody takes off before the shape of the formation on the ground is known to
-`SHAPE_STD_M`, or the wait for that has been in vain for `LOCALISE_TIMEOUT_US`. A flight that is held waits
-before all that, commands nothing and sets nothing; once released it goes on from wherever the vehicle is.
+The autopilot performs the take-off itself, because its spool-up and landed-state logic are designed for it.
+It holds the uncorrected position, however, which drifts with the GPS bias. At `HAND_OVER_HEIGHT_M`, during
+the climb, the application therefore takes over in offboard mode, with a setpoint that continues the climb at
+the same speed over the corrected position. A UAV does not take off before the formation's shape on the ground
+is known to `SHAPE_STD_M`, or `LOCALISE_TIMEOUT_US` has passed. A flight that is held waits before all that
+and sends neither commands nor setpoints; when released it continues from the vehicle's state.
 """
 
 from msgspec import Struct
@@ -19,31 +19,32 @@ SHAPE_STD_M = 0.35
 LOCALISE_TIMEOUT_US = 10_000_000
 TAKE_OFF_HEIGHT_M = 2.5
 HAND_OVER_HEIGHT_M = 0.5
-"""Until then wind and GPS have the vehicle and neighbours are not heeded: as low as it surely flies."""
+"""Below it the vehicle follows wind and GPS errors and does not avoid neighbours. It is the lowest height at
+which the vehicle certainly flies."""
 FLOWN_HEIGHT_M = 0.3
-"""From here on a vehicle that is disarmed has landed, and is not sent up again."""
+"""A vehicle disarmed after exceeding this height has landed and does not take off again."""
 HEARTBEAT_LAG_US = 1_500_000
-"""A HEARTBEAT (1 Hz) shows a change that a COMMAND_ACK announced after this at the latest."""
+"""Longest time until a HEARTBEAT (1 Hz) shows a change that a COMMAND_ACK has confirmed."""
 
 
 class Situation(Struct, frozen=True, kw_only=True):
-    """What the course of a flight depends on besides the autopilot's own state."""
+    """Inputs of the state machine besides the state of the own autopilot."""
 
     shape_std_m: float
-    """Expected error of the formation's shape; 0 where nobody asks for it, inf while it is not known."""
+    """Expected error of the formation's shape; 0 without localisation, inf while it is unknown."""
     miss_m: float
-    """Distance from the own place, as the UAV believes."""
+    """Estimated distance from the own place."""
     place_height_m: float
-    """Of the own place over the ground."""
+    """Height of the own place above the ground."""
 
 
 class FlightSequence:
     """The phases of one UAV's flight, in the order of `FlightPhase`.
 
     Attributes:
-        phase: where in the flight it is.
-        texts: what there is to tell the ground station; the owner takes them away.
-        held: it is not to begin yet; whoever takes that away releases it.
+        phase: current phase.
+        texts: messages for the ground station; the owner sends and removes them.
+        held: the flight must not begin yet; clearing it releases the flight.
 
     """
 
@@ -68,16 +69,16 @@ class FlightSequence:
 
     @property
     def in_air(self) -> bool:
-        """Whether it has been sent up."""
+        """Whether take-off has been commanded."""
         return FlightPhase.TAKE_OFF <= self.phase <= FlightPhase.LANDED
 
     @property
     def in_formation(self) -> bool:
-        """Whether the application has the vehicle."""
+        """Whether the application controls the vehicle."""
         return self.phase in {FlightPhase.JOINING, FlightPhase.ON_STATION}
 
     def update(self, own: OwnState, situation: Situation, now_us: int) -> None:
-        """Go on to the phase that the facts of now lead to, and want the command that it needs."""
+        """Update the phase from the present state, and request the command that it needs."""
         phase = self._next(own, situation, now_us)
         if phase is not self.phase:
             self.phase, self._phase_since_us = phase, now_us
@@ -85,7 +86,7 @@ class FlightSequence:
     def _next(self, own: OwnState, situation: Situation, now_us: int) -> FlightPhase:
         disarmed = not own.armed and own.heartbeat_us > self._phase_since_us + HEARTBEAT_LAG_US
         match self.phase:
-            case FlightPhase.JOINING | FlightPhase.ON_STATION:  # first, for so it is nearly always
+            case FlightPhase.JOINING | FlightPhase.ON_STATION:  # first, because it is the most frequent
                 return self._in_formation(own, situation, now_us, disarmed=disarmed)
             case FlightPhase.WAITING if own.origin_ned_m is not None and own.fix is not None:
                 return FlightPhase.HELD if self.held else self._begin(situation)
@@ -98,18 +99,18 @@ class FlightSequence:
                     self.texts.append("formation not localised: taking off all the same")
                     return FlightPhase.ARMING
             case FlightPhase.ARMING:
-                self._commands.want(ARM, now_us)
+                self._commands.request(ARM, now_us)
                 if self._commands.accepted:
                     return FlightPhase.TAKE_OFF
             case FlightPhase.TAKE_OFF:
                 return self._taking_off(own, situation, now_us, disarmed=disarmed)
             case FlightPhase.YIELDED:
-                self._commands.want(None, now_us)
+                self._commands.request(None, now_us)
                 if own.mode is FlightMode.OFFBOARD and not own.failsafe:
                     return FlightPhase.JOINING
                 return FlightPhase.LANDED if disarmed else self.phase
             case FlightPhase.LANDED:
-                self._commands.want(None, now_us)
+                self._commands.request(None, now_us)
         return self.phase
 
     @staticmethod
@@ -124,10 +125,12 @@ class FlightSequence:
         if own.failsafe:
             return self._yield("failsafe", now_us)
         self._has_flown |= height_m > FLOWN_HEIGHT_M
-        if height_m < min(HAND_OVER_HEIGHT_M, 0.5 * take_off_height_m) and not self._commands.wants(OFFBOARD):
-            self._commands.want(take_off(own.origin_alt_m + take_off_height_m), now_us)
+        if height_m < min(HAND_OVER_HEIGHT_M, 0.5 * take_off_height_m) and not self._commands.is_requested(
+            OFFBOARD
+        ):
+            self._commands.request(take_off(own.origin_alt_m + take_off_height_m), now_us)
             return FlightPhase.TAKE_OFF
-        self._commands.want(OFFBOARD, now_us)
+        self._commands.request(OFFBOARD, now_us)
         self._offboard_seen = False
         return FlightPhase.JOINING if self._commands.accepted else FlightPhase.TAKE_OFF
 
@@ -142,7 +145,7 @@ class FlightSequence:
             self._offboard_seen = True
         elif self._offboard_seen:
             return self._yield("offboard left", now_us)
-        if not situation.miss_m <= self._tolerance_m:  # NaN is nowhere
+        if not situation.miss_m <= self._tolerance_m:  # also for NaN
             self._arrived_us = None
         elif self._arrived_us is None:
             self._arrived_us = now_us
@@ -151,9 +154,9 @@ class FlightSequence:
         return self.phase
 
     def _yield(self, why: str, now_us: int) -> FlightPhase:
-        """Leave the flying to whoever has it now, and ask for nothing more."""
+        """Leave the control of the vehicle to its new mode, and send no further commands."""
         self._offboard_seen = False
         self._arrived_us = None
-        self._commands.want(None, now_us)
+        self._commands.request(None, now_us)
         self.texts.append(f"{why}: yielding")
         return FlightPhase.YIELDED

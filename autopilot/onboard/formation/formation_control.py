@@ -1,8 +1,9 @@
-"""Formation control: from what the UAV knows of its true position to where it asks its autopilot to be.
+"""Formation control: position correction for the autopilot, and the reference that joins the plan.
 
-The autopilot holds position in an estimate that follows its GPS bias. To stand truly at r it must be told
-``r + correction``, the correction being its own position estimate less the true position as localisation
-knows it. Where truly it should be is a point that joins the formation's plan and then is the plan.
+The autopilot controls its own position estimate, which follows the GPS bias. For a true position r its
+setpoint must be ``r + correction``, where the correction is its position estimate minus the true position as
+estimated by localisation. The reference is the desired true position: a point that joins the formation's plan
+and then equals it.
 """
 
 import math
@@ -18,40 +19,40 @@ Level = tuple[float, float]
 """North and east."""
 
 OFFSET_TIME_CONSTANT_S = 0.5
-"""Smooths the steps that single distances make; the drift of odometry in that time is centimetres."""
+"""Smooths the steps by single distances; the odometry drift in that time is a few centimetres."""
 OFFSET_RATE_M_S = 0.5
-"""Fastest that a new estimate may move the vehicle."""
+"""Largest speed at which a new estimate may move the vehicle."""
 COAST_S = 10.0
-"""With the default odometry drift of 0.1 m in a second, what odometry has lost after this time (0.3 m) is
-still a fraction of what GPS bias moves (0.8 m per axis at 1.5 m and 60 s)."""
+"""At the default odometry drift of 0.1 m after a second, the drift after this time (0.3 m) is still a
+fraction of the change of a GPS bias (0.8 m per axis at 1.5 m and 60 s)."""
 FADE_TIME_CONSTANT_S = 20.0
 JOIN_SPEED_M_S = 1.0
 ACCELERATION_M_S2 = 0.8
-"""Of the moving setpoint: half of what tilt limits allow in the scenario's wind is left to the wind."""
+"""Acceleration limit of the moving setpoint: it leaves half of the tilt limit in the scenario's wind as a
+reserve."""
 BRAKING = 2.0 / 3.0
-"""Part of the acceleration by which braking is planned: a third in reserve keeps the point from passing its
-target."""
+"""Share of the acceleration that is planned for braking: the reserve of a third prevents an overshoot."""
 PLAN_SWING_M_S2 = 6.0
-"""Largest change of a plan's acceleration within a step: plans stay below 3 m/s^2 either way. A target that
-moves otherwise than its last motion says by more than that has jumped."""
+"""Largest change of a plan's acceleration within a step, as plans stay within 3 m/s^2. A target that deviates
+from its last motion by more than that has jumped."""
 LAG_MAX_M = 1.0
-"""The point waits for a vehicle that is this far behind."""
+"""Largest horizontal distance of the joining reference from the vehicle."""
 _STILL = (0.0, 0.0, 0.0)
 _TARGET = Struct("12d")
-"""Of an array's rows: written into its memory, for a fifth of the time that assigning them takes."""
+"""Packs an array's rows into its memory, in a fifth of the time of assigning them."""
 
 
 class Correction:
-    """The correction's course over time, horizontal.
+    """Horizontal position correction over time.
 
-    While distances come, it is the autopilot's drift against odometry, known exactly and passed on at once,
-    less the estimated offset of odometry, smoothed and bounded in rate. When they stop, the offset is frozen
-    and the vehicle coasts on its odometry for `COAST_S`; after that nothing known here is better than GPS,
-    and the correction fades to zero.
+    While distances arrive, it is the autopilot's drift against odometry, which is known exactly and applied
+    at once, minus the estimated odometry offset, which is smoothed and limited in rate. When they stop, the
+    offset is frozen and the vehicle coasts on its odometry for `COAST_S`. After that GPS is the better
+    estimate, and the correction fades to zero.
 
     Attributes:
         ne_m: the correction, NED north and east.
-        offset_ne_m: smoothed true position less odometry; None before the first.
+        offset_ne_m: smoothed true position minus odometry; None before the first estimate.
 
     """
 
@@ -62,23 +63,23 @@ class Correction:
 
     @property
     def holds(self) -> bool:
-        """Whether the offset of odometry is known, or was until no more than `COAST_S` ago."""
+        """Whether the odometry offset is known, from distances at most `COAST_S` ago."""
         return self.offset_ne_m is not None and self._silent_s <= COAST_S
 
     def lose_odometry(self) -> None:
-        """Forget what the offset was, for the odometry has begun anew; fade from where the correction is."""
+        """Invalidate the offset after a restart of odometry; the correction fades from its present value."""
         self._silent_s = math.inf
 
     def update(
         self, autopilot_less_odometry_ne_m: Level, offset_ne_m: Level | None, dt_s: float, *, at_once: bool
     ) -> None:
-        """Advance by dt_s.
+        """Advance the correction by ``dt_s``.
 
         Args:
-            autopilot_less_odometry_ne_m: the autopilot's position less the odometry, of one moment.
-            offset_ne_m: estimated true position less odometry; None while no distances support it.
-            dt_s: since the last call.
-            at_once: take the estimate over without smoothing, as is safe on the ground.
+            autopilot_less_odometry_ne_m: the autopilot's position minus the odometry of the same time.
+            offset_ne_m: estimated true position minus odometry; None without support by distances.
+            dt_s: time since the last call.
+            at_once: apply the estimate without smoothing, which is safe on the ground only.
 
         """
         drift_n_m, drift_e_m = autopilot_less_odometry_ne_m
@@ -95,7 +96,7 @@ class Correction:
             known = offset_ne_m
         else:
             if known is None or self._silent_s > COAST_S:
-                # Continue from where the correction is: it may not jump in the air.
+                # Continue from the present correction, which must not jump in the air.
                 known = (drift_n_m - self.ne_m[0], drift_e_m - self.ne_m[1])
             part, limit_m = 1.0 - math.exp(-dt_s / OFFSET_TIME_CONSTANT_S), OFFSET_RATE_M_S * dt_s
             step_n_m, step_e_m = (offset_ne_m[0] - known[0]) * part, (offset_ne_m[1] - known[1]) * part
@@ -112,18 +113,18 @@ class Correction:
 @njit(cache=True)
 def join(
     pos: Array, vel: Array, acc: Array, target: Array, first: int, end: int, speed_m_s: float, dt_s: float,
-    joined: bool,  # noqa: FBT001  # numba knows no keyword-only arguments
+    joined: bool,  # noqa: FBT001  # numba has no keyword-only arguments
 ) -> bool:  # fmt: skip
-    """Move pos, vel and acc (3,) on axes ``first`` to below ``end`` by ``dt_s`` towards a moving target.
+    """Advance pos, vel and acc (3,) on axes ``first`` to ``end`` - 1 by ``dt_s`` towards a moving target.
 
-    The first rows of ``target`` (., 3) are its position after ``dt_s``, velocity and acceleration. Returns
-    whether pos, vel and acc are the target's; ``joined``: whether they were before. ``speed_m_s`` is relative
-    to it.
+    The first rows of ``target`` (., 3) are the target's position after ``dt_s``, velocity and acceleration.
+    ``speed_m_s`` limits the speed relative to the target. ``joined``: whether pos, vel and acc equalled the
+    target's before. Returns whether they do now.
     """
     gap_m, apart_m_s = np.zeros(3), np.zeros(3)
     distance_m2, speed_m2_s2 = 0.0, 0.0
     for a in range(first, end):
-        # Against where the target was by its own motion, so that joining is the same however it moves.
+        # Relative to the target's previous position by its motion, so that joining does not depend on it.
         gap_m[a] = target[0, a] - dt_s * (target[1, a] - 0.5 * dt_s * target[2, a]) - pos[a]
         apart_m_s[a] = vel[a] - target[1, a] + dt_s * target[2, a]
         distance_m2 += gap_m[a] * gap_m[a]
@@ -139,14 +140,14 @@ def join(
         return True
     # Braking on v^2 = 2 a s; the last step ends at the target.
     braking_m_s = math.sqrt(2.0 * BRAKING * ACCELERATION_M_S2 * distance_m)
-    wanted_1_s = min(speed_m_s, braking_m_s, distance_m / dt_s) / max(distance_m, 1e-9)
+    desired_1_s = min(speed_m_s, braking_m_s, distance_m / dt_s) / max(distance_m, 1e-9)
     size_m2_s2 = 0.0
     for a in range(first, end):
-        missing_m_s = gap_m[a] * wanted_1_s - apart_m_s[a]
+        missing_m_s = gap_m[a] * desired_1_s - apart_m_s[a]
         size_m2_s2 += missing_m_s * missing_m_s
     part = min(1.0, ACCELERATION_M_S2 * dt_s / max(math.sqrt(size_m2_s2), 1e-9))
     for a in range(first, end):
-        change_m_s = part * (gap_m[a] * wanted_1_s - apart_m_s[a])
+        change_m_s = part * (gap_m[a] * desired_1_s - apart_m_s[a])
         apart_m_s[a] += change_m_s
         pos[a] = target[0, a] - gap_m[a] + apart_m_s[a] * dt_s
         vel[a] = target[1, a] + apart_m_s[a]
@@ -156,16 +157,16 @@ def join(
 
 @njit(cache=True)
 def follow(
-    motion: Array, joined: NDArray[np.bool_], target: Array, heeded: bool,  # noqa: FBT001
+    motion: Array, joined: NDArray[np.bool_], target: Array, limited: bool,  # noqa: FBT001
     climb_speed_m_s: float, dt_s: float,
 ) -> None:  # fmt: skip
-    """Move a `FormationReference` on by ``dt_s``, in place.
+    """Advance a `FormationReference` by ``dt_s``, in place.
 
-    Rows of motion (3, 3) are its position, velocity and acceleration; ``joined`` (2,) says whether these are
-    the target's, horizontally and in height. Rows of target (4, 3) are those of the target, and where the
-    vehicle is, which counts if it is ``heeded``.
+    Rows of motion (3, 3) are its position, velocity and acceleration. ``joined`` (2,) states whether these
+    equal the target's, horizontally and in height. Rows of target (4, 3) are the target's position, velocity
+    and acceleration, and the position of the vehicle, which is used if ``limited``.
     """
-    if heeded and not joined[0]:
+    if limited and not joined[0]:
         north_m, east_m = motion[0, 0] - target[3, 0], motion[0, 1] - target[3, 1]
         away_m = math.sqrt(north_m * north_m + east_m * east_m)
         if away_m > LAG_MAX_M:
@@ -177,16 +178,16 @@ def follow(
 
 
 class FormationReference:
-    """A point that joins a moving target, horizontally and vertically apart, and then is the target.
+    """A reference point that joins a moving target, separately in the horizontal and in height.
 
-    While it joins, its motion relative to the target has bounded speed and acceleration. Once it is within
-    what one step's acceleration closes, position, velocity and acceleration are the target's exactly, until
-    the target jumps.
+    While it joins, its speed and acceleration relative to the target are limited. When the acceleration of
+    one step can close the gap, its position, velocity and acceleration become exactly the target's, until the
+    target jumps.
 
     Attributes:
-        pos_ned_m: (3,) where the vehicle should truly be.
-        vel_ned_m_s: (3,) and how it should move.
-        acc_ned_m_s2: (3,) the change of that motion, the target's own included.
+        pos_ned_m: (3,) desired true position of the vehicle.
+        vel_ned_m_s: (3,) desired velocity.
+        acc_ned_m_s2: (3,) desired acceleration, including that of the target.
 
     """
 
@@ -196,13 +197,13 @@ class FormationReference:
         self._motion = motion
         self._climb_speed_m_s = climb_speed_m_s
         self._target = np.zeros((4, 3))
-        """Of `follow`."""
+        """Argument ``target`` of `follow`."""
         self._target_bytes = self._target.data.cast("B")
         self._joined = np.zeros(2, bool)
-        """Horizontally and in height."""
+        """Whether it equals the target, horizontally and in height."""
 
     def reset(self, pos_ned_m: Sequence[float], vel_ned_m_s: Sequence[float]) -> None:
-        """Begin at a position and velocity, (3,)."""
+        """Set position and velocity, (3,), and restart joining."""
         self.pos_ned_m[:] = pos_ned_m
         self.vel_ned_m_s[:] = vel_ned_m_s
         self.acc_ned_m_s2[:] = 0.0
@@ -217,31 +218,32 @@ class FormationReference:
         target_acc_ned_m_s2: Sequence[float] = _STILL,
         vehicle_ned_m: Sequence[float] | None = None,
     ) -> None:
-        """Move on by ``dt_s`` (> 0).
+        """Advance by ``dt_s`` (> 0).
 
         Args:
-            target_pos_ned_m: (3,) where the target is after ``dt_s``, with its velocity and acceleration.
-            dt_s: since the last call.
-            target_vel_ned_m_s: (3,)
-            target_acc_ned_m_s2: (3,)
-            vehicle_ned_m: (3,) where the vehicle is: while it joins, this point stays within `LAG_MAX_M` of
-                it horizontally, so it goes around with a vehicle that something is in the way of.
+            target_pos_ned_m: (3,) position of the target after ``dt_s``.
+            dt_s: time since the last call.
+            target_vel_ned_m_s: (3,) velocity of the target.
+            target_acc_ned_m_s2: (3,) acceleration of the target.
+            vehicle_ned_m: (3,) position of the vehicle: while joining, the reference stays within `LAG_MAX_M`
+                of it horizontally, so it follows a vehicle that avoids an obstacle.
 
         """
-        heeded = vehicle_ned_m is not None
+        limited = vehicle_ned_m is not None
         there_ned_m = _STILL if vehicle_ned_m is None else vehicle_ned_m
         _TARGET.pack_into(
             self._target_bytes, 0,
             *target_pos_ned_m, *target_vel_ned_m_s, *target_acc_ned_m_s2, *there_ned_m,
         )  # fmt: skip
-        follow(self._motion, self._joined, self._target, heeded, self._climb_speed_m_s, dt_s)
+        follow(self._motion, self._joined, self._target, limited, self._climb_speed_m_s, dt_s)
 
 
 def joining_time_s(distance_m: float, speed_m_s: float) -> float:
-    """Time in which a `FormationReference` from rest comes to rest at a target so far away.
+    """Return the time in which a `FormationReference` from rest comes to rest at a target at a distance.
 
-    Speeding up with a, braking with `BRAKING` a: from rest over v to rest takes v / a (1 + 1 / BRAKING) and
-    half of v times that in distance; the rest goes at v, the speed limit or what the distance allows.
+    It accelerates with a and brakes with `BRAKING` a. From rest to v and back to rest takes the time
+    v / a (1 + 1 / BRAKING) and covers v / 2 times that; the remaining distance is covered at v, which is the
+    speed limit or what the distance allows.
     """
     if distance_m <= 0.0:
         return 0.0

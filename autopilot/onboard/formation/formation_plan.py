@@ -1,8 +1,9 @@
-"""Where every place of a formation is at any time: a rigid whole that stands, flies a track, or goes round.
+"""Plan of a formation: all places over time, as a rigid body that stands, flies a track or a racetrack.
 
-The formation moves by its centre, the mean of its places. The centre's way is a function of the length flown,
-the length a function of time; the whole turns about the centre with the way's course where it is to. Every
-UAV and the analysis evaluate the same plan, so all it takes to fly it together is one start time.
+The centre of the formation, the mean of its places, follows a path. The path is a function of the length
+flown, and the length a function of time. The formation turns about its centre with the course of the path, if
+the motion requires it. Every UAV and the analysis evaluate the same plan, so a common start time is all that
+they have to agree on.
 """
 
 import math
@@ -19,33 +20,34 @@ Array = NDArray[np.float64]
 Number = TypeVar("Number", float, Array)
 
 ACCELERATION_MAX_M_S2 = 3.0
-"""Of any UAV: 17 degrees of tilt, which leave as much again for the wind."""
+"""Limit for every UAV: 17 degrees of tilt, which leaves the same again for the wind."""
 SPEED_MAX_M_S = 12.0
-"""Of any UAV: MPC_XY_VEL_MAX."""
+"""Limit for every UAV: MPC_XY_VEL_MAX."""
 EASE_RADII = math.pi / 2
-"""Way in which a turn's curvature comes, and in which it goes, in radii of its tightest part. A UAV beside
-the centre is sped up along its way by at most what that part's rotation pulls it towards the centre with."""
+"""Length over which a turn's curvature rises, and over which it falls, in radii of its tightest part. The
+tangential acceleration of a UAV beside the centre is then at most the centripetal acceleration of its
+rotation about the centre in the tightest part."""
 SPEED_UP_MAX_S = 3600.0
 TURN_INTERVALS = 256
-"""Of a half turn's table. Cubic interpolation is wrong by some 1e-9 radii."""
+"""Intervals in the table of a half turn; the error of cubic interpolation is about 1e-9 radii."""
 _CHECKED_INSTANTS = 200
 _STILL: Vector = (0.0, 0.0, 0.0)
 
 
 class PlanState(Struct, frozen=True, eq=False):
-    """The plan of N places at an instant. Arrays (N, 3) are not to be written to."""
+    """The plan of N places at an instant. Arrays (N, 3) must not be written to."""
 
     pos_ned_m: Array
-    """Site NED."""
+    """Positions, site NED."""
     vel_ned_m_s: Array
     acc_ned_m_s2: Array
     heading_rad: float
-    """Of the formation, clockwise from north, -pi to pi."""
+    """Heading of the formation, clockwise from north, -pi to pi."""
     heading_rate_rad_s: float
 
 
 class PlaceState(Struct, frozen=True):
-    """The plan of one place at an instant; fields as of `PlanState`."""
+    """The plan of one place at an instant; fields as in `PlanState`."""
 
     pos_ned_m: Vector
     vel_ned_m_s: Vector
@@ -55,7 +57,7 @@ class PlaceState(Struct, frozen=True):
 
 
 class _Centre(NamedTuple):
-    """Motion of the formation's centre from where it was formed, and turn of the whole; north and east."""
+    """Motion of the formation's centre, north and east, and turn of the formation since its start."""
 
     north_m: float
     east_m: float
@@ -68,20 +70,20 @@ class _Centre(NamedTuple):
     turn_rad_s2: float
 
 
-class _Waypoint(NamedTuple):
-    """A point of a way, in the frame of its first course."""
+class _PathPoint(NamedTuple):
+    """A point of a path, in the frame of its first course."""
 
     along_m: float
     right_m: float
     course_rad: float
     """Clockwise from the first course."""
     curvature_1_m: float
-    """Turn of the course with the length of the way, clockwise."""
+    """Derivative of the course by the length of the path, clockwise."""
     curvature_rate_1_m2: float
 
 
-class _Way(Protocol):
-    def at(self, length_m: float) -> _Waypoint: ...
+class _Path(Protocol):
+    def at(self, length_m: float) -> _PathPoint: ...
 
 
 class FormationPlan:
@@ -89,10 +91,10 @@ class FormationPlan:
 
     Args:
         places_ned_m: (N, 3) places before the motion, site NED.
-        heading_deg: of the formation then, clockwise from north.
-        motion: None stands still.
+        heading_deg: heading of the formation before the motion, clockwise from north.
+        motion: motion of the formation; None: it stands still.
 
-    Times are since the motion's start; before it, the formation stands at its places.
+    Times are relative to the start of the motion; before it the formation stands at its places.
 
     """
 
@@ -101,7 +103,7 @@ class FormationPlan:
         centre_ned_m = places_ned_m.mean(axis=0)
         self._motion = motion
         self.moves = motion is not None
-        """There is a motion at all."""
+        """Whether there is a motion."""
         self._heading_rad = math.radians(heading_deg)
         self._north_m, self._east_m = float(centre_ned_m[0]), float(centre_ned_m[1])
         self._offset_north_m, self._offset_east_m = (places_ned_m - centre_ned_m)[:, :2].T.copy()
@@ -120,7 +122,7 @@ class FormationPlan:
         ]
         if motion is None:
             return
-        self._way: _Way = _Racetrack(motion) if isinstance(motion, RacetrackMotion) else _Straight()
+        self._path: _Path = _Racetrack(motion) if isinstance(motion, RacetrackMotion) else _Straight()
         length_m = math.inf if isinstance(motion, RacetrackMotion) else motion.length_m
         self._progress = _Progress(motion.speed_m_s, motion.acceleration_m_s2, length_m)
         course_rad = math.radians(motion.course_deg)
@@ -129,7 +131,7 @@ class FormationPlan:
         self._turns = isinstance(motion, RacetrackMotion) and motion.heading == "track"
 
     def at(self, since_start_s: float) -> PlanState:
-        """State of all N places."""
+        """Return the state of all N places."""
         if self._motion is None or since_start_s <= 0.0:
             return self._standing
         centre = self._centre(since_start_s)
@@ -144,7 +146,7 @@ class FormationPlan:
         return PlanState(pos_ned_m, vel_ned_m_s, acc_ned_m_s2, *self._heading(centre))
 
     def own(self, station: int, since_start_s: float) -> PlaceState:
-        """State of one place: what `at` says of it, for a fraction of its time."""
+        """Return the state of one place, equal to that of `at` in a fraction of its time."""
         if self._motion is None or since_start_s <= 0.0:
             return self._own_standing[station]
         centre = self._centre(since_start_s)
@@ -160,7 +162,7 @@ class FormationPlan:
         )
 
     def places(self, since_start_s: Array) -> Array:
-        """(T, N, 3) places at T times, site NED; not to be written to when the formation stands."""
+        """Return (T, N, 3) places at T times, site NED; read-only if the formation stands."""
         shape = (len(since_start_s), *self._standing.pos_ned_m.shape)
         if self._motion is None or not np.any(since_start_s > 0.0):
             return np.broadcast_to(self._standing.pos_ned_m, shape)
@@ -173,14 +175,14 @@ class FormationPlan:
         return places_ned_m
 
     def headings(self, since_start_s: Array) -> Array:
-        """(T,) headings at T times, clockwise from north, -pi to pi."""
+        """Return (T,) headings at T times, clockwise from north, -pi to pi."""
         if not (self._motion is not None and self._turns and np.any(since_start_s > 0.0)):
             return np.full(len(since_start_s), self._standing.heading_rad)
         turned_rad = self._heading_rad + self._centres(since_start_s)[:, 6]
         return np.arctan2(np.sin(turned_rad), np.cos(turned_rad))
 
     def _centres(self, since_start_s: Array) -> Array:
-        """(T, 9) rows of `_Centre`: a loop over the formulas that the UAVs fly by, some 5 us each."""
+        """Return (T, 9) rows of `_Centre`: a loop over the formulas that the UAVs use, about 5 us each."""
         return np.array([self._centre(max(0.0, t)) for t in since_start_s.tolist()])
 
     def _heading(self, centre: _Centre) -> tuple[float, float]:
@@ -190,8 +192,8 @@ class FormationPlan:
         return self._moving(*self._progress.at(since_start_s))
 
     def _moving(self, length_m: float, speed_m_s: float, acceleration_m_s2: float) -> _Centre:
-        """Motion at a point of the way: the chain rule, with d/dt = speed d/dlength."""
-        along_m, right_m, course_rad, curvature_1_m, curvature_rate_1_m2 = self._way.at(length_m)
+        """Return the motion at a point of the path, by the chain rule with d/dt = speed d/dlength."""
+        along_m, right_m, course_rad, curvature_1_m, curvature_rate_1_m2 = self._path.at(length_m)
         c, s = self._course_cos, self._course_sin
         north, east = math.cos(self._course_rad + course_rad), math.sin(self._course_rad + course_rad)
         turn_rad_s = curvature_1_m * speed_m_s
@@ -208,11 +210,11 @@ class FormationPlan:
         )
 
     def check(self) -> None:
-        """Raise ValueError with one line if the motion asks too much of a UAV in a turn."""
+        """Raise ValueError, one line, if the motion exceeds the limits of a UAV in a turn."""
         motion = self._motion
         if not isinstance(motion, RacetrackMotion):
             return
-        # From rest to full speed, and through a turn at full speed; the others are like that.
+        # From rest to full speed, and through a turn at full speed; the other parts are equivalent.
         instants = [self._centre(t) for t in np.linspace(0.0, self._progress.rise_s, _CHECKED_INSTANTS)]
         instants += [
             self._moving(length_m, motion.speed_m_s, 0.0)
@@ -228,21 +230,21 @@ class FormationPlan:
             if not size[worst] <= limit:
                 offset_m = math.hypot(*self._offsets[worst][:2])
                 raise ValueError(
-                    f"radius_m: UAV {worst}, {offset_m:.1f} m off the centre, would come to "
+                    f"radius_m: UAV {worst}, {offset_m:.1f} m off the centre, would reach "
                     f"{size[worst]:.1f} {what} in a turn of {motion.radius_m:g} m at {motion.speed_m_s:g} "
                     f"m/s; {limit:g} {what} is the limit"
                 )
 
 
 def check(places_ned_m: Array, motion: AnyMotion) -> None:
-    """Raise ValueError, one line, for a motion of the formation (N, 3) that cannot be flown."""
+    """Raise ValueError, one line, if the formation with places (N, 3) cannot fly the motion."""
     if motion.speed_m_s > SPEED_UP_MAX_S * motion.acceleration_m_s2:
         raise ValueError(
             f"acceleration_m_s2: {motion.speed_m_s:g} m/s are not reached within {SPEED_UP_MAX_S:g} s"
         )
     if isinstance(motion, RacetrackMotion) and motion.speed_m_s**2 > ACCELERATION_MAX_M_S2 * motion.radius_m:
         raise ValueError(
-            f"radius_m: {motion.speed_m_s:g} m/s in a turn of {motion.radius_m:g} m is more than "
+            f"radius_m: {motion.speed_m_s:g} m/s in a turn of {motion.radius_m:g} m needs more than "
             f"{ACCELERATION_MAX_M_S2:g} m/s^2"
         )
     FormationPlan(places_ned_m, 0.0, motion).check()
@@ -251,7 +253,7 @@ def check(places_ned_m: Array, motion: AnyMotion) -> None:
 def _carried(
     centre: _Centre, offset_north_m: Number, offset_east_m: Number
 ) -> tuple[Number, Number, Number, Number, Number, Number]:
-    """Positions, velocities and accelerations, north and east each, of points of the rigid whole."""
+    """Return positions, velocities and accelerations, each north and east, of points of the formation."""
     c, s = math.cos(centre.turn_rad), math.sin(centre.turn_rad)
     rate, rate_2, squared = centre.turn_rad_s, centre.turn_rad_s2, centre.turn_rad_s**2
     north_m = c * offset_north_m - s * offset_east_m
@@ -267,9 +269,9 @@ def _carried(
 
 
 class _Progress:
-    """Length of the way over time: from rest with constant acceleration, at constant speed, to rest.
+    """Length of the path over time: constant acceleration from rest, constant speed, braking to rest.
 
-    On a way too short for the speed it is as fast as it can be; an endless one is never braked on.
+    On a path too short for the speed a lower peak speed is used; an endless path has no braking.
     """
 
     def __init__(self, speed_m_s: float, acceleration_m_s2: float, length_m: float) -> None:
@@ -281,7 +283,7 @@ class _Progress:
         self._brake_s = self.rise_s + max(0.0, (length_m - 2.0 * self._rise_m) / self._speed_m_s)
 
     def at(self, time_s: float) -> tuple[float, float, float]:
-        """(length, speed, acceleration) in m, m/s, m/s^2 at a time >= 0."""
+        """Return (length, speed, acceleration) in m, m/s, m/s^2 at a time >= 0."""
         rate_m_s2 = self._acceleration_m_s2
         if time_s < self.rise_s:
             return 0.5 * rate_m_s2 * time_s**2, rate_m_s2 * time_s, rate_m_s2
@@ -294,25 +296,25 @@ class _Progress:
 
 
 class _Straight:
-    """The way of a track."""
+    """The path of a track."""
 
-    def at(self, length_m: float) -> _Waypoint:
-        return _Waypoint(length_m, 0.0, 0.0, 0.0, 0.0)
+    def at(self, length_m: float) -> _PathPoint:
+        return _PathPoint(length_m, 0.0, 0.0, 0.0, 0.0)
 
 
 def _half_lap_m(motion: RacetrackMotion) -> float:
-    """Way of a straight and its half turn, in which the course turns by (ease + plateau) / radius = pi."""
+    """Return the length of a straight and a half turn; its course turns by (ease + plateau) / radius = pi."""
     return motion.length_m + (math.pi + EASE_RADII) * motion.radius_m
 
 
 class _Racetrack:
-    """The way round a racetrack.
+    """The path of a racetrack.
 
-    In a turn the curvature rises as a raised cosine, stays at 1 / radius, and falls as it rose: UAVs beside
-    the centre then change their velocity, and even their acceleration, without a step. The course is the
-    curvature's integral in closed form; the position, which has none, is tabulated for a half turn, and cubic
-    with the right course at the table's points. The second half of a lap is the first, turned by pi, so that
-    laps close exactly.
+    In a turn the curvature rises as a raised cosine, stays at 1 / radius, and falls symmetrically, so that
+    velocity and acceleration of UAVs beside the centre have no steps. The course is the curvature's integral
+    in closed form. The position has no closed form: it is tabulated for a half turn, and interpolated by
+    cubics with the exact course at the points of the table. The second half of a lap is the first one turned
+    by pi, so that laps close exactly.
     """
 
     def __init__(self, motion: RacetrackMotion) -> None:
@@ -327,9 +329,9 @@ class _Racetrack:
         self._half_along_m, self._half_right_m = self._nodes[-1][0] + self._straight_m, self._nodes[-1][1]
 
     def _tabulated(self) -> list[tuple[float, float, float, float]]:
-        """(along, right, and their derivatives by length) at the intervals' ends, from the turn's begin.
+        """Return (along, right, and their derivatives by length) at the interval ends, from the turn's start.
 
-        The integral of each interval by Gauss and Legendre's rule of four points.
+        Each interval is integrated by the four-point Gauss-Legendre rule.
         """
         points, weights = np.polynomial.legendre.leggauss(4)
         starts_m = self._interval_m * np.arange(TURN_INTERVALS)
@@ -344,8 +346,8 @@ class _Racetrack:
             for (along_m, right_m), end_rad in zip(pos_m.tolist(), ends_rad, strict=True)
         ]
 
-    def at(self, length_m: float) -> _Waypoint:
-        """Point after a length >= 0 of the way."""
+    def at(self, length_m: float) -> _PathPoint:
+        """Return the point at a length >= 0 of the path."""
         halves, begun_m = divmod(length_m, self._half_m)
         if begun_m <= self._straight_m:
             along_m, right_m, turned = begun_m, 0.0, (0.0, 0.0, 0.0)
@@ -357,7 +359,7 @@ class _Racetrack:
             along_m, right_m = self._half_along_m - along_m, self._half_right_m - right_m
         side = self._side
         course_rad, curvature_1_m, curvature_rate_1_m2 = turned
-        return _Waypoint(
+        return _PathPoint(
             along_m,
             side * right_m,
             side * (math.pi * halves + course_rad),
@@ -366,7 +368,7 @@ class _Racetrack:
         )
 
     def _turn(self, at_m: float) -> tuple[float, float, float]:
-        """(course, curvature, curvature's rate) in rad, 1/m, 1/m^2 at a length of the half turn."""
+        """Return (course, curvature, its derivative) in rad, 1/m, 1/m^2 at a length of the half turn."""
         before_m = min(at_m, self._turn_m - at_m)
         if before_m >= self._ease_m:
             return self._curvature_1_m * (at_m - 0.5 * self._ease_m), self._curvature_1_m, 0.0
@@ -380,7 +382,7 @@ class _Racetrack:
         return course_rad, curvature_1_m, rate_1_m2
 
     def _position(self, at_m: float) -> tuple[float, float]:
-        """(along, right) in m at a length of the half turn: Hermite's cubic between the table's points."""
+        """Return (along, right) in m at a length of the half turn, by cubic Hermite interpolation."""
         index = min(int(at_m / self._interval_m), TURN_INTERVALS - 1)
         u = at_m / self._interval_m - index
         v = 1.0 - u

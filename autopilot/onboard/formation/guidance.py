@@ -1,8 +1,8 @@
-"""Guidance of one UAV: from what it knows of the formation to its setpoint. No I/O, no MAVLink.
+"""Guidance of one UAV: its setpoint from the plan and the state of the formation. No I/O, no MAVLink.
 
-The own place of the plan, joined at bounded speed; a height layer of its own where distances no longer hold
-the formation together; kept clear of the others; and turned into the autopilot's frame, in which the vehicle
-believes itself elsewhere than it is.
+The reference joins the own place of the plan at bounded speed. Without support by distances it moves to a
+height layer of its own. Avoidance adds a velocity, and the result is converted to the autopilot's frame, in
+which the position estimate contains the GPS error.
 """
 
 from autopilot.onboard.formation.avoidance import Avoidance
@@ -19,15 +19,15 @@ from autopilot.parameters.config import OnboardConfig
 from foundation.types import Vector
 
 SETPOINT_PERIOD_US = 40_000
-"""How often a setpoint is given, if the application's loop comes round at its multiples."""
+"""Period of setpoints, if the application's loop runs at its multiples."""
 POSITION_GAIN_1_S = 0.95
-"""MPC_XY_P of an autopilot that has not said what it is."""
+"""MPC_XY_P assumed until the autopilot has reported it."""
 EXTRAPOLATED_US = 50_000
-"""The autopilot's position is moved on by its velocity for so long at most: telemetry comes more often."""
+"""Longest extrapolation of the autopilot's position by its velocity; the telemetry period is shorter."""
 
 
 Setpoint = tuple[Vector, Vector, Vector | None]
-"""What the autopilot is asked for, NED: position from its own origin (m), velocity (m/s) and, if given,
+"""Setpoint for the autopilot, NED: position from its own origin (m), velocity (m/s) and, if given,
 acceleration (m/s^2)."""
 
 
@@ -36,15 +36,15 @@ class Guidance:
 
     Args:
         station: this UAV.
-        plan: of the formation.
+        plan: plan of the formation.
         config: settings.
-        near: whom the UAV keeps clear of.
+        near: UAVs to avoid.
 
     Attributes:
-        start: agreement on when the formation's motion begins.
-        correction: the autopilot's position less the true one, as far as known.
-        layers: height that keeps UAVs apart that no longer know where each other is.
-        wind: what the wind does to the vehicle; None unless it is asked for.
+        start: agreement on the start of the formation's motion.
+        correction: estimate of the autopilot's position minus the true one.
+        layers: height separation of UAVs without support by distances.
+        wind: observer of the wind's acceleration; None unless it is enabled.
         position_gain_1_s: MPC_XY_P of the autopilot that follows the setpoints.
 
     """
@@ -62,7 +62,7 @@ class Guidance:
         self.wind = WindObserver() if config.wind_feed_forward else None
         self.position_gain_1_s = POSITION_GAIN_1_S
         self.down_error_m = 0.0
-        """The autopilot's position less the true one, down; known to those alone who are told the truth."""
+        """The autopilot's position minus the true one, down; 0 unless the simulator sends the truth."""
         self._station = station
         self._plan = plan
         self._reference = FormationReference(climb_speed_m_s=config.climb_speed_m_s)
@@ -71,12 +71,12 @@ class Guidance:
         )
 
     def place_ned_m(self, now_us: int) -> Vector:
-        """The own place of the plan, at the height of the own layer, site NED."""
+        """Return the own place of the plan, at the height of the own layer, site NED."""
         north_m, east_m, down_m = self._plan.own(self._station, self._since_start_s(now_us)).pos_ned_m
         return north_m, east_m, down_m - self.layers.height_m
 
     def believed_ned_m(self, own: OwnState, now_us: int) -> Vector:
-        """Where the UAV believes itself to be, site NED."""
+        """Return the estimated position of the UAV at ``now_us``, site NED."""
         age_us = now_us - own.time_us
         if not 0 <= age_us <= EXTRAPOLATED_US:
             age_us = 0 if age_us < 0 else EXTRAPOLATED_US
@@ -89,27 +89,27 @@ class Guidance:
             down_m + vel_d * age_s - self.down_error_m,
         )
 
-    def agree(self, now_us: int, *, on_station: bool, hearing: NeighbourTable) -> None:
-        """Settle with the others when the motion starts."""
+    def agree(self, now_us: int, *, on_station: bool, table: NeighbourTable) -> None:
+        """Update the agreement on the start of the motion by the neighbours' reports."""
         if self._plan.moves:
-            self.start.update(now_us, on_station=on_station, neighbours=hearing.neighbours())
+            self.start.update(now_us, on_station=on_station, neighbours=table.neighbours())
 
     def wait(self, own: OwnState, now_us: int) -> Setpoint:
-        """Setpoint where the vehicle is, going on vertically as it does: offboard begins smoothly from it."""
+        """Return a setpoint at the present position and vertical speed, for a smooth start of offboard."""
         believed_ned_m = self.believed_ned_m(own, now_us)
         vel_ned_m_s = (0.0, 0.0, own.vel_ned_m_s[2])
         self._reference.reset(believed_ned_m, vel_ned_m_s)
-        return self._in_autopilots_frame(believed_ned_m, vel_ned_m_s, own, leans=False)
+        return self._in_autopilots_frame(believed_ned_m, vel_ned_m_s, own, accelerates=False)
 
     def follow(
         self, own: OwnState, believed_ned_m: Vector, others: Others | None, now_us: int, dt_s: float
     ) -> Setpoint:
-        """Setpoint on the way to the own place, and in it, of a UAV that believes itself there.
+        """Return the setpoint on the way to the own place and at it.
 
-        ``others`` are the neighbourhood; None where the own position in it is not known, to keep clear.
-        ``dt_s`` has passed since the last one.
+        ``believed_ned_m`` is the estimated own position. ``others`` is the neighbourhood to avoid; None if
+        the own position in it is unknown. ``dt_s`` is the time since the last setpoint.
         """
-        # in the middle of the time for which a setpoint holds
+        # The middle of the period for which a setpoint is valid.
         since_s = self._since_start_s(now_us) + 0.5 * SETPOINT_PERIOD_US * 1e-6
         target = self._plan.own(self._station, since_s)
         place_n_m, place_e_m, place_d_m = target.pos_ned_m
@@ -129,31 +129,33 @@ class Guidance:
                 others=others,
                 plan_pos_ned_m=plan.pos_ned_m, plan_vel_ned_m_s=plan.vel_ned_m_s,
                 goal_ned_m=target.pos_ned_m,
-                wanted_ne_m_s=(
+                desired_ne_m_s=(
                     gain_1_s * (north_m - believed_ned_m[0]) + vel_n,
                     gain_1_s * (east_m - believed_ned_m[1]) + vel_e,
                 ),
             )  # fmt: skip
             vel_n, vel_e = vel_n + change_n, vel_e + change_e
-        return self._in_autopilots_frame((north_m, east_m, down_m), (vel_n, vel_e, vel_d), own, leans=True)
+        return self._in_autopilots_frame(
+            (north_m, east_m, down_m), (vel_n, vel_e, vel_d), own, accelerates=True
+        )
 
     def _in_autopilots_frame(
-        self, pos_ned_m: Vector, vel_ned_m_s: Vector, own: OwnState, *, leans: bool
+        self, pos_ned_m: Vector, vel_ned_m_s: Vector, own: OwnState, *, accelerates: bool
     ) -> Setpoint:
         north_m, east_m, down_m = pos_ned_m
         error_n_m, error_e_m = self.correction.ne_m
         origin_n_m, origin_e_m, _ = own.origin_ned_m or (0.0, 0.0, 0.0)
-        asked_ned_m = (
+        target_ned_m = (
             north_m + error_n_m - origin_n_m, east_m + error_e_m - origin_e_m, down_m + self.down_error_m
         )  # fmt: skip
         acc_ned_m_s2 = None
-        if leans and (self._plan.moves or self.wind is not None):
+        if accelerates and (self._plan.moves or self.wind is not None):
             acc_n, acc_e, acc_d = self._reference.acc_ned_m_s2.tolist()
             if self.wind is not None:
                 feed_n, feed_e = self.wind.feed_forward_ne_m_s2
                 acc_n, acc_e = acc_n + feed_n, acc_e + feed_e
             acc_ned_m_s2 = (acc_n, acc_e, acc_d)
-        return asked_ned_m, vel_ned_m_s, acc_ned_m_s2
+        return target_ned_m, vel_ned_m_s, acc_ned_m_s2
 
     def _since_start_s(self, now_us: int) -> float:
         start_us = self.start.start_us

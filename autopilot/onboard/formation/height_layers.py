@@ -1,11 +1,12 @@
-"""Height layers: what keeps UAVs apart that no longer know well enough where each other is.
+"""Height layers: vertical separation of UAVs whose relative positions are not known well enough.
 
-Without distances the horizontal errors of two UAVs go their own ways, by the root of two times what one GPS
-receiver errs, and places 2.5 m apart meet within minutes: for errors of 1.5 m per axis and 60 s, passing
-within 0.6 m happens about 0.8 exp(-s^2 / (4 sigma^2)) times a minute at spacing s (diffusion into a disc): at
-2.5 m once in three minutes, at three sigma of the relative position once in two hours, at four in two days.
-So places within four get layers of height, and who is without support for long goes to its own: before the
-odometry of the two nearest places, less good by the root of time, may have brought them together.
+Without distances the horizontal errors of two UAVs are independent, and their difference is sqrt(2) times the
+GPS error. UAVs with places 2.5 m apart then meet within minutes. For errors of 1.5 m per axis and 60 s, two
+UAVs at spacing s pass within 0.6 m about 0.8 exp(-s^2 / (4 sigma^2)) times a minute (diffusion into a disc):
+at 2.5 m once in three minutes, at three sigma of the relative position once in two hours, at four in two
+days. Places within four sigma are therefore assigned different height layers. A UAV without support by
+distances moves to its layer before the odometry drift, which grows with the square root of time, can bring it
+to the nearest place.
 """
 
 import math
@@ -18,29 +19,31 @@ from autopilot.onboard.formation.formation_control import COAST_S, joining_time_
 Array = NDArray[np.float64]
 
 REACH_SIGMAS = 4.0
-"""Places within so many standard deviations of the relative position are kept apart."""
+"""Places within this many standard deviations of the relative position are separated."""
 SEPARATION_HEIGHT_M = 2.0
-"""Three standard deviations of two barometers' difference (0.3 m each), the vehicle's height of 0.2 m, and
-errors of holding it."""
+"""Three standard deviations of the difference of two barometers (0.3 m each), plus the vehicle's height of
+0.2 m and the error of height control."""
 GROUND_CLEARANCE_M = 2.0
-"""No layer is lower than this above the ground."""
+"""Least height of a lower layer above the ground."""
 TOUCH_M = 0.6
-"""Two vehicles whose centres are nearer than this touch."""
+"""Distance of their centres below which two vehicles touch."""
 DRIFT_SIGMAS = 3.0
-"""Layers are reached while so many standard deviations of two odometries' difference leave places apart."""
+"""Layers are reached before this many standard deviations of two odometries' difference close the gap between
+places."""
 BACK_S = 5.0
-"""Support for so long, and a layer is left: by then the correction has been brought back (0.5 m/s) after all
-that a fade may have moved it."""
+"""Duration of support after which a layer is left: by then the correction has returned (at 0.5 m/s) from any
+fade."""
 
 
 def layers(
     places_ned_m: Array, gps_std_m: float, *, separation_m: float = SEPARATION_HEIGHT_M
 ) -> NDArray[np.int64]:
-    """(N,) layer of every place, in separations upwards: 0, 1, -1, 2, -2 ...
+    """Return (N,) the layer of every place, in units of the separation, upwards: 0, 1, -1, 2, -2 ...
 
-    Greedy in the order of the UAVs, so that everybody finds the same: the nearest to 0 that leaves every
-    earlier place within reach a separation apart in height, and if it is not 0, all places within reach too:
-    there may be somebody in them. A place never goes below `GROUND_CLEARANCE_M`.
+    Greedy in the order of the UAVs, so that all compute the same: the layer nearest to 0 at which the place
+    is a separation apart from the layers of all earlier places within reach. A layer other than 0 must also
+    be a separation apart from the heights of all places within reach, where UAVs may be. Lower layers stay
+    above `GROUND_CLEARANCE_M`.
     """
     count = len(places_ned_m)
     found = np.zeros(count, np.int64)
@@ -64,10 +67,10 @@ def layers(
 
 
 def apart_s(way_ne_m: Array, drift_m_sqrt_s: float) -> float:
-    """Time in which odometry alone keeps apart two UAVs whose places are ``way_ne_m`` (N, 2) apart, all N.
+    """Return the time for which odometry alone separates a UAV from those at ``way_ne_m`` (N, 2) from it.
 
-    The drift of two, along the line, has variance 2 drift^2 t; so many of its deviations as `DRIFT_SIGMAS`
-    says take the places to `TOUCH_M` of each other.
+    The relative drift of two UAVs along their line has variance 2 drift^2 t. At the returned time
+    `DRIFT_SIGMAS` standard deviations of it reduce the least distance to `TOUCH_M`.
     """
     if not len(way_ne_m):
         return math.inf
@@ -76,20 +79,20 @@ def apart_s(way_ne_m: Array, drift_m_sqrt_s: float) -> float:
 
 
 class HeightLayers:
-    """Which height above its place one UAV keeps.
+    """Selects the height of one UAV above its place.
 
     Args:
         own: this UAV.
         places_ned_m: (N, 3) the formation's places.
-        gps_std_m: horizontal error of everybody's GPS, per axis, one sigma.
-        climb_speed_m_s: at which a layer is reached.
-        drift_m_sqrt_s: of odometry, horizontally and per axis, after one second.
+        gps_std_m: horizontal GPS error of all UAVs, per axis, one sigma.
+        climb_speed_m_s: speed of climbing to a layer.
+        drift_m_sqrt_s: drift of odometry, horizontally and per axis, after one second.
 
     Attributes:
-        height_m: to keep above the place; steps, for a `Reference` to make smooth.
-        layer_m: of the own layer.
-        watched: stations in reach that never leave height 0. When one of them is without support, it is this
-            UAV that has to go.
+        height_m: height to keep above the place; it steps, and `FormationReference` smooths it.
+        layer_m: height of the own layer.
+        watched: stations within reach that always stay at height 0. If one of them loses support, this UAV
+            must move to its layer.
 
     """
 
@@ -111,16 +114,16 @@ class HeightLayers:
         self.watched = tuple(np.flatnonzero(stays).tolist()) if places[own] else ()
         way_s = joining_time_s(abs(self.layer_m), climb_speed_m_s)
         coast_s = min(COAST_S, apart_s(np.delete(way_m, own, axis=0), drift_m_sqrt_s))
-        self._patience_us = round(max(coast_s - way_s, 0.0) * 1e6)
+        self._leave_after_us = round(max(coast_s - way_s, 0.0) * 1e6)
         self._since_us: int | None = None
-        """Since when it has been otherwise than ``height_m`` supposes."""
+        """Time since which the support contradicts ``height_m``."""
 
     def update(self, now_us: int, *, supported: bool) -> float:
         """Return the height to keep, metres above the place.
 
-        ``supported``: distances hold the position of this UAV and of those it watches, or it is on the
-        ground. Without, odometry holds it for `COAST_S`, or less where places are near: the layer is reached
-        by then, or as soon as can be.
+        ``supported``: distances support the position of this UAV and of those it watches, or it is on the
+        ground. Without support odometry bridges `COAST_S`, or less where places are near; the layer is
+        reached by then, or as soon as possible.
         """
         if self.layer_m == 0.0:
             return 0.0
@@ -130,7 +133,7 @@ class HeightLayers:
             return self.height_m
         if self._since_us is None:
             self._since_us = now_us
-        if now_us - self._since_us >= (BACK_S * 1e6 if at_layer else self._patience_us):
+        if now_us - self._since_us >= (BACK_S * 1e6 if at_layer else self._leave_after_us):
             self.height_m = 0.0 if at_layer else self.layer_m
             self._since_us = None
         return self.height_m

@@ -1,4 +1,4 @@
-"""The MAVLink messages that the application makes."""
+"""Constructors of the MAVLink messages that the application sends."""
 
 from pymavlink.dialects.v20 import common
 
@@ -8,9 +8,9 @@ from autopilot.onboard.formation.guidance import Setpoint
 from autopilot.onboard.formation.phases import FlightPhase
 
 START_NAME = b"start_ms"
-"""NAMED_VALUE_INT: when the formation's motion begins, milliseconds on the formation's clock."""
+"""Name of the NAMED_VALUE_INT with the start of the formation's motion, ms on the formation's clock."""
 GAIN_NAME = "MPC_XY_P"
-"""Gain of the autopilot's position loop, 1/s."""
+"""Parameter of the autopilot's position loop gain, 1/s."""
 COMMANDS = frozenset({common.MAVLINK_MSG_ID_COMMAND_LONG, common.MAVLINK_MSG_ID_COMMAND_INT})
 _LOCAL_NED = int(common.MAV_FRAME_LOCAL_NED)
 _NO_YAW = common.POSITION_TARGET_TYPEMASK_YAW_IGNORE | common.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
@@ -23,7 +23,7 @@ _NO_YAW_NOR_ACCELERATION = (
 
 
 def offboard_setpoint(setpoint: Setpoint, target_system: int, now_us: int) -> PositionTarget:
-    """Setpoint of a position, its velocity and, if there is one, its acceleration."""
+    """Return the setpoint message of a position, a velocity and, if given, an acceleration."""
     pos_ned_m, vel_ned_m_s, acc_ned_m_s2 = setpoint
     mask = _NO_YAW if acc_ned_m_s2 else _NO_YAW_NOR_ACCELERATION
     return PositionTarget(
@@ -33,7 +33,7 @@ def offboard_setpoint(setpoint: Setpoint, target_system: int, now_us: int) -> Po
 
 
 def heartbeat(phase: FlightPhase, start_us: int | None, now_us: int) -> list[common.MAVLink_message]:
-    """HEARTBEAT with the phase as its custom mode, and when the formation's motion begins, once agreed."""
+    """Return a HEARTBEAT with the phase as custom mode and, once agreed, the start of the motion."""
     beat = common.MAVLink_heartbeat_message(
         common.MAV_TYPE_ONBOARD_CONTROLLER, common.MAV_AUTOPILOT_INVALID, 0, int(phase),
         common.MAV_STATE_ACTIVE, 3,
@@ -44,14 +44,14 @@ def heartbeat(phase: FlightPhase, start_us: int | None, now_us: int) -> list[com
 
 
 def gain_request(target_system: int) -> common.MAVLink_message:
-    """PARAM_REQUEST_READ of the position loop's gain."""
+    """Return a PARAM_REQUEST_READ of the position loop's gain."""
     return common.MAVLink_param_request_read_message(
         target_system, AUTOPILOT_COMPONENT, GAIN_NAME.encode("ascii"), -1
     )
 
 
 def acknowledgement(command: common.MAVLink_message, *, accepted: bool) -> common.MAVLink_message:
-    """COMMAND_ACK for whoever sent a command to the application; what it does not know is unsupported."""
+    """Return the COMMAND_ACK of a command to the application; without ``accepted`` it is unsupported."""
     result = common.MAV_RESULT_ACCEPTED if accepted else common.MAV_RESULT_UNSUPPORTED
     return common.MAVLink_command_ack_message(
         command.command, result, 255, 0, command.get_srcSystem(), command.get_srcComponent()
@@ -59,5 +59,5 @@ def acknowledgement(command: common.MAVLink_message, *, accepted: bool) -> commo
 
 
 def warning(text: str) -> common.MAVLink_message:
-    """STATUSTEXT for whoever looks on."""
+    """Return a STATUSTEXT of severity warning."""
     return common.MAVLink_statustext_message(common.MAV_SEVERITY_WARNING, text.encode("ascii"))

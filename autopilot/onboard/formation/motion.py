@@ -1,11 +1,11 @@
-"""When the formation sets off: an agreement without a leader, over beacons that may be lost.
+"""Leaderless agreement on the start time of the formation's motion, over beacons that may be lost.
 
-Every beacon carries its sender's phase and the start time that the sender holds. Whoever is on station, hears
-at least half of the formation but nobody who is still on the way, and holds no time, proposes one, ahead by a
-lead that is long against the time that a beacon takes to get through. Proposals that cross are settled by the
-latest (max-consensus), as long as it lies in the future. Whoever holds none, or one still to come, follows
-those who have set off. Those who set off at different times, because a channel that was cut in the middle of
-it kept them apart, go over to what most of them hold once they hear each other.
+Every beacon carries its sender's phase and the start time that the sender holds. A UAV proposes a start time
+if it holds none, is on station, and receives beacons from at least half of the formation and from no UAV that
+is still on its way. The proposal lies ahead by a lead that is long against the delay of a beacon. Of
+concurrent proposals the latest wins (max-consensus), if it lies in the future. A UAV that holds no start
+time, or a future one, adopts that of UAVs that have started. If a channel failure made UAVs start at
+different times, they adopt the majority's time once they receive each other's beacons.
 """
 
 from collections import Counter
@@ -17,17 +17,17 @@ from autopilot.onboard.localisation.model import CLOCK_TOLERANCE_US, SILENCE_US
 LEAD_US = 2_000_000
 """Twenty beacons of each neighbour at 10 Hz: at 30 % loss a pair misses all with a chance of 3e-11."""
 OLDEST_US = 3_600_000_000
-"""No UAV flies for an hour; what is said to have begun before that is not true."""
+"""Start times longer ago than this are rejected: no UAV flies for an hour."""
 SETTLED_US = 50_000
-"""A time counts as begun at a neighbour whose beacon came so long after it: an older beacon may have been
-overtaken by a later proposal."""
+"""A neighbour counts as started if its beacon was received this long after the start time: an older beacon
+may have been superseded by a later proposal."""
 MOST_LEADS = 3
-"""So many leads after the first proposal that it held a UAV sets off, whoever keeps proposing later times."""
+"""A UAV starts at most this many leads after the first proposal that it held, regardless of later ones."""
 STAYS_AWAY = frozenset({FlightPhase.YIELDED, FlightPhase.LANDED, FlightPhase.HELD})
 """Phases of a UAV that is not on its way to its place."""
 
-Heard = tuple[FlightPhase, int | None, int]
-"""Of a neighbour's newest beacon: phase, start time that it holds, when it was heard."""
+NeighbourReport = tuple[FlightPhase, int | None, int]
+"""Content of a neighbour's newest beacon: phase, start time that it holds, time of reception."""
 
 
 class MotionStart:
@@ -35,11 +35,11 @@ class MotionStart:
 
     Args:
         station: this UAV.
-        stations: how many there are.
-        lead_us: how far ahead a start is proposed.
+        stations: number of UAVs.
+        lead_us: lead of a proposed start time.
 
     Attributes:
-        start_us: the time held, a whole number of milliseconds; None before the first.
+        start_us: the start time held, a whole number of milliseconds; None before the first.
 
     """
 
@@ -49,20 +49,22 @@ class MotionStart:
         self._lead_us = lead_us
         self._first_us: int | None = None
 
-    def update(self, now_us: int, *, on_station: bool, neighbours: Mapping[int, Heard]) -> int | None:
-        """Return the start time held after what was heard by now; None while there is none.
+    def update(
+        self, now_us: int, *, on_station: bool, neighbours: Mapping[int, NeighbourReport]
+    ) -> int | None:
+        """Return the start time held after an update by the neighbours' reports; None while there is none.
 
-        ``neighbours`` are those ever heard, by station; one silent for `SILENCE_US` neither counts nor
-        blocks. Times that no honest UAV can hold are as none: farther ahead than a lead, before
-        `OLDEST_US`, or begun by one who is not on station.
+        ``neighbours`` are all stations received so far; one silent for `SILENCE_US` neither counts nor
+        blocks. Impossible start times are ignored: farther ahead than a lead, longer ago than `OLDEST_US`, or
+        in the past and reported by a UAV that is not on station.
         """
         proposed_us: list[int] = []
         begun: Counter[int] = Counter()
-        heard, ready = 0, on_station
+        present, ready = 0, on_station
         for station, (phase, start_us, heard_us) in neighbours.items():
             if station not in self._others or now_us - heard_us >= SILENCE_US:
                 continue
-            heard += 1
+            present += 1
             ready = ready and (phase is FlightPhase.ON_STATION or phase in STAYS_AWAY)
             if start_us is None:
                 continue
@@ -72,14 +74,14 @@ class MotionStart:
                 begun[start_us] += 1
         if self.start_us is not None and self.start_us <= now_us:
             begun[self.start_us] += 1
-        # One voice among several may be wrong.
-        elif begun.total() < min(2, heard):
+        # A single report among several may be wrong.
+        elif begun.total() < min(2, present):
             begun.clear()
         if begun:
-            # What most hold who have set off; of as many the latest, so that everybody chooses alike.
+            # The majority's time; the latest of equal counts, so that all UAVs choose the same.
             self.start_us = max(begun, key=lambda start_us: (begun[start_us], start_us))
             return self.start_us
-        enough = 2 * (heard + 1) >= len(self._others) + 1
+        enough = 2 * (present + 1) >= len(self._others) + 1
         if self.start_us is None and not proposed_us and ready and enough:
             proposed_us.append((now_us + self._lead_us) // 1_000 * 1_000)
         for start_us in proposed_us:
@@ -87,7 +89,7 @@ class MotionStart:
         return self.start_us
 
     def _take(self, start_us: int) -> None:
-        """Hold a proposal if it is later than what is held, and not by too much than the first."""
+        """Adopt a proposal if it is later than the time held, and not too long after the first one."""
         if self._first_us is None:
             self._first_us = start_us
         if start_us <= self._first_us + MOST_LEADS * self._lead_us:

@@ -1,8 +1,8 @@
-"""What the own autopilot says of the vehicle: odometry, position, GPS, mode, from its MAVLink messages.
+"""State of the own vehicle from the autopilot's MAVLink messages: odometry, position, GPS, mode.
 
-Horizontal odometry is the integral of the autopilot's velocity from the first message on. The autopilot's
-position itself would not do: it follows the GPS bias, which is what localisation has to take out. Vertically
-it is the autopilot's height above the ground it started on, the barometer's.
+Horizontal odometry is the integral of the autopilot's velocity since the first message. The autopilot's
+position is not suitable, as it follows the GPS bias that localisation must remove. Vertical odometry is the
+autopilot's barometric height above its starting point.
 """
 
 from pymavlink.dialects.v20 import common
@@ -22,17 +22,17 @@ class OwnState:
     """Newest state of the own vehicle.
 
     Attributes:
-        time_us: of the position, on the formation's clock; -1 before the first.
-        odometry_ned_m: horizontal from where the application started, down from the ground.
-        vel_ned_m_s: of the same time.
+        time_us: time of the position, on the formation's clock; -1 before the first.
+        odometry_ned_m: horizontally from the application's start, down from the ground.
+        vel_ned_m_s: velocity at the same time.
         local_ned_m: the autopilot's position from its own origin.
-        autopilot_ned_m: the same in the site's frame; down from where it started.
+        autopilot_ned_m: the same in the site's frame; down from its starting point.
         origin_ned_m: the autopilot's origin in the site's frame, or None.
-        origin_alt_m: its altitude above mean sea level, as the autopilot has it.
+        origin_alt_m: altitude of that origin above mean sea level.
         fix: newest GPS position, with the accuracy that the receiver states.
-        truth_ned_m: where the simulator says that the vehicle is, down from where it stood at the first
-            such message; None unless it does. ``truth_us`` is its time.
-        armed, failsafe, mode, heartbeat_us: by the newest HEARTBEAT and when that came.
+        truth_ned_m: true position from the simulator, down from that in its first message; None before that.
+            ``truth_us`` is its time.
+        armed, failsafe, mode, heartbeat_us: state in the newest HEARTBEAT, and its time of reception.
 
     """
 
@@ -56,9 +56,9 @@ class OwnState:
         self._standing_down_m: float | None = None
 
     def on_local_position(self, msg: Message | LocalPosition, now_us: int) -> bool:
-        """Take a LOCAL_POSITION_NED; False if it is no news."""
+        """Process a LOCAL_POSITION_NED; returns False if it is not newer than the last one."""
         boot_us = msg.time_boot_ms * 1_000
-        # Messages can only be late, so the least difference of the clocks that was ever seen is the best one.
+        # Messages can only be late, so the least clock difference observed so far is the best estimate.
         if self._boot_offset_us is None or now_us - boot_us < self._boot_offset_us:
             self._boot_offset_us = now_us - boot_us
         time_us = boot_us + self._boot_offset_us
@@ -79,38 +79,38 @@ class OwnState:
         return True
 
     def on_gps(self, msg: common.MAVLink_gps_raw_int_message) -> bool:
-        """Take a GPS_RAW_INT; False if it holds no new 3-D position."""
+        """Process a GPS_RAW_INT; returns False if it contains no new 3-D position."""
         if msg.fix_type < common.GPS_FIX_TYPE_3D_FIX or self._boot_offset_us is None:
             return False
         time_ms = (msg.time_usec + self._boot_offset_us) // 1_000 - self._gps_delay_ms
         if time_ms < 0 or (self.fix is not None and time_ms <= self.fix.time_ms):
             return False
         pos_ned_m = self._site_ned_m(msg.lat, msg.lon, msg.alt)
-        # Its eph and epv are dilutions of precision, without a unit; the accuracies are zero where unknown.
+        # Its eph and epv are dilutions of precision, without a unit; unknown accuracies are 0.
         self.fix = Fix(time_ms, pos_ned_m, msg.h_acc * 1e-3 or None, msg.v_acc * 1e-3 or None)
         return True
 
     def on_origin(self, msg: common.MAVLink_gps_global_origin_message) -> None:
-        """Take a GPS_GLOBAL_ORIGIN."""
+        """Process a GPS_GLOBAL_ORIGIN."""
         self.origin_alt_m = msg.altitude * 1e-3
         self.origin_ned_m = self._site_ned_m(msg.latitude, msg.longitude, msg.altitude)
         self._place()
 
     def on_truth(self, msg: common.MAVLink_hil_state_quaternion_message) -> None:
-        """Take a HIL_STATE_QUATERNION."""
+        """Process a HIL_STATE_QUATERNION."""
         north_m, east_m, down_m = self._site_ned_m(msg.lat, msg.lon, msg.alt)
         if self._standing_down_m is None:
             self._standing_down_m = down_m
         self.truth_ned_m, self.truth_us = (north_m, east_m, down_m - self._standing_down_m), msg.time_usec
 
     def odometry_at(self, time_us: int) -> Vector:
-        """Odometry at a time near the newest, by the velocity."""
+        """Return the odometry at a time near the newest, extrapolated by the velocity."""
         ahead_s = (time_us - self.time_us) * 1e-6
         (north_m, east_m, down_m), (vel_n, vel_e, vel_d) = self.odometry_ned_m, self.vel_ned_m_s
         return north_m + vel_n * ahead_s, east_m + vel_e * ahead_s, down_m + vel_d * ahead_s
 
     def on_heartbeat(self, msg: common.MAVLink_heartbeat_message, now_us: int) -> None:
-        """Take a HEARTBEAT; only an autopilot's counts."""
+        """Process a HEARTBEAT; those of components other than an autopilot are ignored."""
         if msg.autopilot == common.MAV_AUTOPILOT_INVALID:
             return
         self.armed = bool(msg.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED)
@@ -119,7 +119,7 @@ class OwnState:
         self.heartbeat_us = now_us
 
     def _place(self) -> None:
-        """Put the autopilot's position into the site's frame, as soon as its origin is known."""
+        """Convert the autopilot's position to the site's frame, by its origin if that is known."""
         north_m, east_m, down_m = self.local_ned_m
         origin_n_m, origin_e_m, _ = self.origin_ned_m or _ZERO
         self.autopilot_ned_m = (north_m + origin_n_m, east_m + origin_e_m, down_m)

@@ -1,15 +1,15 @@
-"""The acceleration that wind gives the vehicle, learned from how it leans and how it moves.
+"""Wind observer: the acceleration of the vehicle by wind, estimated from attitude and velocity.
 
-With thrust T along body -z and wind w, per mass, a = g e_down - T b + w, b being the body's z axis in NED.
-Its vertical row, the wind being level, gives the thrust: T = (g - a_down) / b_down. What the level rows
-leave is w = a + (g - a_down) (b_north, b_east) / b_down. Nothing of the autopilot's commands is in it, so
-what is learned does not depend on what is then done with it, as far as attitude and velocity are of one time.
+With thrust T along body -z and wind w, both per mass, a = g e_down - T b + w, where b is the body's z axis in
+NED. The wind is assumed horizontal, so the vertical row gives the thrust: T = (g - a_down) / b_down. The
+horizontal rows then give w = a + (g - a_down) (b_north, b_east) / b_down. The autopilot's commands do not
+enter, so the estimate does not depend on the feed-forward, if attitude and velocity have the same time.
 
-The low-pass has a time constant tau. Gusts of spectrum sigma_g, tau_g leave an error of variance
-sigma_g^2 tau / (tau + tau_g); a velocity error sigma_v, tau_v adds sigma_v^2 / (tau (tau + tau_v)). With the
-article's gusts (1 N on 1.5 kg, 2 s) and a velocity error of 0.06 m/s, 1 s, the sum is least at 0.14 s. But
-where attitude and velocity are a time d apart, d / tau of each manoeuvre feeds back as wind, so the time
-constant is longer.
+The low-pass has a time constant tau. Gusts of spectrum sigma_g, tau_g leave an error of variance sigma_g^2
+tau / (tau + tau_g); a velocity error sigma_v, tau_v adds sigma_v^2 / (tau (tau + tau_v)). With the article's
+gusts (1 N on 1.5 kg, 2 s) and a velocity error of 0.06 m/s, 1 s, the sum is minimal at 0.14 s. If attitude
+and velocity are a time d apart, however, the share d / tau of each manoeuvre is estimated as wind, so the
+time constant is longer.
 """
 
 import math
@@ -21,24 +21,25 @@ Array = NDArray[np.float64]
 
 GRAVITY_M_S2 = 9.80665
 TIME_CONSTANT_S = 0.25
-"""Five times what 20 Hz setpoints and telemetry put between attitude and velocity at the worst, 50 ms."""
+"""Five times the worst time between attitude and velocity by 20 Hz setpoints and telemetry, 50 ms."""
 ACC_MAX_M_S2 = 4.0
-"""Largest feed-forward: a tilt of 22 degrees; 5 N on an Iris is 3.2 m/s^2."""
+"""Limit of the feed-forward: a tilt of 22 degrees; 5 N on an Iris is 3.2 m/s^2."""
 SAMPLE_MAX_M_S2 = 8.0
-"""A larger sample is cut: a bump or a reset of the autopilot's velocity is then worth no more than a gust."""
+"""Limit of a sample, so that a bump or a reset of the autopilot's velocity has the effect of a gust at
+most."""
 RATE_MAX_M_S3 = 6.0
-"""Of the feed-forward, 0.6 rad/s of tilt: faster than a gust, slower than the attitude loop."""
+"""Rate limit of the feed-forward, 0.6 rad/s of tilt: faster than a gust, slower than the attitude loop."""
 UP_COSINE_MIN = 0.5
-"""Beyond 60 degrees of tilt the vertical says little of the thrust."""
+"""Cosine of 60 degrees: beyond this tilt the vertical acceleration is a poor measure of the thrust."""
 GAP_MAX_S = 0.2
-"""Velocities farther apart in time are not differentiated."""
+"""Largest time between two velocities that are differentiated."""
 
 
 class WindObserver:
     """Low-passed horizontal acceleration by the wind, and the feed-forward against it.
 
     Attributes:
-        acc_ne_m_s2: (2,) what the wind gives, NED north and east; zero on the ground.
+        acc_ne_m_s2: (2,) estimated acceleration by wind, NED north and east; 0 on the ground.
 
     """
 
@@ -53,22 +54,22 @@ class WindObserver:
 
     @property
     def feed_forward_ne_m_s2(self) -> tuple[float, float]:
-        """Acceleration to ask the autopilot for beside the formation's own, limited in size and rate."""
+        """Acceleration setpoint against the wind, NED north and east, limited in size and rate."""
         return self._feed_ne_m_s2
 
     def on_attitude(self, q_ned_frd: tuple[float, float, float, float]) -> None:
-        """Take an attitude (wxyz), as of ATTITUDE_QUATERNION; any number per velocity."""
+        """Process an attitude (wxyz) of ATTITUDE_QUATERNION; any number of them per velocity."""
         w, x, y, z = q_ned_frd
         # The direction of body z.
         north, east, down = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), w * w - x * x - y * y + z * z
-        if down > UP_COSINE_MIN:  # NaN is not
+        if down > UP_COSINE_MIN:  # false for NaN
             self._tilt_sum = (self._tilt_sum[0] + north / down, self._tilt_sum[1] + east / down)
             self._tilts += 1
 
     def on_velocity(self, time_us: int, vel_ned_m_s: tuple[float, float, float], *, flying: bool) -> None:
-        """Take a velocity, and learn from its change since the last and the attitudes in between.
+        """Process a velocity: estimate the wind from its change and the attitudes since the last one.
 
-        ``flying``: nothing but air touches the vehicle; else what was learned is dropped.
+        ``flying``: the vehicle has no contact with the ground; otherwise the estimate is reset.
         """
         tilt_sum, tilts = self._tilt_sum, self._tilts
         self._tilt_sum, self._tilts = (0.0, 0.0), 0
@@ -94,7 +95,7 @@ class WindObserver:
         self._follow(dt_s)
 
     def _follow(self, dt_s: float) -> None:
-        """Bring the feed-forward nearer to minus what is known."""
+        """Move the feed-forward towards minus the estimate, within its limits."""
         north, east = (-self.acc_ne_m_s2).tolist()
         scale = min(1.0, ACC_MAX_M_S2 / max(math.hypot(north, east), 1e-9))
         north, east = scale * north - self._feed_ne_m_s2[0], scale * east - self._feed_ne_m_s2[1]

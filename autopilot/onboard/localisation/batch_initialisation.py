@@ -1,11 +1,11 @@
-"""Bringing UAVs into the localisation: their distances and GPS are solved for together.
+"""Batch initialisation: solves the distances and the GPS of the UAVs that join the localisation together.
 
-Distances alone do not tell a formation from its mirror image, and GPS errors are as large as the spacing, so
-a filter that linearised about GPS could lock onto a wrong arrangement. The distances of those who join are
-held until enough are there and then solved by Gauss-Newton iteration from the layout of the formation's
-places, below which the UAVs are put on the ground. No weight of the places is in the result: they are where
-to start, and by them it is judged whether distances can tell the shape at all, which they cannot across a
-line. Both the distances and the GPS of those who join are weighed by how they fit, widely at first.
+Distances alone do not distinguish a formation from its mirror image, and GPS errors are as large as the
+spacing, so a filter linearised about GPS could converge to a wrong arrangement. The distances of the joining
+UAVs are held until there are enough, and are then solved by Gauss-Newton iteration. It starts from the layout
+of the formation's places, below which the UAVs stand on the ground. The places have no weight in the result:
+they are the starting point, and decide whether distances can observe the shape at all, which they cannot
+across a line. Distances and GPS of the joining UAVs are weighted by their misfit, with wide limits at first.
 """
 
 from collections.abc import Iterable, Sequence
@@ -18,33 +18,34 @@ from autopilot.onboard.localisation.kernels import BIAS, STATES, STUDENT_NU, Arr
 from autopilot.onboard.localisation.uncertainty import shape_variance
 
 WEIGHT_WIDTHS_M = (2.0, 1.0, 0.5, 0.25, *(8 * (0.0,)))
-"""Extra standard deviation by which each Gauss-Newton pass judges outliers: wide at first."""
+"""Extra standard deviation of the outlier weights in each Gauss-Newton pass: wide at first."""
 SETTLED_M = 0.01
-"""The passes are over, once outliers are judged by what they are, when one moves nobody by more than this."""
+"""The iteration ends when a pass without extra standard deviation moves every UAV by less than this."""
 AGREE_WEIGHT, AGREE_LIMIT = 0.5, 0.3
-"""A UAV does not join when more than 0.3 of its distances get less weight than 0.5 (beyond 2.4 sigma, where
-1.4 % of right ones lie): a place that a bare majority agrees on exists even for distances that are all
-wrong."""
-LIES_SHARE = 0.7
-"""Share of what a UAV measured that must not agree with the rest for it to be held to measure wrongly."""
+"""A UAV does not join if more than 0.3 of its distances have a weight below 0.5 (beyond 2.4 sigma, which 1.4
+% of correct ones exceed). A mere majority would not do: even for wrong distances there is a position that a
+bare majority of them fits."""
+FAULTY_SHARE = 0.7
+"""A UAV is found to measure wrongly if at least this share of its distances disagrees with the rest."""
 ARMIJO, LEAST_SHARE, BACKTRACKS = 1e-4, 0.1, 6
-"""The share that a step must bring of the fall it promises; by how much a try is shortened at most; tries."""
+"""Line search: required share of the predicted decrease; smallest shortening factor per try; number of
+tries."""
 LEAST_WEIGHT = 1e-3
-"""A distance that has less counts for this, so that its variance stays a number."""
+"""Lower limit of a distance's weight, which keeps its variance finite."""
 SHAPE_KNOWN_M = 0.3
-"""Shape error to expect below which the estimates tell directions better than the places do."""
+"""Expected shape error below which directions are better taken from the estimates than from the places."""
 LEAST_LINKS = 3
-"""Distances to others settle a point in the plane once its side of them is known from the layout."""
+"""Number of distances that a UAV needs to join; the layout of the places resolves a mirror ambiguity."""
 
 TO_COMPLEX = np.array((1.0, 1.0j))
-"""Makes north + j east of them."""
+"""Factors that convert (north, east) to the complex number north + j east."""
 
 Flags = NDArray[np.bool_]
 
 
 @dataclass(slots=True)
 class Range:
-    """A distance on its way into the filter; ``odometry_between_m`` (3,) is that of its time."""
+    """A distance to fuse; ``odometry_between_m`` (3,): odometry of initiator minus responder at its time."""
 
     initiator: int
     responder: int
@@ -56,7 +57,7 @@ class Range:
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """What distances lead to: the filter's arrays after them, and the weight of each."""
+    """Result of fusing distances: the filter's state and covariance, and the weight of each distance."""
 
     state: Array
     cov: Array
@@ -65,47 +66,48 @@ class Solution:
 
 @dataclass(frozen=True, slots=True)
 class Joined:
-    """Who has joined, by what."""
+    """Result of a batch initialisation."""
 
     joining: Flags
-    """(N,)"""
+    """(N,) UAVs that have joined."""
     batch: list[Range]
+    """Distances of the solution."""
     solution: Solution
-    liars: set[int]
-    """Whose own distances were left out."""
+    faulty: set[int]
+    """UAVs that measure wrongly, whose own distances were excluded."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InitialisationProblem:
-    """What there is to solve."""
+    """Prior, geometry and noise of a batch initialisation."""
 
     state: Array
     """(5N,) prior, with ``cov`` (5N, 5N), at ``time_us``."""
     cov: Array
     time_us: int
     active: Flags
-    """(N,) those of whom there is GPS and who are heard of."""
+    """(N,) UAVs with GPS and with recent odometry."""
     located: Flags
-    """(N,) those of them who have joined before; the prior of the others consists of their GPS alone."""
+    """(N,) the active UAVs that have joined before; the prior of the others is their GPS alone."""
     places_ned_m: Array
-    """(N, 3)"""
+    """(N, 3) places of the formation."""
     odometry_ned_m: Array
-    """(N, 3) the newest."""
+    """(N, 3) newest odometry."""
     drift_m2_s: float
-    """Of each axis of odometry."""
+    """Variance rate of each horizontal axis of odometry."""
     bias_var_m2: Array
-    """(N,) of each UAV's GPS, per axis."""
+    """(N,) bias variance of each UAV's GPS, per axis."""
 
     def join(self, held: Sequence[Range]) -> Joined | None:
-        """Bring in whom the distances held allow to; None if nobody.
+        """Return the solution for all UAVs that the held distances allow to join; None if none can.
 
-        Who measures wrongly is told from others that contradict themselves by leaving its own distances out.
+        A UAV that measures wrongly is identified by solving without its own distances.
         """
-        liars: set[int] = set()
+        faulty: set[int] = set()
         joining = self.active & ~self.located
         enough = max(min(LEAST_LINKS, int(self.active.sum()) - 1), 1)
         while True:
-            usable = [item for item in held if item.initiator not in liars]
+            usable = [item for item in held if item.initiator not in faulty]
             joining = self._linked(usable, joining, enough)
             if not joining.any():
                 return None
@@ -115,16 +117,16 @@ class InitialisationProblem:
             badly = badly_fitting(batch, solution.weights, len(joining))
             contradictory = joining & ~(badly[:, 0] <= AGREE_LIMIT)
             if not contradictory.any():
-                return Joined(joining, batch, solution, liars)
-            liar = self._liar(usable, joining, badly, enough)
-            if liar is None:
-                # Nowhere do the distances of these agree with each other: the rest is solved without them.
+                return Joined(joining, batch, solution, faulty)
+            suspect = self._faulty_initiator(usable, joining, badly, enough)
+            if suspect is None:
+                # No position fits the distances of these UAVs: the rest is solved without them.
                 joining = joining & ~contradictory
             else:
-                liars.add(liar)
+                faulty.add(suspect)
 
     def _linked(self, usable: list[Range], joining: Flags, enough: int) -> Flags:
-        """Those of ``joining`` who have distances to ``enough`` of each other and of those located."""
+        """Return the UAVs of ``joining`` with distances to ``enough`` of each other and of the located."""
         linked = links(usable, len(joining))
         while True:
             kept: Flags = joining & (linked[:, self.located | joining].sum(axis=1) >= enough)
@@ -132,10 +134,10 @@ class InitialisationProblem:
                 return kept
             joining = kept
 
-    def _liar(self, usable: list[Range], joining: Flags, badly: Array, enough: int) -> int | None:
-        """UAV whose own distances are what does not fit; None if there is none.
+    def _faulty_initiator(self, usable: list[Range], joining: Flags, badly: Array, enough: int) -> int | None:
+        """Return the UAV that measures wrongly; None if there is none.
 
-        Without them all else of it fits, and to what comes of that nearly none of them does.
+        Without its own distances all others of it fit, and nearly none of its own fits that solution.
         """
         found, least = None, float(badly[:, 0].sum())
         for suspect in np.flatnonzero(badly[:, 1] > AGREE_LIMIT).tolist():
@@ -146,13 +148,17 @@ class InitialisationProblem:
             batch, solution = self._solve(without, joining)
             left = badly_fitting(batch, solution.weights, len(joining))[:, 0]
             own = [item for item in usable if item.initiator == suspect and members[item.responder]]
-            lies = [not self._weight(item, solution) >= AGREE_WEIGHT for item in own]
-            if left[suspect] <= AGREE_LIMIT and sum(lies) >= LIES_SHARE * len(lies) and left.sum() < least:
+            misfits = [not self._weight(item, solution) >= AGREE_WEIGHT for item in own]
+            if (
+                left[suspect] <= AGREE_LIMIT
+                and sum(misfits) >= FAULTY_SHARE * len(misfits)
+                and left.sum() < least
+            ):
                 found, least = suspect, float(left.sum())
         return found
 
     def _weight(self, item: Range, solution: Solution) -> float:
-        """Weight that a distance would get beside a solution which it has no part in."""
+        """Return the weight of a distance relative to a solution that does not include it."""
         no_reference = np.zeros((len(self.active), 2))
         variance_m2 = self._variance_m2(item)
         return float(
@@ -163,14 +169,14 @@ class InitialisationProblem:
         )  # fmt: skip
 
     def _solve(self, usable: list[Range], joining: Flags) -> tuple[list[Range], Solution]:
-        """Solve from the layout; if that fails, and others are located, from where GPS is."""
+        """Solve from the layout of the places; if that does not fit and UAVs are located, also from GPS."""
         members = self.located | joining
         batch = [item for item in usable if members[item.initiator] and members[item.responder]]
         there_m = self._positions_ne_m(self.state)
         if self.located.sum() >= 2:
             layout_m = laid_over(self.places_ned_m, there_m, self.located)
         else:
-            # The heading of the whole follows from GPS (`_agreeing`).
+            # GPS determines the heading of the whole (`_aligned_to_gps`).
             layout_m = shifted_to(self.places_ned_m, there_m, members)
         start = self.state.copy()
         start.reshape(-1, STATES)[joining, :2] = (layout_m - self.odometry_ned_m[:, :2])[joining]
@@ -184,10 +190,10 @@ class InitialisationProblem:
         return np.asarray(self.odometry_ned_m[:, :2] + state.reshape(-1, STATES)[:, :2])
 
     def _solve_from(self, start: Array, batch: list[Range], joining: Flags) -> Solution:
-        """Solve; where distances in the places do not tell the shape, they are not held to tell of it here.
+        """Solve from ``start``; where the places' distances do not observe the shape, use their covariance.
 
-        Across a line the estimates are wrong as GPS is, cut down to what the distances allow, and with their
-        derivatives distances would seem to tell more. What is known is then what the places' derivatives say.
+        Across a line the estimates have GPS errors, within the limits of the distances. Derivatives at such
+        estimates would give the distances too much information, so the covariance is that at the places.
         """
         members = joining | self.located
         solution = self._iterate(start, batch, joining)
@@ -198,30 +204,32 @@ class InitialisationProblem:
             replace(item, variance_m2=item.variance_m2 / max(weight, LEAST_WEIGHT))
             for item, weight in zip(batch, solution.weights, strict=True)
         ]
-        # Nobody need be in place to the centimetre: the weights are those of before.
-        told = self._pass(in_place, self._prior_cov(solution.state, joining), weighed, WEIGHT_WIDTHS_M[0])
-        if shape_variance(laid_m, told.cov, np.flatnonzero(members)) < SHAPE_KNOWN_M**2:
+        # The UAVs need not be exactly at their places, so the weights of the solution are kept.
+        at_places = self._pass(
+            in_place, self._prior_cov(solution.state, joining), weighed, WEIGHT_WIDTHS_M[0]
+        )
+        if shape_variance(laid_m, at_places.cov, np.flatnonzero(members)) < SHAPE_KNOWN_M**2:
             return solution
-        return Solution(solution.state, told.cov, solution.weights)
+        return Solution(solution.state, at_places.cov, solution.weights)
 
     def _iterate(self, start: Array, batch: list[Range], joining: Flags) -> Solution:
-        """Gauss-Newton: every pass starts from the prior, expanded about where the last has led."""
+        """Run Gauss-Newton passes, each from the prior and linearised at the previous result."""
         at = start
         for width_m in WEIGHT_WIDTHS_M:
             prior_cov = self._prior_cov(at, joining)
-            at = self._agreeing(at, prior_cov, joining)
+            at = self._aligned_to_gps(at, prior_cov, joining)
             solution = self._pass(at, prior_cov, batch, width_m)
             step = solution.state - at
             if width_m == 0.0 and np.abs(step).max() < SETTLED_M:
                 return solution
             at = at + self._share(at, step, prior_cov, batch, solution.weights, joining) * step
-        return Solution(self._agreeing(at, prior_cov, joining), solution.cov, solution.weights)
+        return Solution(self._aligned_to_gps(at, prior_cov, joining), solution.cov, solution.weights)
 
-    def _agreeing(self, at: Array, prior_cov: Array, joining: Flags) -> Array:
-        """Turn all to where GPS has the heading, with the GPS biases that follow from where they are.
+    def _aligned_to_gps(self, at: Array, prior_cov: Array, joining: Flags) -> Array:
+        """Return the state turned to the heading that GPS gives, with the GPS biases of these positions.
 
-        Distances do not see a turn, so it is best at once and exactly; by steps, which are tangents, two near
-        each other would turn slowly. With others located it is theirs.
+        Distances do not observe a turn, so the whole turn is made exactly and at once; tangential steps would
+        turn two close UAVs slowly only. If UAVs are located, their heading is kept.
         """
         at = at.copy()
         own, prior = at.reshape(-1, STATES), self.state.reshape(-1, STATES)
@@ -237,7 +245,7 @@ class InitialisationProblem:
         return at
 
     def _prior_cov(self, at: Array, joining: Flags) -> Array:
-        """(5N, 5N) the prior's, with GPS that is far from there believed less."""
+        """Return (5N, 5N) the prior covariance, with wider biases where GPS is far from ``at``."""
         cov = self.cov.copy()
         for station in np.flatnonzero(joining).tolist():
             _widen_bias(cov, station, self.state, at, self.bias_var_m2.item(station))
@@ -252,12 +260,12 @@ class InitialisationProblem:
         weights: Sequence[float],
         joining: Flags,
     ) -> float:
-        """Share of a step by which the weighted sum of squares falls: backtracking by parabolas.
+        """Return the share of a step that decreases the weighted sum of squares: backtracking by parabolas.
 
-        A full step goes along a tangent, far past where GPS has the heading when that shows two UAVs more
-        than twice as far apart as they are, and leaves a line as bent as GPS has it. The weights are those
-        at the beginning of the step, with which the sum is an upper bound of the robust cost. Armijo's
-        condition; Nocedal and Wright, "Numerical optimization", section 3.5.
+        A full step follows a tangent. It overshoots the heading of GPS if GPS shows two UAVs more than twice
+        as far apart as they are, and leaves a line as bent as GPS shows it. The weights are those at the
+        beginning of the step, for which the sum is an upper bound of the robust cost. The step satisfies
+        Armijo's condition; Nocedal and Wright, "Numerical optimization", section 3.5.
         """
         members = np.flatnonzero(joining | self.located)
         offsets = (STATES * members[:, np.newaxis] + np.arange(3)).ravel()
@@ -290,11 +298,11 @@ class InitialisationProblem:
         return share
 
     def _variance_m2(self, item: Range) -> float:
-        """Of a distance, with what odometry has lost since."""
+        """Return the variance of a distance, including the drift of odometry since its time."""
         return item.variance_m2 + 2e-6 * self.drift_m2_s * (self.time_us - item.time_us)
 
     def _pass(self, at: Array, prior_cov: Array, batch: list[Range], width_m: float) -> Solution:
-        """One pass from the prior, expanded about ``at``."""
+        """Return the result of one pass from the prior, linearised at ``at``."""
         state, cov = self.state.copy(), prior_cov.copy()
         reference_ne_m = self._positions_ne_m(at)
         weights = [
@@ -308,7 +316,7 @@ class InitialisationProblem:
 
 
 def _widen_bias(cov: Array, station: int, prior: Array, linearised_at: Array, bias_var_m2: float) -> None:
-    """Give a GPS that is far from where the iteration is a wider bias, as a Student-t likelihood would."""
+    """Widen the bias of a GPS far from the linearisation point, as a Student-t likelihood would."""
     for a in range(2):
         off = STATES * station + a
         excess = (prior[off] - linearised_at[off]) ** 2 / bias_var_m2
@@ -321,13 +329,13 @@ def _widen_bias(cov: Array, station: int, prior: Array, linearised_at: Array, bi
 
 
 def fits(batch: Sequence[Range], solution: Solution, joining: Flags) -> bool:
-    """Whether the distances of those who join agree with a solution."""
+    """Return whether the distances of the joining UAVs agree with a solution."""
     badly = badly_fitting(batch, solution.weights, len(joining))
     return bool((badly[joining, 0] <= AGREE_LIMIT).all())
 
 
 def badly_fitting(batch: Sequence[Range], weights: Sequence[float], count: int) -> Array:
-    """(N, 2) share of each UAV's distances that do not agree: as either end, and of its own."""
+    """Return (N, 2) the share of each UAV's distances that disagree: as either end, and as initiator."""
     found = np.zeros((count, 2, 2))
     for item, weight in zip(batch, weights, strict=True):
         disagrees = (not weight >= AGREE_WEIGHT, 1.0)
@@ -339,7 +347,7 @@ def badly_fitting(batch: Sequence[Range], weights: Sequence[float], count: int) 
 
 
 def links(items: Iterable[Range], count: int) -> Flags:
-    """(N, N) symmetric: between whom there are distances."""
+    """Return (N, N), symmetric: whether there is a distance between two UAVs."""
     linked = np.zeros((count, count), bool)
     for item in items:
         linked[item.initiator, item.responder] = linked[item.responder, item.initiator] = True
@@ -347,7 +355,7 @@ def links(items: Iterable[Range], count: int) -> Flags:
 
 
 def laid_over(places_ned_m: Array, there_m: Array, members: Flags) -> Array:
-    """(N, 2) the places (N, 3) turned and shifted to lie best over the members of there_m (N, 2)."""
+    """Return (N, 2) the places (N, 3) turned and shifted to fit the members of there_m (N, 2) best."""
     middle_m = there_m[members].mean(axis=0)
     places = places_ned_m[:, :2] - places_ned_m[members, :2].mean(axis=0)
     there, here = (there_m[members] - middle_m) @ TO_COMPLEX, places[members] @ TO_COMPLEX
@@ -356,7 +364,7 @@ def laid_over(places_ned_m: Array, there_m: Array, members: Flags) -> Array:
 
 
 def turned_to(pos_m: Array, there_m: Array, weights: Array) -> Array:
-    """(M, 2) positions turned about their middle to lie best, weighted (M,), over others."""
+    """Return (M, 2) positions turned about their weighted mean to fit there_m (M, 2) best; weights (M,)."""
     share = weights / weights.sum()
     middle_m = share @ pos_m
     here, there = (pos_m - middle_m) @ TO_COMPLEX, (there_m - share @ there_m) @ TO_COMPLEX
@@ -365,6 +373,6 @@ def turned_to(pos_m: Array, there_m: Array, weights: Array) -> Array:
 
 
 def shifted_to(places_ned_m: Array, there_m: Array, members: Flags) -> Array:
-    """(N, 2) the places shifted to where most of the members of there_m (N, 2) have them."""
+    """Return (N, 2) the places shifted by the median offset of the members of there_m (N, 2)."""
     places_m = places_ned_m[:, :2]
     return np.asarray(places_m + np.median((there_m - places_m)[members], axis=0))

@@ -1,4 +1,4 @@
-"""Distances on their way into the localisation, each told by (initiator, responder, time) and used once."""
+"""Queue of measured distances, each identified by (initiator, responder, time) and used once."""
 
 from collections.abc import Set as AbstractSet
 
@@ -13,23 +13,23 @@ from autopilot.onboard.radio.beacon import MAX_RANGES
 
 PAIR = np.dtype(
     [
-        ("newest_us", "i8"),  # when the newest was measured; -1 before the first
-        # the newest that was used, to solve again should it not fit: when it was measured, or -1
+        ("newest_us", "i8"),  # measurement time of the newest; -1 before the first
+        # the newest one used, kept for solving again if it does not fit: measurement time or -1
         ("fused_us", "i8"),
         ("distance_m", "f8"),
         ("variance_m2", "f8"),
         ("between_ned_m", "f8", 3),
     ]
 )
-"""What is kept of the distances that one UAV has measured to another."""
+"""Record of the distances that one UAV has measured to another."""
 Pairs = NDArray[np.void]
-"""(N, N) of `PAIR`, by initiator and responder"""
+"""(N, N) array of `PAIR`, by initiator and responder."""
 PENDING = np.dtype(
     [("initiator", "i8"), ("responder", "i8"), ("time_us", "i8"), ("distance_m", "f8"), ("variance_m2", "f8")]
 )
-"""A distance whose ends' odometry has not been looked up yet."""
+"""A distance that waits for the odometry of its ends."""
 Pending = NDArray[np.void]
-"""(P,) of `PENDING`"""
+"""(P,) array of `PENDING`."""
 
 
 @njit(cache=True)
@@ -37,9 +37,10 @@ def add_distance(
     pairs: Pairs, pending: Pending, filter_row: Filter, initiator: int, responder: int, time_us: int,
     distance_m: float, variance_m2: float, now_us: int,
 ) -> bool:  # fmt: skip
-    """Take a distance for which there is room, if it is newer than what is known of the two.
+    """Append a distance to ``pending``, which must have room; returns whether it was appended.
 
-    One from the future is ignored, as it would hide the right ones that follow, and one to itself.
+    It is ignored if it is not newer than the last one of the pair or if both ends are the same UAV, and if
+    its time is in the future, because it would suppress the valid ones that follow.
     """
     own, pair = filter_row[0], pairs[initiator, responder]
     if initiator == responder or not pair["newest_us"] < time_us <= now_us + CLOCK_TOLERANCE_US:
@@ -53,11 +54,11 @@ def add_distance(
 
 
 class Distances:
-    """Distances between N UAVs, whose filter's numbers are filter_row (1,).
+    """Distances between N UAVs; filter_row (1,) is that of the filter.
 
     Attributes:
-        pairs, pending: for compiled code.
-        held: the newest of each pair of which an end is not located, since ``held_since_us``.
+        pairs, pending: (N, N) and (P,), used by compiled code.
+        held: newest distance of each pair with an end that is not located; the first since ``held_since_us``.
 
     """
 
@@ -79,7 +80,7 @@ class Distances:
         *,
         now_us: int,
     ) -> None:
-        """Take one as `add_distance` does."""
+        """Add a distance; see `add_distance`."""
         self.make_room()
         add_distance(
             self.pairs, self.pending, self._filter, initiator, responder, time_us, distance_m, variance_m2,
@@ -87,30 +88,30 @@ class Distances:
         )  # fmt: skip
 
     def make_room(self) -> None:
-        """See to it that all the distances of another beacon can be taken."""
+        """Ensure room for all the distances of another beacon."""
         if self._filter["pending"].item() + MAX_RANGES > len(self.pending):
             self.pending = np.concatenate((self.pending, np.zeros_like(self.pending)))
 
     def last_pending(self, between_ned_m: NDArray[np.float64]) -> Range:
-        """The one of those pending that was looked at last, with the odometry (3,) between its ends."""
+        """Return the pending distance processed last, with the odometry (3,) between its ends."""
         item = self.pending[self._filter["done"].item() - 1]
         initiator, responder, time_us, distance_m, variance_m2 = item.tolist()
         return Range(initiator, responder, time_us, distance_m, variance_m2, between_ned_m)
 
     def hold(self, item: Range, now_us: int) -> None:
-        """Keep one until those who do not take part yet can be solved for."""
+        """Keep a distance until its ends can be solved for."""
         if not self.held:
             self.held_since_us = now_us
         self.held[item.initiator, item.responder] = item
 
     def release(self) -> list[Range]:
-        """Give those held, by pair, and hold them no longer."""
+        """Return the held distances, sorted by pair, and clear them."""
         held = [item for _, item in sorted(self.held.items())]
         self.held.clear()
         return held
 
     def fused_of(self, stations: AbstractSet[int], now_us: int, *, within_us: float) -> list[Range]:
-        """Those used of the last ``within_us``, by pair, of which one of ``stations`` is an end."""
+        """Return the distances used within the last ``within_us`` with an end in ``stations``, by pair."""
         found = []
         for i, j in np.argwhere(self.pairs["fused_us"] >= 0).tolist():
             _, time_us, distance_m, variance_m2, between_ned_m = self.pairs[i, j].tolist()
@@ -119,7 +120,7 @@ class Distances:
         return found
 
     def drop(self, station: int) -> None:
-        """Forget what is kept of a UAV's distances, whose odometry is that of before."""
+        """Drop the stored distances of a UAV, whose odometry has jumped."""
         for pair in [pair for pair in self.held if station in pair]:
             del self.held[pair]
         self.pairs["fused_us"][station, :] = self.pairs["fused_us"][:, station] = -1

@@ -1,26 +1,27 @@
 """Numerics of the cooperative localisation: a Kalman filter over a whole formation.
 
 State of UAV j, at `STATES` * j: offset (north, east, down), GPS bias (north, east). The true position at
-time t is ``odometry_j(t) + offset_j``, odometry being known, so that a delayed measurement is compared with
-the odometry of its own time stamp and nothing has to be propagated back. Horizontal offsets walk randomly
-(the error of the autopilot's velocity), the vertical offset (the barometer's error) and the GPS biases are
-first-order Gauss-Markov.
+time t is ``odometry_j(t) + offset_j`` with known odometry. A delayed measurement is therefore compared with
+the odometry of its own time stamp, and nothing has to be propagated back. Horizontal offsets are random walks
+(error of the autopilot's velocity). The vertical offset (error of the barometer) and the GPS biases are
+first-order Gauss-Markov processes.
 
-GPS's vertical bias has no state. Its spectral density at rest, 2 sigma^2 tau, is that of white noise of the
-variance sigma^2 2 tau / T every T seconds, and as such it is fused: 750 m^2 for 2.5 m, 60 s and a fix per
-second, beside a barometer of 0.2 m. A state would cost two fifths more time and change the height by less
-than a hundredth of its error.
+The vertical GPS bias has no state. Its spectral density at zero frequency, 2 sigma^2 tau, equals that of
+white noise of variance sigma^2 2 tau / T every T seconds, and it is fused as such: 750 m^2 for 2.5 m, 60 s
+and one fix per second, beside a barometer of 0.2 m. A state would cost 40 % more time and change the height
+by less than 1 % of its error.
 
-Every measurement is scalar with a row h of few entries: with s = h P h' + r and g = P h' / sqrt(s), the
-update P - g g' is symmetric to the bit, because both triangles are the same products. Outliers: a measurement
-whose normalised innovation squared is d2 is taken with variance r / w, w = (nu + 1) / (nu + d2) at most 1,
-the weight of a Student-t likelihood (Lange, Little and Taylor, "Robust statistical modeling using the t
-distribution", 1989). Its pull falls with its size, so that a wrong one has bounded effect.
+Every measurement is scalar with a sparse row h: with s = h P h' + r and g = P h' / sqrt(s), the update
+P - g g' is bitwise symmetric, because both triangles are the same products. Outliers: a measurement with a
+squared normalised innovation d2 is fused with variance r / w, w = min(1, (nu + 1) / (nu + d2)), the weight of
+a Student-t likelihood (Lange, Little and Taylor, "Robust statistical modeling using the t distribution",
+1989). Its influence falls with its size, so the effect of a wrong measurement is bounded.
 
-Arrays are changed in place. Nothing here allocates on the per-measurement path but one row.
+Arrays are changed in place. The per-measurement path allocates one row only.
 
-Compiled or not, kernels give the same bits: squares are products, exponentials are `math.exp` and lengths
-`np.hypot`, for the interpreter's powers, NumPy's exponentials and `math.hypot` round otherwise (a test).
+Compiled and interpreted kernels give bitwise equal results (tested). They therefore use products for squares,
+`math.exp` for exponentials and `np.hypot` for lengths: the interpreter's powers, NumPy's exponentials and
+`math.hypot` round differently.
 """
 
 import math
@@ -36,11 +37,11 @@ Times = NDArray[np.int64]
 
 STATES = 5
 BIAS = 3
-"""Place of the GPS bias within a UAV's states."""
+"""Index of the GPS bias within a UAV's states."""
 STUDENT_NU = 4.0
-"""Degrees of freedom of the likelihood: near Gaussian below two sigma, indifferent beyond six."""
+"""Degrees of freedom of the likelihood: nearly Gaussian below two sigma, nearly flat beyond six."""
 NEAR_COSINE = 0.87
-"""Of 30 degrees: how far the line between two UAVs may turn from the reference's to be taken for it."""
+"""Cosine of 30 degrees: the reference direction replaces the estimated one up to this angle between them."""
 
 
 @njit(cache=True)
@@ -50,9 +51,9 @@ def predict(
 ) -> None:  # fmt: skip
     """Propagate state (5N,) and cov (5N, 5N) of ``members`` (N,).
 
-    Offsets walk randomly by the variance ``drift_m2``, which costs N additions. The rest, exactly discretised
-    Gauss-Markov over ``decay_s`` of time, touches every element and may therefore be done in longer strides:
-    0 leaves it.
+    The random walk of the offsets adds the variance ``drift_m2`` to 2 N diagonal elements. The exactly
+    discretised Gauss-Markov processes change every element, so they may be propagated in longer strides
+    ``decay_s``; 0 skips them.
     """
     size = state.shape[0]
     for j in range(members.size):
@@ -82,13 +83,13 @@ def predict(
 
 @njit(cache=True)
 def student_weight(normalised_squared: float) -> float:
-    """Weight 0..1 of a measurement with this normalised innovation squared."""
+    """Return the weight 0..1 of a measurement with this squared normalised innovation."""
     return min(1.0, (STUDENT_NU + 1.0) / (STUDENT_NU + normalised_squared))
 
 
 @njit(cache=True)
 def _scalar_update(state: Array, cov: Array, gain_row: Array, variance: float, innovation: float) -> None:
-    """Take a scalar measurement whose row P h' is ``gain_row``, which is used up."""
+    """Fuse a scalar measurement; ``gain_row`` is P h' and is overwritten."""
     scale = innovation / variance
     root = 1.0 / np.sqrt(variance)
     for i in range(state.shape[0]):
@@ -109,11 +110,11 @@ def fuse_fix(
     variance_m2: float,
     height_variance_m2: float,
 ) -> float:
-    """GPS position of UAV j: z_a = odometry_a + offset_a + bias_a + noise, vertically without a bias state.
+    """Fuse a GPS position of UAV j: z_a = odometry_a + offset_a + bias_a + noise; no bias state vertically.
 
-    fix_less_odometry_m (3,) is the fix minus the odometry of the fix's own time; variance_m2 is that of the
-    white part of each horizontal axis, height_variance_m2 that of the whole vertical error. Returns the least
-    weight that one of the horizontal axes got.
+    fix_less_odometry_m (3,) is the fix minus the odometry of the fix's own time. variance_m2 is that of the
+    white part of each horizontal axis, height_variance_m2 that of the whole vertical error. Returns the
+    smaller weight of the two horizontal axes.
     """
     least = 1.0
     for a in range(3):
@@ -136,9 +137,9 @@ def fuse_fix(
 
 
 def relearn_bias(state: Array, cov: Array, j: int, fix_less_odometry_m: Array, variance_m2: float) -> None:
-    """Forget the GPS bias of UAV j: it is the fix less the odometry and the offset, which stays as known.
+    """Reset the GPS bias of UAV j to the fix minus odometry and offset; the offset and its covariance stay.
 
-    Not compiled: it is needed once in a flight, if at all.
+    Not compiled, because it is needed at most about once per flight.
     """
     for a in range(2):
         off = STATES * j + a
@@ -163,31 +164,31 @@ def fuse_range(
     weight_width_m2: float,
     trust: float,
 ) -> float:
-    """Distance between UAVs i and j: z = |odometry_i - odometry_j + offset_i - offset_j| + noise.
+    """Fuse a distance between UAVs i and j: z = |odometry_i - odometry_j + offset_i - offset_j| + noise.
 
-    Distances say nothing of the heading of the formation as a whole. A filter that takes each derivative at
-    its newest estimate believes otherwise, because the unobservable direction turns with the estimate: it
-    becomes sure of a heading that wanders, and each UAV's wanders differently. Derivatives at a fixed
-    geometry avoid that (Huang, Mourikis and Roumeliotis, "Observability-based rules for designing consistent
-    EKF SLAM estimators", IJRR 2010). So the horizontal direction of the derivative is that between the
-    reference positions, as long as it is near the estimated one; its elevation and the expected distance are
-    the estimate's.
+    Distances do not observe the heading of the formation as a whole. In a filter that linearises at its
+    newest estimate the unobservable direction turns with the estimate, and the heading variance shrinks
+    spuriously: the filter becomes certain of a heading that drifts, differently at each UAV. Linearisation at
+    a fixed geometry avoids that (Huang, Mourikis and Roumeliotis, "Observability-based rules for designing
+    consistent EKF SLAM estimators", IJRR 2010). The horizontal direction of the derivative is therefore that
+    between the reference positions, if it is near the estimated one; its elevation and the expected distance
+    are those of the estimate.
 
     Args:
         state: (5N,) and ``cov`` (5N, 5N), changed in place.
-        linearised_at: (5N,) where the distance is expanded: the state itself in running use, another in the
+        linearised_at: (5N,) linearisation point: the state itself in the running filter, another point in the
             passes of a Gauss-Newton iteration.
-        reference_ne_m: (N, 2) the fixed geometry; all zero for none.
+        reference_ne_m: (N, 2) the fixed geometry; all zero: none.
         i: one end, and ``j`` the other.
-        odometry_between_m: (3,) odometry of i less that of j at the measurement's time.
-        distance_m: measured.
+        odometry_between_m: (3,) odometry of i minus that of j at the measurement's time.
+        distance_m: measured distance.
         variance_m2: of the measurement.
-        weight_width_m2: below 0, outliers are judged by the innovation; otherwise by the residual at
-            ``linearised_at``, with this variance added to the measurement's.
-        trust: 1, or 0 to judge alone and change nothing.
+        weight_width_m2: below 0 the weight follows from the innovation; otherwise from the residual at
+            ``linearised_at``, with this variance added to that of the measurement.
+        trust: 1 to fuse; 0 to return the weight only and change nothing.
 
     Returns:
-        The weight that it got, 0..1; 0 when the two are nearer than 0.1 m and the direction means nothing.
+        Weight of the measurement, 0..1; 0 if the two are nearer than 0.1 m, where the direction is undefined.
 
     """
     bi, bj = STATES * i, STATES * j

@@ -1,14 +1,16 @@
-"""Cooperative localisation at one UAV: where everybody in the formation is.
+"""Cooperative localisation at one UAV: estimates the positions of all UAVs of the neighbourhood.
 
-A Kalman filter (`kernels`) over the offset between each UAV's odometry and its true position, and each UAV's
-GPS bias. GPS of all holds the formation as a whole, the distances hold its shape. Measurements come in any
-order and late; each is compared with the odometry of its own time, waits until both ends' odometry covers
-that time, and is used once. UAVs join the filter in a batch (`joining`), for it must begin near the truth.
+A Kalman filter (`kernels`) estimates the offset between each UAV's odometry and its true position, and each
+UAV's GPS bias. The GPS of all UAVs determines the position and heading of the formation, the distances its
+shape. Measurements may arrive late and in any order; each is compared with the odometry of its own time,
+waits until the odometry of both ends covers that time, and is used once. UAVs join the filter in a batch
+(`batch_initialisation`), because the filter must start near the truth.
 
-Against what is wrong: every measurement's weight falls with its misfit; a UAV whose distances all misfit is
-solved for afresh, as is on trial one of which some misfit for long, and one that only measures wrongly is
-not listened to (`trust`); who is silent has no part in the geometry; a GPS whose error is estimated beyond
-what its receiver states is taken to have errors of that size, and after a step of it they are estimated anew.
+Robustness: the weight of every measurement falls with its misfit. A UAV is initialised again if all its
+distances misfit, and tentatively if some of them do for long; the measurements of a UAV that measures wrongly
+are excluded (`trust`). A silent UAV is not part of the geometry. If the estimated GPS error of a UAV exceeds
+the accuracy that its receiver states, its bias variance is raised; after a step the bias is reset
+(`receivers`).
 """
 
 import math
@@ -48,13 +50,13 @@ from foundation.types import Vector
 __all__ = ["CLOCK_TOLERANCE_US", "SILENCE_US", "CooperativeLocalisation", "LocalisationModel", "Others"]
 
 JUMP_SHARE = 0.1
-"""Standard deviation of a jump of odometry, by its size."""
+"""Standard deviation of an odometry jump, as a share of its size."""
 GEOMETRY_PERIOD_US = 1_000_000
-"""How often it is looked at whether the formation has turned."""
+"""Period at which the reference geometry is checked for a turn of the formation."""
 
 
 class CooperativeLocalisation:
-    """Filter over N UAVs at one of them.
+    """Filter over N UAVs that runs at one of them.
 
     Args:
         own: index of the UAV that runs it.
@@ -62,13 +64,13 @@ class CooperativeLocalisation:
         model: noise model.
 
     Attributes:
-        state: (5N,) and ``cov`` (5N, 5N), laid out as `kernels` says.
-        located: (N,) bool, whose distances are fused.
-        members: (N,) of `MEMBER`, what is kept of each.
-        tracks: everybody's odometry.
-        restarts: times that a UAV was found to be elsewhere than thought.
-        odometry_jumps: times that a UAV's odometry has begun anew, by its own step or as told by `restart`.
-        gps_steps: times that a GPS error was found to have changed at once.
+        state: (5N,) and ``cov`` (5N, 5N), with the layout of `kernels`.
+        located: (N,) bool, whether a UAV's distances are fused.
+        members: (N,) of `MEMBER`, a row per UAV.
+        tracks: odometry history of all UAVs.
+        restarts: number of times that a UAV's estimate was found to be wrong.
+        odometry_jumps: number of odometry restarts, detected by a step or reported by `restart`.
+        gps_steps: number of detected steps of a GPS error.
 
     """
 
@@ -91,7 +93,7 @@ class CooperativeLocalisation:
         self._model = model
         self._drift_m2_s = model.odometry_drift_m_sqrt_s**2
         self._filter = new_filter(own, model)
-        # Of what is asked for in every loop, for making a view of a field takes longer than reading it.
+        # Views of the fields read in every loop: making a view takes longer than reading it.
         self._time, self._own_range = self._filter["time_us"], self._filter["own_range_us"]
         self._returned = self._filter["returned"]
         self.tracks = Tracks(members)
@@ -103,31 +105,31 @@ class CooperativeLocalisation:
         self._counted = 0
         self._others: Others = np.zeros(count, SEEN)
 
-    def read(self, hearing: NeighbourTable, now_us: int) -> None:
-        """Hear all that has come, and take what it says of those who are localised and of distances."""
-        pages, distances = hearing.pages, self._distances
+    def read(self, table: NeighbourTable, now_us: int) -> None:
+        """Process all received beacons; those of localised UAVs update the filter."""
+        pages, distances = table.pages, self._distances
         while True:
-            asked = read_beacons(
-                pages.count, now_us, pages.rows, hearing.listener, hearing.stations, hearing.rows,
+            action = read_beacons(
+                pages.count, now_us, pages.rows, table.listener, table.stations, table.rows,
                 self._filter, self.members, self.tracks.rings, self.state, self.cov,
                 distances.pairs, distances.pending,
             )  # fmt: skip
-            if asked == DONE:
+            if action == DONE:
                 pages.count = 0
                 return
-            self._do(asked, hearing.sender_row)
+            self._do(action, table.sender_row)
 
     def on_odometry(
         self, station: int, time_us: int, odometry_ned_m: Sequence[float], vel_ned_m_s: Sequence[float]
     ) -> None:
-        """Take odometry of a UAV (north, east integrated velocity, down the barometer's); old is ignored."""
+        """Process odometry of a UAV (integrated velocity, barometric height); old odometry is ignored."""
         while True:
-            asked = take_odometry(
+            action = take_odometry(
                 self._filter, self.members, self.tracks.rings, station, time_us, *odometry_ned_m, *vel_ned_m_s
             )
-            if asked == DONE:
+            if action == DONE:
                 return
-            self._do(asked, station)
+            self._do(action, station)
 
     def on_fix(
         self,
@@ -137,50 +139,50 @@ class CooperativeLocalisation:
         std_h_m: float | None = None,
         std_v_m: float | None = None,
     ) -> bool:
-        """Take a GPS position (site NED) at ``time_us``; used once, and only with odometry of that time.
+        """Process a GPS position (site NED) at ``time_us``; used once, and only with odometry of that time.
 
-        ``std_h_m`` (per axis) and ``std_v_m`` are what the receiver states; None: nothing. Returns whether it
-        has been used by now: one that is not may be, once there is odometry.
+        ``std_h_m`` (per axis) and ``std_v_m`` are the accuracies that the receiver states; None: not stated.
+        Returns whether the fix has been used; otherwise it may be passed again when there is odometry.
         """
         north_m, east_m, down_m = pos_ned_m
-        asked = take_fix(
+        action = take_fix(
             self._filter, self.members, self.tracks.rings, self.state, self.cov, station,
             time_us, north_m, east_m, down_m, std_h_m or 0.0, std_v_m or 0.0,
         )  # fmt: skip
-        if asked != DONE:
-            self._do(asked, station)
+        if action != DONE:
+            self._do(action, station)
         return bool(self._receivers.newest_us.item(station) >= time_us)
 
     def on_range(
         self, initiator: int, responder: int, time_us: int, distance_m: float, std_m: float, *, now_us: int
     ) -> None:
-        """Take a distance that ``initiator`` measured; told by (initiator, responder, time), and used once.
+        """Add a distance measured by ``initiator``; identified by (initiator, responder, time) and used once.
 
-        One that is not newer than what is known of the two is ignored, as is one from the future, which would
-        hide the right ones that follow, and one of which an end is no UAV of the formation.
+        It is ignored if it is not newer than the last one of the pair, if its time is in the future (it would
+        suppress the valid ones that follow), or if the responder is not a UAV of the filter.
         """
         if responder < self.count:
             variance_m2 = std_m**2 + self._model.range_floor_std_m**2
             self._distances.add(initiator, responder, time_us, distance_m, variance_m2, now_us=now_us)
 
-    def _do(self, asked: int, row: int) -> None:
-        """Do what a UAV's news ask for; see `intake`."""
-        if asked == SENDER_RESTARTED:
+    def _do(self, action: int, row: int) -> None:
+        """Perform an action that a kernel of `measurement_update` requires for a UAV."""
+        if action == SENDER_RESTARTED:
             self.restart(row)
-        elif asked == LOST:
+        elif action == LOST:
             self._lose(row)
-        elif asked == ODOMETRY_JUMPED:
-            self._begin_odometry_anew(row)
-        elif asked == FIRST_MEAN:
+        elif action == ODOMETRY_JUMPED:
+            self._compensate_jump(row)
+        elif action == FIRST_MEAN:
             self._activate(row)
-        elif asked == GPS_STEPPED:
+        elif action == GPS_STEPPED:
             self.gps_steps += 1
-            self._receivers.learn_anew(row, self.state, self.cov, self._filter["gps_var_m2"].item())
+            self._receivers.reset_bias(row, self.state, self.cov, self._filter["gps_var_m2"].item())
         else:
             self._distances.make_room()
 
-    def _begin_odometry_anew(self, row: int) -> None:
-        """Make good a step that a UAV has not made: its odometry has begun anew."""
+    def _compensate_jump(self, row: int) -> None:
+        """Compensate a jump of a UAV's odometry in its offset, so that its position estimate stays."""
         self.odometry_jumps += 1
         self._receivers.drop_fixes(row)
         self._distances.drop(row)
@@ -190,15 +192,15 @@ class CooperativeLocalisation:
             self.cov[STATES * row + a, STATES * row + a] += (JUMP_SHARE * jump_m) ** 2
 
     def restart(self, station: int) -> None:
-        """Forget a UAV whose application has begun anew: its odometry counts from elsewhere since.
+        """Remove a UAV whose application has restarted, because its odometry has a new origin.
 
-        To be told before that odometry. It is brought in again once there are GPS and distances of it.
+        Must be called before that odometry is processed. The UAV joins again when it has GPS and distances.
         """
         self.odometry_jumps += 1
         self._lose(station)
 
     def update(self, now_us: int) -> None:
-        """Use what has become usable by now."""
+        """Fuse the distances that odometry covers by now, let UAVs join, and check for faults."""
         due = now_us >= self._geometry_due_us
         if due or self._returned.item():
             self._returned[0] = 0
@@ -216,45 +218,45 @@ class CooperativeLocalisation:
                 self._try_afresh(suspects, now_us)
 
     def advance(self, now_us: int) -> None:
-        """Propagate the covariance to now, for whoever wants to read it."""
+        """Propagate the filter to now, so that its covariance can be read."""
         self._advance(now_us, decay=True)
 
     @property
     def ranges_used(self) -> int:
-        """Distances that were compared with the estimate."""
+        """Number of distances that were compared with the estimate."""
         return int(self._filter["ranges_used"].item())
 
     @property
     def ranges_downweighted(self) -> int:
-        """Those of them that fitted badly."""
+        """Number of those that misfitted."""
         return int(self._filter["ranges_downweighted"].item())
 
     @property
     def ranges_too_late(self) -> int:
-        """Distances for which odometry was no longer known, or not yet for too long."""
+        """Number of distances dropped because odometry of their time was not available."""
         return int(self._filter["ranges_too_late"].item())
 
     @property
     def own_range_us(self) -> int:
-        """When the newest fused distance that involves the own UAV was measured; -1: there is none."""
+        """Measurement time of the own UAV's newest fused distance, as either end; -1: none."""
         return int(self._own_range.item())
 
     def offset_ne_m(self) -> tuple[float, float]:
-        """Estimated true position less odometry of the own UAV, north and east."""
+        """Return the estimated true position minus odometry of the own UAV, north and east, m."""
         north_m, east_m = self._own_offset_ne_m.tolist()
         return north_m, east_m
 
     def offset_ned_m(self) -> Array:
-        """(3,) the same with down: less the barometer's height; a view."""
+        """Return the same as (3,) NED, down relative to the barometer; a view."""
         base = STATES * self.own
         return self.state[base : base + 3]
 
     def positions_ned_m(self, now_us: int) -> Array:
-        """(N, 3) estimated positions, site NED; neighbours' extrapolated by their velocity, 1 s at most."""
+        """Return (N, 3) estimated positions, site NED, extrapolated by velocity for 1 s at most."""
         return self.tracks.now_ned_m(now_us) + self.state.reshape(-1, STATES)[:, :3]
 
     def std_ned_m(self) -> Vector:
-        """One sigma of the own position, the formation's place as a whole included."""
+        """Return one sigma of the own position, NED, including the error of the formation as a whole."""
         north_m2, east_m2, down_m2 = self._own_variances_m2.tolist()
         if north_m2 < 0.0 or east_m2 < 0.0 or down_m2 < 0.0:  # by rounding
             north_m2, east_m2, down_m2 = max(north_m2, 0.0), max(east_m2, 0.0), max(down_m2, 0.0)
@@ -262,19 +264,19 @@ class CooperativeLocalisation:
 
     @property
     def offsets_ned_m(self) -> Array:
-        """(N, 3) estimated true positions less odometry of all: a view."""
+        """(N, 3) estimated true positions minus odometry of all UAVs; a view."""
         return self.state.reshape(-1, STATES)[:, :3]
 
     def odometry_at(self, station: int, time_us: int) -> Array | None:
-        """(3,) odometry of a UAV, NED, at a time of the last seconds; None where it is not known."""
+        """Return (3,) odometry of a UAV, NED, at a time of the last seconds; None if not available."""
         odometry_ned_m = np.empty(3)
         known = odometry_at(self.tracks.rings, station, time_us, odometry_ned_m) == KNOWN
         return odometry_ned_m if known else None
 
     def gps_error(self, station: int) -> tuple[Vector, float]:
-        """Estimated error of a UAV's GPS, NED, m, and one sigma of each horizontal axis of it.
+        """Return the estimated GPS error of a UAV, NED, m, and its standard deviation per horizontal axis.
 
-        Horizontally the slow part alone; vertically that of the last fixes, against the barometer.
+        The horizontal error is the bias; the vertical one is that of the last fixes against the barometer.
         """
         bias, variance, down_m = STATES * station + BIAS, self.cov.item, 0.0
         if self.active.item(station):
@@ -286,16 +288,16 @@ class CooperativeLocalisation:
         return error_ned_m, math.sqrt(0.5 * spread_m2)
 
     def distance_variance_m2(self, peer: int, now_us: int) -> float | None:
-        """Variance with which the distance to a UAV is known now; None while either end is not located."""
+        """Return the variance, m^2, of the distance to a UAV now; None while either end is not located."""
         if not (self.located[self.own] and self.located[peer]):
             return None
         relative_m2: float = variance_between(self.cov, self.own, peer, self.members, self.state)
         return relative_m2 + self._walked_m2(now_us)
 
     def others(self, now_us: int, *, fresh_us: int, shift_ne_m: tuple[float, float] = (0.0, 0.0)) -> Others:
-        """Everybody, as avoidance wants them, shifted; fresh is who was heard within ``fresh_us``.
+        """Return the estimates of all UAVs, shifted, for `avoidance`; the next call overwrites the array.
 
-        Memory that is written over when somebody asks again.
+        A UAV is fresh if it is located and its newest odometry is at most ``fresh_us`` old.
         """
         others = self._others
         seen_from(
@@ -305,26 +307,26 @@ class CooperativeLocalisation:
         return others
 
     def shape_std_m(self, now_us: int) -> float:
-        """Horizontal rms error to expect of the shape of those located and heard of, aligned.
+        """Return the expected rms shape error, m, of the located UAVs present; inf for fewer than two.
 
-        Inf with fewer than two.
+        It is horizontal, after the best rigid alignment.
         """
         return shape_std_m(self.positions_ned_m(now_us), self.cov, self._members(now_us))
 
     def _present(self, now_us: int) -> Flags:
-        """(N,) who has been heard of within `SILENCE_US`."""
+        """Return (N,) whether a UAV's newest odometry is at most `SILENCE_US` old."""
         return np.asarray(self.tracks.newest_us >= max(now_us - SILENCE_US, 0))
 
     def _members(self, now_us: int) -> Flags:
-        """(N,) those of them who are located: who has a part in the geometry."""
+        """Return (N,) whether a UAV is present and located, and thus part of the geometry."""
         return self.located & self._present(now_us)
 
     def _walked_m2(self, now_us: int) -> float:
-        """What the odometry of two has lost since the filter's time, per axis of their difference."""
+        """Return the variance, per axis, of two UAVs' odometry difference since the filter's time."""
         return 2.0e-6 * self._drift_m2_s * max(now_us - self._time_us, 0)
 
     def _advance(self, time_us: int, *, decay: bool = False) -> None:
-        """Propagate to ``time_us`` if that is news; see `intake.advance`."""
+        """Propagate the filter to ``time_us``; see `measurement_update.advance`."""
         advance(self._filter, self.members, self.state, self.cov, time_us, decay)
 
     @property
@@ -332,47 +334,47 @@ class CooperativeLocalisation:
         return int(self._time.item())
 
     def _lose(self, station: int) -> None:
-        """Take a UAV out until there are new odometry, GPS and distances of it."""
+        """Remove a UAV until it has new odometry, GPS and distances."""
         self.tracks.forget(station)
         self._receivers.forget(station)
         self._trust.forget(station)
         self.located[station] = self.active[station] = False
         clear(station, self.state, self.cov)
         self._distances.drop(station)
-        heard = self._members(self.tracks.newest_us.item(self.own))
-        if heard[self.own] and heard.sum() == 1:
-            # With what the own GPS alone has told it, the filter would differ from those of all others.
+        remaining = self._members(self.tracks.newest_us.item(self.own))
+        if remaining[self.own] and remaining.sum() == 1:
+            # Going on with the own GPS alone, this filter would diverge from those of the other UAVs.
             self._trust.forget(self.own)
             self.located[self.own] = False
             self._activate(self.own)
 
     def _activate(self, station: int) -> None:
-        """Begin a UAV with its GPS alone."""
+        """Initialise a UAV with its GPS alone."""
         self._receivers.unrate(station)
         self._receivers.begin(station, self.state, self.cov)
         self.active[station] = True
 
     def _use_pending(self, now_us: int) -> None:
-        """Use or hold the distances that odometry covers by now."""
+        """Fuse or hold the distances that odometry covers by now."""
         distances, geometry = self._distances, self._geometry
         while True:
-            asked = use_pending(
+            action = use_pending(
                 now_us, self._filter, self.members, self.tracks.rings, self.state, self.cov,
                 distances.pairs, distances.pending, geometry.ne_m, geometry.bend_m,
                 geometry.bend_var_m2,
             )  # fmt: skip
-            if asked == DONE:
+            if action == DONE:
                 return
             item = distances.last_pending(self._filter["between_ned_m"][0].copy())
-            if asked == NOT_LOCATED:
+            if action == NOT_LOCATED:
                 distances.hold(item, now_us)
-            elif asked == ELSEWHERE:
+            elif action == ELSEWHERE:
                 for row in (item.initiator, item.responder):
                     if self._trust.elsewhere(row):
                         self._restart(row)
 
     def _locate(self, now_us: int) -> None:
-        """Bring in those whose distances have been held, once enough of them are there."""
+        """Let the UAVs with held distances join, once the distances are complete or gathered long enough."""
         present = self._present(now_us)
         linked = links(self._distances.held.values(), self.count) | np.eye(self.count, dtype=bool)
         fallen_silent = ~present & (self.tracks.newest_us >= 0)
@@ -391,7 +393,7 @@ class CooperativeLocalisation:
             count_distance(self._filter, self.members, *ends, item.time_us, weight, fused=True)
 
     def _try_afresh(self, suspects: set[int], now_us: int) -> None:
-        """Solve again for UAVs of whose distances many misfit; without a solution that fits, all stays."""
+        """Initialise suspected UAVs again; without a solution that fits all of them, nothing changes."""
         within_us = max(self._model.gather_s * 1e6, SILENCE_US)
         held = self._distances.fused_of(suspects, now_us, within_us=within_us)
         if not held:
@@ -415,7 +417,7 @@ class CooperativeLocalisation:
         )  # fmt: skip
 
     def _take_in(self, joined: Joined, now_us: int) -> None:
-        """Make a solution the filter's."""
+        """Copy a solution into the filter and update the geometry and the statistics."""
         self.state[:], self.cov[:] = joined.solution.state, joined.solution.cov
         self.located |= joined.joining
         members, pos_ned_m = self._members(now_us), self.positions_ned_m(now_us)
@@ -424,11 +426,11 @@ class CooperativeLocalisation:
         for station in np.flatnonzero(joined.joining).tolist():
             self._trust.forget(station)
             self._receivers.rate(station, self.state)
-        for station in joined.liars:
+        for station in joined.faulty:
             self._trust.distrust(station)
 
     def _restart(self, station: int) -> None:
-        """Forget where a UAV is thought to be, for it does not fit: back to its GPS."""
+        """Reset a UAV, whose estimate is wrong, to its GPS."""
         self.restarts += 1
         self._trust.forget(station)
         self.located[station] = False

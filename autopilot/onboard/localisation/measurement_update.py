@@ -1,8 +1,7 @@
-"""What comes in, on its way into the localisation's filter: beacons, fixes and distances. Compiled.
+"""Compiled kernels that process beacons, odometry, fixes and distances for the localisation's filter.
 
-Most of what comes asks for a few numbers in a few places and nothing else. All that is done here, for what it
-costs is the memory that is touched. The rest, which is seldom, is `localisation`'s: a kernel that comes to it
-says so and stops, and is called again when that has been done.
+The frequent cases, which change few numbers, are handled here. The rare ones are handled by `localisation`: a
+kernel that meets one returns a code of the action required, and is called again after that action.
 """
 
 import numpy as np
@@ -17,8 +16,8 @@ from autopilot.onboard.localisation.tracks import JUMPED, KNOWN, Rings, odometry
 from autopilot.onboard.localisation.trust import ELSEWHERE_LIMIT, note
 from autopilot.onboard.radio.beacon import HAS_FIX, PageRows
 from autopilot.onboard.radio.neighbour_table import (
-    BEGUN_ANEW,
     REFUSED,
+    RESTARTED,
     Listener,
     Rows,
     Stations,
@@ -27,30 +26,30 @@ from autopilot.onboard.radio.neighbour_table import (
 )
 
 PENDING_LIMIT_US = 1_000_000
-"""A distance whose ends' odometry does not arrive within this is given up."""
+"""A distance is dropped if the odometry of its ends does not arrive within this time."""
 LOST_US = 30_000_000
-"""Who returns after this long is solved for afresh: its odometry has lost half a metre or more, and with so
-much a few distances may be fitted by a mirror image."""
+"""A UAV that returns after this time is initialised again: its odometry has drifted by half a metre or more,
+so that a mirror image may fit a few distances."""
 PULLED_VAR_M2 = 1.0
-"""By how much a UAV may be misplaced that has just been found to measure wrongly, squared."""
+"""Variance added to the position of a UAV whose measurements have just been found to be wrong."""
 
 DONE = 0
 SENDER_RESTARTED, LOST, ODOMETRY_JUMPED, FIRST_MEAN, GPS_STEPPED, FULL = 1, 2, 3, 4, 5, 6
-"""What a UAV's news ask for: its application has begun anew, to be heeded before what it says; it was silent
-for long; its odometry has begun anew; fixes have made a first mean; its GPS has made a step; there is no room
-for its distances."""
+"""Actions required by a UAV's input: its application has restarted (to be handled before the beacon's
+content); it was silent for long; its odometry has jumped; its first mean of fixes is complete; its GPS has
+made a step; there is no room for its distances."""
 NOT_LOCATED, ELSEWHERE = 7, 8
-"""What a pending distance asks for: an end is not located; one of them cannot be where it is taken to be."""
+"""Actions required by a pending distance: an end is not located; the estimate of an end must be wrong."""
 
 
 @njit(cache=True)
 def advance(
     filter_row: Filter, members: Members, state: Array, cov: Array, time_us: int,
-    decay: bool,  # noqa: FBT001  # numba knows no keyword-only arguments
+    decay: bool,  # noqa: FBT001  # numba has no keyword-only arguments
 ) -> float:  # fmt: skip
-    """Propagate the filter to ``time_us`` if that is news; returns how many seconds it is ahead of it.
+    """Propagate the filter to ``time_us``; returns by how many seconds the filter was ahead of it, else 0.
 
-    Slow errors are propagated in strides, unless ``decay``.
+    Slow errors are propagated in strides, or up to now if ``decay``.
     """
     own = filter_row[0]
     ahead_us = own["time_us"] - time_us
@@ -73,7 +72,7 @@ def take_odometry(
     filter_row: Filter, members: Members, rings: Rings, row: int, time_us: int, north_m: float,
     east_m: float, down_m: float, vel_n_m_s: float, vel_e_m_s: float, vel_d_m_s: float,
 ) -> int:  # fmt: skip
-    """Take odometry of a UAV: DONE, LOST before anything is done, or ODOMETRY_JUMPED after it."""
+    """Process odometry of a UAV; returns DONE, LOST (nothing changed) or ODOMETRY_JUMPED (used)."""
     own, member = filter_row[0], members[row]
     silent_us = time_us - member["newest_us"]
     if silent_us > SILENCE_US:
@@ -92,9 +91,9 @@ def take_fix(
     filter_row: Filter, members: Members, rings: Rings, state: Array, cov: Array, row: int,
     time_us: int, north_m: float, east_m: float, down_m: float, std_h_m: float, std_v_m: float,
 ) -> int:  # fmt: skip
-    """Take a GPS position of a UAV and what its receiver states, 0 being nothing.
+    """Process a GPS position of a UAV and the accuracy that its receiver states; 0: none stated.
 
-    DONE, FIRST_MEAN or GPS_STEPPED. It is used once, and only with odometry of its time.
+    Returns DONE, FIRST_MEAN or GPS_STEPPED. A fix is used once, and only with odometry of its time.
     """
     own, member = filter_row[0], members[row]
     if time_us <= member["fix_us"]:
@@ -121,42 +120,42 @@ def take_beacon(
     page: np.void, row: int, now_us: int, rows: Rows, filter_row: Filter,
     members: Members, rings: Rings, state: Array, cov: Array, pairs: Pairs, pending: Pending,
 ) -> int:  # fmt: skip
-    """Take all that a credible beacon of a UAV says; what is no news in it is ignored.
+    """Process the content of a UAV's valid beacon; entries that are already known are skipped.
 
-    Returns DONE, or what is to be done before it is taken again: LOST, ODOMETRY_JUMPED, FIRST_MEAN,
-    GPS_STEPPED or FULL.
+    Returns DONE, or the action required before the beacon is processed again: LOST, ODOMETRY_JUMPED,
+    FIRST_MEAN, GPS_STEPPED or FULL.
     """
     header, ranges = page["header"], page["ranges"]
-    asked = take_odometry(
+    action = take_odometry(
         filter_row, members, rings, row, int(np.int64(header["time_us"])),
         np.float64(header["odometry_n_m"]), np.float64(header["odometry_e_m"]),
         np.float64(header["odometry_d_m"]), np.float64(header["vel_n_m_s"]),
         np.float64(header["vel_e_m_s"]), np.float64(header["vel_d_m_s"]),
     )  # fmt: skip
-    if asked != DONE:
-        return asked
+    if action != DONE:
+        return action
     fix_us = int(np.int64(header["fix_ms"])) * 1_000
     if header["flags"] & HAS_FIX and fix_us <= now_us:
-        asked = take_fix(
+        action = take_fix(
             filter_row, members, rings, state, cov, row, fix_us,
             np.float64(header["fix_n_m"]), np.float64(header["fix_e_m"]), np.float64(header["fix_d_m"]),
             np.int64(header["fix_std_h_mm"]) * 1e-3, np.int64(header["fix_std_v_mm"]) * 1e-3,
         )  # fmt: skip
-        if asked != DONE:
-            return asked
+        if action != DONE:
+            return action
     count = np.int64(header["count"])
     if filter_row[0]["pending"] + count > pending.size:
         return FULL
     floor_m2 = filter_row[0]["range_floor_var_m2"]
     for k in range(count):
-        told = ranges[k]
-        peer = np.int64(told["peer"])
+        entry = ranges[k]
+        peer = np.int64(entry["peer"])
         responder = rows[peer] if peer < rows.size else -1
         if responder >= 0:
-            std_m = np.int64(told["std_mm"]) * 1e-3
+            std_m = np.int64(entry["std_mm"]) * 1e-3
             add_distance(
-                pairs, pending, filter_row, row, responder, int(np.int64(told["time_ms"])) * 1_000,
-                np.float64(told["distance_m"]), std_m * std_m + floor_m2, now_us,
+                pairs, pending, filter_row, row, responder, int(np.int64(entry["time_ms"])) * 1_000,
+                np.float64(entry["distance_m"]), std_m * std_m + floor_m2, now_us,
             )  # fmt: skip
     return DONE
 
@@ -167,26 +166,26 @@ def read_beacons(
     filter_row: Filter, members: Members, rings: Rings, state: Array, cov: Array,
     pairs: Pairs, pending: Pending,
 ) -> int:  # fmt: skip
-    """Hear what is on ``count`` pages, and take what is said by those who are localised.
+    """Process the beacons on ``count`` pages; the content of beacons from localised UAVs updates the filter.
 
-    Returns DONE, or what is to be done before it is gone on with at the page that is open: SENDER_ANEW, or
-    what `take_beacon` asks for.
+    Returns DONE, or the action required before processing continues at the open page: SENDER_RESTARTED or one
+    of `take_beacon`.
     """
     me = listener[0]
     while me["at"] < count:
         page = pages[me["at"]]
         row = row_of(page, rows)
         if not me["is_open"]:
-            heard = receive_beacon(page, now_us, listener, stations, rows)
-            me["is_open"] = heard != REFUSED and row >= 0
-            if me["is_open"] and heard == BEGUN_ANEW:
+            outcome = receive_beacon(page, now_us, listener, stations, rows)
+            me["is_open"] = outcome != REFUSED and row >= 0
+            if me["is_open"] and outcome == RESTARTED:
                 return SENDER_RESTARTED
         if me["is_open"]:
-            asked = take_beacon(
+            action = take_beacon(
                 page, row, now_us, rows, filter_row, members, rings, state, cov, pairs, pending,
             )  # fmt: skip
-            if asked != DONE:
-                return asked
+            if action != DONE:
+                return action
             me["is_open"] = 0
         me["at"] += 1
     me["at"] = 0
@@ -199,10 +198,10 @@ def use_pending(
     cov: Array, pairs: Pairs, pending: Pending, reference_ne_m: Array, bend_m: Array,
     bend_var_m2: Array,
 ) -> int:  # fmt: skip
-    """Use what has become usable of the distances pending, in the order in which they came.
+    """Use the pending distances that odometry covers by now, in the order of their arrival.
 
-    Returns DONE, or what the last one that was looked at asks for before it is gone on with: NOT_LOCATED or
-    ELSEWHERE. Geometry as of `reference_geometry`.
+    Returns DONE, or the action that the distance processed last requires before processing continues:
+    NOT_LOCATED or ELSEWHERE. reference_ne_m, bend_m and bend_var_m2 are those of `reference_geometry`.
     """
     own = filter_row[0]
     between_ned_m = own["between_ned_m"]
@@ -237,13 +236,13 @@ def _use(
     item: np.void, filter_row: Filter, members: Members, state: Array, cov: Array,
     pairs: Pairs, reference_ne_m: Array, bend_m: Array, bend_var_m2: Array,
 ) -> None:  # fmt: skip
-    """Fuse a distance between two who are located, or only judge it if who measured it is not trusted."""
+    """Fuse a distance between two located UAVs, or only count it if its initiator is distrusted."""
     own = filter_row[0]
     i, j = item["initiator"], item["responder"]
     pair, between_ned_m = pairs[i, j], own["between_ned_m"]
     lag_s = advance(filter_row, members, state, cov, item["time_us"], decay=False)
-    # Distances of a UAV that are late together share what its odometry has lost since, and are worth no
-    # more than one of them.
+    # Late distances of one UAV share the error that its odometry has gathered since, and hold no more
+    # information than one of them.
     late_m2 = own["drift_m2_s"] * lag_s * (1.0 + own["distances_hz"] * lag_s)
     trusted = members[i]["distrusted"] == 0
     weight = fuse_range(
@@ -256,7 +255,7 @@ def _use(
     for a in range(3):
         pair["between_ned_m"][a] = between_ned_m[a]
     if trusted and members[i]["distrusted"]:
-        # It has been pulled to where its own distances wanted it.
+        # Its own wrong distances have displaced it.
         for at in range(STATES * i, STATES * i + 2):
             cov[at, at] += PULLED_VAR_M2
 
@@ -264,9 +263,9 @@ def _use(
 @njit(cache=True)
 def count_distance(
     filter_row: Filter, members: Members, initiator: int, responder: int, time_us: int, weight: float,
-    fused: bool,  # noqa: FBT001  # numba knows no keyword-only arguments
+    fused: bool,  # noqa: FBT001  # numba has no keyword-only arguments
 ) -> None:  # fmt: skip
-    """Count a distance that has been compared with the estimate and got this weight."""
+    """Update counts and fault detection by a distance that was compared with the estimate."""
     own = filter_row[0]
     badly = not weight >= MISFIT_WEIGHT
     own["ranges_used"] += 1

@@ -1,8 +1,8 @@
-"""What the localisation keeps of every UAV that it localises, a row of one array each, and of itself.
+"""State arrays of the localisation: one row per localised UAV (`MEMBER`), one of the filter (`FILTER`).
 
-Tracks, receivers and trust each have their columns of it, and compiled code is given the whole: what a beacon
-or a distance touches of a UAV then lies together, and is one argument. So is what there is once: the model's
-numbers, times and counts.
+`tracks`, `receivers` and `trust` each use their own columns. Compiled code receives the whole array as one
+argument, and the data that a beacon or a distance changes for one UAV are contiguous in memory. The filter
+row holds the scalars: the model's numbers, times and counts.
 """
 
 import numpy as np
@@ -11,29 +11,29 @@ from numpy.typing import NDArray
 from autopilot.onboard.localisation.model import LocalisationModel
 
 DECAY_SHARE = 0.01
-"""Of the shortest time constant: the stride in which slow errors are propagated."""
+"""Stride in which slow errors are propagated, as a share of the shortest time constant."""
 
 MEMBER = np.dtype(
     [
-        ("active", "u1"),  # there is GPS of it
+        ("active", "u1"),  # initialised with its GPS
         ("located", "u1"),  # its distances are fused
-        ("distrusted", "u1"),  # the distances that it measures are to be left out
-        # odometry (`tracks`): the newest position and velocity, NED, and when that was, -1 before the first
+        ("distrusted", "u1"),  # the distances that it measures are not fused
+        # odometry (`tracks`): newest position and velocity, NED, and their time, -1 before the first
         ("newest_us", "i8"),
         ("newest", "f8", 6),
-        # GPS (`receivers`): the newest fix that was taken, and those of which there is no mean yet
+        # GPS (`receivers`): time of the newest fix, and the fixes that are not yet part of a mean
         ("fix_us", "i8"),
         ("first_us", "i8"),
         ("late_us", "i8"),
         ("fixes", "i8"),
         ("sum_ned_m", "f8", 3),
-        # the last mean, less the odometry of its time: of how many, their mean time, from first to last
+        # the last mean minus the odometry of its time: number of fixes, mean time, first to last
         ("less_odometry_ned_m", "f8", 3),
         ("mean_fixes", "i8"),
         ("mean_us", "i8"),
         ("span_us", "i8"),
         ("misfits", "i8"),
-        # what the receiver states, and what is made of it
+        # stated accuracy, and the variances derived from it
         ("stated_us", "i8"),
         ("stated_var_m2", "f8"),
         ("vertical_var_m2", "f8"),
@@ -47,20 +47,20 @@ MEMBER = np.dtype(
     align=True,
 )
 Members = NDArray[np.void]
-"""(N,) of `MEMBER`"""
+"""(N,) array of `MEMBER`."""
 FILTER = np.dtype(
     [
-        ("own", "i8"),  # row of the UAV that runs it
+        ("own", "i8"),  # row of the UAV that runs the filter
         ("time_us", "i8"),
-        ("decay_owed_us", "i8"),  # since slow errors were propagated, and the stride in which they are
+        ("decay_owed_us", "i8"),  # time since slow errors were propagated, and their stride
         ("decay_stride_us", "i8"),
-        ("distances_hz", "f8"),  # of one UAV, either end
-        ("own_range_us", "i8"),  # when the newest fused distance of the own UAV was measured; -1: none yet
-        ("returned", "i8"),  # somebody has been heard of again
-        ("step_ne_m", "f8", 2),  # of odometry that has jumped
-        ("gps_var_m2", "f8"),  # of a GPS that has made a step: see `receivers.fuse_mean`
-        # distances pending: how many, and while they are gone through, how many have been looked at, how
-        # many of these stay, and odometry between the ends of the last
+        ("distances_hz", "f8"),  # rate of distances per UAV, as either end
+        ("own_range_us", "i8"),  # measurement time of the own UAV's newest fused distance; -1: none yet
+        ("returned", "i8"),  # a silent UAV has sent odometry again
+        ("step_ne_m", "f8", 2),  # size of the last odometry jump
+        ("gps_var_m2", "f8"),  # variance after a GPS step: see `receivers.fuse_mean`
+        # pending distances: their number; during an update those processed and those kept, and the odometry
+        # between the ends of the last one
         ("pending", "i8"),
         ("done", "i8"),
         ("kept", "i8"),
@@ -68,7 +68,7 @@ FILTER = np.dtype(
         ("ranges_used", "i8"),
         ("ranges_downweighted", "i8"),
         ("ranges_too_late", "i8"),
-        # of `LocalisationModel`
+        # copies of `LocalisationModel`
         ("gps_bias_std_m", "f8"),
         ("gps_bias_vertical_std_m", "f8"),
         ("gps_bias_time_constant_s", "f8"),
@@ -79,13 +79,13 @@ FILTER = np.dtype(
         ("range_floor_var_m2", "f8"),
     ]
 )
-"""The filter's numbers beside its state and covariance."""
+"""Scalars of the filter, besides its state and covariance."""
 Filter = NDArray[np.void]
-"""(1,) of `FILTER`"""
+"""(1,) array of `FILTER`."""
 
 
 def new_filter(own: int, model: LocalisationModel) -> Filter:
-    """Row of a filter at UAV ``own`` that has heard nothing yet."""
+    """Return the initial row of a filter that runs at UAV ``own``."""
     filter_row: Filter = np.zeros(1, FILTER)
     row = filter_row[0]
     row["own"], row["own_range_us"] = own, -1
@@ -101,7 +101,7 @@ def new_filter(own: int, model: LocalisationModel) -> Filter:
 
 
 def new_members(count: int) -> Members:
-    """Rows of UAVs of whom nothing is known."""
+    """Return initial rows of ``count`` UAVs, without any measurement."""
     members: Members = np.zeros(count, MEMBER)
     for name in ("newest_us", "fix_us", "stated_us"):
         members[name] = -1

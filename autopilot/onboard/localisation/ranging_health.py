@@ -1,4 +1,4 @@
-"""Whether distances hold a UAV's position, and those of the UAVs to whom it would have to give way."""
+"""Monitors whether distances support the position of a UAV, and of the UAVs that it must avoid."""
 
 from collections.abc import Sequence
 
@@ -9,28 +9,28 @@ from autopilot.onboard.localisation.localisation import CooperativeLocalisation
 from autopilot.onboard.radio.neighbour_table import NeighbourTable
 
 MISSED_BEACONS = 5
-"""So many without word of a position that is held, and it counts as held no longer."""
+"""A position counts as unsupported after this many beacon periods without a report of support."""
 
 
 class Support:
-    """That of one UAV.
+    """Support of one UAV's position by distances.
 
     Args:
-        localisation: the UAV's; None: it goes by something else, and no distances are asked for.
-        hearing: what others say of theirs.
-        watched: stations to whom it would have to give way, were they not held.
-        range_silence_us: distances older than this hold nothing.
-        beacon_period_us: of everybody.
+        localisation: localisation of the UAV; None: it does not use distances.
+        table: reports of the other stations.
+        watched: stations that this UAV must avoid by its height layer if they lose support.
+        range_silence_us: distances older than this give no support.
+        beacon_period_us: beacon period of all stations.
 
     Attributes:
-        holds: distances hold the own position, which is more than its GPS says of it.
+        holds: distances support the own position, which is then better than GPS alone.
 
     """
 
     def __init__(
         self,
         localisation: CooperativeLocalisation | None,
-        hearing: NeighbourTable,
+        table: NeighbourTable,
         *,
         watched: Sequence[int],
         range_silence_us: int,
@@ -38,13 +38,13 @@ class Support:
     ) -> None:
         self.holds = False
         self._localisation = localisation
-        self._hearing = hearing
+        self._table = table
         self._watched = np.array(watched, np.int64)
         self._range_silence_us = range_silence_us
         self._beacon_silence_us = max(FRESH_US, MISSED_BEACONS * beacon_period_us)
 
     def update(self, now_us: int) -> bool:
-        """Judge by what the localisation knows now; gives whether that is otherwise than before."""
+        """Update `holds` from the localisation; returns whether it has changed."""
         before, localisation = self.holds, self._localisation
         if localisation is not None:
             range_us = localisation.own_range_us
@@ -53,9 +53,9 @@ class Support:
         return self.holds is not before
 
     def holds_all(self, now_us: int) -> bool:
-        """Whether this UAV is held, and those watched who are in the air; true where nobody asks."""
+        """Return whether this UAV and the watched UAVs in the air have support; True without localisation."""
         if self._localisation is None:
             return True
         if not self.holds or not self._watched.size:
             return self.holds
-        return self._hearing.all_held(self._watched, now_us - self._beacon_silence_us)
+        return self._table.all_held(self._watched, now_us - self._beacon_silence_us)

@@ -1,8 +1,9 @@
-"""What is known of everybody's GPS receiver, and what its fixes do to the localisation's filter.
+"""GPS receivers of all UAVs: averaging and fusing of their fixes, and the variance of their biases.
 
-Fixes count by means of some: what is slow in their errors makes single ones worth no more than their mean. A
-receiver that states a worse accuracy than the model's is taken at its word. One whose error is estimated
-beyond what it states is taken to have errors of that size, and after a step of it they are estimated anew.
+Fixes are averaged over `GROUP_US` before they are fused: their errors are slow, so that single fixes hold no
+more information than their mean. If a receiver states a worse accuracy than the model's, that is used. If its
+estimated error exceeds the stated accuracy, its bias variance is raised to that size. After a step of the
+estimated error the bias is reset.
 """
 
 import math
@@ -16,23 +17,23 @@ from autopilot.onboard.localisation.members import Filter, Members
 from autopilot.onboard.localisation.model import LocalisationModel
 
 GROUP_US = 800_000
-"""Fixes of this time make a mean. Within it GPS bias moves by more than what is white in it."""
+"""Time span of the fixes in a mean. Within it the GPS bias moves by more than the white part of its error."""
 MISFIT_WEIGHT = 0.2
-"""A measurement that gets less weight than this fits badly: beyond about 4.6 sigma."""
+"""A measurement of less weight than this is a misfit: beyond about 4.6 sigma."""
 STEP_FIXES = 3
-"""So many means of fixes in succession that fit badly are a step of GPS."""
+"""Number of consecutive misfitting means that indicate a step of the GPS error."""
 BIAS_SIGMAS = 2.0
-"""A GPS bias that is estimated beyond this has a larger spread than its receiver states."""
+"""A GPS bias beyond this many stated standard deviations raises its variance."""
 
 
 @njit(cache=True)
 def add_fix(
     members: Members, row: int, time_us: int, pos_ned_m: Array, odometry_ned_m: Array,
-    at_once: bool,  # noqa: FBT001  # numba knows no keyword-only arguments
+    at_once: bool,  # noqa: FBT001  # numba has no keyword-only arguments
 ) -> bool:  # fmt: skip
-    """Take a fix (3,) and the odometry (3,) of its time; whether that makes a mean.
+    """Add a fix (3,) and the odometry (3,) of its time; returns whether a mean is complete.
 
-    It does when fixes since the last mean span `GROUP_US`, or ``at_once``.
+    It is complete if the fixes since the last mean span `GROUP_US`, or if ``at_once``.
     """
     member = members[row]
     total_m, mean_m = member["sum_ned_m"], member["less_odometry_ned_m"]
@@ -59,9 +60,9 @@ def add_fix(
 def take_stated(
     members: Members, row: int, std_h_m: float, std_v_m: float, cov: Array, filter_row: Filter
 ) -> None:
-    """Take what a receiver states with its newest fix at its word, when it is worse than the model.
+    """Process the accuracy that a receiver states with its newest fix; the model's is the lower limit.
 
-    What it states beyond the worst of late, its bias may have changed by at once.
+    If it exceeds the recent worst, the bias may have changed at once by the excess: its variance is raised.
     """
     member, own = members[row], filter_row[0]
     since_s = max(member["fix_us"] - member["stated_us"], 0) * 1e-6
@@ -70,7 +71,7 @@ def take_stated(
     member["vertical_var_m2"] = vertical_m * vertical_m
     level_m = max(own["gps_bias_std_m"], std_h_m)
     variance_m2 = level_m * level_m
-    # A bias has forgotten what it was when the worst was stated as its own correlation says.
+    # The worst stated variance decays to the stated one with the correlation of the bias.
     kept = math.exp(-2.0 * since_s / own["gps_bias_time_constant_s"])
     stated_m2 = member["stated_var_m2"]
     worst_m2 = stated_m2 + kept * (member["worst_var_m2"] - stated_m2)
@@ -80,14 +81,14 @@ def take_stated(
     if added_m2 > 0.0:
         member["bias_var_m2"] = max(member["bias_var_m2"], variance_m2)
         if member["active"]:
-            # No further than to the new variance, for what was added before may not be learned yet.
+            # At most to the new variance, as earlier additions may not have been reduced by measurements yet.
             for at in range(STATES * row + BIAS, STATES * row + STATES):
                 cov[at, at] += max(min(added_m2, variance_m2 - cov[at, at]), 0.0)
 
 
 @njit(cache=True)
 def rate(members: Members, row: int, state: Array) -> None:
-    """Take the spread of a GPS bias from its estimate where that is beyond what the receiver stated."""
+    """Raise the variance of a GPS bias to its estimate if that exceeds the stated accuracy."""
     bias_n_m, bias_e_m = state[STATES * row + BIAS], state[STATES * row + BIAS + 1]
     seen_m2 = max(bias_n_m * bias_n_m, bias_e_m * bias_e_m) / (BIAS_SIGMAS * BIAS_SIGMAS)
     members[row]["bias_var_m2"] = max(members[row]["worst_var_m2"], seen_m2)
@@ -99,11 +100,11 @@ def fuse_mean(
 ) -> float:
     """Fuse the newest mean into the filter, which is at ``time_us``.
 
-    Gives 0, or the variance that was taken for each horizontal axis if the GPS has made a step: for the UAV
-    is located, and so many in succession have fitted badly. Its bias is then to be learned anew.
+    Returns 0, or the variance used for each horizontal axis if the GPS has made a step: the UAV is located,
+    and the last `STEP_FIXES` means were misfits. The caller must then reset the bias.
     """
     member, own = members[row], filter_row[0]
-    # The mean is as old as its middle, since when both odometry and bias have moved on.
+    # The mean has the age of its mean time; odometry and bias have drifted since.
     age_s = (time_us - member["mean_us"]) * 1e-6
     moved_m2_s = own["drift_m2_s"] + 2.0 * member["bias_var_m2"] / own["gps_bias_time_constant_s"]
     variance_m2 = own["gps_white_var_m2"] / member["mean_fixes"] + moved_m2_s * age_s
@@ -116,13 +117,13 @@ def fuse_mean(
 
 
 class Receivers:
-    """GPS receivers of N UAVs; state (5N,) and cov (5N, 5N), laid out as `kernels` says, are the filter's.
+    """GPS receivers of N UAVs; state (5N,) and cov (5N, 5N) are the filter's, with the layout of `kernels`.
 
     Attributes:
-        newest_us: (N,) when the newest fix of each was that was taken; -1 before the first.
-        less_odometry_ned_m: (N, 3) each one's newest mean of fixes, less the odometry of their time.
-        stated_var_m2: (N,) of the bias, per horizontal axis: what the receiver states, or the model if worse.
-        bias_var_m2: (N,) the same as taken now: not below what is stated.
+        newest_us: (N,) time of the newest fix used of each receiver; -1 before the first.
+        less_odometry_ned_m: (N, 3) newest mean of fixes of each, minus the odometry of their times.
+        stated_var_m2: (N,) variance of the bias, per horizontal axis: as stated, but not below the model's.
+        bias_var_m2: (N,) the variance in use, not below the stated one.
 
     """
 
@@ -137,22 +138,22 @@ class Receivers:
         self._members = members
         self._model = model
 
-    def learn_anew(self, row: int, state: Array, cov: Array, variance_m2: float) -> None:
-        """Forget the bias of a receiver that has made a step; ``variance_m2`` is what `fuse_mean` gave."""
+    def reset_bias(self, row: int, state: Array, cov: Array, variance_m2: float) -> None:
+        """Reset the bias of a receiver that has made a step; ``variance_m2`` is the result of `fuse_mean`."""
         self._members["misfits"][row] = 0
         relearn_bias(state, cov, row, self.less_odometry_ned_m[row], variance_m2)
         rate(self._members, row, state)
 
     def rate(self, row: int, state: Array) -> None:
-        """Take the spread of a GPS bias from its estimate where that is beyond what the receiver stated."""
+        """Raise the variance of a GPS bias to its estimate if that exceeds the stated accuracy."""
         rate(self._members, row, state)
 
     def unrate(self, row: int) -> None:
-        """Take a receiver at its word again, whatever its bias was estimated to be."""
+        """Reset the bias variance to the stated one, regardless of the estimated bias."""
         self.bias_var_m2[row] = self.stated_var_m2[row]
 
     def begin(self, row: int, state: Array, cov: Array) -> None:
-        """Fill in a UAV by its GPS: offset = fix - bias - noise, the bias at its stationary spread."""
+        """Initialise a UAV by its GPS: offset = fix - bias - noise, the bias with its stationary variance."""
         base = STATES * row
         bias_var_m2 = self.stated_var_m2[row]
         clear(row, state, cov)
@@ -164,17 +165,17 @@ class Receivers:
         cov[base + 2, base + 2] = self._model.height_std_m**2
 
     def drop_fixes(self, row: int) -> None:
-        """Forget the fixes of which there is no mean yet: their odometry is that of before."""
+        """Drop the fixes that are not yet part of a mean, after a jump of odometry."""
         self._members["fixes"][row] = 0
 
     def forget(self, row: int) -> None:
-        """Forget the fixes of a UAV that is taken out, and how they have fitted."""
+        """Drop the fixes and the misfit count of a UAV that is removed."""
         self.drop_fixes(row)
         self._members["misfits"][row] = 0
 
 
 def clear(row: int, state: Array, cov: Array) -> None:
-    """Take all that is known of a UAV out of state and cov."""
+    """Set a UAV's entries of state and cov to zero."""
     own = slice(STATES * row, STATES * (row + 1))
     state[own] = 0.0
     cov[own, :] = cov[:, own] = 0.0

@@ -1,7 +1,8 @@
-"""The fixed geometry that the derivatives of distances are taken at, and what bending does to distances.
+"""The fixed geometry at which distances are linearised, and the effect of bending on distances.
 
-Derivatives at the estimates would let distances seem to tell of what they do not, so all of a UAV's are
-taken at a reference of its own time of joining, which is turned with the formation when that has turned.
+Derivatives at the newest estimates would give distances information that they do not hold (see `kernels`).
+All derivatives of a UAV are therefore taken at a reference fixed when it joined, which is turned when the
+formation has turned.
 """
 
 import numpy as np
@@ -11,22 +12,22 @@ from autopilot.onboard.localisation.kernels import Array
 from autopilot.onboard.localisation.uncertainty import bend, shape_variance
 
 TURN_LIMIT_RAD = 0.2
-"""The fixed geometry of the derivatives is renewed when the formation has turned by this."""
+"""Turn of the formation at which the reference is renewed."""
 
 
 class ReferenceGeometry:
     """Reference of N UAVs.
 
-    ``members`` (N,) are those who are located and heard of, pos_ned_m (N, 3) all estimated positions, and
-    cov (5N, 5N) their covariance, laid out as `kernels` says.
+    ``members`` (N,) are the located UAVs that are present, pos_ned_m (N, 3) all estimated positions, and
+    cov (5N, 5N) their covariance with the layout of `kernels`.
 
     Args:
         places_ned_m: (N, 3) the formation's places, site NED.
 
     Attributes:
-        ne_m: (N, 2) where the derivatives are taken.
-        bend_m: (N, N) by how much unknown bending of the shape lengthens distances, on average.
-        bend_var_m2: (N, N) variance of that.
+        ne_m: (N, 2) positions at which the derivatives are taken.
+        bend_m: (N, N) mean lengthening of distances by an unknown bending of the shape.
+        bend_var_m2: (N, N) variance of the lengthening.
 
     """
 
@@ -38,10 +39,10 @@ class ReferenceGeometry:
         self._places_ned_m = places_ned_m
 
     def fix(self, joining: Flags, members: Flags, pos_ned_m: Array, cov: Array) -> None:
-        """Fix the geometry for those who join, who are members already.
+        """Set the reference of the UAVs that join, which must already be members.
 
-        Where the shape is known it is that of the estimates. Else, as across a line, they are as wrong as GPS
-        and with them distances would seem to tell of it: the places then tell directions better.
+        If the shape is known, it is that of the estimates. Otherwise, as across a line, the estimates have
+        GPS errors, and the directions between the places are better.
         """
         there_m = pos_ned_m[:, :2]
         reference_m = there_m
@@ -49,7 +50,7 @@ class ReferenceGeometry:
             reference_m = laid_over(self._places_ned_m, there_m, members)
         before = members & ~joining
         if before.any():
-            # They keep the place and the heading of those before them.
+            # Align the new reference to the position and heading of the earlier members.
             there, then = (m[before] @ TO_COMPLEX for m in (reference_m, self.ne_m))
             turn = np.exp(1j * np.angle(np.vdot(there - there.mean(), then - then.mean())))
             turned = (reference_m @ TO_COMPLEX - there.mean()) * turn + then.mean()
@@ -57,7 +58,7 @@ class ReferenceGeometry:
         self.ne_m[joining] = reference_m[joining]
 
     def keep(self, members: Flags, pos_ned_m: Array, cov: Array) -> None:
-        """Renew the geometry when the formation has turned away from it, and what bending does."""
+        """Renew the reference if the formation has turned from it, and update the effect of bending."""
         if members.sum() < 2:
             return
         there = pos_ned_m[members, :2] @ TO_COMPLEX
@@ -65,7 +66,7 @@ class ReferenceGeometry:
         then = reference[members]
         turn_rad = np.angle(np.vdot(then - then.mean(), there - there.mean()))
         if abs(turn_rad) > TURN_LIMIT_RAD:
-            # Who is silent is taken along, for the time when it is heard again.
+            # Silent UAVs are turned along, so that their reference is valid when they return.
             turned = (reference - then.mean()) * np.exp(1j * turn_rad) + there.mean()
             self.ne_m[:] = np.column_stack((turned.real, turned.imag))
             self.fix(members, members, pos_ned_m, cov)
@@ -76,7 +77,7 @@ class ReferenceGeometry:
 
 
 def shape_std_m(pos_ned_m: Array, cov: Array, members: Flags) -> float:
-    """Horizontal rms error to expect of the members' shape, aligned; inf with fewer than two."""
+    """Return the expected horizontal rms shape error of the members, aligned; inf with fewer than two."""
     among = np.flatnonzero(members)
     if len(among) < 2:
         return float("inf")

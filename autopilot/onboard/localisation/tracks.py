@@ -1,4 +1,4 @@
-"""Everybody's odometry of the last seconds, to ask where they were."""
+"""Odometry history of all UAVs over the last seconds, with interpolation."""
 
 import numpy as np
 from numba import njit
@@ -8,29 +8,32 @@ from autopilot.onboard.localisation.kernels import Array
 from autopilot.onboard.localisation.members import Members
 
 SAMPLES = 64
-"""Kept per UAV: `REMEMBERED_S` of the own ones at 30 Hz, six seconds of a neighbour's at 10 Hz."""
+"""Samples per UAV: 2.1 s of the own odometry at 30 Hz, 6 s of a neighbour's at 10 Hz.
+
+`REMEMBERED_S` of `autopilot.parameters.config` must not exceed the former.
+"""
 JUMP_M = 0.5
-"""No step of odometry, beside what velocity explains, is that large in flight..."""
+"""A step of odometry beyond the motion that its velocity explains is a jump above this..."""
 JUMP_M_S2 = 10.0
-"""...but for what an acceleration that is over between two samples may come to."""
+"""...plus the way of an acceleration of this size that reverses halfway between the two samples."""
 EXTRAPOLATED_S = 1.0
-"""A neighbour is moved on by its velocity for so long at most."""
+"""Longest time by which a neighbour's odometry is extrapolated by its velocity."""
 BACK_LIMIT_US = 500_000
-"""How far before the first known odometry it may be extrapolated, by its velocity."""
+"""Longest time by which odometry is extrapolated back before its first sample."""
 RING = np.dtype([("pushed", "i8"), ("times_us", "i8", SAMPLES), ("samples", "f8", (SAMPLES, 6))])
-"""The last samples of a UAV, position and velocity NED, and how many came."""
+"""Ring buffer of a UAV's last samples, position and velocity NED, and the number of all samples so far."""
 Rings = NDArray[np.void]
-"""(N,) of `RING`"""
+"""(N,) array of `RING`."""
 KNOWN, NOT_YET, TOO_OLD = 0, 1, 2
 OLD, PUSHED, JUMPED = 0, 1, 2
 
 
 @njit(cache=True)
 def push(members: Members, rings: Rings, row: int, time_us: int, sample: Array, step_ne_m: Array) -> int:
-    """Take a sample (6,) of odometry; OLD: it is not newer than the newest, and ignored.
+    """Append a sample (6,) of odometry; returns OLD, JUMPED or PUSHED.
 
-    JUMPED: the odometry has made a step beside what the velocities explain, and not one of flight, which
-    step_ne_m (2,) is filled with; what came before it is then forgotten. Else PUSHED.
+    OLD: the sample is not newer than the newest one and is ignored. JUMPED: the odometry has made a step that
+    velocities and accelerations do not explain; step_ne_m (2,) is set to it and earlier samples are dropped.
     """
     member, ring = members[row], rings[row]
     before_us, pushed = member["newest_us"], ring["pushed"]
@@ -56,9 +59,10 @@ def push(members: Members, rings: Rings, row: int, time_us: int, sample: Array, 
 
 @njit(cache=True)
 def odometry_at(rings: Rings, row: int, time_us: int, out_ned_m: Array) -> int:
-    """Odometry of one UAV at a time, by cubic Hermite interpolation of its samples; fills out_ned_m (3,).
+    """Interpolate one UAV's odometry at a time (cubic Hermite); fills out_ned_m (3,).
 
-    Returns KNOWN, NOT_YET when the newest sample is older, TOO_OLD when they do not reach back far enough.
+    Returns KNOWN, NOT_YET if the newest sample is older, or TOO_OLD if the samples do not reach back that
+    far.
     """
     ring = rings[row]
     times_us, samples, pushed = ring["times_us"], ring["samples"], ring["pushed"]
@@ -94,7 +98,7 @@ def odometry_at(rings: Rings, row: int, time_us: int, out_ned_m: Array) -> int:
 
 @njit(cache=True)
 def odometry_between(rings: Rings, i: int, j: int, time_us: int, out_ned_m: Array) -> int:
-    """Odometry (3,) of UAV i less that of j at a time, if that of both is known; see `odometry_at`."""
+    """Fill out_ned_m (3,) with the odometry of UAV i minus that of j at a time; returns as `odometry_at`."""
     far_ned_m = np.empty(3)
     known = odometry_at(rings, i, time_us, out_ned_m)
     if known == KNOWN:
@@ -111,7 +115,7 @@ class Tracks:
     Attributes:
         rings: (N,) of `RING`.
         newest: (N, 6) position NED, m, and velocity NED, m/s.
-        newest_us: (N,) when that was; -1 before the first.
+        newest_us: (N,) time of that sample; -1 before the first.
 
     """
 
@@ -121,10 +125,10 @@ class Tracks:
         self.newest_us: NDArray[np.int64] = members["newest_us"]
 
     def forget(self, row: int) -> None:
-        """Forget the odometry of a UAV: what comes next has nothing to do with it."""
+        """Drop the samples of a UAV, whose next odometry has another origin."""
         self.rings["pushed"][row] = 0
 
     def now_ned_m(self, now_us: int) -> Array:
-        """(N, 3) odometry now, by the newest velocities."""
+        """Return (N, 3) odometry extrapolated to ``now_us`` by the newest velocities."""
         age_s = np.minimum((now_us - self.newest_us) * 1e-6, EXTRAPOLATED_S)
         return np.asarray(self.newest[:, :3] + self.newest[:, 3:] * age_s[:, None])

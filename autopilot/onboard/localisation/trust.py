@@ -1,9 +1,10 @@
-"""Whose distances fit: tells a UAV that is not where it is thought to be from one that measures wrongly.
+"""Fault detection from misfitting distances: separates a wrong position estimate from wrong measurements.
 
-One that stands elsewhere misfits in all distances that it is an end of, whoever measured them. One that
-measures wrongly misfits in those that it measured itself, while what the others measured to it fits.
+If a UAV's position estimate is wrong, all distances with this UAV as an end misfit, whichever end measured
+them. If a UAV measures wrongly, its own distances misfit, while those that others measured to it fit.
 
-A filter can also settle where only a part of them misfits, such as a mirror image: that shows in time.
+A filter can also settle in a state where only some distances misfit, such as a mirror image. It is detected
+by a share of misfits that stays high.
 """
 
 from collections.abc import Iterable
@@ -15,25 +16,27 @@ from numpy.typing import NDArray
 from autopilot.onboard.localisation.members import Members
 
 MEMORY = 30
-"""Distances of a UAV, as either end, over which the share of badly fitting ones is averaged."""
+"""Number of a UAV's distances, as either end, over which the share of misfits is averaged."""
 SIDE_MEMORY = 8
-"""The same of those that it measured, and of those that others measured to it. One that begins to measure
-wrongly is found out after ten distances: three seconds in a formation of eight at one per pair and second."""
+"""The same for the distances that it measured, and for those that others measured to it. A UAV that begins to
+measure wrongly is detected after ten distances: 3 s in a formation of eight at one per pair and second."""
 ELSEWHERE_LIMIT = 0.7
-"""Above this share of either end a UAV is not where the filter has it. A UAV that itself measures wrongly
-spoils half of the distances that it is an end of, and a seventh of another's in a formation of eight."""
+"""Above this share of misfits, as either end, a UAV's position estimate is wrong. A faulty initiator
+spoils half of the distances with itself as an end, and in a formation of eight 1 / 7 of another UAV's."""
 DISTRUST_LIMIT, FIT_LIMIT = 0.7, 0.35
-"""More than this of its own fits badly, less than this of the others'."""
+"""A UAV is distrusted if more than the first share of its own distances and less than the second share of
+those measured to it misfit."""
 TRUST_LIMIT = 0.2
-"""So few of its own fit badly when its distances are used again."""
+"""Its distances are fused again when the share of misfits is at most this."""
 LASTING_LIMIT, LASTING_US = 0.25, 30_000_000
-"""A UAV of which this share more misfits than of the best one, for so long, is suspected to be elsewhere.
-Blocked lines of sight spoil a share of everybody's."""
+"""A UAV whose share of misfits exceeds that of the best UAV by this, for so long, is suspected to have a
+wrong position estimate. The comparison is relative because blocked lines of sight spoil a share of all
+distances."""
 
 
 @njit(cache=True)
 def distrust(members: Members, row: int) -> None:
-    """Leave out what a UAV measures until it fits again."""
+    """Exclude the distances that a UAV measures until they fit again."""
     member = members[row]
     member["distrusted"] = 1
     member["measured"] = 1.0
@@ -42,7 +45,7 @@ def distrust(members: Members, row: int) -> None:
 
 @njit(cache=True)
 def note(members: Members, initiator: int, responder: int, badly: bool) -> None:  # noqa: FBT001
-    """Count a distance that has been compared with the estimate."""
+    """Update the shares of misfits by a distance that was compared with the estimate."""
     found = 1.0 if badly else 0.0
     measurer, measured = members[initiator], members[responder]
     measurer["measured"] += (found - measurer["measured"]) / SIDE_MEMORY
@@ -57,10 +60,10 @@ def note(members: Members, initiator: int, responder: int, badly: bool) -> None:
 
 
 class Trust:
-    """Running shares of badly fitting distances, per UAV.
+    """Running shares of misfitting distances, per UAV.
 
     Attributes:
-        distrusted: (N,) bool, whether the distances that a UAV measures are to be left out.
+        distrusted: (N,) bool, whether the distances that a UAV measures are excluded.
 
     """
 
@@ -71,19 +74,22 @@ class Trust:
         self._since_us: list[int | None] = [None] * len(members)
 
     def note(self, initiator: int, responder: int, *, badly: bool) -> None:
-        """Count a distance that has been compared with the estimate."""
+        """Update the shares of misfits by a distance that was compared with the estimate."""
         note(self._members, initiator, responder, badly)
 
     def distrust(self, row: int) -> None:
-        """Leave out what this UAV measures until it fits again."""
+        """Exclude the distances that this UAV measures until they fit again."""
         distrust(self._members, row)
 
     def elsewhere(self, row: int) -> bool:
-        """Whether a UAV cannot be where it is thought to be."""
+        """Return whether a UAV's position estimate must be wrong."""
         return bool(self._as_end[row] > ELSEWHERE_LIMIT)
 
     def suspects(self, now_us: int, members: Iterable[int]) -> set[int]:
-        """Who of these misfits beside the others, once one of them has done so for `LASTING_US`, anew."""
+        """Return the members that misfit relative to the best one, once one of them has for `LASTING_US`.
+
+        Returns an empty set before that. Returning members restarts the timers.
+        """
         shares = {station: self._as_end.item(station) for station in members}
         limit = min(shares.values(), default=0.0) + LASTING_LIMIT
         found = {station for station, share in shares.items() if share > limit}
@@ -95,7 +101,7 @@ class Trust:
         return found if lasting else set()
 
     def forget(self, row: int) -> None:
-        """Begin a UAV afresh."""
+        """Reset the statistics of a UAV."""
         for name in ("as_end", "measured", "of_it", "distrusted"):
             self._members[name][row] = 0
         self._since_us[row] = None

@@ -1,4 +1,4 @@
-"""What the covariance of the localisation (`kernels`) says of the shape and of distances."""
+"""Uncertainty of shape and distances, from the covariance of the localisation (`kernels`)."""
 
 import numpy as np
 from numba import njit
@@ -12,19 +12,19 @@ SEEN = np.dtype(
     [
         ("pos_ned_m", "f8", 3),  # site NED
         ("vel_ned_m_s", "f8", 3),
-        ("std_m", "f8"),  # one sigma of the position relative to the own, horizontally, along the line
-        ("fresh", "?"),  # located, and heard of lately
+        ("std_m", "f8"),  # one sigma of the horizontal position relative to the own UAV, along the line
+        ("fresh", "?"),  # located, with a recent beacon
     ],
     align=True,
 )
-"""What one UAV knows of another, or of itself, now."""
+"""Estimate that one UAV has of another one, or of itself, at present."""
 Others = NDArray[np.void]
-"""(N,) of `SEEN`: all UAVs as one of them has them, in their order, the own one included"""
+"""(N,) array of `SEEN`: one UAV's estimates of all UAVs, in their order, including itself."""
 
 
 @njit(cache=True)
 def relative_variance(cov: Array, i: int, j: int, line_m: Array) -> float:
-    """Variance, m^2, of the offset of UAV i less that of j along ``line_m`` (3,), of any length over 0."""
+    """Return the variance, m^2, of UAV i's offset minus that of j along ``line_m`` (3,) of any length > 0."""
     bi, bj = STATES * i, STATES * j
     total = 0.0
     for a in range(3):
@@ -38,7 +38,7 @@ def relative_variance(cov: Array, i: int, j: int, line_m: Array) -> float:
 
 @njit(cache=True)
 def variance_between(cov: Array, i: int, j: int, members: Members, state: Array) -> float:
-    """Variance, m^2, of the distance between UAVs i and j of ``members``, on the line between them.
+    """Return the variance, m^2, of the distance between UAVs i and j of ``members``, along their line.
 
     state (5N,) and cov (5N, 5N) are the filter's.
     """
@@ -56,20 +56,20 @@ def seen_from(
     own: int, now_us: int, members: Members, longest_s: float, state: Array, cov: Array, since_us: int,
     added_m2: float, shift_n_m: float, shift_e_m: float, others: Others,
 ) -> None:  # fmt: skip
-    """Where everybody is now and how well that is known from UAV ``own``.
+    """Fill ``others`` with the present position of all UAVs and its uncertainty relative to UAV ``own``.
 
     Args:
-        own: index of the UAV that looks.
-        now_us: to when odometry is moved on.
+        own: index of the UAV to which the uncertainty is relative.
+        now_us: time to which odometry is extrapolated.
         members: (N,) of `MEMBER`.
-        longest_s: it is moved on by its velocity for no longer.
+        longest_s: longest extrapolation by velocity.
         state: (5N,) and ``cov`` (5N, 5N) of the filter.
         cov: see there.
-        since_us: who has been heard of since and is located is fresh.
-        added_m2: comes to each variance.
-        shift_n_m: comes to each position in the end, north, and ``shift_e_m`` east.
+        since_us: a located UAV with odometry since this time is fresh.
+        added_m2: added to each variance.
+        shift_n_m: added to each resulting position, north, and ``shift_e_m`` east.
         shift_e_m: see there.
-        others: (N,) of `SEEN`, filled; std_m as by `relative_stds`, with 0 for who is not fresh.
+        others: (N,) of `SEEN`, filled; std_m as by `relative_stds`, 0 for a UAV that is not fresh.
 
     """
     pos_ned_m, std_m = np.empty((members.size, 3)), np.empty(members.size)
@@ -96,9 +96,9 @@ def seen_from(
 def relative_stds(
     cov: Array, own: int, pos_ned_m: Array, whose: Flags, added_m2: float, out_m: Array
 ) -> None:
-    """One sigma of each position relative to UAV ``own``, horizontally along the line; fills out_m (N,).
+    """Fill out_m (N,) with one sigma of each position relative to UAV ``own``, along their horizontal line.
 
-    pos_ned_m (N, 3); added_m2 comes to each variance; those that are not in ``whose`` (N,), and the own: 0.
+    pos_ned_m is (N, 3); added_m2 is added to each variance. UAVs not in ``whose`` (N,) and the own one get 0.
     """
     line_m = np.zeros(3)
     out_m[:] = 0.0
@@ -113,11 +113,11 @@ def relative_stds(
 
 @njit(cache=True)
 def shape_variance(pos_ned_m: Array, cov: Array, members: Times) -> float:
-    """Mean squared horizontal error to expect of the shape, m^2, after the best rigid alignment.
+    """Return the expected mean squared horizontal shape error, m^2, after the best rigid alignment.
 
-    The trace of the covariance of all horizontal positions less its parts along the two translations and the
-    rotation about the vertical, which are what an alignment to first order removes. pos_ned_m (N, 3);
-    members (m,) indices of the UAVs that count.
+    It is the trace of the covariance of all horizontal positions minus its parts along the two translations
+    and the rotation about the vertical axis, which an alignment removes to first order. pos_ned_m is (N, 3),
+    members (m,) the indices of the UAVs to include.
     """
     m = members.shape[0]
     centre_n, centre_e = 0.0, 0.0
@@ -151,20 +151,21 @@ def shape_variance(pos_ned_m: Array, cov: Array, members: Times) -> float:
 def bend(
     reference_ne_m: Array, pos_ne_m: Array, cov: Array, members: Times, out_m: Array, out_var_m2: Array
 ) -> None:
-    """What unknown bending of the shape does to distances, whose derivatives are taken at a reference.
+    """Fill the second-order effect of an unknown bending of the shape on distances.
 
-    Two UAVs whose places across the line between them are known to sigma, and estimated as b, are farther
-    apart than their estimates by sigma^2 / 2 d on average, the second order of the distance. Its variance
-    is sigma^4 / 2 d^2, and where the derivative knows nothing of b, b^2 sigma^2 / d^2 besides. A turn of the
-    formation as a whole lengthens nothing, so its part is taken out of sigma. Matters in a line, whose
-    distances say nothing of what is across it.
+    Let the relative position of two UAVs across the line between them be estimated as b with standard
+    deviation sigma, at a distance d. The true distance then exceeds that of the estimates by sigma^2 / 2 d on
+    average, the second-order term of the distance. The variance of this term is sigma^4 / 2 d^2, plus
+    b^2 sigma^2 / d^2 because the derivative is taken at a reference that does not contain b. A turn of the
+    whole formation lengthens no distance, so its part is removed from sigma. The effect matters in a line,
+    whose distances do not observe positions across it.
 
     Args:
-        reference_ne_m: (N, 2) where the derivatives are taken.
-        pos_ne_m: (N, 2) estimated, headed as the reference is.
-        cov: of the estimates.
-        members: (m,) indices of those concerned.
-        out_m: (N, N) filled with the lengthening, m.
+        reference_ne_m: (N, 2) positions at which the derivatives are taken.
+        pos_ne_m: (N, 2) estimated positions, turned to the heading of the reference.
+        cov: (5N, 5N) covariance of the estimates.
+        members: (m,) indices of the UAVs to include.
+        out_m: (N, N) filled with the mean lengthening, m.
         out_var_m2: (N, N) filled with its variance, m^2.
 
     """
@@ -181,7 +182,7 @@ def bend(
         spread += arm_n * arm_n + arm_e * arm_e
     if spread < 1e-6:
         return
-    # Covariance of each position with the turn of the whole, and the variance of that.
+    # Covariance of each position with the turn of the whole formation, and the variance of the turn.
     with_turn = np.zeros((out_m.shape[0], 2))
     turn_rad2 = 0.0
     for i in members:

@@ -1,4 +1,4 @@
-"""What the application sends and receives: beacons, the neighbour table, ranging policies.
+"""Radio traffic of the application: beacons, the neighbour table, ranging policies.
 
-Import `traffic`. The medium is left to `netsim`.
+Import `traffic`. The medium is simulated by `netsim`.
 """

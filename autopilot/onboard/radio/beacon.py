@@ -1,15 +1,16 @@
-"""The beacon: what every UAV broadcasts to the formation, and its bytes.
+"""The beacon that every UAV broadcasts to the formation: its content and its encoding.
 
-A beacon carries the sender's newest GPS position with the receiver's stated accuracy, what the sender
-believes its receiver's error to be, its odometry, and the newest distance that it measured to each neighbour.
-Repeating the newest values in every beacon makes one that is lost cost latency alone: the time stamps tell a
-receiver what it has already used.
+A beacon carries the sender's newest GPS position with the accuracy that the receiver states, the estimated
+error of that receiver, the sender's odometry, and the newest distance that it measured to each neighbour. The
+newest values are repeated in every beacon, so that a lost beacon costs latency only: receivers skip values
+that they have already used by their time stamps.
 
 Odometry is the integral of the autopilot's velocity since the sender started, so the difference of any two
-beacons of a sender is its displacement between them, however many were lost in between. Its down component
-is the autopilot's barometric height.
+beacons of a sender is its displacement between them, regardless of lost beacons. Its down component is the
+autopilot's barometric height.
 
-Who hears beacons by the hundred reads them where they lie (`BeaconBuffer`); `decode` is for all others.
+The application reads beacons in place from a `BeaconBuffer`, as it receives them by the hundred; `decode` is
+for other uses.
 
 Layout, little-endian, `HEADER_BYTES` + `RANGE_BYTES` per distance (79 + 11 n):
 
@@ -20,9 +21,9 @@ Layout, little-endian, `HEADER_BYTES` + `RANGE_BYTES` per distance (79 + 11 n):
     3 f32 gps_error_ned_m   u16 gps_error_std_mm   (flag 4)
     then each: u8 peer   u32 measured_ms   f32 distance_m   u16 std_mm
 
-What has no flag is not known, and zeros stand in its place. Standard deviations saturate at 65.535 m. With
-distances to all others a beacon has 156 bytes in a formation of eight and 244 in one of sixteen; where each
-pair is measured by one of its ends, it has 123 or 167 at most.
+Fields without their flag are unknown and contain zeros. Standard deviations saturate at 65.535 m. With
+distances to all others a beacon has 156 bytes in a formation of eight and 244 in one of sixteen. If each pair
+is measured by one of its ends only, it has at most 123 or 167 bytes.
 
 Times are on the clock that the formation shares. Positions are NED from the site's origin.
 """
@@ -50,9 +51,9 @@ HEADER = np.dtype(
         ("error_n_m", "<f4"), ("error_e_m", "<f4"), ("error_d_m", "<f4"), ("error_std_mm", "<u2"),
     ]
 )  # fmt: skip
-"""Of a beacon's bytes, for compiled code; numbers lie where the one before ends."""
+"""Layout of a beacon's header for compiled code, without padding."""
 RANGE = np.dtype([("peer", "u1"), ("time_ms", "<u4"), ("distance_m", "<f4"), ("std_mm", "<u2")])
-"""Of each distance's."""
+"""Layout of each distance in a beacon."""
 _HEADER = struct.Struct("<BBBBBIQ3f3fII3fHH3fH")
 _RANGE = struct.Struct("<BIfH")
 HEADER_BYTES = HEADER.itemsize
@@ -64,26 +65,26 @@ HAS_START, HAS_FIX, HAS_GPS_ERROR = 1, 2, 4
 _FLAGS = HAS_START | HAS_FIX | HAS_GPS_ERROR
 _FAR_M = 1e6
 _FAR2_M2 = _FAR_M**2
-"""No honest sender is farther from the site."""
+"""Square of the largest valid distance from the site's origin."""
 _FAST2_M2_S2 = 30.0**2
-"""No honest sender is faster."""
+"""Square of the largest valid speed, 30 m/s."""
 _NO_TIME_US = 2**63
 _STD_MAX_M, _MOST_MM = 65.535, 65_535
 _LAST_PHASE = max(int(phase) for phase in FlightPhase)
 _CAPACITY = HEADER_BYTES + MAX_RANGES * RANGE_BYTES
 PAGE = np.dtype([("source", "<i8"), ("size", "<i8"), ("header", HEADER), ("ranges", RANGE, MAX_RANGES)])
-"""A datagram: from which station, how many bytes, and these. What they do not reach stays from before."""
+"""A datagram: its source station, its size in bytes, and the bytes. The rest of the page is undefined."""
 PageRows = NDArray[np.void]
-"""(P,) of `PAGE`"""
+"""(P,) array of `PAGE`."""
 _PAGE_BYTES = PAGE.itemsize
 
 Vector = tuple[float, float, float]
 
 
 class Fix(Struct, frozen=True):
-    """A GPS position of the antenna at ``time_ms``, the receiver's delay already taken off.
+    """A GPS position of the antenna at ``time_ms``, corrected for the receiver's delay.
 
-    ``std_h_m`` and ``std_v_m`` are the accuracy that the receiver states; None: it states none.
+    ``std_h_m`` and ``std_v_m`` are the accuracies that the receiver states; None: not stated.
     """
 
     time_ms: int
@@ -93,19 +94,19 @@ class Fix(Struct, frozen=True):
 
 
 class GpsError(Struct, frozen=True):
-    """What a UAV believes of its GPS receiver now: the fix less the true position.
+    """Estimated error of a UAV's GPS receiver: the fix minus the true position.
 
-    Said only while distances hold the sender's position, and that is what the formation goes by: a UAV of
-    whom it is not heard may drift, and who has a height layer beside it goes there (`layers`). The numbers
-    are for whoever else listens, to whom they make the sender's fixes right: where each estimates everybody's
-    receivers itself, what another made of the same distances would be counted twice. Where each estimates
-    those of its neighbourhood alone, they tell the others where the sender believes itself to be, and are
-    horizontally of the newest fix itself (`common_frame`).
+    It is sent only while distances support the sender's position. Its presence matters in every formation: a
+    UAV that stops sending it may drift, and UAVs near it move to their height layers (`height_layers`). Its
+    values are used in a formation of several neighbourhoods only. There they give the sender's estimated
+    position, and the horizontal error is that of the newest fix itself (`common_frame`). In a formation of a
+    single neighbourhood each UAV estimates the errors of all receivers itself, and using the values of others
+    would count the same distances twice.
     """
 
     ned_m: Vector
     std_m: float
-    """Of the error, horizontal, per axis, 0..65.535."""
+    """Standard deviation of the error, horizontal, per axis, 0..65.535."""
 
 
 class Distance(Struct, frozen=True):
@@ -115,7 +116,7 @@ class Distance(Struct, frozen=True):
     time_ms: int
     distance_m: float
     std_m: float
-    """Of ``distance_m``, 0..65.535."""
+    """Standard deviation of ``distance_m``, 0..65.535."""
 
 
 class Beacon(Struct, frozen=True, kw_only=True):
@@ -123,16 +124,16 @@ class Beacon(Struct, frozen=True, kw_only=True):
 
     station: int
     seq: int
-    """Rises by one with each beacon of the sender, modulo `SEQ_MODULUS`."""
+    """Sequence number: increases by one per beacon of the sender, modulo `SEQ_MODULUS`."""
     time_us: int
     phase: FlightPhase
     odometry_ned_m: Vector
     vel_ned_m_s: Vector
     motion_start_ms: int | None = None
-    """When the formation begins to move, as far as the sender knows."""
+    """Start of the formation's motion that the sender holds; None: none yet."""
     fix: Fix | None = None
     gps_error: GpsError | None = None
-    """None: no distances hold the sender's position."""
+    """None: no distances support the sender's position."""
     distances: tuple[Distance, ...] = ()
 
 
@@ -141,10 +142,10 @@ _NO_ERROR = GpsError((0.0, 0.0, 0.0), 0.0)
 
 
 def encode(beacon: Beacon) -> bytes:
-    """Bytes of a beacon.
+    """Return the bytes of a beacon.
 
     Raises struct.error for a number that its field cannot hold, ValueError for a standard deviation that is
-    not a number and for more than `MAX_RANGES` distances.
+    NaN and for more than `MAX_RANGES` distances.
     """
     return encode_with(
         [encode_distance(item) for item in beacon.distances],
@@ -158,7 +159,7 @@ def encode_with(
     odometry_ned_m: Vector, vel_ned_m_s: Vector,
     motion_start_ms: int | None, fix: Fix | None, gps_error: GpsError | None,
 ) -> bytes:  # fmt: skip
-    """As `encode`, for a sender that keeps the bytes of its distances: each is in many beacons."""
+    """Return the bytes as `encode`, from encoded distances, which a sender reuses in many beacons."""
     if len(distances) > MAX_RANGES:
         raise ValueError(f"{len(distances)} distances do not fit a beacon")
     flags, start_ms = 0, 0
@@ -181,16 +182,16 @@ def encode_with(
 
 
 def encode_distance(distance: Distance) -> bytes:
-    """Bytes of a distance in a beacon; raises as `encode` does."""
+    """Return the bytes of a distance in a beacon; raises as `encode` does."""
     return _RANGE.pack(distance.peer, distance.time_ms, distance.distance_m, _mm(distance.std_m))
 
 
 class BeaconBuffer:
-    """Places for the bytes of datagrams, where compiled code reads them.
+    """Buffer of received datagrams that compiled code reads in place.
 
     Attributes:
         rows: (P,) of `PAGE`.
-        count: how many of them are written on.
+        count: number of pages in use.
 
     """
 
@@ -200,12 +201,12 @@ class BeaconBuffer:
         self.count = 0
         self._octets = self.rows.view(np.uint8).data
         self._layouts: dict[int, struct.Struct] = {}
-        """How a datagram of each size that has come is written, behind where it is from and that size."""
+        """Packing format of a page for each datagram size received so far: source, size, bytes."""
 
     def put(self, source: int, payload: bytes) -> bool:
-        """Write a station's datagram on the next page; of one that is too long, its length alone.
+        """Copy a station's datagram to the next page; of a datagram that is too long, only its size.
 
-        Returns whether that was the last page.
+        Returns whether the buffer is full.
         """
         size = len(payload)
         layout = self._layouts.get(size)
@@ -219,11 +220,11 @@ class BeaconBuffer:
 
 @njit(cache=True)
 def is_credible(page: np.void, with_ranges: bool) -> bool:  # noqa: FBT001
-    """Whether the bytes on a page are a beacon.
+    """Return whether the bytes on a page are a valid beacon.
 
-    They are not with another version or length, and with what no sender would say: a number that cannot be, a
-    phase or flag that does not exist, and in the distances, which are looked at if ``with_ranges``, one to
-    itself and two to the same peer.
+    A beacon is invalid with another version or a wrong length, with an impossible number, or with an
+    undefined phase or flag. The distances are checked if ``with_ranges``: one to the sender itself and two to
+    the same peer are invalid.
     """
     size, header, ranges = page["size"], page["header"], page["ranges"]
     if size < HEADER_BYTES or header["version"] != VERSION:
@@ -244,7 +245,7 @@ def is_credible(page: np.void, with_ranges: bool) -> bool:  # noqa: FBT001
         + err_n * err_n + err_e * err_e + err_d * err_d
     )  # fmt: skip
     speed2 = vel_n * vel_n + vel_e * vel_e + vel_d * vel_d
-    if not (size2 < _FAR2_M2 and speed2 <= _FAST2_M2_S2):  # NaN is below nothing
+    if not (size2 < _FAR2_M2 and speed2 <= _FAST2_M2_S2):  # false for NaN
         return False
     if not with_ranges:
         return True
@@ -259,7 +260,7 @@ def is_credible(page: np.void, with_ranges: bool) -> bool:  # noqa: FBT001
 
 
 def decode(buffer: bytes) -> Beacon | None:
-    """Beacon in these bytes; None for what is none (`is_credible`)."""
+    """Return the beacon in these bytes; None if they are not valid (`is_credible`)."""
     pages = BeaconBuffer(1)
     pages.put(0, buffer)
     page = pages.rows[0]
@@ -291,5 +292,5 @@ def _mm(std_m: float) -> int:
 
 
 def _stated_mm(std_m: float | None) -> int:
-    """Zero says that nothing is stated, so what is stated is 1 mm at the least."""
+    """Return a stated accuracy in mm, at least 1; 0 means that none is stated."""
     return 0 if std_m is None else max(_mm(std_m), 1)

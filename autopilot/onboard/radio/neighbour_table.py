@@ -1,15 +1,15 @@
-"""What was last heard of every station, and how a beacon that comes gets there.
+"""Table of the newest beacon of every station, and the kernels that update it.
 
-Beacons are what an application gets most of, most of them in a large formation from stations that it does not
-localise. So what is kept of all stations are rows of one array, and a beacon is read by compiled code from
-where its bytes lie. What else is in it is for `localisation`, which is told of neighbours alone.
+Beacons are the most frequent input of an application, and in a large formation most of them come from
+stations that it does not localise. The table is therefore one array with a row per station, and compiled code
+reads beacons directly from their bytes. `localisation` uses the remaining content, of neighbours only.
 """
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from autopilot.onboard.formation.motion import Heard
+from autopilot.onboard.formation.motion import NeighbourReport
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.localisation.model import CLOCK_TOLERANCE_US, SILENCE_US
 from autopilot.onboard.radio.beacon import (
@@ -26,19 +26,19 @@ from autopilot.onboard.radio.beacon import (
 from autopilot.onboard.radio.neighbourhood import Neighbourhood
 
 WAIT_US = 1_000_000
-"""A beacon is received within this after it was due; its number tells when that was."""
+"""Longest delay of a beacon's reception after its due time, which follows from its sequence number."""
 SHIFTS = 2
-"""Beacons by which numbers may be off besides: both ends' random shifts, and a period that is not whole."""
+"""Further tolerance of sequence numbers: the random shifts of two beacons, and a fraction of a period."""
 
 STATION = np.dtype(
     [
-        ("heard_us", "i8"),  # the last beacon; -1 before the first
-        ("seq", "i8"),  # of the newest, with the time in it
+        ("heard_us", "i8"),  # reception of the last beacon; -1 before the first
+        ("seq", "i8"),  # of the newest beacon, and the time that it states
         ("told_us", "i8"),
-        ("start_us", "i8"),  # of the formation's motion as it holds it, or -1
-        ("held_us", "i8"),  # when it last knew its GPS error, which takes distances that hold its position
-        # its newest fix and the error of that, horizontally, and the variance that its receiver states
-        ("located_us", "i8"),  # when it said so; -1 before the first time
+        ("start_us", "i8"),  # start of the formation's motion that it holds, or -1
+        ("held_us", "i8"),  # reception of its last GPS error, which it reports only with support by distances
+        # its newest fix and its error, horizontally, and the variance that its receiver states
+        ("located_us", "i8"),  # reception of that report; -1 before the first
         ("fix_us", "i8"),
         ("fix_ne_m", "f8", 2),
         ("error_ne_m", "f8", 2),
@@ -47,9 +47,9 @@ STATION = np.dtype(
     ],
     align=True,
 )
-"""What is kept of a station."""
+"""Record of a station."""
 Stations = NDArray[np.void]
-"""(N,) of `STATION`"""
+"""(N,) array of `STATION`."""
 LISTENER = np.dtype(
     [
         ("station", "i8"),
@@ -57,39 +57,40 @@ LISTENER = np.dtype(
         ("periods_off", "f8"),
         ("gps_var_m2", "f8"),
         ("bad", "i8"),
-        ("heard", "i8"),
+        ("received", "i8"),
         ("missed", "i8"),
         ("at", "i8"),
         ("is_open", "i8"),
     ],
     align=True,
 )
-"""Who listens: its number, the formation's beacon period, by how many periods numbers may be off, what errors
-of GPS are taken to be at least, and counts; of the pages to be gone through, which one it is at, and whether
-that has been heard, but not all of it been made use of."""
+"""The receiving station: its number, the formation's beacon period, the tolerance of sequence numbers in
+periods, the least variance of GPS errors, and counts; then the index of the page being processed, and whether
+that page has been received but its content not been used completely."""
 Listener = NDArray[np.void]
-"""(1,) of `LISTENER`"""
+"""(1,) array of `LISTENER`."""
 Rows = NDArray[np.int64]
-"""(N,) rows of all stations among those whose distances are looked at, -1 of those that have none"""
-REFUSED, HEARD, BEGUN_ANEW = 0, 1, 2
+"""(N,) row of every station in the neighbourhood's arrays, -1: not a member."""
+REFUSED, RECEIVED, RESTARTED = 0, 1, 2
+"""Outcomes of `receive_beacon`."""
 MOST_PAGES = 32
-"""Of one reading; of 64 UAVs whose beacons come five times a second, 13 are heard in a loop of 40 ms."""
+"""Pages per processing run; of 64 UAVs with five beacons per second, 13 beacons arrive in a loop of 40 ms."""
 
 
 @njit(cache=True)
 def row_of(page: np.void, rows: Rows) -> int:
-    """Row of who has sent what is on a page, or -1."""
+    """Return the row of the sender of a page, or -1."""
     source = page["source"]
     return rows[source] if source < rows.size else -1
 
 
 @njit(cache=True)
 def receive_beacon(page: np.void, now_us: int, listener: Listener, stations: Stations, rows: Rows) -> int:
-    """Take what is on a page, if it is a beacon of who has sent it.
+    """Update the table by a page, if it is a valid beacon of its sender.
 
-    Gives REFUSED if it is not, BEGUN_ANEW if the sender has begun anew since the beacon before, and its
-    odometry with it: it has not numbered as many as there were periods in between. Else HEARD. The distances
-    are looked at of those alone who have a row.
+    Returns REFUSED if it is not valid. Returns RESTARTED if the sender, and thus its odometry, has restarted
+    since its last beacon: the sequence number does not match the number of periods in between. Otherwise
+    returns RECEIVED. Distances are checked only for senders with a row.
     """
     me, header, source = listener[0], page["header"], page["source"]
     if source >= stations.size or source == me["station"]:
@@ -103,18 +104,18 @@ def receive_beacon(page: np.void, now_us: int, listener: Listener, stations: Sta
     if time_us > now_us + CLOCK_TOLERANCE_US:
         me["bad"] += 1
         return REFUSED
-    me["heard"] += 1
-    found, newest = HEARD, True
+    me["received"] += 1
+    outcome, newest = RECEIVED, True
     if sender["heard_us"] >= 0:
         gap = (seq - sender["seq"]) % SEQ_MODULUS
-        # As many as there were periods, however many were lost: the formation has one beacon period.
+        # The sender has numbered a beacon per period, lost or not: the formation has one beacon period.
         periods = (now_us - sender["heard_us"]) / me["period_us"]
         if abs(gap - periods) <= me["periods_off"]:
             if gap > 1:
                 me["missed"] += gap - 1
         elif time_us > sender["told_us"]:
-            found = BEGUN_ANEW
-        else:  # overtaken by a later one, which has counted it as missed
+            outcome = RESTARTED
+        else:  # overtaken by a later beacon, which has counted it as missed
             newest = False
     sender["heard_us"] = now_us
     if newest:
@@ -131,21 +132,21 @@ def receive_beacon(page: np.void, now_us: int, listener: Listener, stations: Sta
             error_ne_m[0], error_ne_m[1] = header["error_n_m"], header["error_e_m"]
             std_m = np.int64(header["fix_std_h_mm"]) * 1e-3
             sender["variance_m2"] = max(std_m * std_m, me["gps_var_m2"])
-    return found
+    return outcome
 
 
 @njit(cache=True)
 def receive_beacons(
     count: int, now_us: int, pages: PageRows, listener: Listener, stations: Stations, rows: Rows
 ) -> None:
-    """Take what is on ``count`` pages."""
+    """Update the table by ``count`` pages."""
     for k in range(count):
         receive_beacon(pages[k], now_us, listener, stations, rows)
 
 
 @njit(cache=True)
 def all_held(stations: Stations, whose: NDArray[np.int64], since_us: int) -> bool:
-    """Whether distances have held the positions, since a time, of those of ``whose`` who fly."""
+    """Return whether all stations of ``whose`` that fly have reported support by distances since a time."""
     for station in whose:
         other = stations[station]
         flies = FlightPhase.TAKE_OFF <= other["phase"] < FlightPhase.LANDED
@@ -155,20 +156,20 @@ def all_held(stations: Stations, whose: NDArray[np.int64], since_us: int) -> boo
 
 
 class NeighbourTable:
-    """What one station hears.
+    """Newest beacons of all stations, as received by one station.
 
     Args:
         station: this station.
-        stations: how many there are.
-        period_us: of everybody's beacons.
-        gps_std_m: what errors of GPS are taken to be at least, per horizontal axis.
-        near: of whose beacons it looks at the distances; None: everybody's.
+        stations: number of stations.
+        period_us: beacon period of all stations.
+        gps_std_m: least standard deviation of GPS errors, per horizontal axis.
+        near: neighbourhood whose reported distances are used; None: all stations.
 
     Attributes:
-        pages: what has come and has not been read.
+        pages: received beacons that have not been processed.
         stations: (N,) of `STATION`.
         listener: (1,) of `LISTENER`.
-        rows: (N,) of all stations in the neighbourhood, -1 of those that are not in it.
+        rows: (N,) row of every station in the neighbourhood, -1: not a member.
 
     """
 
@@ -193,31 +194,31 @@ class NeighbourTable:
         listener["gps_var_m2"] = gps_std_m * gps_std_m
 
     def read(self, now_us: int) -> None:
-        """Read all pages, for whoever localises nobody by them."""
+        """Process all pages without localisation."""
         pages = self.pages
         receive_beacons(pages.count, now_us, pages.rows, self.listener, self.stations, self.rows)
         pages.count = 0
 
     @property
     def sender_row(self) -> int:
-        """Row of the sender of the page that is open."""
+        """Row of the sender of the page being processed."""
         source = self.pages.rows["source"][self.listener["at"].item()]
         return int(self.rows[source])
 
     def note_fix(self, station: int, fix: Fix, error: GpsError, now_us: int) -> None:
-        """Note of a station, the own one too, what it says of its newest fix."""
+        """Store the newest fix of a station, which may be the own one, and its reported error."""
         row, std_m = self.stations[station], fix.std_h_m or 0.0
         row["located_us"], row["fix_us"] = now_us, fix.time_ms * 1_000
         row["fix_ne_m"], row["error_ne_m"] = fix.pos_ned_m[:2], error.ned_m[:2]
         row["variance_m2"] = max(std_m * std_m, self.listener["gps_var_m2"].item())
 
     def reaches(self, station: int, now_us: int) -> bool:
-        """Whether a station has been heard of lately."""
+        """Return whether a beacon of a station has been received within `SILENCE_US`."""
         heard_us = self.stations["heard_us"].item(station)
         return bool(heard_us >= 0 and now_us - heard_us < SILENCE_US)
 
-    def neighbours(self) -> dict[int, Heard]:
-        """Those ever heard, by station, for the agreement on when the motion starts."""
+    def neighbours(self) -> dict[int, NeighbourReport]:
+        """Return the newest report of each station received so far, for the agreement on the start."""
         columns = (self.stations[name].tolist() for name in ("phase", "start_us", "heard_us"))
         return {
             station: (FlightPhase(phase), None if start_us < 0 else start_us, heard_us)
@@ -226,20 +227,20 @@ class NeighbourTable:
         }
 
     def all_held(self, whose: NDArray[np.int64], since_us: int) -> bool:
-        """Whether distances have held, since a time, those of ``whose`` (stations) who fly."""
+        """Return whether all of ``whose`` (stations) that fly have reported support since a time."""
         return bool(all_held(self.stations, whose, since_us))
 
     @property
     def bad_beacons(self) -> int:
-        """Datagrams that were no beacon, or one that contradicts itself."""
+        """Number of datagrams that were not a valid beacon."""
         return int(self.listener["bad"].item())
 
     @property
     def beacons_heard(self) -> int:
-        """Beacons so far."""
-        return int(self.listener["heard"].item())
+        """Number of valid beacons received."""
+        return int(self.listener["received"].item())
 
     @property
     def beacons_missed(self) -> int:
-        """Of those that stations heard so far have numbered."""
+        """Number of beacons missing in the sequence numbers of the received ones."""
         return int(self.listener["missed"].item())

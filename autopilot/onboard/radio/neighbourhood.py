@@ -1,8 +1,9 @@
-"""Whom a UAV localises, ranges to and keeps clear of: everybody, or those whose places are near its own.
+"""Neighbourhood of a UAV: the UAVs that it localises, ranges to and avoids, by default all of them.
 
-Everybody with everybody costs each UAV N^2 of arithmetic and memory, and the channel N^2 distances. Of many
-UAVs the distances to the nearest hold the shape as well: neighbourhoods overlap, and `common_frame` lays them
-onto each other. They follow from the places, so that all find the same without a word.
+With all UAVs as neighbours, arithmetic and memory of each UAV and the number of distances on the channel grow
+with N^2. In a large formation the distances to the nearest places determine the shape as well: neighbourhoods
+overlap, and `common_frame` aligns them. They depend on the places only, so all UAVs compute the same ones
+without communication.
 """
 
 import numpy as np
@@ -12,13 +13,14 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 _ROUND_M = 3
-"""Digits to which distances of places are compared: equal ones of a grid are equal, and numbers decide."""
+"""Decimals to which distances between places are rounded, so that ties in a grid are resolved by UAV
+number."""
 
 
 def linked(places_ned_m: Array, nearest: int) -> Flags:
-    """(N, N) symmetric: who are neighbours, nobody of itself.
+    """Return (N, N), symmetric: whether two UAVs are neighbours; none is its own neighbour.
 
-    Those of whom either is among the ``nearest`` of the other, by places_ned_m (N, 3); 0: all.
+    Two are neighbours if either is among the ``nearest`` of the other by places_ned_m (N, 3); 0: all are.
     """
     count = len(places_ned_m)
     if nearest == 0 or nearest >= count - 1:
@@ -41,14 +43,14 @@ class Neighbourhood:
         nearest: see `linked`.
 
     Attributes:
-        stations: how many there are in all.
-        members: (M,) the UAV and its neighbours in the order of their numbers: whom the rows of all arrays
-            that are kept of the neighbourhood belong to.
-        rows: row of every station; None: it is no member.
-        row_numbers: (N,) the same for compiled code; -1: it is no member.
+        stations: number of all UAVs.
+        members: (M,) the UAV and its neighbours in the order of their numbers: the rows of all arrays of the
+            neighbourhood.
+        rows: row of every station; None: not a member.
+        row_numbers: (N,) the same for compiled code; -1: not a member.
         own: row of the UAV itself.
-        whole: everybody is a member.
-        linked: (N, N) as of `linked`.
+        whole: all UAVs are members.
+        linked: (N, N), the result of `linked`.
 
     """
 

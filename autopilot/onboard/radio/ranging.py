@@ -1,9 +1,9 @@
-"""When to range to whom: what every policy offers, and the simplest, all pairs once per period.
+"""Ranging policies: their interface, and the simplest one, which measures all pairs once per period.
 
-`RangingSchedule` has every UAV range to every other, evenly spread, out of step with the other UAVs: eight
-UAVs that began their rounds together would contend for the air in the same milliseconds of every second, so
-each spreads its requests over the whole period from a phase of its own, and starts its round with the station
-after itself. `scheduled_ranging` spends less time on the air.
+With `RangingSchedule` every UAV ranges to every other one, evenly spread over the period. Eight UAVs that
+began their rounds together would contend for the channel in the same milliseconds of every second. Each
+therefore has its own random phase, and starts its round with the station after itself. `scheduled_ranging`
+needs less airtime.
 """
 
 from collections.abc import Callable, Collection
@@ -14,25 +14,24 @@ import numpy as np
 from autopilot.parameters.config import SESSION_S
 
 MAX_OUTSTANDING = 2
-"""A second session may be asked for while one runs: a slow peer then does not hold up the round, and a full
-channel slows the policy down instead of filling its queue."""
+"""A second session may be requested while one runs, so a slow peer does not delay the round. On a full
+channel the limit slows the policy down instead of filling its queue."""
 GIVE_UP_US = 2_000_000
-"""A request without any result is forgotten after this, longer than any driver's time-out."""
+"""A request without a result is dropped after this time, which exceeds any driver's time-out."""
 
 Reachable = Callable[[int], bool]
-"""Whether a peer has been heard of lately."""
+"""Whether a beacon of a peer has been received recently."""
 VarianceOf = Callable[[int], float | None]
-"""Variance in m2 with which the distance to a peer is known without measuring it now; None: it is not."""
+"""Variance, m^2, of the distance to a peer as estimated without a new measurement; None: not estimated."""
 
 
 class RangingPolicy(Protocol):
-    """Times are us on the clock that the formation shares.
+    """Interface of a ranging policy; times are us on the clock that the formation shares.
 
     Attributes:
-        next_us: before this, `due` has nothing to say.
-        silence_us: a UAV that ranges at all has had a distance within this, lost ones included.
-        gather_s: within this, from the first on, all distances of which nothing is known yet have been asked
-            for twice.
+        next_us: `due` returns nothing before this time.
+        silence_us: longest time between two distances of a UAV that ranges, losses included.
+        gather_s: time from the start within which every unknown distance has been requested twice.
 
     """
 
@@ -49,15 +48,15 @@ class RangingPolicy(Protocol):
     def on_result(
         self, peer: int, *, ended_us: int = 0, variance_m2: float | None = None, retry_after_us: int = 0
     ) -> None:
-        """Note that the session with a peer ended at ``ended_us``.
+        """Record that the session with a peer ended at ``ended_us``.
 
-        ``variance_m2`` is that of the distance, None if the session gave none; a responder that refused may
-        have said for how long it does not want to be asked again.
+        ``variance_m2`` is that of the distance, None if the session failed. A responder that refused may have
+        stated a time ``retry_after_us`` before the next request.
         """
         ...
 
     def on_survey(self, ended_ns: int, busy_ns: int) -> None:
-        """Note for how long the medium had been busy in all, at ``ended_ns``."""
+        """Record the total time for which the medium had been busy at ``ended_ns``."""
         ...
 
 
@@ -68,17 +67,17 @@ class Outstanding:
         self._since_us: dict[int, int] = {}
 
     def forget_old(self, now_us: int) -> None:
-        """Give up those that have had no result for too long."""
+        """Drop the requests without a result for `GIVE_UP_US`."""
         for peer, since_us in list(self._since_us.items()):
             if now_us - since_us > GIVE_UP_US:
                 del self._since_us[peer]
 
     def add(self, peer: int, at_us: int) -> None:
-        """Note a request."""
+        """Add a request."""
         self._since_us[peer] = at_us
 
     def discard(self, peer: int) -> None:
-        """Note a result."""
+        """Remove a request that has a result."""
         self._since_us.pop(peer, None)
 
     def __contains__(self, peer: int) -> bool:
@@ -86,15 +85,15 @@ class Outstanding:
 
     @property
     def full(self) -> bool:
-        """Whether no more may be asked for."""
+        """Whether the limit of outstanding requests is reached."""
         return len(self._since_us) >= MAX_OUTSTANDING
 
 
 class RangingSchedule:
-    """All-pairs round robin of one station; the first round starts with the first `due`.
+    """All-pairs round robin of one station; the first round starts with the first call of `due`.
 
-    Takes no account of what the distances are worth or of how full the channel is. See `RangingPolicy`.
-    ``peers`` are those to range to; None: all others.
+    It does not consider the worth of a distance or the load of the channel. See `RangingPolicy`. ``peers``
+    are the stations to range to; None: all others.
     """
 
     def __init__(
@@ -122,7 +121,7 @@ class RangingSchedule:
         now_us: int,
         until_us: int,
         reachable: Reachable,
-        variance_m2: VarianceOf | None = None,  # noqa: ARG002  # all are measured
+        variance_m2: VarianceOf | None = None,  # noqa: ARG002  # all pairs are measured
     ) -> list[tuple[int, int]]:
         """List the requests to hand over in [now, until): (at_us, peer), of peers that are ``reachable``."""
         if not self._peers:
@@ -130,7 +129,7 @@ class RangingSchedule:
         if not self._begun:
             self._begun = True
             self.next_us = now_us + self._phase * self._slot_us
-        if now_us - self.next_us > GIVE_UP_US:  # the clock has leapt: those would have been answered by now
+        if now_us - self.next_us > GIVE_UP_US:  # the clock has jumped: skip the slots in between
             self.next_us += (now_us - self.next_us) // self._slot_us * self._slot_us
         self._outstanding.forget_old(now_us)
         requests = []
@@ -138,8 +137,7 @@ class RangingSchedule:
             peer = self._peers[self._next]
             if reachable(peer) and peer not in self._outstanding:
                 if self._outstanding.full:
-                    # The round slips rather than skips; slots lost to a full channel are not made up for in
-                    # a burst.
+                    # The round is delayed instead of skipping peers; a burst does not follow a full channel.
                     self.next_us = max(self.next_us, float(until_us))
                     break
                 at_us = max(int(self.next_us), now_us)
@@ -157,8 +155,8 @@ class RangingSchedule:
         variance_m2: float | None = None,  # noqa: ARG002
         retry_after_us: int = 0,  # noqa: ARG002
     ) -> None:
-        """Note that the session with this peer has ended, whatever its status."""
+        """Record that the session with this peer has ended, with any status."""
         self._outstanding.discard(peer)
 
     def on_survey(self, ended_ns: int, busy_ns: int) -> None:
-        """Take no notice: the period is what it is."""
+        """Ignore the survey: the period is fixed."""

@@ -1,39 +1,39 @@
-"""Ranging that respects the airtime: each pair once, in slots, when the channel has room and it is worth it.
+"""Scheduled ranging: one session per pair, in TDMA slots, used if the distance is worth the airtime.
 
-Who. A distance is the same from both ends, so each pair is measured by one of them, its `owner`; everybody
-hears the result in the owner's beacons. On a ring each station owns the pairs with the half of the others
-that follows it, so nobody owns more than one pair more than anybody else.
+Ownership: a distance is the same from both ends, so one end measures it, the `owner` of the pair; all others
+receive the result in the owner's beacons. Stations form a ring, and each owns the pairs with the half of the
+others that follows it, so the numbers of owned pairs differ by at most one.
 
-When. The shared clock is cut into slots, numbered from its zero. Pair p of P, which are N (N - 1) / 2 unless
-only neighbours range, has the slots whose number is p modulo P, and its session begins a little after the
-slot's beginning. As long as a session of one burst fits a slot and the clocks agree within the guard, no
-session ever contends with another. Pairs are numbered round by round as in a round-robin tournament
-(`pair_number`), whose rounds are disjoint pairs; consecutive slots then share no station, so that one which
-overruns its slot does not meet a radio that it occupies itself. (With fewer than six stations no cyclic order
-does that: for five, the pairs' graph is Petersen's, which has no Hamiltonian cycle. Where only neighbours
-range, rounds are shorter and still disjoint, but the last pair of one may share a station with the first of
-the next.)
+Slots: the shared clock is divided into slots, numbered from time zero. There are P pairs, N (N - 1) / 2
+unless only neighbours range. Pair p has the slots with number p modulo P, and its session begins shortly
+after the beginning of the slot. If a session of one burst fits a slot and the clocks agree within the guard
+time, sessions never contend with each other. Pairs are numbered round by round as in a round-robin tournament
+(`pair_number`). The pairs of a round are disjoint, and consecutive slots share no station, so a session that
+overruns its slot does not occupy a radio of the next one. (With fewer than six stations no cyclic order has
+this property: for five, the graph of disjoint pairs is Petersen's, which has no Hamiltonian cycle. If only
+neighbours range, rounds are shorter and still disjoint, but the last pair of a round may share a station with
+the first of the next.)
 
-Whether. The owner uses its slot if the distance is worth the price. Worth is the information that a
-measurement of variance r adds to a distance known with variance p, 0.5 log(1 + p / r) nats, and for one not
-measured for `CHECK_US` it rises with time whatever the filter says: a fault, or a variance that is wrongly
-small, does not go unnoticed. A distance that the filter does not know at all is worth any price, but once per
-`UNKNOWN_PERIOD_US`, which is enough to find a place for its ends.
+Worth and price: the owner uses its slot if the worth of the distance is at least the price. The worth is the
+information that a measurement of variance r adds to a distance of variance p, 0.5 log(1 + p / r) nats. If the
+distance has not been measured for `CHECK_US`, its worth rises with time regardless of the filter, so that
+faults and wrongly small variances are detected. A distance that the filter has not estimated is worth any
+price, but only once per `UNKNOWN_PERIOD_US`, which is enough to locate its ends.
 
-The price is set by each station from what its own radio measures of the channel, whatever occupies it: per
-`WINDOW_NS` the ratio x = p / r that is just worth it, exp(2 price) - 1, is multiplied by
-exp(`PRICE_GAIN` (occupancy / wanted occupancy - 1)). Where p grows at a rate q between measurements, from
-r x / (1 + x) after one to r x before the next, airtime is in proportion to q (1 + x) / (r x^2): its
-elasticity is 1 to 2, so the loop's gain is 0.5 to 1, and less with others' load. The error is linear in the
-occupancy for its mean to become the wanted one even if pairs come in bunches. All who hear the same channel
-arrive at the same price, so the most valuable distances of the formation are measured, not of a station. The
-price never falls below `LEAST_PRICE_NATS`, for what adds next to nothing is worth nothing on an empty channel
-either. Above `MOST_PRICE_NATS` it would bar distances known from GPS alone. The slots set a limit of their
-own: one session each, whatever occupancy is wanted.
+Each station sets the price from the channel occupancy that its own radio measures, from any source. Per
+`WINDOW_NS` the ratio x = p / r at which worth equals price, exp(2 price) - 1, is multiplied by
+exp(`PRICE_GAIN` (occupancy / target occupancy - 1)). If p grows at a rate q between measurements, from r x /
+(1 + x) after one to r x before the next, the airtime is proportional to q (1 + x) / (r x^2). Its elasticity
+is 1 to 2, so the loop gain is 0.5 to 1, and less with other load. The error is linear in the occupancy, so
+that the mean occupancy reaches the target even if sessions come in bunches. All stations on the same channel
+arrive at the same price, so the most valuable distances of the whole formation are measured. The price is at
+least `LEAST_PRICE_NATS`: a distance that adds hardly any information is not measured on an empty channel
+either. Above `MOST_PRICE_NATS` it would exclude distances known from GPS alone. The slots are a further
+limit: one session each, at any target occupancy.
 
-A station that is not heard, and so may be gone, is not ranged to. The other end of a pair does not take over
-for a silent owner: it would have nobody to measure to. Sessions that fail are tried again in the next slot,
-then after pauses that double.
+A station without recent beacons may be gone and is not ranged to. The other end of a pair does not replace a
+silent owner, as it could not measure to it. Failed sessions are repeated in the next slot, then after pauses
+that double.
 """
 
 import math
@@ -45,31 +45,31 @@ from autopilot.onboard.radio.ranging import Outstanding, Reachable, VarianceOf
 from autopilot.parameters.config import SESSION_S
 
 GUARD = 0.125
-"""Share of a slot that passes before its session begins, for clocks that disagree."""
+"""Share of a slot before its session begins, as a margin for clock differences."""
 LEAST_PRICE_NATS = -0.5 * math.log(1.0 - 0.05)
-"""Of a measurement that takes 5 % off the variance."""
+"""Worth of a measurement that reduces the variance by 5 %."""
 MOST_PRICE_NATS = 3.0
-"""Of one that takes the standard deviation to a twentieth: from 1.2 m, as of GPS, to 0.06 m."""
+"""Worth of one that reduces the standard deviation to a twentieth: from 1.2 m, as of GPS, to 0.06 m."""
 FIRST_PRICE_NATS = 0.5 * math.log(2.0)
-"""Of a measurement as good as what is known; before the channel has been measured."""
+"""Initial price: worth of a measurement with the variance of the estimate."""
 PRICE_GAIN = 0.5
 MOST_LOG_STEP = 1.0
-"""The ratio rises by no more than a factor of e per window."""
+"""Limit of the ratio's rise per window: a factor of e."""
 WINDOW_NS = 500_000_000
-"""Over which the occupancy is averaged, of a hundred sessions or so."""
+"""Window over which the occupancy is averaged: about a hundred sessions."""
 CHECK_US = 3_000_000
 CHECK_LATEST_US = 5_000_000
-"""At the highest price a distance is measured again after this time, at the lowest after `CHECK_US`."""
+"""Time after which a distance is measured again at the highest price; at the lowest it is `CHECK_US`."""
 CHECK_SPREAD = 0.25
-"""Up to this share of `CHECK_US` earlier, which differs from pair to pair: else pairs that were measured
-together at the beginning would be so ever after."""
+"""Each pair is checked earlier by its own share of `CHECK_US` up to this one; otherwise pairs that were
+measured together at the beginning would stay synchronised."""
 UNKNOWN_PERIOD_US = 500_000
 _CHECK_NATS_US = MOST_PRICE_NATS / (CHECK_LATEST_US - CHECK_US)
 _LONG_AGO_US = -(1 << 62)
 
 
 def pair_number(i: int, j: int, stations: int) -> int:
-    """Number of a pair among all: 0 to N (N - 1) / 2 - 1, by the circle method.
+    """Return the number of a pair among all, 0 to N (N - 1) / 2 - 1, by the circle method.
 
     Among an odd number m of stations on a ring, round r pairs those at equal distances k to both sides of r:
     (r - k, r + k) mod m. Station r is left over; it is paired with the last station if their number is even.
@@ -84,9 +84,9 @@ def pair_number(i: int, j: int, stations: int) -> int:
 
 
 def owner(i: int, j: int, stations: int) -> int:
-    """Which end measures the distance of a pair: that which the other follows by less than half the ring.
+    """Return the end that measures the distance: the one that the other follows by less than half the ring.
 
-    Of two that are exactly half of it apart, the one with the smaller number.
+    If the two are exactly half the ring apart, it is the one with the smaller number.
     """
     ahead = 2 * ((j - i) % stations)
     if ahead == stations:
@@ -95,17 +95,17 @@ def owner(i: int, j: int, stations: int) -> int:
 
 
 class ScheduledRanging:
-    """Policy of one station: see this module and `ranging.RangingPolicy`.
+    """Ranging policy of one station; see this module and `ranging.RangingPolicy`.
 
     Args:
-        station, stations: the own number, and how many there are.
+        station, stations: the own number, and the number of stations.
         slot_us: length of a slot.
-        airtime: occupancy of the channel that the price aims at, 0..1.
-        measurement_var_m2: variance to expect of a measured distance, until each peer's last one tells.
-        linked: (N, N) symmetric, whose distances are measured at all; None: everybody's.
+        airtime: target occupancy of the channel, 0..1.
+        measurement_var_m2: expected variance of a distance, until one to the peer has been measured.
+        linked: (N, N), symmetric, whether a pair is measured at all; None: all pairs.
 
     Attributes:
-        price_nats: what a distance has to be worth.
+        price_nats: least worth of a distance that is measured.
 
     """
 
@@ -126,7 +126,7 @@ class ScheduledRanging:
             for slot, (i, j) in enumerate(pairs)
             if station in {i, j} and owner(i, j, stations) == station
         ]
-        """(begin in the cycle in us, peer)"""
+        """(begin within the cycle in us, peer) of the own slots."""
         self._cycle_us = max(len(pairs), 1) * slot_us
         self._check_us = [CHECK_US] * stations
         for begin_us, peer in self._slots:
@@ -136,7 +136,7 @@ class ScheduledRanging:
         self._cycle_begin_us = 0
         self.next_us = float(self._slots[0][0] + self._guard_us) if self._slots else math.inf
         self.silence_us = CHECK_LATEST_US + 2 * self._cycle_us + 1_000_000
-        # What nothing is known of is asked for in every slot, but those who do not answer hold up the others.
+        # Unknown distances are requested in every slot, but peers that do not answer delay the others.
         self.gather_s = 2e-6 * (UNKNOWN_PERIOD_US + self._cycle_us) + SESSION_S
         self.price_nats = FIRST_PRICE_NATS
         self._airtime = airtime
@@ -153,7 +153,7 @@ class ScheduledRanging:
         """List the requests to hand over in [now, until): (at_us, peer), of peers that are ``reachable``."""
         if not self._slots:
             return []
-        if self.next_us < now_us:  # a slot that was missed is not used late, when it is another's
+        if self.next_us < now_us:  # a missed slot is skipped, as its time may be another pair's slot
             self._seek(now_us)
         self._outstanding.forget_old(now_us)
         requests = []
@@ -177,9 +177,9 @@ class ScheduledRanging:
         return requests
 
     def worth_nats(self, peer: int, at_us: int, variance_m2: float | None) -> float:
-        """Worth of measuring the distance to a peer that is known with this variance, at a time."""
+        """Return the worth of measuring a peer's distance at a time, given the variance of its estimate."""
         age_us = at_us - self._measured_us[peer]
-        if variance_m2 is None or not variance_m2 >= 0.0:  # nor is not-a-number knowledge
+        if variance_m2 is None or not variance_m2 >= 0.0:  # also for NaN
             return math.inf if age_us >= UNKNOWN_PERIOD_US else 0.0
         information_nats = 0.5 * math.log1p(variance_m2 / self._measurement_var_m2[peer])
         return max(information_nats, (age_us - self._check_us[peer]) * _CHECK_NATS_US)
@@ -187,7 +187,7 @@ class ScheduledRanging:
     def on_result(
         self, peer: int, *, ended_us: int = 0, variance_m2: float | None = None, retry_after_us: int = 0
     ) -> None:
-        """Note that the session with this peer has ended; ``variance_m2`` None: in vain."""
+        """Record that the session with this peer has ended; ``variance_m2`` None: it failed."""
         self._outstanding.discard(peer)
         if not 0 <= peer < len(self._failures):
             return
@@ -201,7 +201,7 @@ class ScheduledRanging:
         self._resume_us[peer] = ended_us + min(pause_us, CHECK_US)
 
     def on_survey(self, ended_ns: int, busy_ns: int) -> None:
-        """Let the price follow the occupancy of the channel, which the counter of busy time tells."""
+        """Update the price from the occupancy of the channel, given its counter of busy time."""
         if self._survey is None:
             self._survey = (ended_ns, busy_ns)
             return
@@ -209,7 +209,7 @@ class ScheduledRanging:
         if 0 <= elapsed_ns < WINDOW_NS:
             return
         self._survey = (ended_ns, busy_ns)
-        if not 0 <= window_busy_ns <= elapsed_ns:  # the counter began anew
+        if not 0 <= window_busy_ns <= elapsed_ns:  # the counter was reset
             return
         log_step = min(PRICE_GAIN * (window_busy_ns / elapsed_ns / self._airtime - 1.0), MOST_LOG_STEP)
         ratio = math.expm1(2.0 * self.price_nats) * math.exp(log_step)
@@ -217,7 +217,7 @@ class ScheduledRanging:
         self.price_nats = min(max(price_nats, LEAST_PRICE_NATS), MOST_PRICE_NATS)
 
     def _seek(self, now_us: int) -> None:
-        """Go to the first own slot that begins at or after ``now_us``."""
+        """Select the first own slot whose session begins at or after ``now_us``."""
         since_us = now_us - self._guard_us
         self._cycle_begin_us = since_us // self._cycle_us * self._cycle_us
         offset_us = since_us - self._cycle_begin_us

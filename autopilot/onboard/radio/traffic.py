@@ -1,6 +1,6 @@
-"""What one application says on the radio and what it makes of what it hears: beacons and distances.
+"""Radio traffic of one application: sends beacons and ranging requests, and evaluates ranging results.
 
-Keeps no position: the beacon's content is handed in, and what was heard or measured is handed back.
+It stores no positions: the caller passes the content of the beacons and receives the measured distances.
 """
 
 import math
@@ -22,10 +22,10 @@ from autopilot.parameters.config import Devices, OnboardConfig
 from netsim.wire.messages import Broadcast, FtmRequest, FtmResult, Survey, TxItem
 
 BEACON_JITTER = 0.02
-"""Half width of each beacon's random shift, in periods: two UAVs that tick together do not go on doing so."""
+"""Half width of each beacon's random shift, in periods: it separates UAVs that send at the same time."""
 _DRAWS = 256
 PRIOR_TRIPS = 8
-"""How many round trips' evidence the device's stated accuracy is worth beside a session's own few."""
+"""Weight of the device's stated accuracy, in round trips, when pooled with the scatter of a session."""
 
 
 class Traffic:
@@ -33,16 +33,16 @@ class Traffic:
 
     Args:
         station: this station.
-        stations: how many there are.
+        stations: number of stations.
         config: settings.
-        devices: what the UAV knows of its radio.
-        rng: source of phases and jitters.
-        near: to whom it ranges, and of whose beacons it looks at the distances; None: everybody.
+        devices: properties of the UAV's radio.
+        rng: random generator for phases and jitters.
+        near: neighbourhood to range to, and whose reported distances are used; None: all stations.
 
     Attributes:
-        hearing: what others say.
-        range_silence_us: distances older than this are news to nobody.
-        gather_s: within this each station has ranged to all its peers that can be, one loss included.
+        table: table of the other stations' beacons.
+        range_silence_us: distances older than this are not sent any more.
+        gather_s: time within which each station has ranged to all reachable peers, one loss included.
 
     """
 
@@ -60,37 +60,38 @@ class Traffic:
         self._trip_std_m = devices.ftm_trip_std_m
         self._range_floor_var_m2 = config.range_floor_std_m**2
         self._ranging = self._policy(config, near, rng)
-        # In blocks, for a draw costs many times as much as the next of a list; the policy has drawn by now.
+        # Drawn in blocks, because a single draw costs far more than a list access; after the draws of the
+        # policy.
         self._draws = chain.from_iterable(rng.random(size).tolist() for size in repeat(_DRAWS))
-        """Of the slots' phase and jitters, 0 to 1."""
+        """Random numbers 0..1 of the beacon phase and jitters."""
         self.range_silence_us = self._ranging.silence_us
         self.gather_s = self._ranging.gather_s
-        self._told: dict[int, tuple[int, bytes]] = {}
-        """Newest distance to each peer, as beacons tell it: when it was measured, ms, and its bytes."""
+        self._encoded: dict[int, tuple[int, bytes]] = {}
+        """Newest distance to each peer, encoded for beacons: its measurement time, ms, and its bytes."""
         self._seq = 0
         self._beacon_seq = 0
         self._period_us = config.beacon_period_ms * 1_000
-        self.hearing = NeighbourTable(
+        self.table = NeighbourTable(
             station=station, stations=stations, period_us=self._period_us, gps_std_m=config.gps_bias_std_m,
             near=near,
         )  # fmt: skip
         self._slot_us: float | None = None
         self._beacon_us = 0
 
-    def begin_anew(self) -> None:
-        """Number the next beacon so that whoever hears it takes its odometry for a new one."""
+    def signal_restart(self) -> None:
+        """Offset the sequence number of the next beacon, so that receivers discard the earlier odometry."""
         self._beacon_seq = (self._beacon_seq + wire.SEQ_MODULUS // 2) % wire.SEQ_MODULUS
 
     def measured(self, item: FtmResult) -> wire.Distance | None:
-        """Distance that a session gave, with its error; None if it failed."""
+        """Return the distance of a session, with its standard deviation; None if the session failed."""
         ended_us = item.ended_ns // 1_000
         if item.status != "ok" or item.round_trips < 1 or item.peer >= self._stations:
             self._ranging.on_result(
                 item.peer, ended_us=ended_us, retry_after_us=item.retry_after_s * 1_000_000
             )
             return None
-        # Few trips tell their own scatter badly, so it is pooled with what the device is expected to have (a
-        # scaled inverse chi-square prior).
+        # The scatter of a few trips is a poor estimate of their variance, so it is pooled with the device's
+        # (a scaled inverse chi-square prior).
         degrees = item.round_trips - 1
         trip_var_m2 = (PRIOR_TRIPS * self._trip_std_m**2 + degrees * item.distance_std_m**2) / (
             PRIOR_TRIPS + degrees
@@ -99,11 +100,11 @@ class Traffic:
         self._ranging.on_result(item.peer, ended_us=ended_us, variance_m2=var_m2 + self._range_floor_var_m2)
         std_m = math.sqrt(var_m2)
         distance = wire.Distance(item.peer, item.measured_ns // 1_000_000, item.distance_m, std_m)
-        self._told[item.peer] = (distance.time_ms, wire.encode_distance(distance))
+        self._encoded[item.peer] = (distance.time_ms, wire.encode_distance(distance))
         return distance
 
     def take_survey(self, item: Survey) -> None:
-        """Take the radio's count of how long it has found the medium busy."""
+        """Pass the radio's total busy time of the medium to the ranging policy."""
         self._ranging.on_survey(item.ended_ns, item.busy_ns)
 
     def due(
@@ -118,25 +119,24 @@ class Traffic:
         motion_start_ms: int | None = None,
         gps_error: Callable[[], wire.GpsError | None] | None = None,
     ) -> tuple[TxItem, ...]:
-        """All to hand to the radio in [now, until): beacons, and if ``ranging`` requests.
+        """Return the items for the radio in [now, until): beacons, and ranging requests if ``ranging``.
 
-        ``variance_m2`` tells how well the distance to a peer is known and is asked when a request could be
-        made, ``gps_error`` the own receiver's error when a beacon is made; the rest goes into beacons as is.
+        ``variance_m2`` returns the variance of the distance to a peer and is called for possible requests.
+        ``gps_error`` returns the GPS error of the own receiver and is called once per beacon. ``phase`` and
+        ``motion_start_ms`` are copied into beacons.
         """
         items: list[TxItem] = []
         if self._slot_us is None:
             self._slot_us = now_us + next(self._draws) * self._period_us
             self._beacon_us = int(self._slot_us)
-        if (
-            now_us - self._slot_us > WAIT_US
-        ):  # the clock has leapt, and what was not said by then counts as lost
+        if now_us - self._slot_us > WAIT_US:  # the clock has jumped: the beacons in between count as lost
             missed = (now_us - self._slot_us) // self._period_us
             self._beacon_seq = (self._beacon_seq + int(missed)) % wire.SEQ_MODULUS
             self._slot_us += missed * self._period_us
             self._beacon_us = int(self._slot_us)
         while self._beacon_us < until_us:
             payload = wire.encode_with(
-                self._newest_told(now_us), self._station, self._beacon_seq, own.time_us, phase,
+                self._newest_distances(now_us), self._station, self._beacon_seq, own.time_us, phase,
                 own.odometry_ned_m, own.vel_ned_m_s, motion_start_ms, own.fix,
                 None if gps_error is None else gps_error(),
             )  # fmt: skip
@@ -148,13 +148,13 @@ class Traffic:
             )
         if ranging and self._ranging.next_us < until_us:
             requests = self._ranging.due(
-                now_us, until_us, lambda peer: self.hearing.reaches(peer, now_us), variance_m2
+                now_us, until_us, lambda peer: self.table.reaches(peer, now_us), variance_m2
             )
             items += [FtmRequest(seq=self._next_seq(), at_us=at_us, peer=peer) for at_us, peer in requests]
         return tuple(items)
 
     def next_deadline_us(self, *, ranging: bool) -> int:
-        """When `due` next has something to say."""
+        """Return the time at which `due` next returns an item."""
         return int(min(self._beacon_us, self._ranging.next_us if ranging else NEVER_US))
 
     def _policy(
@@ -172,13 +172,13 @@ class Traffic:
             rng=rng, peers=None if near is None else near.members.tolist(),
         )  # fmt: skip
 
-    def _newest_told(self, now_us: int) -> list[bytes]:
-        """Bytes of the distances that may be news to somebody, as many as a beacon holds."""
+    def _newest_distances(self, now_us: int) -> list[bytes]:
+        """Return the encoded distances to send: at most `range_silence_us` old, and the newest that fit."""
         oldest_ms = (now_us - self.range_silence_us) // 1_000
-        fresh = [octets for time_ms, octets in self._told.values() if time_ms >= oldest_ms]
+        fresh = [octets for time_ms, octets in self._encoded.values() if time_ms >= oldest_ms]
         if len(fresh) <= wire.MAX_RANGES:
             return fresh
-        newest = sorted(self._told.values(), key=itemgetter(0))[-wire.MAX_RANGES :]
+        newest = sorted(self._encoded.values(), key=itemgetter(0))[-wire.MAX_RANGES :]
         return [octets for _, octets in newest]
 
     def _next_seq(self) -> int:

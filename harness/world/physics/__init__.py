@@ -1,1 +1,1 @@
-"""Rigid bodies, rotors and contacts: what really happens to the vehicles. Wind and faults are given."""
+"""Rigid bodies, rotors and contacts: the true motion of the vehicles. Wind and faults are inputs."""

@@ -1,4 +1,4 @@
-"""Bodies that stand and rise, and nothing else: what any simulation on PyBullet does, to compare with."""
+"""Minimal PyBullet simulation of rising bodies, as a reference for benchmarks."""
 
 from types import TracebackType
 from typing import Self
@@ -13,7 +13,7 @@ _STATE = tuple[tuple[float, ...], tuple[float, ...]]
 
 
 class BareWorld:
-    """So many boxes over a plane, each lifted by a force a little above its weight; for one thread."""
+    """Boxes over a plane, each lifted by a force slightly above its weight; single-threaded."""
 
     def __init__(self, bodies: int, *, step_us: int) -> None:
         self._client: int | None = pybullet.connect(pybullet.DIRECT)
@@ -33,7 +33,7 @@ class BareWorld:
         ]
 
     def step(self, lifts_n: list[float]) -> list[tuple[_STATE, _STATE]]:
-        """Push every body up with its force and go on; returns poses and velocities as Bullet has them."""
+        """Step with an upward force on each body; returns Bullet's poses and velocities."""
         client = self._client
         for body, lift_n in zip(self._bodies, lifts_n, strict=True):
             pybullet.applyExternalForce(
@@ -49,7 +49,7 @@ class BareWorld:
         ]
 
     def close(self) -> None:
-        """Let Bullet go; harmless when repeated."""
+        """Disconnect from Bullet; harmless when repeated."""
         if self._client is not None:
             pybullet.disconnect(physicsClientId=self._client)
             self._client = None

@@ -1,9 +1,9 @@
-"""What Bullet holds of the vehicles, and how a step of it is read.
+"""State of the bodies in Bullet's scheme, and its conversion to the true state.
 
-Bullet integrates ``v <- v + a(x) dt``, then ``x <- x + v dt``: its poses are half a step ahead of its
-velocities. With v(t_k) it holds x(t_k + dt/2), and so read it is the leapfrog scheme, of second order: forces
-belong to the middle of their step, and the pose at t_k is Bullet's less half a step of motion. Free fall, for
-one, comes out exactly; taken at face value it would be off by half a step of speed.
+Bullet integrates ``v <- v + a(x) dt``, then ``x <- x + v dt``. If its poses are read as half a step ahead of
+its velocities, x(t_k + dt/2) with v(t_k), this is the leapfrog scheme of second order: forces act at the
+middle of their step, and the pose at t_k is Bullet's minus half a step of motion. Free fall is then exact;
+without this reading its position would be wrong by half a step of motion.
 """
 
 import numpy as np
@@ -21,7 +21,7 @@ BODY = np.dtype(
         ("omega_ned_rad_s", "f8", 3),
     ]
 )
-"""Row of one vehicle as Bullet has it, wxyz; the pose is half a step ahead of the velocities."""
+"""Row of one vehicle in Bullet's scheme, wxyz; the pose is half a step ahead of the velocities."""
 BODY_NUMBERS = BODY.itemsize // 8
 
 
@@ -33,9 +33,9 @@ def observe(
     step_s: float,
     truth: NDArray[np.void],
 ) -> None:
-    """Read the state at the end of a step from what Bullet held before and after it, rows (n,) of `BODY`.
+    """Compute the true state at the end of a step from the rows (n,) of `BODY` before and after it.
 
-    Fills all of ``truth`` (n,), rows of `harness.world.physics.truth.TRUTH`, but the rotors' speeds.
+    Fills ``truth`` (n,), rows of `harness.world.physics.truth.TRUTH`, except the rotors' speeds.
     """
     for i in range(len(after)):
         vel_ned, omega_ned = after[i]["vel_ned_m_s"], after[i]["omega_ned_rad_s"]
@@ -67,22 +67,24 @@ def observe(
 
 
 @njit(cache=True)
-def near_something(bodies: NDArray[np.void], reach_m: float, lasting: float, near: NDArray[np.bool_]) -> bool:
-    """Find out who of ``bodies``, rows (n,) of `BODY`, is near the ground or another.
+def near_something(
+    bodies: NDArray[np.void], reach_m: float, release_ratio: float, near: NDArray[np.bool_]
+) -> bool:
+    """Update which of ``bodies``, rows (n,) of `BODY`, are near the ground or another body.
 
-    So is whoever is within ``reach_m`` of another along every axis, or within half of that above the ground;
-    who is near stays so until it is ``lasting`` times as far away. ``near`` (n,) has who was, and then who is
-    so; returns whether that has changed for any.
+    A body is near if it is within ``reach_m`` of another one along every axis, or within half of that above
+    the ground; it stays near up to ``release_ratio`` times that distance. ``near`` (n,) is input and output;
+    returns whether it has changed for any body.
     """
     was_near = near.copy()
     near[:] = False
     for i in range(len(bodies)):
         here = bodies[i]["pos_ned_m"]
-        ground_m = 0.5 * reach_m * (lasting if was_near[i] else 1.0)
+        ground_m = 0.5 * reach_m * (release_ratio if was_near[i] else 1.0)
         near[i] |= -here[2] <= ground_m
         for j in range(i):
             there = bodies[j]["pos_ned_m"]
-            pair_m = reach_m * (lasting if was_near[i] and was_near[j] else 1.0)
+            pair_m = reach_m * (release_ratio if was_near[i] and was_near[j] else 1.0)
             if (
                 abs(here[0] - there[0]) <= pair_m
                 and abs(here[1] - there[1]) <= pair_m
@@ -97,7 +99,7 @@ def near_something(bodies: NDArray[np.void], reach_m: float, lasting: float, nea
 
 @njit(cache=True)
 def in_body_axes(q_ned_frd: Array, vector_ned: Array) -> Array:
-    """One vector (3,) as each of n bodies at ``q_ned_frd`` (n, 4) sees it: (n, 3) FRD."""
+    """Transform one vector (3,) from NED to the FRD axes of n bodies at ``q_ned_frd`` (n, 4): (n, 3)."""
     vectors_frd = np.empty((q_ned_frd.shape[0], 3))
     for vehicle in range(q_ned_frd.shape[0]):
         vectors_frd[vehicle] = in_frd(q_ned_frd[vehicle], vector_ned[0], vector_ned[1], vector_ned[2])
@@ -108,11 +110,11 @@ def in_body_axes(q_ned_frd: Array, vector_ned: Array) -> Array:
 def integrable_torque(
     inertia_kg_m2: Array, q_ned_frd: Array, omega_ned_rad_s: Array, torque_ned_n_m: Array, step_s: float
 ) -> Vector:
-    """Torque to hand to Bullet, in newton metres, NED, so that ``torque_ned_n_m`` (3,) acts on a body.
+    """Return the torque for Bullet, in N m, NED, so that ``torque_ned_n_m`` (3,) acts on a body.
 
-    Bullet adds the gyroscopic torque -ω x Iω as it is at the start of a step, which feeds energy into a
-    spinning body. The difference to its value at the middle of the step, added here, makes that the midpoint
-    rule. ``inertia_kg_m2`` (3,) is diagonal in the body's axes.
+    Bullet adds the gyroscopic torque -ω x Iω of the start of a step, which increases the energy of a spinning
+    body. Adding the difference to its value at the middle of the step turns this into the midpoint rule.
+    ``inertia_kg_m2`` (3,) is diagonal in the body's axes.
     """
     ix, iy, iz = inertia_kg_m2[0], inertia_kg_m2[1], inertia_kg_m2[2]
     p, q, r = in_frd(q_ned_frd, omega_ned_rad_s[0], omega_ned_rad_s[1], omega_ned_rad_s[2])
@@ -132,5 +134,5 @@ def integrable_torque(
 
 @njit(cache=True)
 def _gyroscopic_torque(ix: float, iy: float, iz: float, p: float, q: float, r: float) -> Vector:
-    """-ω x Iω for a diagonal inertia and body rates."""
+    """Return -ω x Iω for a diagonal inertia and body rates."""
     return (iy - iz) * q * r, (iz - ix) * r * p, (ix - iy) * p * q

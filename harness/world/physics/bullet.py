@@ -1,7 +1,7 @@
-"""Bullet's world: the ground, and those vehicles that are near it or each other.
+"""Bullet's world: the ground, and the vehicles near it or near each other.
 
-The only import of pybullet but for `harness.world.physics.bare`. Bullet integrates and collides; forces are
-given.
+The only import of pybullet except `harness.world.physics.bare`. Bullet integrates and handles collisions;
+forces are inputs.
 """
 
 from collections.abc import Collection
@@ -16,17 +16,17 @@ from harness.world.physics.model import VehicleModel
 
 GROUND_HALF_WIDTH_M = 10_000.0
 SOLVER_RESIDUAL = 1e-16
-"""Squared change of the contact impulses at which Bullet stops iterating. At its default of 1e-7 a standing
-vehicle creeps by 30 um/s; at this it stays within 1 nm/s, and still stops before its 50 iterations."""
+"""Squared change of the contact impulses at which Bullet stops iterating. With its default of 1e-7 a landed
+vehicle creeps at 30 um/s; with this value at less than 1 nm/s, still in fewer than 50 iterations."""
 
 _CONTACT_BODY_A, _CONTACT_BODY_B, _CONTACT_POS_ON_A, _CONTACT_DISTANCE, _CONTACT_FORCE = 1, 2, 5, 8, 9
 
 
 class Touches(NamedTuple):
-    """Who touched what in a step."""
+    """Contacts of a step."""
 
     ground: frozenset[int]
-    """Vehicles that touched it"""
+    """Vehicles that touched the ground"""
     pairs: dict[tuple[int, int], tuple[float, float, float]]
     """Vehicles that touched each other, smaller number first, and a point of contact, NED, in metres"""
 
@@ -35,23 +35,23 @@ NO_TOUCHES = Touches(frozenset(), {})
 
 
 class Bullet:
-    """Vehicles of one model over flat ground (down = 0), those that it is given. Close it.
+    """Vehicles of one model over flat ground (down = 0). Close it.
 
-    Bullet is given NED axes for its world and FRD ones for its bodies.
+    Bullet's world has NED axes, its bodies FRD axes.
     """
 
     def __init__(self, model: VehicleModel, *, step_s: float, gravity_m_s2: float) -> None:
         self._model = model
         self._client: int | None = pybullet.connect(pybullet.DIRECT)
         self._bodies: dict[int, int] = {}
-        """Bullet's number of each vehicle that it holds"""
+        """Bullet's number of each vehicle"""
         client = self._client
         pybullet.setTimeStep(step_s, client)
         pybullet.setGravity(0.0, 0.0, gravity_m_s2, client)
         pybullet.setPhysicsEngineParameter(
             deterministicOverlappingPairs=1, solverResidualThreshold=SOLVER_RESIDUAL, physicsClientId=client
         )
-        # not a plane: box on box gives all four points of contact at once, so that a landing stays level
+        # not a plane: two boxes have all four points of contact at once, so a landing stays level
         half_extents_m = (GROUND_HALF_WIDTH_M, GROUND_HALF_WIDTH_M, 10.0)
         shape = pybullet.createCollisionShape(
             pybullet.GEOM_BOX, halfExtents=half_extents_m, physicsClientId=client
@@ -65,14 +65,14 @@ class Bullet:
 
     @property
     def holds(self) -> Collection[int]:
-        """The vehicles that it holds."""
+        """The vehicles in Bullet's world."""
         return self._bodies.keys()
 
     def hold(self, vehicle: int, body: np.void) -> None:
-        """Take a vehicle in, in a state that is a row of `harness.world.physics.bodies.BODY`."""
+        """Add a vehicle with the state of a row of `harness.world.physics.bodies.BODY`."""
         client, model = self._client, self._model
         w, x, y, z = body["q_ned_frd"].tolist()
-        # a shape goes with its body, so each has its own
+        # removing a body removes its shape, so each has its own
         shape = pybullet.createCollisionShape(
             pybullet.GEOM_BOX, halfExtents=[side_m / 2.0 for side_m in model.box_m], physicsClientId=client
         )
@@ -100,13 +100,13 @@ class Bullet:
         self._bodies[vehicle] = number
 
     def release(self, vehicle: int) -> None:
-        """Give a vehicle up."""
+        """Remove a vehicle."""
         pybullet.removeBody(self._bodies.pop(vehicle), self._client)
 
     def step(self, before: NDArray[np.void], applied: Array, after: NDArray[np.void]) -> None:
-        """Move the vehicles that it holds by a step; writes their rows of ``after`` (n,), of `BODY`.
+        """Step the vehicles in Bullet's world and write their rows of ``after`` (n,), of `BODY`.
 
-        ``applied`` (n, 2, 3) are force and torque, NED, at the centres of mass, where they are ``before``.
+        ``applied`` (n, 2, 3) are force and torque, NED, at the centres of mass of ``before`` (n,).
         """
         client, frame = self._client, pybullet.WORLD_FRAME
         for vehicle, body in self._bodies.items():
@@ -121,13 +121,13 @@ class Bullet:
             after[vehicle] = pos_ned_m, (w, x, y, z), vel_ned_m_s, omega_ned_rad_s
 
     def touches(self) -> Touches:
-        """Look who touched what in the last step."""
+        """Return the contacts of the last step."""
         vehicles = {body: vehicle for vehicle, body in self._bodies.items()}
         ground: set[int] = set()
         pairs: dict[tuple[int, int], tuple[float, float, float]] = {}
         for point in pybullet.getContactPoints(physicsClientId=self._client):
             if point[_CONTACT_DISTANCE] > 0.0 and point[_CONTACT_FORCE] <= 0.0:
-                continue  # near enough for Bullet to keep an eye on it, but apart
+                continue  # near, but apart
             bodies = point[_CONTACT_BODY_A], point[_CONTACT_BODY_B]
             pair = sorted(vehicles[body] for body in bodies if body != self._ground)
             if len(pair) == 1:
@@ -137,7 +137,7 @@ class Bullet:
         return Touches(frozenset(ground), pairs)
 
     def close(self) -> None:
-        """Let Bullet go; harmless when repeated."""
+        """Disconnect from Bullet; harmless when repeated."""
         if self._client is not None:
             pybullet.disconnect(self._client)
             self._client = None

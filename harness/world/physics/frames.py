@@ -1,8 +1,8 @@
-"""The door between the conventions of PyBullet and Gazebo's tables and those of everybody else.
+"""Conversion from the axes of Gazebo's tables to those of coflight.
 
-Bullet knows no up and no north: gravity is an argument, so its world is simply given NED axes and its bodies
-FRD ones. What is left to convert is the order of its quaternions, which `bullet` does as it reads them, and
-body vectors of tables that are written in FLU.
+Bullet's axes are arbitrary because gravity is an argument: its world has NED axes and its bodies FRD axes.
+The order of its quaternions is converted in `bullet`; body vectors of Gazebo's tables, in FLU, are converted
+here.
 """
 
 import numpy as np
@@ -12,5 +12,5 @@ from foundation.types import Array
 
 
 def frd_from_flu(vectors_flu: ArrayLike) -> Array:
-    """Body vectors (..., 3) in forward-right-down from forward-left-up."""
+    """Convert body vectors (..., 3) from forward-left-up to forward-right-down."""
     return np.asarray(vectors_flu, dtype=np.float64) * (1.0, -1.0, -1.0)

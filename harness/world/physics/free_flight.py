@@ -1,11 +1,11 @@
-"""How a body flies that touches nothing: Bullet's scheme for all vehicles at once, in compiled code.
+"""Motion of free bodies: Bullet's integration scheme for all vehicles at once, in compiled code.
 
-Bullet is asked in calls of one vehicle each, and keeps what it knows of it in many places, so a swarm of
-which nobody is near anything would spend more on asking than on flying. What Bullet does with a free body is
-short: semi-implicit Euler, and the exponential map for the attitude. It is here as Bullet has it
-(btMultiBody.cpp, 3.2.7: computeAccelerationsArticulatedBodyAlgorithmMultiDof, applyDeltaVeeMultiDof and
-stepPositionsMultiDof of a body without joints), so whether a vehicle is stepped here or there is a matter of
-rounding alone; `harness.world.physics.bullet` has those that are near something.
+Bullet has one call per vehicle and scattered data, so for a swarm of free bodies the calls would take longer
+than the integration. Bullet's scheme for a free body is short: semi-implicit Euler, and the exponential map
+for the attitude. It is reproduced here from btMultiBody.cpp, 3.2.7
+(computeAccelerationsArticulatedBodyAlgorithmMultiDof, applyDeltaVeeMultiDof and stepPositionsMultiDof of a
+body without joints), so both give the same motion except for rounding. `harness.world.physics.bullet` steps
+the vehicles near something.
 """
 
 import math
@@ -18,13 +18,13 @@ from foundation.types import Array
 from harness.world.physics.rotation import in_frd, in_ned
 
 MOST_RATE = 100.0
-"""To which Bullet limits every component of a velocity, m/s, and of a rate of turn, rad/s."""
+"""Bullet's limit of every component of velocity, m/s, and angular rate, rad/s."""
 MOST_TURN_RAD = 0.25 * math.pi
-"""In one step, from which on Bullet takes the attitude's change for one of this size."""
+"""Bullet's limit of the attitude's change in one step."""
 SMALL_RATE_RAD_S = 1e-3
-"""Below which Bullet has a series instead of the sine."""
+"""Below this rate Bullet uses a series instead of the sine."""
 SERIES = 0.020833333333
-"""Its coefficient, 1/48 as Bullet writes it."""
+"""Coefficient of the series, 1/48 as in Bullet's source."""
 
 
 @njit(cache=True)
@@ -37,7 +37,7 @@ def coast(
     applied: Array,
     after: NDArray[np.void],
 ) -> None:
-    """Move free bodies by a step: from rows ``before`` (n,) of `bodies.BODY` to ``after``.
+    """Step free bodies from rows ``before`` (n,) of `bodies.BODY` to ``after`` (n,).
 
     ``applied`` (n, 2, 3) are force and torque, NED, without gravity; ``inertia_kg_m2`` (3,) is diagonal.
     """
@@ -72,7 +72,7 @@ def _limited(rate: float) -> float:
 
 @njit(cache=True)
 def _turn(omega_ned_rad_s: Array, q_ned_frd: Array, step_s: float, turned: Array) -> None:
-    """Write to ``turned`` (4,) the attitude (4,) after a step of that rate (3,)."""
+    """Write to ``turned`` (4,) the attitude (4,) after a step at the rate (3,)."""
     x, y, z = omega_ned_rad_s[0], omega_ned_rad_s[1], omega_ned_rad_s[2]
     rate_rad_s = math.sqrt(x * x + y * y + z * z)
     if rate_rad_s * step_s > MOST_TURN_RAD:

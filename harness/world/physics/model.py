@@ -1,7 +1,7 @@
-"""The vehicle as a rigid body with four rotors: one table of numbers for rotors and world.
+"""Vehicle model: parameters of a rigid body with four rotors.
 
-The numbers are those of the 3DR Iris in PX4's Gazebo-classic models (`iris.sdf`, `gazebo_motor_model`), body
-axes FLU as there. The body is symmetrical, so its inertia is diagonal and the same in FRD.
+The values are those of the 3DR Iris in PX4's Gazebo-classic models (`iris.sdf`, `gazebo_motor_model`), body
+axes FLU as there. The body is symmetric, so its inertia is diagonal and the same in FRD.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ class VehicleModel:
     box_m: Vector = (0.47, 0.47, 0.11)
     """Collision shape, centred on the centre of mass."""
     friction: float = 0.8
-    """Against the ground, which has 1.0: rubber feet on asphalt."""
+    """Coefficient against the ground, whose own is 1.0: rubber feet on asphalt."""
 
     rotor_hubs_flu_m: tuple[Vector, Vector, Vector, Vector] = (
         (0.13, -0.22, 0.023),
@@ -37,14 +37,13 @@ class VehicleModel:
     rotor_drag_n_s2_m: float = 1.75e-4
     """In-plane force over rotor speed and in-plane air speed, N/(rad/s)/(m/s)."""
     drag_n_s_m: float = 0.0
-    """Force on the body, against its motion through the air, over the speed of that. Gazebo's Iris has none:
-    its drag is its rotors'."""
+    """Drag of the body over its air speed. Gazebo's Iris has drag of the rotors only."""
     rotor_radius_m: float = 0.128
-    """Matters to the ground effect alone."""
+    """Used by the ground effect only."""
     rolling_moment_n_s2: float = 1e-6
     """Rolling moment over rotor speed and in-plane air speed, N m/(rad/s)/(m/s)."""
     axial_speed_limit_m_s: float = 25.0
-    """Climb through the air along its axis at which a rotor's thrust has fallen, linearly, to nothing."""
+    """Axial climb speed through the air at which a rotor's linearly falling thrust reaches zero."""
 
     motor_rise_s: float = 0.0125
     """Time constant of the rotor's speed while it rises."""
@@ -56,7 +55,7 @@ class VehicleModel:
 
     @property
     def standing_height_m(self) -> float:
-        """Height of the centre of mass above the ground while standing on it."""
+        """Height of the centre of mass above the ground of a landed vehicle."""
         return self.box_m[2] / 2.0
 
 

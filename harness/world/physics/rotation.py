@@ -1,8 +1,8 @@
-"""Turning vectors in the kernels of the physics, number by number.
+"""Rotation of vectors in the kernels of the physics, on scalars.
 
-The equations are those of `foundation.geometry.rotations`, in the same order, so the results are the same to
-the last bit. There every vector is a new array, which is made and thrown away some thirty times per vehicle
-and step: half of what the kernels here took.
+The equations are those of `foundation.geometry.rotations`, in the same order, so the results are
+bit-identical. There every vector is a new array, allocated some thirty times per vehicle and step, which took
+half of the kernels' time.
 """
 
 import math
@@ -18,13 +18,13 @@ Quaternion = tuple[float, float, float, float]
 
 @njit(cache=True)
 def in_ned(q_ned_frd: Array, x: float, y: float, z: float) -> Vector:
-    """Components in NED of a vector given in FRD: v + 2 w (u x v) + 2 u x (u x v)."""
+    """Transform a vector from FRD to NED: v + 2 w (u x v) + 2 u x (u x v)."""
     return _rotated(q_ned_frd[0], q_ned_frd[1], q_ned_frd[2], q_ned_frd[3], x, y, z)
 
 
 @njit(cache=True)
 def in_frd(q_ned_frd: Array, x: float, y: float, z: float) -> Vector:
-    """Components in FRD of a vector given in NED."""
+    """Transform a vector from NED to FRD."""
     return _rotated(q_ned_frd[0], -q_ned_frd[1], -q_ned_frd[2], -q_ned_frd[3], x, y, z)
 
 
@@ -38,7 +38,7 @@ def _rotated(w: float, i: float, j: float, k: float, x: float, y: float, z: floa
 
 @njit(cache=True)
 def turned(rotation_x: float, rotation_y: float, rotation_z: float, q: Array) -> Quaternion:
-    """Quaternion ``q`` (4,) turned by a rotation vector, in radians and in the frame that it maps to."""
+    """Rotate a quaternion ``q`` (4,) by a rotation vector, in radians and in the frame that it maps to."""
     angle_rad = math.sqrt(rotation_x * rotation_x + rotation_y * rotation_y + rotation_z * rotation_z)
     if angle_rad < SMALL_ANGLE_RAD:
         half_sinc = 0.5 - angle_rad * angle_rad / 48.0

@@ -1,11 +1,11 @@
-"""Forces and torques of rotors and air: kernels over all vehicles at once.
+"""Forces and torques of rotors and body drag: kernels over all vehicles at once.
 
-The model is PX4's `gazebo_motor_model`: thrust and yaw torque by the square of the speed, in-plane drag and
-rolling moment after P. Martin and E. Salaün, "The true role of accelerometer feedback in quadrotor control",
-ICRA 2010. All of them go with the density of the air, of which Gazebo's constants are those at sea level. The
-ground effect, where it is wanted, is I. C. Cheeseman and W. E. Bennett, "The effect of the ground on a
-helicopter rotor in forward flight", ARC R&M 3021, 1955, equation for the hover; with the vehicle's tilt it
-fades by the cosine.
+The model is PX4's `gazebo_motor_model`: thrust and yaw torque are proportional to the square of the speed;
+in-plane drag and rolling moment follow P. Martin and E. Salaün, "The true role of accelerometer feedback in
+quadrotor control", ICRA 2010. All are proportional to the air density; Gazebo's constants hold at sea level.
+The optional ground effect follows I. C. Cheeseman and W. E. Bennett, "The effect of the ground on a
+helicopter rotor in forward flight", ARC R&M 3021, 1955, equation for the hover, multiplied by the cosine of
+the vehicle's tilt.
 """
 
 import math
@@ -23,7 +23,7 @@ from harness.world.physics.rotation import in_frd, in_ned
 
 
 class RotorKernelModel(NamedTuple):
-    """`VehicleModel` in the form that compiled code takes."""
+    """`VehicleModel` as an argument of kernels."""
 
     hubs_frd_m: Array
     """(4, 3)"""
@@ -35,25 +35,25 @@ class RotorKernelModel(NamedTuple):
     rolling_n_s2: float
     body_drag_n_s_m: float
     ground_effect_radius_m: float
-    """Of a rotor; 0 where the ground has no effect"""
+    """Radius of a rotor; 0 disables the ground effect"""
     axial_speed_limit_m_s: float
     armed_speed_rad_s: float
     control_speed_rad_s: float
     rise: float
-    """Part of a motor's speed error that is left after one step while it rises."""
+    """Fraction of a motor's speed error that remains after one step while it rises."""
     fall: float
 
 
 LEAST_HEIGHT_RADII = 0.5
-"""Height of a rotor over its radius below which Cheeseman and Bennett's formula, which goes to infinity at a
-quarter, is held: it is usually taken to be valid above. A landed Iris's rotors are at 0.61."""
+"""Least height over radius in Cheeseman and Bennett's formula, which has a pole at 0.25 and is usually
+considered valid above 0.5. A landed Iris's rotors are at 0.61."""
 MOST_AXIAL_FACTOR = 1.2
-"""Reached at 5 m/s from below by the Iris, whose hovering rotors induce 5.5 m/s, sqrt(3.8 N / (2 rho A)):
-from about there on a rotor works in its own vortex ring and gains no more."""
+"""Limit of the thrust's increase, reached by the Iris at an inflow of 5 m/s from below. Its hovering rotors
+induce 5.5 m/s, sqrt(3.8 N / (2 rho A)); from about there a rotor is in its vortex ring state."""
 
 
 def kernel_model(model: VehicleModel, *, step_s: float, ground_effect: bool = False) -> RotorKernelModel:
-    """Numbers of the model for steps of that length."""
+    """Return the kernels' model for steps of ``step_s``."""
     return RotorKernelModel(
         hubs_frd_m=frd_from_flu(model.rotor_hubs_flu_m),
         turning=np.array(model.rotor_turning),
@@ -75,9 +75,9 @@ def kernel_model(model: VehicleModel, *, step_s: float, ground_effect: bool = Fa
 def rotor_speeds(
     model: RotorKernelModel, speed_rad_s: Array, controls: Array, powered: NDArray[np.bool_]
 ) -> Array:
-    """Rotor speeds (n, 4) one step on: a first-order lag towards what controls (n, 4) ask.
+    """Return the rotor speeds (n, 4) after a step: a first-order lag towards those of ``controls`` (n, 4).
 
-    Controls are limited to 0..1, not-a-number counting as 0; rotors whose ``powered`` (n, 4) is False spin
+    Controls are limited to 0..1, NaN counts as 0; rotors whose ``powered`` (n, 4) is False spin
     down.
     """
     after_rad_s = np.empty_like(speed_rad_s)
@@ -86,7 +86,7 @@ def rotor_speeds(
             target_rad_s = 0.0
             if powered[vehicle, rotor]:
                 control = controls[vehicle, rotor]
-                if not control > 0.0:  # not-a-number, too
+                if not control > 0.0:  # also NaN
                     control = 0.0
                 target_rad_s = model.armed_speed_rad_s + model.control_speed_rad_s * min(control, 1.0)
             now_rad_s = speed_rad_s[vehicle, rotor]
@@ -97,18 +97,18 @@ def rotor_speeds(
 
 @njit(cache=True)
 def axial_factor(inflow_from_below_m_s: float, limit_m_s: float) -> float:
-    """Thrust of a rotor over its static thrust, by the air's speed up its axis as the hub meets it.
+    """Return the thrust of a rotor over its static thrust for an axial inflow, positive from below.
 
-    Linear: in a climb or a downdraught it falls, to nothing at -``limit_m_s``; in a descent or an updraught
-    it rises as much, up to `MOST_AXIAL_FACTOR`. Gazebo's plugin takes the speed's magnitude, which makes
-    descents run away.
+    Linear: in a climb or a downdraught it falls, to zero at -``limit_m_s``; in a descent or an updraught it
+    rises with the same slope, up to `MOST_AXIAL_FACTOR`. Gazebo's plugin uses the speed's magnitude, which
+    makes descents unstable.
     """
     return min(max(1.0 + inflow_from_below_m_s / limit_m_s, 0.0), MOST_AXIAL_FACTOR)
 
 
 @njit(cache=True)
 def ground_effect(height_m: float, radius_m: float) -> float:
-    """Thrust of a rotor so high above the ground over its thrust far from it, at the same speed."""
+    """Return a rotor's thrust at a height above the ground over its thrust far from it, at the same speed."""
     radii = max(height_m / radius_m, LEAST_HEIGHT_RADII)
     return 1.0 / (1.0 - 1.0 / (16.0 * radii * radii))
 
@@ -122,10 +122,10 @@ def wrenches(
     rotor_speed_rad_s: Array,
     surroundings: Surroundings,
 ) -> tuple[Array, Array]:
-    """Force and torque on each vehicle for Bullet to apply: (n, 3) newtons and (n, 3) newton metres, NED.
+    """Return force (n, 3) in N and torque (n, 3) in N m on each vehicle, NED.
 
-    The torque is about the centre of mass, the velocities are its own, against the ground. Wind is the same
-    at all of a vehicle's rotors and its body.
+    The torque is about the centre of mass; the velocities are those of the centre of mass relative to the
+    ground. The wind is the same at all rotors and the body of a vehicle.
     """
     vehicles = q_ned_frd.shape[0]
     force_ned_n = np.empty((vehicles, 3))
@@ -153,10 +153,10 @@ def wrenches(
             blades = density * surroundings.effectiveness[vehicle, rotor]
             static_thrust = blades * (model.thrust_n_s2 * speed * speed)
             up = static_thrust * axial_factor(air_z, model.axial_speed_limit_m_s)
-            if model.ground_effect_radius_m > 0.0 and down[2] > 0.0:  # not with the rotors below the body
+            if model.ground_effect_radius_m > 0.0 and down[2] > 0.0:  # not upside down
                 height_m = surroundings.height_m[vehicle] - (down[0] * x + down[1] * y + down[2] * z)
                 more = ground_effect(height_m, model.ground_effect_radius_m) - 1.0
-                up *= 1.0 + down[2] * more  # all of it when level, nothing at 90 degrees
+                up *= 1.0 + down[2] * more  # full effect when level, none at 90 degrees
             drag_x = blades * (-model.drag_n_s2_m * speed * air_x)
             drag_y = blades * (-model.drag_n_s2_m * speed * air_y)
             force[0] += drag_x

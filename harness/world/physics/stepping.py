@@ -1,6 +1,6 @@
-"""A step of all vehicles in one kernel, for each call of one has its price.
+"""One step of all vehicles in one kernel, to save the overhead of several calls.
 
-What acts on them, where that leads those that are free, and what is to be known of it.
+Computes forces and torques, integrates free bodies, and derives the true state.
 """
 
 from typing import NamedTuple
@@ -17,7 +17,7 @@ from harness.world.physics.rotors import RotorKernelModel, rotor_speeds, wrenche
 
 
 class StepModel(NamedTuple):
-    """What is the same in every step, in the form that compiled code takes."""
+    """Constants of all steps, as an argument of kernels."""
 
     rotors: RotorKernelModel
     inertia_kg_m2: Array
@@ -26,7 +26,7 @@ class StepModel(NamedTuple):
     gravity_m_s2: float
     step_s: float
     reach_m: float
-    lasting: float
+    release_ratio: float
     """See `near_something`"""
 
 
@@ -47,13 +47,13 @@ def fly(
     after: NDArray[np.void],
     truth: NDArray[np.void],
 ) -> bool:
-    """Bring n vehicles a step further, if all are free; returns whether any comes near something by it.
+    """Step n vehicles; returns whether ``near`` has changed, if all are free.
 
-    ``before`` and ``after`` (n,) are rows of `BODY`, ``truth_before`` and ``truth`` (n,) of `TRUTH`; rotors
-    that are ``stopped`` (n, 4), or not ``armed`` (n,), run down; the next three, (n, 4), (n, 3) and (n, 3),
-    are as in `wrenches`, the wind's force is at the centres of mass. If some are ``near`` (n,) something,
-    Bullet is to move those as ``applied`` (n, 2, 3) says, which are force and torque, NED, and `look` does
-    what is left here.
+    ``before`` and ``after`` (n,) are rows of `BODY`, ``truth_before`` and ``truth`` (n,) of `TRUTH`. Rotors
+    that are ``stopped`` (n, 4), or not ``armed`` (n,), run down. ``effectiveness`` (n, 4),
+    ``air_vel_ned_m_s`` (n, 3) and ``density_ratio`` (n,) are those of `wrenches`; ``wind_force_ned_n`` (n, 3)
+    acts at the centres of mass. If some vehicles are ``near`` (n,) something, Bullet must step those with
+    force and torque ``applied`` (n, 2, 3), NED, and `finish_step` must be called afterwards.
     """
     n = len(before)
     powered = np.empty((n, 4), dtype=np.bool_)
@@ -85,17 +85,17 @@ def fly(
         )
         truth[i]["rotor_speed_rad_s"][:] = rotor_speed_rad_s[i]
     coast(model.mass_kg, model.inertia_kg_m2, model.gravity_m_s2, model.step_s, before, applied, after)
-    return not any_near and look(model, before, after, near, truth)
+    return not any_near and finish_step(model, before, after, near, truth)
 
 
 @njit(cache=True)
-def look(
+def finish_step(
     model: StepModel,
     before: NDArray[np.void],
     after: NDArray[np.void],
     near: NDArray[np.bool_],
     truth: NDArray[np.void],
 ) -> bool:
-    """Observe where a step has led; returns whether it has changed who is near something, which it notes."""
+    """Compute the true state after a step and update ``near``; returns whether that has changed."""
     observe(before, after, model.gravity_m_s2, model.step_s, truth)
-    return near_something(after, model.reach_m, model.lasting, near)
+    return near_something(after, model.reach_m, model.release_ratio, near)

@@ -1,4 +1,4 @@
-"""What the physics knows about the vehicles after a step; sensors, recorder and emulator read it."""
+"""True state of the vehicles after a step, for sensors, recorder and emulator."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -20,13 +20,13 @@ TRUTH = np.dtype(
         ("mean_omega_frd_rad_s", "f8", 3),
     ]
 )
-"""Row of one vehicle; the fields are `Truth`'s. Compiled code takes it as one argument."""
+"""Row of one vehicle with the fields of `Truth`; one argument of kernels."""
 
 
 class Truth:
     """State of n vehicles at the end of a step, and means over that step.
 
-    A view of ``rows`` (n,) of `TRUTH`, which are never written again.
+    A view of ``rows`` (n,) of `TRUTH`, which are not changed afterwards.
     """
 
     __slots__ = ("rows",)
@@ -36,7 +36,7 @@ class Truth:
 
     @classmethod
     def of(cls, **fields: Array) -> Self:
-        """Put all fields together, each (n, 3) or (n, 4)."""
+        """Construct it from all fields, each (n, 3) or (n, 4)."""
         rows = np.empty(len(fields["pos_ned_m"]), TRUTH)
         for name in TRUTH.names or ():
             rows[name] = fields[name]
@@ -69,21 +69,21 @@ class Truth:
 
     @property
     def acc_ned_m_s2(self) -> Array:
-        """(n, 3) change of velocity over the step, per second: contact forces are in it."""
+        """(n, 3) mean acceleration over the step, including contact forces."""
         return self.rows["acc_ned_m_s2"]
 
     @property
     def specific_force_frd_m_s2(self) -> Array:
-        """(n, 3) what an accelerometer at the centre of mass would report of the step.
+        """(n, 3) mean specific force over the step at the centre of mass, as an accelerometer measures it.
 
-        That is acceleration less gravity, in the body axes half-way through it: (0, 0, -9.8066) standing
-        level. Before the first step: as if held still.
+        Acceleration minus gravity, in the body axes at the middle of the step: (0, 0, -9.8066) for a level
+        vehicle at rest, which is also the value before the first step.
         """
         return self.rows["specific_force_frd_m_s2"]
 
     @property
     def mean_omega_frd_rad_s(self) -> Array:
-        """(n, 3) what a gyroscope would report of the step: mean body rate."""
+        """(n, 3) mean body rate over the step, as a gyroscope measures it."""
         return self.rows["mean_omega_frd_rad_s"]
 
 
@@ -93,6 +93,6 @@ class Contact:
 
     first: int
     second: int
-    """The larger of the two numbers."""
+    """Larger than ``first``."""
     pos_ned_m: tuple[float, float, float]
     """One point of contact."""

@@ -17,8 +17,8 @@ _STEP_US = 4_000
 
 
 def warm_up() -> None:
-    """Two vehicles lift off, are measured and heard, for a fraction of a second."""
-    ActuatorInbox(2).take(0)
+    """Simulate the lift-off of two vehicles with sensors and HIL messages for a fraction of a second."""
+    ActuatorInbox(2).unpack(0)
     spawn_ned_m = np.array([[0.0, 0.0, -IRIS.standing_height_m], [0.0, 5.0, -IRIS.standing_height_m]])
     vehicles, encoder = len(spawn_ned_m), SensorEncoder()
     sensors = SensorSuite(
@@ -42,7 +42,7 @@ def warm_up() -> None:
         dt_s, height_m = _STEP_US * 1e-6, np.full(vehicles, 1.0)
         for step in range(STEPS):
             encoder.encode(step * _STEP_US, sensors.sample(step * _STEP_US, world.truth))
-            world.vehicle_contacts  # noqa: B018  looks who is near
+            world.vehicle_contacts  # noqa: B018  compiles the search for contacts
             world.step(
                 np.full((vehicles, 4), 0.8),
                 np.ones(vehicles, dtype=bool),

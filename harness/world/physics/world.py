@@ -1,7 +1,7 @@
-"""The world in which the vehicles move: rigid bodies and contacts under our rotor model.
+"""The physical world: rigid bodies, contacts and the rotor model.
 
-Vehicles that are near the ground or each other are Bullet's (`harness.world.physics.bullet`); the others fly
-freely by the same scheme (`harness.world.physics.free_flight`). Forces come from
+Bullet (`harness.world.physics.bullet`) steps vehicles near the ground or near each other; the others are
+stepped with the same scheme by `harness.world.physics.free_flight`. Forces are those of
 `harness.world.physics.rotors`.
 """
 
@@ -18,26 +18,27 @@ from harness.world.physics.bullet import NO_TOUCHES, Bullet, Touches
 from harness.world.physics.environment import STANDARD, EnvironmentConfig
 from harness.world.physics.model import VehicleModel
 from harness.world.physics.rotors import kernel_model
-from harness.world.physics.stepping import StepModel, fly, look
+from harness.world.physics.stepping import StepModel, finish_step, fly
 from harness.world.physics.truth import TRUTH, Contact, Truth
 
 GRAVITY_M_S2 = 9.8066
-"""As Gazebo-classic's worlds have it."""
+"""Value of Gazebo-classic's worlds."""
 REACH_DIAGONALS = 2.0
-"""Distance between two vehicles, in diagonals of their shape, within which Bullet has them; half of that
-above the ground. They touch at one diagonal at most, and Bullet looks for contacts where bodies are when a
-step begins: it never meets one that it does not have, whatever their speed."""
-LASTING = 1.25
-"""Times as far are those who leave it again, so that nobody who hovers at the limit comes and goes."""
+"""Distance between two vehicles, in diagonals of their shape, within which Bullet steps them; half of it is
+the height above the ground. Vehicles touch within one diagonal, and Bullet searches contacts at the positions
+at the begin of a step, so it holds every body with a contact at any speed."""
+RELEASE_RATIO = 1.25
+"""Bullet releases a vehicle at this multiple of the distance, a hysteresis for vehicles that hover at the
+limit."""
 
 
 class World:
     """Vehicles of one model over flat ground (down = 0), advanced in fixed steps.
 
-    ``spawn_pos_ned_m`` (n, 3) are the centres of mass, which stand ``model.standing_height_m`` above the
-    ground; ``spawn_yaw_rad`` is everyone's heading, clockwise from north. Raises ValueError for a spawn below
-    the ground. ``ground_altitude_m`` is that of the ground above mean sea level, for the density. Instances
-    are independent of each other and use no randomness: equal arguments give equal bytes.
+    ``spawn_pos_ned_m`` (n, 3) are the centres of mass, ``model.standing_height_m`` above the ground if
+    landed; ``spawn_yaw_rad`` is the heading of all vehicles, clockwise from north. Raises ValueError for a
+    spawn below the ground. ``ground_altitude_m`` is the ground's altitude above mean sea level, for the
+    density. Instances are independent and use no random numbers: equal arguments give equal bytes.
     """
 
     def __init__(
@@ -65,7 +66,7 @@ class World:
             gravity_m_s2=GRAVITY_M_S2,
             step_s=step_s,
             reach_m=REACH_DIAGONALS * math.dist(model.box_m, (0.0, 0.0, 0.0)),
-            lasting=LASTING,
+            release_ratio=RELEASE_RATIO,
         )
         self._environment = environment
         self._ground_altitude_m = ground_altitude_m
@@ -80,12 +81,12 @@ class World:
         self._bodies["pos_ned_m"] = spawn
         self._bodies["q_ned_frd"] = math.cos(spawn_yaw_rad / 2.0), 0.0, 0.0, math.sin(spawn_yaw_rad / 2.0)
         self._near = np.zeros(vehicles, dtype=np.bool_)
-        """Whom Bullet has."""
+        """Vehicles that Bullet steps."""
         self._bullet = Bullet(model, step_s=step_s, gravity_m_s2=GRAVITY_M_S2)
         self._touches: Touches | None = NO_TOUCHES
-        """In the last step; None: nobody has asked yet."""
+        """Contacts of the last step; None: not queried yet."""
         rows = np.zeros(vehicles, TRUTH)
-        if look(self._model, self._bodies, self._bodies, self._near, rows):
+        if finish_step(self._model, self._bodies, self._bodies, self._near, rows):
             self._hand_over()
         self._truth = Truth(rows)
 
@@ -99,13 +100,12 @@ class World:
         air_vel_ned_m_s: Array | None = None,
         rotor_effectiveness: Array | None = None,
     ) -> None:
-        """Advance by one step with everything held over it.
+        """Advance by one step with constant inputs.
 
         ``controls`` (n, 4): motors, 0..1 in PX4's order; ``armed`` (n,); ``wind_force_ned_n`` (n, 3) at the
-        centres of mass; ``rotors_stopped`` (n,) or (n, 4): vehicles or rotors that run down whatever the
-        controls say, None for none; ``air_vel_ned_m_s`` (n, 3): the wind as a velocity, None for air at rest;
-        ``rotor_effectiveness`` (n, 4): part of its thrust and torques that a rotor still has, None for whole
-        ones.
+        centres of mass; ``rotors_stopped`` (n,) or (n, 4): vehicles or rotors that run down regardless of
+        the controls, None for none; ``air_vel_ned_m_s`` (n, 3): velocity of the air, None for air at rest;
+        ``rotor_effectiveness`` (n, 4): remaining fraction of each rotor's thrust and torques, None for 1.
         """
         before = self._bodies
         if self._environment.density != "standard":
@@ -134,13 +134,13 @@ class World:
         )
         if self._bullet.holds:
             self._bullet.step(before, self._applied, after)
-            changed = look(self._model, before, after, self._near, rows)
+            changed = finish_step(self._model, before, after, self._near, rows)
         self._bodies, self._truth, self._touches = after, Truth(rows), None
         if changed:
             self._hand_over()
 
     def _hand_over(self) -> None:
-        """Have Bullet hold those who are near something, and nobody else."""
+        """Add vehicles to Bullet that are near something, and remove the others."""
         held = self._bullet.holds
         for vehicle, near in enumerate(self._near.tolist()):
             if near and vehicle not in held:
@@ -155,12 +155,12 @@ class World:
 
     @property
     def density_ratio(self) -> Array:
-        """(n,) density of the air over that of `SEA_LEVEL_DENSITY_KG_M3`, in the last step."""
+        """(n,) air density over `SEA_LEVEL_DENSITY_KG_M3` in the last step."""
         return self._density_ratio
 
     @property
     def vehicle_contacts(self) -> tuple[Contact, ...]:
-        """Pairs of vehicles that touched in the last step, in order of their numbers, each pair once."""
+        """Pairs of vehicles that touched in the last step, sorted by their numbers, each pair once."""
         if len(self._bullet.holds) < 2:
             return ()
         return tuple(
@@ -176,7 +176,7 @@ class World:
         return on_ground
 
     def close(self) -> None:
-        """Free Bullet's world. May be called again."""
+        """Free Bullet's world; harmless when repeated."""
         self._bullet.close()
 
     def __enter__(self) -> Self:
@@ -188,7 +188,7 @@ class World:
         self.close()
 
     def _last_touches(self) -> Touches:
-        """What Bullet saw in the last step; it is asked once, and only if somebody wants to know."""
+        """Return Bullet's contacts of the last step, queried once and on demand."""
         if self._touches is None:
             self._touches = self._bullet.touches()
         return self._touches

@@ -1,1 +1,1 @@
-"""What the vehicles' sensors report of the truth: noise, biases, rates and delays. No I/O."""
+"""Simulated sensors of the vehicles: noise, biases, rates and delays. No I/O."""

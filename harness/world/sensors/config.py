@@ -1,8 +1,8 @@
-"""Settings of the sensors: what a scenario's ``[sensors]`` table may say, and the profiles behind it.
+"""Settings of the sensors: a scenario's ``[sensors]`` table and its profiles.
 
-- ``ideal``: no error at all, at the same rates and delays.
-- ``gazebo``: what PX4's Gazebo-classic plugins really yield, near-perfect GPS included.
-- ``consumer``: the same short-term noise, with the biases of low-cost parts after calibration and metre-level
+- ``ideal``: no errors, at the same rates and delays.
+- ``gazebo``: the effective errors of PX4's Gazebo-classic plugins, with an almost perfect GPS.
+- ``consumer``: the same short-term noise, with the biases of calibrated low-cost parts and a metre-level
   GPS.
 """
 
@@ -15,59 +15,64 @@ PositionStd = Annotated[float, Meta(ge=0.0, le=1000.0)]
 
 
 class GpsOverrides(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The scenario's ``[sensors.gps]`` table; None is the profile's own value."""
+    """The scenario's ``[sensors.gps]`` table; None: the profile's value."""
 
     horizontal_bias_std_m: PositionStd | None = None
     """Stationary standard deviation, per axis, of the slow error (first-order Gauss-Markov)."""
     vertical_bias_std_m: PositionStd | None = None
+    """The same of the vertical axis."""
     bias_time_constant_s: Annotated[float, Meta(gt=0.0, le=1e6)] | None = None
+    """Correlation time of the slow error, seconds."""
     white_std_m: PositionStd | None = None
-    """Per axis and fix, beside the slow error."""
+    """White error per axis and fix, in addition to the slow error."""
     velocity_std_m_s: Annotated[float, Meta(ge=0.0, le=50.0)] | None = None
-    """White, per axis and fix."""
+    """White error of the velocity per axis and fix."""
     rate_hz: Annotated[float, Meta(ge=0.1, le=50.0)] | None = None
+    """Fixes per second."""
     delay_s: Annotated[float, Meta(ge=0.0, le=0.3)] | None = None
-    """Age of what a fix describes, when it arrives."""
+    """Age of a fix when it arrives."""
 
 
 class SensorsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The scenario's ``[sensors]`` table."""
 
     profile: Literal["consumer", "gazebo", "ideal"] = "consumer"
+    """Error models of all sensors: low-cost parts, those of Gazebo-classic, or none."""
     gps: GpsOverrides = GpsOverrides()
+    """Settings of the GPS receiver that differ from the profile: the table ``[sensors.gps]``."""
 
     def gps_model(self) -> "GpsModel":
-        """Give the profile's receiver with what the scenario says otherwise."""
+        """Return the profile's receiver with the scenario's overrides."""
         return PROFILES[self.profile].gps.overridden(self.gps)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorErrorModel:
-    """Error of one sensor, for each axis alike: a constant, a slow and a white part, all independent."""
+    """Error of one sensor, equal for all axes: independent constant, slow and white parts."""
 
     white_std: float = 0.0
-    """Per sample"""
+    """Standard deviation of the white part per sample"""
     turn_on_std: float = 0.0
-    """Drawn once"""
+    """Standard deviation of the constant part, drawn once"""
     drift_std: float | tuple[float, float, float] = 0.0
-    """Stationary, of a first-order Gauss-Markov process; per axis if they differ"""
+    """Stationary standard deviation of a first-order Gauss-Markov process; a tuple if the axes differ"""
     drift_time_constant_s: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InertialErrorModel:
-    """As `SensorErrorModel`, in the units of data sheets: independent of the sampling rate."""
+    """`SensorErrorModel` in the units of data sheets, independent of the sampling rate."""
 
     noise_density: float = 0.0
     """White noise, unit/sqrt(Hz)"""
     turn_on_std: float = 0.0
     random_walk: float = 0.0
-    """Drive of the drift, unit sqrt(Hz)"""
+    """Density of the noise that drives the drift, unit sqrt(Hz)"""
     correlation_s: float = 1.0
     """Time constant of the drift"""
 
     def at_interval(self, interval_s: float) -> SensorErrorModel:
-        """Give the error of one sample of a series ``interval_s`` apart.
+        """Return the error model of samples ``interval_s`` apart.
 
         A Gauss-Markov process of time constant τ driven by white noise of density d has variance d² τ / 2.
         """
@@ -81,7 +86,7 @@ class InertialErrorModel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GpsModel:
-    """The fields of `GpsOverrides`, all of them set."""
+    """The fields of `GpsOverrides`, all with values."""
 
     horizontal_bias_std_m: float = 0.0
     vertical_bias_std_m: float = 0.0
@@ -92,9 +97,9 @@ class GpsModel:
     delay_s: float = 0.12
 
     def overridden(self, overrides: GpsOverrides) -> "GpsModel":
-        """Replace what the scenario says otherwise."""
-        said = {name: value for name, value in structs.asdict(overrides).items() if value is not None}
-        return replace(self, **said)
+        """Return the model with the scenario's overrides."""
+        values = {name: value for name, value in structs.asdict(overrides).items() if value is not None}
+        return replace(self, **values)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,8 +126,8 @@ PROFILES: dict[str, SensorProfile] = {
         gyro_rad_s=InertialErrorModel(noise_density=_GAZEBO_GYRO_DENSITY),
         mag_gauss=_GAZEBO_MAG,
         baro_pa=SensorErrorModel(white_std=1.0),
-        # The GPS plugin runs every dt = 4 ms: its bias moves by 2.0 sqrt(dt) dt (vertical 4.0) and loses 1/60
-        # of itself each time, so that its rms is 5.06e-4 m x sqrt(60/2) and its time constant 60 dt; its
+        # The GPS plugin runs every dt = 4 ms: its bias changes by 2.0 sqrt(dt) dt (vertical 4.0) and decays
+        # by 1/60 each time, so its rms is 5.06e-4 m x sqrt(60/2) and its time constant 60 dt; its
         # white noises are 2e-4 sqrt(dt) m and 0.2 sqrt(dt) m/s.
         gps=GpsModel(
             horizontal_bias_std_m=2.8e-3,
@@ -133,9 +138,9 @@ PROFILES: dict[str, SensorProfile] = {
         ),
     ),
     "consumer": SensorProfile(
-        # Gazebo's densities stand for the part and the airframe's vibration together. Drift of the ADIS16448
-        # that Gazebo modelled before. Turn-on: the gyro's from the same; of the accelerometer what a
-        # six-sided calibration leaves at 0.5 mg/K over 10 K. Drift and turn-on together: 0.09 m/s^2.
+        # Gazebo's densities represent the part and the airframe's vibration. Drift: ADIS16448, which Gazebo
+        # modelled before. Turn-on: of the gyro from the same part; of the accelerometer the residual of a
+        # six-sided calibration at 0.5 mg/K over 10 K. Drift and turn-on together: 0.09 m/s^2.
         accel_m_s2=InertialErrorModel(
             noise_density=_GAZEBO_ACCEL_DENSITY, turn_on_std=0.05, random_walk=6e-3, correlation_s=300.0
         ),
@@ -145,9 +150,9 @@ PROFILES: dict[str, SensorProfile] = {
             random_walk=3.879e-5,
             correlation_s=1000.0,
         ),
-        # 2 mgauss of hard iron after calibration: half a degree of heading where 0.215 gauss are horizontal
+        # 2 mgauss of hard iron after calibration: half a degree of heading with 0.215 gauss horizontally
         mag_gauss=replace(_GAZEBO_MAG, turn_on_std=2e-3),
-        # absolute accuracy of a phone-grade part +-50 Pa, taken as 2 sigma; 2 Pa (17 cm) of slow drift
+        # absolute accuracy of a phone-grade part +-50 Pa, interpreted as 2 sigma; 2 Pa (17 cm) of slow drift
         baro_pa=SensorErrorModel(white_std=1.0, turn_on_std=25.0, drift_std=2.0, drift_time_constant_s=300.0),
         gps=GpsModel(
             horizontal_bias_std_m=1.5,

@@ -1,4 +1,4 @@
-"""The error process that every sensor shares: a constant, a slow and a white part."""
+"""Error process of a sensor: the sum of a constant, a slow and a white part."""
 
 import math
 
@@ -10,11 +10,11 @@ from harness.world.sensors.config import SensorErrorModel
 
 
 class SensorError:
-    """Errors of one kind of sensor in n vehicles, sample after sample, ``interval_s`` apart.
+    """Errors of one kind of sensor in n vehicles, for samples ``interval_s`` apart.
 
-    ``shape`` is that of a sample: (n,) or (n, 3). The drift begins in its stationary distribution and is
-    discretised exactly. Two normal draws per value and sample, always, so that streams do not depend on the
-    model's numbers; they are drawn for many samples at once.
+    ``shape`` is that of a sample: (n,) or (n, 3). The drift starts in its stationary distribution and is
+    discretised exactly. Every value of a sample uses two normal draws, so that random streams do not depend
+    on the model's parameters; draws are made for many samples at once.
     """
 
     def __init__(
@@ -34,18 +34,18 @@ class SensorError:
         self._taken = 0
 
     def next(self) -> Array:
-        """Error of the next sample; not to be written to."""
+        """Return the error of the next sample; do not write to it."""
         self.begin_fast_steps()
         error: Array = self._errors[self._taken]
         self._taken += 1
         return error
 
     def begin_fast_steps(self) -> None:
-        """Have the next sample's error ready, so that `next` is quick. Changes no sample."""
+        """Prepare the next sample's error, so that `next` is fast. Changes no sample."""
         if self._taken < len(self._errors):
             return
         draws = self._rng.standard_normal((STEPS_AHEAD, 2, *self._turn_on.shape))
-        # contiguous, so that the kernel is compiled for one layout only
+        # contiguous: the kernel is compiled for one memory layout only
         drift, white = np.ascontiguousarray(draws[:, 0]), draws[:, 1]
         drifts = gauss_markov_path(self._drift, self._kept, self._drift_step_std, drift)
         self._drift = drifts[-1].copy()

@@ -1,4 +1,4 @@
-"""All sensors of all vehicles: from the truth after a step to what each vehicle's autopilot is sent of it."""
+"""All sensors of all vehicles: converts the truth after a step to sensor readings."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -21,14 +21,14 @@ from harness.world.sensors.errors import SensorError
 
 HPA_PER_PA = 0.01
 LEAST_EPH_M = 0.01
-"""A receiver never claims less; also the resolution of HIL_GPS."""
-MOST_FELT_M, LEAST_FELT_M = (atmosphere.altitude_m(pressure_pa) for pressure_pa in (1_000.0, 120_000.0))
+"""Least accuracy that a receiver reports; also the resolution of HIL_GPS."""
+MOST_SENSED_M, LEAST_SENSED_M = (atmosphere.altitude_m(pressure_pa) for pressure_pa in (1_000.0, 120_000.0))
 """Altitudes of the 10 and 1200 hPa between which barometers of this kind (MS5611) measure."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GpsFixes:
-    """One fix of each of n receivers; it describes the moment ``delay_s`` before its arrival."""
+    """One fix of each of n receivers, for the instant ``delay_s`` before its arrival."""
 
     lat_deg: Array
     """(n,)"""
@@ -38,10 +38,10 @@ class GpsFixes:
     vel_ned_m_s: Array
     """(n, 3)"""
     eph_m: float
-    """One sigma of each horizontal axis, slow and white error together"""
+    """One sigma of each horizontal axis, of the sum of slow and white errors"""
     epv_m: float
     lost: NDArray[np.bool_] | None = None
-    """(n,) whose receivers have no fix: the rest says nothing of them; None where all have"""
+    """(n,) receivers without a fix, whose other fields are invalid; None: all have one"""
 
 
 class BaroSamples(NamedTuple):
@@ -54,7 +54,7 @@ class BaroSamples(NamedTuple):
 
 
 class SensorFrame(Struct, frozen=True, kw_only=True):
-    """What is sent to n vehicles at ``time_us``; None where a sensor has nothing new."""
+    """Sensor readings for n vehicles at ``time_us``; None if a sensor has no new sample."""
 
     time_us: int
     accel_frd_m_s2: Array
@@ -70,11 +70,11 @@ class SensorFrame(Struct, frozen=True, kw_only=True):
 class SensorSuite:
     """Sensors of one profile in every vehicle, sampled once per physics step.
 
-    Every kind of sensor draws from a stream of its own, for all vehicles at once and when the clock says so:
-    what becomes of one vehicle changes nothing for the others. A sensor whose period is no multiple of the
-    step reports at the first step after it is due. The GPS delay is rounded to whole steps; there is no fix
-    before that much has passed. ``temperature_offset_k`` is that of the air against the standard
-    atmosphere's, which the thermometers beside the barometers report; the pressure stays the standard's.
+    Every kind of sensor has its own random stream and draws at fixed times for all vehicles at once, so the
+    state of one vehicle does not affect the errors of others. A sensor whose period is no multiple of the
+    step reports at the first step after it is due. The GPS delay is rounded to whole steps; the first fix
+    comes after this delay. ``temperature_offset_k`` is the air temperature minus the standard atmosphere's;
+    the barometers' thermometers report it, but the pressure remains the standard's.
     """
 
     def __init__(
@@ -145,9 +145,10 @@ class SensorSuite:
         self._no_faults = Faults((), vehicles, np.random.default_rng(0))
 
     def sample(self, time_us: int, truth: Truth, faults: Faults | None = None) -> SensorFrame:
-        """Read all sensors at the end of the step that brought the vehicles to ``truth`` at ``time_us``.
+        """Sample all sensors at the end of a step with state ``truth`` at ``time_us``.
 
-        ``faults``, gone on to ``time_us``, come after the sensors' own errors, which they do not change.
+        ``faults``, advanced to ``time_us``, are added to the sensors' own errors, which do not depend on
+        them.
         """
         self._recent.append(truth)
         faults = faults if faults is not None else self._no_faults
@@ -172,7 +173,7 @@ class SensorSuite:
         )
 
     def begin_fast_steps(self) -> None:
-        """Draw what the next `sample` will need, while there is time. Changes no sample."""
+        """Draw the random numbers of the next `sample` in advance. Changes no sample."""
         for error in self._errors:
             error.begin_fast_steps()
 
@@ -240,7 +241,7 @@ class SensorSuite:
 
 @njit(cache=True)
 def inertial_samples(truth: NDArray[np.void], accel_error: Array, gyro_error: Array) -> tuple[Array, Array]:
-    """Accelerometers' and gyroscopes' samples, (n, 3) each, of `TRUTH` (n,) and their errors (n, 3)."""
+    """Return samples of accelerometers and gyroscopes, (n, 3) each, from `TRUTH` (n,) and errors (n, 3)."""
     accel_frd_m_s2, gyro_frd_rad_s = np.empty((len(truth), 3)), np.empty((len(truth), 3))
     for i in range(len(truth)):
         for axis in range(3):
@@ -253,21 +254,21 @@ def inertial_samples(truth: NDArray[np.void], accel_error: Array, gyro_error: Ar
 def barometer_samples(
     truth: NDArray[np.void], ground_altitude_m: float, offset_m: Array, error_pa: Array, zero_degc_k: float
 ) -> tuple[Array, Array]:
-    """Pressures (n,) in hPa and temperatures (n,) in degC at `TRUTH` (n,), above ground of that altitude.
+    """Return pressures (n,) in hPa and temperatures (n,) in degC for `TRUTH` (n,).
 
-    The pressure is that of ``offset_m`` (n,) higher, with ``error_pa`` (n,).
+    The pressure is that at an altitude higher by ``offset_m`` (n,), plus ``error_pa`` (n,).
     """
     pressure_hpa, temperature_degc = np.empty(len(truth)), np.empty(len(truth))
     for i in range(len(truth)):
         altitude_m = ground_altitude_m - truth[i]["pos_ned_m"][2]
-        felt_m = min(max(altitude_m + offset_m[i], LEAST_FELT_M), MOST_FELT_M)
-        pressure_hpa[i] = HPA_PER_PA * (atmosphere.pressure_pa(felt_m) + error_pa[i])
+        sensed_m = min(max(altitude_m + offset_m[i], LEAST_SENSED_M), MOST_SENSED_M)
+        pressure_hpa[i] = HPA_PER_PA * (atmosphere.pressure_pa(sensed_m) + error_pa[i])
         temperature_degc[i] = atmosphere.temperature_k(altitude_m) - zero_degc_k
     return pressure_hpa, temperature_degc
 
 
 def _turned(vector_ned: Array, angle_rad: float) -> Array:
-    """Turn a vector (3,) clockwise seen from above."""
+    """Rotate a vector (3,) clockwise seen from above."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     north, east, down = vector_ned
     return np.array([c * north - s * east, s * north + c * east, down])

@@ -1,4 +1,4 @@
-"""Wind: what the air does to every vehicle, as a force or as a velocity. No I/O."""
+"""Wind at every vehicle, as a force or as a velocity of the air. No I/O."""
 
 from harness.world.wind.config import GustConfig, WindConfig
 from harness.world.wind.force import VERTICAL_GUST_RATIO, GustyWind

@@ -1,4 +1,4 @@
-"""Wind as the article has it: a force on every vehicle, whatever its motion, of a mean and gusts."""
+"""Wind as a force on every vehicle, as in the article: a mean plus gusts, independent of the motion."""
 
 import math
 
@@ -9,15 +9,15 @@ from harness.world.gauss_markov import STEPS_AHEAD, gauss_markov_path
 from harness.world.wind.config import WindConfig
 
 VERTICAL_GUST_RATIO = 0.3
-"""rms of the gusts' down component over that of each horizontal one."""
+"""RMS of the gusts' down component over that of each horizontal one."""
 
 
 class GustyWind:
     """Mean force plus gusts: for each axis and vehicle a stationary first-order Gauss-Markov process.
 
-    A gust is ``sqrt(c)`` times a process that all vehicles share plus ``sqrt(1 - c)`` times one of the
-    vehicle's own, c being the correlation. The processes start in their stationary distribution. ``config``
-    is of kind "force"; its written-down gusts are `harness.world.wind.Wind`'s matter. Raises ValueError.
+    A vehicle's gust is ``sqrt(c)`` times a common process plus ``sqrt(1 - c)`` times its own process, with
+    correlation c. The processes start in their stationary distribution. ``config`` is of kind "force"; its
+    deterministic gusts are added by `harness.world.wind.Wind`. Raises ValueError.
     """
 
     def __init__(self, config: WindConfig, vehicles: int, rng: np.random.Generator) -> None:
@@ -47,9 +47,9 @@ class GustyWind:
         self._taken = 0
 
     def step(self, dt_s: float) -> Array:
-        """Force (n, 3) in newtons, NED, ``dt_s`` seconds after the last call (exact for any interval).
+        """Return the force (n, 3) in N, NED, ``dt_s`` seconds after the last call (exact for any interval).
 
-        Not to be written to. Worked out for many steps ahead, whose interval is taken to stay the same.
+        Do not write to it. Computed for many steps ahead, on the assumption of a constant interval.
         """
         if dt_s != self._dt_s or self._taken == len(self._forces_ned_n):
             self._look_ahead(dt_s)
@@ -58,7 +58,7 @@ class GustyWind:
         return force_ned_n
 
     def _look_ahead(self, dt_s: float) -> None:
-        """Work out the forces of the next steps; what was drawn for later at another interval is used."""
+        """Compute the forces of the next steps; reuses draws that were made for another interval."""
         if self._taken:
             self._unit_gusts = self._path[self._taken - 1]
         left = self._fresh[self._taken :]

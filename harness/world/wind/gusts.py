@@ -1,4 +1,4 @@
-"""Gusts that a scenario writes down: the same vector for all vehicles, known at every instant."""
+"""Deterministic gusts of a scenario: the same vector for all vehicles."""
 
 import math
 
@@ -9,7 +9,7 @@ from harness.world.wind.config import GustConfig, WindConfig, direction_ned
 
 
 class GustProfiles:
-    """The sum of ``config.gusts``: newtons or m/s, as the wind's kind has it."""
+    """The sum of ``config.gusts``, in N or m/s by the wind's kind."""
 
     def __init__(self, config: WindConfig) -> None:
         self._gusts = tuple(
@@ -17,7 +17,7 @@ class GustProfiles:
         )
 
     def at(self, time_us: int) -> Array | None:
-        """Sum (3,) NED at a simulated time; None while there is none."""
+        """Return the sum (3,) NED at a simulated time; None without a gust."""
         total: Array | None = None
         for gust, peak_ned, start_us in self._gusts:
             fraction = rise(gust, time_us - start_us)
@@ -28,12 +28,12 @@ class GustProfiles:
 
 
 def rise(gust: GustConfig, since_us: int) -> float:
-    """Give the part of its peak that a gust has so long after its start."""
+    """Return the fraction of its peak that a gust has ``since_us`` after its start."""
     rise_us = round(gust.rise_s * 1e6)
     left_us = math.inf if gust.duration_s is None else round(gust.duration_s * 1e6) - since_us
     if since_us < 0 or left_us <= 0:
         return 0.0
-    nearest_us = min(since_us, left_us)  # it falls as it rose
+    nearest_us = min(since_us, left_us)  # the fall mirrors the rise
     if nearest_us >= rise_us:
         return 1.0
     part = nearest_us / rise_us

@@ -9,13 +9,13 @@ Source: MIL-F-8785C (1980), 3.7. One-sided spectra over the spatial frequency W
                 v, w s^2 (L / pi) (1 + 8/3 (a L W)^2) / (1 + (a L W)^2)^(11/6)
 
 u is along the mean wind, v across it, w vertical. MIL-HDBK-1797 halves the lengths of v and w and doubles
-them in the formulas, which is the same. A vehicle that is passed at speed V meets W at the angular frequency
-V W, so that white noise through H(p), p = s L / V, has these spectra: Dryden's exactly, von Karman's, which
-no filter of finite order has, within 3.3 % (u) and 4.5 % (v, w) up to L W = 10, from where the filter falls
-faster: 0.97 (u) and 0.96 (v, w) of the variance are in it. Its coefficients are those in general
-use, as in MathWorks' Aerospace Blockset.
+them in the formulas, which is equivalent. If the pattern passes a vehicle at speed V, W has the angular
+frequency V W, so white noise filtered by H(p), p = s L / V, has these spectra: Dryden's exactly; von
+Karman's, which has no filter of finite order, within 3.3 % (u) and 4.5 % (v, w) up to L W = 10. Above that
+the filter falls faster; it contains 0.97 (u) and 0.96 (v, w) of the variance. Its coefficients are the usual
+ones, as in MathWorks' Aerospace Blockset.
 
-Left out: turbulent rotation rates, which matter to vehicles not small against L.
+Not modelled: turbulent rotation rates, which affect vehicles that are not small compared with L.
 """
 
 import math
@@ -31,7 +31,7 @@ from harness.world.gauss_markov import STEPS_AHEAD
 Spectrum = Literal["dryden", "von_karman"]
 FOOT_M = 0.3048
 ORDER = 3
-"""Of the highest filter; the others are filled up with states that stay 0."""
+"""Order of the highest filter; the others are padded with states that stay 0."""
 
 _Filter = tuple[tuple[float, ...], tuple[float, ...]]
 _FILTERS: dict[Spectrum, tuple[_Filter, _Filter]] = {
@@ -41,27 +41,27 @@ _FILTERS: dict[Spectrum, tuple[_Filter, _Filter]] = {
         ((1.0, 2.7478, 0.3398), (1.0, 2.9958, 1.9754, 0.1539)),
     ),
 }
-"""Numerator and denominator of H, powers of p rising: along the wind, and across it and vertical."""
+"""Numerator and denominator of H in ascending powers of p: along the wind, and across it and vertical."""
 _SHAPE_VARIANCE = (2.0 / math.pi, 1.0 / math.pi)
-"""Spectrum at W = 0 over s^2 L, of the same two."""
+"""Spectrum at W = 0 over s^2 L, for the same two."""
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 _LONGEST_PIECE = 0.25
-"""In units of L / V: over it the fastest pole, at 11 V / L, decays by 2.8, which 16 nodes integrate to
+"""In units of L / V. The fastest pole, at 11 V / L, decays by exp(-2.8) in it, which 16 nodes integrate to
 rounding."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TurbulenceScales:
-    """Strength and size of the eddies along, across and vertical."""
+    """Standard deviations and scale lengths along, across and vertical."""
 
     std_m_s: tuple[float, float, float]
     length_m: tuple[float, float, float]
 
 
 def low_altitude_scales(wind_20ft_m_s: float, height_m: float) -> TurbulenceScales:
-    """Give what holds at a height between 10 and 1000 feet, by the mean wind 20 feet above the ground.
+    """Return the scales at a height between 10 and 1000 feet, for the mean wind 20 feet above the ground.
 
-    MIL-F-8785C, 3.7.3: the vertical strength is a tenth of that wind.
+    MIL-F-8785C, 3.7.3: the vertical standard deviation is a tenth of that wind.
     """
     growth = 0.177 + 0.000823 * height_m / FOOT_M
     vertical_std_m_s = 0.1 * wind_20ft_m_s
@@ -74,10 +74,10 @@ def low_altitude_scales(wind_20ft_m_s: float, height_m: float) -> TurbulenceScal
 
 
 class Turbulence:
-    """Series of independent turbulence, each stationary from its start; (series, 3) along, across and down.
+    """Independent series of turbulence, stationary from the start; (series, 3) along, across and down.
 
-    ``passing_speed_m_s`` is the V above. The discretisation is exact: the filter's states have the covariance
-    of the continuous ones at every instant, whatever the intervals.
+    ``passing_speed_m_s`` is V above. The discretisation is exact: the filter's states have the covariance of
+    the continuous ones at every instant, for any intervals.
     """
 
     def __init__(
@@ -113,9 +113,9 @@ class Turbulence:
         self._taken = 0
 
     def step(self, dt_s: float) -> Array:
-        """Velocities (series, 3), ``dt_s`` seconds after the last call; not to be written to.
+        """Return velocities (series, 3), ``dt_s`` seconds after the last call; do not write to them.
 
-        Worked out for many steps ahead, as `harness.world.wind.force.GustyWind` does.
+        Computed for many steps ahead, as in `harness.world.wind.force.GustyWind`.
         """
         if dt_s != self._dt_s or self._taken == len(self._velocities_m_s):
             self._look_ahead(dt_s)
@@ -139,7 +139,7 @@ class Turbulence:
 
 @njit(cache=True)
 def turbulence_path(start: Array, kept: Array, drive: Array, fresh: Array) -> Array:
-    """States (steps, series, 3, ORDER) of ``x[k] = kept x[k-1] + drive fresh[k]`` after ``start``.
+    """Return states (steps, series, 3, ORDER) of ``x[k] = kept x[k-1] + drive fresh[k]`` after ``start``.
 
     For each axis: ``kept`` and ``drive`` are (3, ORDER, ORDER); ``fresh`` are normal draws of unit variance.
     """
@@ -159,10 +159,10 @@ def turbulence_path(start: Array, kept: Array, drive: Array, fresh: Array) -> Ar
 
 
 class _StateSpace:
-    """One filter H(s T) in controllable form, its time in units of T, driven by white noise.
+    """One filter H(s T) in controllable form, with time in units of T, driven by white noise.
 
-    Unit one-sided spectral density per rad/s is an intensity of pi; ``gain`` has the spectrum's own scale, of
-    which T cancels out.
+    A one-sided spectral density of 1 per rad/s is an intensity of pi; ``gain`` is the spectrum's scale, from
+    which T cancels.
     """
 
     def __init__(
@@ -175,19 +175,19 @@ class _StateSpace:
         self._input = np.zeros((order, 1))
         self._input[-1] = math.sqrt(math.pi) / denominator[-1]
         self.output = np.zeros(ORDER)
-        """(ORDER,) what of the states is velocity, m/s"""
+        """(ORDER,) output vector from the states to the velocity, m/s"""
         self.output[: len(numerator)] = gain * np.array(numerator)
-        from scipy.linalg import solve_continuous_lyapunov  # noqa: PLC0415  takes 0.2 s, and few have turbulence
+        from scipy.linalg import solve_continuous_lyapunov  # noqa: PLC0415  takes 0.2 s, only for turbulence
 
         stationary = solve_continuous_lyapunov(self._dynamics, -self._input @ self._input.T)
         self.start = _padded(np.linalg.cholesky(stationary))
         """(ORDER, ORDER) factor of the states' stationary covariance"""
 
     def over(self, dt_s: float) -> tuple[Array, Array]:
-        """What an interval keeps of the states, and a factor of the covariance that it adds.
+        """Return the transition matrix of an interval, and a factor of the covariance that it adds.
 
-        The latter, the integral of e^As B B' e^A's, is factored as the quadrature's sum that it is: formed
-        first, its small parts, in the fifth power of the interval, would drown in rounding.
+        The covariance, the integral of e^As B B' e^A's, is factored directly from the terms of the
+        quadrature: in its sum the small parts, of fifth order in the interval, would be lost in rounding.
         """
         from scipy.linalg import expm  # noqa: PLC0415  as above
 
@@ -198,7 +198,7 @@ class _StateSpace:
         weights = np.tile(0.5 * span / pieces * _WEIGHTS, pieces)
         responses = (expm(nodes[:, None, None] * self._dynamics) @ self._input)[..., 0]
         upper = np.linalg.qr(np.sqrt(weights)[:, None] * responses).R
-        signs = np.where(np.diag(upper) < 0.0, -1.0, 1.0)  # whatever the library prefers
+        signs = np.where(np.diag(upper) < 0.0, -1.0, 1.0)  # independent of the library's convention
         return _padded(expm(span * self._dynamics)), _padded((signs[:, None] * upper).T)
 
 

@@ -1,4 +1,4 @@
-"""Wind as a velocity of the air: a mean that may grow with height, and turbulence."""
+"""Wind as a velocity of the air: a mean, optionally increasing with height, and turbulence."""
 
 import math
 
@@ -10,13 +10,13 @@ from harness.world.wind.turbulence import FOOT_M, Turbulence, low_altitude_scale
 
 
 class MovingAir:
-    """Mean velocity plus turbulence of the strength and lengths that belong to one height.
+    """Mean velocity plus turbulence with the strengths and lengths of one height.
 
-    A vehicle's turbulence is ``sqrt(c)`` times one that all share plus ``sqrt(1 - c)`` times its own, c being
-    the correlation: each has the whole spectrum, and any two the same coherence at every frequency and
-    distance. Real coherence falls with both; what a swarm makes of that is beyond this model. The pattern is
-    carried past by the mean wind whatever the vehicles' own motion, so it is right for vehicles that hover.
-    ``formation_height_m`` is that height unless the scenario says another.
+    A vehicle's turbulence is ``sqrt(c)`` times a common series plus ``sqrt(1 - c)`` times its own, with
+    correlation c: each has the full spectrum, and any two have the same coherence at every frequency and
+    distance. Real coherence decreases with both, which is not modelled. The mean wind carries the pattern
+    past the vehicles regardless of their own motion, which is correct for hovering vehicles. The height is
+    ``formation_height_m`` unless the scenario sets another.
     """
 
     def __init__(
@@ -43,7 +43,7 @@ class MovingAir:
         self._weights = math.sqrt(model.correlation), math.sqrt(1.0 - model.correlation)
 
     def step(self, dt_s: float, height_m: Array) -> Array:
-        """Velocity (n, 3) in m/s, NED, at heights (n,) above the ground, ``dt_s`` after the last call."""
+        """Return velocities (n, 3), m/s, NED, at heights (n,) above ground, ``dt_s`` after the last call."""
         air_vel_ned_m_s: Array = self._model.mean_speed_m_s(height_m)[:, None] * self._towards_ned
         if self._turbulence is not None:
             series_m_s = self._turbulence.step(dt_s)

@@ -1,4 +1,4 @@
-"""All of a scenario's wind in one object: of either kind, with the gusts that are written down."""
+"""The whole wind of a scenario: force or velocity, plus deterministic gusts."""
 
 from typing import NamedTuple
 
@@ -12,18 +12,18 @@ from harness.world.wind.velocity import MovingAir
 
 
 class WindNow(NamedTuple):
-    """What n vehicles meet over a step; not to be written to."""
+    """Wind at n vehicles in a step; do not write to it."""
 
     force_ned_n: Array
-    """(n, 3); zeros where wind is a velocity"""
+    """(n, 3); zero if the wind is a velocity"""
     air_vel_ned_m_s: Array
-    """(n, 3); zeros where wind is a force"""
+    """(n, 3); zero if the wind is a force"""
 
 
 class Wind:
-    """Wind of a scenario at ``vehicles`` vehicles; all its randomness is ``rng``'s.
+    """Wind of a scenario at n vehicles; all random numbers are drawn from ``rng``.
 
-    Turbulence is that of ``formation_height_m`` above the ground unless the scenario says another height.
+    Turbulence is that of ``formation_height_m`` above the ground unless the scenario sets another height.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class Wind:
         self._nothing = np.zeros((vehicles, 3))
 
     def step(self, dt_s: float, *, time_us: int, height_m: Array) -> WindNow:
-        """Wind of the step of ``dt_s`` that begins at ``time_us``, at heights (n,) above the ground."""
+        """Return the wind of the step of ``dt_s`` from ``time_us`` on, at heights (n,) above the ground."""
         if isinstance(self._source, GustyWind):
             wind_ned = self._source.step(dt_s)
         else:

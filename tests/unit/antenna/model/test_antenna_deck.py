@@ -65,18 +65,18 @@ def test_fields_stand_between_commas_too_and_empty_ones_are_zero(card):
 @pytest.mark.parametrize(
     ("cards", "said"),
     [
-        (["GW 1 9 0 0 0 0 0 1e300 0.001"], "line 1: GW: expected finite numbers, none beyond 1e+15"),
-        (["GW 1 9 0 0 0 0 0 nan 0.001"], "line 1: GW: expected finite numbers, none beyond 1e+15"),
-        (["GW 1 1e300 0 0 0 0 0 1 0.001"], "line 1: GW: expected finite numbers, none beyond 1e+15"),
-        (["CE", "GW 1 9 0 0 0 0 0 1001 1"], "line 2: GW: a length of 1001 m; expected 1e-06 to 1000"),
-        (["GW 1 9 0 0 0 0 0 1e-320 1e-9"], "line 1: GW: a length of 9.99989e-321 m; expected 1e-06 to 1000"),
-        (["GW 1 9 0 0 0 0 0 1 1e-320"], "line 1: GW: a radius of 9.99989e-321 m; expected 1e-09 to 10"),
-        (["GW 1 9 0 0 0 0 0 900 11"], "line 1: GW: a radius of 11 m; expected 1e-09 to 10"),
+        (["GW 1 9 0 0 0 0 0 1e300 0.001"], "line 1: GW: expected finite numbers of at most 1e+15"),
+        (["GW 1 9 0 0 0 0 0 nan 0.001"], "line 1: GW: expected finite numbers of at most 1e+15"),
+        (["GW 1 1e300 0 0 0 0 0 1 0.001"], "line 1: GW: expected finite numbers of at most 1e+15"),
+        (["CE", "GW 1 9 0 0 0 0 0 1001 1"], "line 2: GW: length of 1001 m; expected 1e-06 to 1000"),
+        (["GW 1 9 0 0 0 0 0 1e-320 1e-9"], "line 1: GW: length of 9.99989e-321 m; expected 1e-06 to 1000"),
+        (["GW 1 9 0 0 0 0 0 1 1e-320"], "line 1: GW: radius of 9.99989e-321 m; expected 1e-09 to 10"),
+        (["GW 1 9 0 0 0 0 0 900 11"], "line 1: GW: radius of 11 m; expected 1e-09 to 10"),
         ([ONE, "GM 0 0 0 0 0 0 0 2e3"],
-         "line 1: GW: an end 2000.5 m from the vehicle; expected 1000 at most"),
-        ([ONE, "GS 0 0 5000"], "line 1: GW: a length of 5000 m; expected 1e-06 to 1000"),
-        ([ONE, "GS 0 0 1e10", "GS 0 0 1e10"], "line 3: GS: expected no length beyond 1e+15 m"),
-        ([ONE, *["GS 0 0 1e-15"] * 30], "line 1: GW: a length of 0 m; expected 1e-06 to 1000"),
+         "line 1: GW: end 2000.5 m from the vehicle; expected at most 1000"),
+        ([ONE, "GS 0 0 5000"], "line 1: GW: length of 5000 m; expected 1e-06 to 1000"),
+        ([ONE, "GS 0 0 1e10", "GS 0 0 1e10"], "line 3: GS: expected lengths of at most 1e+15 m"),
+        ([ONE, *["GS 0 0 1e-15"] * 30], "line 1: GW: length of 0 m; expected 1e-06 to 1000"),
     ],
 )  # fmt: skip
 def test_sizes_that_no_element_has_are_refused_by_their_line(cards, said):
@@ -116,7 +116,7 @@ def test_wires_that_meet_elsewhere_than_at_their_ends_are_refused_by_both_lines(
     line = 2 if said == "its own copy" else 3
     if said is None:
         line, said = 4, "that of line 3"
-    told = f"line {line}: GW: the wire touches or crosses {said}; wires meet at ends of both, or nowhere"
+    told = f"line {line}: GW: the wire touches or crosses {said}; wires may meet only at ends of both"
     assert str(caught.value) == told
 
 

@@ -194,5 +194,7 @@ def test_an_undriven_element_scatters_and_is_no_source():
 
 
 def test_batch_over_real_ground_is_refused():
-    with pytest.raises(ValueError, match=r"^backend: batch knows no real ground; expected nec2 or nec2c$"):
+    with pytest.raises(
+        ValueError, match=r"^backend: batch does not support real ground; expected nec2 or nec2c$"
+    ):
         AntennaConfig(ground="real")

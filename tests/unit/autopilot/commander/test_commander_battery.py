@@ -64,7 +64,7 @@ class Flight:
 
 
 def long_flight(**kwargs):
-    """Steps as long as the sampling period: under constant controls it makes the same samples faster."""
+    """Return a flight with long steps: under constant controls the samples are the same."""
     return Flight(step_us=SAMPLE_PERIOD_US, **kwargs)
 
 
@@ -83,20 +83,18 @@ def test_hover_of_the_iris_draws_four_amperes_from_each_motor_and_lasts_eighteen
 @settings(max_examples=100, deadline=None)
 @given(st.floats(0.0, 1.0))
 def test_current_is_thrust_to_the_power_of_three_halves(thrust):
-    """Power of a rotor at rest in air: T^1.5; 4 A at the hover thrust gives 4 (T / 3.80 N)^1.5."""
-    thrust_n = max(
-        thrust * FULL_THRUST_N, 5.84e-6 * 100.0**2
-    )  # the rotor of an armed motor turns at least so
+    """Power of a rotor in still air: T^1.5; 4 A at the hover thrust gives 4 (T / 3.80 N)^1.5."""
+    thrust_n = max(thrust * FULL_THRUST_N, 5.84e-6 * 100.0**2)  # the least speed of an armed motor's rotor
     controls = np.full(4, (sqrt(thrust_n / 5.84e-6) - 100.0) / 1000.0)
     flight = Flight().run(0.1, controls)
     motors_a = flight.samples[-1].current_a - SIM.avionics_current_a
     assert motors_a == pytest.approx(16.0 * (thrust_n / HOVER_N) ** 1.5, rel=1e-3)
 
 
-def test_what_is_drawn_is_the_integral_of_the_current_over_changing_controls():
-    """Against a sum over all steps: sampling at 10 Hz must lose nothing of what happens between."""
+def test_the_drawn_charge_is_the_integral_of_the_current_over_changing_controls():
+    """Against a sum over all steps: sampling at 10 Hz must include everything in between."""
     rng = np.random.default_rng(1)
-    flight = Flight().run(STEP / 1e6, STANDING)  # the first sample begins the count
+    flight = Flight().run(STEP / 1e6, STANDING)  # the first sample starts the count
     charge_as = 0.0
     for _ in range(5_000):
         controls = rng.uniform(0.0, 1.0, 4)
@@ -108,7 +106,7 @@ def test_what_is_drawn_is_the_integral_of_the_current_over_changing_controls():
     assert flight.monitor.consumed_mah == pytest.approx(charge_as / 3.6, rel=1e-9)
 
 
-def test_a_disarmed_vehicle_draws_what_its_avionics_need():
+def test_a_disarmed_vehicle_draws_the_avionics_current():
     flight = Flight().run(10.0, HOVER, armed=False)
     assert flight.samples[-1].current_a == SIM.avionics_current_a
 
@@ -129,7 +127,7 @@ def test_voltage_falls_with_charge_and_with_current():
         assert drop_v == pytest.approx(ohm * (loaded.current_a - resting.current_a), rel=0.02)
 
 
-def test_the_first_sample_comes_with_the_first_step_and_then_every_20_ms():
+def test_the_first_sample_is_at_the_first_step_and_then_every_20_ms():
     times = [sample.time_us for sample in Flight().run(1.0).samples]
     assert times[0] == STEP
     assert set(np.diff(times)) == {SAMPLE_PERIOD_US}
@@ -152,13 +150,13 @@ def test_a_smaller_pack_is_at_once_emptier():
     assert flight.monitor.remaining <= 0.501
 
 
-def test_no_battery_is_no_sample():
+def test_without_a_battery_there_is_no_sample():
     flight = Flight(structs.replace(SIM, enabled=0)).run(1.0)
     assert not flight.samples
     assert flight.monitor.sampled_us is None
 
 
-def test_px4s_drain_is_linear_in_its_time_and_undone_by_disarming():
+def test_px4s_drain_is_linear_and_reset_by_disarming():
     flight = Flight(structs.replace(SIM, drain_s=60.0)).run(0.5, armed=False).run(30.0)
     assert flight.pack.charge == pytest.approx(0.5, abs=1e-3)
     # the monitor's filter lags by its time constant of 1 s, in which the charge falls by 1/60
@@ -171,11 +169,11 @@ def test_px4s_drain_is_linear_in_its_time_and_undone_by_disarming():
 # ---- the monitor
 
 
-def test_the_estimate_stays_within_what_a_straight_line_misses_of_the_packs_curve():
-    """At most the largest difference between charge and (V - 3.6) / 0.45, clamped to 0..1.
+def test_the_estimates_error_is_bounded_by_that_of_the_linear_voltage_curve():
+    """The error is at most the largest difference between charge and (V - 3.6) / 0.45, clamped to 0..1.
 
-    V is the open-circuit voltage less what the resistance near empty takes beyond the estimated one. Where V
-    says more than is there, the coulombs hold the estimate down. Half a percent is for the filters' lag.
+    V is the open-circuit voltage minus the drop at the resistance in excess of the estimate near empty. If V
+    corresponds to more charge than is left, the coulomb counter limits the estimate. 0.5 % is for filter lag.
     """
     charges = np.linspace(0.0, 1.0, 2001)
     seen_v = [open_circuit_v(c) - HOVER_A * 0.005 * (resistance_growth(c) - 1.0) for c in charges]
@@ -189,26 +187,26 @@ def test_the_estimate_stays_within_what_a_straight_line_misses_of_the_packs_curv
         assert -0.005 < error < largest + 0.005
 
 
-def test_it_begins_with_the_charge_of_the_open_circuit_voltage():
-    """A pack begun at 30 % has 3.748 V a cell, 0.33 by the line; load or none must not matter."""
+def test_the_initial_charge_is_that_of_the_open_circuit_voltage():
+    """A pack starting at 30 % has 3.748 V per cell, 0.33 by the line, with or without load."""
     for armed in (False, True):
         flight = Flight(structs.replace(SIM, initial=0.3)).run(1.0, armed=armed)
         assert flight.monitor.remaining == pytest.approx((open_circuit_v(0.3) - 3.6) / 0.45, abs=0.01)
 
 
-def test_warnings_come_in_their_order_at_their_thresholds():
+def test_warnings_occur_in_order_at_their_thresholds():
     flight = long_flight()
     at = {}
     while flight.pack.charge > 0.0:
         flight.run(1.0)
         at.setdefault(flight.monitor.warning, flight.monitor.remaining)
     assert list(at) == list(BatteryWarning)
-    # in one second 1 / 1080 is drawn; near empty the voltage falls faster
+    # in one second 1 / 1080 is drawn; nearly empty the voltage falls faster
     for warning, threshold in (("LOW", 0.15), ("CRITICAL", 0.07), ("EMERGENCY", 0.05)):
         assert threshold - 0.02 < at[BatteryWarning[warning]] < threshold
 
 
-def test_a_warning_gets_no_better_in_flight_and_follows_the_charge_on_the_ground():
+def test_a_warning_never_improves_in_flight_and_follows_the_charge_on_the_ground():
     flight = Flight(structs.replace(SIM, initial=0.5)).run(3.0)
     assert flight.monitor.warning is BatteryWarning.NONE
     flight.set_pack(low=0.9)
@@ -220,24 +218,24 @@ def test_a_warning_gets_no_better_in_flight_and_follows_the_charge_on_the_ground
     assert flight.run(1.0, armed=False).monitor.warning is BatteryWarning.NONE
 
 
-def test_nothing_is_warned_of_before_the_measurements_have_settled():
+def test_no_warning_before_the_measurements_have_settled():
     flight = Flight(structs.replace(SIM, initial=0.01)).run((SETTLING_US - STEP) / 1e6)
     assert flight.monitor.warning is BatteryWarning.NONE
     assert flight.run(0.1).monitor.warning is BatteryWarning.EMERGENCY
 
 
 def test_an_emptied_pack_is_an_emergency_within_three_seconds():
-    """The voltage filter needs 1 s; from the middle the estimate follows the voltage faster than that."""
+    """The voltage filter needs 1 s; below half charge the estimate follows the voltage faster than that."""
     flight = Flight().run(5.0)
     pack, whole = flight.pack, flight.pack.pack
-    pack.set_params(pack.params, structs.replace(whole, capacity_mah=1.0))  # of which more has been drawn
+    pack.set_params(pack.params, structs.replace(whole, capacity_mah=1.0))  # more than that has been drawn
     assert flight.run(3.0).monitor.warning is BatteryWarning.EMERGENCY
     pack.set_params(pack.params, whole)
     assert flight.run(5.0).monitor.warning is BatteryWarning.EMERGENCY
 
 
 def test_time_remaining_is_charge_over_the_average_current():
-    """The average begins with BAT_AVRG_CURRENT, moves only while armed, and takes 5 time constants."""
+    """The average starts at BAT_AVRG_CURRENT, changes only while armed, and settles in 5 time constants."""
     flight = Flight().run(3.0, STANDING, armed=False)
     assert flight.monitor.time_remaining_s == pytest.approx(flight.monitor.remaining * 5.1 * 3600.0 / 15.0)
     flight = long_flight().run(250.0)
@@ -245,7 +243,7 @@ def test_time_remaining_is_charge_over_the_average_current():
     assert flight.monitor.time_remaining_s == pytest.approx(expected_s, rel=0.002)
 
 
-def test_without_a_capacity_the_voltage_alone_decides():
+def test_without_a_capacity_the_charge_is_from_the_voltage_only():
     pack = structs.replace(PACK, capacity_mah=-1.0)
     flight = Flight(structs.replace(SIM, initial=0.6), pack).run(5.0)
     assert flight.monitor.remaining == pytest.approx((open_circuit_v(0.6) - 3.6) / 0.45, abs=0.01)
@@ -257,14 +255,14 @@ def test_changed_cells_and_resistance_change_the_estimate():
     flight.monitor.set_params(structs.replace(PACK, internal_resistance_ohm=0.02))
     assert flight.monitor.cell_resistance_ohm == 0.02
     low = flight.monitor.remaining
-    flight.run(5.0)  # 17 A times 15 mOhm too much is 0.26 V a cell
+    flight.run(5.0)  # 17 A times an error of 15 mOhm is 0.26 V per cell
     assert flight.monitor.remaining > low + 0.2
     flight.monitor.set_params(structs.replace(PACK, cells=4))
-    flight.run(5.0)  # three cells' voltage over four is 2.8 V each
+    flight.run(5.0)  # three cells' voltage divided by four is 2.8 V each
     assert flight.monitor.remaining == 0.0
 
 
-def test_a_corrected_number_of_cells_needs_no_filter_to_settle():
+def test_a_corrected_number_of_cells_acts_without_filter_delay():
     voltage_only = structs.replace(PACK, capacity_mah=-1.0)
     flight = Flight(structs.replace(SIM, initial=0.5), voltage_only).run(3.0)
     right = flight.monitor.remaining
@@ -274,8 +272,8 @@ def test_a_corrected_number_of_cells_needs_no_filter_to_settle():
     assert flight.run(SAMPLE_PERIOD_US / 1e6).monitor.remaining == pytest.approx(right, abs=0.01)
 
 
-def test_nothing_is_reckoned_over_a_gap_in_the_samples():
-    """Five minutes without a battery at 17 A would be 1.4 Ah of 5.1; none of it was drawn, nor is counted."""
+def test_nothing_is_integrated_over_a_gap_in_the_samples():
+    """Five minutes without a battery at 17 A would be 1.4 Ah of 5.1, but nothing was drawn."""
     flight = Flight(structs.replace(SIM, initial=0.7)).run(30.0)
     consumed_mah, charge = flight.monitor.consumed_mah, flight.pack.charge
     flight.pack.set_params(structs.replace(SIM, enabled=0), PACK)
@@ -290,8 +288,8 @@ def test_nothing_is_reckoned_over_a_gap_in_the_samples():
     assert flight.pack.charge - 0.08 < flight.monitor.remaining < flight.pack.charge + 0.005
 
 
-def test_a_gap_of_a_second_is_reckoned_and_more_is_not():
-    """10 A for a second are 2.78 mAh."""
+def test_a_gap_of_a_second_is_integrated_and_a_longer_one_is_not():
+    """10 A for one second are 2.78 mAh."""
     for gap_us, counted_mah in ((1_000_000, 10.0 / 3.6), (1_000_001, 0.0)):
         monitor = BatteryMonitor(PACK)
         monitor.update(BatterySample(0, 12.0, 10.0), armed=True)
@@ -300,8 +298,8 @@ def test_a_gap_of_a_second_is_reckoned_and_more_is_not():
 
 
 @pytest.mark.parametrize("cells", [2, 4])
-def test_another_number_of_cells_in_flight_makes_no_jump_and_warns_of_nothing(cells):
-    """The pack gets it, too: a cell is what it was, and so is its charge; 2 % for the drop under load."""
+def test_a_new_number_of_cells_in_flight_causes_no_jump_and_no_warning(cells):
+    """The pack changes too: voltage and charge of a cell stay the same; 2 % for the drop under load."""
     flight = Flight(structs.replace(SIM, initial=0.5)).run(10.0)
     consumed_mah = flight.monitor.consumed_mah
     flight.set_pack(cells=cells)
@@ -318,7 +316,7 @@ def test_another_number_of_cells_in_flight_makes_no_jump_and_warns_of_nothing(ce
 @settings(max_examples=100, deadline=None)
 @given(st.floats(0.001, 0.03), st.integers(1, 12), st.integers(0, 2**32 - 1))
 def test_resistance_is_found_from_changing_currents(cell_ohm, cells, seed):
-    """V = V0 - I R without noise: what the first guess missed is reduced to a tenth at least."""
+    """V = V0 - I R without noise: the initial error is reduced to a tenth at least."""
     rng = np.random.default_rng(seed)
     estimate = ResistanceEstimate(cells)
     estimate.begin(cells * (3.8 - cell_ohm), 1.0)
@@ -329,7 +327,7 @@ def test_resistance_is_found_from_changing_currents(cell_ohm, cells, seed):
 
 
 def test_a_steady_current_does_not_make_the_resistance_drift():
-    """The open-circuit voltage falls by 0.4 V a cell meanwhile, which must not be taken for resistance."""
+    """The open-circuit voltage falls by 0.4 V per cell meanwhile, which must not affect the resistance."""
     flight = long_flight().run(5.0, STANDING, armed=False).run(30.0)
     early_ohm = flight.monitor.cell_resistance_ohm
     assert early_ohm == pytest.approx(0.005, rel=0.1)
@@ -348,7 +346,7 @@ def test_a_steady_current_does_not_make_the_resistance_drift():
     st.floats(2.0, 5.0),
     st.floats(2.0, 5.0),
 )
-def test_the_remaining_charge_is_a_share_whatever_is_measured(measurements, charged_v, empty_v):
+def test_the_remaining_charge_is_a_fraction_for_all_measurements(measurements, charged_v, empty_v):
     monitor = BatteryMonitor(structs.replace(PACK, charged_v=charged_v, empty_v=empty_v))
     now_us, worst = 0, BatteryWarning.NONE
     for voltage_v, current_a, after_us, armed in measurements:
@@ -359,10 +357,10 @@ def test_the_remaining_charge_is_a_share_whatever_is_measured(measurements, char
         assert monitor.warning is worst
 
 
-def test_low_is_reached_near_where_the_true_charge_is_low():
-    """COM_LOW_BAT_ACT must not act at half a battery: the estimate is low only where the pack is."""
+def test_the_estimate_is_low_near_the_point_where_the_true_charge_is_low():
+    """COM_LOW_BAT_ACT must not act at half charge: the estimate is low only if the pack is."""
     at = brentq(lambda charge: (open_circuit_v(charge) - 3.6) / 0.45 - PACK.low, 0.01, 0.5)
-    assert at < PACK.low  # the voltage says so later than the coulombs, which therefore decide
+    assert at < PACK.low  # by voltage it would be later, so the coulomb counter decides
     flight = long_flight()
     while flight.monitor.warning is BatteryWarning.NONE:
         flight.run(1.0)

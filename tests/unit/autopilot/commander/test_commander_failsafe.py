@@ -1,4 +1,4 @@
-"""Failsafes as timelines: what goes wrong when, and which mode is flown from when on."""
+"""Failsafes as timelines: causes over time, and the resulting flight modes."""
 
 import itertools
 
@@ -19,13 +19,13 @@ OFFBOARD, MISSION, POSITION = FlightMode.OFFBOARD, FlightMode.MISSION, FlightMod
 
 
 class Timeline:
-    """A vehicle in the air since 0 s; `until` a time, with what is wrong and what is lost meanwhile."""
+    """A vehicle in flight since 0 s; `until` runs to a time with causes present and conditions lost."""
 
     def __init__(self, mode=HOLD, *, causes=0, **params):
         self.commander = Commander(CommanderParams(**params))
         self.now_us = -10 * STEP_US
         self.seen = []
-        """(seconds, mode or ``off``) at each change"""
+        """(seconds, mode or ``off``) of each change"""
         self.texts = []
         self._step(causes=causes)
         assert self.commander.arm(self.now_us, forced=True) is None
@@ -58,7 +58,7 @@ class Timeline:
 
 
 LINKS = {1: (HOLD,), 2: (HOLD, RETURN), 3: (HOLD, LAND), 5: ("off",), 6: ("off",)}
-"""NAV_DLL_ACT and NAV_RCL_ACT: the modes that come one after the other, COM_FAIL_ACT_T apart."""
+"""NAV_DLL_ACT and NAV_RCL_ACT: the successive modes, COM_FAIL_ACT_T apart."""
 
 
 @pytest.mark.parametrize(
@@ -75,7 +75,7 @@ def test_a_lost_link(cause, field, value, modes):
 
 
 @pytest.mark.parametrize("field", ["gcs_loss_action", "manual_loss_action"])
-def test_a_lost_link_that_nothing_is_made_of(field):
+def test_a_lost_link_without_an_action(field):
     cause = Cause.GCS_LOST if field == "gcs_loss_action" else Cause.MANUAL_LOST
     assert Timeline(MISSION, **{field: 0}).until(20.0, causes=cause).modes == []
 
@@ -90,7 +90,7 @@ def test_modes_excepted_from_link_loss_fly_on(mode, bit):
     assert others.until(20.0, causes=both).modes[-1][1] is LAND
 
 
-def test_a_ground_station_that_comes_back_does_not_take_over_by_itself():
+def test_a_ground_station_that_is_back_does_not_end_the_failsafe():
     flight = Timeline(MISSION, gcs_loss_action=2).until(8.0, causes=Cause.GCS_LOST).until(20.0)
     assert flight.modes == [(0.1, HOLD), (5.1, RETURN)]
     flight.choose(MISSION).until(25.0)
@@ -98,7 +98,7 @@ def test_a_ground_station_that_comes_back_does_not_take_over_by_itself():
     assert not flight.commander.failsafe
 
 
-def test_sticks_put_away_before_arming_are_no_loss_until_they_have_been_back():
+def test_manual_control_lost_before_arming_is_ignored_until_it_was_back():
     flight = Timeline(MISSION, causes=Cause.MANUAL_LOST, manual_loss_action=3)
     assert flight.until(10.0, causes=Cause.MANUAL_LOST).modes == []
     flight.until(11.0)
@@ -114,19 +114,19 @@ def test_lost_offboard_setpoints(value, mode):
     flight = Timeline(OFFBOARD, offboard_loss_action=value).until(1.0)
     flight.until(3.0, lost=Condition.SETPOINTS)
     assert flight.modes == [(1.1, mode)]
-    assert flight.until(6.0).modes == [(1.1, mode)]  # setpoints again: nobody asked for offboard
+    assert flight.until(6.0).modes == [(1.1, mode)]  # new setpoints do not restore offboard
     assert flight.commander.terminated is (value == 6)
 
 
 @pytest.mark.parametrize("value", [0, 1, 2, 5])
-def test_lost_offboard_setpoints_without_sticks_hold(value):
+def test_lost_offboard_setpoints_without_manual_control_hold(value):
     lost = Condition.SETPOINTS | Condition.MANUAL
     assert Timeline(OFFBOARD, offboard_loss_action=value).until(1.0, lost=lost).modes == [(0.1, HOLD)]
 
 
 @pytest.mark.parametrize("mode", [HOLD, MISSION, RETURN, LAND, OFFBOARD, FlightMode.TAKEOFF])
 def test_gps_loss_warns_and_a_lost_position_descends_until_it_is_back(mode):
-    #  2 s no fix .......... 7 s no position, descend .......... 12 s both back, the chosen mode again
+    #  2 s no fix .......... 7 s no position, descend .......... 12 s both back, the selected mode again
     flight = Timeline(mode).until(2.0).until(7.0, causes=Cause.GPS_LOST)
     assert flight.texts == [(2.1, "Warning: GPS lost")]
     flight.until(12.0, causes=Cause.GPS_LOST, lost=PLACE).until(14.0)
@@ -134,7 +134,7 @@ def test_gps_loss_warns_and_a_lost_position_descends_until_it_is_back(mode):
 
 
 @pytest.mark.parametrize(("value", "modes"), [(1, (HOLD, RETURN)), (2, (HOLD, LAND)), (3, ("off",))])
-def test_gps_loss_while_the_position_is_still_good(value, modes):
+def test_gps_loss_while_the_position_is_still_valid(value, modes):
     flight = Timeline(MISSION, gps_loss_action=value).until(9.0, causes=Cause.GPS_LOST)
     assert flight.modes == list(zip([0.1, 5.1], modes, strict=False))
 
@@ -157,7 +157,7 @@ def test_battery(value, critical, empty):
         assert len(flight.modes) == (2 if empty is critical else 3)
 
 
-def test_a_battery_that_was_low_at_arming_is_no_news_but_a_worse_one_is():
+def test_a_battery_low_at_arming_is_ignored_until_it_gets_worse():
     flight = Timeline(MISSION, causes=Cause.BATTERY_CRITICAL, low_battery_action=2)
     assert flight.until(10.0, causes=Cause.BATTERY_CRITICAL).modes == []
     assert flight.until(11.0, causes=Cause.BATTERY_EMERGENCY).modes == [(10.1, HOLD)]
@@ -182,7 +182,7 @@ def test_the_pilot_can_fly_out_of_a_geofence_hold():
     assert not flight.commander.failsafe
 
 
-def test_the_pilot_takes_over_during_the_delay_and_until_something_else_happens():
+def test_the_pilot_takes_over_during_the_delay_and_until_the_next_failsafe():
     flight = Timeline(MISSION, low_battery_action=2, gcs_loss_action=3).until(
         2.0, causes=Cause.BATTERY_CRITICAL
     )
@@ -205,7 +205,7 @@ def test_estimator_failure_descends_and_without_an_attitude_the_motors_stop():
     assert flight.modes == [(0.1, DESCEND)]
     assert flight.texts == [(0.1, "Failsafe: estimator failed, Descend")]
     flight.until(4.0, causes=Cause.ESTIMATOR_FAILED, lost=PLACE | Condition.ATTITUDE | Condition.HEIGHT)
-    assert flight.modes == [(0.1, DESCEND), (3.6, "off")]  # half a second, in case it passes
+    assert flight.modes == [(0.1, DESCEND), (3.6, "off")]  # after half a second, in case it is transient
     assert flight.commander.terminated
     assert flight.commander.arm(flight.now_us, forced=True) is Reason.TERMINATED
 
@@ -218,13 +218,13 @@ def test_tipping_over_in_flight(breaker, modes):
 
 
 def test_tipping_over_at_take_off_disarms_only():
-    # armed at -0.9 s: the first 1 s (spool-up) and 3 s more are the take-off
+    # armed at -0.9 s: 1 s (spool-up) and 3 s more count as the take-off
     flight = Timeline(FlightMode.TAKEOFF).until(2.0).until(2.5, causes=Cause.TIPPED_OVER)
     assert flight.modes == [(2.1, "off")]
     assert not flight.commander.terminated
 
 
-def test_the_worst_of_several_is_done_and_named():
+def test_the_most_severe_of_several_actions_is_executed_and_reported():
     flight = Timeline(MISSION, low_battery_action=1, geofence_action=2, motor_failure_action=4)
     flight.until(6.0, causes=Cause.GEOFENCE | Cause.BATTERY_CRITICAL)
     assert flight.modes == [(0.1, HOLD), (5.1, RETURN)]
@@ -233,15 +233,15 @@ def test_the_worst_of_several_is_done_and_named():
     assert flight.texts[-1][1] == "Failsafe: motor failure, flight terminated"
 
 
-def test_a_passing_glitch_of_the_attitude_does_not_end_the_flight():
+def test_a_transient_loss_of_the_attitude_does_not_end_the_flight():
     flight = Timeline(MISSION).until(1.0).until(1.4, lost=Condition.ATTITUDE).until(2.0)
     assert flight.modes == [(1.1, DESCEND), (1.5, MISSION)]
-    # and the half second begins anew with the next
+    # the half second starts again with the next
     flight.until(2.4, lost=Condition.ATTITUDE).until(2.5).until(2.9, lost=Condition.ATTITUDE).until(3.0)
     assert flight.commander.mode is MISSION
 
 
-def test_every_warning_is_told_whatever_else_there_is():
+def test_every_warning_is_reported_also_during_a_failsafe():
     flight = Timeline(MISSION).until(1.0, causes=Cause.BATTERY_LOW)
     flight.until(2.0, causes=Cause.BATTERY_LOW | Cause.MOTOR_FAILED)
     flight.until(3.0, causes=Cause.BATTERY_LOW | Cause.MOTOR_FAILED | Cause.GEOFENCE)
@@ -254,14 +254,14 @@ def test_every_warning_is_told_whatever_else_there_is():
     ]
 
 
-def test_what_was_taken_over_once_acts_again_when_it_begins_again():
+def test_a_failsafe_after_a_takeover_acts_again_when_its_cause_reappears():
     #  0 s outside: hold ... 2 s the pilot flies in ... 4 s inside ... 8 s outside again: hold
     flight = Timeline(MISSION).until(2.0, causes=Cause.GEOFENCE).choose(POSITION)
     flight.until(4.0, causes=Cause.GEOFENCE).until(8.0).until(9.0, causes=Cause.GEOFENCE)
     assert flight.modes == [(0.1, HOLD), (2.1, POSITION), (8.1, HOLD)]
 
 
-def test_nobody_is_said_to_have_taken_over_who_did_not():
+def test_a_takeover_is_only_reported_if_there_was_one():
     causes = Cause.ESTIMATOR_FAILED | Cause.BATTERY_LOW
     flight = Timeline(MISSION).until(2.0, causes=causes, lost=PLACE).until(3.0, causes=Cause.BATTERY_LOW)
     assert [text for _, text in flight.texts] == [
@@ -275,10 +275,10 @@ def test_lost_setpoints_end_offboard_although_the_position_was_lost_first():
     lost = Condition.POSITION | Condition.VELOCITY
     flight = Timeline(OFFBOARD).until(1.0, lost=lost).until(2.0, lost=lost | Condition.SETPOINTS)
     flight.until(3.0, lost=Condition.SETPOINTS).until(4.0)
-    assert flight.commander.mode is POSITION  # COM_OBL_RC_ACT 0, with sticks there
+    assert flight.commander.mode is POSITION  # COM_OBL_RC_ACT 0, with manual control present
 
 
-def test_a_blind_descent_that_is_down_does_not_take_off_again():
+def test_a_vehicle_landed_by_a_descent_does_not_take_off_again():
     flight = Timeline(MISSION).until(2.0, causes=Cause.ESTIMATOR_FAILED, lost=PLACE)
     commander = flight.commander
     for causes, lost in ((Cause.ESTIMATOR_FAILED, PLACE), (0, 0)):
@@ -287,15 +287,15 @@ def test_a_blind_descent_that_is_down_does_not_take_off_again():
     assert (commander.mode, commander.failsafe, commander.armed) == (HOLD, False, True)
 
 
-def test_on_the_ground_nothing_flyable_disarms_only():
+def test_on_the_ground_a_lack_of_feasible_modes_only_disarms():
     flight = Timeline(MISSION)
     flight.commander.update(flight.now_us + STEP_US, conditions=0, landed=True)
     assert not flight.commander.armed
     assert not flight.commander.terminated
 
 
-def test_causes_of_which_nothing_is_made_are_not_even_noted():
-    """No ground station is the rule in a swarm, NAV_DLL_ACT 0 the default: it must cost next to nothing."""
+def test_causes_without_an_action_are_not_processed():
+    """In a swarm there is normally no ground station, and NAV_DLL_ACT is 0: it must take almost no time."""
     failsafe = Failsafe()
     args = {"params": CommanderParams(), "conditions": ALL, "mode": MISSION, "armed": True, "landed": False}
     for now_us in (0, STEP_US):
@@ -303,28 +303,28 @@ def test_causes_of_which_nothing_is_made_are_not_even_noted():
     assert failsafe._active == {}
 
 
-def test_a_landing_vehicle_is_not_made_to_return():
+def test_a_landing_vehicle_does_not_return():
     assert Timeline(LAND, low_battery_action=1).until(20.0, causes=Cause.BATTERY_CRITICAL).modes == []
 
 
-def test_without_a_delay_it_acts_at_once():
+def test_without_a_delay_the_action_is_immediate():
     flight = Timeline(MISSION, low_battery_action=2, action_delay_s=0.0)
     assert flight.until(1.0, causes=Cause.BATTERY_CRITICAL).modes == [(0.1, LAND)]
 
 
-def test_no_hold_before_an_action_where_there_is_no_position_to_hold():
+def test_no_hold_before_an_action_without_a_position():
     flight = Timeline(FlightMode.ALTITUDE, low_battery_action=2)
     flight.until(1.0, causes=Cause.BATTERY_CRITICAL, lost=PLACE)
     assert flight.modes == [(0.1, DESCEND)]
 
 
-def test_a_changed_parameter_acts_on_a_failsafe_that_is_under_way():
+def test_a_changed_parameter_acts_on_an_active_failsafe():
     flight = Timeline(MISSION, geofence_action=2).until(3.0, causes=Cause.GEOFENCE)
     flight.commander.params = replace(flight.commander.params, geofence_action=5)
     assert flight.until(9.0, causes=Cause.GEOFENCE).commander.mode is LAND
 
 
-def test_the_next_flight_begins_without_the_last_ones_failsafes():
+def test_the_next_flight_starts_without_the_failsafes_of_the_last():
     flight = Timeline(MISSION, gcs_loss_action=3).until(10.0, causes=Cause.GCS_LOST)
     flight.commander.disarm(forced=True)
     flight.until(11.0)
@@ -333,13 +333,13 @@ def test_the_next_flight_begins_without_the_last_ones_failsafes():
     assert flight.until(20.0).modes[-1][1] is HOLD
 
 
-def test_stick_modes_fall_back_to_what_needs_less():
+def test_manual_modes_fall_back_to_modes_with_fewer_needs():
     flight = Timeline(POSITION).until(1.0, lost=PLACE)
     flight.until(2.0, lost=PLACE | Condition.HEIGHT).until(3.0)
     assert flight.modes == [(0.1, FlightMode.ALTITUDE), (1.1, FlightMode.STABILIZED), (2.1, POSITION)]
 
 
-def test_whatever_is_lost_the_mode_flown_has_what_it_needs_or_the_motors_are_off():
+def test_the_mode_in_flight_always_has_its_needs_met_or_the_motors_are_off():
     for mode, count in itertools.product(MODE_NEEDS, range(4)):
         if mode is DESCEND:
             continue
@@ -351,7 +351,7 @@ def test_whatever_is_lost_the_mode_flown_has_what_it_needs_or_the_motors_are_off
                 assert Condition.ATTITUDE in lost
 
 
-def test_every_value_of_every_parameter_has_a_row_or_does_nothing():
+def test_every_value_of_every_parameter_has_a_response_or_no_effect():
     for row in ROWS:
         for value, response in row.responses.items():
             if row.field:
@@ -360,7 +360,7 @@ def test_every_value_of_every_parameter_has_a_row_or_does_nothing():
         assert (row.parameter is None) is (not row.field)
 
 
-def test_the_chain_of_what_is_feasible():
+def test_the_chain_of_feasible_actions():
     assert feasible(Action.POSITION, ALL) is Action.POSITION
     assert feasible(Action.POSITION, ALL & ~Condition.MANUAL) is Action.HOLD
     assert feasible(Action.HOLD, ALL & ~Condition.POSITION) is Action.DESCEND

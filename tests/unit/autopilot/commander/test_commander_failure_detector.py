@@ -26,7 +26,7 @@ LEVEL = quat_from_euler(0.0, 0.0, 0.0)
 TRIGGER_US = 300_000
 HOVER_A = 4.0
 LINEAR = 0.0
-"""Thrust model factor with which controls are shares of full thrust"""
+"""Thrust model factor with which controls are fractions of full thrust"""
 HOVERING = (0.534,) * 4
 ALL_TURN = (HOVER_A,) * 4
 SECOND_STANDS = (HOVER_A, 0.0, HOVER_A, HOVER_A)
@@ -38,7 +38,7 @@ class Timeline:
         self.now_us = 0
 
     def run(self, duration_us, *, q_ned_frd=LEVEL, armed=True, currents_a=ALL_TURN, thrusts=HOVERING):
-        """Give when each failure was first there, from the beginning of this piece; no telemetry if None."""
+        """Return when each failure first occurred, relative to the start of this run; None: no telemetry."""
         begin_us, first = self.now_us, {}
         while self.now_us < begin_us + duration_us:
             self.now_us += STEP
@@ -54,7 +54,7 @@ class Timeline:
 
 @pytest.mark.parametrize(("failure", "axis"), [(AttitudeFailure.ROLL, 0), (AttitudeFailure.PITCH, 1)])
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_an_angle_counts_after_its_trigger_time_and_as_long_as_it_lasts(failure, axis, sign):
+def test_an_angle_is_a_failure_from_its_trigger_time_until_it_ends(failure, axis, sign):
     line = Timeline()
     angles_rad = [0.0, 0.0, 1.0]
     angles_rad[axis] = sign * radians(61.0)
@@ -64,7 +64,7 @@ def test_an_angle_counts_after_its_trigger_time_and_as_long_as_it_lasts(failure,
     assert line.run(STEP) == {}
 
 
-def test_a_passing_angle_does_not_count():
+def test_a_short_excess_of_an_angle_is_no_failure():
     line = Timeline()
     tipped = quat_from_euler(radians(70.0), 0.0, 0.0)
     for _ in range(5):
@@ -82,15 +82,15 @@ def test_a_passing_angle_does_not_count():
 )
 @example(-180.0, 88.5, 4.0, 1.0, 1.0)
 @example(150.0, 80.0, 0.0, 120.0, 120.0)  # the cosine of the tilt is -0.15, that of the limit -0.5
-def test_the_angles_are_eulers_whatever_the_attitude(
+def test_the_angles_are_euler_angles_at_every_attitude(
     roll_deg, pitch_deg, yaw_deg, roll_max_deg, pitch_max_deg
 ):
-    """Against the angles that made the attitude: the short cut for small tilts must not hide one."""
+    """Against the angles that define the attitude: the short cut for small tilts must not hide a failure."""
     line = Timeline(roll_max_rad=radians(roll_max_deg), pitch_max_rad=radians(pitch_max_deg))
     q_ned_frd = quat_from_euler(radians(roll_deg), radians(pitch_deg), radians(yaw_deg))
     first = line.run(TRIGGER_US + STEP, q_ned_frd=q_ned_frd)
     back_roll_deg, back_pitch_deg, _ = np.degrees(quat_to_euler(q_ned_frd))
-    roll_error_deg = (back_roll_deg - roll_deg + 180.0) % 360.0 - 180.0  # -180 degrees may come back as 180
+    roll_error_deg = (back_roll_deg - roll_deg + 180.0) % 360.0 - 180.0  # -180 degrees may be returned as 180
     assert (roll_error_deg, back_pitch_deg) == pytest.approx((0.0, pitch_deg), abs=1e-6)
     if abs(abs(roll_deg) - roll_max_deg) > 1e-6:
         assert (AttitudeFailure.ROLL in first) == (abs(roll_deg) > roll_max_deg)
@@ -98,7 +98,7 @@ def test_the_angles_are_eulers_whatever_the_attitude(
         assert (AttitudeFailure.PITCH in first) == (abs(pitch_deg) > pitch_max_deg)
 
 
-def test_attitude_is_judged_disarmed_and_a_limit_of_zero_does_not_look():
+def test_attitude_is_checked_while_disarmed_and_a_limit_of_zero_disables_it():
     upside_down = quat_from_euler(radians(180.0), 0.0, 0.0)
     assert AttitudeFailure.ROLL in Timeline().run(TRIGGER_US + STEP, q_ned_frd=upside_down, armed=False)
     assert Timeline(roll_max_rad=0.0).run(1_000_000, q_ned_frd=upside_down) == {}
@@ -110,8 +110,8 @@ def test_attitude_is_judged_disarmed_and_a_limit_of_zero_does_not_look():
 # ---- motors
 
 
-def test_a_motor_that_stands_is_found_at_the_first_sample_after_the_time_out():
-    """Samples at 48, 96, 144 ms: low since the first, 96 ms later too early, 144 ms later over 100 ms."""
+def test_a_stopped_motor_is_detected_at_the_first_sample_after_the_time_out():
+    """Samples are 48 ms apart: low for 96 ms is less than the 100 ms, low for 144 ms is more."""
     line = Timeline()
     line.run(ESC_PERIOD)
     first = line.run(1_000_000, currents_a=SECOND_STANDS)
@@ -119,7 +119,7 @@ def test_a_motor_that_stands_is_found_at_the_first_sample_after_the_time_out():
     assert line.detector.failed_motors == {1}
 
 
-def test_a_motor_that_stood_from_the_beginning_is_found_because_the_others_turn():
+def test_a_motor_stopped_from_the_start_is_detected_by_the_others_current():
     line = Timeline()
     line.run(1_000_000, currents_a=(0.0,) * 4, thrusts=(0.0,) * 4)
     assert AttitudeFailure.MOTOR in line.run(1_000_000, currents_a=SECOND_STANDS)
@@ -145,34 +145,34 @@ def test_the_limit_is_proportional_to_thrust_above_the_least(thrust, current_a, 
     assert (AttitudeFailure.MOTOR in first) == (thrust > thrust_min and current_a < thrust * per_thrust_a)
 
 
-def test_one_good_sample_begins_the_time_anew():
+def test_one_good_sample_restarts_the_time_out():
     line = Timeline()
     for _ in range(20):
         assert line.run(3 * ESC_PERIOD, currents_a=SECOND_STANDS) == {}  # 96 ms from first to last
         assert line.run(ESC_PERIOD) == {}
 
 
-def test_controllers_that_report_no_current_are_not_judged():
+def test_motors_without_current_measurement_are_not_checked():
     line = Timeline()
     assert line.run(2_000_000, currents_a=(0.0,) * 4) == {}
 
 
-def test_missing_telemetry_is_known_and_is_no_motor_failure():
+def test_missing_telemetry_is_detected_and_is_no_motor_failure():
     line = Timeline()
     line.run(2 * ESC_PERIOD, currents_a=SECOND_STANDS)
-    # the last sample came with the last step
+    # the last sample was in the last step
     first = line.run(1_000_000, currents_a=None)
     assert first == {AttitudeFailure.ESC_TELEMETRY: ESC_TIMEOUT_US + STEP}
-    # what was low before the gap does not count for what is low after it
+    # a low current before the gap is not combined with one after it
     assert AttitudeFailure.MOTOR not in line.run(ESC_PERIOD, currents_a=SECOND_STANDS)
     assert not line.detector.failures
 
 
-def test_a_vehicle_without_telemetry_misses_nothing():
+def test_a_vehicle_without_telemetry_reports_no_loss():
     assert Timeline().run(1_000_000, currents_a=None) == {}
 
 
-def test_settings_act_at_once():
+def test_settings_act_immediately():
     line = Timeline()
     line.run(1_000_000, currents_a=SECOND_STANDS)
     line.detector.set_params(structs.replace(PARAMS, motor_check=0))
@@ -184,7 +184,7 @@ def test_settings_act_at_once():
 
 @settings(max_examples=100, deadline=None)
 @given(st.floats(0.0, 1.0))
-def test_thrust_fraction_undoes_the_allocation(thrust):
+def test_thrust_fraction_inverts_the_allocation(thrust):
     params = AllocationParams()
     controls = Allocator(params).allocate(thrust, np.zeros(3), airmode=True)
     for control in controls.tolist():

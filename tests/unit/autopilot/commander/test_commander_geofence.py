@@ -1,4 +1,4 @@
-"""The geofence against independent geometry: winding numbers, half planes, borders drawn in points. 5 s."""
+"""The geofence against independent geometry: winding numbers, half planes, borders sampled as points. 5 s."""
 
 from math import atan2, cos, hypot, inf, pi, radians, sin
 
@@ -34,7 +34,7 @@ points = st.tuples(metres, metres)
 
 @st.composite
 def stars(draw, *, most=9):
-    """Simple polygons that need not be convex: vertices around a centre, in the order of their bearing."""
+    """Simple polygons, possibly not convex: vertices around a centre, in the order of their bearing."""
     count = draw(st.integers(3, most))
     turns = draw(st.lists(st.floats(0.1, 1.0), min_size=count, max_size=count))
     bearings = np.cumsum(turns) / sum(turns) * 2.0 * pi
@@ -56,7 +56,7 @@ def convex_polygons(draw):
 
 
 def winding(point, vertices):
-    """Sum of the angles under which the edges are seen, in turns."""
+    """Sum of the angles subtended by the edges, in turns."""
     total = 0.0
     for (a_n, a_e), (b_n, b_e) in zip(vertices, (*vertices[1:], vertices[0]), strict=True):
         a_n, a_e, b_n, b_e = a_n - point[0], a_e - point[1], b_n - point[0], b_e - point[1]
@@ -65,7 +65,7 @@ def winding(point, vertices):
 
 
 def distance_in_points_m(point, vertices, spacing_m):
-    """Distance to the border, drawn in points: too long by up to half the spacing."""
+    """Distance to the border sampled as points: too large by up to half the spacing."""
     nearest = inf
     for (a_n, a_e), (b_n, b_e) in zip(vertices, (*vertices[1:], vertices[0]), strict=True):
         shares = np.linspace(0.0, 1.0, 2 + int(hypot(b_n - a_n, b_e - a_e) / spacing_m))
@@ -99,7 +99,7 @@ def at(north_m, east_m=0.0, up_m=10.0):
 
 @settings(max_examples=400, deadline=None)
 @given(stars(), points)
-def test_inside_is_where_the_border_winds_around(vertices, point):
+def test_inside_means_a_nonzero_winding_number(vertices, point):
     margin_m = fence(polygon(vertices)).margin_m(at(*point), HOME, SITE)
     if abs(margin_m) > 1e-3:
         assert (margin_m > 0.0) == (round(winding(point, vertices)) != 0)
@@ -114,8 +114,8 @@ def test_the_margin_is_the_distance_to_the_border(vertices, point):
 
 @settings(max_examples=200, deadline=None)
 @given(convex_polygons(), points)
-def test_inside_a_convex_polygon_the_margin_is_the_nearest_half_planes(vertices, point):
-    """Vertices go from north to east: the inside is on the right of every edge."""
+def test_inside_a_convex_polygon_the_margin_is_that_of_the_nearest_half_plane(vertices, point):
+    """Vertices are ordered from north to east: the inside is on the right of every edge."""
     depths = []
     for (a_n, a_e), (b_n, b_e) in zip(vertices, (*vertices[1:], vertices[0]), strict=True):
         to_n, to_e = b_n - a_n, b_e - a_e
@@ -159,8 +159,8 @@ def test_circles_are_plane_geometry_on_the_site(centre, point, radius_m):
 
 @settings(max_examples=150, deadline=None)
 @given(stars(), points, points)
-def test_the_margin_changes_by_no_more_than_the_way_flown(vertices, one, other):
-    """What the predicted path rests on."""
+def test_the_margin_changes_by_at_most_the_distance_flown(vertices, one, other):
+    """The predicted braking path relies on this."""
     both = fence(polygon(vertices), circle(0.0, 100.0, 50.0, inclusion=False), max_horizontal_m=200.0)
     change_m = abs(both.margin_m(at(*one), HOME, SITE) - both.margin_m(at(*other), HOME, SITE))
     assert change_m <= hypot(one[0] - other[0], one[1] - other[1]) + 1e-6
@@ -177,10 +177,8 @@ def test_the_margin_changes_by_no_more_than_the_way_flown(vertices, one, other):
     points,
     st.tuples(st.floats(-2000.0, 2000.0), st.floats(-2000.0, 2000.0), st.floats(-50.0, 50.0)),
 )
-def test_the_margin_does_not_depend_on_where_the_estimator_began(
-    lat_deg, lon_deg, vertices, point, offset_ned_m
-):
-    """Planes 3 km apart are tilted by 0.5 mrad: heights of 50 m shift by 2.5 cm, places by far less."""
+def test_the_margin_does_not_depend_on_the_estimators_origin(lat_deg, lon_deg, vertices, point, offset_ned_m):
+    """Planes 3 km apart are tilted by 0.5 mrad: a height of 50 m shifts by 2.5 cm, positions by far less."""
     site = Origin(lat_deg, lon_deg, 100.0)
     there = [float(value) for value in ned_to_geodetic(offset_ned_m, **origin_of(site))]
     other = Origin(*there)
@@ -203,8 +201,8 @@ def origin_of(origin):
 
 @settings(max_examples=100, deadline=None)
 @given(st.floats(-75.0, 75.0), st.floats(-170.0, 170.0), points)
-def test_the_antimeridian_is_a_place_like_any_other(lat_deg, lon_deg, point):
-    """The earth is round: turned about its axis, a fence keeps its margins."""
+def test_the_antimeridian_is_no_special_case(lat_deg, lon_deg, point):
+    """By symmetry a fence that is rotated about the earth's axis keeps its margins."""
     margins = []
     for centre_deg in (180.0, lon_deg):
         vertices = [
@@ -227,8 +225,8 @@ def test_a_fence_around_the_pole_contains_it():
 
 
 @pytest.mark.parametrize("away_deg", [5.0, 60.0, 90.0, 120.0, 179.0, 180.0])
-def test_a_fence_elsewhere_on_the_earth_does_not_come_back_through_it(away_deg):
-    """Straight down from the site lies its antipode, which has north and east of 0, too."""
+def test_a_distant_fence_stays_distant_in_the_local_plane(away_deg):
+    """The antipode of the site also has north and east of 0."""
     lat_deg = SITE.lat_deg - away_deg
     lat_deg, lon_deg = (
         (lat_deg, SITE.lon_deg) if lat_deg >= -90.0 else (-180.0 - lat_deg, SITE.lon_deg - 180.0)
@@ -242,7 +240,7 @@ def test_a_fence_elsewhere_on_the_earth_does_not_come_back_through_it(away_deg):
 # ---- the rule
 
 
-def test_every_condition_has_its_breach():
+def test_every_limit_has_its_breach():
     limits = GeofenceParams(max_horizontal_m=100.0, max_vertical_m=50.0)
     shapes = (circle(0.0, 0.0, 80.0), circle(30.0, 0.0, 5.0, inclusion=False), polygon(SQUARE_M))
     home = (5.0, 0.0, 2.0)
@@ -255,7 +253,8 @@ def test_every_condition_has_its_breach():
     assert breach(0.0, 49.0) == (BreachKind.MAX_ALTITUDE, None, 1.0)  # home is 2 m lower than the origin
     assert breach(28.0) == (BreachKind.ENTERED_EXCLUSION, 1, 3.0)
     assert breach(60.0) == (BreachKind.LEFT_INCLUSION, 2, 10.0)
-    # inside every inclusion is the rule: 90 m north is beyond the square by 40 m, the circle by 10 m
+    # every inclusion must contain the vehicle: at 90 m north the square is exceeded by 40 m, the circle by 10
+    # m
     assert breach(90.0) == (BreachKind.LEFT_INCLUSION, 2, 40.0)
     far = Geofence(limits).check(at(-97.0), home, SITE)
     assert far == (BreachKind.MAX_DISTANCE, None, 2.0)
@@ -263,13 +262,13 @@ def test_every_condition_has_its_breach():
     assert Breach(BreachKind.LEFT_INCLUSION, 2, 0.0).text == "outside inclusion fence 2"
 
 
-def test_to_be_on_the_border_is_to_be_beyond_it():
+def test_a_position_on_the_border_is_a_breach():
     limits = fence(max_horizontal_m=100.0)
     assert limits.check(at(100.0), HOME, SITE) == (BreachKind.MAX_DISTANCE, None, 0.0)
     assert limits.check(at(np.nextafter(100.0, 0.0)), HOME, SITE) is None
 
 
-def test_without_a_fence_everything_is_allowed_and_without_a_home_its_limits_are_none():
+def test_without_a_fence_everything_is_allowed_and_without_home_its_limits_are_ignored():
     assert fence().margin_m(at(1e6), HOME, SITE) == inf
     assert fence().check(at(1e6, 1e6, 1e6), HOME, SITE) is None
     limits = fence(max_horizontal_m=10.0, max_vertical_m=10.0)
@@ -277,7 +276,7 @@ def test_without_a_fence_everything_is_allowed_and_without_a_home_its_limits_are
     assert limits.check(at(1e6), HOME, SITE).kind is BreachKind.MAX_DISTANCE
 
 
-def test_changes_act_at_once():
+def test_changes_act_immediately():
     changing = fence(circle(0.0, 0.0, 80.0))
     assert changing.check(at(50.0), HOME, SITE) is None
     changing.params = GeofenceParams(max_horizontal_m=40.0)
@@ -294,8 +293,8 @@ def test_changes_act_at_once():
 
 @settings(max_examples=200, deadline=None)
 @given(st.floats(0.0, 20.0), st.floats(0.5, 8.0), st.floats(0.0, 2.0), st.floats(0.1, 49.0))
-def test_braking_is_looked_at_to_where_it_ends(speed_m_s, deceleration_m_s2, reaction_s, gap_m):
-    """The vehicle stands after v t + v^2 / 2 a; the border is ``gap_m`` ahead."""
+def test_the_braking_path_is_checked_to_its_end(speed_m_s, deceleration_m_s2, reaction_s, gap_m):
+    """The vehicle stops after v t + v^2 / 2 a; the border is ``gap_m`` ahead."""
     way_m = speed_m_s * reaction_s + speed_m_s**2 / (2.0 * deceleration_m_s2)
     assume(abs(way_m - gap_m) > 1e-3)
     found = fence(polygon(SQUARE_M)).check_braking(
@@ -306,11 +305,11 @@ def test_braking_is_looked_at_to_where_it_ends(speed_m_s, deceleration_m_s2, rea
         deceleration_m_s2=deceleration_m_s2,
         reaction_s=reaction_s,
     )
-    # on 50 - gap_m .. 50 the square's northern edge may not be the nearest, but it is the one ahead
+    # within 50 - gap_m .. 50 the square's northern edge may not be the nearest, but it is the one ahead
     assert (found is not None) == (way_m > gap_m)
 
 
-def test_braking_does_not_jump_over_an_exclusion():
+def test_the_braking_path_does_not_skip_an_exclusion():
     """20 m/s at 2 m/s^2 need 100 m; the wall from 40 to 42 m north is thicker than a step of the path."""
     wall_m = ((40.0, -30.0), (42.0, -30.0), (42.0, 30.0), (40.0, 30.0))
     assert 100.0 / PATH_SAMPLES < 2.0
@@ -321,7 +320,7 @@ def test_braking_does_not_jump_over_an_exclusion():
     assert found.kind is BreachKind.ENTERED_EXCLUSION
     assert walled.check_braking(at(0.0), (0.0, 20.0, 0.0), **braking) is None
     assert walled.check_braking(at(0.0), (0.0, 0.0, 0.0), **braking) is None
-    # flying along a wall at a hand's breadth is no breach, and is looked at in a bounded number of steps
+    # flying along a wall at a small distance is no breach, and takes a bounded number of steps
     assert walled.check_braking(at(39.9, -30.0), (0.0, 10.0, 0.0), **braking) is None
 
 
@@ -340,7 +339,7 @@ def test_climbing_is_predicted_too():
 @settings(max_examples=200, deadline=None)
 @given(convex_polygons(), st.data())
 def test_a_polygon_with_two_vertices_exchanged_crosses_itself(vertices, data):
-    """On a convex polygon of four or more, exchanging neighbours makes their other edges cross."""
+    """On a convex polygon of four or more vertices, exchanging neighbours makes their other edges cross."""
     assume(len(vertices) >= 4)
     i = data.draw(st.integers(0, len(vertices) - 1))
     mixed = list(vertices)
@@ -360,12 +359,12 @@ def test_a_polygon_with_two_vertices_exchanged_crosses_itself(vertices, data):
             ((0, 0), (0, 10), (10, 0), (10, 10)),
             "a fence's border crosses itself: from vertex 1 to 2 and from 3 to 0",
         ),
-        # the second notch ends on the first edge: what is inside is in two parts
+        # the second notch ends on the first edge, so the inside has two parts
         (((0, 0), (0, 20), (20, 20), (0, 10), (20, 0)), "a fence's border crosses itself"),
         (((0, 0), (0, 10), (150_000, 0)), "a fence's vertices are more than 100 km apart"),
     ],
 )
-def test_what_is_no_simple_polygon_is_refused_with_its_reason(vertices_m, reason):
+def test_a_polygon_that_is_not_simple_is_rejected_with_the_reason(vertices_m, reason):
     with pytest.raises(ValueError) as error:
         polygon(vertices_m)
     assert str(error.value).startswith(reason)
@@ -377,33 +376,33 @@ def test_what_is_no_simple_polygon_is_refused_with_its_reason(vertices_m, reason
         (
             ((0, 0), (0, 10), (10, 10), (10, 20), (0, 20), (0, 30), (-20, 30), (-20, 0)),
             True,
-        ),  # edges in one line
+        ),  # collinear edges
         (((0, 0), (0, 20), (20, 20), (0, 10), (20, 0)), False),  # a vertex on another edge
         (((0, 0), (0, 10), (10, 10), (0, 10), (0, 20), (-10, 10)), False),  # there and back, and on
         (((0, 0), (0, 30), (10, 30), (0, 20), (0, 10), (10, 0)), False),  # one edge along another
     ],
 )
-def test_borders_that_touch_are_told_from_borders_in_one_line(vertices_m, simple):
+def test_touching_borders_differ_from_collinear_borders(vertices_m, simple):
     assert (_polygon_fault(np.array(vertices_m, float)) is None) == simple
 
 
 @pytest.mark.parametrize(
     ("fields", "reason"),
     [
-        ({"lat_deg": 91.0}, "a fence's centre: 91, 8 is no latitude and longitude"),
-        ({"lon_deg": float("nan")}, "a fence's centre: 47, nan is no latitude and longitude"),
+        ({"lat_deg": 91.0}, "a fence's centre: 91, 8 is not a valid latitude and longitude"),
+        ({"lon_deg": float("nan")}, "a fence's centre: 47, nan is not a valid latitude and longitude"),
         ({"radius_m": 0.0}, "a fence's radius of 0 m is outside 0 .. 100000 m"),
         ({"radius_m": float("nan")}, "a fence's radius of nan m is outside 0 .. 100000 m"),
         ({"radius_m": 1e9}, "a fence's radius of 1e+09 m is outside 0 .. 100000 m"),
     ],
 )
-def test_what_is_no_circle_is_refused_with_its_reason(fields, reason):
+def test_an_invalid_circle_is_rejected_with_the_reason(fields, reason):
     with pytest.raises(ValueError) as error:
         FenceCircle(**{"lat_deg": 47.0, "lon_deg": 8.0, "radius_m": 10.0, "inclusion": True, **fields})
     assert str(error.value) == reason
 
 
-def test_shapes_can_be_read_from_a_file_and_name_the_field_that_is_wrong():
+def test_shapes_are_read_from_a_file_with_errors_that_name_the_field():
     square = [[47.0, 8.0], [47.0, 8.01], [47.01, 8.01], [47.01, 8.0]]
     shape = msgspec.convert({"type": "polygon", "vertices": square, "inclusion": True}, FenceShape)
     assert isinstance(shape, FencePolygon)
@@ -412,8 +411,8 @@ def test_shapes_can_be_read_from_a_file_and_name_the_field_that_is_wrong():
         msgspec.convert([bad], list[FenceShape])
 
 
-def test_a_thousand_vertices_are_no_burden():
+def test_a_thousand_vertices_are_checked_fast():
     bearings = np.linspace(0.0, 2.0 * pi, 1000, endpoint=False)
     ring = polygon([(200.0 * cos(b), 200.0 * sin(b)) for b in bearings])
-    # the border of a regular polygon is nearest at the middle of an edge: r cos(pi / n)
+    # the nearest points of a regular polygon's border are the midpoints of the edges: r cos(pi / n)
     assert fence(ring).margin_m(at(0.0), HOME, SITE) == pytest.approx(200.0 * cos(pi / 1000), abs=1e-3)

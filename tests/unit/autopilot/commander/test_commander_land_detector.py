@@ -25,7 +25,7 @@ class Timeline:
         self.now_us = 0
 
     def run(self, duration_us, *, vel_down_m_s, armed=True, down_m=-2.0, rotation_rad_s=0.0, **demand):
-        """Give when each new stage was reached, from the beginning of this piece."""
+        """Return when each new stage was reached, relative to the start of this run."""
         begin_us, reached = self.now_us, {}
         for _ in range(duration_us // STEP):
             self.now_us += STEP
@@ -50,16 +50,16 @@ class Timeline:
         assert self.detector.stage is LandStage.AIRBORNE
 
 
-def test_standing_armed_is_landed_however_long():
+def test_an_armed_vehicle_on_the_ground_stays_landed():
     line = Timeline()
     assert line.run(10_000_000, down_m=0.0, **ON_GROUND) == {}
     assert line.detector.landed
 
 
-def test_take_off_is_seen_at_a_height_over_where_the_climb_was_asked_for():
+def test_take_off_is_detected_at_a_height_above_the_start_of_the_climb_demand():
     line = Timeline()
     climb = {"vel_down_m_s": -0.2, "down_demand_m_s": -1.5, "thrust_of_hover": 1.0}
-    line.run(1_000_000, down_m=0.4, **climb)  # the estimate may stand at any height on the ground
+    line.run(1_000_000, down_m=0.4, **climb)  # on the ground the estimate may be at any height
     assert line.detector.landed
     line.run(STEP, down_m=0.4 - LEFT_GROUND_HEIGHT_M + 0.01, **climb)
     assert line.detector.landed
@@ -67,14 +67,14 @@ def test_take_off_is_seen_at_a_height_over_where_the_climb_was_asked_for():
     assert not line.detector.landed
 
 
-def test_a_drifting_height_alone_is_no_take_off():
+def test_a_drifting_height_without_a_climb_demand_is_no_take_off():
     line = Timeline()
     line.run(STEP, down_m=-1.0, **HOVER)
     line.run(STEP, down_m=-3.0, **HOVER)
     assert line.detector.landed
 
 
-def test_landing_takes_the_three_stages_one_after_the_other():
+def test_landing_has_three_successive_stages():
     #  | contact 0.35 s | maybe landed 0.25 s | landed 0.3 s |
     line = Timeline()
     line.take_off()
@@ -97,7 +97,7 @@ def test_hovering_and_a_bounce_are_not_landing():
     assert line.detector.stage is LandStage.AIRBORNE
 
 
-def test_standing_with_thrust_on_is_contact_and_no_more():
+def test_standing_with_thrust_is_only_ground_contact():
     line = Timeline()
     line.take_off()
     line.run(5_000_000, vel_down_m_s=0.0, down_demand_m_s=0.7, thrust_of_hover=0.6)

@@ -1,4 +1,4 @@
-"""The commander as a pure machine: which requests are granted, and how a flight begins and ends."""
+"""The commander as a pure state machine: granted requests, and how a flight begins and ends."""
 
 import pytest
 from pymavlink.dialects.v20 import common
@@ -41,7 +41,7 @@ def flying(mode):
 
 @pytest.mark.parametrize("mode", sorted(MODES_TO_ARM_IN, key=lambda mode: mode.label))
 @pytest.mark.parametrize("missing", list(Condition))
-def test_a_missing_condition_refuses_arming_where_it_matters_and_names_itself(mode, missing):
+def test_a_missing_condition_refuses_arming_with_its_reason_where_needed(mode, missing):
     commander = ready()
     assert commander.set_mode(mode) is None
     step(commander, STEP, conditions=ALL & ~missing)
@@ -59,7 +59,7 @@ def test_a_missing_condition_refuses_arming_where_it_matters_and_names_itself(mo
 
 
 @pytest.mark.parametrize("mode", sorted(MODES_TO_ARM_IN, key=lambda mode: mode.label))
-def test_a_vehicle_that_is_not_to_be_armed_is_only_by_force(mode):
+def test_a_vehicle_that_is_not_armable_can_only_be_armed_by_force(mode):
     commander = ready(params=CommanderParams(armable=0))
     assert commander.set_mode(mode) is None
     assert commander.arm(0) is Reason.NOT_ARMABLE
@@ -72,13 +72,13 @@ def test_a_vehicle_that_is_not_to_be_armed_is_only_by_force(mode):
     assert commander.armed
 
 
-def test_every_reason_against_arming_is_named_the_most_basic_first():
+def test_every_reason_against_arming_is_reported_the_most_basic_first():
     commander = ready(ALL & ~(Condition.GPS | Condition.POSITION | Condition.BARO))
     assert commander.arming_refusals() == [Reason.NO_BARO, Reason.NO_GPS, Reason.NO_POSITION]
 
 
 @pytest.mark.parametrize(("cause", "reason"), ARMING_CAUSES)
-def test_what_is_wrong_refuses_arming_where_the_parameters_make_something_of_it(cause, reason):
+def test_a_cause_refuses_arming_if_a_parameter_assigns_an_action(cause, reason):
     commander = ready()
     step(commander, STEP, causes=cause)
     depends = {Cause.GCS_LOST: {"gcs_loss_action": 0}, Cause.GEOFENCE: {"geofence_action": 1}}
@@ -89,7 +89,7 @@ def test_what_is_wrong_refuses_arming_where_the_parameters_make_something_of_it(
         assert commander.arm(0) is None
 
 
-def test_only_the_stick_modes_that_need_no_place_arm_without_gps():
+def test_only_manual_modes_without_a_position_arm_without_gps():
     for mode in MODES_TO_ARM_IN:
         commander = ready()
         assert commander.set_mode(mode) is None
@@ -105,7 +105,7 @@ def test_modes_that_cannot_take_off_cannot_be_armed_in():
 
 
 @pytest.mark.parametrize("mode", [m for m in FlightMode if m not in MODE_NEEDS] + [FlightMode.DESCEND, None])
-def test_modes_that_are_not_flown_here_are_denied(mode):
+def test_modes_that_are_not_implemented_are_denied(mode):
     commander = flying(FlightMode.HOLD)
     assert commander.set_mode(mode) is Reason.MODE_UNAVAILABLE
     assert commander.mode is FlightMode.HOLD
@@ -121,7 +121,7 @@ def test_offboard_needs_its_setpoints_first(armed):
     assert commander.set_mode(FlightMode.OFFBOARD) is None
 
 
-def test_disarming_is_for_the_ground_unless_forced():
+def test_disarming_in_the_air_must_be_forced():
     commander = flying(FlightMode.HOLD)
     assert commander.disarm() is Reason.IN_AIR
     assert commander.armed
@@ -137,7 +137,7 @@ def test_takeoff_ends_in_hold():
     assert commander.mode is FlightMode.HOLD
 
 
-def test_disarms_two_seconds_after_landing_and_not_before():
+def test_disarms_exactly_two_seconds_after_landing():
     #  0 s armed   1 s airborne   5 s landed .................. 7 s disarmed, back in hold
     commander = ready()
     commander.arm(0)
@@ -163,7 +163,7 @@ def test_disarms_without_takeoff(limit_s, disarmed):
     assert commander.armed is not disarmed
 
 
-def test_termination_is_for_good():
+def test_termination_is_permanent():
     commander = flying(FlightMode.HOLD)
     commander.terminate()
     assert not commander.armed

@@ -1,4 +1,4 @@
-"""Allocation against the physical motor curve and a linear programme that knows what is achievable."""
+"""Allocation against the physical motor curve and a linear programme of the achievable demands."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def body_torque_nm(controls):
 
 
 def demanded_torque_nm(torque):
-    """Translate a normalised demand: the mixer's share of the thrust range of each rotor."""
+    """Return the torque of a normalised demand: the mixer's share of the thrust range of each rotor."""
     return effectiveness(PARAMS)[1:] @ (mixer(PARAMS) @ torque) * RANGE_N
 
 
@@ -81,7 +81,7 @@ def test_roll_and_pitch_are_kept_whenever_achievable(thrust, roll, pitch, yaw):
 
 @settings(max_examples=200, deadline=None)
 @given(st.floats(0.0, 1.0), demand, demand, demand, st.booleans())
-def test_reports_what_was_given(thrust, roll, pitch, yaw, airmode):
+def test_reports_the_achieved_thrust_and_torque(thrust, roll, pitch, yaw, airmode):
     torque = np.array((roll, pitch, yaw))
     allocator = Allocator(PARAMS)
     controls = allocator.allocate(thrust, torque, airmode=airmode)
@@ -95,7 +95,7 @@ def test_reports_what_was_given(thrust, roll, pitch, yaw, airmode):
 
 @settings(max_examples=200, deadline=None)
 @given(st.floats(0.3, 0.7), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1))
-def test_small_demands_are_met_whole(thrust, roll, pitch, yaw):
+def test_small_demands_are_achieved_completely(thrust, roll, pitch, yaw):
     allocator = Allocator(PARAMS)
     allocator.allocate(thrust, np.array((roll, pitch, yaw)), airmode=False)
     assert allocator.thrust == pytest.approx(thrust, abs=1e-12)
@@ -110,18 +110,19 @@ def test_without_airmode_torque_never_adds_thrust(thrust, roll, pitch, yaw):
     assert allocator.thrust <= thrust + 1e-12
 
 
-def test_yaw_gives_way_before_roll_and_thrust_pays_its_margin():
+def test_yaw_is_reduced_before_roll_and_thrust_by_at_most_its_margin():
     allocator = Allocator(PARAMS)
     allocator.allocate(1.0, np.array((0.0, 0.0, 1.0)), airmode=True)
     assert allocator.thrust == pytest.approx(1.0 - PARAMS.yaw_thrust_margin)
-    # the rotors that yaw drives up reach 1 when it has used the margin: the most used one moves by 1 per unit
+    # the rotors that yaw increases reach 1 when yaw has used the margin: the most used one changes by 1 per
+    # unit
     assert allocator.unallocated[2] == pytest.approx(1.0 - PARAMS.yaw_thrust_margin)
     allocator.allocate(0.5, np.array((0.7, 0.0, 1.0)), airmode=True)
     assert allocator.unallocated[0] == 0.0
     assert allocator.unallocated[2] > 0.9
 
 
-def test_frames_that_cannot_fly_are_refused():
+def test_infeasible_airframes_are_rejected():
     in_line = tuple(
         Rotor(pos_frd_m=(x, 0.0, 0.0), torque_ratio_m=k) for x, k in ((1, 1), (2, -1), (-1, 1), (-2, -1))
     )

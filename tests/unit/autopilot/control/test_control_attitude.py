@@ -1,4 +1,4 @@
-"""Attitude and rate control as properties: errors shrink, limits hold, integrators stop where they must."""
+"""Attitude and rate control as properties: errors shrink, limits hold, integrators stop at saturation."""
 
 import math
 
@@ -35,7 +35,7 @@ def tilt_error_rad(a, b):
 
 
 def attitudes():
-    """All rotations with components from {-1, 0, 1}, halfway turns included, and some at random."""
+    """All rotations with components from {-1, 0, 1}, including half turns, and some random ones."""
     rng = np.random.default_rng(5)
     grid = [np.array(c, dtype=float) for c in np.ndindex(3, 3, 3, 3)]
     some = [c - 1.0 for c in grid if np.any(c != 1.0)][::5]
@@ -46,17 +46,17 @@ def attitudes():
 def test_tilt_error_never_grows_from_any_attitude_to_any_other(yaw_weight):
     params = AttitudeParams(yaw_weight=yaw_weight, roll_rate_max_rad_s=100.0, pitch_rate_max_rad_s=100.0)
     for q_start in attitudes():
-        for q_wanted in attitudes()[::3]:
+        for q_target in attitudes()[::3]:
             controller = AttitudeController(params)
             q = q_start
-            tilt = tilt_error_rad(q, q_wanted)
+            tilt = tilt_error_rad(q, q_target)
             for _ in range(250):
                 q = quat_normalise(
                     quat_multiply(
-                        q, quat_from_rotation_vector(DT_S * controller.update(q, setpoint(q_wanted)))
+                        q, quat_from_rotation_vector(DT_S * controller.update(q, setpoint(q_target)))
                     )
                 )
-                now = tilt_error_rad(q, q_wanted)
+                now = tilt_error_rad(q, q_target)
                 assert now <= tilt + 1e-7
                 tilt = now
             if yaw_weight > 0.0:
@@ -67,26 +67,26 @@ def test_whole_error_vanishes_with_yaw():
     controller = AttitudeController(AttitudeParams())
     rng = np.random.default_rng(1)
     for _ in range(10):
-        q, q_wanted = (v / np.linalg.norm(v) for v in rng.standard_normal((2, 4)))
+        q, q_target = (v / np.linalg.norm(v) for v in rng.standard_normal((2, 4)))
         for _ in range(2000):
             q = quat_normalise(
-                quat_multiply(q, quat_from_rotation_vector(DT_S * controller.update(q, setpoint(q_wanted))))
+                quat_multiply(q, quat_from_rotation_vector(DT_S * controller.update(q, setpoint(q_target))))
             )
-        assert angle_rad(q, q_wanted) < 1e-3
+        assert angle_rad(q, q_target) < 1e-3
 
 
 def test_antipodal_quaternions_are_one_attitude():
     controller = AttitudeController(AttitudeParams())
     for q in attitudes():
-        for q_wanted in attitudes()[::7]:
-            rate = controller.update(q, setpoint(q_wanted))
-            if angle_rad(q, q_wanted) < math.pi - 1e-6:  # at half a turn either way is as short
-                np.testing.assert_allclose(controller.update(-q, setpoint(q_wanted)), rate, atol=1e-9)
-                np.testing.assert_allclose(controller.update(q, setpoint(-q_wanted)), rate, atol=1e-9)
+        for q_target in attitudes()[::7]:
+            rate = controller.update(q, setpoint(q_target))
+            if angle_rad(q, q_target) < math.pi - 1e-6:  # at half a turn both directions are equally short
+                np.testing.assert_allclose(controller.update(-q, setpoint(q_target)), rate, atol=1e-9)
+                np.testing.assert_allclose(controller.update(q, setpoint(-q_target)), rate, atol=1e-9)
 
 
 def test_gains_about_each_axis():
-    """Small errors: rate = gain x angle, yaw included although its error enters by the weight alone."""
+    """Small errors: rate = gain x angle, also for yaw, whose error is weighted."""
     controller = AttitudeController(AttitudeParams(roll_p=6.0, pitch_p=5.0, yaw_p=2.0, yaw_weight=0.4))
     level = np.array((1.0, 0.0, 0.0, 0.0))
     for axis, gain in enumerate((6.0, 5.0, 2.0)):
@@ -108,20 +108,20 @@ def test_rate_limits_and_thrust_axis_cosine():
     params = AttitudeParams(roll_rate_max_rad_s=1.0, pitch_rate_max_rad_s=2.0, yaw_rate_max_rad_s=0.5)
     controller = AttitudeController(params)
     for q in attitudes():
-        for q_wanted in attitudes():
-            rate = controller.update(q, setpoint(q_wanted, yaw_rate_rad_s=3.0))
+        for q_target in attitudes():
+            rate = controller.update(q, setpoint(q_target, yaw_rate_rad_s=3.0))
             assert np.all(np.abs(rate) <= (1.0, 2.0, 0.5))
-            assert controller.tilt_cosine == pytest.approx(math.cos(tilt_error_rad(q, q_wanted)), abs=1e-9)
+            assert controller.tilt_cosine == pytest.approx(math.cos(tilt_error_rad(q, q_target)), abs=1e-9)
 
 
-def rate_update(controller, rate=0.0, wanted=0.0, unallocated=0.0, *, integrate=True):
-    full = [np.full(3, v) for v in (rate, wanted, unallocated)]
+def rate_update(controller, rate=0.0, demand=0.0, unallocated=0.0, *, integrate=True):
+    full = [np.full(3, v) for v in (rate, demand, unallocated)]
     return controller.update(*full, dt_s=DT_S, integrate=integrate)
 
 
 def test_rate_terms():
     params = RateParams(roll_k=2.0, roll_p=0.1, roll_i=0.0, roll_d=0.0, roll_ff=0.05)
-    torque = rate_update(RateController(params), rate=1.0, wanted=3.0)
+    torque = rate_update(RateController(params), rate=1.0, demand=3.0)
     assert torque[0] == pytest.approx(2.0 * 0.1 * (3.0 - 1.0) + 0.05 * 3.0)
 
 
@@ -132,36 +132,36 @@ def test_derivative_opposes_acceleration_and_is_filtered():
     rate_update(controller, rate=0.0)
     alpha = DT_S / (DT_S + 1.0 / (2.0 * math.pi * 30.0))
     assert rate_update(controller, rate=0.1)[0] == pytest.approx(-0.01 * alpha * 0.1 / DT_S)
-    for k in range(2, 200):  # a steady acceleration of 25 rad/s^2 comes through whole
+    for k in range(2, 200):  # a steady acceleration of 25 rad/s^2 passes unchanged
         torque = rate_update(controller, rate=0.1 * k)
     assert torque[0] == pytest.approx(-0.01 * 0.1 / DT_S, rel=1e-6)
 
 
-def test_first_sample_is_no_jump():
+def test_first_sample_causes_no_derivative():
     controller = RateController(RateParams(roll_p=0.0, roll_i=0.0))
     assert rate_update(controller, rate=2.0)[0] == 0.0
 
 
 def test_integral_stops_at_its_limit_and_on_saturation_but_unwinds():
     controller = RateController(RateParams(roll_k=1.0, roll_i=0.2, integral_max=0.05))
-    rate_update(controller, wanted=1.0)
+    rate_update(controller, demand=1.0)
     fade = 1.0 - (1.0 / math.radians(400.0)) ** 2
     assert controller.integral[0] == pytest.approx(0.2 * fade * DT_S)
     for _ in range(1000):
-        rate_update(controller, wanted=1.0)
+        rate_update(controller, demand=1.0)
     assert controller.integral[0] == 0.05
-    rate_update(controller, wanted=-1.0, unallocated=0.1)  # the motors have no more that way, less is fine
+    rate_update(controller, demand=-1.0, unallocated=0.1)  # saturated in that direction, less is possible
     assert controller.integral[0] < 0.05
     held = controller.integral[0]
-    rate_update(controller, wanted=1.0, unallocated=0.1)
-    rate_update(controller, wanted=1.0, integrate=False)
+    rate_update(controller, demand=1.0, unallocated=0.1)
+    rate_update(controller, demand=1.0, integrate=False)
     assert controller.integral[0] == held
 
 
-def test_reset_empties_the_rate_controller():
+def test_reset_clears_the_rate_controller():
     controller = RateController(RateParams())
     for _ in range(10):
-        rate_update(controller, wanted=1.0)
+        rate_update(controller, demand=1.0)
     controller.reset()
     assert not controller.integral.any()
 

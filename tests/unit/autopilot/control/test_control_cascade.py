@@ -1,4 +1,4 @@
-"""The cascade in one compiled step is its parts one after the other, to the bit."""
+"""The cascade in one compiled step is equal to its separate parts in sequence, to the bit."""
 
 import dataclasses
 
@@ -23,7 +23,7 @@ PARAMS = ControlParams()
 
 
 class Parts:
-    """The same as `FlightController` does in flight, each part by itself."""
+    """The same as `FlightController` in flight, with separate parts."""
 
     def __init__(self) -> None:
         share = PARAMS.disturbance.integral_share
@@ -70,11 +70,11 @@ class Parts:
 
 
 @pytest.mark.parametrize("velocity_valid", [True, False])
-def test_equals_its_parts_one_after_the_other(velocity_valid):
+def test_equals_its_parts_in_sequence(velocity_valid):
     rng = np.random.default_rng(5)
     controller, parts = FlightController(PARAMS), Parts()
     for step in range(300):
-        tilt = 0.3 if step % 50 else 3.0  # now and then upside down
+        tilt = 0.3 if step % 50 else 3.0  # sometimes upside down
         q = np.array((1.0, *(tilt * rng.normal(size=3))))
         state = dataclasses.replace(
             estimate(),

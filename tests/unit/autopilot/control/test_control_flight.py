@@ -1,4 +1,4 @@
-"""The whole cascade against a 6-DOF Iris: wind, moves, upsets, take-off and landing."""
+"""The whole cascade with a 6-DOF Iris: wind, moves, upsets, take-off and landing."""
 
 import json
 import math
@@ -36,13 +36,13 @@ def hold(height_m, yaw_rad=0.0):
 
 
 def test_hover_without_observer_is_like_px4s():
-    """A real PX4 has 0.39 and 0.46 m in 5 N with 1 N gusts, 0.18 m in 2 N with 0.4 N: mean within 30 %."""
+    """A PX4 has 0.39 and 0.46 m in 5 N with 1 N gusts, 0.18 m in 2 N with 0.4 N: mean within 30 %."""
     assert rms_m(WITHOUT_OBSERVER, mean_n=5.0, gust_rms_n=1.0) == pytest.approx(0.425, rel=0.3)
     assert rms_m(WITHOUT_OBSERVER, mean_n=2.0, gust_rms_n=0.4) == pytest.approx(0.18, rel=0.3)
 
 
 def test_observer_holds_against_gusts():
-    """Twice better than the 0.20 m asked for: the estimator's errors come on top (measured here: 0.09 m)."""
+    """Half of the required 0.20 m, because the estimator's errors add to it (measured here: 0.09 m)."""
     assert rms_m(PARAMS, mean_n=5.0, gust_rms_n=1.0) <= 0.12
     assert rms_m(PARAMS, mean_n=0.0, gust_rms_n=0.0, seeds=(0,)) <= 0.02
 
@@ -72,17 +72,17 @@ def test_moves_overshoot_little_and_settle(distance_m, minimum_s):
 
 @pytest.mark.parametrize("direction", [(2.0, 0.0, 0.0), (0.0, 0.0, -2.0), (0.0, 0.0, 1.0)])
 def test_velocity_steps(direction):
-    """Unshaped, from a hover whose thrust is known."""
+    """Velocity steps without a trajectory, from a hover with a converged thrust estimate."""
     iris = Iris(height_m=50.0)
     controller = FlightController(ControlParams(position=PositionParams(thr_hover=0.534)))
-    wanted = np.array(direction)
-    speed = np.linalg.norm(wanted)
+    demand = np.array(direction)
+    speed = np.linalg.norm(demand)
     for _ in range(500):
         iris.step(fly(controller, iris, TrajectorySetpoint(vel_ned_m_s=np.zeros(3), yaw_rad=0.0)), CALM)
     along = []
     for _ in range(2000):
-        iris.step(fly(controller, iris, TrajectorySetpoint(vel_ned_m_s=wanted, yaw_rad=0.0)), CALM)
-        along.append(iris.vel_ned_m_s @ wanted / speed)
+        iris.step(fly(controller, iris, TrajectorySetpoint(vel_ned_m_s=demand, yaw_rad=0.0)), CALM)
+        along.append(iris.vel_ned_m_s @ demand / speed)
     assert max(along) <= 1.1 * speed
     assert along[-1] == pytest.approx(speed, rel=0.06)
 
@@ -155,7 +155,7 @@ def test_take_off_hover_and_landing(wind_n):
     assert iris.on_ground
     assert touch_speed_m_s < 1.0
     assert math.hypot(*(iris.pos_ned_m - here)[:2]) < 0.4
-    for _ in range(125):  # within half a second the thrust falls to where a land detector believes it
+    for _ in range(125):  # within half a second thrust is as low as a land detector requires
         controls = fly(controller, iris, down)
         iris.step(controls, gusts.force_ned_n())
     assert controller.thrust <= PARAMS.position.thr_min * 1.01
@@ -163,7 +163,7 @@ def test_take_off_hover_and_landing(wind_n):
     assert not controls.any()
 
 
-def test_on_the_ground_nothing_turns_or_integrates():
+def test_on_the_ground_the_motors_idle_and_nothing_integrates():
     iris = Iris()
     controller = FlightController(PARAMS)
     stay = TrajectorySetpoint(pos_ned_m=np.array((3.0, 0.0, 0.0)), yaw_rad=1.0)
@@ -195,7 +195,7 @@ def test_yaw_follows_setpoint_rate_and_holds():
     assert yaw_rad() == pytest.approx(controller.trajectory_setpoint.yaw_rad, abs=0.02)
 
 
-def test_a_reset_heading_becomes_the_one_to_hold():
+def test_a_heading_after_a_reset_of_the_estimate_is_held():
     controller = FlightController(PARAMS)
     keep = TrajectorySetpoint(pos_ned_m=np.zeros(3))
     controller.update(estimate(), keep, dt_s=DT_S, landed=False)
@@ -207,21 +207,21 @@ def test_a_reset_heading_becomes_the_one_to_hold():
 
 @pytest.mark.parametrize("divider", [1, 2, 4])
 def test_rates_and_attitude_run_at_every_sample_and_position_at_its_divider(divider):
-    """By 250 Hz of samples: at the default of 2 the position loop has 125 Hz."""
+    """With 250 Hz samples and the default of 2 the position loop runs at 125 Hz."""
     assert PARAMS.position_divider == 2
     iris = Iris(height_m=5.0, noise_seed=3)
     controller = FlightController(replace(PARAMS, position_divider=divider))
-    wanted, rates = [], []
+    attitudes, rates = [], []
     for _ in range(40):
         iris.step(fly(controller, iris, hold(5.5)), CALM)
-        wanted.append(controller.attitude_setpoint.q_ned_frd)
+        attitudes.append(controller.attitude_setpoint.q_ned_frd)
         rates.append(controller.rate_setpoint_frd_rad_s)
-    anew = [k for k in range(1, 40) if not np.array_equal(wanted[k], wanted[k - 1])]
-    assert anew == list(range(divider, 40, divider))
+    changes = [k for k in range(1, 40) if not np.array_equal(attitudes[k], attitudes[k - 1])]
+    assert changes == list(range(divider, 40, divider))
     assert all(not np.array_equal(rates[k], rates[k - 1]) for k in range(1, 40))
 
 
-def test_idle_forgets_everything():
+def test_idle_resets_everything():
     fresh, used = FlightController(PARAMS), FlightController(PARAMS)
     iris = Iris(height_m=5.0)
     gusts = Gusts(mean_n=5.0, gust_rms_n=1.0, seed=1)
@@ -237,7 +237,7 @@ def test_idle_forgets_everything():
         np.testing.assert_array_equal(used.update(state, hold(6.0), dt_s=DT_S, landed=False), expected)
 
 
-def test_telemetry_shows_what_is_flown():
+def test_telemetry_reports_the_setpoints_in_use():
     controller = FlightController(PARAMS)
     controller.update(estimate(), hold(2.0, yaw_rad=0.5), dt_s=DT_S, landed=False)
     setpoint = controller.trajectory_setpoint
@@ -252,7 +252,7 @@ def test_telemetry_shows_what_is_flown():
 
 
 def first_controls():
-    """Fly 50 steps that use every kernel; the controls."""
+    """Return the controls after 50 steps that use every kernel."""
     iris = Iris(height_m=5.0, noise_seed=1)
     controller = FlightController(PARAMS)
     trajectory = PositionTrajectory(PARAMS.trajectory)
@@ -265,7 +265,7 @@ def first_controls():
     return np.array(controls)
 
 
-def test_same_flight_without_compiler():
+def test_same_flight_without_the_compiler():
     code = "import json, test_control_flight as t; print(json.dumps(t.first_controls().tolist()))"
     path = os.pathsep.join((str(Path(__file__).parent), str(SUPPORT), str(ROOT)))
     done = subprocess.run(

@@ -1,4 +1,4 @@
-"""The three stages in one compiled step are the three stages one after the other, to the bit."""
+"""The three stages in one compiled step are equal to the stages in sequence, to the bit."""
 
 import math
 
@@ -29,16 +29,16 @@ def inner_loop():
 @pytest.mark.parametrize("airmode_above", [math.inf, 0.2])
 @pytest.mark.parametrize("by_tilt", [False, True])
 @pytest.mark.parametrize("integrate", [False, True])
-def test_equals_the_stages_one_after_the_other(airmode_above, by_tilt, integrate):
+def test_equals_the_stages_in_sequence(airmode_above, by_tilt, integrate):
     rng = np.random.default_rng(1)
     attitude, rates, allocator = stages()
     inner = inner_loop()
     for _ in range(200):
-        q, wanted = rng.normal(size=(2, 4))
-        q, wanted = q / np.linalg.norm(q), wanted / np.linalg.norm(wanted)
+        q, q_setpoint = rng.normal(size=(2, 4))
+        q, q_setpoint = q / np.linalg.norm(q), q_setpoint / np.linalg.norm(q_setpoint)
         omega = rng.normal(size=3)
         setpoint = AttitudeSetpoint(
-            q_ned_frd=wanted, yaw_rate_rad_s=float(rng.normal()), thrust=float(rng.uniform())
+            q_ned_frd=q_setpoint, yaw_rate_rad_s=float(rng.normal()), thrust=float(rng.uniform())
         )
         controls = inner.update(
             q, omega, setpoint, dt_s=DT_S, by_tilt=by_tilt, integrate=integrate, airmode_above=airmode_above
@@ -54,25 +54,25 @@ def test_equals_the_stages_one_after_the_other(airmode_above, by_tilt, integrate
 
 @pytest.mark.parametrize("airmode_above", [math.inf, 0.2])
 @pytest.mark.parametrize("integrate", [False, True])
-def test_rates_go_by_the_attitude_within_its_limits(airmode_above, integrate):
+def test_rate_setpoints_are_limited_like_those_of_the_attitude(airmode_above, integrate):
     rng = np.random.default_rng(2)
     attitude, rates, allocator = stages()
     inner = inner_loop()
     limit = attitude.rate_max_rad_s
     for _ in range(200):
-        omega, wanted = rng.normal(size=(2, 3)) * 3.0
-        setpoint = RateSetpoint(rate_frd_rad_s=wanted, thrust=float(rng.uniform()))
+        omega, demand = rng.normal(size=(2, 3)) * 3.0
+        setpoint = RateSetpoint(rate_frd_rad_s=demand, thrust=float(rng.uniform()))
         controls = inner.follow_rates(
             omega, setpoint, dt_s=DT_S, integrate=integrate, airmode_above=airmode_above
         )
-        rate = np.clip(wanted, -limit, limit)
+        rate = np.clip(demand, -limit, limit)
         torque = rates.update(omega, rate, allocator.unallocated, dt_s=DT_S, integrate=integrate)
         expected = allocator.allocate(setpoint.thrust, torque, airmode=setpoint.thrust > airmode_above)
         np.testing.assert_array_equal(controls, expected)
         np.testing.assert_array_equal(inner.rate_setpoint_frd_rad_s, rate)
 
 
-def test_a_reset_forgets_what_was_flown():
+def test_a_reset_clears_the_state():
     inner, fresh = inner_loop(), inner_loop()
     level = np.array((1.0, 0.0, 0.0, 0.0))
     setpoint = AttitudeSetpoint(q_ned_frd=level, yaw_rate_rad_s=0.5, thrust=0.5)

@@ -1,4 +1,4 @@
-"""Whatever parameters are accepted and whatever is asked for, the motors' controls are numbers (12 s)."""
+"""For all accepted parameters and all setpoints the motors' controls are finite numbers (12 s)."""
 
 import math
 
@@ -17,11 +17,11 @@ from foundation.types import TrajectorySetpoint
 
 CONTROL = [parameter for parameter in TABLE if parameter.group == "control"]
 WIRE_MAX = 3.4e38
-"""What an offboard setpoint can hold at most: a float32."""
+"""Greatest value of an offboard setpoint: a float32."""
 
 
 def within(parameter):
-    """Any value of a row, its ends more often than chance would have them."""
+    """Any value of a row, with its limits more often than by chance."""
     ends = st.sampled_from((parameter.minimum, parameter.maximum))
     if parameter.is_integer:
         return ends | st.integers(int(parameter.minimum), int(parameter.maximum))
@@ -46,7 +46,7 @@ def accepted(overrides):
     try:
         return ParameterSet(Settings(), overrides).settings.control
     except ParameterError:
-        assume(False)  # noqa: FBT003  # hypothesis's way to pass over an example
+        assume(False)  # noqa: FBT003  # discards the example
         raise
 
 
@@ -55,11 +55,11 @@ def accepted(overrides):
 @given(
     some_parameters, st.lists(setpoints, min_size=1, max_size=4), st.tuples(*[st.floats(-100.0, 100.0)] * 3)
 )
-def test_controls_are_finite_for_all_accepted_parameters_and_wild_setpoints(overrides, wanted, vel_m_s):
+def test_controls_are_finite_for_all_accepted_parameters_and_wild_setpoints(overrides, commands, vel_m_s):
     params = accepted(overrides)
     controller = FlightController(params)
     state = estimate(vel_ned_m_s=np.array(vel_m_s), omega_frd_rad_s=np.array((3.0, -3.0, 1.0)))
-    for setpoint in wanted:
+    for setpoint in commands:
         for _ in range(2 * params.position_divider):
             controls = np.array(controller.update(state, setpoint, dt_s=DT_S, landed=False))
             assert ((controls >= 0.0) & (controls <= 1.0)).all()
@@ -69,10 +69,10 @@ def test_controls_are_finite_for_all_accepted_parameters_and_wild_setpoints(over
 
 @settings(max_examples=300, deadline=None)
 @example(ALL_MARGIN, FAR, (0.0, 0.0, 0.0), 0.5)
-@example({}, STOP, (1.7e-291, 0.0, 3.0), 0.5)  # whose square is none any more
+@example({}, STOP, (1.7e-291, 0.0, 3.0), 0.5)  # its square underflows
 @given(some_parameters, setpoints, st.tuples(*[st.floats(-100.0, 100.0)] * 3), st.floats(0.05, 0.95))
 def test_thrust_and_tilt_keep_their_limits_for_all_accepted_parameters(overrides, setpoint, vel_m_s, hover):
-    """At least the least thrust, also where the margin is all of it: none is given up for nothing."""
+    """Thrust is at least the least thrust, also with a margin of all of it: vertical thrust is not wasted."""
     params = accepted(overrides).position
     attitude = (
         PositionController(params)
@@ -87,12 +87,12 @@ def test_thrust_and_tilt_keep_their_limits_for_all_accepted_parameters(overrides
     assert -up[2] >= math.cos(params.tilt_max_rad) - 1e-7
 
 
-def test_the_margin_takes_from_a_climb_only_what_the_steepest_tilt_can_use():
-    """200 m away and 200 m up at 20 degrees: all of the 0.5 lies along the steepest tilt."""
+def test_the_margin_reduces_a_climb_only_by_what_the_steepest_tilt_can_use():
+    """200 m away and 200 m up at 20 degrees: all of the 0.5 is along the steepest tilt."""
     params = PositionParams(thr_max=0.5, thr_xy_margin=0.5, tilt_max_rad=math.radians(20.0))
-    wanted = TrajectorySetpoint(acc_ned_m_s2=np.array((100.0, 0.0, -100.0)))
+    setpoint = TrajectorySetpoint(acc_ned_m_s2=np.array((100.0, 0.0, -100.0)))
     thrust = PositionController(params).update(
-        estimate(), wanted, yaw_rad=0.0, hover_thrust=0.5, disturbance_ned_m_s2=np.zeros(3),
+        estimate(), setpoint, yaw_rad=0.0, hover_thrust=0.5, disturbance_ned_m_s2=np.zeros(3),
         climb_max_m_s=math.inf, dt_s=DT_S,
     ).thrust_ned  # fmt: skip
     expected = 0.5 * np.array((math.sin(params.tilt_max_rad), 0.0, -math.cos(params.tilt_max_rad)))

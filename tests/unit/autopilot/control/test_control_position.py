@@ -1,4 +1,4 @@
-"""Position control: limits for every setpoint, what each group does, integrators, what is estimated."""
+"""Position control: limits for all setpoints, effect of each group, integrators, estimates."""
 
 import dataclasses
 import itertools
@@ -12,7 +12,7 @@ from autopilot.control.disturbance import THRUST, DisturbanceObserver
 from autopilot.control.hover_thrust import GRAVITY_M_S2, HoverThrustEstimator
 from autopilot.control.params import DisturbanceParams, HoverThrustParams, PositionParams
 from autopilot.control.position import PositionController
-from autopilot.control.takeoff import TakeoffPhase, TakeoffRamp, wants_climb
+from autopilot.control.takeoff import TakeoffPhase, TakeoffRamp, demands_climb
 from foundation.geometry.rotations import quat_from_euler, quat_rotate, quat_to_euler
 from foundation.types import TrajectorySetpoint
 
@@ -79,7 +79,7 @@ def test_position_and_feed_forward_add():
     )
 
 
-def test_position_goes_before_feed_forward_when_speed_is_short():
+def test_position_has_priority_over_feed_forward_at_the_speed_limit():
     setpoint = TrajectorySetpoint(pos_ned_m=np.array((8.0, 0.0, 0.0)), vel_ned_m_s=np.array((0.0, 20.0, 0.0)))
     vel = update(PositionController(P), setpoint).vel_ned_m_s
     assert vel[0] == pytest.approx(8.0 * P.xy_p)
@@ -94,14 +94,14 @@ def test_acceleration_becomes_tilt_and_thrust():
     assert -out.thrust_ned[2] == pytest.approx(0.5 * (1.0 + 1.0 / GRAVITY_M_S2))
 
 
-def test_disturbance_is_taken_off():
+def test_disturbance_is_subtracted():
     wind = np.array((1.0, -2.0, 0.5))
     against = update(PositionController(P), TrajectorySetpoint(), disturbance_ned_m_s2=wind)
-    asked = update(PositionController(P), TrajectorySetpoint(acc_ned_m_s2=-wind))
-    np.testing.assert_allclose(against.thrust_ned, asked.thrust_ned)
+    demanded = update(PositionController(P), TrajectorySetpoint(acc_ned_m_s2=-wind))
+    np.testing.assert_allclose(against.thrust_ned, demanded.thrust_ned)
 
 
-def test_vertical_thrust_goes_before_horizontal_but_for_the_margin():
+def test_vertical_thrust_has_priority_over_horizontal_except_for_the_margin():
     setpoint = TrajectorySetpoint(acc_ned_m_s2=np.array((9.0, 0.0, -30.0)))
     thrust = update(PositionController(P), setpoint).thrust_ned
     assert thrust[0] == pytest.approx(P.thr_xy_margin)
@@ -111,16 +111,16 @@ def test_vertical_thrust_goes_before_horizontal_but_for_the_margin():
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_integral_does_not_wind_up_while_limits_hold(axis, sign):
-    """A demand beyond the limits for 20 s leaves nothing, one that asks for less than the limit counts."""
+    """A demand beyond the limits for 20 s does not change it; one below the limit does."""
     controller = PositionController(P)
-    wanted = np.zeros(3)
-    wanted[axis] = sign * 1000.0
-    state = estimate(vel_ned_m_s=-wanted / 50.0)
+    demand = np.zeros(3)
+    demand[axis] = sign * 1000.0
+    state = estimate(vel_ned_m_s=-demand / 50.0)
     for _ in range(2500):
-        update(controller, TrajectorySetpoint(vel_ned_m_s=wanted), state)
+        update(controller, TrajectorySetpoint(vel_ned_m_s=demand), state)
     assert abs(controller.integral[axis]) < 1e-9
-    beyond = TrajectorySetpoint(vel_ned_m_s=np.zeros(3), acc_ned_m_s2=wanted)
-    update(controller, beyond, estimate(vel_ned_m_s=0.001 * wanted))
+    beyond = TrajectorySetpoint(vel_ned_m_s=np.zeros(3), acc_ned_m_s2=demand)
+    update(controller, beyond, estimate(vel_ned_m_s=0.001 * demand))
     assert controller.integral[axis] * sign < 0.0
 
 
@@ -133,14 +133,14 @@ def test_integral_grows_with_the_error_and_resets():
     assert not controller.integral.any()
 
 
-def test_new_hover_thrust_is_no_jump():
+def test_a_new_hover_thrust_causes_no_jump():
     controller = PositionController(P)
     setpoint = TrajectorySetpoint(pos_ned_m=np.array((0.0, 0.0, -0.3)))
     before = update(controller, setpoint)
     controller.hover_thrust_changed(old=0.5, new=0.56, acc_down_m_s2=float(before.acc_ned_m_s2[2]))
     held = controller.integral[2]
     after = update(controller, setpoint, hover_thrust=0.56)
-    # but for what one step integrates
+    # except for the integration of one step
     step = 0.56 / GRAVITY_M_S2 * P.z_vel_i_acc * DT_S * 0.3
     assert held != 0.0
     assert after.attitude.thrust == pytest.approx(before.attitude.thrust, abs=1.01 * step)
@@ -151,16 +151,16 @@ def test_without_position_it_stops_and_without_velocity_it_levels():
     moving = estimate(vel_ned_m_s=np.array((1.0, 0.0, 0.0)), position_valid=False)
     out = update(PositionController(P), setpoint, moving)
     assert out.acc_ned_m_s2[0] == pytest.approx(-P.xy_vel_p_acc)
-    assert out.vel_ned_m_s[2] == -P.z_vel_max_up_m_s  # the height is still known
+    assert out.vel_ned_m_s[2] == -P.z_vel_max_up_m_s  # the height is still valid
     blind = dataclasses.replace(moving, velocity_valid=False)
     out = update(PositionController(P), setpoint, blind)
     np.testing.assert_allclose(out.thrust_ned[:2], 0.0)
-    assert out.vel_ned_m_s[2] == -P.z_vel_max_up_m_s  # a known height means a known climb
+    assert out.vel_ned_m_s[2] == -P.z_vel_max_up_m_s  # a valid height implies a valid climb rate
     out = update(PositionController(P), setpoint, dataclasses.replace(blind, height_valid=False))
     np.testing.assert_allclose(out.thrust_ned, (0.0, 0.0, -0.5))
 
 
-def test_one_axis_by_position_another_by_velocity():
+def test_axes_can_have_position_and_velocity_setpoints():
     setpoint = TrajectorySetpoint(
         pos_ned_m=np.array((1.0, 1.0, math.nan)), pos_axes=(True, True, False),
         vel_ned_m_s=np.array((math.nan, math.nan, 0.7)), vel_axes=(False, False, True),
@@ -179,7 +179,7 @@ def test_hover_thrust_converges_under_noise():
     assert estimator.hover_thrust == pytest.approx(truth, abs=0.01)
 
 
-def test_hover_thrust_ignores_a_bump_and_keeps_its_range():
+def test_hover_thrust_rejects_an_impact_and_stays_in_its_range():
     estimator = HoverThrustEstimator(HoverThrustParams(range=0.1), start=0.5)
     for _ in range(200):
         estimator.update(acc_up_m_s2=0.0, thrust_up=0.5, dt_s=DT_S)
@@ -198,7 +198,7 @@ def observed(seconds, *, q, thrust, acc, enabled=True, **kwargs):
     return observer.acc_ned_m_s2
 
 
-def test_observer_finds_the_force_that_thrust_does_not_explain():
+def test_observer_estimates_the_force_that_thrust_does_not_explain():
     q = quat_from_euler(0.2, -0.3, 1.0)
     wind = np.array((2.0, -1.0, 0.4))
     acc = wind + GRAVITY_NED_M_S2 + quat_rotate(q, -0.55 / 0.5 * GRAVITY_NED_M_S2)
@@ -209,14 +209,14 @@ def test_observer_finds_the_force_that_thrust_does_not_explain():
     assert not observed(2.0, q=q, thrust=0.55, acc=acc, enabled=False).any()
 
 
-def test_wrong_attitude_does_not_feed_the_observer():
-    """Specific force and thrust are both turned by the estimate's error: at hover they still cancel."""
+def test_an_attitude_error_does_not_change_the_observers_magnitude():
+    """The estimate's error rotates both specific force and thrust: in hover they still cancel."""
     q_wrong = quat_from_euler(0.05, 0.03, 0.0)
     acc = GRAVITY_NED_M_S2 + quat_rotate(q_wrong, -GRAVITY_NED_M_S2)
     assert np.abs(observed(2.0, q=q_wrong, thrust=0.5, acc=acc)).max() < 1e-9
 
 
-def test_observer_knows_the_motors_lag_and_bounds_a_bump():
+def test_observer_models_the_motors_lag_and_limits_an_impact():
     observer = DisturbanceObserver(DisturbanceParams(thrust_lag_s=0.02))
     observer.update(
         np.zeros(3), np.array((1.0, 0, 0, 0)), thrust=0.5, hover_thrust=0.5, dt_s=0.02, observe=False
@@ -231,33 +231,33 @@ def test_observer_knows_the_motors_lag_and_bounds_a_bump():
 def test_take_off_timeline():
     ramp = TakeoffRamp(P)
     step = {"landed": True, "dt_s": 0.1}
-    assert ramp.update(wants_climb=False, **step) is TakeoffPhase.GROUND
-    assert ramp.update(wants_climb=True, **step) is TakeoffPhase.RAMP
+    assert ramp.update(demands_climb=False, **step) is TakeoffPhase.GROUND
+    assert ramp.update(demands_climb=True, **step) is TakeoffPhase.RAMP
     limits = []
     for _ in range(30):  # 3 s
-        assert ramp.update(wants_climb=True, **step) is TakeoffPhase.RAMP
+        assert ramp.update(demands_climb=True, **step) is TakeoffPhase.RAMP
         limits.append(ramp.climb_max_m_s)
     assert limits[0] < -2.0  # no thrust yet
     assert np.all(np.diff(limits) > 0.0)
     assert limits[-1] == pytest.approx(P.tko_speed_m_s)
-    assert ramp.update(landed=False, wants_climb=False, dt_s=0.1) is TakeoffPhase.FLYING
+    assert ramp.update(landed=False, demands_climb=False, dt_s=0.1) is TakeoffPhase.FLYING
     assert ramp.climb_max_m_s == math.inf
-    assert ramp.update(wants_climb=False, **step) is TakeoffPhase.GROUND
+    assert ramp.update(demands_climb=False, **step) is TakeoffPhase.GROUND
 
 
-def test_take_off_given_up_and_start_in_the_air():
+def test_aborted_take_off_and_start_in_the_air():
     ramp = TakeoffRamp(P)
-    ramp.update(landed=True, wants_climb=True, dt_s=0.1)
-    assert ramp.update(landed=True, wants_climb=False, dt_s=0.1) is TakeoffPhase.GROUND
-    assert ramp.update(landed=False, wants_climb=False, dt_s=0.1) is TakeoffPhase.FLYING
+    ramp.update(landed=True, demands_climb=True, dt_s=0.1)
+    assert ramp.update(landed=True, demands_climb=False, dt_s=0.1) is TakeoffPhase.GROUND
+    assert ramp.update(landed=False, demands_climb=False, dt_s=0.1) is TakeoffPhase.FLYING
 
 
-def test_what_counts_as_a_wish_to_climb():
+def test_setpoints_that_demand_a_climb():
     up = np.array((0.0, 0.0, -5.0))
     state = estimate()
-    assert wants_climb(state, TrajectorySetpoint(pos_ned_m=up))
-    assert wants_climb(state, TrajectorySetpoint(vel_ned_m_s=up))
-    assert wants_climb(state, TrajectorySetpoint(acc_ned_m_s2=up))
-    assert not wants_climb(state, TrajectorySetpoint(pos_ned_m=-up))
-    assert not wants_climb(state, TrajectorySetpoint(pos_ned_m=up, pos_axes=(True, True, False)))
-    assert not wants_climb(state, TrajectorySetpoint())
+    assert demands_climb(state, TrajectorySetpoint(pos_ned_m=up))
+    assert demands_climb(state, TrajectorySetpoint(vel_ned_m_s=up))
+    assert demands_climb(state, TrajectorySetpoint(acc_ned_m_s2=up))
+    assert not demands_climb(state, TrajectorySetpoint(pos_ned_m=-up))
+    assert not demands_climb(state, TrajectorySetpoint(pos_ned_m=up, pos_axes=(True, True, False)))
+    assert not demands_climb(state, TrajectorySetpoint())

@@ -1,4 +1,4 @@
-"""New parameters in flight: they act in the next update and lose nothing that flight has taught (2 s)."""
+"""Changes of parameters in flight: they act in the next update and keep integrals and estimates (2 s)."""
 
 import math
 
@@ -20,7 +20,7 @@ LEVEL = AttitudeSetpoint(q_ned_frd=np.array((1.0, 0.0, 0.0, 0.0)), yaw_rate_rad_
 
 
 def in_wind(params, seconds=12.0, seed=2):
-    """A vehicle that has learned to hover in 3 N of steady wind."""
+    """Return a controller and its vehicle after hovering in 3 N of steady wind."""
     iris = Iris(height_m=5.0, noise_seed=seed)
     gusts = Gusts(mean_n=3.0, gust_rms_n=0.0, seed=seed)
     controller = FlightController(params)
@@ -30,12 +30,12 @@ def in_wind(params, seconds=12.0, seed=2):
 
 
 def demand_ned_m_s2(controller):
-    """Acceleration that the thrust is asked for: over ground, less the disturbance."""
+    """Return the acceleration that the thrust has to cause: over ground, minus the disturbance."""
     return controller.trajectory_setpoint.acc_ned_m_s2 - controller.disturbance_ned_m_s2
 
 
-def every_group_anew(params):
-    """Equal parameters of which no object is the same."""
+def equal_copy(params):
+    """Return equal parameters that share no object."""
     return ControlParams(**{
         name: replace(value) if hasattr(value, "__struct_fields__") else value
         for name, value in ((name, getattr(params, name)) for name in params.__struct_fields__)
@@ -44,7 +44,7 @@ def every_group_anew(params):
 
 @pytest.mark.parametrize("params", [PARAMS, WITHOUT_OBSERVER])
 def test_the_same_parameters_change_nothing_to_the_bit(params):
-    """Set anew at every step from the ground into flight: the same controls as without."""
+    """Set at every step from the ground into flight: the same controls as without."""
     flights = []
     for again in (False, True):
         iris, gusts = Iris(noise_seed=4), Gusts(mean_n=3.0, gust_rms_n=0.6, seed=4)
@@ -52,7 +52,7 @@ def test_the_same_parameters_change_nothing_to_the_bit(params):
         landed, controls = True, []
         for _ in range(1500):
             if again:
-                controller.set_params(every_group_anew(params))
+                controller.set_params(equal_copy(params))
             controls.append(fly(controller, iris, HERE, landed=landed))
             iris.step(controls[-1], gusts.force_ned_n())
             landed = landed and bool(iris.pos_ned_m[2] > -0.02)
@@ -62,7 +62,7 @@ def test_the_same_parameters_change_nothing_to_the_bit(params):
 
 
 def test_a_rate_gain_acts_in_the_next_update():
-    """Without I and D the torque is K P (wanted - present): twice the P is twice the torque."""
+    """Without I and D the torque is K P (demand - present): twice the P gain is twice the torque."""
     proportional = RateParams(roll_i=0.0, roll_d=0.0)
     params = replace(PARAMS, rate=proportional)
     turning = estimate(omega_frd_rad_s=np.array((0.1, 0.0, 0.0)))
@@ -94,7 +94,7 @@ def test_attitude_and_position_gains_and_limits_act_in_the_next_update():
 
 
 def test_integrals_filters_and_hover_thrust_stay():
-    """All gains of the position loop change: the integral keeps the wind, and nobody is pushed."""
+    """All gains of the position loop change: the integral keeps compensating the wind, without a jump."""
     iris, gusts, controller = in_wind(WITHOUT_OBSERVER)
     held_before = controller._position.integral
     hover_before, rate_integral = controller.hover_thrust, controller._rates.integral
@@ -111,8 +111,8 @@ def test_integrals_filters_and_hover_thrust_stay():
 
 
 @pytest.mark.parametrize(("before", "after"), [(PARAMS, WITHOUT_OBSERVER), (WITHOUT_OBSERVER, PARAMS)])
-def test_switching_the_observer_hands_the_wind_over(before, after):
-    """3 N on 1.55 kg are 1.94 m/s^2; let go they would carry the vehicle away by a metre and more."""
+def test_switching_the_observer_transfers_the_estimated_wind(before, after):
+    """3 N on 1.55 kg are 1.94 m/s^2, which would displace the vehicle by more than a metre."""
     iris, gusts, controller = in_wind(before)
     demand = demand_ned_m_s2(controller)
     assert np.linalg.norm(demand[:2]) == pytest.approx(3.0 / 1.55, rel=0.1)
@@ -131,7 +131,7 @@ def test_switching_the_observer_hands_the_wind_over(before, after):
     np.testing.assert_allclose(demand_ned_m_s2(controller), demand, atol=0.3)
 
 
-def test_switching_the_observer_off_under_attitude_commands_leaves_no_integral_behind():
+def test_switching_the_observer_off_with_attitude_setpoints_leaves_no_integral():
     iris, gusts, controller = in_wind(PARAMS)
     for _ in range(5):
         iris.step(fly(controller, iris, LEVEL), gusts.force_ned_n())
@@ -141,7 +141,7 @@ def test_switching_the_observer_off_under_attitude_commands_leaves_no_integral_b
     assert not controller._position.integral.any()
 
 
-def test_the_observer_takes_no_more_than_its_limit():
+def test_the_transfer_to_the_observer_is_limited():
     controller = FlightController(WITHOUT_OBSERVER)
     controller.update(estimate(), HERE, dt_s=DT_S, landed=False)
     controller._position.reset()
@@ -151,7 +151,7 @@ def test_the_observer_takes_no_more_than_its_limit():
     np.testing.assert_allclose(controller._position.integral, (2.4, 3.2, 0.0))
 
 
-def test_hover_thrust_follows_a_new_start_until_it_has_learned():
+def test_hover_thrust_uses_a_new_initial_value_until_its_first_update():
     estimator = HoverThrustEstimator(HoverThrustParams(), start=0.5)
     estimator.set_params(HoverThrustParams(), start=0.4)
     assert estimator.hover_thrust == 0.4
@@ -165,10 +165,10 @@ def test_hover_thrust_follows_a_new_start_until_it_has_learned():
     assert estimator.hover_thrust == 0.5
 
 
-def test_the_take_off_ramp_goes_on_where_it_was():
-    """Half-way through 3 s the new limit lies half-way between the new start and the new end."""
+def test_the_take_off_ramp_continues():
+    """Half-way through 3 s the new limit is half-way between the new start and the new end."""
     ramp = TakeoffRamp(PARAMS.position)
-    step = {"landed": True, "wants_climb": True, "dt_s": 0.1}
+    step = {"landed": True, "demands_climb": True, "dt_s": 0.1}
     ramp.update(**step)
     for _ in range(14):
         ramp.update(**step)
@@ -179,7 +179,7 @@ def test_the_take_off_ramp_goes_on_where_it_was():
     assert ramp.climb_max_m_s == pytest.approx(0.5 * (start_m_s + 2.5))
 
 
-def test_a_frame_that_cannot_fly_is_refused_and_nothing_changes():
+def test_an_infeasible_airframe_is_rejected_and_nothing_changes():
     controller = FlightController(PARAMS)
     in_line = tuple(
         Rotor(pos_frd_m=(x, 0.0, 0.0), torque_ratio_m=k) for x, k in ((1, 1), (2, -1), (-1, 1), (-2, -1))
@@ -198,8 +198,8 @@ def test_a_frame_that_cannot_fly_is_refused_and_nothing_changes():
     )
 
 
-def test_a_trajectory_goes_on_and_keeps_its_new_limits():
-    """From 5 m/s under a new limit of 3 m/s at jerk 4: down within 2 sqrt(2 / 4) = 1.41 s, and then kept."""
+def test_a_trajectory_continues_within_its_new_limits():
+    """From 5 m/s to a new limit of 3 m/s at jerk 4: reached within 2 sqrt(2 / 4) = 1.41 s, and kept."""
     limits = PARAMS.trajectory
     trajectory, untouched = PositionTrajectory(limits), PositionTrajectory(limits)
     target = np.array((60.0, 0.0, -5.0))

@@ -1,4 +1,4 @@
-"""Jerk-limited moves: minimum time, limits at every step, rest exactly at the target."""
+"""Jerk-limited trajectories: minimum time, limits at every step, rest exactly at the target."""
 
 import math
 
@@ -24,7 +24,7 @@ def at(pos, **kwargs):
 
 
 def move(trajectory, target, limit_s=60.0):
-    """Setpoints until the reference rests at the target."""
+    """Return setpoints until the reference is at rest at the target."""
     target = np.array(target, dtype=float)
     setpoints = []
     while len(setpoints) * DT_S < limit_s:
@@ -37,13 +37,13 @@ def move(trajectory, target, limit_s=60.0):
 @pytest.mark.parametrize(
     ("target", "time_s"),
     [
-        # jerk alone: four phases of (d / 2 J)^(1/3)
+        # only the jerk is limited: four phases of (d / 2 J)^(1/3)
         ((1.0, 0.0, 0.0), 4.0 * (1.0 / 8.0) ** (1.0 / 3.0)),
         # acceleration limit reached, speed limit not: t = A/2J + sqrt((A/2J)^2 + d/A), twice
         ((5.0, 0.0, 0.0), 2.0 * (3.0 / 8.0 + math.sqrt((3.0 / 8.0) ** 2 + 5.0 / 3.0))),
         # both reached: d/V + V/A + A/J
         ((0.0, 20.0, 0.0), 20.0 / 5.0 + 5.0 / 3.0 + 3.0 / 4.0),
-        # down: speeds up at 3, brakes at 4 m/s^2, to 1.5 m/s; each change of speed takes 2 sqrt(V / J)
+        # down: accelerates at 3, brakes at 4 m/s^2, to 1.5 m/s; each change of speed takes 2 sqrt(V / J)
         ((0.0, 0.0, 20.0), 20.0 / 1.5 + 2.0 * math.sqrt(1.5 / 4.0)),
     ],
 )
@@ -62,7 +62,7 @@ def test_moves_along_the_line():
         assert np.linalg.norm(np.cross(s.pos_ned_m, target)) / np.linalg.norm(target) < 1e-9
 
 
-def test_every_part_of_a_slanted_move_keeps_its_limits():
+def test_every_component_of_a_slanted_move_respects_its_limits():
     params = TrajectoryParams(acc_lead_s=0.0)
     trajectory = PositionTrajectory(params)
     trajectory.reset(np.zeros(3), yaw_rad=0.0)
@@ -89,7 +89,7 @@ def test_comes_to_rest_from_any_motion(target, vel, acc):
     setpoints = move(trajectory, target)
     positions = np.array([s.pos_ned_m for s in setpoints])
     velocities = np.array([s.vel_ned_m_s for s in setpoints])
-    # position is the integral of the velocity handed out
+    # position is the integral of the velocity setpoint
     trapezoid = np.cumsum(0.5 * DT_S * (velocities[1:] + velocities[:-1]), axis=0)
     np.testing.assert_allclose(positions[1:] - positions[0], trapezoid, atol=1e-3)
 
@@ -114,12 +114,13 @@ def test_stopping_distance(sign):
     assert stopping_distance(sign * 3.0, 0.0, -3.0, 3.0, 4.0) == pytest.approx(sign * 3.0 * 1.75 / 2.0)
     # 1 m/s never reaches the limit: 2 sqrt(v / J)
     assert stopping_distance(sign * 1.0, 0.0, -3.0, 3.0, 4.0) == pytest.approx(sign * 2.0 * 0.5 / 2.0)
-    # at rest but accelerating with 2 m/s^2: 0.5 s to none, 1/6 m and 0.5 m/s on; then 2 sqrt(v / J) to rest
+    # at rest with an acceleration of 2 m/s^2: 0.5 s to zero, after 1/6 m and 0.5 m/s; then 2 sqrt(v / J) to
+    # rest
     expected = 1.0 / 6.0 + 0.5 * 2.0 * math.sqrt(0.5 / 4.0) / 2.0
     assert stopping_distance(0.0, sign * 2.0, -3.0, 3.0, 4.0) == pytest.approx(sign * expected)
 
 
-def test_waits_for_a_vehicle_that_does_not_follow():
+def test_the_reference_waits_for_a_vehicle_that_does_not_follow():
     trajectory = at((0.0, 0.0, 0.0))
     for _ in range(2500):
         s = trajectory.update(np.array((20.0, 0.0, 0.0)), DT_S, vehicle_pos_ned_m=np.zeros(3))
@@ -127,7 +128,7 @@ def test_waits_for_a_vehicle_that_does_not_follow():
     assert abs(s.vel_ned_m_s[0]) < 0.5
 
 
-def test_yaw_turns_the_short_way_within_its_rate_and_stops():
+def test_yaw_takes_the_shorter_turn_within_its_rate_and_stops():
     trajectory = PositionTrajectory(P)
     trajectory.reset(np.zeros(3), yaw_rad=math.radians(170.0))
     turned = 0.0
@@ -140,7 +141,7 @@ def test_yaw_turns_the_short_way_within_its_rate_and_stops():
     assert s.yaw_rate_rad_s == 0.0
 
 
-def test_yaw_none_keeps_the_last_wish():
+def test_yaw_none_keeps_the_last_target():
     trajectory = PositionTrajectory(P)
     trajectory.reset(np.zeros(3), yaw_rad=0.0)
     trajectory.update(np.zeros(3), DT_S, yaw_rad=1.0)

@@ -1,4 +1,4 @@
-"""Alignment at rest: what it finds, what it honestly does not know, what it refuses."""
+"""Alignment at rest: estimates, their covariance, and rejected windows."""
 
 import numpy as np
 import pytest
@@ -14,13 +14,13 @@ PARAMS = EstimatorParams()
 
 
 def at_rest(rotation, accel_bias_m_s2=(0.0, 0.0, 0.0)):
-    """Mean accelerometer and magnetometer readings of a body at rest."""
+    """Return mean accelerometer and magnetometer readings of a body at rest."""
     force_frd = rotation.inv().apply([0.0, 0.0, -GRAVITY_M_S2])
     return force_frd + accel_bias_m_s2, rotation.inv().apply(FIELD_NED_GAUSS)
 
 
 def feed(alignment, rng, *, from_s=0.0, seconds=3.0, rate_rad_s=0.0, mag=True):
-    """Level, nose north, turning about down; a window may complete at most once."""
+    """Feed a level body, nose north, turning about down; a window may complete at most once."""
     accel, field = at_rest(Rotation.identity())
     for k in range(round(seconds * 250)):
         if k % 5 == 0:
@@ -52,7 +52,7 @@ def reordered(readings):
     return accel, np.zeros(3), field
 
 
-def test_gyro_bias_is_the_mean_rate_and_accelerometer_bias_is_seen_along_gravity():
+def test_gyro_bias_is_the_mean_rate_and_accelerometer_bias_is_observed_along_gravity():
     truth = Rotation.from_euler(
         "ZYX", [40.0, 0.0, 90.0], degrees=True
     )  # right side down: gravity along body y
@@ -60,18 +60,18 @@ def test_gyro_bias_is_the_mean_rate_and_accelerometer_bias_is_seen_along_gravity
     x, cov = align_at_rest(PARAMS, accel, np.array([0.01, -0.02, 0.03]), field, 1.0)
     np.testing.assert_array_equal(x[10:13], [0.01, -0.02, 0.03])
     np.testing.assert_allclose(x[13:16], [0.0, 0.15, 0.0], atol=1e-12)
-    # a density of 0.15 x sqrt(10 ms) leaves 0.015 m/s^2 after a second
+    # a density of 0.15 x sqrt(10 ms) leaves 0.015 m/s^2 after one second
     horizontal_m_s2 = PARAMS.accel_bias_init_m_s2
     np.testing.assert_allclose(
         np.sqrt(cov.diagonal()[12:]), [horizontal_m_s2, 0.015, horizontal_m_s2], rtol=0.01
     )
 
 
-def test_covariance_is_that_of_the_errors_made():
+def test_covariance_is_that_of_the_errors():
     """Many starts with random biases: the normalised squared errors average to their number.
 
-    Biases of 0.1 m/s^2, since the covariance is first order: at 0.2 the average is 11 % high (2 % of a tilt
-    of 20 mrad against the 1.5 mrad of noise that remain once the bias is known).
+    Biases of 0.1 m/s^2, because the covariance is first order: at 0.2 the average is 11 % too high (2 % of a
+    tilt of 20 mrad against the 1.5 mrad of noise that remain once the bias is known).
     """
     params = EstimatorParams(accel_bias_init_m_s2=0.1)
     rng = np.random.default_rng(1)
@@ -93,24 +93,24 @@ def test_covariance_is_that_of_the_errors_made():
     assert np.mean(squares) == pytest.approx(9.0, abs=4.0 * np.sqrt(18.0 / len(squares)))
 
 
-def test_tilt_and_bias_are_correlated_so_that_knowing_one_gives_the_other():
+def test_tilt_and_bias_are_correlated_so_that_one_determines_the_other():
     accel, field = at_rest(Rotation.identity())
     _, cov = align_at_rest(PARAMS, accel, np.zeros(3), field, 1.0)
-    # 0.1 m/s^2 of bias along the nose is 10 mrad of pitch, of which noise of 0.015 m/s^2 hides 1.5
+    # 0.1 m/s^2 of bias along the nose is 10 mrad of pitch, of which 1.5 are noise of 0.015 m/s^2
     bias_m_s2 = PARAMS.accel_bias_init_m_s2
     assert np.sqrt(cov[1, 1]) == pytest.approx(np.hypot(bias_m_s2, 0.015) / GRAVITY_M_S2, rel=1e-3)
     correlation = -bias_m_s2 / np.hypot(bias_m_s2, 0.015)
     assert cov[1, 12] / np.sqrt(cov[1, 1] * cov[12, 12]) == pytest.approx(correlation, abs=1e-3)
 
 
-def test_a_quiet_second_aligns():
+def test_a_second_at_rest_aligns():
     aligned, step = feed(Alignment(PARAMS), np.random.default_rng(2))
     assert step == 250
     assert aligned.baro_altitude_m == pytest.approx(488.0, abs=0.06)
     assert aligned.x[10] == pytest.approx(0.01, abs=4 * 0.0138 / np.sqrt(250))
 
 
-def test_turning_or_a_missing_sensor_keeps_it_waiting_and_rest_then_aligns():
+def test_turning_or_a_missing_sensor_delays_the_alignment():
     rng = np.random.default_rng(3)
     alignment = Alignment(PARAMS)
     assert feed(alignment, rng, rate_rad_s=0.3) == (None, None)

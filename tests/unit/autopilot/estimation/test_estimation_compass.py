@@ -1,4 +1,4 @@
-"""A compass that is wrong: from the start, in flight, for a while, near a magnet; and one that is right."""
+"""A wrong compass: from the start, in flight, temporarily, near a magnet; and a correct one."""
 
 import math
 from dataclasses import replace
@@ -47,8 +47,8 @@ def heading_error_deg(flight, states):
 
 @pytest.mark.parametrize("path", [circle, figure_eight, straight])
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_a_compass_that_reads_the_reverse_is_caught_within_three_seconds_of_motion(path, seed):
-    """The paths reach 1 m/s^2 after one second; then a second's refusals, PX4's delay, are needed."""
+def test_a_reversed_compass_is_detected_within_three_seconds_of_motion(path, seed):
+    """The paths reach 1 m/s^2 after one second; then one second of rejections is needed, PX4's delay."""
     result = wrong_compass(seed, math.pi, path=path)
     assert result.caught_s is not None
     assert result.caught_s < 3.0
@@ -57,7 +57,7 @@ def test_a_compass_that_reads_the_reverse_is_caught_within_three_seconds_of_moti
 
 
 @pytest.mark.parametrize("degrees", [90.0, -120.0])
-def test_a_compass_with_swapped_axes_is_caught(degrees):
+def test_a_compass_with_swapped_axes_is_detected(degrees):
     result = wrong_compass(4, math.radians(degrees))
     assert result.caught_s is not None
     assert result.caught_s < 4.0
@@ -65,7 +65,7 @@ def test_a_compass_with_swapped_axes_is_caught(degrees):
 
 
 @pytest.mark.parametrize("path", [circle, figure_eight, straight])
-def test_a_right_compass_is_never_doubted(path):
+def test_a_correct_compass_is_never_rejected(path):
     for seed in range(4):
         estimator = Estimator(EstimatorParams())
         states = replay(estimator, simulate(path, 40.0, np.random.default_rng(seed)))
@@ -74,7 +74,7 @@ def test_a_right_compass_is_never_doubted(path):
         assert abs(math.degrees(estimator.diagnostics.gsf_turn_rad)) < 25.0
 
 
-def test_the_reset_says_by_how_much_it_turned_and_moved():
+def test_the_reset_reports_its_deltas():
     flight = turned(simulate(figure_eight, 12.0, np.random.default_rng(5), GOOD_GPS), 180.0)
     estimator = Estimator(EstimatorParams())
     states = replay(estimator, flight)
@@ -82,21 +82,21 @@ def test_the_reset_says_by_how_much_it_turned_and_moved():
     before, after = states[k - 1], states[k]
     assert [after.reset_counter, after.pos_reset_counter, after.vel_reset_counter] == [2, 2, 1]
     assert abs(abs(math.degrees(after.yaw_reset_delta_rad)) - 180.0) < 15.0
-    # one step's motion, 0.06 m/s and 0.03 m at most, lies between the two states
+    # the two states are one step apart, at most 0.06 m/s and 0.03 m
     np.testing.assert_allclose(
         after.vel_reset_delta_ned_m_s, after.vel_ned_m_s - before.vel_ned_m_s, atol=0.06
     )
     np.testing.assert_allclose(after.pos_reset_delta_ned_m, after.pos_ned_m - before.pos_ned_m, atol=0.06)
-    # and it was towards the truth
+    # and it reduced the error
     off = errors(flight, states)
     assert np.linalg.norm(off.vel_m_s[k - 1, :2]) > 3.0
     assert np.linalg.norm(off.vel_m_s[k, :2]) < 0.6
-    # the refused fixes had been seven seconds from being believed
+    # without it the state would have been reset to the fixes after seven seconds
     assert not any(state.navigation_failed for state in states)
 
 
-def test_a_compass_that_becomes_right_is_used_again_after_ten_seconds():
-    # from the ninth second on it is right: found faulty before, consistent since the heading is known
+def test_a_compass_that_becomes_correct_is_used_again_after_ten_seconds():
+    # correct from the ninth second: found faulty before, consistent since the heading is known
     flight = turned(simulate(figure_eight, 30.0, np.random.default_rng(6), GOOD_GPS), 180.0, to_s=9.0)
     faulty = []
     estimator = Estimator(EstimatorParams())
@@ -112,8 +112,8 @@ def test_a_compass_that_becomes_right_is_used_again_after_ten_seconds():
     assert estimator.diagnostics.heading.test_ratio < 1.0
 
 
-def test_a_compass_that_goes_wrong_in_flight_is_not_believed_against_gps():
-    """Refused for seven seconds it would be, but for the second opinion."""
+def test_a_compass_that_fails_in_flight_does_not_override_gps():
+    """After seven seconds of rejections the state would be reset to it, without the second estimate."""
     flight = turned(simulate(figure_eight, 60.0, np.random.default_rng(7), GOOD_GPS), 90.0, from_s=20.0)
     estimator = Estimator(EstimatorParams())
     states = replay(estimator, flight)
@@ -122,7 +122,7 @@ def test_a_compass_that_goes_wrong_in_flight_is_not_believed_against_gps():
     assert np.abs(heading_error_deg(flight, states)[step(15.0) :]).max() < 5.0
 
 
-def test_landing_gives_a_faulty_compass_another_chance():
+def test_landing_clears_a_faulty_compass():
     flight = turned(simulate(figure_eight, 12.0, np.random.default_rng(8), GOOD_GPS), 180.0)
     estimator = Estimator(EstimatorParams())
     replay(estimator, flight)
@@ -133,7 +133,7 @@ def test_landing_gives_a_faulty_compass_another_chance():
     assert estimator.compass_usable
 
 
-def test_a_magnet_that_passes_is_told_by_its_strength_and_not_fused():
+def test_a_temporary_magnet_is_detected_by_its_strength_and_not_fused():
     flight = simulate(figure_eight, 30.0, np.random.default_rng(9), GOOD_GPS)
     magnet = slice(step(15.0), step(17.0))
     flight.field_gauss[magnet] += [1.0, 1.0, 0.0]
@@ -149,23 +149,24 @@ def test_a_magnet_that_passes_is_told_by_its_strength_and_not_fused():
     assert np.abs(heading_error_deg(flight, states)[step(15.0) :]).max() < 2.0
 
 
-def test_alignment_waits_while_the_field_is_not_the_sites():
+def test_alignment_waits_while_the_field_differs_from_the_sites():
     flight = simulate(rest, 6.0, np.random.default_rng(10))
     flight.field_gauss[: step(2.6)] *= 2.0
     estimator = Estimator(EstimatorParams())
     rejected = []
     states = replay(estimator, flight, on_step=lambda _, e: rejected.append(e.compass_rejected))
     aligned = next(k for k, state in enumerate(states) if state.attitude_valid)
-    # windows of one second: the third holds both fields, 1.4 of the site's on average, and is refused too
+    # windows of one second: the third contains both fields, 1.4 times the site's on average, and is rejected
+    # too
     assert (aligned + 1) * STEP_S == pytest.approx(4.0, abs=0.05)
     assert rejected[step(1.5)]
     assert not rejected[-1]
-    # without the check it starts at once
+    # without the check it aligns immediately
     unchecked = Estimator(EstimatorParams(mag_check=0))
     assert replay(unchecked, flight)[step(1.1)].attitude_valid
 
 
-def test_field_checks_are_those_of_strength_and_inclination():
+def test_field_checks_compare_strength_and_inclination():
     level = np.array([1.0, 0.0, 0.0, 0.0])
     dip_rad = math.atan2(FIELD_NED_GAUSS[2], math.hypot(*FIELD_NED_GAUSS[:2]))
     strength_gauss = float(np.linalg.norm(FIELD_NED_GAUSS))
@@ -185,10 +186,10 @@ def test_field_checks_are_those_of_strength_and_inclination():
 
 
 @pytest.mark.parametrize("degrees", [180.0, 90.0])
-def test_a_vehicle_with_a_reversed_compass_takes_off_and_does_not_run_away(degrees):
-    """Closed loop: the controller pushes the wrong way until the heading is found, then comes back and holds.
+def test_a_vehicle_with_a_reversed_compass_takes_off_and_holds(degrees):
+    """Closed loop: the controller pushes the wrong way until the heading is corrected, and then holds.
 
-    The run grows exponentially until the reset: 2.7 s after leaving the ground, 6 m in all, measured.
+    The deviation grows exponentially until the reset: 2.7 s after leaving the ground, 6 m in all, measured.
     """
     with Flight(vehicle_config()) as flight:
         estimator, right = flight.vehicle.estimator, flight.vehicle.estimator.on_mag

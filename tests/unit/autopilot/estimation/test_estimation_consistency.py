@@ -1,4 +1,4 @@
-"""Whether the filter knows how wrong it is: normalised errors and white innovations over 20 Monte Carlo runs.
+"""Consistency of the filter: normalised errors and white innovations over 20 Monte Carlo runs.
 
 The campaigns of seeds 1, 2 and 3, each of 20 flights of 60 s, serve all tests of this file (11 s).
 """
@@ -37,7 +37,7 @@ def white(rng, *, memory=0.0, scale=1.0, runs=10, count=300, axes=3):
 
 @pytest.mark.parametrize("group", ["velocity", "position"])
 def test_normalised_errors_of_the_last_epoch_are_within_their_band(campaign, group):
-    """The plainest form: 60 independent runs at one moment, 180 degrees of freedom, [0.80, 1.22] of 95 %."""
+    """The simplest form: 60 independent runs at one time, 180 degrees of freedom, 95 % band [0.80, 1.22]."""
     low, high = campaign.band()
     assert (low, high) == pytest.approx((0.804, 1.217), abs=1e-3)
     assert low < campaign.mean(group)[-1] < high
@@ -45,9 +45,9 @@ def test_normalised_errors_of_the_last_epoch_are_within_their_band(campaign, gro
 
 @pytest.mark.parametrize("group", ["velocity", "position"])
 def test_normalised_errors_over_all_epochs_are_within_their_band(campaign, group):
-    """5400 epochs are not 5400 samples: the band is that of as many as their autocorrelation leaves.
+    """5400 epochs are not independent: the band is that of the effective number by their autocorrelation.
 
-    Of velocity some 1200, of position 210, for its errors last for seconds.
+    That is some 1200 for velocity and 210 for position, whose errors last for seconds.
     """
     mean, (low, high) = campaign.overall(group)
     assert low < mean < high
@@ -55,18 +55,18 @@ def test_normalised_errors_over_all_epochs_are_within_their_band(campaign, group
 
 
 @pytest.mark.parametrize("group", STATES)
-def test_single_epochs_are_inside_their_band_as_often_as_they_should(campaign, group):
-    """95 % in the long run; the share of 90 epochs worth 10 to 40 has a deviation of 0.07 to 0.04."""
+def test_single_epochs_are_inside_their_band_as_often_as_expected(campaign, group):
+    """95 % on average; the fraction of 90 epochs worth 10 to 40 has a deviation of 0.07 to 0.04."""
     assert campaign.inside(group) > 0.85
 
 
-def test_no_honest_measurement_is_refused(campaign):
+def test_no_measurement_without_fault_is_rejected(campaign):
     """Gates of 5 sigma: one of 1.7 million."""
     assert campaign.refused == 0
 
 
 @pytest.mark.parametrize("name", MEASUREMENTS)
-def test_innovations_are_white_and_of_the_variance_that_was_expected(campaign, name):
+def test_innovations_are_white_and_have_the_predicted_variance(campaign, name):
     """Autocorrelations at lags 1 to 20, averaged over axes and runs: the greatest, and the power."""
     seen = whiteness(campaign.innovations[name])
     assert seen.greatest < seen.greatest_limit
@@ -86,7 +86,7 @@ def test_the_tests_of_whiteness_can_fail():
 
 
 def test_the_test_of_normalised_errors_can_fail():
-    """A filter that thinks its position a fifth better than it is, or its errors to last: seen at once."""
+    """Detects a position covariance that is a fifth too small, and correlated errors."""
     rng = np.random.default_rng(4)
 
     def of(square):
@@ -101,13 +101,13 @@ def test_the_test_of_normalised_errors_can_fail():
     mean, (low, high) = proud.overall("position")
     assert mean > high
     assert proud.inside("position") < 0.6
-    # the same draw in all epochs is worth one epoch: the band is that of one
+    # identical values in all epochs count as one epoch: the band is that of one
     lasting = of(np.repeat((errors[:, :1] ** 2).sum(axis=2), 90, axis=1))
     _, (low, high) = lasting.overall("position")
     assert high - low > 0.5
 
 
 def test_ten_seconds_without_gps_in_calm_hover_drift_less_than_five_metres():
-    """The Iris's noises and biases, a GPS that errs by metres: ten flights."""
+    """The Iris's noises and biases, a GPS with errors of metres: ten flights."""
     drifts_m = [outage_drift_m(seed) for seed in range(10)]
     assert max(drifts_m) < 5.0

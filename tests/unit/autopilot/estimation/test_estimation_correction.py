@@ -1,4 +1,4 @@
-"""Field and pressure in one call: to the bit what they do one after the other, refused or taken."""
+"""Field and pressure in one call: to the bit the same as in sequence, accepted or rejected."""
 
 import numpy as np
 import pytest
@@ -62,8 +62,8 @@ def known(delayed, fusion):
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_at_once_is_one_after_the_other(seed):
-    """Through fields that are not the site's, headings and heights that are refused, and resets to them."""
+def test_one_call_is_equal_to_the_sequence(seed):
+    """Includes fields that differ from the site's, rejected headings and heights, and resets to them."""
     rng = np.random.default_rng(seed)
     one, other = aligned(), aligned()
     jumps, taken_at_once = Jump.NONE, 0
@@ -88,7 +88,7 @@ def test_at_once_is_one_after_the_other(seed):
     assert other[1].height.refused > 100
 
 
-def test_the_interpreter_gives_the_bits_of_the_compiler():
+def test_the_interpreter_and_the_compiler_give_the_same_bits():
     rng = np.random.default_rng(3)
     for believed in (True, False):
         delayed, fusion = aligned()

@@ -1,4 +1,4 @@
-"""What the estimator does when sensors lie, fall silent, come late or come back."""
+"""The estimator with sensors that are wrong, stop, are delayed or return."""
 
 from dataclasses import replace
 
@@ -26,7 +26,7 @@ QUIET_GPS = Noise(gps_bias_m=0.0, gps_pos_m=0.1)
 
 
 def with_fixes(flight, change):
-    """Change a flight's fixes: ``change(time_s, fix)`` gives another one, or None for none."""
+    """Change a flight's fixes: ``change(time_s, fix)`` returns another one, or None to drop it."""
     fixes = {k: change(fix.time_us * 1e-6, fix) for k, fix in flight.fixes.items()}
     return replace(flight, fixes={k: fix for k, fix in fixes.items() if fix is not None})
 
@@ -50,7 +50,7 @@ def test_validity_comes_in_order():
     assert [state.reset_counter for state in states[:: len(states) - 1]] == [0, 1]
 
 
-def test_one_wild_fix_is_refused_and_moves_nothing():
+def test_one_outlier_fix_is_rejected_and_changes_nothing():
     flight = simulate(figure_eight, 20.0, np.random.default_rng(1), QUIET_GPS)
     wild = with_fixes(flight, lambda t, fix: north(fix, 30.0) if abs(t - 15.0) < 0.1 else fix)
     clean_estimator, estimator = Estimator(EstimatorParams()), Estimator(EstimatorParams())
@@ -59,11 +59,11 @@ def test_one_wild_fix_is_refused_and_moves_nothing():
     assert clean_estimator.diagnostics.position.refused == 0
     apart_m = np.array([a.pos_ned_m - b.pos_ned_m for a, b in zip(clean, states, strict=True)])
     assert np.abs(apart_m[: step(15.0)]).max() == 0.0
-    # one fix of a hundred is missing; the wild one would have moved it by metres
+    # one fix of a hundred is missing; the outlier would have moved it by metres
     assert 0.0 < np.abs(apart_m).max() < 0.1
 
 
-def test_a_lasting_jump_is_believed_after_seven_seconds_with_one_reset():
+def test_a_lasting_jump_causes_one_reset_after_seven_seconds():
     flight = simulate(figure_eight, 30.0, np.random.default_rng(2), QUIET_GPS)
     jumped = with_fixes(flight, lambda t, fix: north(fix, 100.0) if t > 15.1 else fix)
     estimator = Estimator(EstimatorParams())
@@ -79,9 +79,9 @@ def test_a_lasting_jump_is_believed_after_seven_seconds_with_one_reset():
     assert states[-1].reset_counter == 2
 
 
-def test_gps_outage_dead_reckons_then_says_so_and_recovers():
+def test_gps_outage_dead_reckons_then_is_reported_and_recovers():
     flight = simulate(figure_eight, 45.0, np.random.default_rng(3), QUIET_GPS)
-    # the last fix before arrives at 15.0 and describes 14.88
+    # the last fix before arrives at 15.0 and refers to 14.88
     silent = with_fixes(flight, lambda t, fix: None if 15.1 < t < 35.1 else fix)
     estimator = Estimator(EstimatorParams())
     states = replay(estimator, silent)
@@ -119,7 +119,7 @@ def test_attitude_holds_on_the_ground_without_any_gps():
     assert estimator.diagnostics.dead_reckoning
 
 
-def test_a_start_with_the_heading_reversed_is_caught_when_the_compass_recovers():
+def test_a_start_with_reversed_heading_is_corrected_when_the_compass_recovers():
     flight = simulate(figure_eight, 40.0, np.random.default_rng(5), QUIET_GPS)
     flight.field_gauss[: step(4.0), :2] *= -1.0
     estimator = Estimator(EstimatorParams())
@@ -130,7 +130,7 @@ def test_a_start_with_the_heading_reversed_is_caught_when_the_compass_recovers()
     assert np.degrees(rms(missed.attitude_ned_rad[step(25.0) :])) < 1.5
 
 
-def test_barometer_step_is_refused_then_believed():
+def test_a_barometer_step_is_rejected_then_reset_to():
     flight = simulate(rest, 20.0, np.random.default_rng(6), QUIET_GPS)
     flight.pressure_pa[step(10.0) :] -= 600.0  # some 52 m up
     states = replay(Estimator(EstimatorParams()), flight)
@@ -160,7 +160,7 @@ def test_silent_barometer_invalidates_height():
         {"vel_ned_m_s": np.full(3, np.inf)},
     ],
 )
-def test_bad_fixes_set_no_origin(flaw):
+def test_bad_fixes_do_not_set_the_origin(flaw):
     flight = with_fixes(simulate(rest, 4.0, np.random.default_rng(8)), lambda _t, fix: replace(fix, **flaw))
     state = replay(Estimator(EstimatorParams()), flight)[-1]
     assert not state.position_valid
@@ -177,8 +177,8 @@ def test_origin_is_the_mean_fix_and_its_altitude_that_of_the_ground():
     assert state.origin_alt_m == pytest.approx(np.mean([fix.alt_m for fix in used]), abs=0.1)
 
 
-def test_a_late_fix_is_carried_to_the_horizon_by_its_velocity():
-    """At 5 m/s, fixes that come another 0.1 s late would pull the position back by half a metre."""
+def test_a_late_fix_is_extrapolated_to_the_horizon_by_its_velocity():
+    """At 5 m/s, fixes that arrive another 0.1 s late would shift the position by half a metre."""
     flight = simulate(straight, 30.0, np.random.default_rng(11), Noise(gps_bias_m=0.0, gps_pos_m=0.02))
     last = len(flight.time_us)
     late = replace(flight, fixes={k + 25: fix for k, fix in flight.fixes.items() if k + 25 < last})
@@ -209,7 +209,7 @@ def test_broken_samples_change_nothing():
     np.testing.assert_allclose(after.pos_ned_m, state.pos_ned_m, atol=0.01)
 
 
-def test_a_state_once_read_does_not_change():
+def test_a_copied_state_does_not_change():
     flight = simulate(figure_eight, 12.0, np.random.default_rng(13))
     states = replay(Estimator(EstimatorParams()), flight)
     early = states[step(8.0)]
@@ -220,7 +220,7 @@ def test_a_state_once_read_does_not_change():
     assert not np.array_equal(early.pos_ned_m, states[-1].pos_ned_m)
 
 
-def test_the_live_state_is_rewritten_and_equals_the_one_to_keep():
+def test_the_live_state_is_overwritten_and_equals_the_copy():
     flight = simulate(figure_eight, 4.0, np.random.default_rng(14))
     estimator = Estimator(EstimatorParams())
     states = replay(estimator, flight)

@@ -38,7 +38,7 @@ def integrated(x, taken, step_us=4000):
     return x
 
 
-def test_horizon_stays_the_delay_behind_and_now_is_the_whole_integral():
+def test_the_horizon_is_late_by_the_delay_and_the_estimate_includes_all_samples():
     delayed, taken = start(120_000), samples(200)
     first = delayed.x.copy()
     for k, sample in enumerate(taken):
@@ -49,7 +49,7 @@ def test_horizon_stays_the_delay_behind_and_now_is_the_whole_integral():
 
 
 @pytest.mark.parametrize("delay_us", [0, 20_000, 120_000])
-def test_a_correction_at_the_horizon_is_carried_through_what_was_flown_since(delay_us):
+def test_a_correction_at_the_horizon_is_propagated_through_later_samples(delay_us):
     delayed, taken = start(delay_us), samples(100)
     for sample in taken:
         add(delayed, *sample)
@@ -59,7 +59,7 @@ def test_a_correction_at_the_horizon_is_carried_through_what_was_flown_since(del
     np.testing.assert_allclose(delayed.now, expected, atol=1e-12)
 
 
-def test_without_a_correction_prediction_anew_changes_nothing():
+def test_without_a_correction_a_new_prediction_changes_nothing():
     delayed = start(120_000)
     for sample in samples(100):
         add(delayed, *sample)
@@ -69,7 +69,7 @@ def test_without_a_correction_prediction_anew_changes_nothing():
     np.testing.assert_allclose(delayed.acc_ned_m_s2, acceleration, atol=1e-12)
 
 
-def test_samples_faster_than_the_ring_shorten_the_horizon_and_lose_nothing():
+def test_samples_faster_than_the_ring_buffer_shorten_the_delay_and_lose_nothing():
     delayed, taken = start(20_000), samples(300, step_us=250)
     first = delayed.x.copy()
     for sample in taken:
@@ -89,7 +89,7 @@ def test_a_gap_is_bridged_by_one_long_sample():
     np.testing.assert_allclose(delayed.now[4:7], [0.104, 0.0, 0.0], atol=1e-12)
 
 
-def test_reset_sets_the_state_and_cuts_its_correlations():
+def test_reset_sets_the_state_and_removes_its_correlations():
     delayed = start(120_000)
     for sample in samples(100):
         add(delayed, *sample)
@@ -103,7 +103,7 @@ def test_reset_sets_the_state_and_cuts_its_correlations():
     np.testing.assert_array_equal(delayed.cov[np.ix_(others, others)], kept)
 
 
-def test_a_states_vectors_lie_in_the_estimate_where_the_filter_writes_them():
+def test_a_states_vectors_are_views_of_the_filters_estimate():
     estimate = np.arange(float(ESTIMATE))
     state = Estimator(EstimatorParams()).state
     state.lie_over(estimate)

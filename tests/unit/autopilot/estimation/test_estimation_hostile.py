@@ -1,6 +1,6 @@
-"""Broken and hostile sensor numbers: nothing raises, all can be sent, one broken sample does no harm (6 s).
+"""Invalid and hostile sensor values: nothing raises, all can be sent, one bad sample does no harm (6 s).
 
-A vehicle without physics is fed HIL messages by hand.
+A vehicle without physics receives HIL messages made by the test.
 """
 
 import dataclasses
@@ -42,7 +42,7 @@ FIX_RANGES = {
 
 
 class Bench:
-    """A vehicle, its messages and everything that it could be asked for in every step."""
+    """A vehicle, its messages, and all messages that it can be requested to send, in every step."""
 
     def __init__(self):
         self.vehicle = Vehicle(vehicle_config())
@@ -67,7 +67,7 @@ class Bench:
                 self.encoder.encode(message)
 
     def get_ready(self):
-        """At rest until the estimator has its origin."""
+        """Run at rest until the estimator has its origin."""
         rng = np.random.default_rng(0)
         for k in range(600):
             noise = dict(zip(("xacc", "yacc"), 0.05 * rng.standard_normal(2), strict=True))
@@ -76,7 +76,7 @@ class Bench:
         return self
 
     def take_off(self):
-        """Have it spin up, as if towards 8 m over the ground; it stays where it is."""
+        """Request a take-off to 8 m, so that the motors run; the vehicle does not move."""
         for command, *params in (
             (common.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, *[0.0] * 6),
             (common.MAV_CMD_NAV_TAKEOFF, *[0.0] * 3, *[math.nan] * 3, 496.0),
@@ -88,8 +88,8 @@ class Bench:
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("begin", ["unaligned", "ready", "flying"])
-def test_nothing_raises_and_all_telemetry_packs_whatever_the_simulator_sends(seed, begin):
-    """Every field wild now and then, groups missing, steps of no time and of a minute, full-range fixes."""
+def test_nothing_raises_and_all_telemetry_packs_for_all_simulator_messages(seed, begin):
+    """Every field sometimes arbitrary, groups missing, steps of no time and of a minute, full-range fixes."""
     rng = np.random.default_rng([seed, len(begin)])
     bench = Bench()
     if begin != "unaligned":
@@ -119,7 +119,7 @@ def test_nothing_raises_and_all_telemetry_packs_whatever_the_simulator_sends(see
         )
 
 
-def test_telemetry_holds_what_the_wire_can_and_says_zero_for_no_number():
+def test_telemetry_is_limited_to_the_range_of_its_fields_and_zero_if_not_finite():
     bench = Bench().get_ready()
     telemetry, state = bench.vehicle.messaging.telemetry, bench.vehicle.flight.state
     state.vel_ned_m_s[:] = (710.0, -710.0, math.nan)
@@ -142,7 +142,7 @@ def test_telemetry_holds_what_the_wire_can_and_says_zero_for_no_number():
 
 
 def with_sample(flight, k, accel=None, gyro=None):
-    """Replace one inertial sample, whole or the axis x alone."""
+    """Replace one inertial sample, all axes or x only."""
     accels, gyros = flight.accel_m_s2.copy(), flight.gyro_rad_s.copy()
     if accel is not None:
         accels[k, 0] = accel
@@ -163,10 +163,10 @@ def with_sample(flight, k, accel=None, gyro=None):
     ],
     ids=str,
 )
-def test_a_sample_that_no_sensor_can_read_is_bridged_by_the_next(broken):
-    """The state stands for 4 ms, in which up to 5 m/s^2 change the velocity by 0.02 m/s.
+def test_an_implausible_sample_is_bridged_by_the_next(broken):
+    """The state is constant for 4 ms, in which up to 5 m/s^2 change the velocity by 0.02 m/s.
 
-    Believed, 2e5 m/s^2 would be 800 m/s, and 101 rad/s 23 degrees.
+    If accepted, 2e5 m/s^2 would be 800 m/s, and 101 rad/s 23 degrees.
     """
     flight = simulate(figure_eight, 20.0, np.random.default_rng(5))
     clean = replay(Estimator(EstimatorParams()), flight)
@@ -183,7 +183,7 @@ def test_a_sample_that_no_sensor_can_read_is_bridged_by_the_next(broken):
     assert states[-1].reset_counter == clean[-1].reset_counter
 
 
-def test_what_a_hard_touch_down_reads_is_believed():
+def test_the_readings_of_a_hard_touch_down_are_accepted():
     """3 m/s that end within 4 ms are 750 m/s^2 upwards, (0, 0, -760) with gravity; and up to the limits."""
     assert kernels.is_plausible(np.zeros(3), np.array([0.0, 0.0, -760.0]))
     for sign in (1.0, -1.0):
@@ -196,7 +196,7 @@ def test_what_a_hard_touch_down_reads_is_believed():
             assert not kernels.is_plausible(math.nan * unit, accel)
 
 
-def test_alignment_waits_out_samples_that_no_sensor_can_read():
+def test_alignment_skips_implausible_samples():
     flight = simulate(rest, 3.0, np.random.default_rng(6))
     for k in (10, 100, 200):
         flight = with_sample(flight, k, accel=3e38)
@@ -207,7 +207,7 @@ def test_alignment_waits_out_samples_that_no_sensor_can_read():
 
 @pytest.mark.parametrize("jump_us", [10**9, 10**15, 2**62, 2**64 - 1])
 def test_a_clock_that_jumps_raises_nothing(jump_us):
-    """From a quarter of an hour to the greatest that HIL_SENSOR can say; then all goes on from there."""
+    """From a quarter of an hour to the greatest value of HIL_SENSOR; then the flight continues from there."""
     flight = simulate(figure_eight, 12.0, np.random.default_rng(7))
     estimator = Estimator(EstimatorParams())
     at = step(11.0)
@@ -233,28 +233,29 @@ def test_a_clock_that_jumps_raises_nothing(jump_us):
     state = estimator.state
     assert np.isfinite(state.q_ned_frd).all()
     assert np.isfinite(state.pos_ned_m).all()
-    if jump_us >= 2**62:  # no time at all: nothing of it is taken
+    if jump_us >= 2**62:  # not a valid time: all of it is ignored
         assert state.time_us == before_us
 
 
-# ---- the second opinion on the heading
+# ---- the second heading estimate
 
 
 @pytest.mark.parametrize(
     ("variance", "covariance"), [(1e30, 1e30), (1e300, 1e300), (math.inf,) * 2, (math.nan,) * 2, (1.0, 2.0)]
 )
-def test_a_model_whose_covariance_is_none_any_more_fuses_nothing(variance, covariance):
-    """Nothing but rounding is left of the innovation's determinant, or no vector varies so (1 and 2)."""
+def test_a_model_with_an_invalid_covariance_fuses_nothing(variance, covariance):
+    """The innovation's determinant is only rounding error, or the covariance is impossible (1 and 2)."""
     model, cov = np.array([1.0, 2.0, 0.5]), np.full((3, 3), covariance)
     np.fill_diagonal(cov, variance)
     assert update_model(model, cov, np.array([5.0, -5.0]), 0.04) == 0.0
     np.testing.assert_array_equal(model, (1.0, 2.0, 0.5))
 
 
-def test_the_bank_outlives_an_endless_gap_and_finds_the_heading_again():
-    """A gap tells nothing of the heading, and no more than nothing: its variance is bounded.
+def test_the_bank_estimates_the_heading_again_after_an_endless_gap():
+    """A gap has no information about the heading, and its variance is bounded.
 
-    Unbounded it would grow by 1e-4 rad^2/s to 1e8 in 30000 years, and leave no digits to the first motion.
+    Unbounded it would grow by 1e-4 rad^2/s to 1e8 in 30000 years, without precision left for the first
+    motion.
     """
     tilt = level_start(np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3))
     bank = YawBank(tilt)
@@ -264,7 +265,7 @@ def test_the_bank_outlives_an_endless_gap_and_finds_the_heading_again():
     bank.fuse(vel_m_s, 0.2)
     assert bank.std_rad <= math.sqrt(2.0) * math.pi
     rng = np.random.default_rng(8)
-    heading_rad = 2.0  # of the level frame's x: what is felt forwards is flown there
+    heading_rad = 2.0  # azimuth of the level frame's x axis: the direction of flight
     for k in range(60):
         forward_m_s2 = 3.0 * math.sin(0.3 * k)
         for _ in range(50):

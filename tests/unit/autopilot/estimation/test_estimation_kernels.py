@@ -1,4 +1,4 @@
-"""The filter's arithmetic: Jacobians by finite differences, covariance and updates by the textbook."""
+"""The filter's arithmetic: Jacobians by finite differences, covariance and updates by textbook forms."""
 
 import os
 import subprocess
@@ -60,7 +60,7 @@ def textbook_update(cov, jacobian, noise_cov):
     return gain, keep @ cov @ keep.T + gain @ noise_cov @ gain.T
 
 
-def test_injected_error_is_the_difference_it_makes():
+def test_an_injected_error_is_equal_to_the_resulting_difference():
     rng = np.random.default_rng(0)
     x = some_state(rng)
     error = rng.normal(0.0, 0.1, kernels.ERRORS)
@@ -90,14 +90,14 @@ def test_error_transition_agrees_with_finite_differences():
                 ends.append(difference(end, after))
             numeric[:, column] = (ends[0] - ends[1]) / (2.0 * h)
         analytic = dense_transition(*kernels.error_transition(x, accel_m_s2, dt_s), dt_s)
-        # left out are terms of dt^2 x (force x rate, up to 30 x 4, halved) and less
+        # neglected are terms of dt^2 x (force x rate, up to 30 x 4, halved) and less
         np.testing.assert_allclose(analytic, numeric, atol=60.0 * dt_s**2)
-        # and what is kept is larger than that by far
+        # and the included ones are far larger
         assert np.abs(analytic[3:6, 0:3]).max() > 1e-3
 
 
 def test_integration_over_one_step_follows_a_steady_turn():
-    """A body yaws and is pushed along its nose: the mean force of a step comes out rotated half way."""
+    """A body yaws and accelerates along its nose: the mean force of a step is rotated by half the angle."""
     x = np.zeros(kernels.STATES)
     x[0] = 1.0
     rate_rad_s, force_m_s2, dt_s = 2.0, 3.0, 0.004
@@ -107,7 +107,8 @@ def test_integration_over_one_step_follows_a_steady_turn():
     exact_vel = force_m_s2 / rate_rad_s * np.array([np.sin(turned_rad), 1.0 - np.cos(turned_rad), 0.0])
     pos_shape = np.array([1.0 - np.cos(turned_rad), turned_rad - np.sin(turned_rad), 0.0])
     exact_pos = force_m_s2 / rate_rad_s**2 * pos_shape
-    # the midpoint rule errs by (rate dt)^2 / 24 relative in velocity; position adds the step's own shape
+    # the midpoint rule has a relative error of (rate dt)^2 / 24 in velocity; position adds that of the step's
+    # shape
     np.testing.assert_allclose(x[4:7], exact_vel, atol=force_m_s2 * (rate_rad_s * dt_s) ** 2 / 24.0 * 1.1)
     np.testing.assert_allclose(x[7:10], exact_pos, atol=force_m_s2 * rate_rad_s * dt_s**2)
 
@@ -144,7 +145,7 @@ def test_fusing_axes_in_turn_equals_the_joint_update(first, count):
     np.testing.assert_array_equal(cov, cov.T)
 
 
-def test_one_bad_axis_refuses_the_whole_measurement():
+def test_one_bad_axis_rejects_the_whole_measurement():
     rng = np.random.default_rng(5)
     x, cov = some_state(rng), some_covariance(rng)
     before_x, before_cov = x.copy(), cov.copy()
@@ -182,7 +183,7 @@ def test_heading_jacobian_agrees_with_finite_differences():
     for axis in range(3):
         error = np.zeros(kernels.ERRORS)
         error[axis] = h_rad
-        # the estimate lacks the error: it is the truth moved back
+        # the estimate is the true state without the error
         ahead = kernels.heading_innovation(moved(truth, -error), field_frd, FIELD_NED_GAUSS)
         behind = kernels.heading_innovation(moved(truth, error), field_frd, FIELD_NED_GAUSS)
         numeric[axis] = (ahead - behind) / (2.0 * h_rad)

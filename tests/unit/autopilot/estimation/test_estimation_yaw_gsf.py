@@ -1,4 +1,4 @@
-"""The heading that inertial sensors and GPS velocity give: arithmetic, convergence, and honest ignorance."""
+"""Heading from inertial sensors and GPS velocity: arithmetic, convergence, and variance without motion."""
 
 import numpy as np
 import pytest
@@ -16,14 +16,14 @@ GPS_STEPS, DELAY_STEPS = 50, 30
 
 def test_prediction_jacobian_agrees_with_finite_differences():
     rng = np.random.default_rng(0)
-    felt, dt_s, h = (0.8, -0.5), 0.2, 1e-6
+    dvel, dt_s, h = (0.8, -0.5), 0.2, 1e-6
     model, root = rng.normal(size=3), rng.normal(size=(3, 3))
     numeric = np.empty((3, 3))
     for column in range(3):
         ends = []
         for sign in (1.0, -1.0):
             moved = model + sign * h * np.eye(3)[column]
-            predict_model(moved, np.zeros((3, 3)), *felt, dt_s)
+            predict_model(moved, np.zeros((3, 3)), *dvel, dt_s)
             ends.append(moved)
         numeric[:, column] = (ends[0] - ends[1]) / (2.0 * h)
     cov = root @ root.T
@@ -31,7 +31,7 @@ def test_prediction_jacobian_agrees_with_finite_differences():
         [yaw_gsf.VELOCITY_PSD_M2_S3, yaw_gsf.VELOCITY_PSD_M2_S3, yaw_gsf.AZIMUTH_PSD_RAD2_S]
     )
     expected = numeric @ cov @ numeric.T + noise
-    predict_model(model, cov, *felt, dt_s)
+    predict_model(model, cov, *dvel, dt_s)
     np.testing.assert_allclose(cov, expected, atol=1e-8)
 
 
@@ -54,7 +54,7 @@ def test_update_is_the_textbook_one():
     np.testing.assert_allclose(cov, expected_cov, atol=1e-12)
 
 
-def test_a_wild_fix_moves_a_model_by_no_more_than_five_sigma_and_keeps_its_likelihood_above_zero():
+def test_an_outlier_fix_moves_a_model_by_at_most_five_sigma_and_keeps_its_likelihood_above_zero():
     model, cov = np.zeros(3), np.diag([0.1, 0.1, 0.1])
     assert update_model(model, cov, np.array([1000.0, 0.0]), 0.04) > 0.0
     # gain 0.1 / 0.14 of an innovation of 5 sqrt(0.14)
@@ -62,13 +62,13 @@ def test_a_wild_fix_moves_a_model_by_no_more_than_five_sigma_and_keeps_its_likel
 
 
 def test_the_level_frame_turns_with_the_gyro_and_takes_its_tilt_from_gravity():
-    """A tilt error of 10 degrees at rest shrinks as the second-order loop says.
+    """A tilt error of 10 degrees at rest decays as the second-order loop predicts.
 
     With gain k = 0.2 /s and bias gain b = 0.04 /s, e'' + k e' + b k e = 0 at small angles, e(0) = 1 and
     e'(0) = -k. Its roots -0.0553 and -0.1447 give e(t) = 1.618 exp(-0.1447 t) - 0.618 exp(-0.0553 t), and so
     e(10 s) = 0.0251.
     """
-    rate_rad_s = 0.05  # about down, so slow that the bias is learned
+    rate_rad_s = 0.05  # about down, slow enough for the bias to be estimated
     tilted = Rotation.from_euler("ZYX", [0.0, 10.0, 0.0], degrees=True).as_quat(scalar_first=True)
     tilt = level_start(tilted, np.zeros(3))
     tilt[yaw_gsf.FORCE : yaw_gsf.FORCE + 3] = REST_FORCE
@@ -82,14 +82,14 @@ def test_the_level_frame_turns_with_the_gyro_and_takes_its_tilt_from_gravity():
     np.testing.assert_allclose(turned_rad, [0.0, 0.0, 10.0 * rate_rad_s], atol=1e-9)
 
 
-def test_force_far_from_gravity_tells_nothing_of_the_tilt():
+def test_force_far_from_gravity_does_not_correct_the_tilt():
     tilt = level_start(IDENTITY, np.zeros(3))
     for _ in range(round(2.0 / STEP_S)):
         carry_level(tilt, np.zeros(3), np.array([12.0, 0.0, -GRAVITY_M_S2]), STEP_S)
-    # 15.5 m/s^2 is 58 % over gravity; until the low pass (0.5 s) is there it believed a little of it
+    # 15.5 m/s^2 is 58 % over gravity; until the low pass (0.5 s) settles it has a small effect
     assert 2.0 * np.degrees(np.arccos(tilt[0])) < 5.0
-    # and the velocity felt is all of it: 2 s x 12 m/s^2
-    assert tilt[yaw_gsf.FELT] == pytest.approx(24.0, rel=0.05)
+    # and the velocity change includes all of it: 2 s x 12 m/s^2
+    assert tilt[yaw_gsf.DELTA_VEL] == pytest.approx(24.0, rel=0.05)
 
 
 def test_azimuth_is_the_turn_between_two_attitudes_of_the_same_tilt():
@@ -104,7 +104,7 @@ def test_azimuth_is_the_turn_between_two_attitudes_of_the_same_tilt():
 
 
 def fly(flight, start_rad):
-    """Feed a flight to a bank that begins with the right tilt and any heading; yield (time, error, std)."""
+    """Run a flight with a bank that starts with the right tilt and any heading; yield (time, error, std)."""
     start = Rotation.from_rotvec([0.0, 0.0, start_rad]) * flight.rotations_ned_frd[0]
     tilt = level_start(start.as_quat(scalar_first=True), flight.gyro_bias_rad_s[0])
     bank, seen = YawBank(tilt), []
@@ -119,8 +119,8 @@ def fly(flight, start_rad):
 
 @pytest.mark.parametrize("path", [circle, figure_eight])
 @pytest.mark.parametrize("start_deg", [-150.0, -20.0, 70.0, 179.0])
-def test_two_seconds_of_motion_give_the_heading_from_any_start(path, start_deg):
-    """The flights start at 5 s and reach 1 m/s^2 within one second; 15 degrees is what a reset asks for."""
+def test_two_seconds_of_motion_determine_the_heading_from_any_start(path, start_deg):
+    """The flights start at 5 s and reach 1 m/s^2 within one second; a reset requires 15 degrees."""
     seen = fly(simulate(path, 20.0, np.random.default_rng(3)), np.radians(start_deg))
     resting, moving = seen[seen[:, 0] < 5.0], seen[seen[:, 0] > 7.2]
     assert np.degrees(resting[1:, 2].min()) > 60.0
@@ -128,8 +128,8 @@ def test_two_seconds_of_motion_give_the_heading_from_any_start(path, start_deg):
     assert np.degrees(np.abs(moving[:, 1]).max()) < 15.0
 
 
-def test_ten_minutes_at_rest_teach_nothing():
-    """GPS noise of 0.1 m/s and an accelerometer bias of 0.1 m/s^2: no heading may come of that."""
+def test_ten_minutes_at_rest_give_no_heading():
+    """GPS noise of 0.1 m/s and an accelerometer bias of 0.1 m/s^2 must not reduce the variance."""
     rng = np.random.default_rng(4)
     tilt = level_start(IDENTITY, np.zeros(3))
     bank, narrowest_rad = YawBank(tilt), np.inf
@@ -144,7 +144,7 @@ def test_ten_minutes_at_rest_teach_nothing():
     assert bank.weights.sum() == pytest.approx(1.0)
 
 
-def test_a_gap_in_the_fixes_keeps_the_heading_and_forgets_the_velocity():
+def test_a_gap_in_the_fixes_keeps_the_heading_and_resets_the_velocity():
     flight = simulate(figure_eight, 20.0, np.random.default_rng(5))
     gap = range(step(10.0), step(15.0))
     with_gap = {k: fix for k, fix in flight.fixes.items() if k not in gap}

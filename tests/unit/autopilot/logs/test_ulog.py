@@ -1,4 +1,4 @@
-"""The ULog that a host writes for stations, read back by the format's description. About 10 s."""
+"""The ULog that a host writes for stations, parsed by the format's description. About 10 s."""
 
 import contextlib
 import struct
@@ -21,7 +21,7 @@ _CODES = {"uint64_t": "Q", "double": "d", "float": "f", "uint8_t": "B", "bool": 
 
 
 class Read:
-    """What a log holds, by https://docs.px4.io/main/en/dev_log/ulog_file_format.html."""
+    """Contents of a log, by https://docs.px4.io/main/en/dev_log/ulog_file_format.html."""
 
     def __init__(self, data):
         assert data[:7] == b"ULog\x01\x12\x35"
@@ -39,7 +39,7 @@ class Read:
             getattr(self, f"on_{kind.decode()}")(content, in_data)
 
     def on_B(self, content, _):  # noqa: N802  # the format's letters
-        assert content == bytes(40)  # nothing of what makes a file hard to read
+        assert content == bytes(40)  # no incompatibility flags
 
     def on_F(self, content, _):  # noqa: N802
         name, _, fields = content.decode().partition(":")
@@ -85,7 +85,7 @@ class Read:
 
 @pytest.fixture(scope="module")
 def flown():
-    """Twenty seconds: waiting, take-off, hover; with a parameter that is changed on the way."""
+    """Log of twenty seconds: waiting, take-off, hover; with a parameter that is changed in flight."""
     with Flight(vehicle_config()) as flight:
         writer = UlogWriter("uav 0", flight.vehicle.parameters)
         data, truth, armed_us = writer.begin(0), [], None
@@ -105,7 +105,7 @@ def flown():
         return Read(data), truth, flight.vehicle
 
 
-def test_every_topic_has_samples_ten_times_a_second_from_when_it_knows(flown):
+def test_every_topic_has_samples_ten_times_a_second_once_it_has_data(flown):
     log, truth, _ = flown
     assert set(log.samples) == {topic.name for topic in TOPICS}
     for name, samples in log.samples.items():
@@ -115,7 +115,7 @@ def test_every_topic_has_samples_ten_times_a_second_from_when_it_knows(flown):
         assert len(times) > 50, name
 
 
-def test_what_is_in_it_is_what_the_vehicle_estimated(flown):
+def test_the_samples_are_the_vehicles_estimates(flown):
     log, truth, vehicle = flown
     estimated = {row[0]: row[1:4] for row in truth}
     for sample in log.samples["vehicle_local_position"]:
@@ -132,7 +132,7 @@ def test_what_is_in_it_is_what_the_vehicle_estimated(flown):
     )
 
 
-def test_arming_and_modes_are_px4s_numbers(flown):
+def test_arming_and_modes_have_px4s_numbers(flown):
     log, truth, vehicle = flown
     armed = {row[0]: row[4] for row in truth}
     states = log.samples["vehicle_status"]
@@ -143,7 +143,7 @@ def test_arming_and_modes_are_px4s_numbers(flown):
     assert set(NAV_STATES) >= set(FlightMode) - {FlightMode.__members__.get("ORBIT")}
 
 
-def test_parameters_are_all_in_it_and_the_change_once(flown):
+def test_the_log_has_all_parameters_and_one_change(flown):
     log, _, vehicle = flown
     assert list(log.parameters) == [row.name for row in ROWS]
     for row in ROWS:
@@ -162,12 +162,12 @@ def sensor(time_us):
     return SIMULATOR.encode(common.MAVLink_hil_sensor_message(time_us, *at_rest, 0x1FFF, 0))
 
 
-def run(host, begin_us, end_us, *said, active=(True, False)):
+def run(host, begin_us, end_us, *station_messages, active=(True, False)):
     out = []
     for now_us in range(begin_us, end_us, STEP_US):
         for messages in host.push(host.put(sensor(now_us))):
-            links = [Addressed(Partner(GROUND_STATION, 0), message) for message in said]
-            said = ()
+            links = [Addressed(Partner(GROUND_STATION, 0), message) for message in station_messages]
+            station_messages = ()
             out += host.step(messages, link_messages=links, link_active=active)[1]
     return [message for _, message in out]
 
@@ -180,13 +180,13 @@ def config(tmp_path):
 LIST = common.MAVLink_log_request_list_message(1, 1, 0, 0xFFFF)
 
 
-def test_nobody_no_log(config, tmp_path):
+def test_without_a_station_there_is_no_log(config, tmp_path):
     with contextlib.closing(Host(config, None)) as host:
         run(host, 4_000, 400_000)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_station_that_speaks_has_a_log_which_it_can_read_meanwhile(config, tmp_path):
+def test_a_message_from_a_station_starts_a_log_that_can_be_read_while_written(config, tmp_path):
     refused = common.MAVLink_command_long_message(
         1, 1, common.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1.0, *[0.0] * 6
     )
@@ -204,16 +204,16 @@ def test_a_station_that_speaks_has_a_log_which_it_can_read_meanwhile(config, tmp
     assert whole[: entry.size] == downloaded
     log = Read(whole)
     assert log.begin_us == 200_000
-    said = [
+    sent = [
         m.text if isinstance(m.text, str) else m.text.decode() for m in texts if m.get_type() == "STATUSTEXT"
     ]
-    assert [text for _, _, text in log.texts] == list(dict.fromkeys(said))  # both links are told
-    assert any("denied" in text.lower() for text in said)
+    assert [text for _, _, text in log.texts] == list(dict.fromkeys(sent))  # the texts are sent on both links
+    assert any("denied" in text.lower() for text in sent)
     times = [sample["timestamp"] for sample in log.samples["vehicle_status"]]
     assert times == list(range(200_000, 4_000_000, SAMPLE_US))
 
 
-def test_without_listeners_and_disarmed_nothing_is_added(config):
+def test_without_listeners_and_disarmed_no_samples_are_written(config):
     with contextlib.closing(Host(config, None)) as host:
         run(host, 4_000, 400_000, LIST)
         size = host.vehicle.messaging.files.logs[0].file.size()
@@ -223,7 +223,7 @@ def test_without_listeners_and_disarmed_nothing_is_added(config):
         assert host.vehicle.messaging.files.logs[0].file.size() > size
 
 
-def test_a_folder_that_has_no_room_for_a_log_is_a_line_and_no_end(config, tmp_path, capsys):
+def test_a_log_that_cannot_be_opened_is_one_line_and_does_not_end_the_run(config, tmp_path, capsys):
     (tmp_path / "uav-0.ulg").mkdir()
     with contextlib.closing(Host(config, None)) as host:
         answers = run(host, 4_000, 100_000, LIST)

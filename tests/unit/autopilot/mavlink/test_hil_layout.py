@@ -1,4 +1,4 @@
-"""Where compiled code looks for fields is where pymavlink's dialect has them."""
+"""Field offsets of compiled code against pymavlink's dialect."""
 
 import re
 import struct
@@ -10,7 +10,7 @@ from autopilot.mavlink.frame import PAYLOAD
 
 
 def places(kind):
-    """Places in the buffer of the fields of a kind of message, by name, and the payload's length."""
+    """Offsets in the buffer of a message's fields by name, and the payload's length."""
     message = common.mavlink_map[kind]
     lengths = [struct.calcsize("<" + field) for field in re.findall(r"\d*[a-zA-Z]", message.unpacker.format)]
     names = message.ordered_fieldnames
@@ -18,7 +18,7 @@ def places(kind):
     return {name: PAYLOAD + sum(lengths[:i]) for i, name in enumerate(names)}, sum(lengths)
 
 
-def test_hil_sensor_lies_where_the_dialect_has_it():
+def test_hil_sensor_has_the_dialects_layout():
     fields, size = places(layout.SENSOR_KIND)
     assert size == layout.SENSOR_BYTES
     floats = ("xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro")
@@ -27,7 +27,7 @@ def test_hil_sensor_lies_where_the_dialect_has_it():
     assert fields["fields_updated"] == layout.SENSOR_UPDATED
 
 
-def test_hil_actuator_controls_lie_where_the_dialect_has_them():
+def test_hil_actuator_controls_has_the_dialects_layout():
     fields, size = places(layout.ACTUATORS_KIND)
     assert size == layout.ACTUATORS_BYTES
     assert fields == {

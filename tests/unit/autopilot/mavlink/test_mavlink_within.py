@@ -1,4 +1,4 @@
-"""What autopilot and application hand each other in one process stands for the messages of the wire."""
+"""The plain messages between autopilot and application against pymavlink's."""
 
 import pytest
 from pymavlink.dialects.v20 import common
@@ -17,14 +17,14 @@ TARGET = PositionTarget(4_000, 3, 1, 1, 3072, 1.5, -2.5, -10.0, 0.25, 0.5, -0.12
         (TARGET, common.MAVLink_set_position_target_local_ned_message),
     ],
 )
-def test_fields_kind_and_name_are_the_messages(value, message):
+def test_fields_id_and_name_are_equal(value, message):
     assert value._fields == tuple(message.fieldnames)
     assert value.get_msgId() == message.id
     assert value.get_type() == message.msgname
 
 
-def test_a_target_crosses_the_wire_as_it_is():
-    """Its numbers are single precision ones here."""
+def test_a_position_target_is_preserved_by_packing_and_parsing():
+    """The values are exact in single precision."""
     frame = Encoder(system=3, component=191).encode(TARGET.to_wire())
     (received,) = Parser().push(frame)
     assert received.get_type() == TARGET.get_type()

@@ -1,4 +1,4 @@
-"""Missions as data, and the order in which their items come: no flight, no time. Costs under a second."""
+"""Missions as data, and the sequence of their items, without flight or time. Costs under a second."""
 
 import math
 
@@ -38,7 +38,7 @@ def runner_of(*items):
 
 
 def flown(runner, most=100):
-    """Indices in the order in which they are flown, until the mission is finished."""
+    """Return the indices in the order in which they are flown, until the mission is finished."""
     order = []
     runner.settle()
     while runner.item is not None and len(order) < most:
@@ -51,7 +51,7 @@ def flown(runner, most=100):
 
 
 def test_commands_have_mavlinks_numbers():
-    # the numbers of common.xml, which the wire will carry
+    # the numbers of common.xml, which are sent over MAVLink
     assert [int(command) for command in MissionCommand] == [
         0, 16, 17, 19, 20, 21, 22, 31, 93, 115, 177, 178, 195, 197,
     ]  # fmt: skip
@@ -60,11 +60,11 @@ def test_commands_have_mavlinks_numbers():
 
 @settings(deadline=None)
 @given(st.floats(-2000.0, 2000.0), st.floats(-2000.0, 2000.0), st.floats(-50.0, 500.0))
-def test_a_place_in_metres_of_the_site_comes_back_from_the_globe(north_m, east_m, height_m):
+def test_a_position_in_metres_of_the_site_is_restored_from_geodetic_coordinates(north_m, east_m, height_m):
     item = at(north_m, east_m, height_m, hold_s=2.0, yaw_deg=90.0)
-    # The item's place lies on the tangent plane: at the plane's height over the ellipsoid there, d^2 / 2R,
-    # it is the given one, and at the origin's it is off horizontally by the angle d / R times that height:
-    # 3000^3 / (2 * 6.35e6^2) = 0.33 mm at most
+    # The item's position is on the tangent plane: at the plane's height over the ellipsoid there, d^2 / 2R,
+    # it is the given one, and at the origin's height it differs horizontally by the angle d / R times that
+    # height: 3000^3 / (2 * 6.35e6^2) = 0.33 mm at most
     north, east, _ = geodetic_to_ned(item.lat_deg, item.lon_deg, ORIGIN["origin_alt_m"], **ORIGIN)
     assert math.hypot(north - north_m, east - east_m) < 0.4e-3
     assert (item.height_m, item.hold_s, item.yaw_deg) == (height_m, 2.0, 90.0)
@@ -75,8 +75,11 @@ def test_a_place_in_metres_of_the_site_comes_back_from_the_globe(north_m, east_m
     [
         ((), "the mission is empty"),
         ((speed(3.0),), "nothing to fly"),
-        ((MissionItem(command=MissionCommand.WAYPOINT),), r"item 0 \(WAYPOINT\): it has no place"),
-        ((WAYPOINT, MissionItem(command=MissionCommand.LAND, lat_deg=1.0)), "item 1 .*come together"),
+        ((MissionItem(command=MissionCommand.WAYPOINT),), r"item 0 \(WAYPOINT\): it has no position"),
+        (
+            (WAYPOINT, MissionItem(command=MissionCommand.LAND, lat_deg=1.0)),
+            "item 1 .*must be given together",
+        ),
         ((at(0.0, 0.0, math.nan),), "height nan is outside"),
         ((at(0.0, 0.0, 5.0, hold_s=math.nan),), "hold time nan is outside"),
         ((at(0.0, 0.0, 5.0, acceptance_m=-1.0),), "acceptance radius -1 is outside"),
@@ -94,20 +97,20 @@ def test_a_place_in_metres_of_the_site_comes_back_from_the_globe(north_m, east_m
         ((WAYPOINT, jump(2)), r"item 1 \(JUMP\): it jumps to 2, but the items are 0 .. 1"),
         ((WAYPOINT, jump(-1)), "it jumps to -1"),
         ((WAYPOINT, jump(0, -2)), "jump count -2 is below -1"),
-        ((WAYPOINT, jump(1, -1)), r"item 1 \(JUMP\): goes round in a circle"),
-        ((WAYPOINT, speed(3.0), jump(1, 5)), r"item 2 \(JUMP\): goes round in a circle"),
-        ((WAYPOINT, jump(3, -1), WAYPOINT, jump(1, -1)), "goes round in a circle"),
+        ((WAYPOINT, jump(1, -1)), r"item 1 \(JUMP\): loops without anything"),
+        ((WAYPOINT, speed(3.0), jump(1, 5)), r"item 2 \(JUMP\): loops without anything"),
+        ((WAYPOINT, jump(3, -1), WAYPOINT, jump(1, -1)), "loops without anything"),
     ],
 )
-def test_a_wrong_mission_is_refused_with_its_first_reason(items, reason):
+def test_an_invalid_mission_is_rejected_with_its_first_fault(items, reason):
     with pytest.raises(MissionError, match=reason):
         make_mission(items)
 
 
-# ---- their order
+# ---- sequence
 
 
-def test_items_come_in_their_order_and_the_last_one_stays_current():
+def test_items_are_flown_in_order_and_the_last_one_stays_current():
     runner = runner_of(WAYPOINT, speed(3.0), WAYPOINT)
     assert (runner.current, runner.reached, runner.speed_m_s) == (0, None, None)
     runner.advance()
@@ -120,29 +123,29 @@ def test_items_come_in_their_order_and_the_last_one_stays_current():
 
 @settings(deadline=None)
 @given(st.integers(0, 20))
-def test_a_jump_is_taken_exactly_so_often(count):
+def test_a_jump_is_taken_exactly_as_often_as_given(count):
     # 0, then (1, 2) once and again for every jump, then 4
     runner = runner_of(WAYPOINT, WAYPOINT, WAYPOINT, jump(1, count), WAYPOINT)
     assert flown(runner) == [0] + [1, 2] * (count + 1) + [4]
-    runner.restart()  # and the counts with it
+    runner.restart()  # resets the counts too
     assert flown(runner) == [0] + [1, 2] * (count + 1) + [4]
 
 
-def test_what_is_carried_out_on_the_way_is_told_in_its_order():
+def test_items_executed_on_the_way_are_reported_in_order():
     act = MissionItem(command=MissionCommand.ACT, act=2000)
     runner = runner_of(act, speed(3.0), WAYPOINT, act, jump(2, 1), WAYPOINT, act)
-    assert (runner.current, list(runner.done), runner.begun) == (0, [], False)  # nothing before it is flown
+    assert (runner.current, list(runner.done), runner.begun) == (0, [], False)  # nothing is executed yet
     runner.settle()
     runner.settle()
     assert (runner.current, list(runner.done), runner.begun) == (2, [0, 1], True)
     while runner.item is not None:
         runner.advance()
-    assert list(runner.done) == [0, 1, 2, 3, 2, 3, 5, 6]  # a jump is nothing that is reached
+    assert list(runner.done) == [0, 1, 2, 3, 2, 3, 5, 6]  # a jump is not reported
     runner.restart()
     assert (list(runner.done), runner.begun) == ([], False)
 
 
-def test_a_mission_begins_with_the_item_that_its_writer_marked():
+def test_a_mission_starts_with_the_marked_item():
     runner = MissionRunner()
     runner.load(make_mission([speed(3.0), WAYPOINT, WAYPOINT]), start=2)
     assert (runner.current, runner.speed_m_s, runner.begun) == (2, 3.0, False)
@@ -150,7 +153,7 @@ def test_a_mission_begins_with_the_item_that_its_writer_marked():
     assert runner.current == 0
 
 
-def test_a_view_lasts_until_another():
+def test_a_region_of_interest_lasts_until_the_next():
     here = at(5.0, 5.0, 0.0, MissionCommand.LOOK_AT)
     ahead = MissionItem(command=MissionCommand.LOOK_AHEAD)
     runner = runner_of(WAYPOINT, here, WAYPOINT, ahead, WAYPOINT)
@@ -161,7 +164,7 @@ def test_a_view_lasts_until_another():
     assert views == [None, here, None]
     runner.set_current(2)
     assert runner.look_at is here
-    runner.set_current(0)  # in front of it nothing is to be looked at, nor is there in another mission
+    runner.set_current(0)  # no region of interest before it, nor in another mission
     assert runner.look_at is None
     runner.set_current(2)
     assert runner.look_at is here
@@ -169,15 +172,15 @@ def test_a_view_lasts_until_another():
     assert runner.look_at is None
 
 
-def test_a_long_list_of_jumps_is_checked_in_time_that_grows_with_its_length():
-    # 5000 jumps, each over all that follow: every way among them was looked at from each of them once
+def test_a_long_list_of_jumps_is_checked_in_linear_time():
+    # 5000 jumps, each over all that follow: an exhaustive search would visit every path
     jumps = [jump(5001, 1)] * 5000
     mission = make_mission([*jumps, WAYPOINT, WAYPOINT])
     runner = MissionRunner()
     runner.load(mission)
     runner.settle()
     assert runner.current == 5001
-    with pytest.raises(MissionError, match=r"item 0 \(JUMP\): goes round"):
+    with pytest.raises(MissionError, match=r"item 0 \(JUMP\): loops without"):
         make_mission([*[jump(0, 1)] * 5000, WAYPOINT])
 
 
@@ -186,15 +189,15 @@ def test_a_jump_without_end_never_finishes():
     assert flown(runner, most=101) == [0, 1] * 50 + [0]
 
 
-def test_jumps_within_jumps_count_on():
-    # the inner jump is used up in the first round of the outer one
+def test_nested_jumps_keep_their_counts():
+    # the inner jump is used up in the first loop of the outer one
     runner = runner_of(WAYPOINT, WAYPOINT, jump(1, 2), jump(0, 1))
     assert flown(runner) == [0, 1, 1, 1, 0, 1]
 
 
 @settings(deadline=None)
 @given(st.lists(st.sampled_from(["fly", "speed", "jump"]), min_size=1, max_size=12), st.randoms())
-def test_looking_ahead_changes_nothing_and_tells_what_comes(kinds, random):
+def test_next_item_changes_nothing_and_returns_the_next_item(kinds, random):
     items = [
         {"fly": WAYPOINT, "speed": speed(random.uniform(1.0, 9.0)),
          "jump": jump(random.randrange(len(kinds)), random.choice([0, 1, 3]))}[kind]
@@ -216,7 +219,7 @@ def test_looking_ahead_changes_nothing_and_tells_what_comes(kinds, random):
         pytest.fail("finite jumps must end: every one is taken 3 times at most")
 
 
-def test_another_current_item_begins_anew_with_the_speed_of_before_it():
+def test_set_current_resets_jump_counts_and_uses_the_speed_of_the_items_before():
     runner = runner_of(WAYPOINT, speed(3.0), WAYPOINT, jump(0, 1), WAYPOINT)
     assert flown(runner) == [0, 2, 0, 2, 4]
     version = runner.version
@@ -224,7 +227,7 @@ def test_another_current_item_begins_anew_with_the_speed_of_before_it():
     assert (runner.finished, runner.current, runner.speed_m_s) == (False, 2, 3.0)
     assert runner.version > version
     assert flown(runner) == [2, 0, 2, 4]
-    runner.set_current(1)  # not flown itself: it is carried out when the vehicle comes by
+    runner.set_current(1)  # not flown itself: it is executed when the vehicle passes it
     assert (runner.current, runner.speed_m_s) == (1, None)
     runner.settle()
     assert (runner.current, runner.speed_m_s) == (2, 3.0)

@@ -1,4 +1,4 @@
-"""Missions flown: paths of the reference alone as timelines, and with the real dynamics. Costs 8 s."""
+"""Missions in flight: paths of the reference only, as timelines, and with the real dynamics. Costs 8 s."""
 
 import math
 
@@ -39,7 +39,7 @@ def start(loop, *items):
 
 
 def flown(loop, seconds):
-    """[(item reached, second)] until the mission is finished and the reference rests."""
+    """Return [(item reached, second)] until the mission is finished and the reference is at rest."""
     mission, order, count = loop.navigator.mission, [], 0
 
     def watch():
@@ -61,7 +61,7 @@ vectors = st.tuples(st.floats(-50.0, 50.0), st.floats(-50.0, 50.0), st.floats(-2
 
 @settings(deadline=None)
 @given(vectors, vectors, st.floats(0.2, 10.0))
-def test_the_point_aimed_past_a_corner_is_near_the_next_leg(way, onward, radius_m):
+def test_the_target_beyond_a_corner_is_near_the_next_leg(way, onward, radius_m):
     way_m, onward_m = np.linalg.norm(way), np.linalg.norm(onward)
     assume(way_m > 1.0 and onward_m > 1.0)
     past = overshoot_ned_m(np.zeros(3), way, way + onward, radius_m=radius_m, height_m=0.8, enough_m=6.0)
@@ -73,12 +73,12 @@ def test_the_point_aimed_past_a_corner_is_near_the_next_leg(way, onward, radius_
     across = past - along * onward / onward_m
     used = math.hypot(*(across[:2] / radius_m), across[2] / 0.8)
     assert used <= 0.5 + 1e-9
-    # and as far past as one of these allows
+    # and is limited by one of these
     assert max(used / 0.5, along / onward_m, ahead / 6.0) == pytest.approx(1.0)
 
 
 HIGH_NED_M = (0.0, 0.0, -300.0)
-"""Four legs of 180 m with a slope of 0.3 lead down by 216 m, and below the ground nothing is reached."""
+"""Four legs of 180 m with a slope of 0.3 descend by 216 m; below the ground nothing can be reached."""
 
 
 @pytest.mark.parametrize(("shortest_radii", "share"), [(6.0, 0.5), (3.0, 1.0)])
@@ -90,11 +90,11 @@ HIGH_NED_M = (0.0, 0.0, -300.0)
     ),
     radius_m=st.sampled_from([0.5, 1.0, 2.0, 5.0]),
 )  # fmt: skip
-def test_the_reference_stays_within_the_acceptance_of_any_way(shortest_radii, share, legs, radius_m):
-    """Headings, lengths of so many acceptance radii and more, and slopes.
+def test_the_reference_stays_within_the_acceptance_on_any_path(shortest_radii, share, legs, radius_m):
+    """Headings, lengths from this many acceptance radii, and slopes.
 
-    A corner is passed at half the acceptance, which leaves the vehicle the other half. Where legs are as
-    short as three radii one corner's motion lasts into the next, and they may add up.
+    A corner uses half the acceptance; the other half is left for the vehicle. If legs are as short as three
+    radii, one corner's motion lasts into the next, and they may add up.
     """
     pos, places = np.array(HIGH_NED_M), []
     for heading_rad, length, slope in legs:
@@ -109,8 +109,8 @@ def test_the_reference_stays_within_the_acceptance_of_any_way(shortest_radii, sh
     np.testing.assert_allclose(loop.state.pos_ned_m, places[-1], atol=1e-3)
 
 
-def test_a_place_on_a_straight_way_costs_no_time():
-    # 60 m last d/V + V/A + A/J whether in one leg or in three
+def test_a_waypoint_on_a_straight_path_takes_no_time():
+    # 60 m take d/V + V/A + A/J in one leg or in three
     loop = start(Ideal((0.0, 0.0, -10.0)), at(20.0, 0.0, 10.0), at(40.0, 0.0, 10.0), at(60.0, 0.0, 10.0))
     assert loop.run(30.0, lambda: loop.navigator.mission.done and loop.state.pos_ned_m[0] > 60.0 - 1e-9)
     assert loop.now_s == pytest.approx(60.0 / 5.0 + 5.0 / 3.0 + 3.0 / 4.0, abs=0.05)
@@ -121,12 +121,12 @@ def test_a_place_on_a_straight_way_costs_no_time():
 
 
 @pytest.mark.parametrize("degrees", [45.0, 90.0, 135.0, 180.0])
-def test_a_corner_is_not_stopped_at(degrees):
+def test_the_vehicle_does_not_stop_at_a_corner(degrees):
     turn = math.radians(degrees)
     beyond = (30.0 + 30.0 * math.cos(turn), 30.0 * math.sin(turn), 10.0)
     loop = start(Ideal((0.0, 0.0, -10.0)), at(30.0, 0.0, 10.0), at(*beyond))
     assert loop.run(20.0, lambda: loop.navigator.mission.runner.reached == 0)
-    # Entered with at least the speed from which the limits stop within the radius R = 2 m and the R / 2 past
+    # Passed with at least the speed from which the limits stop within the radius R = 2 m plus R / 2 beyond
     # the corner: the last jerk phase takes A^3 / 6J^2 of it and ends at A^2 / 2J
     jerk_m, jerk_m_s = 3.0**3 / (6.0 * 4.0**2), 3.0**2 / (2.0 * 4.0)
     least_m_s = math.sqrt(jerk_m_s**2 + 2.0 * 3.0 * (2.0 + 1.0 - jerk_m))
@@ -136,7 +136,7 @@ def test_a_corner_is_not_stopped_at(degrees):
 # ---- items
 
 
-def test_a_stay_lasts_its_time_at_its_place():
+def test_a_hold_lasts_its_time_at_its_position():
     for item in (at(8.0, 0.0, 10.0, hold_s=3.0), at(8.0, 0.0, 10.0, MissionCommand.LOITER_TIME, hold_s=3.0)):
         loop = start(Ideal((0.0, 0.0, -10.0)), item, at(8.0, 8.0, 10.0))
         mission = loop.navigator.mission
@@ -166,7 +166,7 @@ def test_the_speed_changes_and_returns_and_keeps_within_the_limit():
     fastest = {}
 
     def watch():
-        # braking from one speed to the next takes its way: only the second half of a leg counts
+        # changing speed takes some distance: only the second half of a leg counts
         current, north_m = loop.navigator.mission.runner.current, loop.state.pos_ned_m[0]
         if north_m > {1: 15.0, 3: 80.0, 5: 165.0}[current]:
             fastest[current] = max(fastest.get(current, 0.0), float(loop.state.vel_ned_m_s[0]))
@@ -178,12 +178,12 @@ def test_the_speed_changes_and_returns_and_keeps_within_the_limit():
 
 
 @pytest.mark.parametrize("count", [0, 1, 3])
-def test_a_jump_is_flown_exactly_so_often(count):
+def test_a_jump_is_flown_exactly_as_often_as_given(count):
     loop = start(Ideal((0.0, 0.0, -10.0)), at(6.0, 0.0, 10.0), at(6.0, 6.0, 10.0), jump(0, count), delay(0.1))
     assert [item for item, _ in flown(loop, 200.0)] == [0, 1] * (count + 1) + [3]
 
 
-def test_heights_count_from_home_or_from_the_sea():
+def test_heights_are_above_home_or_sea_level():
     home = (0.0, 0.0, 3.0)  # three metres below the origin, which is at 488 m
     for item, down_m in (
         (at(5.0, 0.0, 10.0), 3.0 - 10.0),
@@ -195,7 +195,7 @@ def test_heights_count_from_home_or_from_the_sea():
         assert loop.state.pos_ned_m[2] == pytest.approx(down_m, abs=1e-9)
 
 
-def test_the_nose_leads_and_an_items_heading_is_waited_for():
+def test_the_nose_points_forward_and_an_items_heading_must_be_reached():
     loop = start(Ideal((0.0, 0.0, -10.0)), at(0.0, 30.0, 10.0), at(0.0, 60.0, 10.0, yaw_deg=-90.0))
     loop.run(5.0)
     assert loop.setpoint.yaw_rad == pytest.approx(math.radians(90.0), abs=1e-3)
@@ -207,7 +207,7 @@ def test_the_nose_leads_and_an_items_heading_is_waited_for():
 
 
 @pytest.mark.parametrize(("mode", "degrees"), [(0, 90.0), (1, -90.0), (2, 90.0), (3, 90.0)])
-def test_the_heading_is_where_the_parameter_says(mode, degrees):
+def test_the_heading_is_that_of_the_parameter(mode, degrees):
     params = NavigationParams(yaw_mode=mode)
     loop = start(Ideal((0.0, 20.0, -10.0), params=params, yaw_rad=0.5), at(0.0, 80.0, 10.0))
     loop.run(8.0)
@@ -217,7 +217,7 @@ def test_the_heading_is_where_the_parameter_says(mode, degrees):
 # ---- interruptions
 
 
-def test_it_goes_on_where_it_was_left():
+def test_a_mission_continues_after_another_mode():
     loop = start(Ideal((0.0, 0.0, -10.0)), *(at(*place) for place in SQUARE))
     mission = loop.navigator.mission
     assert loop.run(60.0, lambda: mission.runner.reached == 1)
@@ -227,24 +227,24 @@ def test_it_goes_on_where_it_was_left():
     held = loop.state.pos_ned_m.copy()
     assert mission.runner.current == 2
     loop.enter(FlightMode.MISSION)
-    assert [item for item, _ in flown(loop, 60.0)] == [1, 2, 3]  # the first is what was reached before
+    assert [item for item, _ in flown(loop, 60.0)] == [1, 2, 3]  # the first one was reached before
     assert off_path_m([held], [(20.0, 0.0, -10.0), (20.0, 20.0, -10.0), (0.0, 20.0, -12.0)])[0] < 1.2
 
 
-def test_a_finished_mission_holds_its_end_and_begins_anew_only_when_entered_anew():
+def test_a_finished_mission_holds_its_end_and_restarts_only_when_entered_again():
     loop = start(Ideal((0.0, 0.0, -10.0)), at(10.0, 0.0, 10.0), at(10.0, 10.0, 10.0))
     flown(loop, 60.0)
-    loop.enter(FlightMode.HOLD)  # as the commander does when the mission is done
+    loop.enter(FlightMode.HOLD)  # like the commander when the mission is done
     loop.run(10.0)
     np.testing.assert_allclose(loop.state.pos_ned_m, (10.0, 10.0, -10.0), atol=1e-6)
     loop.enter(FlightMode.MISSION)
     assert (loop.navigator.mission.runner.current, loop.navigator.completed(loop.state)) == (0, False)
     flown(loop, 60.0)
-    loop.enter(FlightMode.MISSION)  # the estimate jumped
+    loop.enter(FlightMode.MISSION)  # after a reset of the estimate
     assert loop.navigator.completed(loop.state)
 
 
-def test_a_jump_of_the_estimate_goes_on_with_the_leg_without_a_jump_of_the_setpoint():
+def test_after_a_reset_of_the_estimate_the_leg_continues_without_a_jump_of_the_setpoint():
     loop = start(Ideal((0.0, 0.0, -10.0)), *(at(*place) for place in SQUARE))
     mission = loop.navigator.mission
     assert loop.run(60.0, lambda: mission.runner.current == 2)
@@ -258,7 +258,7 @@ def test_a_jump_of_the_estimate_goes_on_with_the_leg_without_a_jump_of_the_setpo
     flown(loop, 60.0)
 
 
-def test_another_item_or_mission_is_flown_at_once():
+def test_another_item_or_mission_is_flown_immediately():
     loop = start(Ideal((0.0, 0.0, -10.0)), *(at(*place) for place in SQUARE))
     loop.run(2.0)
     loop.navigator.mission.runner.set_current(2)
@@ -270,7 +270,7 @@ def test_another_item_or_mission_is_flown_at_once():
     np.testing.assert_allclose(loop.state.pos_ned_m, (-10.0, 0.0, -15.0), atol=1e-3)
 
 
-def test_without_a_mission_it_holds_and_with_a_return_it_asks_for_the_mode():
+def test_without_a_mission_it_holds_and_a_return_item_requests_the_mode():
     loop = Ideal((0.0, 0.0, -10.0), vel_ned_m_s=(1.0, 0.0, 0.0))
     loop.enter(FlightMode.MISSION)
     loop.run(10.0)
@@ -278,13 +278,13 @@ def test_without_a_mission_it_holds_and_with_a_return_it_asks_for_the_mode():
     assert loop.navigator.completed(loop.state)
     start(loop, at(5.0, 0.0, 10.0), MissionItem(command=MissionCommand.RETURN))
     assert loop.run(30.0, lambda: loop.navigator.next_mode(loop.state) is FlightMode.RETURN)
-    assert not loop.navigator.completed(loop.state)  # it is the return that comes next, not hold
+    assert not loop.navigator.completed(loop.state)  # return is next, not hold
     loop.enter(FlightMode.RETURN)
     assert loop.navigator.next_mode(loop.state) is None
     assert loop.run(200.0, lambda: loop.navigator.completed(loop.state))
 
 
-def test_off_the_ground_unasked_a_finished_mission_stays_low_and_a_leg_goes_on():
+def test_after_an_unexpected_lift_off_a_finished_mission_stays_low_and_a_leg_continues():
     loop = start(Ideal((0.0, 0.0, -10.0)), LAND)
     flown(loop, 60.0)
     loop.run(0.1)
@@ -293,7 +293,7 @@ def test_off_the_ground_unasked_a_finished_mission_stays_low_and_a_leg_goes_on()
     assert loop.state.pos_ned_m[2] == pytest.approx(-0.2, abs=0.01)
     loop = start(Ideal((0.0, 0.0, -10.0)), at(20.0, 0.0, 10.0))
     loop.run(2.0)
-    loop.landed = True  # the detector errs
+    loop.landed = True  # false detection
     assert loop.update() is IDLE
     loop.landed = False
     assert [item for item, _ in flown(loop, 30.0)] == [0]
@@ -335,7 +335,7 @@ def test_a_square_is_flown_in_order_near_its_path_from_the_ground_to_the_ground(
     assert math.hypot(*loop.iris.pos_ned_m[:2]) < 0.5
 
 
-def test_on_the_ground_any_first_place_begins_with_a_climb():
+def test_on_the_ground_any_first_position_starts_with_a_climb():
     loop = start(Real(0.0), at(10.0, 0.0, 8.0))
     assert loop.run(30.0, lambda: loop.navigator.mission.stage is MissionStage.FLY)
     assert math.hypot(*loop.state.pos_ned_m[:2]) < 0.3
@@ -343,7 +343,7 @@ def test_on_the_ground_any_first_place_begins_with_a_climb():
     assert [item for item, _ in flown(loop, 60.0)] == [0]
 
 
-def test_it_lands_at_a_place_and_goes_on_from_there():
+def test_a_mission_continues_after_a_landing():
     there = MissionItem(command=MissionCommand.LAND, **lat_lon(6.0, 0.0))
     loop = start(Real(5.0), there, replace(TAKEOFF, height_m=4.0), LAND)
     assert [item for item, _ in flown(loop, 120.0)] == [0, 1, 2]

@@ -1,4 +1,4 @@
-"""Items of a mission that turn, look and change height, and whatever stations write. Costs 5 s."""
+"""Mission items that turn, point the nose and change height, and arbitrary missions. Costs 5 s."""
 
 import math
 
@@ -29,7 +29,7 @@ def heading_deg(loop):
     return math.degrees(2.0 * math.atan2(z, w))
 
 
-def test_a_turn_is_made_on_the_spot_and_counts_from_where_it_began():
+def test_a_turn_is_in_place_and_relative_to_its_start():
     loop = start(
         Ideal((0.0, 0.0, -10.0)),
         at(10.0, 0.0, 10.0),
@@ -42,7 +42,7 @@ def test_a_turn_is_made_on_the_spot_and_counts_from_where_it_began():
     assert math.remainder(heading_deg(loop) + 90.0, 360.0) == pytest.approx(0.0, abs=12.0)
     began_deg = heading_deg(loop)
     loop.run(0.3)
-    loop.enter(FlightMode.HOLD)  # a pause does not make it turn further
+    loop.enter(FlightMode.HOLD)  # a pause must not make it turn further
     loop.run(1.0)
     loop.enter(FlightMode.MISSION)
     assert loop.run(30.0, lambda: runner.current == 3)
@@ -50,7 +50,7 @@ def test_a_turn_is_made_on_the_spot_and_counts_from_where_it_began():
     np.testing.assert_allclose(loop.state.pos_ned_m, (10.0, 0.0, -10.0), atol=1e-3)
 
 
-def test_a_loiter_to_altitude_goes_there_level_and_then_straight_up():
+def test_a_loiter_to_altitude_flies_level_and_then_climbs_vertically():
     item = at(20.0, 0.0, 18.0, MissionCommand.LOITER_TO_ALT)
     loop = start(Ideal((0.0, 0.0, -10.0)), item, at(20.0, 10.0, 18.0))
     assert loop.run(60.0, lambda: loop.navigator.completed(loop.state))
@@ -63,7 +63,7 @@ def test_a_loiter_to_altitude_goes_there_level_and_then_straight_up():
     np.testing.assert_allclose(loop.state.pos_ned_m, (20.0, 10.0, -18.0), atol=1e-3)
 
 
-def test_the_nose_points_at_what_is_looked_at():
+def test_the_nose_points_at_the_region_of_interest():
     tower = at(10.0, 30.0, 0.0, MissionCommand.LOOK_AT)
     ahead = MissionItem(command=MissionCommand.LOOK_AHEAD)
     loop = start(Ideal((0.0, 0.0, -10.0)), tower, at(30.0, 0.0, 10.0), ahead, at(60.0, 0.0, 10.0))
@@ -77,13 +77,13 @@ def test_the_nose_points_at_what_is_looked_at():
         return runner.current == 3
 
     assert loop.run(30.0, watch)
-    # the bearing changes by at most 5 m/s / 30 m = 9.5 degrees a second; the heading lags by less than one
+    # the bearing changes by at most 5 m/s / 30 m = 9.5 degrees per second; the heading lags by less than one
     assert max(map(abs, (math.remainder(off, 360.0) for off in off_deg))) < 9.5
     loop.run(4.0)
     assert heading_deg(loop) == pytest.approx(0.0, abs=1.0)
 
 
-def test_a_mission_that_is_taken_away_leaves_the_vehicle_where_it_comes_to_rest():
+def test_removing_a_mission_stops_the_vehicle():
     loop = start(Ideal((0.0, 0.0, -10.0)), at(50.0, 0.0, 10.0))
     assert loop.run(10.0, lambda: loop.state.pos_ned_m[0] > 20.0)
     loop.navigator.mission.load(None)
@@ -95,10 +95,10 @@ def test_a_mission_that_is_taken_away_leaves_the_vehicle_where_it_comes_to_rest(
     assert 20.0 < loop.state.pos_ned_m[0] < 20.0 + 6.1
 
 
-# ---- whatever is written
+# ---- arbitrary missions
 
 near_e7 = st.integers(-300, 300)
-"""1e-7 degrees: 3 m at most."""
+"""1e-7 degrees: at most 3 m."""
 anywhere_e7 = st.sampled_from([-900_000_000, 0, 900_000_000])
 numbers = st.sampled_from([0.0, 0.1, 1.0, 2.0, -1.0, math.nan, 1e4, 359.0])
 FLYABLE = (16, 17, 19, 20, 21, 22, 31, 93, 112, 115, 177, 178, 195, 197, 201, 2000, 189)
@@ -117,8 +117,8 @@ taken = written.filter(lambda item: refusal(PlanType.MISSION, [item, LAST]) is N
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(taken, max_size=5), st.integers(0, 5))
-def test_whatever_mission_is_taken_can_be_flown(others, start_at):
-    """For two seconds, with a pause: no place is too far and no order too odd."""
+def test_every_accepted_mission_can_be_flown(others, start_at):
+    """For two seconds, with a pause: no position is too far and no sequence too unusual."""
     items = [*others, LAST]
     if refusal(PlanType.MISSION, items) is not None:
         return

@@ -1,4 +1,4 @@
-"""Take-off, hold, land and descend, the reference that they share, and changes between modes. Costs 2 s."""
+"""Take-off, hold, land and descend, their common reference, and changes between modes. Costs 2 s."""
 
 import math
 
@@ -29,7 +29,7 @@ P = NavigationParams()
     st.tuples(*[st.floats(-8.0, 8.0)] * 3), st.tuples(*[st.floats(-3.0, 3.0)] * 3),
     st.tuples(*[st.floats(-1.0, 1.0)] * 3), st.floats(-math.pi, math.pi),
 )  # fmt: skip
-@example((0.0, 0.0, 3.0), (1.0, 0.0, 0.0), (1.2e-7, 0.0, 1.0), 0.0)  # all but plumb
+@example((0.0, 0.0, 3.0), (1.0, 0.0, 0.0), (1.2e-7, 0.0, 1.0), 0.0)  # almost vertical
 def test_a_leg_ends_at_rest_at_its_target_from_any_motion(target, vel, along, yaw_rad):
     # No move is longer than 14 m. A stop from 5.2 m/s takes 2.6 s, a move of 20 m at 1.5 m/s and more 15 s
     reference = LegReference(LIMITS)
@@ -52,8 +52,8 @@ def test_a_leg_ends_at_rest_at_its_target_from_any_motion(target, vel, along, ya
     np.testing.assert_allclose(np.diff(positions, axis=0), steps, atol=2e-4)
 
 
-def test_beside_its_line_a_target_is_reached_without_circling():
-    # 0.42 m away and moving past it: a line drawn anew at every step circles for 25 s and as far as 2.2 m
+def test_a_target_off_the_line_is_reached_without_circling():
+    # 0.42 m away and moving past it: a line recomputed at every step circles for 25 s and as far as 2.2 m
     target, vel = np.array((0.0, 0.3, 0.0)), np.array((0.0, 1.0, 0.0))
     reference = LegReference(LIMITS)
     reference.reset(np.array((0.3, 0.0, 0.0)), vel_ned_m_s=vel, yaw_rad=0.0)
@@ -64,8 +64,8 @@ def test_beside_its_line_a_target_is_reached_without_circling():
         furthest_m = max(furthest_m, float(np.linalg.norm(setpoint.pos_ned_m - target)))
         steps += 1
     # along and across the leg 0.71 m/s stop within v sqrt(v / J) = 0.30 m: along it that is before the
-    # target, across it it is off and back again, in 2 sqrt(v / J) + 4 (d / 2J)^(1/3) = 2.2 s with a rest
-    # between the two, which it does not take
+    # target, across it the reference leaves the line and returns, in 2 sqrt(v / J) + 4 (d / 2J)^(1/3) = 2.2 s
+    # if it rested in between, which it does not
     assert steps * DT_S < 2.2
     assert furthest_m <= math.hypot(0.3, 0.3) + 1e-6
 
@@ -83,11 +83,11 @@ def test_the_reference_waits_for_a_vehicle_that_does_not_follow():
 # ---- hold and take-off
 
 
-def test_hold_comes_to_rest_where_its_limits_let_it_and_then_costs_nothing():
+def test_hold_stops_within_its_limits_and_is_then_cheap():
     loop = Ideal((0.0, 0.0, -20.0), vel_ned_m_s=(3.0, 4.0, -2.0), yaw_rad=1.0)
     loop.enter(FlightMode.HOLD)
     loop.run(10.0)
-    # v (v / A + A / J) / 2 at 5 m/s; up 2 m/s never reaches the limit: v sqrt(v / J)
+    # v (v / A + A / J) / 2 at 5 m/s; 2 m/s up does not reach the acceleration limit: v sqrt(v / J)
     way_m = 5.0 * (5.0 / 3.0 + 3.0 / 4.0) / 2.0
     expected = (0.6 * way_m, 0.8 * way_m, -20.0 - 2.0 * math.sqrt(2.0 / 4.0))
     np.testing.assert_allclose(loop.state.pos_ned_m, expected, atol=0.02)
@@ -97,7 +97,7 @@ def test_hold_comes_to_rest_where_its_limits_let_it_and_then_costs_nothing():
     assert loop.update() is IDLE
 
 
-def test_a_take_off_ends_at_its_height_and_hold_keeps_it():
+def test_a_take_off_ends_at_its_height_and_continues_as_hold():
     loop = Real(0.0)
     loop.enter(FlightMode.TAKEOFF, takeoff_height_m=4.0)
     assert loop.run(15.0, lambda: loop.navigator.completed(loop.state))
@@ -106,7 +106,7 @@ def test_a_take_off_ends_at_its_height_and_hold_keeps_it():
     np.testing.assert_allclose(loop.state.pos_ned_m, (0.0, 0.0, -4.0), atol=0.1)
 
 
-def test_a_take_off_in_the_air_climbs_on_and_never_goes_down():
+def test_a_take_off_in_the_air_climbs_and_never_descends():
     for wanted_m, reached_m in ((15.0, 15.0), (5.0, 10.0)):
         loop = Ideal((0.0, 0.0, -10.0))
         loop.enter(FlightMode.TAKEOFF, takeoff_height_m=wanted_m)
@@ -116,7 +116,7 @@ def test_a_take_off_in_the_air_climbs_on_and_never_goes_down():
         assert loop.state.pos_ned_m[2] == pytest.approx(-reached_m)
 
 
-def test_a_take_off_under_way_follows_a_new_speed():
+def test_a_take_off_in_progress_uses_a_new_speed():
     loop = Ideal((0.0, 0.0, -10.0))
     loop.enter(FlightMode.TAKEOFF, takeoff_height_m=60.0)
     loop.run(4.0)
@@ -137,7 +137,7 @@ def test_a_take_off_under_way_follows_a_new_speed():
 
 @settings(deadline=None)
 @given(st.floats(-5.0, 200.0))
-def test_the_landing_slows_down_in_proportion_to_the_height(height_m):
+def test_the_landing_speed_is_proportional_to_the_height(height_m):
     speed_m_s = speed_by_height_m_s(height_m, P, slow_m_s=0.7, fast_m_s=1.5)
     if height_m <= P.land_slow_height_m:
         assert speed_m_s == pytest.approx(0.7)
@@ -147,13 +147,13 @@ def test_the_landing_slows_down_in_proportion_to_the_height(height_m):
         assert speed_m_s == pytest.approx(0.7 + 0.8 * (height_m - 5.0) / 5.0)
 
 
-def test_heights_of_parameters_in_the_wrong_order_make_a_step():
+def test_height_parameters_in_the_wrong_order_give_a_step():
     params = NavigationParams(land_slow_height_m=10.0, land_fast_height_m=8.0)
     assert speed_by_height_m_s(9.9, params, slow_m_s=0.7, fast_m_s=1.5) == 0.7
     assert speed_by_height_m_s(10.1, params, slow_m_s=0.7, fast_m_s=1.5) == 1.5
 
 
-def test_landing_goes_down_plumb_and_does_not_lean_on_the_ground():
+def test_landing_is_vertical_and_does_not_push_against_the_ground():
     loop = Ideal((3.0, 4.0, -12.0), vel_ned_m_s=(1.0, 0.0, 0.0))
     loop.enter(FlightMode.LAND)
     loop.run(1.0)
@@ -165,7 +165,7 @@ def test_landing_goes_down_plumb_and_does_not_lean_on_the_ground():
     assert not setpoint.acc_ned_m_s2.any()
     loop.touching = False
     assert loop.run(60.0, lambda: loop.landed)
-    # 1 m/s never reaches the limit of acceleration: v sqrt(v / J) = 0.5 m
+    # 1 m/s does not reach the acceleration limit: v sqrt(v / J) = 0.5 m
     np.testing.assert_allclose(loop.state.pos_ned_m, (3.5, 4.0, 0.0), atol=0.01)
     assert loop.update() is IDLE
 
@@ -175,13 +175,13 @@ def test_descending_needs_no_velocity():
     loop.enter(FlightMode.DESCEND)
     assert loop.update().vel_ned_m_s[2] == P.land_speed_m_s
     loop.state.velocity_valid = False
-    assert loop.update().vel_ned_m_s[2] == P.land_speed_m_s  # of the height
+    assert loop.update().vel_ned_m_s[2] == P.land_speed_m_s  # by the valid height
     loop.state.height_valid = False
     assert 0.0 < loop.update().acc_ned_m_s2[2] <= 2.0
     assert loop.navigator.target_ned_m is None
 
 
-def test_a_landing_that_bounces_goes_on_landing():
+def test_a_landing_that_bounces_continues():
     loop = Ideal((0.0, 0.0, -3.0))
     loop.enter(FlightMode.RETURN)
     assert loop.run(60.0, lambda: loop.landed)
@@ -195,7 +195,7 @@ def test_a_landing_that_bounces_goes_on_landing():
     assert min(pos[2] for pos in loop.track) > -0.25
 
 
-# ---- what the land detector is told
+# ---- input of the land detector
 
 
 def test_the_downward_demand_of_every_kind_of_setpoint():

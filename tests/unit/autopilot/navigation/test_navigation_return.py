@@ -1,4 +1,4 @@
-"""Return mode: its phases as a timeline, its height, and the whole way with the real dynamics. Costs 5 s."""
+"""Return mode: its phases as a timeline, its height, and a whole return with the real dynamics. Costs 5 s."""
 
 import itertools
 import math
@@ -20,7 +20,7 @@ LOW = NavigationParams(return_home=ReturnParams(height_m=20.0, descend_height_m=
 
 
 def phases_of(loop, seconds=200.0, until=None):
-    """(phase, second at which it began) until the ground, or a condition."""
+    """Return (phase, second of its start) until the landing, or a condition."""
     seen = []
 
     def watch():
@@ -38,14 +38,14 @@ def phases_of(loop, seconds=200.0, until=None):
 
 @settings(deadline=None)
 @given(st.floats(0.0, 500.0))
-def test_the_height_keeps_to_cone_and_limits(distance_m):
+def test_the_height_respects_cone_and_limits(distance_m):
     params = NavigationParams()
     height_m = return_height_m(distance_m, params)
     home = params.return_home
     assert height_m <= home.height_m
     if distance_m > home.min_distance_m:
         assert height_m == home.height_m
-    elif distance_m > params.acceptance_m:  # a cone of 45 degrees is as high as wide
+    elif distance_m > params.acceptance_m:  # with 45 degrees a cone is as high as wide
         assert height_m == pytest.approx(max(distance_m, 2.0 * params.acceptance_m))
     else:
         assert height_m == pytest.approx(2.0 * distance_m)
@@ -63,12 +63,12 @@ def test_a_narrow_cone_reaches_up_to_the_return_height():
 # ---- table
 
 
-def test_every_phase_ends_on_the_ground_and_leads_there():
+def test_every_phase_ends_on_the_ground_and_leads_to_it():
     for phase, event in itertools.product(ReturnPhase, ReturnEvent):
         after = TRANSITIONS.get((phase, event))
         if event is ReturnEvent.LANDED and phase is not ReturnPhase.DONE:
             assert after is ReturnPhase.DONE
-        assert (phase, after) != (phase, phase)  # nothing leads back to itself
+        assert (phase, after) != (phase, phase)  # no event restarts its phase
     for wait in (ReturnEvent.THERE, ReturnEvent.THERE_TO_WAIT):
         phase, way = ReturnPhase.CLIMB, []
         while phase is not ReturnPhase.DONE:
@@ -82,7 +82,7 @@ def test_every_phase_ends_on_the_ground_and_leads_there():
 # ---- timelines
 
 
-def test_from_below_it_climbs_on_the_spot_then_flies_straight_home_nose_first():
+def test_from_below_it_climbs_vertically_then_flies_straight_home_nose_first():
     loop = Ideal((30.0, 40.0, -8.0), params=LOW)
     loop.enter(FlightMode.RETURN)
     seen = phases_of(loop)
@@ -98,16 +98,16 @@ def test_from_below_it_climbs_on_the_spot_then_flies_straight_home_nose_first():
     fly = track[round(seen[1][1] / DT_S) : round(seen[2][1] / DT_S)]
     assert fly[:, 2].min() >= -20.0 - 1e-3  # never above the return height
     assert np.abs(fly[:, 0] * 0.8 - fly[:, 1] * 0.6).max() < 0.02  # on the line home
-    # 50 m at 5 m/s, 3 m/s^2 and 4 m/s^3 last d/V + V/A + A/J = 12.4 s
+    # 50 m at 5 m/s, 3 m/s^2 and 4 m/s^3 take d/V + V/A + A/J = 12.4 s
     assert seen[2][1] - seen[1][1] == pytest.approx(50.0 / 5.0 + 5.0 / 3.0 + 3.0 / 4.0, abs=0.1)
     assert np.abs(track[-1]).max() < 1e-6
     assert loop.navigator.completed(loop.state)
 
 
-def test_the_nose_points_home_until_near_and_stays_there():
+def test_the_nose_points_home_until_near_and_is_then_kept():
     loop = Ideal((30.0, 40.0, -25.0), params=LOW)
     loop.enter(FlightMode.RETURN)
-    assert loop.navigator.return_phase is ReturnPhase.FLY_HOME  # from above it goes at once, and as high
+    assert loop.navigator.return_phase is ReturnPhase.FLY_HOME  # from above it keeps its height
     loop.run(8.0)
     assert loop.setpoint.yaw_rad == pytest.approx(math.atan2(-40.0, -30.0), abs=1e-3)
     assert loop.run(10.0, lambda: loop.navigator.return_phase is ReturnPhase.LAND)
@@ -115,7 +115,7 @@ def test_the_nose_points_home_until_near_and_stays_there():
     assert loop.state.pos_ned_m[2] == pytest.approx(-25.0, abs=0.01)
 
 
-def test_near_home_the_cone_spares_the_climb():
+def test_near_home_the_cone_limits_the_climb():
     loop = Ideal((6.0, 0.0, -3.0))
     loop.enter(FlightMode.RETURN)
     assert loop.navigator.return_phase is ReturnPhase.CLIMB
@@ -147,7 +147,7 @@ def test_minus_one_never_lands():
     assert not loop.navigator.completed(loop.state)
 
 
-def test_without_a_home_it_lands_where_it_is_and_on_the_ground_it_stays():
+def test_without_home_it_lands_in_place_and_on_the_ground_it_stays():
     loop = Ideal((15.0, -4.0, -6.0), home_ned_m=None)
     loop.enter(FlightMode.RETURN)
     assert [phase for phase, _ in phases_of(loop)] == [ReturnPhase.LAND, ReturnPhase.DONE]
@@ -158,7 +158,7 @@ def test_without_a_home_it_lands_where_it_is_and_on_the_ground_it_stays():
     assert loop.navigator.return_phase is ReturnPhase.DONE
 
 
-def test_a_jump_of_the_estimate_goes_on_with_the_phase_and_from_where_it_now_is():
+def test_after_a_reset_of_the_estimate_the_phase_continues_from_the_new_position():
     loop = Ideal((30.0, 40.0, -8.0), params=LOW)
     loop.enter(FlightMode.RETURN)
     assert loop.run(60.0, lambda: loop.navigator.return_phase is ReturnPhase.FLY_HOME)
@@ -197,7 +197,7 @@ def test_it_returns_to_the_nearest_of_home_and_rally_points():
         np.testing.assert_allclose(loop.navigator.target_ned_m[:2], expected, atol=1e-3)
 
 
-def test_at_a_rally_point_it_lands_and_heights_count_from_it():
+def test_at_a_rally_point_it_lands_and_heights_are_relative_to_it():
     loop = Ideal((40.0, 0.0, -8.0), params=LOW)
     loop.navigator.set_rally_points([rally(40.0, 20.0, 5.0)])
     loop.enter(FlightMode.RETURN)
@@ -212,9 +212,9 @@ def test_at_a_rally_point_it_lands_and_heights_count_from_it():
     np.testing.assert_allclose(loop.state.pos_ned_m, (40.0, 20.0, 0.0), atol=1e-3)
 
 
-def test_a_rally_point_above_the_sea_and_one_taken_away_under_way():
+def test_a_rally_point_above_sea_level_and_one_removed_during_the_return():
     loop = Ideal((40.0, 0.0, -30.0), params=LOW)
-    # the ideal vehicle's estimate begins at 488 m above the sea
+    # the ideal vehicle's origin is at 488 m above sea level
     loop.navigator.set_rally_points([rally(40.0, 20.0, 491.0, HeightFrame.AMSL)])
     loop.enter(FlightMode.RETURN)
     loop.run(2.0)
@@ -246,7 +246,7 @@ def test_from_50_m_away_it_lands_at_home(wind_n):
 
 
 @pytest.mark.parametrize("phase", [ReturnPhase.CLIMB, ReturnPhase.FLY_HOME, ReturnPhase.LAND])
-def test_home_and_rally_points_set_under_way_are_for_the_next_return(phase):
+def test_home_and_rally_points_set_during_a_return_apply_to_the_next(phase):
     loop = Real(10.0, params=LOW)
     loop.iris.pos_ned_m[:2] = (20.0, -15.0)
     loop.state = loop.iris.estimate()
@@ -266,12 +266,12 @@ def test_home_and_rally_points_set_under_way_are_for_the_next_return(phase):
 
     assert loop.run(120.0, watch)
     assert max(sideways_m_s) < 1.0
-    assert max(down_m_s) < 2.0 * LOW.land_speed_m_s  # heights count from the home of the start
+    assert max(down_m_s) < 2.0 * LOW.land_speed_m_s  # heights are relative to the home of the start
     assert math.hypot(*loop.iris.pos_ned_m[:2]) < 0.5
 
 
-def test_lifted_off_the_ground_or_after_a_jump_it_lands_where_it_landed():
-    # a Return on the ground far from home has no way to fly: what lifts it there comes down there
+def test_after_a_lift_off_or_a_reset_it_lands_where_it_had_landed():
+    # a Return on the ground far from home does not fly: after a lift-off it lands there
     loop = Ideal((40.0, 10.0, 0.0), params=LOW)
     loop.landed = True
     loop.enter(FlightMode.RETURN)
@@ -279,6 +279,6 @@ def test_lifted_off_the_ground_or_after_a_jump_it_lands_where_it_landed():
     loop.landed, loop.state.pos_ned_m = False, np.array((40.0, 10.0, -0.6))
     loop.step()
     assert loop.navigator.return_phase is ReturnPhase.LAND
-    loop.enter(FlightMode.RETURN)  # the estimate has jumped
+    loop.enter(FlightMode.RETURN)  # after a reset of the estimate
     assert loop.run(10.0, lambda: loop.navigator.return_phase is ReturnPhase.DONE)
     np.testing.assert_allclose(loop.state.pos_ned_m[:2], (40.0, 10.0), atol=0.05)

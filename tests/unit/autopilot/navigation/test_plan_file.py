@@ -1,4 +1,4 @@
-"""Plan files: read as QGroundControl uploads them, written so that they come back. Costs 6 s."""
+"""Plan files: read as QGroundControl uploads them, written so that reading restores them. Costs 6 s."""
 
 import contextlib
 import json
@@ -37,7 +37,7 @@ LAT, LON = 47.397742, 8.545594
 
 
 def simple(command, *params, frame=3, number=None, **more):
-    """An item as QGroundControl writes it, with the fields that it alone understands."""
+    """Return an item as QGroundControl writes it, with the fields that only QGroundControl uses."""
     return {
         "type": "SimpleItem", "command": command, "frame": frame, "params": list(params),
         "autoContinue": True, "doJumpId": number,
@@ -82,7 +82,7 @@ FENCE = {
 SAMPLE = file_of(TAKE_OFF, SURVEY, JUMP, HOME, fence=FENCE, rally=[[LAT, LON + 2e-3, 40.0]])
 
 
-def test_it_is_read_as_it_would_be_uploaded():
+def test_a_file_is_read_as_it_would_be_uploaded():
     plans = loads(json.dumps(SAMPLE))
     assert [item.command for item in plans.mission] == [22, 16, 206, 16, 206, 177, 20]
     take_off, first, photos, _, _, jump, _ = plans.mission
@@ -90,7 +90,7 @@ def test_it_is_read_as_it_would_be_uploaded():
     assert (take_off.params[0], math.isnan(take_off.params[3])) == (15.0, True)
     assert first.x == round((LAT + 1e-4) * 1e7)
     assert (photos.frame, photos.params) == (2, (25.0, 0.0, 1.0, 0.0))
-    # number 2 is the item of index 1: QGroundControl's numbers have the home before the first
+    # number 2 is the item of index 1: QGroundControl counts home as the item before the first
     assert jump.params[:2] == (1.0, 3.0)
     assert plans.fence == (
         *polygon_items([(LAT, LON), (LAT, LON + 1e-3), (LAT + 1e-3, LON)], inclusion=False),
@@ -103,11 +103,11 @@ def test_it_is_read_as_it_would_be_uploaded():
 
 
 def bits(items):
-    """What decides whether two lists are the same, not-a-number included."""
+    """Return values that compare equal for equal lists, including not-a-number."""
     return make_plan(items).opaque_id, len(items)
 
 
-def test_what_was_read_is_written_so_that_it_comes_back():
+def test_reading_restores_a_written_file():
     plans = loads(json.dumps(SAMPLE))
     text = dumps(plans)
     again = loads(text)
@@ -115,7 +115,7 @@ def test_what_was_read_is_written_so_that_it_comes_back():
         assert bits(again.of(kind)) == bits(plans.of(kind))
     assert again.home == plans.home
     assert dumps(again) == text
-    assert json.loads(text)["mission"]["items"][5]["params"][0] == 2  # QGroundControl's number again
+    assert json.loads(text)["mission"]["items"][5]["params"][0] == 2  # QGroundControl's numbering
 
 
 float32s = st.floats(-1e6, 1e6, width=32) | st.just(math.nan)
@@ -143,7 +143,7 @@ loads_of = st.builds(
 
 @settings(deadline=None, max_examples=100)
 @given(placed, st.lists(placed | loads_of, max_size=5), st.integers(1, 9))
-def test_any_mission_comes_back_bit_for_bit(first, others, count):
+def test_any_mission_is_restored_bit_for_bit(first, others, count):
     back = WireItem(command=177, frame=2, params=(0.0, float(count), 0.0, 0.0), x=0, y=0, z=0.0)
     items = (first, *others, back)
     again = loads(dumps(Plans(mission=items)))
@@ -158,19 +158,19 @@ def changed(**fields):
     ("file", "words"),
     [
         ("{", "not JSON"),
-        ('{"fileType": NaN}', "NaN is no number"),
+        ('{"fileType": NaN}', "NaN is not a number"),
         ([], "plan: expected an object"),
         (changed(fileType="Mission"), '"fileType" must be "Plan"'),
         (changed(version=2), '"version" 1'),
         (changed(mission={"version": 1, "items": []}), "mission: version 1, expected 2"),
         (changed(geoFence=[1]), "geoFence: expected an object"),
         (changed(rallyPoints={"version": 2, "points": [[1, 2]]}), "points[0]: expected 3 numbers"),
-        (changed(rallyPoints={"version": 2, "points": [[91, 2, 3]]}), "91, 2 is no latitude"),
+        (changed(rallyPoints={"version": 2, "points": [[91, 2, 3]]}), "91, 2 is not a valid latitude"),
         (file_of(TAKE_OFF, {"type": "ComplexItem", "complexItemType": "StructureScan"}),
          "mission.items[1]: 'StructureScan' without items"),
         (file_of(simple(16, 0, 0, 0, None, LAT, LON)), "items[0].params: expected 7 numbers"),
         (file_of(simple(16, 0, 0, 0, "x", LAT, LON, 3)), "items[0].params: expected a number"),
-        (file_of(simple(16, 0, 0, 0, 0, 300, LON, 3)), "items[0].params: 300, 8.54559 is no latitude"),
+        (file_of(simple(16, 0, 0, 0, 0, 300, LON, 3)), "params: 300, 8.54559 is not a valid latitude"),
         (file_of({**TAKE_OFF, "frame": "3"}), "mission.items[0].frame: expected a whole number"),
         (file_of({**TAKE_OFF, "autoContinue": 1}), "autoContinue: expected true or false"),
         (file_of(TAKE_OFF, simple(177, 9, 1, 0, 0, 0, 0, 0, frame=2, number=[2])), "jumps to item 9"),
@@ -185,7 +185,7 @@ def changed(**fields):
         (file_of(rally=[[LAT, LON, 5.0]] * 81), "rally: 81 items, 80 at most"),
     ],
 )  # fmt: skip
-def test_a_bad_file_is_one_line_that_says_where(file, words):
+def test_a_bad_file_gives_a_one_line_error_with_the_location(file, words):
     text = file if isinstance(file, str) else json.dumps(file)
     with pytest.raises(PlanFileError) as caught:
         loads(text)
@@ -206,7 +206,7 @@ json_values = st.recursive(
 
 @settings(deadline=None, max_examples=200)
 @given(st.lists(st.sampled_from(KEYS), min_size=1, max_size=5), json_values)
-def test_no_contents_break_it(way, value):
+def test_no_contents_raise_other_errors(way, value):
     file = json.loads(json.dumps(SAMPLE))
     inner = file
     for key in way:
@@ -231,7 +231,7 @@ def test_no_contents_break_it(way, value):
         ([LAT, LON, None], HomePlace(LAT, LON, 0.0)),
     ],
 )
-def test_a_planned_home_may_be_left_open(home, read):
+def test_a_planned_home_may_be_missing(home, read):
     plans = loads(json.dumps(file_of(TAKE_OFF, home=home)))
     assert plans.home == read
     assert bits(loads(dumps(plans)).mission) == bits(plans.mission)
@@ -246,10 +246,10 @@ def write_scenario(folder, toml, plan=SAMPLE):
     return folder / "flight.toml"
 
 
-def test_a_scenario_names_a_plan_file_beside_it(tmp_path):
+def test_a_scenario_refers_to_a_plan_file_next_to_it(tmp_path):
     scenario = load_scenario(write_scenario(tmp_path, 'plan_file = "site.plan"'))
     config = scenario.vehicle(1, run_id="r", radio_endpoint=None, log_path=None)
-    config = msgspec.json.decode(msgspec.json.encode(config), type=type(config))  # as the process is told
+    config = msgspec.json.decode(msgspec.json.encode(config), type=type(config))  # as passed to the process
     plans = site_plan.plans(config.autopilot, config.site)
     read = loads(json.dumps(SAMPLE))
     for kind in PlanType:
@@ -263,16 +263,16 @@ def test_a_scenario_names_a_plan_file_beside_it(tmp_path):
     [
         ('plan_file = "nowhere.plan"', "nowhere.plan: no such plan file"),
         ('plan_file = "flight.toml"', "flight.toml: not JSON"),
-        ('plan_file = "site.plan"\nmission = [{command = "land"}]', "mission: there is one in the plan file"),
+        ('plan_file = "site.plan"\nmission = [{command = "land"}]', "mission: also defined in the plan file"),
         (
             'plan_file = "site.plan"\nrally = [{north_m = 1, east_m = 2}]',
-            "rally: there is one in the plan file",
+            "rally: also defined in the plan file",
         ),
         ('plan_file = "site.plan"\nplan = \'{"fileType": "Plan", "version": 1}\'', "autopilot.plan, too"),
         ('plan = "{}"', "autopilot: plan: not a plan"),
     ],
 )
-def test_what_is_wrong_with_it_is_one_line(tmp_path, toml, words):
+def test_a_bad_plan_of_a_scenario_gives_a_one_line_error(tmp_path, toml, words):
     with pytest.raises(ScenarioError) as caught:
         load_scenario(write_scenario(tmp_path, toml))
     assert words in str(caught.value)
@@ -287,7 +287,7 @@ def test_a_lone_vehicle_starts_with_a_plan_file(tmp_path):
         lone_vehicle(0, 1.0, None, tmp_path / "nowhere.plan")
 
 
-def test_metres_of_the_site_are_read_by_stations_too():
+def test_stations_can_read_plans_in_metres_of_the_site():
     config = AutopilotConfig(
         mission=(MissionItemConfig(command="takeoff", height_m=5.0),
                  MissionItemConfig(command="waypoint", north_m=20.0, east_m=0.0, height_m=5.0)),

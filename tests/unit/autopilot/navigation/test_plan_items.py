@@ -1,4 +1,4 @@
-"""Items as stations write them: what is made of them, what is refused, the way back. Costs 3 s."""
+"""Conversion of plan items from stations and back, and rejected items. Costs 3 s."""
 
 import math
 import time
@@ -47,10 +47,10 @@ def vertex(x, y, count=4.0, command=VERTEX):
 SQUARE = (vertex(0, 0), vertex(0, 9000), vertex(9000, 9000), vertex(9000, 0))
 
 
-# ---- what is made
+# ---- conversion
 
 
-def test_an_item_means_what_it_says():
+def test_items_are_converted_with_their_parameters():
     items = [
         item(common.MAV_CMD_NAV_TAKEOFF, 0.0, 0.0, 0.0, NAN, x=0, y=0, z=7.5),
         item(common.MAV_CMD_NAV_WAYPOINT, 3.0, 1.5, 0.0, 450.0, frame=AMSL, z=500.0),
@@ -76,12 +76,12 @@ def test_an_item_means_what_it_says():
     assert (land.command, land.has_place) == (MissionCommand.LAND, False)
 
 
-def test_an_empty_list_is_taken_and_is_nothing():
+def test_an_empty_list_is_accepted_and_gives_no_plan():
     assert [refusal(kind, ()) for kind in PlanType] == [None, None, None]
     assert (mission(()), fence_shapes(()), rally_points(())) == (None, [], ())
 
 
-def test_a_fence_is_its_shapes_in_their_order_and_its_return_point_nothing():
+def test_a_fence_is_its_shapes_in_order_without_its_return_point():
     circle = item(CIRCLE, 25.0, frame=common.MAV_FRAME_GLOBAL_INT)
     point = item(common.MAV_CMD_NAV_FENCE_RETURN_POINT, frame=common.MAV_FRAME_GLOBAL_RELATIVE_ALT)
     items = (circle, point, *SQUARE)
@@ -92,14 +92,14 @@ def test_a_fence_is_its_shapes_in_their_order_and_its_return_point_nothing():
     assert inclusion.vertices[2] == ((LAT_E7 + 9000) / 1e7, (LON_E7 + 9000) / 1e7)
 
 
-def test_a_rally_point_keeps_what_its_height_counts_from():
+def test_a_rally_point_keeps_its_height_frame():
     points = rally_points([rally_item(47.0, 8.0, 30.0), item(common.MAV_CMD_NAV_RALLY_POINT, frame=AMSL)])
     assert [(point.height_m, point.frame) for point in points] == [
         (30.0, HeightFrame.ABOVE_HOME), (10.0, HeightFrame.AMSL),
     ]  # fmt: skip
 
 
-# ---- what is refused
+# ---- rejection
 
 
 @pytest.mark.parametrize(
@@ -121,21 +121,21 @@ def test_a_rally_point_keeps_what_its_height_counts_from():
         (MISSION, (WAYPOINT, item(177, NAN, 1.0)), common.MAV_MISSION_INVALID_PARAM1, 1, "param1 nan"),
         (MISSION, (WAYPOINT, item(177, 0.0, -2.0)), common.MAV_MISSION_INVALID_PARAM2, 1, "param2 -2"),
         (MISSION, (WAYPOINT, item(178, 2.0, 3.0)), common.MAV_MISSION_INVALID_PARAM1, 1, "param1 2"),
-        (MISSION, (WAYPOINT, item(177, 1.0, -1.0)), common.MAV_MISSION_INVALID, 0, "1 (JUMP): goes round"),
+        (MISSION, (WAYPOINT, item(177, 1.0, -1.0)), common.MAV_MISSION_INVALID, 0, "1 (JUMP): loops without"),
         (MISSION, (item(2000),), common.MAV_MISSION_INVALID, 0, "nothing to fly"),
-        (FENCE, (WAYPOINT,), common.MAV_MISSION_UNSUPPORTED, 0, "NAV_WAYPOINT is nothing of a fence"),
+        (FENCE, (WAYPOINT,), common.MAV_MISSION_UNSUPPORTED, 0, "NAV_WAYPOINT is not a fence item"),
         (FENCE, (item(CIRCLE, 0.0),), common.MAV_MISSION_INVALID_PARAM1, 0, "radius"),
         (FENCE, (item(CIRCLE, 5.0, frame=1),), common.MAV_MISSION_UNSUPPORTED_FRAME, 0, "frame 1"),
-        (FENCE, SQUARE[:3], common.MAV_MISSION_INVALID_PARAM1, 0, "polygon of 4 vertices, 3 items"),
-        (FENCE, SQUARE[:1], common.MAV_MISSION_INVALID_PARAM1, 0, "polygon of 4 vertices, 1 items"),
+        (FENCE, SQUARE[:3], common.MAV_MISSION_INVALID_PARAM1, 0, "polygon of 4 vertices, but 3 items"),
+        (FENCE, SQUARE[:1], common.MAV_MISSION_INVALID_PARAM1, 0, "polygon of 4 vertices, but 1 items"),
         (FENCE, (vertex(0, 0, 2.0), vertex(0, 9, 2.0)), common.MAV_MISSION_INVALID_PARAM1, 0, "param1 2"),
-        (FENCE, (*SQUARE[:3], vertex(9000, 0, 5.0)), common.MAV_MISSION_INVALID_PARAM1, 3, "belongs not"),
+        (FENCE, (*SQUARE[:3], vertex(9000, 0, 5.0)), common.MAV_MISSION_INVALID_PARAM1, 3, "does not belong"),
         (FENCE, (SQUARE[0], SQUARE[2], SQUARE[1], SQUARE[3]), common.MAV_MISSION_INVALID, 0, "crosses"),
-        (RALLY, (rally_item(47.0, 8.0, 1.0), WAYPOINT), common.MAV_MISSION_UNSUPPORTED, 1, "no rally point"),
+        (RALLY, (rally_item(47.0, 8.0, 1.0), WAYPOINT), common.MAV_MISSION_UNSUPPORTED, 1, "not a rally"),
         (RALLY, (item(5100, z=1e9),), common.MAV_MISSION_INVALID_PARAM7, 0, "altitude 1e+09"),
     ],
 )  # fmt: skip
-def test_a_refusal_names_item_and_field(kind, items, result, seq, words):
+def test_a_rejection_has_item_and_field(kind, items, result, seq, words):
     refused = refusal(kind, items)
     assert (refused.result, refused.seq) == (result, seq)
     assert words in refused.text
@@ -158,13 +158,13 @@ wire_items = st.builds(
 
 @settings(deadline=None, max_examples=400)
 @given(st.sampled_from(PlanType), st.lists(wire_items, max_size=8))
-def test_whatever_is_written_is_taken_or_refused(kind, items):
+def test_every_list_is_accepted_or_rejected(kind, items):
     make = {MISSION: mission, FENCE: fence_shapes, RALLY: rally_points}[kind]
     refused = refusal(kind, items)
     if refused is None:
         made = make(items)
         if kind is MISSION and items:
-            assert len(made.items) == len(items)  # flown as they are numbered
+            assert len(made.items) == len(items)  # with the same indices
     else:
         assert isinstance(refused, Refused)
         assert 0 <= refused.seq < len(items)
@@ -173,18 +173,18 @@ def test_whatever_is_written_is_taken_or_refused(kind, items):
             make(items)
 
 
-def test_the_longest_mission_is_checked_in_less_time_than_a_step_can_be_late():
-    # a transfer of 10,000 items takes minutes; a check that took as many seconds would be a failsafe
+def test_the_longest_mission_is_checked_within_the_allowed_delay_of_a_step():
+    # a transfer of 10,000 items takes minutes; a check of as many seconds would cause a failsafe
     jumps = [item(177, float(i + 2), 1.0) if i % 3 else WAYPOINT for i in range(9_998)]
     begin_s = time.process_time()
     assert refusal(MISSION, [*jumps, WAYPOINT, WAYPOINT]) is None
     assert time.process_time() - begin_s < 2.0
 
 
-# ---- and back
+# ---- back to items
 
 
-def test_a_scenarios_mission_is_read_as_it_is_flown():
+def test_a_scenarios_mission_is_the_same_for_stations_and_in_flight():
     made = make_mission([
         MissionItem(command=MissionCommand.TAKEOFF, height_m=7.5),
         at(12.0, 5.0, 8.0, hold_s=2.0, acceptance_m=1.5, yaw_deg=45.0),
@@ -218,7 +218,7 @@ def test_a_scenarios_mission_is_read_as_it_is_flown():
     assert [i.x for i in mission_items(again)] == [i.x for i in items]
 
 
-def test_a_fence_is_read_as_it_was_written():
+def test_a_fence_is_read_as_written():
     shapes = [
         FenceCircle(lat_deg=47.0, lon_deg=8.0, radius_m=25.5, inclusion=True),
         FencePolygon(vertices=((47.0, 8.0), (47.0, 8.001), (47.001, 8.0)), inclusion=False),

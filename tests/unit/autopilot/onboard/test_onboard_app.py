@@ -1,4 +1,4 @@
-"""The application's flight as a timeline, alone or in pairs, with a scripted autopilot."""
+"""Flights of the application, alone or in pairs, with a scripted autopilot."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ GPS = OnboardConfig(localisation="gps")
 
 
 def beacon_of(station, time_us):
-    """Bytes of a beacon with nothing in it."""
+    """Return the bytes of an empty beacon."""
     zero = (0.0, 0.0, 0.0)
     beacon = wire.Beacon(
         station=station,
@@ -51,13 +51,13 @@ def beacon_of(station, time_us):
 def test_timeline_of_a_flight():
     w = world()
     w.run_until(phase_is(FlightPhase.LOCALISING), limit_s=1.5)
-    # a pair is complete with one distance each way, asked for within one period
+    # a pair is complete with one distance each way, requested within one period
     w.run_until(phase_is(FlightPhase.TAKE_OFF), limit_s=2.0)
     w.run_until(phase_is(FlightPhase.JOINING), limit_s=3.0)
     assert all(-1.2 < z < -0.4 for z in w.pos[:, 2])  # handed over while still climbing
     # 6.8 m at 1.5 m/s with 0.8 m/s^2 at the end, then 2 s of holding
     w.run_until(phase_is(FlightPhase.ON_STATION), limit_s=6.8 / 1.5 + 2.0 + 4.0)
-    for autopilot in w.autopilots:  # as a ground station has it
+    for autopilot in w.autopilots:  # as by a ground station
         autopilot.mode = MODE_LAND
     w.run_until(phase_is(FlightPhase.YIELDED), limit_s=1.1)
     w.run_until(phase_is(FlightPhase.LANDED), limit_s=8.0 / 0.7 + 5.0)
@@ -70,7 +70,7 @@ def test_timeline_of_a_flight():
         ]
 
 
-def test_gps_alone_needs_no_localising_sends_no_requests_and_corrects_nothing():
+def test_with_gps_alone_there_are_no_localising_no_requests_and_no_correction():
     w = world(config=GPS)
     w.run_until(phase_is(FlightPhase.ON_STATION), limit_s=20.0)
     assert w.sent[FtmRequest] == 0
@@ -84,7 +84,7 @@ def test_a_lone_uav_flies():
     assert w.sent[FtmRequest] == 0
 
 
-def test_a_refused_command_is_tried_again_each_second():
+def test_a_refused_command_is_repeated_every_second():
     w = world(ALONE)
     w.autopilots[0].refuse = {common.MAV_CMD_COMPONENT_ARM_DISARM: 3}
     w.run_until(phase_is(FlightPhase.TAKE_OFF), limit_s=8.0)
@@ -110,7 +110,7 @@ def test_an_unanswered_command_is_repeated_with_its_confirmation_raised():
     assert np.diff([now_us for now_us, _ in sent]).tolist() == [500_000] * (len(sent) - 1)
 
 
-def test_somebody_elses_mode_is_respected_until_offboard_is_chosen_again():
+def test_another_mode_is_respected_until_offboard_is_selected_again():
     w = world(ALONE)
     w.run_until(phase_is(FlightPhase.ON_STATION), limit_s=20.0)
     w.run(1.5)
@@ -125,7 +125,7 @@ def test_somebody_elses_mode_is_respected_until_offboard_is_chosen_again():
 
 
 def joining():
-    """A flight that is joining, in offboard, and what it goes by."""
+    """Return a flight in phase JOINING and offboard mode, and its state."""
     commands = CommandSender(target_system=1)
     flight = FlightSequence(commands=commands, on_station_tolerance_m=0.7, on_station_hold_s=2.0)
     flight.phase = FlightPhase.JOINING
@@ -134,8 +134,8 @@ def joining():
     return flight, own
 
 
-def test_after_yielding_a_place_is_held_anew():
-    """A minute in its place in somebody else's hands does not count."""
+def test_after_yielding_the_hold_time_restarts():
+    """A minute at its place in another mode does not count."""
     flight, own = joining()
     there, since_us = Situation(shape_std_m=0.1, miss_m=0.1, place_height_m=8.0), {}
     for now_us in range(0, 70_000_000, 50_000):
@@ -152,14 +152,14 @@ def test_after_yielding_a_place_is_held_anew():
 
 
 @pytest.mark.parametrize(("miss_m", "phase"), [(0.1, FlightPhase.ON_STATION), (np.nan, FlightPhase.JOINING)])
-def test_a_place_that_is_no_number_is_never_reached(miss_m, phase):
+def test_a_nan_distance_is_never_on_station(miss_m, phase):
     flight, own = joining()
     for now_us in range(0, 10_000_000, 50_000):
         flight.update(own, Situation(shape_std_m=0.1, miss_m=miss_m, place_height_m=8.0), now_us)
     assert flight.phase is phase
 
 
-def test_without_distances_it_takes_off_after_the_timeout_and_says_so():
+def test_without_distances_it_takes_off_after_the_timeout_with_a_message():
     w = world(errors=Errors(radio_loss=1.0))
     w.run_until(phase_is(FlightPhase.LOCALISING), limit_s=1.5)
     began_us = w.now_us
@@ -171,7 +171,7 @@ def test_without_distances_it_takes_off_after_the_timeout_and_says_so():
         assert [text for _, text in autopilot.texts] == ["formation not localised: taking off all the same"]
 
 
-def test_who_answers_is_located_before_take_off_however_seldom_distances_are_measured():
+def test_uavs_that_answer_are_located_before_take_off_at_a_long_ranging_period():
     """All pairs in 6 s, one of three silent from the start: gathering ends before the time-out."""
     places = ((-3.0, 0.0, -8.0), (3.0, 0.0, -8.0), (0.0, 4.0, -8.0))
     w = world(places, config=OnboardConfig(ftm_period_s=6.0))
@@ -182,17 +182,17 @@ def test_who_answers_is_located_before_take_off_however_seldom_distances_are_mea
 
 
 @pytest.mark.parametrize("ranging", ["all_pairs", "scheduled"])
-def test_neighbours_are_kept_clear_of_through_a_cut_while_odometry_holds(ranging):
+def test_neighbours_are_avoided_without_a_channel_while_odometry_is_valid(ranging):
     w = world(config=OnboardConfig(ranging=ranging))
     w.run_until(phase_is(FlightPhase.ON_STATION), limit_s=25.0)
     w.run(3.0)
-    app, asked_us, pushes_m_s = w.apps[0], [], []
+    app, called_us, pushes_m_s = w.apps[0], [], []
     avoidance = app._guidance._avoidance
-    ask = avoidance.velocity_change_ne_m_s
+    original = avoidance.velocity_change_ne_m_s
 
     def spy(now_us, **kwargs):
-        change = ask(now_us, **kwargs)
-        asked_us.append(now_us)
+        change = original(now_us, **kwargs)
+        called_us.append(now_us)
         pushes_m_s.append(float(change[0]))
         return change
 
@@ -200,19 +200,19 @@ def test_neighbours_are_kept_clear_of_through_a_cut_while_odometry_holds(ranging
     cut_us, w.radio_cut = w.now_us, True
     w.run(4.0)
     assert not any(pushes_m_s)
-    for _ in range(150):  # a blow to beyond where the other was last heard: 9 m in 4.5 s
+    for _ in range(150):  # a push beyond the other's last reported position: 9 m in 4.5 s
         w.vel[0] = (2.0, 0.0, 0.0)
         w.run(0.03)
-    assert max(pushes_m_s) > 0.5  # it is in the way back, to the south
+    assert max(pushes_m_s) > 0.5  # the other one blocks the way back, to the south
     w.run(20.0)
-    assert np.diff(asked_us).max() <= 50_000 + STEP_US
+    assert np.diff(called_us).max() <= 50_000 + STEP_US
     # Support lasts for the policy's silence after the last distance, of which one may be lost.
     silence_us = app._traffic.range_silence_us
-    coasted_us = asked_us[-1] - cut_us - round(COAST_S * 1e6)
+    coasted_us = called_us[-1] - cut_us - round(COAST_S * 1e6)
     assert 0.5 * silence_us < coasted_us <= silence_us + 100_000
 
 
-def test_the_position_loops_gain_is_asked_for_and_heeded():
+def test_the_position_loops_gain_is_requested_and_used():
     """1.5 1/s instead of 0.95, from the autopilot's own parameter service."""
     w = world()
     app = w.apps[0]
@@ -221,13 +221,13 @@ def test_the_position_loops_gain_is_asked_for_and_heeded():
     service = ParameterService(parameters, parameters.set)
     reference, own = app._guidance._reference, app._own
     avoidance = app._guidance._avoidance
-    ask = avoidance.velocity_change_ne_m_s
+    original = avoidance.velocity_change_ne_m_s
     found = []
 
-    def spy(now_us, *, wanted_ne_m_s, **kwargs):
+    def spy(now_us, *, desired_ne_m_s, **kwargs):
         way_ne_m = (reference.pos_ned_m - app._guidance.believed_ned_m(own, now_us))[:2]
-        found.append((wanted_ne_m_s - reference.vel_ned_m_s[:2], way_ne_m))
-        return ask(now_us, wanted_ne_m_s=wanted_ne_m_s, **kwargs)
+        found.append((desired_ne_m_s - reference.vel_ned_m_s[:2], way_ne_m))
+        return original(now_us, desired_ne_m_s=desired_ne_m_s, **kwargs)
 
     avoidance.velocity_change_ne_m_s = spy
     for gain_1_s in (0.95, 1.5):
@@ -235,16 +235,16 @@ def test_the_position_loops_gain_is_asked_for_and_heeded():
         for _, answer in service.on_message(messages.gain_request(1), w.now_us, APPLICATION_PARTNER):
             app.on_mavlink(answer, w.now_us)
         w.run(0.5)
-        wanted, way = np.array(found).transpose(1, 0, 2)
+        desired, way = np.array(found).transpose(1, 0, 2)
         found.clear()
         assert np.abs(way).max() > 0.0
-        assert wanted == pytest.approx(gain_1_s * way)
+        assert desired == pytest.approx(gain_1_s * way)
     app.on_mavlink(common.MAVLink_param_value_message(b"MPC_XY_P", np.nan, 9, 1, 0), w.now_us)
     assert app._guidance.position_gain_1_s == 1.5
 
 
-def test_what_is_flown_while_the_autopilot_says_nothing_is_in_nobodys_odometry():
-    """4 m in 3 s without LOCAL_POSITION_NED, as when its position is invalid: nobody goes on from before."""
+def test_odometry_restarts_after_a_telemetry_gap():
+    """4 m in 3 s without LOCAL_POSITION_NED, as with an invalid position: earlier odometry is discarded."""
     w = world()
     w.run_until(phase_is(FlightPhase.ON_STATION), limit_s=25.0)
     telemetry = w._telemetry
@@ -258,7 +258,7 @@ def test_what_is_flown_while_the_autopilot_says_nothing_is_in_nobodys_odometry()
     believed = {app: app.localisation for app in w.apps}
     while w.apps[0]._own.time_us < w.now_us - 100_000:
         w._step()
-    for _ in range(60):  # 6 s: two of its rounds of ranging
+    for _ in range(60):  # 6 s: two ranging rounds
         w.run(0.1)
         true_m = np.linalg.norm(w.pos[1, :2] - w.pos[0, :2])
         for app, localisation in believed.items():
@@ -271,7 +271,7 @@ def test_what_is_flown_while_the_autopilot_says_nothing_is_in_nobodys_odometry()
 
 
 def test_the_own_gps_may_be_newer_than_the_odometry():
-    """A receiver without delay, whose message comes before the position of its time."""
+    """A receiver without delay: its message arrives before the position of its time."""
     app = OnboardApp(
         station=0, places_ned_m=PAIR, site=SITE, config=OnboardConfig(),
         devices=Devices(gps_delay_s=0.0), rng=np.random.default_rng(1),
@@ -289,8 +289,8 @@ def test_the_own_gps_may_be_newer_than_the_odometry():
             assert early_us - 1_000 < app.localisation.members["fix_us"][0] <= early_us
 
 
-def test_the_estimate_is_of_now():
-    """At 10 m/s the newest position, 20 ms old, is 0.2 m behind; it is moved on for 50 ms at most."""
+def test_the_estimate_is_extrapolated_to_now():
+    """At 10 m/s the newest position, 20 ms old, is 0.2 m behind; the extrapolation is limited to 50 ms."""
     app = OnboardApp(
         station=0, places_ned_m=ALONE, site=SITE, config=GPS, devices=Devices(), rng=np.random.default_rng(1)
     )
@@ -300,7 +300,7 @@ def test_the_estimate_is_of_now():
         assert app.estimate(now_us).pos_ned_m == pytest.approx(expected_ned_m, abs=1e-9)
 
 
-def test_who_is_told_the_truth_says_so():
+def test_the_estimate_from_the_truth_has_its_standard_deviation():
     truth = OnboardConfig(localisation="truth")
     app = OnboardApp(
         station=0,
@@ -313,15 +313,15 @@ def test_who_is_told_the_truth_says_so():
     assert app.estimate(0).std_ned_m[0] == truth.gps_bias_std_m
     lat, lon = round(SITE.latitude_deg * 1e7), round(SITE.longitude_deg * 1e7)
     alt_mm = round(SITE.altitude_m * 1e3)
-    told = common.MAVLink_hil_state_quaternion_message(
+    truth_message = common.MAVLink_hil_state_quaternion_message(
         4_000, (1.0, 0.0, 0.0, 0.0), 0, 0, 0, lat, lon, alt_mm, 0, 0, 0, 0, 0, 0, 0, 0
     )
-    app.on_mavlink(told, 4_000)
+    app.on_mavlink(truth_message, 4_000)
     # 1e-7 degrees are 11 mm
     assert app.estimate(4_000).std_ned_m == (0.01, 0.01, 0.01)
 
 
-def test_a_cut_channel_is_said_once_and_so_is_its_return():
+def test_loss_and_return_of_ranging_are_each_reported_once():
     w = world()
     w.run_until(phase_is(FlightPhase.ON_STATION), limit_s=25.0)
     w.radio_cut = True
@@ -345,7 +345,7 @@ def test_a_cut_channel_is_said_once_and_so_is_its_return():
     ],
     ids=["empty", "noise", "own number", "no such station", "from the future"],
 )
-def test_a_wrong_datagram_is_counted_and_changes_nothing(spoil):
+def test_an_invalid_datagram_is_counted_and_changes_nothing(spoil):
     w = world()
     w.run(2.0)
     app = w.apps[0]
@@ -357,7 +357,7 @@ def test_a_wrong_datagram_is_counted_and_changes_nothing(spoil):
     assert np.array_equal(app.localisation.cov, cov)
 
 
-def test_an_autopilot_that_booted_earlier_or_later_makes_no_difference():
+def test_the_boot_time_of_the_autopilot_has_no_effect():
     tracks = []
     for offset_us in (0, 1_000, -60_000_000):
         w = world(seed=4, boot_offset_us=offset_us)
@@ -367,7 +367,7 @@ def test_an_autopilot_that_booted_earlier_or_later_makes_no_difference():
     assert np.array_equal(tracks[0], tracks[2])
 
 
-def test_same_seed_same_flight():
+def test_flights_with_the_same_seed_are_equal():
     flights = []
     for seed in (3, 3, 4):
         w = world(seed=seed)

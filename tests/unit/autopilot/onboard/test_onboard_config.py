@@ -1,4 +1,4 @@
-"""Settings of a vehicle: every number has its bounds, and the application bears them."""
+"""Settings of a vehicle: every number has bounds, and the application works at all of them."""
 
 import contextlib
 import inspect
@@ -26,7 +26,7 @@ PAIR = ((-3.0, 0.0, -8.0), (3.0, 0.0, -8.0))
 
 
 def floats_of(kind: Type) -> list[FloatType]:
-    """All floats in a field's type; parameters, which the autopilot's own table bounds, are a dict."""
+    """Return all floats in a field's type; parameters are a dict and have bounds in the autopilot's table."""
     if isinstance(kind, FloatType):
         return [kind]
     if isinstance(kind, StructType | DictType):
@@ -37,7 +37,7 @@ def floats_of(kind: Type) -> list[FloatType]:
 
 
 @pytest.mark.parametrize("table", TABLES, ids=lambda table: table.__name__)
-def test_no_number_is_without_bounds(table):
+def test_every_number_has_bounds(table):
     for field in type_info(table).fields:
         for number in floats_of(field.type):
             assert number.le is not None, field.name
@@ -46,13 +46,13 @@ def test_no_number_is_without_bounds(table):
 
 @pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan, 1e200])
 @pytest.mark.parametrize("field", ["gps_bias_std_m", "odometry_drift_m_sqrt_s", "on_station_tolerance_m"])
-def test_what_makes_the_filter_overflow_is_refused(field, value):
+def test_values_that_overflow_the_filter_are_rejected(field, value):
     with pytest.raises(msgspec.ValidationError):
         msgspec.convert({field: value}, OnboardConfig)
 
 
 def ends(table, *fields):
-    """Combinations of the least and the most that fields may be."""
+    """Return all combinations of the bounds of fields."""
     bounds = {
         field.name: floats_of(field.type)[0] for field in type_info(table).fields if field.name in fields
     }
@@ -71,8 +71,8 @@ def ends(table, *fields):
     ],
     ids=str,
 )
-def test_a_motion_at_the_ends_of_its_bounds_is_flown_or_refused(motion):
-    """Without a warning, which would be an error here; even what is refused makes no nonsense."""
+def test_a_motion_at_its_bounds_is_flown_or_rejected(motion):
+    """Without a warning, which would be an error here; even a rejected motion gives finite plans."""
     with contextlib.suppress(ValueError):
         check(PLACES_NED_M, motion)
     plan = FormationPlan(PLACES_NED_M, 0.0, motion)
@@ -84,7 +84,7 @@ def test_a_motion_at_the_ends_of_its_bounds_is_flown_or_refused(motion):
 @pytest.mark.parametrize(
     "end", ends(OnboardConfig, "gps_bias_std_m", "odometry_drift_m_sqrt_s", "range_floor_std_m"), ids=str
 )
-def test_estimates_are_numbers_at_the_ends_of_the_filters_settings(end):
+def test_estimates_are_finite_at_the_bounds_of_the_filters_settings(end):
     world = SwarmWorld(places_ned_m=PAIR, seed=1, config=OnboardConfig(**end))
     world.run(8.0)
     for app in world.apps:

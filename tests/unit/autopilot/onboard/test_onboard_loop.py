@@ -1,4 +1,4 @@
-"""When the application says what: periods of setpoints, heartbeats and beacons, by any period of its loop."""
+"""Periods of setpoints, heartbeats and beacons at different loop periods of the application."""
 
 import numpy as np
 import pytest
@@ -28,12 +28,14 @@ def test_setpoints_keep_their_period_before_and_in_offboard():
     w.run(5.0)
     assert np.all(np.abs(np.diff([now_us for now_us, _ in received]) - SETPOINT_PERIOD_US) <= STEP_US)
     mask = {m.type_mask for _, m in received}
-    assert mask == {0b1101_1100_0000}  # position and velocity count; acceleration, yaw and yaw rate do not
+    assert mask == {
+        0b1101_1100_0000
+    }  # position and velocity are used; acceleration, yaw and yaw rate are not
 
 
 @pytest.mark.parametrize("loop_us", [4_000, 20_000, 40_000])
-def test_what_is_due_before_the_loop_comes_round_again_is_handed_over_with_its_own_time(loop_us):
-    """Ten beacons a second, a period apart but for their jitter, however slow the loop is."""
+def test_items_due_before_the_next_iteration_are_sent_with_their_own_time(loop_us):
+    """Ten beacons a second, a period apart except for their jitter, at any loop period."""
     w = world(ALONE, loop_us=loop_us)
     w.run_until(phase_is(FlightPhase.TAKE_OFF), limit_s=5.0)
     app, beacons_us = w.apps[0], []
@@ -53,7 +55,7 @@ def test_what_is_due_before_the_loop_comes_round_again_is_handed_over_with_its_o
 
 
 def test_a_step_before_the_deadline_has_nothing_to_send():
-    """An app that is made to look at everything in every step sends the same at the same times."""
+    """An application that is forced to process every step sends the same at the same times."""
     sent = []
     for always in (False, True):
         w = world(ALONE)
@@ -65,8 +67,8 @@ def test_a_step_before_the_deadline_has_nothing_to_send():
                 app._due_us = 0
             out = on_timer(now_us)
             if out is not NOTHING:
-                asked = [m if isinstance(m, PositionTarget) else m.to_dict() for m in out.mavlink]
-                outputs.append((now_us, asked, out.radio))
+                sent_messages = [m if isinstance(m, PositionTarget) else m.to_dict() for m in out.mavlink]
+                outputs.append((now_us, sent_messages, out.radio))
             return out
 
         app.on_timer = spy
@@ -77,7 +79,7 @@ def test_a_step_before_the_deadline_has_nothing_to_send():
     assert len(sent[0]) < 0.2 * 12e6 / STEP_US
 
 
-def test_heartbeats_tell_the_phase_at_1_hz_and_at_every_change():
+def test_heartbeats_report_the_phase_at_1_hz_and_at_every_change():
     w = world(ALONE)
     beats = []
     app = w.apps[0]
@@ -101,7 +103,7 @@ def test_heartbeats_tell_the_phase_at_1_hz_and_at_every_change():
     assert max(np.diff([now_us for now_us, _, _ in beats])) <= 1_000_000
 
 
-def test_beacons_are_a_period_apart_with_jitter_and_stations_are_out_of_step():
+def test_beacons_are_a_period_apart_with_jitter_and_stations_have_different_phases():
     w = world(config=GPS)
     times_us = [[], []]
     transmit = w._transmit
@@ -116,8 +118,8 @@ def test_beacons_are_a_period_apart_with_jitter_and_stations_are_out_of_step():
 
 
 @pytest.mark.parametrize("loop_us", [4_000, 12_000, 20_000, 28_000, 36_000, 40_000])
-def test_a_plan_in_motion_is_kept_to_whatever_the_loops_period(loop_us):
-    """Setpoints then come at intervals that differ, and each asks for the plan's half a period on."""
+def test_setpoints_follow_a_moving_plan_at_any_loop_period(loop_us):
+    """The intervals of setpoints then differ, and each is the plan's half a period later."""
     motion = RacetrackMotion(speed_m_s=3.0, length_m=30.0, radius_m=25.0)
     w = world(ALONE, config=GPS, loop_us=loop_us, motion=motion)
     w.run_until(phase_is(FlightPhase.ON_STATION), limit_s=20.0)

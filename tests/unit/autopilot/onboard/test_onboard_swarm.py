@@ -1,4 +1,4 @@
-"""Eight applications through a lossy radio: what ranging does for it, and what trouble does."""
+"""Eight applications on a lossy radio: benefit of ranging, and effect of faults."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def shape_rms_m(w, since_s=None, members=None):
 
 
 def estimated_shape_rms_m(w):
-    """Each UAV's own estimate of itself, put together, against truth."""
+    """Return the rms shape error of all UAVs' estimates of their own positions."""
     truth, estimates = w.flown(since_s=w.formed_s)
     return rms([shape_errors_m(*rows) for rows in zip(estimates, truth, strict=True)])
 
@@ -44,24 +44,24 @@ def test_gps_alone_is_at_least_five_times_worse(flown):
     assert shape_rms_m(alone) > 5.0 * shape_rms_m(flown)
 
 
-def test_own_estimates_together_make_the_shape_to_the_predicted_accuracy(flown):
-    # Everybody's filter has its own data, yet they agree on the heading of the whole, or this would not hold.
+def test_the_shape_of_all_own_estimates_has_the_predicted_accuracy(flown):
+    # Each filter has its own data; the result requires that they agree on the heading of the whole.
     predicted_m = flown.apps[0].localisation.shape_std_m(flown.now_us)
     assert predicted_m < 0.12
     assert estimated_shape_rms_m(flown) < 1.25 * predicted_m
 
 
-def test_nobody_comes_near_another(flown):
+def test_uavs_keep_their_distance(flown):
     assert flown.least_distance_m > 1.2
 
 
-def test_with_30_percent_loss_the_estimate_suffers_by_less_than_a_half(flown):
+def test_30_percent_loss_increases_the_errors_by_less_than_a_half(flown):
     lossy = fly(errors=Errors(radio_loss=0.3))
     assert estimated_shape_rms_m(lossy) < 1.5 * estimated_shape_rms_m(flown)
     assert shape_rms_m(lossy) < 1.5 * shape_rms_m(flown)
 
 
-def test_ten_seconds_without_a_channel_are_survived_and_mended():
+def test_the_shape_recovers_after_ten_seconds_without_a_channel():
     w = fly(seed=2, formation_s=3.0)
     w.radio_cut = True
     w.run(10.0)
@@ -73,7 +73,7 @@ def test_ten_seconds_without_a_channel_are_survived_and_mended():
     assert shape_rms_m(w, since_s=back_s) < 0.3
 
 
-def test_a_uav_that_measures_5_m_wrong_pulls_the_others_by_less_than_30_cm():
+def test_a_ranging_error_of_5_m_of_one_uav_displaces_the_others_by_less_than_30_cm():
     w = SwarmWorld(places_ned_m=PLACES, seed=3)
     w.run_until(lambda w: w.formed(), limit_s=40.0)
     w.range_error_m[2] = 5.0
@@ -83,7 +83,7 @@ def test_a_uav_that_measures_5_m_wrong_pulls_the_others_by_less_than_30_cm():
     assert shape_rms_m(w, since_s=since_s, members=[0, 1, 3, 4, 5, 6, 7]) < 0.3
 
 
-def test_the_others_go_on_when_one_dies():
+def test_the_others_continue_when_one_fails():
     w = fly(seed=4, formation_s=1.0)
     w.dead.add(5)
     requests = []
@@ -93,15 +93,15 @@ def test_the_others_go_on_when_one_dies():
         transmit(i, item),
     )[1]
     w.run(8.0)
-    # 3 s after its last beacon nobody spends air on the dead one
+    # 3 s after its last beacon no UAV ranges to the failed one
     last_us = max(now_us for now_us, peer in requests if peer == 5)
     assert last_us < round(w.formed_s * 1e6) + 1_000_000 + 3_200_000
     assert shape_rms_m(w, since_s=w.now_us * 1e-6 - 4.0, members=[0, 1, 2, 3, 4, 6, 7]) < 0.3
 
 
 @pytest.mark.parametrize("gust_std_m_s2", [0.15, 0.35])
-def test_a_channel_cut_for_good_leaves_nobody_touching_at_half_the_spacing(gust_std_m_s2):
-    """Odometry that loses 0.085 m in a root second is not trusted with 0.65 m of room for long."""
+def test_uavs_at_half_the_spacing_do_not_touch_after_a_permanent_channel_loss(gust_std_m_s2):
+    """An odometry drift of 0.085 m per root second is small against a gap of 0.65 m for a short time only."""
     places = article_places_ned_m(spacing_east_m=4.25, spacing_north_m=1.25)
     w = fly(seed=5, places=places, formation_s=2.0, errors=Errors(gust_std_m_s2=gust_std_m_s2))
     w.radio_cut, w.least_distance_m = True, np.inf
@@ -109,7 +109,7 @@ def test_a_channel_cut_for_good_leaves_nobody_touching_at_half_the_spacing(gust_
     assert w.least_distance_m > 0.6
 
 
-def test_half_the_spacing_flies_without_touching():
+def test_uavs_at_half_the_spacing_do_not_touch():
     places = article_places_ned_m(spacing_east_m=4.25, spacing_north_m=1.25)
     w = fly(seed=5, places=places, formation_s=10.0, errors=Errors(gust_std_m_s2=0.15))
     assert w.least_distance_m > 0.5

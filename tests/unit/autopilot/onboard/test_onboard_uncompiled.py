@@ -1,4 +1,4 @@
-"""The application's kernels give the same bits whether or not they are compiled."""
+"""Compiled and interpreted kernels of the application give bitwise equal results."""
 
 import numpy as np
 import pytest
@@ -42,7 +42,7 @@ def flags():
 
 
 def listed(kind, count):
-    """Rows of a structured array, all of whose numbers are drawn; times of the last second."""
+    """Return rows of a structured array with random numbers; times are of the last second."""
     rows = np.zeros(count, kind)
     for name in kind.names:
         column = rows[name]
@@ -56,7 +56,7 @@ def listed(kind, count):
 
 
 def kept():
-    """Of members some of whom were seen within `KEEP_US`."""
+    """Return records of members, some of which were fresh within `KEEP_US`."""
     rows = listed(avoidance.KEPT, N)
     rows["station"], rows["limit_m"] = (0, 2, 3, 5), np.abs(rows["limit_m"])
     rows["seen_us"] -= RNG.choice((0, avoidance.KEEP_US), size=N)
@@ -71,7 +71,7 @@ def rings():
 
 
 def filter_row():
-    """Of a filter that has four distances pending."""
+    """Return the row of a filter with four pending distances."""
     row, given = listed(FILTER, 1), new_filter(1, LocalisationModel())
     for name in FILTER.names[FILTER.names.index("gps_bias_std_m") :]:
         row[name] = given[name]
@@ -79,12 +79,12 @@ def filter_row():
     return row
 
 
-def heard_of(count=3):
-    """Pages with beacons of stations 2 and 3, some of which are news."""
-    pages = wire.BeaconBuffer(count)
+def pages(count=3):
+    """Return pages with beacons of stations 2 and 3, some of which are new."""
+    buffer = wire.BeaconBuffer(count)
     for _ in range(count):
         station = int(RNG.integers(2, 4))
-        said = wire.Beacon(
+        beacon = wire.Beacon(
             station=station, seq=int(RNG.integers(20)), time_us=int(RNG.integers(9_500_000, 10_500_000)),
             phase=FlightPhase(RNG.integers(9)), odometry_ned_m=tuple(some(3)), vel_ned_m_s=tuple(some(3)),
             motion_start_ms=None if RNG.integers(2) else 9_000,
@@ -95,17 +95,17 @@ def heard_of(count=3):
                 wire.Distance(peer, int(RNG.integers(9_000, 10_500)), 9.0 + peer, 0.1)
                 for peer in (0, 1, 5)),
         )  # fmt: skip
-        pages.put(station, wire.encode(said))
-    return pages.rows
+        buffer.put(station, wire.encode(beacon))
+    return buffer.rows
 
 
 def numbers():
-    """Rows of six stations."""
+    """Return the rows of six stations."""
     return np.array((0, 1, 2, 3, -1, -1))
 
 
 def fixed(rows):
-    """Members of whom a mean of fixes is nearly there."""
+    """Return members with a mean of fixes that is nearly complete."""
     rows["fixes"], rows["mean_fixes"] = 3, 4
     return rows
 
@@ -117,21 +117,21 @@ def waiting():
 
 
 def listener():
-    """Of station 0, at a beacon each 100 ms."""
+    """Return the row of station 0, with a beacon period of 100 ms."""
     return np.array([(0, 100_000, 12.0, 2.25, 0, 0, 0, 0, 0)], neighbour_table.LISTENER)
 
 
 CASES = {
     common_frame.laid_onto: lambda: (some(5, 2, size=6.0), some(5, 2, size=0.3)),
-    common_frame.to_everybodys_gps: lambda: (10_000_000, listed(neighbour_table.STATION, 7), 1.0, -2.0),
-    common_frame.play_round: lambda: (
+    common_frame.towards_mean_gps: lambda: (10_000_000, listed(neighbour_table.STATION, 7), 1.0, -2.0),
+    common_frame.run_round: lambda: (
         2, 10_000_000, np.array((0, 2, 3, 5)), listed(neighbour_table.STATION, 7), listed(MEMBER, N), rings(),
         some(5 * N), 0.2, -0.1),
-    wire.is_credible: lambda: (heard_of()[0], True),
+    wire.is_credible: lambda: (pages()[0], True),
     neighbour_table.receive_beacon: lambda: (
-        heard_of()[0], 10_000_000, listener(), listed(neighbour_table.STATION, 6), numbers()),
+        pages()[0], 10_000_000, listener(), listed(neighbour_table.STATION, 6), numbers()),
     neighbour_table.receive_beacons: lambda: (
-        3, 10_000_000, heard_of(), listener(), listed(neighbour_table.STATION, 6), numbers()),
+        3, 10_000_000, pages(), listener(), listed(neighbour_table.STATION, 6), numbers()),
     neighbour_table.all_held: lambda: (listed(neighbour_table.STATION, 7), np.array((0, 2, 3)), 9_500_000),
     tracks.push: lambda: (
         listed(MEMBER, N), rings(), 2, int(RNG.integers(9_500_000, 10_500_000)), some(6), np.zeros(2)),
@@ -145,7 +145,7 @@ CASES = {
         filter_row(), listed(MEMBER, N), *filtered(), int(RNG.integers(9_000_000, 11_000_000)),
         bool(RNG.integers(2))),
     measurement_update.read_beacons: lambda: (
-        3, 10_000_000, heard_of(), listener(), listed(neighbour_table.STATION, 6), numbers(), filter_row(),
+        3, 10_000_000, pages(), listener(), listed(neighbour_table.STATION, 6), numbers(), filter_row(),
         fixed(listed(MEMBER, N)), rings(), *filtered(), listed(distances.PAIR, (N, N)), waiting()),
     measurement_update.use_pending: lambda: (
         10_000_000, filter_row(), listed(MEMBER, N), rings(), *filtered(),
@@ -188,7 +188,7 @@ def results(kernel, arguments):
 
 
 @pytest.mark.parametrize("kernel", CASES, ids=lambda kernel: kernel.__name__)
-def test_the_interpreter_gives_a_kernels_bits(kernel):
+def test_interpreted_and_compiled_kernels_give_equal_bits(kernel):
     for _ in range(100):
         arguments = CASES[kernel]()
         for compiled, interpreted in zip(

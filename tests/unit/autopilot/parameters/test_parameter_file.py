@@ -1,4 +1,4 @@
-"""Parameter files: round trips to the last bit, other programs' files, and errors of one line. About 2 s."""
+"""Parameter files: round trips to the last bit, other programs' files, and one-line errors. About 2 s."""
 
 import math
 import struct
@@ -29,7 +29,7 @@ WHOLES = [parameter for parameter in WRITTEN if parameter.is_integer]
 
 
 def within(parameter):
-    """Give any value that the parameter takes."""
+    """Strategy for the valid values of a parameter."""
     if parameter.is_integer:
         return st.integers(int(parameter.minimum), int(parameter.maximum)).map(float)
     return st.floats(parameter.minimum, parameter.maximum)
@@ -40,7 +40,7 @@ some_values = st.fixed_dictionaries({}, optional={p.name: within(p) for p in (*T
 
 
 def in_order(values):
-    """Whether every pair that must be in order is, with the defaults of what is not among the values."""
+    """Whether every pair is in order, with defaults for parameters that are not in ``values``."""
     present = {
         name: ParameterSet(Settings()).get(name) for pair in NOT_OVER + UNDER for name in pair
     } | values
@@ -55,21 +55,21 @@ def line(name, value, kind="9", component=1):
 
 @settings(max_examples=100, deadline=None)
 @given(some_values)
-def test_every_double_comes_back(values):
+def test_every_double_is_preserved(values):
     assert parse(dumps(values), "x") == ParsedParameters(values, {})
 
 
 @settings(max_examples=100, deadline=None)
 @given(some_values.filter(in_order), st.booleans())
-def test_a_set_comes_back_with_the_same_settings_to_the_last_bit(values, only_changed):
-    """Degrees become radians and back in doubles, which alone would lose the last bit now and then."""
+def test_a_set_is_preserved_to_the_last_bit(values, only_changed):
+    """Conversion from degrees to radians and back alone would sometimes change the last bit."""
     parameters = ParameterSet(Settings(), values)
     text = dumps(parameter_file.values_of(parameters, only_changed=only_changed))
     again = ParameterSet(Settings(), parse(text, "x").values)
     assert (again.settings, again.stated) == (parameters.settings, parameters.stated)
 
 
-def test_unchanged_parameters_are_written_only_when_asked_for():
+def test_unchanged_parameters_are_written_unless_only_changed():
     parameters = ParameterSet(Settings(), {"MPC_XY_P": 0.5, "MPC_TILTMAX_AIR": 30.0})
     assert parameter_file.values_of(parameters, only_changed=True) == {
         "MPC_TILTMAX_AIR": 30.0,
@@ -81,17 +81,17 @@ def test_unchanged_parameters_are_written_only_when_asked_for():
 
 @settings(max_examples=300, deadline=None)
 @given(st.sampled_from(REALS), st.data())
-def test_a_ground_stations_18_decimals_of_a_float32_are_its_shortest_decimal(parameter, data):
-    """0.95 is 0.949999988079071045 in 18 decimals of its float32; what was meant is 0.95."""
+def test_18_decimals_of_a_float32_are_read_as_its_shortest_decimal(parameter, data):
+    """Ground stations print 0.95 as 0.949999988079071045."""
     shortest = float(str(np.float32(data.draw(within(parameter)))))
     assume(parameter.minimum <= shortest <= parameter.maximum)
-    assume(shortest == 0.0 or abs(shortest) > 1e-9)  # else fewer than nine significant digits are left of it
+    assume(shortest == 0.0 or abs(shortest) > 1e-9)  # otherwise fewer than nine significant digits remain
     printed = f"{struct.unpack('<f', struct.pack('<f', shortest))[0]:.18f}"
     assert parse(line(parameter.name, printed), "x").values == {parameter.name: shortest}
 
 
 def test_the_format_is_qgroundcontrols():
-    """Its loader takes lines of five fields between tabs, of which the last is the MAV_PARAM_TYPE."""
+    """Its loader expects lines of five fields between tabs, the last of which is the MAV_PARAM_TYPE."""
     text = dumps(
         {"EKF2_REQ_NSATS": 7.0, "MPC_XY_P": 0.95, "MPC_THR_MIN": 0.05, "MPC_XY_CRUISE": 5.0}, system_id=3
     )
@@ -105,7 +105,7 @@ def test_the_format_is_qgroundcontrols():
     assert text.splitlines()[2] == "# Vehicle-Id Component-Id Name Value Type"
 
 
-def test_comments_blank_lines_blanks_and_windows_line_ends_are_read():
+def test_comments_blank_lines_spaces_and_windows_line_ends_are_accepted():
     text = "\ufeff# made by hand\r\n\r\n  # more\r\n1 1  MPC_XY_P 0.5 9\r\n" + line(
         "EKF2_REQ_NSATS", "+8", "6"
     )
@@ -120,22 +120,22 @@ class Wrong:
 
 WRONG = (
     Wrong("1\t1\tMPC_XY_P\t0.5\n", "4 fields, not 5: vehicle, component, name, value, type"),
-    Wrong(line("MPC_XY_P", "0,5"), "MPC_XY_P: '0,5' is no number"),
-    Wrong(line("MPC_XY_P", "nan"), "MPC_XY_P: 'nan' is no number"),
+    Wrong(line("MPC_XY_P", "0,5"), "MPC_XY_P: '0,5' is not a number"),
+    Wrong(line("MPC_XY_P", "nan"), "MPC_XY_P: 'nan' is not a number"),
     Wrong(line("MPC_XY_P", "1e999"), "parameter MPC_XY_P = inf is outside 0 .. 2 1/s"),
     Wrong(line("MPC_XY_P", "3"), "parameter MPC_XY_P = 3 is outside 0 .. 2 1/s"),
-    Wrong(line("MPC_XY_P", "1_0"), "MPC_XY_P: '1_0' is no number"),
+    Wrong(line("MPC_XY_P", "1_0"), "MPC_XY_P: '1_0' is not a number"),
     Wrong(line("MPC_XY_P", "1", "11"), "MPC_XY_P: type '11' is neither 6 (INT32) nor 9 (REAL32)"),
-    Wrong(line("EKF2_REQ_NSATS", "6.0", "6"), "EKF2_REQ_NSATS: '6.0' is no whole number"),
+    Wrong(line("EKF2_REQ_NSATS", "6.0", "6"), "EKF2_REQ_NSATS: '6.0' is not an integer"),
     Wrong(line("EKF2_REQ_NSATS", "6.5"), "parameter EKF2_REQ_NSATS = 6.5 is not a whole number"),
-    Wrong("-1\t1\tMPC_XY_P\t1\t9\n", "'-1' is no vehicle id"),
-    Wrong("1\tx\tMPC_XY_P\t1\t9\n", "'x' is no component id"),
+    Wrong("-1\t1\tMPC_XY_P\t1\t9\n", "'-1' is not a vehicle id"),
+    Wrong("1\tx\tMPC_XY_P\t1\t9\n", "'x' is not a component id"),
     Wrong(line("MPC_Z_P", "1") + line("MPC_Z_P", "1"), "MPC_Z_P was set already in line 2"),
 )
 
 
 @pytest.mark.parametrize("wrong", WRONG, ids=[wrong.reason for wrong in WRONG])
-def test_what_is_wrong_is_one_line_with_its_place(wrong):
+def test_an_error_is_one_line_with_file_and_line(wrong):
     text = "# a comment\n" + wrong.text
     with pytest.raises(ParameterFileError) as error:
         parse(text, "iris.params")
@@ -144,7 +144,7 @@ def test_what_is_wrong_is_one_line_with_its_place(wrong):
 
 @settings(max_examples=300, deadline=None)
 @given(st.text(alphabet=st.sampled_from("1 69\t\n#.-eMPC_XYx"), max_size=60))
-def test_hostile_text_is_read_or_refused_in_one_line(text):
+def test_any_text_is_parsed_or_refused_in_one_line(text):
     try:
         values, reason = parse(text, "x").values, ""
     except ParameterFileError as error:
@@ -153,13 +153,13 @@ def test_hostile_text_is_read_or_refused_in_one_line(text):
     assert all(math.isfinite(value) for value in values.values())
 
 
-def test_a_type_that_is_not_ours_is_taken_where_the_value_fits():
-    """PX4 has whole numbers where a setting here may be any: MPC_XY_P as INT32 1 is 1."""
+def test_a_different_type_is_accepted_if_the_value_fits():
+    """PX4 has integers for some parameters that are floats here: MPC_XY_P as INT32 1 is 1."""
     assert parse(line("MPC_XY_P", "1", "6"), "x").values == {"MPC_XY_P": 1.0}
     assert parse(line("EKF2_REQ_NSATS", "6.0", "9"), "x").values == {"EKF2_REQ_NSATS": 6.0}
 
 
-def test_a_typo_is_refused_and_a_whole_px4_file_can_be_read_all_the_same(tmp_path):
+def test_an_unknown_parameter_is_refused_by_load_and_reported_by_load_known(tmp_path):
     path = tmp_path / "px4.params"
     path.write_text(
         line("MPC_XY_P", "0.5") + line("MPC_XYP", "0.5") + line("MNT_MODE_IN", "-1", "6", 154),
@@ -171,31 +171,31 @@ def test_a_typo_is_refused_and_a_whole_px4_file_can_be_read_all_the_same(tmp_pat
     assert load_known(path) == ParsedParameters({"MPC_XY_P": 0.5}, {"MPC_XYP": 2, "MNT_MODE_IN": 3})
 
 
-def test_parameters_of_other_components_do_not_become_the_autopilots(tmp_path):
+def test_parameters_of_other_components_are_not_applied(tmp_path):
     path = tmp_path / "gimbal.params"
     path.write_text(line("MPC_XY_P", "0.5", component=154), encoding="utf-8")
     assert load_known(path).values == {}
 
 
-def test_files_that_cannot_be_read_are_one_line(tmp_path):
+def test_an_unreadable_file_is_a_one_line_error(tmp_path):
     with pytest.raises(ParameterFileError, match="cannot be read: No such file"):
         load(tmp_path / "absent.params")
     (tmp_path / "binary.params").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ParameterFileError, match="cannot be read: it is no text"):
+    with pytest.raises(ParameterFileError, match="cannot be read: not UTF-8 text"):
         load(tmp_path / "binary.params")
 
 
-def test_saved_is_what_is_loaded(tmp_path):
+def test_saved_values_are_loaded_again(tmp_path):
     path = tmp_path / "iris.params"
     parameters = ParameterSet(Settings(), {"MPC_XY_P": 1.0 / 3.0, "LNDMC_ROT_MAX": 33.3})
     save(path, parameters, only_changed=True)
     assert load(path) == {"MPC_XY_P": 1.0 / 3.0, "LNDMC_ROT_MAX": 33.3}
-    save(path, parameters, system_id=2)  # over the one that is there
+    save(path, parameters, system_id=2)  # replaces the file
     assert list(load(path)) == [p.name for p in WRITTEN]
     assert [entry.name for entry in tmp_path.iterdir()] == ["iris.params"]
 
 
-def test_a_save_that_fails_leaves_the_old_file_whole_and_nothing_beside_it(tmp_path):
+def test_a_failed_save_leaves_the_old_file_and_no_temporary_one(tmp_path):
     path = tmp_path / "taken"
     path.mkdir()
     (path / "inside").write_text("x", encoding="utf-8")
@@ -209,8 +209,8 @@ def test_the_table_has_both_types():
     assert WHOLES
 
 
-def test_what_another_vehicle_is_is_not_taken_from_its_file():
-    """A station saves all that it was listed; the same file serves every vehicle of a swarm."""
+def test_read_only_parameters_are_not_read_from_a_file():
+    """A station saves all listed parameters; one file serves every vehicle of a swarm."""
     assert "MAV_SYS_ID" in READ_ONLY
     assert parse(line("MAV_SYS_ID", "7", "6") + line("COM_RC_IN_MODE", "4", "6"), "x") == ParsedParameters(
         {"COM_RC_IN_MODE": 4.0}, {}

@@ -1,4 +1,4 @@
-"""The parameter table against the settings that it leads to."""
+"""The parameter table against the settings."""
 
 import itertools
 
@@ -29,13 +29,13 @@ CHAINS = (
     ("MPC_LAND_ALT2", "MPC_LAND_ALT1"),
     ("MPC_THR_MIN", "MPC_THR_MAX"),
 )
-"""From the least to the greatest."""
+"""In ascending order."""
 NEVER = {("BAT1_V_EMPTY", 5.0), ("BAT1_V_CHARGED", 2.0)}
-"""Ends of a range beyond which the other one has none left."""
+"""Ends of a range at which the other parameter of the pair has no valid value."""
 
 
 def with_room(name):
-    """Values of the others of its chain, as far from the parameter as they go."""
+    """Values of the other parameters of its chain that leave it the largest range."""
     chain = next((chain for chain in CHAINS if name in chain), (name,))
     at = chain.index(name)
     below = {other: TABLE[INDEX_OF[other]].minimum for other in chain[:at]}
@@ -48,7 +48,7 @@ def test_names_are_unique_sorted_and_fit_mavlink():
 
 
 @pytest.mark.parametrize("parameter", TABLE, ids=NAMES)
-def test_each_row_changes_its_setting_over_its_whole_range_and_nothing_else(parameter):
+def test_each_row_changes_its_setting_over_its_whole_range_and_no_other(parameter):
     parameters = ParameterSet(Settings())
     assert parameter.minimum <= parameters.get(parameter.name) <= parameter.maximum
     parameters = ParameterSet(Settings(), with_room(parameter.name))
@@ -58,7 +58,7 @@ def test_each_row_changes_its_setting_over_its_whole_range_and_nothing_else(para
             continue
         parameters.set(parameter.name, value)
         assert parameters.get(parameter.name) == pytest.approx(value, rel=1e-12)
-        # what the settings themselves allow is not narrower than what the table does
+        # the settings accept the whole range of the table
         assert msgspec.convert(msgspec.to_builtins(parameters.settings), Settings) == parameters.settings
     assert {name: parameters.get(name) for name in others} == others
 
@@ -72,7 +72,7 @@ def test_each_row_changes_its_setting_over_its_whole_range_and_nothing_else(para
         ({"EKF2_REQ_NSATS": 6.5}, "parameter EKF2_REQ_NSATS = 6.5 is not a whole number"),
     ],
 )
-def test_wrong_overrides_are_one_line(overrides, line):
+def test_invalid_overrides_are_one_line_errors(overrides, line):
     with pytest.raises(ParameterError) as error:
         ParameterSet(Settings(), overrides)
     assert str(error.value) == line
@@ -84,7 +84,7 @@ def test_units_are_px4s():
     assert parameters.settings.estimation.gps_delay_us == 110_000
 
 
-def test_the_chains_are_the_pairs_that_are_checked():
+def test_the_chains_are_the_checked_pairs():
     pairs = {pair for chain in CHAINS for pair in itertools.pairwise(chain)}
     assert pairs == set(NOT_OVER + UNDER)
 
@@ -105,7 +105,7 @@ def test_the_chains_are_the_pairs_that_are_checked():
         ({"MPC_LAND_ALT1": 4.0}, "parameter MPC_LAND_ALT2 = 5 must be at most MPC_LAND_ALT1 = 4"),
     ],
 )
-def test_pairs_out_of_order_are_one_line_and_change_nothing(overrides, line):
+def test_pairs_out_of_order_are_one_line_errors_without_a_change(overrides, line):
     with pytest.raises(ParameterError) as error:
         ParameterSet(Settings(), overrides)
     assert str(error.value) == line
@@ -126,20 +126,20 @@ def test_pairs_out_of_order_are_one_line_and_change_nothing(overrides, line):
         {"MPC_LAND_ALT1": 2.0, "MPC_LAND_ALT2": 1.0},
     ],
 )
-def test_overrides_in_order_are_taken_whichever_comes_first(overrides):
-    """On the way from the defaults there every one of them is out of order in one of the two directions."""
+def test_overrides_in_order_are_accepted_in_any_sequence(overrides):
+    """Applied one by one to the defaults, each set would be out of order in one sequence."""
     for names in itertools.permutations(overrides):
         parameters = ParameterSet(Settings(), {name: overrides[name] for name in names})
         assert {name: parameters.get(name) for name in overrides} == overrides
 
 
-def test_a_range_alone_is_checked_without_the_others():
+def test_check_range_ignores_other_parameters():
     check_range("MPC_THR_MAX", 0.1)
     with pytest.raises(ParameterError, match="outside"):
         check_range("MPC_THR_MAX", 0.09)
 
 
-def test_parameters_without_effect_are_kept_in_their_ranges_and_change_nothing_else():
+def test_parameters_without_effect_are_stored_within_their_ranges():
     parameters = ParameterSet(Settings(), {"COM_RC_IN_MODE": 4.0}, system=7)
     assert (parameters.get("COM_RC_IN_MODE"), parameters.get("MAV_SYS_ID")) == (4.0, 7.0)
     assert parameters.settings == Settings()
@@ -161,7 +161,7 @@ def test_parameters_without_effect_are_kept_in_their_ranges_and_change_nothing_e
         ("MAV_SYS_ID", 3.0, ParameterProblem.READ_ONLY),
     ],
 )
-def test_a_refusal_says_what_is_wrong_and_is_no_change(name, value, problem):
+def test_a_refusal_has_its_problem_and_changes_nothing(name, value, problem):
     parameters = ParameterSet(Settings())
     with pytest.raises(ParameterError) as error:
         parameters.set(name, value)
@@ -171,30 +171,30 @@ def test_a_refusal_says_what_is_wrong_and_is_no_change(name, value, problem):
     assert parameters.version == 1
 
 
-def test_names_of_both_sorts_are_one_sorted_list():
+def test_rows_of_both_kinds_are_sorted_by_name():
     names = [row.name for row in ROWS]
     assert sorted(set(names)) == names
     assert max(map(len, names)) <= 16
     assert len(names) == len(TABLE) + len(STATED)
 
 
-def test_stations_hear_of_a_change_whoever_made_it():
+def test_every_change_is_reported_to_stations():
     with Flight(vehicle_config()) as flight:
         flight.step()
         flight.vehicle.set_parameter("MPC_XY_P", 1.2)
         flight.vehicle.set_parameter("COM_RC_IN_MODE", 4.0)
         flight.step()
-        told = [message.param_id for _, message in flight.heard if message.get_type() == "PARAM_VALUE"]
-        assert set(told) == {"MPC_XY_P", "COM_RC_IN_MODE"}
+        reported = [message.param_id for _, message in flight.heard if message.get_type() == "PARAM_VALUE"]
+        assert set(reported) == {"MPC_XY_P", "COM_RC_IN_MODE"}
         flight.heard.clear()
         flight.run(0.2)
         assert not [message for _, message in flight.heard if message.get_type() == "PARAM_VALUE"]
 
 
-def test_the_metadata_are_a_message_that_can_be_asked_for():
+def test_the_metadata_message_can_be_requested():
     with Flight(vehicle_config()) as flight:
         flight.step()
-        wanted = float(COMPONENT_METADATA)
-        assert flight.command(common.MAV_CMD_REQUEST_MESSAGE, wanted) == common.MAV_RESULT_ACCEPTED
+        message_id = float(COMPONENT_METADATA)
+        assert flight.command(common.MAV_CMD_REQUEST_MESSAGE, message_id) == common.MAV_RESULT_ACCEPTED
         (message,) = [m for _, m in flight.heard if m.get_msgId() == COMPONENT_METADATA]
         assert flight.vehicle.messaging.files.open(message.uri.removeprefix("mftp://")) is not None

@@ -1,4 +1,4 @@
-"""The application beside a PX4, without its sockets: whose messages count, its clock, what it asks for."""
+"""The application beside a PX4, without its sockets: accepted messages, its clock, its requests."""
 
 import math
 
@@ -60,7 +60,7 @@ def fly(companion, until_ms, period_ms=10, begin_ms=10):
     return outputs
 
 
-def test_its_clock_is_that_of_px4_which_does_not_go_back_nor_leap_for_one_message():
+def test_the_clock_follows_px4_and_never_goes_back_or_leaps_for_one_message():
     companion = Companion(config())
     assert companion.now_us == -1
     assert not companion.is_due
@@ -77,35 +77,35 @@ def test_its_clock_is_that_of_px4_which_does_not_go_back_nor_leap_for_one_messag
 
 @pytest.mark.parametrize("ranging", ["all_pairs", "scheduled"])
 @pytest.mark.parametrize("gap_ms", [30_000, 60_001, 3_600_000, 4_000_000_000])
-def test_a_gap_in_what_px4_says_is_followed_and_costs_no_burst(ranging, gap_ms):
+def test_a_gap_in_px4s_messages_is_followed_and_causes_no_burst(ranging, gap_ms):
     companion = Companion(config(ranging=ranging))
     period_ms = companion.app._config.beacon_period_ms
-    said = []
+    sent = []
 
-    def hear(begin_ms):
+    def receive(begin_ms):
         for time_ms in range(begin_ms, begin_ms + 2_000, 10):
             for message in (origin(), attitude(time_ms), position(time_ms)):
                 companion.on_message(from_px4(message))
             if companion.is_due:
-                said.append(companion.on_timer(()).radio)
+                sent.append(companion.on_timer(()).radio)
         assert companion.now_us == (begin_ms + 1_990) * 1_000
 
-    hear(10)
-    before = len(said)
-    hear(gap_ms)
-    assert max(map(len, said[before:])) <= 2  # one is the gap's, and one may be due
-    beacons = [[item for item in items if isinstance(item, Broadcast)] for items in said[before:]]
+    receive(10)
+    before = len(sent)
+    receive(gap_ms)
+    assert max(map(len, sent[before:])) <= 2  # one due to the gap, and one that may be due
+    beacons = [[item for item in items if isinstance(item, Broadcast)] for items in sent[before:]]
     assert sum(map(len, beacons)) == pytest.approx(2_000 / period_ms, abs=2)
 
 
-def test_it_looks_at_each_attitude_of_100_hz_and_no_oftener():
+def test_it_updates_with_each_attitude_at_100_hz_and_not_more_often():
     companion = Companion(config())
     assert len(fly(companion, 1_000)) == 100
     assert len(fly(Companion(config()), 1_000, period_ms=4, begin_ms=4)) == 1_000 // (TICK_US // 1_000)
 
 
 @pytest.mark.parametrize(("system", "component"), [(3, 1), (SYSTEM, 100), (255, 190), (0, 0)])
-def test_only_its_own_autopilot_is_believed(system, component):
+def test_only_messages_of_its_own_autopilot_are_used(system, component):
     companion = Companion(config())
     companion.on_message(from_px4(attitude(100), system=system, component=component))
     assert companion.now_us == -1
@@ -113,34 +113,36 @@ def test_only_its_own_autopilot_is_believed(system, component):
     companion.on_message(from_px4(beat(), system=system, component=component))
     companion.on_message(from_px4(position(100), system=system, component=component))
     assert companion.on_timer(()).radio == ()
-    said = companion.on_timer(()).said
-    assert all(message.get_srcComponent() == 191 for message in said)
+    reports = companion.on_timer(()).said
+    assert all(message.get_srcComponent() == 191 for message in reports)
 
 
-def test_the_origin_is_asked_for_each_second_until_it_is_known():
+def test_the_origin_is_requested_each_second_until_it_is_known():
     companion = Companion(config())
-    asked = [requests(output) for output in fly(companion, 5_000)]
-    assert sum(map(len, asked)) == 5
-    (request,) = asked[0]
+    sent = [requests(output) for output in fly(companion, 5_000)]
+    assert sum(map(len, sent)) == 5
+    (request,) = sent[0]
     assert (request.target_system, request.target_component, request.param1) == (SYSTEM, 1, 49.0)
     companion.on_message(from_px4(origin()))
     assert sum(map(len, map(requests, fly(companion, 35_000, begin_ms=5_010)))) in {3, 4}
 
 
-def test_px4s_mode_and_its_own_phase_are_said_to_the_simulator_under_their_names():
+def test_px4s_mode_and_the_own_phase_are_reported_to_the_simulator_with_their_sources():
     companion = Companion(config())
     companion.on_message(from_px4(attitude(10)))
     companion.on_message(from_px4(beat(mode=0x03040000)))
-    said = companion.on_timer(()).said
-    named = {(message.get_srcSystem(), message.get_srcComponent()): message.custom_mode for message in said}
+    reports = companion.on_timer(()).said
+    named = {
+        (message.get_srcSystem(), message.get_srcComponent()): message.custom_mode for message in reports
+    }
     assert named == {(SYSTEM, 1): 0x03040000, (SYSTEM, 191): int(FlightPhase.WAITING)}
-    # and come out so on the other side
+    # encoding and parsing preserve them
     encoder = Encoder(system=SYSTEM, component=191)
-    heard = Parser().push_datagram(b"".join(map(encoder.encode, said)))
-    assert {(message.get_srcSystem(), message.get_srcComponent()) for message in heard} == set(named)
+    received = Parser().push_datagram(b"".join(map(encoder.encode, reports)))
+    assert {(message.get_srcSystem(), message.get_srcComponent()) for message in received} == set(named)
 
 
-def test_a_command_for_the_application_that_px4_passes_on_is_answered():
+def test_a_command_to_the_application_that_px4_forwards_is_answered():
     companion = Companion(config(hold=True))
     companion.on_message(from_px4(attitude(10)))
     release = common.MAVLink_command_long_message(
@@ -151,13 +153,13 @@ def test_a_command_for_the_application_that_px4_passes_on_is_answered():
     assert [(ack.command, ack.result) for ack in acks] == [(common.MAV_CMD_USER_1, 0)]
 
 
-def test_it_calls_px4_with_a_heartbeat_of_its_own():
+def test_it_sends_px4_its_own_heartbeat():
     call = Companion(config()).call()
     assert (call.get_type(), call.get_srcSystem(), call.get_srcComponent()) == ("HEARTBEAT", SYSTEM, 191)
     assert CALL_PERIOD_S <= 1.0
 
 
-def test_what_px4_says_is_on_record_at_the_instants_of_the_log(tmp_path):
+def test_px4s_messages_are_recorded_at_the_instants_of_the_log(tmp_path):
     companion = Companion(config())
     path = tmp_path / "uav.bin"
     log = CompanionLog(config(), str(path), companion.app)

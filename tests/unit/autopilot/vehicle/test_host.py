@@ -1,4 +1,4 @@
-"""What a vehicle's host makes of what its simulator sends: nothing that came in is lost."""
+"""The vehicle host: handling of the simulator's bytes, of links in a pause, and of saved parameters."""
 
 import contextlib
 import errno
@@ -24,7 +24,7 @@ IN_PROGRESS = common.MAV_RESULT_IN_PROGRESS
 
 
 class Radio:
-    """Notes when it is emptied."""
+    """Counts the steps in which it is read."""
 
     def __init__(self):
         self.emptied_us = []
@@ -60,7 +60,7 @@ def gps(time_us):
 
 
 def step(host, data, *link_messages):
-    """The answers to each HIL_SENSOR in some bytes, and what goes out on the links."""
+    """Return the replies to each HIL_SENSOR in some bytes, and the messages for the links."""
     answers, links = [], []
     for messages in host.push(host.put(data)):
         answer, out = host.step(messages, link_messages=list(link_messages), link_active=(True, False))
@@ -69,20 +69,20 @@ def step(host, data, *link_messages):
     return [message.time_usec for each in answers for message in each], links
 
 
-def test_only_the_first_sensor_set_is_the_clock(host):
+def test_only_the_first_sensor_is_the_clock(host):
     data = sensor(3_000, number=1) + sensor(4_000) + sensor(7_000, number=1)
     assert step(host, data)[0] == [4_000]
     assert step(host, sensor(8_000))[0] == [8_000]
 
 
 @pytest.mark.parametrize("again_us", [8_000, 4_000])
-def test_a_time_that_is_repeated_or_goes_back_takes_nothing_that_the_next_step_is_for(host, radio, again_us):
-    """A simulator that pauses may send its last instant again, with a fix; the ground asks meanwhile."""
+def test_a_repeated_or_earlier_time_leaves_messages_for_the_next_step(host, radio, again_us):
+    """A simulator that pauses may repeat its last time, with a fix; a station sends a request meanwhile."""
     for time_us in (4_000, 8_000):
         assert step(host, sensor(time_us))[0] == [time_us]
-    asking = common.MAVLink_param_request_read_message(1, 1, b"MPC_XY_CRUISE", -1)
-    asked = Addressed(Partner(GROUND_STATION, 0), asking)
-    answered, links = step(host, gps(again_us) + sensor(again_us), asked)
+    read = common.MAVLink_param_request_read_message(1, 1, b"MPC_XY_CRUISE", -1)
+    request = Addressed(Partner(GROUND_STATION, 0), read)
+    answered, links = step(host, gps(again_us) + sensor(again_us), request)
     assert answered == [again_us]
     assert links == []
     assert host.vehicle.flight.gps is None
@@ -99,7 +99,7 @@ def test_a_time_that_is_repeated_or_goes_back_takes_nothing_that_the_next_step_i
     assert not any(message.get_type() == "PARAM_VALUE" for _, message in links)
 
 
-def test_the_radio_is_looked_at_in_the_steps_that_bring_something_and_in_no_other(host, radio):
+def test_the_radio_is_only_read_in_steps_with_received_items(host, radio):
     for time_us in range(4_000, 40_000, 4_000):
         assert step(host, sensor(time_us, delivered=time_us in {12_000, 32_000}))[0] == [time_us]
     assert radio.emptied_us == [12_000, 32_000]
@@ -113,10 +113,10 @@ def saving_host(path):
 
 
 def save(*, confirmation=0):
-    wanted = common.MAVLink_command_long_message(
+    command = common.MAVLink_command_long_message(
         1, 1, common.MAV_CMD_PREFLIGHT_STORAGE, confirmation, 1.0, *[0.0] * 6
     )
-    return stamp(wanted, system=255, component=190)
+    return stamp(command, system=255, component=190)
 
 
 def results(links, partner=ME):
@@ -124,12 +124,12 @@ def results(links, partner=ME):
 
 
 def texts(links):
-    """What is said in words on the ground station's link."""
+    """Return the texts sent on the ground station's link."""
     said = [m.text for to, m in links if to.link == GROUND_STATION and m.get_type() == "STATUSTEXT"]
     return [text.decode() if isinstance(text, bytes) else text for text in said]
 
 
-def test_saving_is_in_progress_until_the_file_is_there(tmp_path):
+def test_saving_is_in_progress_until_the_file_is_written(tmp_path):
     path = tmp_path / "uav.params"
     with saving_host(path) as host:
         host.vehicle.set_parameter("MPC_XY_P", 1.25)
@@ -140,13 +140,13 @@ def test_saving_is_in_progress_until_the_file_is_there(tmp_path):
         assert (results(links), results(links, OTHER)) == ([ACCEPTED], [ACCEPTED])
         path.unlink()
         _, links = step(host, sensor(16_000), Addressed(ME, save(confirmation=1)))
-        assert results(links) == [ACCEPTED]  # for whoever has not heard it, and nothing is done twice
+        assert results(links) == [ACCEPTED]  # a repeated command is only acknowledged
         _, links = step(host, sensor(20_000))
         assert results(links) == []
         assert not path.exists()
 
 
-def test_what_cannot_be_saved_has_failed_with_a_reason(tmp_path, capsys):
+def test_a_failed_save_is_reported_with_the_reason(tmp_path, capsys):
     with saving_host(tmp_path / "missing" / "uav.params") as host:
         _, links = step(host, sensor(8_000), Addressed(ME, save()))
         assert results(links) == [IN_PROGRESS]
@@ -156,15 +156,15 @@ def test_what_cannot_be_saved_has_failed_with_a_reason(tmp_path, capsys):
     assert "parameters not saved" in capsys.readouterr().err
 
 
-def test_in_a_pause_parameters_are_saved_and_it_is_told_at_once(tmp_path):
+def test_in_a_pause_parameters_are_saved_and_acknowledged_immediately(tmp_path):
     path = tmp_path / "uav.params"
     with saving_host(path) as host:
         assert results(host.serve_while_paused([Addressed(ME, save())])) == [IN_PROGRESS, ACCEPTED]
         assert path.exists()
-        assert not host.vehicle.messaging.take_save_wanted()
+        assert not host.vehicle.messaging.take_save_request()
 
 
-def test_what_is_asked_before_the_first_step_is_answered_in_it_and_does_not_pile_up(host):
+def test_requests_before_the_first_step_are_answered_in_it_and_limited_in_number(host):
     read = common.MAVLink_param_request_read_message(1, 1, b"MPC_XY_P", -1)
     for _ in range(2):
         assert host.serve_while_paused([Addressed(ME, read)] * MOST_WAITING) == []
@@ -174,13 +174,13 @@ def test_what_is_asked_before_the_first_step_is_answered_in_it_and_does_not_pile
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux has the policy")
-def test_a_sandbox_that_forbids_the_scheduling_policy_does_not_keep_a_vehicle_from_flying(monkeypatch):
-    asked = []
+def test_a_sandbox_that_forbids_the_scheduling_policy_does_not_prevent_flight(monkeypatch):
+    calls = []
 
     def refuse(pid, policy, param):
-        asked.append((pid, policy, param.sched_priority))
+        calls.append((pid, policy, param.sched_priority))
         raise PermissionError(errno.EPERM, "Operation not permitted")
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     _yield_to_the_simulator()
-    assert asked == [(0, os.SCHED_BATCH, 0)]
+    assert calls == [(0, os.SCHED_BATCH, 0)]

@@ -1,4 +1,4 @@
-"""A step of an inertial sample alone, compiled: the same flight as by all of the vehicle, to the bit."""
+"""The compiled fast step: the same flight as with full steps, to the bit."""
 
 import pytest
 from fastcrc import crc16
@@ -17,18 +17,18 @@ CONFIG = VehicleConfig(
     run_id="bench", instance=0, seed=7, onboard=OnboardConfig(localisation="gps"),
     places_ned_m=((0.0, 0.0, -5.0),),
 )  # fmt: skip
-NOBODY = (False, False)
+NO_LINKS = (False, False)
 CRC_EXTRA = bytes([common.mavlink_map[common.MAVLINK_MSG_ID_HIL_SENSOR].crc_extra])
 
 
 @pytest.fixture(scope="module")
 def stream():
-    """Bytes of each step of a flight to its place and some seconds there."""
+    """Return the bytes of each step of a flight to a position and some seconds there."""
     return record_flight(FLIGHT_S).stream
 
 
 class Player:
-    """A host and what it answers; ``compiled``: steps may be made by compiled code."""
+    """A host and its replies; ``compiled``: fast steps are allowed."""
 
     def __init__(self, *, compiled: bool) -> None:
         self.host = Host(CONFIG, None)
@@ -36,7 +36,7 @@ class Player:
         if not compiled:
             self.host._inertial.open = lambda *_, **__: None
 
-    def hear(self, data):
+    def play(self, data):
         host = self.host
         size = host.put(data)
         answer = host.inertial_step(size)
@@ -44,12 +44,12 @@ class Player:
             self.inertial += 1
             return bytes(answer)
         return b"".join(
-            host.step(messages, link_messages=[], link_active=NOBODY)[0] for messages in host.push(size)
+            host.step(messages, link_messages=[], link_active=NO_LINKS)[0] for messages in host.push(size)
         )
 
 
 def memory(host):
-    """All that an inertial step may write."""
+    """Return all memory that a fast step may write."""
     estimator, controller = host.vehicle.estimator, host.vehicle.pilot.controller
     steps = host._inertial
     blocks = (estimator.filter.block, estimator.filter.samples, controller.block, steps._moment)
@@ -57,13 +57,13 @@ def memory(host):
 
 
 def until_inertial(player, stream):
-    """Play up to where two inertial steps have followed each other; gives the bytes of the third."""
+    """Play until two fast steps have followed each other; return the bytes of the third."""
     in_a_row = 0
     for data in stream:
         if in_a_row == 2:
             return data
         before = player.inertial
-        player.hear(data)
+        player.play(data)
         in_a_row = in_a_row + 1 if player.inertial > before else 0
     raise AssertionError("no inertial steps")
 
@@ -72,10 +72,10 @@ def _time_us(data):
     return int.from_bytes(data[10:18], "little")
 
 
-def test_the_flight_is_the_same_to_the_bit(stream):
+def test_fast_steps_give_the_same_flight_to_the_bit(stream):
     compiled, plain = Player(compiled=True), Player(compiled=False)
     for data in stream:
-        assert compiled.hear(data) == plain.hear(data)
+        assert compiled.play(data) == plain.play(data)
     assert plain.inertial == 0
     assert compiled.inertial > 0.25 * len(stream)
     compiled.host._catch_up()
@@ -91,12 +91,12 @@ def test_the_flight_is_the_same_to_the_bit(stream):
         assert repr(of(compiled.host)) == repr(of(plain.host))
 
 
-def test_on_its_way_a_vehicle_looks_at_more_than_the_sample_25_times_a_second(stream):
-    """GPS, compass, barometer, decisions, application, what is due of the filter: all in the same steps."""
+def test_in_flight_there_are_25_full_steps_a_second(stream):
+    """GPS, compass, barometer, decisions, application, fusion: all due in the same steps."""
     player, whole_us = Player(compiled=True), []
     for data in stream:
         before = player.inertial
-        player.hear(data)
+        player.play(data)
         if player.inertial == before:
             whole_us.append(player.host.vehicle.flight.now_us)
     begin_us = len(stream) * STEP_US - 3_000_000
@@ -106,7 +106,7 @@ def test_on_its_way_a_vehicle_looks_at_more_than_the_sample_25_times_a_second(st
 
 
 def resealed(data, at, byte):
-    """The frame with another byte at a place, and the checksum that belongs to it."""
+    """Return the frame with another byte at an offset, and the matching checksum."""
     changed = bytearray(data)
     changed[at] = byte
     changed[-2:] = crc16.mcrf4xx(bytes(changed[1:-2]) + CRC_EXTRA).to_bytes(2, "little")
@@ -114,7 +114,7 @@ def resealed(data, at, byte):
 
 
 def sensor_like(data, **fields):
-    """HIL_SENSOR of a frame with some fields changed."""
+    """Return a frame's HIL_SENSOR with some fields changed."""
     (message,) = HilParser(*TO_VEHICLE).push(data)
     return pack(message._replace(**fields), sequence=data[4], system=data[5], component=data[6])
 
@@ -147,7 +147,7 @@ def flying(stream):
 
 
 @pytest.mark.parametrize("other", OTHERS)
-def test_whatever_else_comes_is_left_alone(flying, other):
+def test_other_messages_are_not_fast_steps(flying, other):
     player, data = flying
     wrong = OTHERS[other](data)
     before = memory(player.host)
@@ -156,8 +156,8 @@ def test_whatever_else_comes_is_left_alone(flying, other):
     assert bytes(player.host.incoming[: len(wrong)]) == wrong
 
 
-def test_what_is_not_left_alone_is_made(flying):
-    """The witness of the test above."""
+def test_an_inertial_sample_is_a_fast_step(flying):
+    """Verifies that the test above starts from a fast step."""
     player, data = flying
     before = memory(player.host)
     assert player.host.inertial_step(player.host.put(data)) is not None
@@ -165,7 +165,7 @@ def test_what_is_not_left_alone_is_made(flying):
 
 
 @pytest.mark.parametrize("fields", [0x1C0, 0x1A00, 0x1C0 | 0x1A00])
-def test_compass_and_barometer_are_passed_over_until_a_reading_is_due(stream, fields):
+def test_compass_and_barometer_are_skipped_until_a_reading_is_due(stream, fields):
     player = Player(compiled=True)
     host, data = player.host, until_inertial(player, stream)
     reading = sensor_like(data, fields_updated=0x3F | fields, abs_pressure=1000.0)
@@ -175,10 +175,10 @@ def test_compass_and_barometer_are_passed_over_until_a_reading_is_due(stream, fi
     assert host.inertial_step(host.put(reading)) is not None
 
 
-def test_while_the_simulator_is_silent_all_is_as_of_the_last_step(stream):
+def test_while_the_simulator_is_silent_the_state_is_that_of_the_last_step(stream):
     player = Player(compiled=True)
     data = until_inertial(player, stream)
-    player.hear(data)
+    player.play(data)
     host = player.host
     assert host.vehicle.flight.now_us < _time_us(data)
     beat = common.MAVLink_heartbeat_message(common.MAV_TYPE_GCS, 8, 0, 0, 4, 3)
@@ -189,7 +189,7 @@ def test_while_the_simulator_is_silent_all_is_as_of_the_last_step(stream):
     assert isinstance(flight.sensor, HilSensor)
 
 
-def test_with_somebody_listening_every_step_is_whole(stream):
+def test_with_an_active_link_every_step_is_full(stream):
     player = Player(compiled=True)
     data = until_inertial(player, stream)
     host = player.host

@@ -1,4 +1,4 @@
-"""What a ground station asks of a whole vehicle by commands, and what it is told while it listens."""
+"""Commands of a ground station to a whole vehicle, and its telemetry."""
 
 import math
 
@@ -24,7 +24,7 @@ EPOCH_US = 1_767_225_600_000_000
 
 
 def place_of(flight, north_m, east_m, down_m):
-    """Degrees E7 and altitude of a place from the estimator's origin."""
+    """Return degrees E7 and altitude of a position from the estimator's origin."""
     state = flight.vehicle.flight.state
     lat_deg, lon_deg, alt_m = ned_to_geodetic(
         (north_m, east_m, down_m),
@@ -51,19 +51,19 @@ def acks(flight, since):
 
 
 def listen(flight, seconds, link=GROUND_STATION):
-    """Messages of the streams of a link, with their times."""
-    heard = []
+    """Return the messages streamed on a link, with their times."""
+    received = []
     for _ in range(round(seconds * 1e6 / STEP_US)):
         output = flight.step(streams=True)
-        heard += [(flight.now_us, m) for partner, m in output.links if partner.link == link]
-    return heard
+        received += [(flight.now_us, m) for partner, m in output.links if partner.link == link]
+    return received
 
 
-def of_type(heard, name):
-    return [(time_us, m) for time_us, m in heard if m.get_type() == name]
+def of_type(received, name):
+    return [(time_us, m) for time_us, m in received if m.get_type() == name]
 
 
-def test_a_take_off_to_below_the_sea_s_metres_and_a_place_to_go_to():
+def test_a_take_off_altitude_above_sea_level_and_a_reposition():
     with Flight(vehicle_config()) as flight:
         vehicle = flight.vehicle
         assert flight.run(20.0, until=lambda: vehicle.commander.arm(flight.now_us) is None)
@@ -85,7 +85,7 @@ def test_a_take_off_to_below_the_sea_s_metres_and_a_place_to_go_to():
         assert flight.run(15.0, until=lambda: math.dist(vehicle.flight.state.pos_ned_m, target_ned_m) < 0.3)
         assert acks(flight, since) == [ACCEPTED]
         assert vehicle.commander.mode is FlightMode.HOLD
-        # home is moved under way, and the streams tell it at once, not after their two seconds
+        # home is changed in flight, and the streams report it immediately, not after their two seconds
         listen(flight, 0.1)
         x, y, z = place_of(flight, 2.0, 1.0, 0.0)
         flight.send(
@@ -105,39 +105,39 @@ def test_a_take_off_to_below_the_sea_s_metres_and_a_place_to_go_to():
                 z,
             )
         )
-        asked_us = flight.now_us
-        told = of_type(listen(flight, 0.02), "HOME_POSITION")
-        assert [(m.latitude, m.longitude, m.altitude) for _, m in told] == [
+        requested_us = flight.now_us
+        reports = of_type(listen(flight, 0.02), "HOME_POSITION")
+        assert [(m.latitude, m.longitude, m.altitude) for _, m in reports] == [
             (x, y, pytest.approx(1e3 * z, abs=1))
         ]
-        assert told[0][0] - asked_us <= 2 * STEP_US
+        assert reports[0][0] - requested_us <= 2 * STEP_US
         assert vehicle.flight.home.pos_ned_m == pytest.approx((2.0, 1.0, 0.0), abs=0.02)
         information = vehicle.messaging.telemetry.system.flight_information()
         assert 0 < information.arming_time_utc < information.takeoff_time_utc < flight.now_us
 
 
-def test_what_is_streamed_is_what_px4_streams():
+def test_the_streamed_messages_are_those_of_px4():
     config = replace(vehicle_config(), epoch_unix_us=EPOCH_US)
     with Flight(config) as flight:
         flight.run(12.0)
-        heard = listen(flight, 4.0, link=COMPANION)
+        received = listen(flight, 4.0, link=COMPANION)
         counts = {}
-        for _, message in heard:
+        for _, message in received:
             counts[message.get_type()] = counts.get(message.get_type(), 0) + 1
         for name, rate_hz in [
             ("HEARTBEAT", 1), ("ATTITUDE", 100), ("HIGHRES_IMU", 50), ("TIMESYNC", 10), ("SYS_STATUS", 5),
             ("SYSTEM_TIME", 1), ("MISSION_CURRENT", 1), ("CURRENT_MODE", 0.5), ("HOME_POSITION", 0.5),
         ]:  # fmt: skip
             assert counts[name] == pytest.approx(4 * rate_hz, abs=1), name
-        for time_us, message in of_type(heard, "SYSTEM_TIME"):
+        for time_us, message in of_type(received, "SYSTEM_TIME"):
             assert message.time_unix_usec == EPOCH_US + time_us
-        status = of_type(heard, "SYS_STATUS")[-1][1]
-        unfenced = common.MAV_SYS_STATUS_GEOFENCE  # where there is no fence none is breached
+        status = of_type(received, "SYS_STATUS")[-1][1]
+        unfenced = common.MAV_SYS_STATUS_GEOFENCE  # without a fence there is no fence status
         assert status.onboard_control_sensors_health == status.onboard_control_sensors_present | unfenced
         assert not status.onboard_control_sensors_present & common.MAV_SYS_STATUS_GEOFENCE
         to_ground = {message.get_type() for _, message in listen(flight, 10.5)}
         assert {"VIBRATION", "PING", "CURRENT_MODE"} <= to_ground
-        # at rest what shakes is the accelerometer's noise
+        # at rest the vibration is the accelerometer's noise
         vibration = vehicle_vibration(flight)
         assert 0.0 < vibration.vibration_z < 1.0
 
@@ -146,7 +146,7 @@ def vehicle_vibration(flight):
     return flight.vehicle.messaging.telemetry.sensors.vibration()
 
 
-def test_a_calibration_is_told_to_its_end():
+def test_a_calibration_is_reported_to_its_end():
     with Flight(vehicle_config()) as flight:
         flight.run(1.0)
         assert flight.command(common.MAV_CMD_PREFLIGHT_CALIBRATION, 1.0) == ACCEPTED
@@ -157,8 +157,8 @@ def test_a_calibration_is_told_to_its_end():
         assert len(texts) == 7
 
 
-def test_no_command_in_flight_whatever_its_numbers_breaks_the_vehicle_or_goes_unanswered():
-    """Orders that would end the flight are left out; what is flown to stays finite."""
+def test_no_command_in_flight_breaks_the_vehicle_or_is_unanswered():
+    """Commands that would end the flight are excluded; the resulting targets stay finite."""
     with Flight(vehicle_config(params={"COM_LOW_BAT_ACT": 0})) as flight:
         flight.take_off(4.0)
         vehicle, rng = flight.vehicle, np.random.default_rng(11)
@@ -185,7 +185,7 @@ def test_no_command_in_flight_whatever_its_numbers_breaks_the_vehicle_or_goes_un
         assert all(map(math.isfinite, vehicle.pilot.controls))
         assert vehicle.flight.home is None or all(map(math.isfinite, vehicle.flight.home.pos_ned_m))
         assert flight.command(common.MAV_CMD_DO_SET_MODE, 1.0, 4.0, 3.0) == ACCEPTED
-        flight.run(10.0)  # it comes to rest
+        flight.run(10.0)  # until it is at rest
         assert math.hypot(*vehicle.flight.state.vel_ned_m_s) < 0.5
 
 
@@ -198,4 +198,4 @@ def test_a_long_text_reaches_every_link_in_pieces():
         outgoing = messaging.take_outgoing()
         assert [partner for partner, _ in outgoing] == [Partner(GROUND_STATION, 2)] * 3
         assert "".join(piece.text for _, piece in outgoing) == "x" * 120
-        assert list(warnings(outgoing)) == ["x" * 120]  # and who looks on reads it as one
+        assert list(warnings(outgoing)) == ["x" * 120]  # and `warnings` joins them

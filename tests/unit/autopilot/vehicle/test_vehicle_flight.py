@@ -1,4 +1,4 @@
-"""The whole vehicle over the real physics and sensors: timelines as ground station and simulator see them."""
+"""The whole vehicle with the real physics and sensors: timelines of received messages."""
 
 import math
 from types import SimpleNamespace
@@ -61,7 +61,7 @@ def sensor(time_us, number=0):
     )
 
 
-def test_every_clock_tick_is_answered_once_with_its_time_and_no_thrust():
+def test_every_sensor_message_is_answered_once_with_its_time_and_no_thrust():
     vehicle = Vehicle(vehicle_config())
     for time_us in (4_000, 8_000, 12_000, 20_000):
         actuators = vehicle.step(sim_messages=[sensor(time_us)]).actuators
@@ -69,7 +69,7 @@ def test_every_clock_tick_is_answered_once_with_its_time_and_no_thrust():
         assert actuators.controls == [0.0] * 16
 
 
-def test_the_first_step_greets_the_simulator_as_px4_does():
+def test_the_first_step_sends_px4s_request_to_the_simulator():
     vehicle = Vehicle(vehicle_config())
     interval, heartbeat = vehicle.step(sim_messages=[sensor(4_000)]).simulator
     assert (interval.command, interval.param1, interval.param2) == (511, 115.0, 5000.0)
@@ -78,7 +78,7 @@ def test_the_first_step_greets_the_simulator_as_px4_does():
     assert sum(map(len, later)) == 2
 
 
-def test_only_the_first_sensor_set_is_flown_by():
+def test_only_the_first_sensor_is_used():
     vehicle = Vehicle(vehicle_config())
     vehicle.step(sim_messages=[sensor(4_000)])
     output = vehicle.step(sim_messages=[sensor(7_000, number=1), sensor(8_000)])
@@ -86,7 +86,7 @@ def test_only_the_first_sensor_set_is_flown_by():
     assert vehicle.flight.sensor.time_usec == 8_000
 
 
-def test_a_tick_that_is_not_later_changes_nothing_and_is_answered():
+def test_a_sensor_message_that_is_not_later_changes_nothing_and_is_answered():
     vehicle = Vehicle(vehicle_config())
     vehicle.step(sim_messages=[sensor(8_000)])
     for time_us in (8_000, 4_000):
@@ -96,7 +96,7 @@ def test_a_tick_that_is_not_later_changes_nothing_and_is_answered():
         assert vehicle.flight.now_us == 8_000
 
 
-def test_arming_is_refused_until_the_estimator_is_ready_and_says_why(flight):
+def test_arming_is_refused_with_the_reason_until_the_estimator_is_ready(flight):
     assert flight.command(ARM, 1.0) == REFUSED
     assert flight.texts() == ["Arming denied: no barometer data"] or flight.texts()[0].startswith(
         "Arming denied: no"
@@ -119,7 +119,7 @@ def test_take_off_hold_land_and_disarm(flight):
     flight.run(3.0)
     held_m = vehicle.flight.state.pos_ned_m[2]
     assert held_m == pytest.approx(-2.5, abs=0.15)
-    assert flight.height_m == pytest.approx(2.5, abs=0.5)  # the barometer's error at the start is in it
+    assert flight.height_m == pytest.approx(2.5, abs=0.5)  # includes the barometer's initial error
     assert flight.command(ARM, 0.0) == REFUSED
     assert flight.command(LAND) == ACCEPTED
     assert flight.run(20.0, until=lambda: vehicle.commander.landed)
@@ -136,12 +136,12 @@ def test_take_off_hold_land_and_disarm(flight):
         "Landing detected",
         "Disarmed by landing",
     ]
-    # and again: nothing of the first flight is left in the way
+    # and again: the first flight leaves no state that prevents the second
     assert flight.command(ARM, 1.0) == ACCEPTED
 
 
 def test_motors_wait_for_the_spool_up(flight):
-    #  0 s armed, take-off asked for ..... 1 s (COM_SPOOLUP_TIME) thrust begins to rise
+    #  0 s armed, take-off requested ..... 1 s (COM_SPOOLUP_TIME) thrust begins to rise
     make_ready(flight)
     assert flight.command(ARM, 1.0) == ACCEPTED
     armed_us = flight.now_us
@@ -152,7 +152,7 @@ def test_motors_wait_for_the_spool_up(flight):
     assert min(flight.vehicle.flight.motors) > 0.0
 
 
-def test_armed_and_left_alone_it_stays_down_and_disarms(flight):
+def test_armed_without_further_commands_it_stays_on_the_ground_and_disarms(flight):
     make_ready(flight)
     assert flight.command(ARM, 1.0) == ACCEPTED
     armed_us = flight.now_us
@@ -175,7 +175,7 @@ def test_offboard_follows_its_setpoints_and_holds_when_they_stop(flight):
         flight.run(0.05)
     assert vehicle.commander.mode is FlightMode.OFFBOARD
     assert np.abs(vehicle.flight.state.pos_ned_m - target).max() < 0.25
-    last_us = flight.now_us - round(0.05 * 1e6) + STEP_US  # the step that took the last setpoint
+    last_us = flight.now_us - round(0.05 * 1e6) + STEP_US  # the step that received the last setpoint
     assert flight.run(3.0, until=lambda: vehicle.commander.mode is FlightMode.HOLD)
     late_us = flight.now_us - last_us - 1_000_000  # COM_OF_LOSS_T
     assert late_us == pytest.approx(0, abs=DECISION_PERIOD_US + STEP_US)
@@ -184,7 +184,7 @@ def test_offboard_follows_its_setpoints_and_holds_when_they_stop(flight):
     assert np.abs(vehicle.flight.state.pos_ned_m - target).max() < 0.4
 
 
-def test_without_gps_in_flight_it_comes_down_and_disarms(flight):
+def test_without_gps_in_flight_it_descends_and_disarms(flight):
     take_off(flight)
     flight.gps = False
     assert flight.run(20.0, until=lambda: flight.vehicle.commander.mode is FlightMode.DESCEND)
@@ -221,7 +221,7 @@ def test_all_telemetry_in_flight_can_be_packed_and_has_its_rate(flight):
     assert {name: companion[name] for name in expected} == pytest.approx(expected, abs=1)
 
 
-def test_another_take_off_altitude_is_climbed_to_at_once(flight):
+def test_a_new_take_off_altitude_acts_immediately(flight):
     take_off(flight, 2.5)
     altitude_m = flight.vehicle.flight.state.origin_alt_m + 6.0
     assert flight.command(TAKE_OFF, 0.0, 0.0, 0.0, NAN, NAN, NAN, altitude_m - 2.0) == ACCEPTED
@@ -241,7 +241,7 @@ def test_messages_with_random_contents_neither_raise_nor_start_anything():
         for message_id in ids:
             kind = common.mavlink_map[message_id]
             payload = rng.bytes(kind.unpacker.size)
-            # a right checksum, anything inside
+            # a valid checksum, random content
             frame = common.MAVLink_message(message_id, kind.msgname)._pack(sender, kind.crc_extra, payload)
             messages += parser.push_datagram(frame)
         for message in messages:
@@ -256,7 +256,7 @@ def test_messages_with_random_contents_neither_raise_nor_start_anything():
     assert not vehicle.commander.armed
 
 
-def test_messages_for_others_are_not_ours(flight):
+def test_messages_for_other_systems_are_ignored(flight):
     make_ready(flight)
     flight.send(common.MAVLink_command_long_message(2, 1, ARM, 0, 1.0, *[0.0] * 6))
     flight.step()
@@ -264,7 +264,7 @@ def test_messages_for_others_are_not_ours(flight):
     assert flight.heard == []
 
 
-def test_stations_do_not_speak_for_the_autopilot_to_the_application():
+def test_messages_of_stations_do_not_reach_the_application_as_the_autopilots():
     vehicle = Vehicle(vehicle_config(onboard=True))
     vehicle.step(sim_messages=[sensor(4_000)])
     taken, vehicle.app.on_mavlink = [], lambda message, _: taken.append(message.get_type())
@@ -278,12 +278,12 @@ def test_stations_do_not_speak_for_the_autopilot_to_the_application():
     assert (taken, answered) == ([], ["COMMAND_ACK", "COMMAND_LONG"])
 
 
-def test_a_wrong_parameter_stops_the_vehicle_from_being_made():
+def test_an_invalid_parameter_raises_when_the_vehicle_is_created():
     with pytest.raises(ParameterError, match="there is no parameter 'MPC_NOPE'"):
         Vehicle(vehicle_config(params={"MPC_NOPE": 1.0}))
 
 
-def test_the_record_stands_in_the_sites_frame(flight):
+def test_the_record_is_in_the_sites_frame(flight):
     take_off(flight)
     row = np.frombuffer(record(flight.vehicle), dtype=VEHICLE_RECORD)[0]
     state = flight.vehicle.flight.state
@@ -292,15 +292,15 @@ def test_the_record_stands_in_the_sites_frame(flight):
     assert row["mode"] == FlightMode.HOLD.custom_mode
     assert row["armed"]
     assert row["phase"] == 255
-    # the GPS bias of some metres is in both, the way from the origin in neither
+    # the GPS bias of some metres is in both, the path from the origin in neither
     assert np.abs(row["estimator_pos_ned_m"][:2] - row["gps_pos_ned_m"][:2]).max() < 1.5
     assert np.abs(row["gps_pos_ned_m"] - truth).max() < 12.0
     assert row["estimator_pos_ned_m"][2] == state.pos_ned_m[2]
     assert np.isnan(row["onboard_pos_ned_m"]).all()
 
 
-def test_what_the_application_believes_is_on_record_at_the_records_instant(flight):
-    """Not at its last loop's: records may be more frequent than that."""
+def test_the_applications_estimate_is_recorded_for_the_records_time(flight):
+    """Not that of its last loop: records may be more frequent."""
     take_off(flight)
 
     def estimate(now_us):
@@ -311,7 +311,7 @@ def test_what_the_application_believes_is_on_record_at_the_records_instant(fligh
     assert row["onboard_pos_ned_m"][0] == row["time_us"] == flight.now_us
 
 
-def test_nothing_is_known_before_the_origin_and_the_record_says_so():
+def test_before_the_origin_the_record_has_no_position():
     vehicle = Vehicle(vehicle_config())
     vehicle.step(sim_messages=[sensor(4_000)])
     row = np.frombuffer(record(vehicle), dtype=VEHICLE_RECORD)[0]
@@ -319,7 +319,7 @@ def test_nothing_is_known_before_the_origin_and_the_record_says_so():
         assert np.isnan(row[name]).all()
 
 
-def test_the_onboard_application_flies_to_its_place_by_mavlink_alone():
+def test_the_onboard_application_flies_to_its_position_by_mavlink_only():
     config = VehicleConfig(
         run_id="test",
         instance=0,
@@ -347,7 +347,7 @@ def test_the_onboard_application_flies_to_its_place_by_mavlink_alone():
         assert len(heartbeats) in {1, 2}
 
 
-def test_the_disturbance_observer_leaves_the_ground_with_the_thrust_that_is_really_there(flight):
+def test_the_disturbance_observer_starts_the_flight_with_the_actual_thrust(flight):
     make_ready(flight)
     assert flight.command(ARM, 1.0) == ACCEPTED
     altitude_m = flight.vehicle.flight.state.origin_alt_m + 2.5
@@ -358,5 +358,5 @@ def test_the_disturbance_observer_leaves_the_ground_with_the_thrust_that_is_real
     for _ in range(50):
         flight.run(STEP_US * 1e-6)
         pushes_m_s2.append(float(controller.disturbance_ned_m_s2[2]))
-    # in calm air nothing lifts it: a motor model that starts from rest there would see -1.1
+    # in calm air the estimate is zero: a motor model that starts from rest would give -1.1
     assert min(pushes_m_s2) > -0.3

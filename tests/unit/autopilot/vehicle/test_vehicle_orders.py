@@ -1,4 +1,4 @@
-"""The whole vehicle told to go to a place, to circle, to fly at a speed, and where home is."""
+"""Commands to the whole vehicle: reposition, orbit, speed, and home."""
 
 import math
 
@@ -23,7 +23,7 @@ def flight():
         yield flight
 
 
-# ---- places to hold
+# ---- hold targets
 
 
 def test_reposition_flies_there_nose_first_at_a_speed_and_stops(flight):
@@ -39,12 +39,12 @@ def test_reposition_flies_there_nose_first_at_a_speed_and_stops(flight):
     flight.run(12.0)
     assert np.allclose(flight.state.pos_ned_m[:2], (12.0, 9.0), atol=0.3)
     assert flight.state.pos_ned_m[2] == pytest.approx(height_m, abs=0.3)
-    # up alone, with a heading
+    # only up, with a heading
     assert pilot.reposition(None, None, flight.amsl(8.0), -1.0, None) is None
     flight.run(8.0)
     assert np.allclose(flight.state.pos_ned_m, (12.0, 9.0, -8.0), atol=0.3)
     assert flight.yaw_rad == pytest.approx(-1.0, abs=0.05)
-    # away, and stop under way
+    # away, and a stop on the way
     assert pilot.reposition(*flight.place(100.0, 9.0), None, None, 4.0) is None
     flight.run(5.0)
     assert pilot.reposition(None, None, None, None, None) is None
@@ -55,7 +55,7 @@ def test_reposition_flies_there_nose_first_at_a_speed_and_stops(flight):
     assert home_down_m == flight.vehicle.flight.home.pos_ned_m[2]
 
 
-def test_the_way_to_a_place_goes_on_after_a_jump_of_the_estimate(flight):
+def test_a_leg_to_a_hold_target_continues_after_a_reset_of_the_estimate(flight):
     pilot = flight.vehicle.pilot
     assert pilot.reposition(*flight.place(10.0, 0.0), None, 0.5, None) is None
     flight.run(1.0)
@@ -82,7 +82,7 @@ def test_a_speed_ends_with_the_mode(flight):
     assert math.hypot(*flight.state.vel_ned_m_s[:2]) == pytest.approx(cruise_m_s, abs=0.3)
 
 
-def test_orders_are_refused_on_the_ground_and_with_wild_numbers():
+def test_commands_are_refused_on_the_ground_and_with_invalid_numbers():
     with Streamed() as flight:
         pilot, commander = flight.vehicle.pilot, flight.vehicle.commander
         flight.run(1.0)
@@ -103,20 +103,20 @@ def test_orders_are_refused_on_the_ground_and_with_wild_numbers():
 
 
 @pytest.mark.parametrize("height_m", [-5.0, 0.0, 0.25])
-def test_a_hold_that_leads_to_the_ground_lands(flight, height_m):
+def test_a_hold_target_on_the_ground_lands(flight, height_m):
     commander, home = flight.vehicle.commander, flight.vehicle.flight.home
     lat, lon = flight.place(6.0, 0.0)
     assert flight.vehicle.pilot.reposition(lat, lon, home.alt_m + height_m, None, None) is None
     assert flight.run(15.0, until=lambda: commander.landed)
     assert flight.height_m == pytest.approx(0.0, abs=0.02)
     assert flight.run(5.0, until=lambda: not commander.armed)
-    # and it does not set out again when armed anew
+    # and it stays on the ground when armed again
     assert commander.arm(flight.now_us) is None
     flight.run(3.0)
     assert commander.landed
 
 
-def test_a_home_on_a_hill_brings_no_hold_down(flight):
+def test_a_home_on_a_hill_does_not_land_a_hold(flight):
     assert flight.vehicle.pilot.set_home(*flight.place(50.0, 0.0), flight.amsl(30.0)) is None
     lat, lon = flight.place(5.0, 0.0)
     assert flight.vehicle.pilot.reposition(lat, lon, flight.amsl(4.0), None, None) is None
@@ -124,22 +124,22 @@ def test_a_home_on_a_hill_brings_no_hold_down(flight):
     assert np.allclose(flight.state.pos_ned_m, (5.0, 0.0, -4.0), atol=0.3)
 
 
-def test_no_take_off_ends_below_its_least_height():
+def test_a_take_off_altitude_below_the_ground_is_replaced():
     with Streamed() as flight:
         commander = flight.vehicle.commander
         assert flight.run(20.0, until=lambda: commander.arm(flight.now_us) is None)
-        assert flight.command(TAKE_OFF, *[NAN] * 6, 5.0) == ACCEPTED  # above the sea
+        assert flight.command(TAKE_OFF, *[NAN] * 6, 5.0) == ACCEPTED  # above sea level
         assert flight.run(20.0, until=lambda: flight.mode is FlightMode.HOLD)
         flight.run(3.0)
         above_m = flight.vehicle.flight.home.pos_ned_m[2] - flight.state.pos_ned_m[2]
         assert above_m == pytest.approx(2.5, abs=0.2)  # MIS_TAKEOFF_ALT
 
 
-# ---- circles
+# ---- orbits
 
 
 @pytest.mark.parametrize(("radius_m", "speed_m_s"), [(5.0, 2.0), (-8.0, 4.0)])
-def test_an_orbit_keeps_to_its_circle_and_looks_at_its_centre(flight, radius_m, speed_m_s):
+def test_an_orbit_stays_on_its_circle_with_the_nose_to_the_centre(flight, radius_m, speed_m_s):
     lat, lon = flight.place(10.0, 0.0)
     assert flight.vehicle.pilot.orbit(radius_m, speed_m_s, 0.0, lat, lon, flight.amsl(7.0)) is None
     assert flight.run(30.0, until=lambda: not flight.vehicle.pilot.navigator.orbit.approaching)
@@ -155,7 +155,7 @@ def test_an_orbit_keeps_to_its_circle_and_looks_at_its_centre(flight, radius_m, 
     rate = (turned_rad[-1] - turned_rad[0]) / (rows[-1, 4] - rows[0, 4])
     assert rate == pytest.approx(speed_m_s / radius_m, rel=0.03)
     assert flight.mode is FlightMode.ORBIT
-    # another circle about the same place, the other way round, along the way of the nose
+    # another circle with the same centre, in the other direction, with a tangential heading
     assert flight.vehicle.pilot.orbit(-radius_m, None, 3.0, None, None, None) is None
     flight.run(10.0)
     pos, vel = flight.state.pos_ned_m, flight.state.vel_ned_m_s
@@ -166,7 +166,7 @@ def test_an_orbit_keeps_to_its_circle_and_looks_at_its_centre(flight, radius_m, 
     assert flight.vehicle.pilot.navigator.orbit.circle.speed_m_s == math.copysign(speed_m_s, -radius_m)
 
 
-def test_the_mode_alone_circles_as_px4_does(flight):
+def test_the_mode_without_a_circle_uses_px4s(flight):
     assert flight.command(MODE, 1.0, 3.0, 1.0) == ACCEPTED
     north_m, east_m, _ = flight.state.pos_ned_m
     flight.run(12.0)
@@ -177,7 +177,7 @@ def test_the_mode_alone_circles_as_px4_does(flight):
 # ---- home
 
 
-def test_a_manual_home_survives_arming_and_is_returned_to():
+def test_a_manual_home_is_kept_at_arming_and_used_by_return():
     with Streamed(RTL_RETURN_ALT=8.0) as flight:
         vehicle = flight.vehicle
         assert flight.run(20.0, until=lambda: vehicle.commander.arm(flight.now_us) is None)
@@ -193,6 +193,6 @@ def test_a_manual_home_survives_arming_and_is_returned_to():
         assert vehicle.commander.set_mode(FlightMode.RETURN) is None
         assert flight.run(40.0, until=lambda: vehicle.commander.landed)
         assert np.allclose(flight.state.pos_ned_m[:2], (15.0, 0.0), atol=0.5)
-        # home is where it is armed again, once it is said to be here
+        # after MAV_CMD_DO_SET_HOME to the vehicle's position, arming sets home again
         assert vehicle.pilot.set_home_here() is None
         assert np.allclose(vehicle.flight.home.pos_ned_m, flight.state.pos_ned_m)

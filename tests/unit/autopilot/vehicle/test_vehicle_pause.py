@@ -1,4 +1,4 @@
-"""What a vehicle does while simulated time stands: it answers, obeys, and grows by nothing."""
+"""A vehicle while simulated time is paused: it replies, executes commands, and does not accumulate data."""
 
 import math
 
@@ -25,7 +25,7 @@ def command(number, *params):
 
 
 def serve_while_paused(vehicle, *messages, partner=ME):
-    """The answers to messages in a pause, less those for others."""
+    """Return the replies to messages in a pause, without those for other partners."""
     answers = vehicle.serve_while_paused(
         reply(partner, *(stamp(m, system=255, component=190) for m in messages))
     )
@@ -59,12 +59,12 @@ def setpoint(down_m):
 
 
 @pytest.mark.parametrize("together", [False, True])
-def test_offboard_is_begun_in_a_pause(together):
+def test_offboard_can_be_entered_in_a_pause(together):
     with Flight(vehicle_config()) as flight:
         flight.take_off(4.0)
         vehicle = flight.vehicle
         assert results(serve_while_paused(vehicle, command(MODE, *OFFBOARD))) == [REFUSED]
-        if together:  # the setpoint counts wherever it stands
+        if together:  # the setpoint may be anywhere in the step
             answers = serve_while_paused(vehicle, command(MODE, *OFFBOARD), setpoint(-6.0))
         else:
             assert serve_while_paused(vehicle, setpoint(-6.0)) == []
@@ -76,7 +76,7 @@ def test_offboard_is_begun_in_a_pause(together):
         assert vehicle.flight.setpoint.pos_ned_m[2] == -6.0
 
 
-def test_a_mission_is_uploaded_and_begun_in_a_pause():
+def test_a_mission_can_be_uploaded_and_started_in_a_pause():
     with Flight(vehicle_config()) as flight:
         flight.take_off(5.0)
         vehicle = flight.vehicle
@@ -94,20 +94,20 @@ def test_a_mission_is_uploaded_and_begun_in_a_pause():
         assert vehicle.flight.state.pos_ned_m[0] > begin_m + 1.0
         serve_while_paused(vehicle, common.MAVLink_mission_clear_all_message(1, 1, 0))
         serve_while_paused(vehicle)
-        assert vehicle.commander.mode is FlightMode.HOLD  # without a mission there is none to fly
+        assert vehicle.commander.mode is FlightMode.HOLD  # without a mission it holds
 
 
-def test_an_upload_whose_station_is_gone_gives_way_in_a_pause_and_a_living_one_does_not():
+def test_in_a_pause_an_upload_is_replaced_only_if_its_station_is_silent():
     with Flight(vehicle_config()) as flight:
         flight.take_off(5.0)
         vehicle, items = flight.vehicle, waypoints(flight, 3)
         begin = MissionCount(1, 1, 3, 0)
-        asked = [answer.seq for answer in serve_while_paused(vehicle, begin)]
-        for item in items[:2]:  # every word of its station keeps it alive
+        requested = [answer.seq for answer in serve_while_paused(vehicle, begin)]
+        for item in items[:2]:  # every message of its station keeps the transfer alive
             (refused,) = serve_while_paused(vehicle, begin, partner=OTHER)
             assert refused.type == common.MAV_MISSION_ERROR
-            asked += [answer.seq for answer in serve_while_paused(vehicle, item)]
-        assert asked == [0, 1, 2]
+            requested += [answer.seq for answer in serve_while_paused(vehicle, item)]
+        assert requested == [0, 1, 2]
         serve_while_paused(vehicle, begin, partner=OTHER)
         (answer,) = serve_while_paused(vehicle, begin, partner=OTHER)
         assert (answer.get_type(), answer.seq) == ("MISSION_REQUEST_INT", 0)
@@ -117,7 +117,7 @@ def test_an_upload_whose_station_is_gone_gives_way_in_a_pause_and_a_living_one_d
         assert len(vehicle.messaging.plans[PlanType.MISSION].items) == 3
 
 
-def test_a_station_that_begins_its_upload_again_in_a_pause_is_followed():
+def test_a_station_can_restart_its_upload_in_a_pause():
     with Flight(vehicle_config()) as flight:
         flight.run(1.0)
         begin = MissionCount(1, 1, 3, 0)
@@ -127,7 +127,7 @@ def test_a_station_that_begins_its_upload_again_in_a_pause_is_followed():
         assert (answer.get_type(), answer.seq) == ("MISSION_REQUEST_INT", 0)
 
 
-def test_all_that_is_changed_in_a_pause_is_told_once_and_in_batches():
+def test_parameters_changed_in_a_pause_are_reported_once_and_in_batches():
     with Flight(vehicle_config()) as flight:
         flight.run(0.1)
         changed = common.MAVLink_param_ext_set_message(
@@ -135,7 +135,7 @@ def test_all_that_is_changed_in_a_pause_is_told_once_and_in_batches():
         )
         for _ in range(100):
             serve_while_paused(flight.vehicle, changed)
-        told = [a for a in flight.step().links if a.message.get_type() == "PARAM_VALUE"]
-        assert [a.partner.link for a in told] == [0, 1]
-        told = [a for a in flight.step().links if a.message.get_type() == "PARAM_VALUE"]
-        assert told == []
+        values = [a for a in flight.step().links if a.message.get_type() == "PARAM_VALUE"]
+        assert [a.partner.link for a in values] == [0, 1]
+        values = [a for a in flight.step().links if a.message.get_type() == "PARAM_VALUE"]
+        assert values == []

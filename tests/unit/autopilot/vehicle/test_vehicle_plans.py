@@ -1,4 +1,4 @@
-"""Plans written over MAVLink and flown by the whole vehicle over the physics. Costs 30 s."""
+"""Plans uploaded over MAVLink and flown by the whole vehicle with the physics. Costs 30 s."""
 
 import json
 import math
@@ -26,7 +26,7 @@ def state(flight):
     return flight.vehicle.messaging.missions.state
 
 
-def test_a_mission_is_written_flown_paused_and_gone_on_with():
+def test_a_mission_is_uploaded_flown_paused_and_continued():
     with flight_of() as flight:
         flight.step()
         assert state(flight) == NO_MISSION
@@ -46,7 +46,7 @@ def test_a_mission_is_written_flown_paused_and_gone_on_with():
             items[1].params[3]
         )
         make_ready(flight)
-        assert (state(flight), reached(flight)) == (NOT_STARTED, [])  # nothing is acted upon on the ground
+        assert (state(flight), reached(flight)) == (NOT_STARTED, [])  # nothing is executed on the ground
         commander = flight.vehicle.commander
         assert flight.command(common.MAV_CMD_MISSION_START) == ACCEPTED
         assert flight.run(30.0, until=lambda: 3 in reached(flight))
@@ -55,7 +55,7 @@ def test_a_mission_is_written_flown_paused_and_gone_on_with():
         flight.run(4.0)
         assert (state(flight), commander.mode) == (PAUSED, FlightMode.HOLD)
         assert max(abs(flight.vehicle.flight.state.vel_ned_m_s)) < 0.3
-        told = reached(flight)
+        indices = reached(flight)
         set_mode(flight, MISSION)
         speeds_m_s = []
 
@@ -65,10 +65,10 @@ def test_a_mission_is_written_flown_paused_and_gone_on_with():
             return not commander.armed
 
         assert flight.run(90.0, until=landed)
-        assert told == [0, 1, 2, 3, 4]
-        # the jump leads back to 3 once, and is nothing that is reached
+        assert indices == [0, 1, 2, 3, 4]
+        # the jump leads back to 3 once, and is not reported
         assert reached(flight) == [0, 1, 2, 3, 4, 5, 6, 3, 4, 5, 6, 8]
-        assert 2.5 < max(speeds_m_s) < 3.4  # DO_CHANGE_SPEED of 3 m/s still holds after the pause
+        assert 2.5 < max(speeds_m_s) < 3.4  # DO_CHANGE_SPEED of 3 m/s also applies after the pause
         assert state(flight) == COMPLETE
         photos = [text for text in flight.texts() if text == "Mission: take photo (item 4)"]
         assert len(photos) == 2
@@ -79,7 +79,7 @@ def test_a_mission_is_written_flown_paused_and_gone_on_with():
         assert current[-1].mission_id == flight.vehicle.messaging.plans[PlanType.MISSION].opaque_id
 
 
-def test_a_mission_written_in_flight_is_begun_the_same_again_changes_nothing_and_none_is_hold():
+def test_a_mission_uploaded_in_flight_starts_the_same_changes_nothing_and_none_holds():
     with flight_of() as flight:
         flight.step()
         first = [place(flight, TAKEOFF, 0.0, 0.0, 5.0), place(flight, WAYPOINT, 20.0, 0.0, 5.0),
@@ -108,7 +108,7 @@ def test_a_mission_written_in_flight_is_begun_the_same_again_changes_nothing_and
         assert (state(flight), max(abs(vehicle.flight.state.vel_ned_m_s)) < 0.3) == (NO_MISSION, True)
 
 
-def test_a_mission_far_from_home_is_warned_of_once_and_flown_whatever_becomes_of_home():
+def test_a_mission_far_from_home_causes_one_warning_and_is_flown():
     with flight_of() as flight:
         flight.step()
         leg = [place(flight, TAKEOFF, 0.0, 0.0, 5.0), place(flight, WAYPOINT, 40.0, 0.0, 5.0)]
@@ -139,7 +139,7 @@ def test_a_mission_far_from_home_is_warned_of_once_and_flown_whatever_becomes_of
         assert flight.run(30.0, until=lambda: state(flight) == COMPLETE)
 
 
-def test_a_mission_beyond_the_fence_is_kept_and_not_flown():
+def test_a_mission_outside_the_fence_is_stored_and_not_flown():
     def fence(north_m):
         corners = ((-30.0, -30.0), (-30.0, 30.0), (north_m, 30.0), (north_m, -30.0))
         vertices = [tuple(e7 / 1e7 for e7 in of_site(*corner, Site())) for corner in corners]
@@ -150,7 +150,7 @@ def test_a_mission_beyond_the_fence_is_kept_and_not_flown():
         leg = [place(flight, TAKEOFF, 0.0, 0.0, 5.0), place(flight, WAYPOINT, 40.0, 0.0, 5.0)]
         assert upload(flight, fence(30.0), PlanType.FENCE) == common.MAV_MISSION_ACCEPTED
         assert upload(flight, leg) == common.MAV_MISSION_ACCEPTED
-        make_ready(flight)  # with a home it is seen
+        make_ready(flight)  # the check needs a home position
         commander = flight.vehicle.commander
         text = "Mission rejected: Geofence violation for waypoint 2"
         assert "".join(flight.texts()).count(text) == 1
@@ -178,7 +178,7 @@ def test_a_mission_beyond_the_fence_is_kept_and_not_flown():
         assert flight.run(30.0, until=lambda: state(flight) == COMPLETE)
 
 
-def test_plans_of_a_scenario_are_flown_as_stations_read_them():
+def test_plans_of_a_scenario_are_the_same_for_stations_and_in_flight():
     with flight_of(
         mission=(MissionItemConfig(command="waypoint", north_m=12.3456789, east_m=1.0, height_m=5.1),),
         fence=(CircleConfig(north_m=1.2345678, radius_m=60.1),),
@@ -221,7 +221,7 @@ def plan_text(site):
         return [e7 / 1e7 for e7 in of_site(north_m, east_m, site)]
 
     square = [at(-20.0, -20.0), at(-20.0, 20.0), at(60.0, 20.0), at(60.0, -20.0)]
-    strip = [at(15.0, -30.0), at(15.0, 30.0), at(30.0, 30.0), at(30.0, -30.0)]  # across the way
+    strip = [at(15.0, -30.0), at(15.0, 30.0), at(30.0, 30.0), at(30.0, -30.0)]  # across the path
     simple = {"type": "SimpleItem", "autoContinue": True, "frame": 3}
     return json.dumps({
         "fileType": "Plan", "version": 1,
@@ -236,7 +236,7 @@ def plan_text(site):
     })  # fmt: skip
 
 
-def test_the_fence_of_a_plan_file_is_kept_to_until_another_is_written():
+def test_the_fence_of_a_plan_file_applies_until_another_is_uploaded():
     with flight_of({"GF_ACTION": 2, "GF_PREDICT": 1}, plan=plan_text(Site())) as flight:
         make_ready(flight)
         assert flight.command(common.MAV_CMD_MISSION_START) == ACCEPTED
@@ -251,7 +251,8 @@ def test_the_fence_of_a_plan_file_is_kept_to_until_another_is_written():
         assert flight.run(30.0, until=north)
         assert commander.mode is FlightMode.HOLD
         flight.run(4.0, until=lambda: north() and False)
-        # seen where v^2 / 2a leads over the border, twice in 0.2 s; braking takes v a / 2j more than that
+        # predicted where v^2 / 2a leads over the border, twice in 0.2 s; braking takes v a / 2j more than
+        # that
         speed_m_s, acc_m_s2, jerk_m_s3 = 5.0, 3.0, 4.0
         late_m = 0.2 * speed_m_s + 0.5 * speed_m_s * acc_m_s2 / jerk_m_s3
         assert 15.0 - speed_m_s**2 / (2.0 * acc_m_s2) < max(north_m) < 15.0 + late_m
@@ -262,7 +263,7 @@ def test_the_fence_of_a_plan_file_is_kept_to_until_another_is_written():
         set_mode(flight, MISSION)
         assert flight.run(30.0, until=lambda: vehicle.messaging.missions.state == COMPLETE)
         assert not commander.failsafe
-        # and one around a place where the vehicle is not: a breach at once
+        # and one around a place away from the vehicle: an immediate breach
         assert (
             upload(
                 flight, polygon_items([(48.0, 8.0), (48.0, 8.1), (48.1, 8.0)], inclusion=True), PlanType.FENCE

@@ -1,4 +1,4 @@
-"""The whole vehicle in the modes and failsafes beyond take-off and offboard, as a ground station sees it."""
+"""The whole vehicle in modes and failsafes other than take-off and offboard, as a ground station sees it."""
 
 import math
 from itertools import pairwise
@@ -48,13 +48,13 @@ def sticks(flight, *, x=0, y=0, z=500, r=0):
 
 
 def with_sticks(flight, seconds, **axes):
-    """Fly for some time with the sticks sent at 20 Hz."""
+    """Fly for some time with stick input at 20 Hz."""
     for _ in range(round(seconds / 0.048)):
         sticks(flight, **axes)
         flight.run(0.048)
 
 
-def test_a_mission_of_the_scenario_is_flown_and_brought_home():
+def test_a_mission_of_the_scenario_is_flown_to_its_end():
     items = (
         MissionItemConfig(command="takeoff", height_m=4.0),
         MissionItemConfig(command="waypoint", north_m=12.0, east_m=0.0, height_m=5.0),
@@ -67,7 +67,7 @@ def test_a_mission_of_the_scenario_is_flown_and_brought_home():
         assert flight.command(common.MAV_CMD_MISSION_START) == ACCEPTED
         assert commander.armed
         assert commander.mode is FlightMode.MISSION
-        # the site's metres lie where GPS says, which errs by metres: the estimate is what is flown
+        # the site's frame is that of GPS, which has errors of metres: the estimate is what is flown
         origin_ned_m = None
         closest_m = [math.inf, math.inf]
 
@@ -90,14 +90,14 @@ def test_a_mission_of_the_scenario_is_flown_and_brought_home():
         assert modes_of(flight, after_us=0)[-3:] == ["Mission", "Return", "Hold"]
 
 
-def test_there_is_no_mission_mode_without_a_mission():
+def test_mission_mode_is_refused_without_a_mission():
     with Flight(vehicle_config()) as flight:
         flight.take_off(5.0)
         assert flight.command(common.MAV_CMD_DO_SET_MODE, 1.0, 4.0, 4.0) == REFUSED
         assert flight.texts()[-1] == "Mode denied: no valid mission"
 
 
-def test_return_climbs_comes_home_and_lands():
+def test_return_climbs_flies_home_and_lands():
     with flight_of(params={"RTL_RETURN_ALT": 8.0, "RTL_DESCEND_ALT": 6.0, "RTL_MIN_DIST": 1.0}) as flight:
         flight.take_off(5.0)
         pilot = flight.vehicle.pilot
@@ -124,7 +124,7 @@ def test_return_climbs_comes_home_and_lands():
         assert math.dist(flight.vehicle.flight.state.pos_ned_m[:2], home_ned_m[:2]) < 0.8
 
 
-def test_taking_off_and_landing_are_told_of_missions_and_returns_as_of_modes():
+def test_the_landed_state_of_missions_and_returns_is_that_of_modes():
     items = (
         MissionItemConfig(command="takeoff", height_m=4.0),
         MissionItemConfig(command="waypoint", north_m=8.0, east_m=0.0, height_m=4.0),
@@ -138,34 +138,34 @@ def test_taking_off_and_landing_are_told_of_missions_and_returns_as_of_modes():
     )
     with flight_of(mission=items) as flight:
         make_ready(flight)
-        told = [ground]
+        states = [ground]
 
         def is_over():
             state = flight.vehicle.messaging.telemetry.system.extended_sys_state().landed_state
-            if told[-1] != state:
-                told.append(state)
+            if states[-1] != state:
+                states.append(state)
             return not flight.vehicle.commander.armed
 
         assert flight.command(common.MAV_CMD_MISSION_START) == ACCEPTED
         assert flight.run(60.0, until=is_over)
-        assert told == [ground, taking_off, air, landing, ground]
-        told[:] = [ground]
+        assert states == [ground, taking_off, air, landing, ground]
+        states[:] = [ground]
         assert flight.command(ARM, 1.0) == ACCEPTED
         assert flight.command(TAKE_OFF, *[NAN] * 7) == ACCEPTED
         flight.run(20.0, until=lambda: is_over() or flight.vehicle.commander.mode is FlightMode.HOLD)
         assert flight.command(common.MAV_CMD_NAV_RETURN_TO_LAUNCH) == ACCEPTED
         assert flight.run(90.0, until=is_over)
-        assert told == [ground, taking_off, air, landing, ground]
+        assert states == [ground, taking_off, air, landing, ground]
 
 
-def test_position_mode_by_sticks_and_what_follows_when_they_are_gone():
+def test_position_mode_by_sticks_and_the_loss_of_manual_control():
     with flight_of(params={"RTL_RETURN_ALT": 6.0}) as flight:
         flight.take_off(5.0)
         commander, state = flight.vehicle.commander, flight.vehicle.flight.state
         assert flight.command(common.MAV_CMD_DO_SET_MODE, 1.0, 3.0, 0.0) == REFUSED
         assert flight.texts()[-1] == "Mode denied: no manual control"
         begin_ned_m = state.pos_ned_m.copy()
-        with_sticks(flight, 2.0, x=900)  # moved sticks take over from hold
+        with_sticks(flight, 2.0, x=900)  # stick movement takes over from hold
         assert commander.mode is FlightMode.POSITION
         speed_m_s = math.hypot(*state.vel_ned_m_s[:2])
         assert speed_m_s > 2.0
@@ -179,7 +179,7 @@ def test_position_mode_by_sticks_and_what_follows_when_they_are_gone():
         assert flight.run(5.1, until=lambda: commander.mode is FlightMode.RETURN)
 
 
-def test_altitude_and_stabilised_need_no_gps_and_a_stick_takes_off():
+def test_altitude_and_stabilised_need_no_gps_and_take_off_by_throttle():
     with Flight(vehicle_config(), gps=False) as flight:
         for _ in range(100):
             sticks(flight, z=0)
@@ -209,7 +209,7 @@ def test_a_battery_that_runs_down_is_reported_and_lands_the_vehicle():
         assert status.battery_remaining == pytest.approx(100.0 * battery.remaining, abs=1.0)
         assert status.current_battery == pytest.approx(1700.0, rel=0.1)  # four motors of 4 A, and 1 A
         drawn_mah = battery.consumed_mah
-        set_parameter(flight, "BAT1_CAPACITY", drawn_mah / 0.92)  # acts at once
+        set_parameter(flight, "BAT1_CAPACITY", drawn_mah / 0.92)  # acts immediately
         assert flight.run(8.0, until=lambda: commander.mode is FlightMode.HOLD and commander.failsafe)
         assert flight.run(5.1, until=lambda: commander.mode is FlightMode.LAND)
         assert any(text.startswith("Failsafe: battery") for text in flight.texts())
@@ -218,7 +218,7 @@ def test_a_battery_that_runs_down_is_reported_and_lands_the_vehicle():
         assert flight.texts()[-1] == "Arming denied: battery low"
 
 
-def test_a_fence_of_the_scenario_holds_the_vehicle_and_refuses_arming_outside():
+def test_a_fence_of_the_scenario_causes_a_hold_and_refuses_arming_outside():
     fence = (CircleConfig(north_m=0.0, east_m=0.0, radius_m=12.0),)
     with flight_of(fence=fence, params={"GF_ACTION": 2}) as flight:
         flight.take_off(5.0)
@@ -239,7 +239,7 @@ def test_a_fence_of_the_scenario_holds_the_vehicle_and_refuses_arming_outside():
         )
 
 
-def test_nobody_is_sent_out_of_the_fence_and_a_hold_on_its_way_out_stops():
+def test_targets_outside_the_fence_are_refused_and_a_hold_on_its_way_out_stops():
     fence = (CircleConfig(north_m=0.0, east_m=0.0, radius_m=15.0),)
     with flight_of(fence=fence, params={"GF_ACTION": 2}) as flight:
         flight.take_off(5.0)
@@ -262,7 +262,7 @@ def test_nobody_is_sent_out_of_the_fence_and_a_hold_on_its_way_out_stops():
         assert math.hypot(*data.state.vel_ned_m_s[:2]) < 0.5
 
 
-def test_a_ground_station_that_falls_silent():
+def test_a_ground_station_that_is_lost():
     with flight_of(params={"NAV_DLL_ACT": 3, "COM_DL_LOSS_T": 5.0, "COM_FAIL_ACT_T": 2.0}) as flight:
         heartbeat = common.MAVLink_heartbeat_message(
             common.MAV_TYPE_GCS, common.MAV_AUTOPILOT_INVALID, 0, 0, common.MAV_STATE_ACTIVE, 3
@@ -285,7 +285,7 @@ def test_a_ground_station_that_falls_silent():
         assert flight.run(2.1, until=lambda: commander.mode is FlightMode.LAND)
 
 
-def test_termination_by_command_stops_the_motors_for_good():
+def test_termination_by_command_stops_the_motors_permanently():
     with Flight(vehicle_config()) as flight:
         flight.take_off(5.0)
         assert flight.command(common.MAV_CMD_DO_FLIGHTTERMINATION, 1.0) == ACCEPTED
@@ -295,7 +295,7 @@ def test_termination_by_command_stops_the_motors_for_good():
         assert flight.texts()[-1] == "Arming denied: flight was terminated"
 
 
-def test_all_that_stands_against_arming_is_told_on_request():
+def test_all_reasons_against_arming_are_reported_on_request():
     with Flight(vehicle_config(), gps=False) as flight:
         flight.run(3.0)
         assert flight.command(common.MAV_CMD_RUN_PREARM_CHECKS) == ACCEPTED
@@ -307,7 +307,7 @@ def test_all_that_stands_against_arming_is_told_on_request():
         )
 
 
-def test_parameters_act_in_flight_and_are_saved_when_asked():
+def test_parameters_act_in_flight_and_are_saved_on_request():
     with flight_of() as flight:
         flight.take_off(5.0)
         vehicle = flight.vehicle
@@ -331,12 +331,12 @@ def test_parameters_act_in_flight_and_are_saved_when_asked():
         assert not flight.step().save_parameters
         assert flight.command(common.MAV_CMD_PREFLIGHT_STORAGE, 2.0) == REFUSED  # not in flight
         assert vehicle.parameters.get("MPC_XY_P") == pytest.approx(1.1)
-    with Flight(vehicle_config()) as flight:  # that has no file
+    with Flight(vehicle_config()) as flight:  # without a parameter file
         assert flight.command(common.MAV_CMD_PREFLIGHT_STORAGE, 1.0) == UNSUPPORTED
         assert flight.now_us == STEP_US
 
 
-def test_parameters_are_reset_and_told_on_the_ground():
+def test_parameters_are_reset_and_reported_on_the_ground():
     set_before = {"MPC_XY_P": 1.5, "BAT_CRIT_THR": 0.2, "BAT_LOW_THR": 0.25, "EKF2_GPS_DELAY": 90.0}
     with flight_of(params=set_before | {"CAL_MAG0_ROT": 2.0}) as flight:
         flight.step()
@@ -348,8 +348,8 @@ def test_parameters_are_reset_and_told_on_the_ground():
         flight.step()
         flight.heard.clear()
         assert flight.command(common.MAV_CMD_PREFLIGHT_STORAGE, 2.0) == ACCEPTED
-        told = {m.param_id for _, m in flight.heard if m.get_type() == "PARAM_VALUE"}
-        assert told == {*set_before, "CAL_MAG0_ROT"} - {"EKF2_GPS_DELAY"}  # which is one of the start
+        names = {m.param_id for _, m in flight.heard if m.get_type() == "PARAM_VALUE"}
+        assert names == {*set_before, "CAL_MAG0_ROT"} - {"EKF2_GPS_DELAY"}  # can only be set at the start
         fresh = ParameterSet(Settings())
         kept = {"EKF2_GPS_DELAY", "MAV_SYS_ID"}
         assert all(vehicle.parameters.get(r.name) == fresh.get(r.name) for r in ROWS if r.name not in kept)
@@ -359,7 +359,7 @@ def test_parameters_are_reset_and_told_on_the_ground():
         assert vehicle.parameters.settings.estimation.magnetic_field_ned_gauss == site_gauss
 
 
-def test_sticks_for_another_vehicle_are_not_ours():
+def test_sticks_for_another_vehicle_are_ignored():
     with Flight(vehicle_config()) as flight:
         flight.take_off(5.0)
         for _ in range(3):
@@ -369,7 +369,7 @@ def test_sticks_for_another_vehicle_are_not_ours():
         assert flight.vehicle.commander.mode is FlightMode.HOLD
 
 
-def test_arming_asks_for_the_charge_that_the_parameter_names():
+def test_arming_requires_the_charge_of_the_parameter():
     with flight_of(params={"COM_ARM_BAT_MIN": 0.9}) as flight:
         make_ready(flight)
         flight.vehicle.set_parameter("BAT1_CAPACITY", 20.0)  # of which avionics have drawn some
@@ -379,8 +379,8 @@ def test_arming_asks_for_the_charge_that_the_parameter_names():
 
 
 @pytest.mark.parametrize("broken", ["silent", "mad"])
-def test_an_inertial_sensor_that_falls_silent_or_goes_mad_is_no_estimate(broken):
-    """What the filter last knew stays where it is: without samples that it takes it must not be flown by."""
+def test_a_silent_or_invalid_inertial_sensor_invalidates_the_estimate(broken):
+    """The last estimate stays constant: without accepted samples it must not be used for flight."""
     with Flight(vehicle_config()) as flight:
         flight.take_off(5.0)
         sensors = flight.vehicle._sensors
@@ -392,13 +392,13 @@ def test_an_inertial_sensor_that_falls_silent_or_goes_mad_is_no_estimate(broken)
             )
         begin_us = flight.now_us
         assert flight.run(2.0, until=lambda: flight.vehicle.commander.terminated)
-        # 100 ms until the sensor counts as gone, and half a second in case it comes back
+        # 100 ms until the sensor counts as lost, and half a second in case it is transient
         assert flight.now_us - begin_us == pytest.approx(600_000, abs=DECISION_PERIOD_US)
 
 
 @pytest.mark.parametrize("action", [2, 5])
-def test_the_application_leaves_a_failsafe_alone_and_does_not_take_off_again(action):
-    """Its place lies above the ceiling: it yields to the hold, and after a landing stays down."""
+def test_the_application_yields_to_a_failsafe_and_does_not_take_off_again(action):
+    """Its target is above the ceiling: it yields to the hold, and after a landing stays on the ground."""
     config = replace(
         vehicle_config(onboard=True),
         autopilot=AutopilotConfig(

@@ -1,4 +1,4 @@
-"""The whole vehicle flown by setpoints from outside, of one source and of several."""
+"""The whole vehicle with external setpoints of one source and of several."""
 
 import math
 
@@ -37,21 +37,21 @@ def attitude(mask, *, euler_rad=(0.0, 0.0, 0.0), rates=(0.0, 0.0, 0.0), thrust):
 # ---- setpoints
 
 
-def test_a_global_position_is_flown_to(flight):
+def test_a_global_position_is_reached(flight):
     lat, lon = flight.place(4.0, -3.0)
     flight.offboard(
         common.MAVLink_set_position_target_global_int_message(
             0, 1, 1, 6, POSITION & ~(1 << 10), round(lat * 1e7), round(lon * 1e7), 6.0, *[0.0] * 6, 1.0, 0.0
         )
     )
-    flight.run(10.0)  # 5 m by a loop of 0.95 1/s: a millimetre is left, and what the estimate wanders
+    flight.run(10.0)  # 5 m by a loop of 0.95 1/s: a millimetre is left, and the estimate's drift
     home_down_m = flight.vehicle.flight.home.pos_ned_m[2]
     off_m = flight.gather(2.0, lambda: flight.state.pos_ned_m) - (4.0, -3.0, home_down_m - 6.0)
     assert np.abs(off_m).max() < 0.3
     assert flight.yaw_rad == pytest.approx(1.0, abs=0.05)
 
 
-def test_a_velocity_ahead_goes_where_the_nose_points(flight):
+def test_a_body_frame_velocity_is_in_the_direction_of_the_nose(flight):
     flight.offboard(local(VELOCITY, 1.5, 0.0, -0.5, frame=common.MAV_FRAME_BODY_NED))
     flight.run(3.0)
     yaw_rad = flight.yaw_rad
@@ -59,7 +59,7 @@ def test_a_velocity_ahead_goes_where_the_nose_points(flight):
     assert np.allclose(got, (1.5 * math.cos(yaw_rad), 1.5 * math.sin(yaw_rad), -0.5), atol=0.1)
 
 
-def test_an_attitude_is_flown_with_its_yaw_rate_and_thrust(flight):
+def test_an_attitude_is_followed_with_its_yaw_rate_and_thrust(flight):
     hover = flight.vehicle.pilot.controller.hover_thrust
     pitch_rad, yaw_rad = -0.15, flight.yaw_rad
     vel_before = flight.state.vel_ned_m_s.copy()
@@ -68,17 +68,17 @@ def test_an_attitude_is_flown_with_its_yaw_rate_and_thrust(flight):
     assert np.allclose(quat_to_euler(flight.state.q_ned_frd), (0.0, pitch_rad, yaw_rad), atol=0.03)
     gained = flight.state.vel_ned_m_s - vel_before
     ahead = gained[0] * math.cos(yaw_rad) + gained[1] * math.sin(yaw_rad)
-    # g tan(tilt) for a second, less the turn's 0.1 s and less drag
+    # g tan(tilt) for one second, minus the turn's 0.1 s and drag
     assert 0.6 * 9.81 * math.tan(-pitch_rad) < ahead < 9.81 * math.tan(-pitch_rad) + 0.1
     assert abs(gained[2]) < 0.3
-    # more thrust climbs: 5 % of hover are half a metre a second squared
+    # more thrust climbs: 5 % of hover are 0.5 m/s^2
     flight.streams[STATION] = attitude(0b111, euler_rad=(0.0, 0.0, yaw_rad), thrust=1.05 * hover)
     before = flight.state.vel_ned_m_s[2]
     flight.run(1.0)
     assert -0.8 < flight.state.vel_ned_m_s[2] - before < -0.2
 
 
-def test_rates_are_flown_within_the_controllers_limits(flight):
+def test_rates_are_followed_within_the_controllers_limits(flight):
     hover = flight.vehicle.pilot.controller.hover_thrust
     yaw_rad = flight.yaw_rad
     flight.offboard(attitude(1 << 7, rates=(0.0, 0.0, 0.6), thrust=hover))
@@ -91,7 +91,7 @@ def test_rates_are_flown_within_the_controllers_limits(flight):
     fastest = flight.gather(1.0, lambda: flight.state.omega_frd_rad_s[2]).max()
     limit = flight.vehicle.parameters.settings.control.attitude.yaw_rate_max_rad_s
     assert 0.5 * limit < fastest < 1.1 * limit
-    # and back: what was learned of the attitude is still there
+    # and back: the integrals of the attitude loop were kept
     assert flight.vehicle.commander.set_mode(FlightMode.HOLD) is None
     flight.run(6.0)
     assert np.abs(quat_to_euler(flight.state.q_ned_frd)[:2]).max() < 0.1
@@ -116,17 +116,17 @@ def test_a_take_off_by_thrust_alone():
 # ---- sources
 
 
-def test_who_asks_takes_over_and_its_loss_is_one_though_others_go_on(flight):
+def test_the_requesting_source_takes_over_and_its_loss_counts_though_others_send(flight):
     commander = flight.vehicle.commander
     flight.offboard(local(POSITION, 0.0, 0.0, -5.0), PROGRAM)
     flight.run(5.0)
     flight.streams[STATION] = local(POSITION, 3.0, 0.0, -5.0)
     flight.run(5.0)
-    assert abs(flight.state.pos_ned_m[0]) < 0.3  # the station's are newer, and nobody asked for them
+    assert abs(flight.state.pos_ned_m[0]) < 0.3  # the station's are newer, but it has not requested offboard
     flight.offboard(flight.streams[STATION], STATION)
     flight.run(8.0)
     assert flight.state.pos_ned_m[0] == pytest.approx(3.0, abs=0.3)
-    # the station falls silent: COM_OF_LOSS_T later it is lost, whatever the program sends
+    # the station becomes silent: after COM_OF_LOSS_T it is lost, even if the program still sends
     del flight.streams[STATION]
     silent_us = flight.now_us
     assert flight.run(2.0, until=lambda: commander.failsafe)

@@ -1,6 +1,6 @@
-"""A swarm in one process: a swarm's promises hold, and nobody gets anything before its time.
+"""A swarm in one process has the interface of a swarm, and delivers nothing before its time.
 
-That its logs are a swarm of many processes', byte for byte, is in multiprocess/test_swarm_determinism.py.
+multiprocess/test_swarm_determinism.py compares its logs with those of a swarm of many processes.
 """
 
 import dataclasses
@@ -66,10 +66,10 @@ def test_equal_flights_give_equal_logs_and_other_seeds_others(tmp_path):
     assert hashes["first"] == hashes["again"] != hashes["other"]
 
 
-def test_how_a_flight_is_cut_into_stretches_leaves_no_trace(tmp_path):
-    """Commands come between steps: one stretch of 4 s, or six and a condition, are 1000 steps.
+def test_the_logs_do_not_depend_on_the_division_into_runs(tmp_path):
+    """Commands come between steps: one run of 4 s, or six and a condition, are 1000 steps.
 
-    At 3 s they speak by radio, and some stretches end within an interval of the air.
+    From 3 s on the radios are used, and some runs end within an interval of the channel.
     """
     whole = fly(scenario(), tmp_path / "whole", until_s=4.0)
     with OneProcessSwarm(scenario(), out=tmp_path / "parts") as swarm:
@@ -93,8 +93,8 @@ def test_how_a_flight_is_cut_into_stretches_leaves_no_trace(tmp_path):
         'radio.guests=[{name="ground", pos_ned_m=[0.0, -20.0, -1.5]}]',
     ],
 )
-def test_however_often_applications_and_air_meet_everything_gets_through(setting, tmp_path):
-    """With guests the air goes on in every step, whatever the applications' loop."""
+def test_everything_is_delivered_for_any_interval_of_the_channel(setting, tmp_path):
+    """With guests an interval is one step, whatever the period of the applications' loop."""
     summary = fly(scenario(setting), tmp_path / "run", until_s=4.5)
     assert summary["ftm"]["completed"] == summary["ftm"]["requested"] > 0
     frames = radio_table(tmp_path / "run")
@@ -118,8 +118,8 @@ def test_two_flights_in_one_process_do_not_disturb_each_other(tmp_path):
     assert results["same"] == alone["log_sha256"] != results["other"]
 
 
-def test_flights_go_on_side_by_side_in_processes_of_their_own(tmp_path):
-    """Workers start from nothing: they find the compiled kernels by themselves."""
+def test_flights_run_in_parallel_in_processes_of_their_own(tmp_path):
+    """Spawned workers find the cache of compiled kernels."""
     names = ("left", "right")
     alone = fly(scenario(), tmp_path / "alone", until_s=1.0)
     with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
@@ -147,9 +147,9 @@ def test_the_manifest_names_one_process_and_the_folder_holds_a_run(tmp_path):
 
 
 def test_a_cut_channel_delivers_nothing_from_its_interval_on_and_a_restored_one_does(tmp_path):
-    """What is on the air at the cut is judged by the power that it started with, so frames count by start.
+    """A frame in flight keeps the power of its start, so frames are counted by their start times.
 
-    The commands come in the middle of intervals of 40 ms, of which the next begin at 4 and 5 s.
+    The commands come within intervals of 40 ms; the next intervals begin at 4 and 5 s.
     """
     with OneProcessSwarm(scenario(), out=tmp_path / "run") as swarm:
         for cut, until_s in ((False, 3.992), (True, 4.988), (False, 6.0)):
@@ -165,7 +165,7 @@ def test_a_cut_channel_delivers_nothing_from_its_interval_on_and_a_restored_one_
         assert delivered[outside].any()
 
 
-def test_an_attenuation_that_no_link_can_have_is_refused_and_the_run_goes_on(tmp_path):
+def test_an_attenuation_out_of_range_is_refused_and_the_run_continues(tmp_path):
     with OneProcessSwarm(scenario(), out=tmp_path / "run") as swarm:
         for attenuation_db in (-5.0, 1_500.0, math.inf, math.nan):
             with pytest.raises(
@@ -183,7 +183,7 @@ def test_an_attenuation_that_no_link_can_have_is_refused_and_the_run_goes_on(tmp
     ]
 
 
-def test_a_killed_vehicle_is_gone_from_the_next_step_on_and_the_others_fly_on(tmp_path):
+def test_a_killed_vehicle_is_lost_from_the_next_step_on_and_the_others_fly_on(tmp_path):
     """Its log keeps whole blocks of 64 rows, as that of a killed process: of 74 rows in 3 s there are 64."""
     with OneProcessSwarm(scenario(agents=3), out=tmp_path / "run") as swarm:
         swarm.run(until_s=3.0)
@@ -202,7 +202,7 @@ def test_a_killed_vehicle_is_gone_from_the_next_step_on_and_the_others_fly_on(tm
     assert reasons[1].endswith(", t = 3.00 s")
     frames = radio_table(tmp_path / "run")
     sent_s = np.array(frames["start_ns"])[np.array(frames["source"]) == 1] * 1e-9
-    assert (sent_s < 3.0 + 0.02).all()  # but for what was on the air
+    assert (sent_s < 3.0 + 0.02).all()  # except a frame that was being sent
 
 
 def uav_logs(swarm):
@@ -219,7 +219,7 @@ def test_the_loss_of_every_vehicle_ends_the_run(tmp_path):
         assert swarm.summary(draw=False)["status"] == "failed"
 
 
-def test_an_error_in_a_vehicle_is_the_runs_and_its_traceback_is_in_the_log(tmp_path, monkeypatch):
+def test_an_error_in_a_vehicle_ends_the_run_and_its_traceback_is_in_the_log(tmp_path, monkeypatch):
     step = Vehicle.step
 
     def fall(self, **inputs):
@@ -237,11 +237,11 @@ def test_an_error_in_a_vehicle_is_the_runs_and_its_traceback_is_in_the_log(tmp_p
     assert summary["status"] == "failed"
     assert "in fall" in (tmp_path / "run" / "logs" / "one-process.log").read_text()
     rows = flight_table(tmp_path / "run")["time_us"]
-    assert max(rows) == 480_000  # what was recorded up to then, every 40 ms, is there
+    assert max(rows) == 480_000  # the records up to then, every 40 ms, are complete
 
 
 def falling(monkeypatch, error, *, before=lambda: None):
-    """Have the second vehicle raise an error at 0.5 s, after doing something."""
+    """Let the second vehicle raise an error at 0.5 s, after calling ``before``."""
     step = Vehicle.step
 
     def fall(self, **inputs):
@@ -253,8 +253,8 @@ def falling(monkeypatch, error, *, before=lambda: None):
     monkeypatch.setattr(Vehicle, "step", fall)
 
 
-def test_an_error_that_cannot_be_logged_ends_the_run_all_the_same(tmp_path, monkeypatch):
-    """As on a full disk: the run would otherwise wait for its flight for as long as it may."""
+def test_an_error_that_cannot_be_logged_ends_the_run_too(tmp_path, monkeypatch):
+    """As on a full disk: the run would otherwise wait for its flight until its wall-time limit."""
     folder = tmp_path / "run"
     falling(monkeypatch, ZeroDivisionError("of the test"), before=lambda: shutil.rmtree(folder / "logs"))
     with (
@@ -266,14 +266,14 @@ def test_an_error_that_cannot_be_logged_ends_the_run_all_the_same(tmp_path, monk
 
 
 @pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left on device"), MemoryError()], ids=repr)
-def test_a_machine_without_room_is_no_runs_failure(tmp_path, monkeypatch, error):
+def test_lack_of_disk_space_or_memory_is_not_a_failed_run(tmp_path, monkeypatch, error):
     falling(monkeypatch, error)
     with pytest.raises(type(error)) as caught:
         fly(scenario(), tmp_path / "run", until_s=1.0)
     assert caught.value is error
 
 
-def test_a_flight_takes_one_processor_for_its_gains_as_well_and_a_swarm_all(tmp_path, monkeypatch):
+def test_a_flight_computes_gains_on_one_processor_and_a_swarm_on_all(tmp_path, monkeypatch):
     threads = []
 
     def count(*arguments, workers):
@@ -305,7 +305,7 @@ def test_a_flight_is_read_back_as_it_was_reported(tmp_path, monkeypatch):
         np.testing.assert_array_equal(getattr(again, field.name), getattr(reported[0], field.name))
 
 
-def test_a_run_that_is_broken_off_is_reported_and_leaves_no_thread(tmp_path):
+def test_an_interrupted_run_is_reported_and_leaves_no_thread(tmp_path):
     def interrupt(message):
         if isinstance(message, Progress):  # after 0.2 s of wall time
             raise KeyboardInterrupt
@@ -326,7 +326,7 @@ def test_a_formation_that_is_not_reached_is_a_result(tmp_path):
     assert summary["simulated_s"] == 0.504  # from the first step on, which is at 4 ms
 
 
-def test_what_needs_the_outside_is_refused(tmp_path):
+def test_a_link_to_the_outside_is_refused(tmp_path):
     with (
         OneProcessSwarm(scenario(), out=tmp_path / "run") as swarm,
         pytest.raises(SwarmError, match="no link"),
@@ -335,7 +335,7 @@ def test_what_needs_the_outside_is_refused(tmp_path):
 
 
 def test_the_command_line_flies_in_its_own_process(tmp_path, capfd):
-    """Nobody forms anything without the application, so the run is as long as its duration."""
+    """Without the application there is no formation, so the run is as long as its duration."""
     out = tmp_path / "run"
     settings = ["--agents", "2", "--duration", "0.2", "--set", "onboard.enabled=false"]
     status = main([str(ARTICLE), "--one-process", "--json", "--out", str(out), *settings])
@@ -346,7 +346,7 @@ def test_the_command_line_flies_in_its_own_process(tmp_path, capfd):
 
 
 class Channel:
-    """Two stations 10 m apart, with the time master's and their own ends."""
+    """Two stations 10 m apart, with the connections of the time master and of both radios."""
 
     def __init__(self):
         config = ServerConfig(run_id="test", stations=2, seed=1, radio=RadioConfig(rician_k_db=None))
@@ -354,8 +354,8 @@ class Channel:
         self.radios = [InProcessRadio(self.emulator, i) for i in range(2)]
         self.line = InProcessEmulatorLine(self.emulator, self.radios)
 
-    def heard(self, station, now_us):
-        """Datagrams that a station may see by now."""
+    def received(self, station, now_us):
+        """Return the datagrams that are released to a station by now."""
         return [item for item in self.radios[station].receive(now_us) if isinstance(item, Delivery)]
 
     def advance(self, time_us, **changes):
@@ -371,8 +371,8 @@ class Channel:
         return self.line.receive()
 
 
-def test_what_the_wire_refuses_is_refused_here_too():
-    """1472 bytes are the largest datagram; the emulator's process would drop a larger one's bytes."""
+def test_datagrams_that_the_wire_refuses_are_refused_here_too():
+    """1472 bytes are the largest datagram; the emulator's process would drop a larger one."""
     channel = Channel()
     channel.radios[0].send(STEP_US, [Broadcast(seq=0, at_us=STEP_US, payload=bytes(MAX_PAYLOAD_BYTES))])
     with pytest.raises(ValueError, match=r"station 0: the 802\.11 emulator refuses"):
@@ -381,49 +381,49 @@ def test_what_the_wire_refuses_is_refused_here_too():
         )
 
 
-def test_a_datagram_is_seen_at_its_release_and_not_before():
-    """It is handed over at 4 ms, on the air before 8 ms and released a step later, at 12 ms."""
+def test_a_datagram_is_received_at_its_release_and_not_before():
+    """It is handed over at 4 ms, sent before 8 ms and released one step later, at 12 ms."""
     channel = Channel()
     channel.radios[0].send(STEP_US, [Broadcast(seq=0, at_us=STEP_US, payload=b"hello")])
     assert channel.advance(STEP_US).delivered == (1,)
-    assert channel.heard(1, 3 * STEP_US - 1) == []
-    (item,) = channel.heard(1, 3 * STEP_US)
+    assert channel.received(1, 3 * STEP_US - 1) == []
+    (item,) = channel.received(1, 3 * STEP_US)
     assert item.payload == b"hello"
     assert STEP_US * 1_000 < item.received_ns < 2 * STEP_US * 1_000
-    assert channel.heard(1, 10 * STEP_US) == []
-    assert channel.heard(0, 10 * STEP_US) == []
+    assert channel.received(1, 10 * STEP_US) == []
+    assert channel.received(0, 10 * STEP_US) == []
 
 
-def test_what_is_handed_over_in_a_later_step_waits_for_that_steps_interval():
+def test_a_batch_of_a_later_step_waits_for_the_interval_of_that_step():
     channel = Channel()
     channel.radios[0].send(2 * STEP_US, [Broadcast(seq=0, at_us=2 * STEP_US, payload=b"later")])
     channel.advance(STEP_US)
-    assert channel.heard(1, 10**9) == []
+    assert channel.received(1, 10**9) == []
     channel.advance(2 * STEP_US)
-    assert len(channel.heard(1, 10**9)) == 1
+    assert len(channel.received(1, 10**9)) == 1
 
 
-def test_who_speaks_after_minutes_of_silence_is_heard():
-    """Nobody speaks for two minutes, in intervals of a second, and the air has nothing to do."""
+def test_a_frame_after_minutes_of_silence_is_delivered():
+    """No frames for two minutes, in intervals of one second, during which the channel is quiet."""
     channel, second_us = Channel(), 1_000_000
-    air = EmulatorClient(channel.line, period_us=second_us)
+    client = EmulatorClient(channel.line, period_us=second_us)
     truth = SimpleNamespace(
         pos_ned_m=np.array([[0.0, 0.0, -10.0], [10.0, 0.0, -10.0]]),
         vel_ned_m_s=np.zeros((2, 3)),
         q_ned_frd=np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)),
     )
     for time_us in range(0, 120 * second_us, second_us):
-        air.begin(time_us, STEP_US, truth)
-        air.end()
+        client.begin(time_us, STEP_US, truth)
+        client.end()
     now_us = 120 * second_us
     channel.radios[0].send(now_us, [Broadcast(seq=0, at_us=now_us, payload=b"again")])
-    air.begin(now_us, STEP_US, truth, senders=(0,))
-    assert air.end() == ()
-    assert air.delivered(now_us + second_us) == (1,)
-    assert [item.payload for item in channel.heard(1, now_us + second_us)] == [b"again"]
+    client.begin(now_us, STEP_US, truth, senders=(0,))
+    assert client.end() == ()
+    assert client.delivered(now_us + second_us) == (1,)
+    assert [item.payload for item in channel.received(1, now_us + second_us)] == [b"again"]
 
 
-def test_motion_that_makes_no_sense_and_times_that_cannot_be_are_refused():
+def test_invalid_positions_and_times_are_refused():
     channel = Channel()
     with pytest.raises(ValueError, match="refuses to go on"):
         channel.advance(STEP_US, pos_ned_m=pack_rows(np.full((2, 3), np.nan)))
@@ -432,8 +432,8 @@ def test_motion_that_makes_no_sense_and_times_that_cannot_be_are_refused():
         channel.radios[0].send(far_us, [Broadcast(seq=0, at_us=far_us, payload=b"")])
 
 
-def test_kernels_that_were_imported_before_are_taken_from_the_runs_cache(tmp_path):
-    """Numba fixes a kernel's cache at its import, here beside the sources, where it might be stale."""
+def test_kernels_that_were_imported_before_are_loaded_from_the_runs_cache(tmp_path):
+    """Numba fixes a kernel's cache at import, here beside the sources, where it might be stale."""
     program = (
         "import harness.world.physics.rotors as rotors, autopilot.control.attitude, sys\n"
         "from numba.core.dispatcher import Dispatcher\n"

@@ -1,4 +1,4 @@
-"""What a scenario may say of PX4s, how one is started, and what it is told by the simulator."""
+"""Settings of PX4s in a scenario, the command that starts one, and the messages of the simulator to it."""
 
 import math
 
@@ -40,7 +40,7 @@ def scenario(tmp_path, build):
     return make
 
 
-def test_px4_without_a_build_is_one_line(tmp_path):
+def test_px4_without_a_build_is_an_error_in_one_line(tmp_path):
     path = tmp_path / "some.toml"
     path.write_text("agents = 3\n", encoding="ascii")
     with pytest.raises(ScenarioError, match=r"^[^\n]*autopilot\.px4_build: missing[^\n]*$"):
@@ -53,7 +53,7 @@ def test_a_build_without_its_program_is_refused_before_anything_starts(scenario,
         px4.check_start(scenario())
 
 
-def test_coflights_own_vehicles_need_nothing_of_it(tmp_path):
+def test_own_vehicles_need_no_px4_settings(tmp_path):
     path = tmp_path / "some.toml"
     path.write_text("agents = 3\n", encoding="ascii")
     assert px4.instances(load(path)) == ()
@@ -61,7 +61,7 @@ def test_coflights_own_vehicles_need_nothing_of_it(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("override", "complaint"),
+    ("override", "error"),
     [
         ("autopilot.px4_command=['{build}/px4', '{instance}']", r"px4_command: \{instance\} stands for noth"),
         ("autopilot.px4_env.X='{'", r"px4_env\.X"),
@@ -72,65 +72,65 @@ def test_coflights_own_vehicles_need_nothing_of_it(tmp_path):
         ("autopilot.fence=[{shape='circle', radius_m=50}]", "autopilot.fence: a PX4 takes its plans"),
     ],
 )
-def test_what_no_px4_could_be_started_with_is_refused_with_the_fields_path(scenario, override, complaint):
-    with pytest.raises(ScenarioError, match=complaint):
+def test_invalid_px4_settings_are_refused_with_the_fields_path(scenario, override, error):
+    with pytest.raises(ScenarioError, match=error):
         scenario(override)
 
 
-def test_px4_has_parameters_that_coflights_own_autopilot_does_not_know(scenario, tmp_path):
+def test_px4_accepts_parameters_that_the_own_autopilot_does_not_have(scenario, tmp_path):
     swarm = scenario("autopilot.params.EKF2_IMU_POS_X=0.1", "autopilot.px4_vehicles=[0, 1, 2]")
-    seat = px4.seat(swarm, 0, run_folder=tmp_path, simulator_port=4560)
-    assert seat.environment["PX4_PARAM_EKF2_IMU_POS_X"] == "0.1"
-    with pytest.raises(ScenarioError, match="EKF2_IMU_POS_X"):  # of vehicle 2, which is no PX4
+    config = px4.process_config(swarm, 0, run_folder=tmp_path, simulator_port=4560)
+    assert config.environment["PX4_PARAM_EKF2_IMU_POS_X"] == "0.1"
+    with pytest.raises(ScenarioError, match="EKF2_IMU_POS_X"):  # because of vehicle 2, which is no PX4
         scenario("autopilot.params.EKF2_IMU_POS_X=0.1", "autopilot.px4_vehicles=[0, 1]")
 
 
-def test_the_command_is_the_one_that_the_issue_names(scenario, build, tmp_path):
+def test_the_default_command_starts_a_px4_sitl_instance(scenario, build, tmp_path):
     swarm = scenario()
     for i in px4.instances(swarm):
-        seat = px4.seat(swarm, i, run_folder=tmp_path, simulator_port=4560 + i)
-        assert seat.command == (
-            f"{build}/bin/px4", "-i", str(i), "-d", f"{build}/etc", "-w", seat.folder,
+        config = px4.process_config(swarm, i, run_folder=tmp_path, simulator_port=4560 + i)
+        assert config.command == (
+            f"{build}/bin/px4", "-i", str(i), "-d", f"{build}/etc", "-w", config.folder,
         )  # fmt: skip
-        assert seat.environment["PX4_SIM_MODEL"] == "none_iris"
-        assert seat.name == f"uav {i}"
-        assert seat.details == {"gcs_local_udp": 18570 + i, "companion_local_udp": 14580 + i}
-        assert seat.folder.startswith(str(tmp_path))
+        assert config.environment["PX4_SIM_MODEL"] == "none_iris"
+        assert config.name == f"uav {i}"
+        assert config.details == {"gcs_local_udp": 18570 + i, "companion_local_udp": 14580 + i}
+        assert config.folder.startswith(str(tmp_path))
 
 
-def test_a_user_can_wrap_it(scenario, build, tmp_path):
+def test_the_command_can_be_wrapped(scenario, build, tmp_path):
     swarm = scenario(
         "autopilot.px4_command=['nice', '{build}/bin/px4', '-i', '{i}', '{sysid}:{tcp}:{host}']",
         "autopilot.px4_env={PX4_SIM_MODEL='iris', PORTS='{companion_local}>{companion_remote}'}",
     )
-    seat = px4.seat(swarm, 2, run_folder=tmp_path, simulator_port=4999)
-    assert seat.command == ("nice", f"{build}/bin/px4", "-i", "2", "3:4999:127.0.0.1")
-    assert seat.environment["PORTS"] == "14582>14542"
-    assert seat.environment["PX4_SIM_MODEL"] == "iris"
+    config = px4.process_config(swarm, 2, run_folder=tmp_path, simulator_port=4999)
+    assert config.command == ("nice", f"{build}/bin/px4", "-i", "2", "3:4999:127.0.0.1")
+    assert config.environment["PORTS"] == "14582>14542"
+    assert config.environment["PX4_SIM_MODEL"] == "iris"
 
 
-def test_parameters_go_along_less_coflights_own_and_whole_ones_as_integers(scenario, tmp_path):
+def test_parameters_are_passed_except_own_ones_and_whole_ones_as_integers(scenario, tmp_path):
     swarm = scenario(
         "autopilot.params={CF_DOB_EN=1, COM_RC_IN_MODE=4, MPC_XY_P=0.8}",
         "autopilot.per_uav.1={MPC_XY_P=0.9, EKF2_GPS_DELAY=50}",
         "sensors.gps.delay_s=0.2",
     )
-    told = [
+    passed = [
         {
             name.removeprefix("PX4_PARAM_"): value
-            for name, value in px4.seat(
+            for name, value in px4.process_config(
                 swarm, i, run_folder=tmp_path, simulator_port=4560
             ).environment.items()
             if name.startswith("PX4_PARAM_") and "DRIFT" not in name
         }
         for i in (0, 1)
     ]
-    assert told[0] == {"EKF2_GPS_DELAY": "200", "COM_RC_IN_MODE": "4", "MPC_XY_P": "0.8"}
-    assert told[1] == {"EKF2_GPS_DELAY": "50", "COM_RC_IN_MODE": "4", "MPC_XY_P": "0.9"}
+    assert passed[0] == {"EKF2_GPS_DELAY": "200", "COM_RC_IN_MODE": "4", "MPC_XY_P": "0.8"}
+    assert passed[1] == {"EKF2_GPS_DELAY": "50", "COM_RC_IN_MODE": "4", "MPC_XY_P": "0.9"}
 
 
 def drift_rms_m_s(model, std_m, rng):
-    """Mean drift over 10 s as PX4 takes it, of a Gauss-Markov error that is simulated."""
+    """Return the RMS of PX4's drift, filtered over 10 s, of a simulated Gauss-Markov error."""
     interval_s, filter_s = 1.0 / model.rate_hz, 10.0
     keep = math.exp(-interval_s / model.bias_time_constant_s)
     error_m, mean_m_s, squares = std_m * rng.standard_normal(1000), np.zeros(1000), []
@@ -143,36 +143,36 @@ def drift_rms_m_s(model, std_m, rng):
     return math.sqrt(np.mean(squares))
 
 
-def test_px4_is_told_of_a_receiver_that_drifts_more_than_it_would_take(scenario, tmp_path):
+def test_the_drift_limits_are_raised_for_a_receiver_that_drifts_more(scenario, tmp_path):
     model = PROFILES["consumer"].gps
     rng = np.random.default_rng(3)
-    told = px4.seat(scenario(), 0, run_folder=tmp_path, simulator_port=4560).environment
+    environment = px4.process_config(scenario(), 0, run_folder=tmp_path, simulator_port=4560).environment
     for axis, std_m in (("H", model.horizontal_bias_std_m), ("V", model.vertical_bias_std_m)):
-        limit_m_s = float(told[f"PX4_PARAM_EKF2_REQ_{axis}DRIFT"])
+        limit_m_s = float(environment[f"PX4_PARAM_EKF2_REQ_{axis}DRIFT"])
         assert limit_m_s == pytest.approx(5 * drift_rms_m_s(model, std_m, rng), rel=0.1)
-    still = px4.seat(
+    still = px4.process_config(
         scenario("sensors.profile=gazebo"), 1, run_folder=tmp_path, simulator_port=4560
     ).environment
     assert not any("DRIFT" in name for name in still)
 
 
 @pytest.mark.parametrize("field", ["simulator_tcp", "gcs_local_udp", "companion_local_udp"])
-def test_ports_that_px4_would_not_have_are_refused_unless_they_are_handed_over(scenario, field):
+def test_ports_that_px4_does_not_use_are_refused_unless_the_command_passes_them(scenario, field):
     placeholder = {"simulator_tcp": "tcp"}.get(field, field.removesuffix("_udp"))
-    handed = f"autopilot.px4_command=['{{build}}/bin/px4', '{{{placeholder}}}']"
+    passed = f"autopilot.px4_command=['{{build}}/bin/px4', '{{{placeholder}}}']"
     px4.check_start(scenario())
     for base in (0, 21_000):
         with pytest.raises(Px4Error, match=rf"^ports\.{field}: a PX4 listens on [^\n]*$"):
             px4.check_start(scenario(f"ports.{field}={base}"))
-    px4.check_start(scenario(f"ports.{field}=21000", handed))
+    px4.check_start(scenario(f"ports.{field}=21000", passed))
 
 
-def test_the_truth_cannot_be_told_to_an_application_beside_a_px4(scenario):
+def test_the_truth_cannot_be_sent_to_an_application_beside_a_px4(scenario):
     with pytest.raises(Px4Error, match=r"onboard\.localisation"):
         px4.check_start(scenario("onboard.localisation=truth"))
 
 
-def test_applications_are_bound_to_the_ports_that_px4s_call(scenario):
+def test_applications_bind_the_ports_that_px4s_send_to(scenario):
     assert px4.application_ports(scenario()) == [14540, 14541, 14542]
     assert px4.application_ports(scenario("autopilot.px4_vehicles=[1]")) == [14541]
     assert px4.application_ports(scenario("onboard.enabled=false")) == []
@@ -184,11 +184,11 @@ def test_the_vehicles_settings_are_read_by_its_application_process(scenario):
     assert (config.ports.companion_local_udp, config.ports.companion_remote_udp) == (14581, 14541)
 
 
-# ---- what the simulator tells it
+# ---- messages of the simulator to a PX4
 
 
 def second_of_sensors(encoder, vehicles, steps=250, *, escs=False):
-    """Messages to each vehicle in a second, by step, of vehicles that rest."""
+    """Return the messages to each vehicle at rest in one second, by step."""
     still = np.zeros((vehicles, 3))
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (vehicles, 1))
     truth = Truth.of(
@@ -202,16 +202,16 @@ def second_of_sensors(encoder, vehicles, steps=250, *, escs=False):
         seed=np.random.SeedSequence(1),
     )  # fmt: skip
     parsers = [Parser() for _ in range(vehicles)]
-    told = [[] for _ in range(vehicles)]
+    received = [[] for _ in range(vehicles)]
     for k in range(1, steps + 1):
         frame = suite.sample(k * STEP_US, truth)
         for i, data in enumerate(encoder.encode(k * STEP_US, frame, None if k % 25 else motors)):
-            told[i].append(parsers[i].push(data))
+            received[i].append(parsers[i].push(data))
     assert all(parser.bad_bytes == 0 for parser in parsers)
-    return told
+    return received
 
 
-def test_a_px4_gets_whole_groups_at_its_rates_with_utc_and_no_escs():
+def test_a_px4_receives_whole_groups_of_fields_with_utc_and_no_esc_status():
     (steps,) = second_of_sensors(SensorEncoder(px4=(0,), epoch_us=EPOCH_US), 1)
     sensors = [messages[-1] for messages in steps]
     assert [sensor.get_type() for sensor in sensors] == ["HIL_SENSOR"] * 250
@@ -230,14 +230,14 @@ def test_a_px4_gets_whole_groups_at_its_rates_with_utc_and_no_escs():
     assert with_baro.abs_pressure == pytest.approx(float(pressure_pa(488.0)) / 100, abs=1.0)
     others = [message for messages in steps for message in messages[:-1]]
     assert {message.get_type() for message in others} == {"HIL_GPS"}
-    assert len(others) in {4, 5}  # 5 Hz, and none before one is as old as fixes are
+    assert len(others) in {4, 5}  # 5 Hz; the first after the delay of a fix
     for messages in steps:
         for fix in messages[:-1]:
             assert fix.time_usec == EPOCH_US + messages[-1].time_usec
             assert (fix.fix_type, fix.satellites_visible) == (3, 10)
 
 
-def test_a_radio_control_is_told_of_if_asked_for_ten_times_a_second():
+def test_rc_channels_are_sent_ten_times_a_second_if_enabled():
     (steps,) = second_of_sensors(SensorEncoder(px4=(0,), px4_rc=True), 1)
     times_us = [
         messages[-1].time_usec for messages in steps for m in messages if m.get_type() == "RC_CHANNELS"
@@ -246,20 +246,20 @@ def test_a_radio_control_is_told_of_if_asked_for_ten_times_a_second():
     sticks = next(m for messages in steps for m in messages if m.get_type() == "RC_CHANNELS")
     assert [getattr(sticks, f"chan{k}_raw") for k in (1, 2, 3, 4, 5)] == [1500] * 4 + [65535]
     sequence = [m.get_seq() for messages in steps for m in messages]
-    assert sequence == [k % 256 for k in range(len(sequence))]  # nothing seems lost
+    assert sequence == [k % 256 for k in range(len(sequence))]  # no gaps
 
 
 def test_in_a_mixed_swarm_own_vehicles_get_the_same_bytes_as_without_px4s():
     alone = second_of_sensors(SensorEncoder(), 2, escs=True)
     mixed = second_of_sensors(SensorEncoder(px4=(1,), epoch_us=EPOCH_US), 2, escs=True)
-    raw = [[m.get_msgbuf() for messages in told[0] for m in messages] for told in (alone, mixed)]
+    raw = [[m.get_msgbuf() for messages in vehicles[0] for m in messages] for vehicles in (alone, mixed)]
     assert raw[0] == raw[1]
-    kinds = [[m.get_type() for messages in told for m in messages] for told in mixed]
+    kinds = [[m.get_type() for messages in steps for m in messages] for steps in mixed]
     assert "ESC_STATUS" in kinds[0]
     assert kinds[1] == [kind for kind in kinds[0] if kind != "ESC_STATUS"]
 
 
-def test_px4_settings_survive_the_way_to_the_processes(scenario):
+def test_px4_vehicles_are_those_of_the_settings(scenario):
     autopilot = scenario("autopilot.px4_vehicles=[1]").autopilot
     assert [autopilot.is_px4(i) for i in range(3)] == [False, True, False]
     assert not replace(autopilot, kind="own").is_px4(1)

@@ -1,4 +1,4 @@
-"""What a run needs of its machine is had before it starts, or named in a line."""
+"""Resources of a run are acquired before it starts, or named in a one-line error."""
 
 import resource
 import subprocess
@@ -29,15 +29,15 @@ subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def limits_of_a_child(soft: int, hard: int) -> "subprocess.CompletedProcess[str]":
-    """Limits that a child of a launcher has which began with these; a limit once lowered stays so."""
+    """Return the limits of a child whose launcher began with these, in a process of its own."""
     code = NARROW.format(soft=soft, hard=hard, children=CHILDREN)
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
 
 
 def test_the_limit_is_raised_as_far_as_needed_and_children_inherit_it() -> None:
-    told = limits_of_a_child(soft=100, hard=5_000)
-    assert told.returncode == 0, told.stderr
-    soft, hard = map(int, told.stdout.split())
+    done = limits_of_a_child(soft=100, hard=5_000)
+    assert done.returncode == 0, done.stderr
+    soft, hard = map(int, done.stdout.split())
     needed = DESCRIPTORS_BESIDE + DESCRIPTORS_OF_CHILD * CHILDREN
     assert needed < soft < needed + 50  # an interpreter has few files open
     assert hard == 5_000
@@ -50,12 +50,12 @@ def test_a_limit_that_is_high_enough_stays() -> None:
     assert resource.getrlimit(resource.RLIMIT_NOFILE) == before
 
 
-def test_what_the_system_does_not_allow_is_one_line() -> None:
-    told = limits_of_a_child(soft=100, hard=200)
-    assert told.returncode == 1
-    assert told.stderr.count("\n") == 1
-    assert told.stderr.startswith(f"{CHILDREN} processes take ")
-    assert told.stderr.endswith("file descriptors, and the limit is 200 (ulimit -Hn)\n")
+def test_a_limit_of_the_system_is_an_error_in_one_line() -> None:
+    done = limits_of_a_child(soft=100, hard=200)
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert done.stderr.startswith(f"{CHILDREN} processes take ")
+    assert done.stderr.endswith("file descriptors, and the limit is 200 (ulimit -Hn)\n")
 
 
 def test_open_descriptors_are_counted() -> None:
@@ -67,5 +67,5 @@ def test_open_descriptors_are_counted() -> None:
 
 
 @pytest.mark.parametrize("soft", [40, 64])
-def test_a_limit_that_is_used_up_is_no_other_error(soft: int) -> None:
+def test_an_exhausted_limit_is_the_same_error(soft: int) -> None:
     assert limits_of_a_child(soft=soft, hard=soft).stderr.endswith(f"the limit is {soft} (ulimit -Hn)\n")

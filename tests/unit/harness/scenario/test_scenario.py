@@ -166,7 +166,7 @@ def test_overrides_take_numbers_strings_words_and_new_tables():
         ),
         (
             'formation.motion={kind="racetrack", speed_m_s=7.5}',
-            "formation.motion.radius_m: UAV 0, 12.8 m off the centre, would come to 3.4 m/s^2 in a turn of",
+            "formation.motion.radius_m: UAV 0, 12.8 m off the centre, would reach 3.4 m/s^2 in a turn of",
         ),
         (
             'formation.motion={kind="track", length_m=inf}',
@@ -199,8 +199,8 @@ def test_overrides_take_numbers_strings_words_and_new_tables():
             "ports.gcs_local_udp of UAV 7 and ports.gcs_remote_udp are both 18577",
         ),
         ("ports.radio_tcp=4561", "ports.simulator_tcp of UAV 1 and ports.radio_tcp are both 4561"),
-        ("links.host=localhost", "links: host: 'localhost' is no IPv4 address"),
-        ("links.companion_host=1.2.3", "links: companion_host: '1.2.3' is no IPv4 address"),
+        ("links.host=localhost", "links: host: 'localhost' is not an IPv4 address"),
+        ("links.companion_host=1.2.3", "links: companion_host: '1.2.3' is not an IPv4 address"),
         (
             "links.ground_station_host=192.168.1.7",
             "links: ground_station_host: other machines cannot be reached from 127.0.0.1",

@@ -98,13 +98,13 @@ def test_a_deck_is_named_by_an_override_as_well(tmp_path):
 @pytest.mark.parametrize(
     ("text", "settings", "says"),
     [
-        (MONOPOLE + "LD 5 0 0 0 1e6\n", (), "a.nec: line 5: card 'LD' is not understood"),
+        (MONOPOLE + "LD 5 0 0 0 1e6\n", (), "a.nec: line 5: card 'LD' is not supported"),
         (MONOPOLE.replace("0.3", "x"), (), "a.nec: line 3: GW: expected numbers"),
         ("CE nothing\n", (), "a.nec: line 1: the deck has no wires"),
         (MONOPOLE[:-15], (), "a.nec: line 3: the deck has no source"),
         ("", (), "a.nec: line 0: the deck has no wires"),
         (b"\xff\xfe\x00", (), "a.nec: cannot be read: it is no text"),
-        (MONOPOLE, ("segments = 9",), "element_file: a dipole has none; expected element_kind deck"),
+        (MONOPOLE, ("segments = 9",), "element_file: only for element_kind deck, not dipole"),
         (MONOPOLE, ('element_kind = "helix"',), "antenna.element_kind: invalid enum value 'helix'"),
     ],
 )
@@ -121,7 +121,7 @@ def test_a_missing_deck_is_named(tmp_path):
         ScenarioError, match=r"v\.toml: antenna\.element_file: .*b\.nec: cannot be read: No such"
     ):
         _with_deck(tmp_path, MONOPOLE, overrides=["antenna.element_file=b.nec"])
-    with pytest.raises(ScenarioError, match="element_file: the kind deck needs one"):
+    with pytest.raises(ScenarioError, match="element_file: element_kind deck requires"):
         load(ARTICLE, ["antenna.element_kind=deck"])
     with pytest.raises(ScenarioError, match=r"antenna\.element_file: expected `str`"):
         load(ARTICLE, ["antenna.element_file=1", "antenna.element_kind=deck"])

@@ -1,4 +1,4 @@
-"""Frames of all vehicles at once, against pymavlink's of the same fields. Under 1 s."""
+"""Frames of all vehicles at once, compared with pymavlink's frames of the same fields. Under 1 s."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ KINDS = {
 
 
 @pytest.mark.parametrize("message_id", KINDS)
-def test_a_row_lies_in_memory_as_its_message_lies_on_the_wire(message_id):
+def test_a_row_has_the_memory_layout_of_its_message_on_the_wire(message_id):
     unpacker = common.mavlink_map[message_id].unpacker
     kind = KINDS[message_id]
     assert kind.dtype.itemsize == unpacker.size
@@ -39,7 +39,7 @@ def test_a_row_lies_in_memory_as_its_message_lies_on_the_wire(message_id):
 
 
 def _counted(codes):
-    """Letters of a format of `struct` with how often each is repeated."""
+    """Yield the letters of a `struct` format with their repeat counts."""
     number = ""
     for code in codes:
         if code.isdigit():
@@ -50,8 +50,8 @@ def _counted(codes):
 
 
 @pytest.mark.parametrize("message_id", KINDS)
-def test_frames_are_those_that_pymavlink_makes_of_the_same_payload(message_id):
-    """Of every length that is left when trailing zeros are cut off."""
+def test_frames_equal_those_of_pymavlink_for_the_same_payload(message_id):
+    """For every length of the payload after trailing zeros are truncated."""
     kind, size = KINDS[message_id], KINDS[message_id].dtype.itemsize
     rng = np.random.default_rng(message_id)
     payloads = rng.integers(1, 256, (size + 1, size), dtype=np.uint8)
@@ -68,13 +68,13 @@ def test_frames_are_those_that_pymavlink_makes_of_the_same_payload(message_id):
     assert [len(frame) for frame in expected] == [12 + max(length, 1) for length in range(size + 1)]
 
 
-def test_the_sum_is_the_standards():
+def test_the_checksum_is_crc16_mcrf4xx():
     """CRC-16/MCRF4XX of "123456789" is 0x6F91: https://reveng.sourceforge.io/crc-catalogue/16.htm."""
     octets = np.frombuffer(b"*123456789*", dtype=np.uint8)
     assert checksum(octets, 1, 9, ord("9")) == crc16.mcrf4xx(b"123456789") == 0x6F91
 
 
-def test_an_interpreted_kernel_makes_the_same_frames():
+def test_the_interpreted_kernel_writes_the_same_frames():
     kernel = hil_frames.make_frames
     interpreted = getattr(kernel, "py_func", kernel)
     payloads = np.random.default_rng(1).integers(0, 256, (3, 65), dtype=np.uint8)
@@ -88,8 +88,8 @@ def test_an_interpreted_kernel_makes_the_same_frames():
     assert [len(frame) for frame in made[0]] == [77, 52, 13]
 
 
-def test_inertial_samples_are_framed_as_any_others_are():
-    """Equal to the frames of `FrameLayout`, which pymavlink checks, for numbers of every size and 0."""
+def test_inertial_frames_equal_those_of_the_general_encoder():
+    """`FrameLayout` is checked against pymavlink above; samples are of every magnitude and 0."""
     rng = np.random.default_rng(3)
     inertial = InertialFrames(5, 0x3F)
     for step in range(300):
@@ -102,7 +102,7 @@ def test_inertial_samples_are_framed_as_any_others_are():
         assert inertial.at(step * 4_000_000_000, accel, gyro, step % 256) == expected
 
 
-def test_nobody_gets_nothing():
+def test_no_vehicles_have_no_frames():
     assert (
         FrameLayout(common.MAVLINK_MSG_ID_HIL_GPS, [("time_usec", "<u8")]).frames(np.zeros(0, "<u8"), 0) == []
     )

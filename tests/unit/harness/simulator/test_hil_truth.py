@@ -1,4 +1,4 @@
-"""What the simulator tells a vehicle beside its sensors, decoded as the vehicle decodes it."""
+"""HIL_STATE_QUATERNION and the delivery flag of HIL_SENSOR, decoded as the vehicle decodes them."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def quiet_frame(n):
     )
 
 
-def test_a_vehicle_reads_its_true_position_to_a_centimetre_before_its_sensors():
+def test_the_true_position_precedes_the_sensors_and_is_exact_to_a_centimetre():
     pos_ned_m = [(0.0, 0.0, -10.0), (123.456, -654.321, -42.0)]
     truth = truth_of(pos_ned_m, [(0.0, 0.0, 0.0), (1.25, -2.5, 0.75)])
     for vehicle, frame in enumerate(SensorEncoder(SITE).encode(1_000_000, quiet_frame(2), truth=truth)):
@@ -58,8 +58,8 @@ def test_a_vehicle_reads_its_true_position_to_a_centimetre_before_its_sensors():
 
 def test_sequence_numbers_run_on_with_and_without_the_truth():
     encoder, truth, numbers = SensorEncoder(SITE), truth_of([(0.0, 0.0, 0.0)], [(0.0, 0.0, 0.0)]), []
-    for told in (None, truth, None, truth):
-        (frame,) = encoder.encode(1_000, quiet_frame(1), truth=told)
+    for sent in (None, truth, None, truth):
+        (frame,) = encoder.encode(1_000, quiet_frame(1), truth=sent)
         while frame:
             size = 10 + frame[1] + 2
             numbers.append(frame[4])
@@ -67,14 +67,14 @@ def test_sequence_numbers_run_on_with_and_without_the_truth():
     assert numbers == [0, 1, 2, 3, 4, 5]
 
 
-def test_who_has_a_delivery_is_told_in_its_sensors_beside_what_is_new_in_them():
-    quiet, told = (
+def test_a_delivery_is_flagged_in_hil_sensor_beside_its_updated_fields():
+    quiet, notified = (
         [
             HilParser(HilSensor).push(bytes(frame))[0]
             for frame in SensorEncoder().encode(1_000, quiet_frame(3), **more)
         ]
         for more in ({}, {"delivered": (0, 2)})
     )
-    assert [s.fields_updated & BATCH_DELIVERED for s in told] == [BATCH_DELIVERED, 0, BATCH_DELIVERED]
-    cleared = [s._replace(fields_updated=s.fields_updated & ~BATCH_DELIVERED) for s in told]
+    assert [s.fields_updated & BATCH_DELIVERED for s in notified] == [BATCH_DELIVERED, 0, BATCH_DELIVERED]
+    cleared = [s._replace(fields_updated=s.fields_updated & ~BATCH_DELIVERED) for s in notified]
     assert cleared == quiet

@@ -1,4 +1,4 @@
-"""The rendezvous with PX4s, as a stand-in behaves: they are silent at first, late at times."""
+"""Lockstep with PX4s, simulated by a stand-in: they are silent at first and sometimes late."""
 
 import contextlib
 import socket
@@ -10,7 +10,7 @@ from px4_stand_in import Manners, StandIn
 from pymavlink.dialects.v20 import common as mavlink
 
 from autopilot.mavlink.codec import Encoder
-from harness.simulator.lockstep import FREE_STEP_S, OWN, PX4, Lockstep
+from harness.simulator.lockstep import OWN, PX4, STARTING_STEP_S, Lockstep
 from harness.simulator.response_watchdog import ResponseWatchdog
 
 STEP_US = 4_000
@@ -20,18 +20,18 @@ LATE_AFTER_S = PX4.late_after_s
 class Run:
     """Lockstep with stand-ins in threads, and what it reported."""
 
-    def __init__(self, *manners, limit_s=5.0, kinds=None):
-        self.listeners = [socket.create_server(("127.0.0.1", 0)) for _ in manners]
+    def __init__(self, *behaviours, limit_s=5.0, policies=None):
+        self.listeners = [socket.create_server(("127.0.0.1", 0)) for _ in behaviours]
         self.messages, self.silent, self.lost = [], [], []
         self.lockstep = Lockstep(
             self.listeners,
-            patience=ResponseWatchdog(limit_s),
+            watchdog=ResponseWatchdog(limit_s),
             on_message=lambda i, message: self.messages.append((i, message.get_type())),
             on_silent=lambda i, _: self.silent.append(i),
             on_lost=lambda i, reason: self.lost.append((i, reason)),
-            manners=kinds or [PX4] * len(manners),
+            policies=policies or [PX4] * len(behaviours),
         )
-        self.px4s = [StandIn(i, self.port(i), each) for i, each in enumerate(manners)]
+        self.px4s = [StandIn(i, self.port(i), each) for i, each in enumerate(behaviours)]
         self.threads = []
         self.time_us = 0
 
@@ -48,15 +48,15 @@ class Run:
     def step(self):
         self.time_us += STEP_US
         self.lockstep.send([sensors(self.time_us)] * len(self.px4s))
-        self.answers = self.lockstep.answers(self.time_us)
-        return self.answers.answered_us.tolist()
+        self.inbox = self.lockstep.receive(self.time_us)
+        return self.inbox.answered_us.tolist()
 
     def start(self):
-        """Step until all have answered; returns how many steps that took, and their wall time."""
+        """Step until all have answered; returns the number of steps and their wall time."""
         self.connect()
         begin_s = time.monotonic()
         steps = 0
-        while any(seat.alive and self.lockstep.is_free(seat) for seat in self.lockstep.seats):
+        while any(slot.alive and self.lockstep.is_starting(slot) for slot in self.lockstep.slots):
             self.step()
             steps += 1
         return steps, time.monotonic() - begin_s
@@ -81,23 +81,23 @@ def sensors(time_us):
 
 
 @pytest.mark.parametrize("count", [1, 3])
-def test_nobody_waits_for_a_px4_that_starts_and_everybody_afterwards(run, count):
+def test_steps_wait_for_a_px4_only_after_its_first_answer(run, count):
     px4s = run(*(Manners(seed=seed) for seed in range(count)))
     steps, wall_s = px4s.start()
-    # it starts by the clock on the wall, so steps must not be spent faster than it is used to; on a machine
-    # under load they are slower, and fewer
-    assert wall_s >= (steps - 1) * FREE_STEP_S
+    # it starts up in wall time, so steps must not be shorter than this limit; on a machine under load they
+    # are longer, and fewer
+    assert wall_s >= (steps - 1) * STARTING_STEP_S
     assert steps >= 2
-    assert wall_s + FREE_STEP_S >= max(px4.silence_s for px4 in px4s.px4s)
+    assert wall_s + STARTING_STEP_S >= max(px4.silence_s for px4 in px4s.px4s)
     for _ in range(50):
         assert px4s.step() == [px4s.time_us] * count
     assert px4s.lockstep.late_answers == dict.fromkeys(range(count), 0)
     assert px4s.lost == px4s.silent == []
-    # not one HIL_SENSOR was kept from it while it started, or sent twice
+    # every HIL_SENSOR was sent exactly once while it started
     assert all(px4.sensors == list(range(STEP_US, px4s.time_us + 1, STEP_US)) for px4 in px4s.px4s)
 
 
-def test_either_of_its_first_words_introduces_it_and_the_other_is_passed_on(run):
+def test_either_first_message_identifies_it_and_the_other_is_passed_on(run):
     orders = set()
     for seed in range(4):
         px4 = run(Manners(seed=seed))
@@ -107,7 +107,7 @@ def test_either_of_its_first_words_introduces_it_and_the_other_is_passed_on(run)
     assert orders == {(0, "COMMAND_LONG"), (0, "HEARTBEAT")}
 
 
-def test_an_answer_that_takes_a_fifth_of_a_second_is_waited_for(run):
+def test_an_answer_that_takes_a_fifth_of_a_second_is_awaited(run):
     px4 = run(Manners(late={20: 0.2}))
     px4.start()
     begin_s = time.monotonic()
@@ -117,7 +117,7 @@ def test_an_answer_that_takes_a_fifth_of_a_second_is_waited_for(run):
     assert px4.lockstep.late_answers == {0: 0}
 
 
-def test_after_a_lost_answer_the_step_goes_on_with_the_controls_of_before(run):
+def test_after_a_lost_answer_the_step_continues_with_the_previous_controls(run):
     px4 = run(Manners(lost=(20,)))
     px4.start()
     stale = []
@@ -133,17 +133,17 @@ def test_after_a_lost_answer_the_step_goes_on_with_the_controls_of_before(run):
     assert px4.lost == []
 
 
-def test_an_answer_that_comes_in_the_next_step_sets_the_controls_and_ends_no_wait(run):
+def test_an_answer_that_arrives_in_the_next_step_sets_the_controls_and_ends_no_wait(run):
     px4 = run(Manners(late={20: 0.5}, armed_from=20))
     px4.start()
     while px4.lockstep.late_answers == {0: 0}:
         px4.step()
-    assert px4.answers.controls[0, 0] == 0.0  # of before it armed
-    assert px4.step() == [px4.time_us]  # in which the late one comes, and then its own
+    assert px4.inbox.controls[0, 0] == 0.0  # from before it armed
+    assert px4.step() == [px4.time_us]  # the late answer arrives, then that of this step
     assert px4.lockstep.late_answers == {0: 1}
 
 
-def test_one_that_never_answers_again_is_lost_by_name_though_steps_go_on(run):
+def test_one_that_stops_answering_is_lost_though_steps_continue(run):
     px4s = run(Manners(mute_from=10), Manners(seed=1), limit_s=1.0)
     px4s.start()
     begin_s = time.monotonic()
@@ -154,12 +154,12 @@ def test_one_that_never_answers_again_is_lost_by_name_though_steps_go_on(run):
     assert instance == 0
     assert "has not answered" in reason
     assert px4s.silent == [0]
-    # what is left of it is that its steps took as long as an answer is waited for, not as long as patience
+    # each of its steps took as long as an answer is awaited, not the watchdog's limit
     assert px4s.lockstep.late_answers[0] >= 2
     assert px4s.step()[0] == 0
 
 
-def test_one_that_dies_while_it_starts_or_later_is_lost_at_once(run):
+def test_one_that_ends_during_its_start_or_later_is_lost_at_once(run):
     px4s = run(Manners(), Manners(seed=1))
     px4s.connect()
     px4s.step()
@@ -168,14 +168,14 @@ def test_one_that_dies_while_it_starts_or_later_is_lost_at_once(run):
     while not px4s.lost and time.monotonic() < deadline_s:
         px4s.step()
     assert px4s.lost == [(0, "its connection closed")]
-    while px4s.lockstep.is_free(px4s.lockstep.seats[1]):
+    while px4s.lockstep.is_starting(px4s.lockstep.slots[1]):
         px4s.step()
     px4s.px4s[1].close()
     px4s.step()
     assert [instance for instance, _ in px4s.lost] == [0, 1]
 
 
-def test_strangers_get_no_seat_and_hold_up_nobody(run):
+def test_strangers_get_no_slot_and_cause_no_delay(run):
     px4 = run(Manners())
     strangers = [socket.create_connection(("127.0.0.1", px4.port(0))) for _ in range(12)]
     try:
@@ -196,21 +196,21 @@ def test_strangers_get_no_seat_and_hold_up_nobody(run):
             stranger.close()
 
 
-def test_one_of_coflights_own_beside_a_px4_is_waited_for_from_the_first_step(run):
-    mixed = run(Manners(), Manners(), kinds=[OWN, PX4])
+def test_an_own_vehicle_beside_a_px4_is_awaited_from_the_first_step(run):
+    mixed = run(Manners(), Manners(), policies=[OWN, PX4])
     mixed.px4s[0].silence_s = 0.0
     mixed.connect()
-    while mixed.lockstep.is_free(mixed.lockstep.seats[1]):
+    while mixed.lockstep.is_starting(mixed.lockstep.slots[1]):
         assert mixed.step()[0] == mixed.time_us
     assert mixed.lockstep.late_answers == {1: 0}
 
 
-def test_what_is_overheard_is_passed_on_with_the_answers(run):
+def test_enqueued_messages_are_passed_on_with_the_answers(run):
     px4 = run(Manners())
     px4.start()
     px4.messages.clear()
-    said = mavlink.MAVLink_heartbeat_message(18, 8, 0, 5, 4, 3)
-    thread = threading.Thread(target=px4.lockstep.overhear, args=(0, said))
+    message = mavlink.MAVLink_heartbeat_message(18, 8, 0, 5, 4, 3)
+    thread = threading.Thread(target=px4.lockstep.enqueue, args=(0, message))
     thread.start()
     thread.join()
     assert px4.messages == []

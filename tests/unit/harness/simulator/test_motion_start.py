@@ -1,4 +1,4 @@
-"""From what the vehicles say of the motion's start to the plan that the truth is held against."""
+"""Start of the formation's motion: from the vehicles' reports to the plan that the truth is compared with."""
 
 import msgspec
 import numpy as np
@@ -30,7 +30,7 @@ def test_a_start_is_an_unsigned_number_of_milliseconds_in_a_signed_field():
 
 
 @pytest.mark.parametrize(
-    ("said", "start"),
+    ("reported", "start"),
     [
         ([], None),
         ([5, 5, 7], 5),
@@ -40,8 +40,8 @@ def test_a_start_is_an_unsigned_number_of_milliseconds_in_a_signed_field():
         ([None, None], None),
     ],
 )
-def test_more_than_half_agree(said, start):
-    assert agreed(said) == start
+def test_more_than_half_agree(reported, start):
+    assert agreed(reported) == start
 
 
 def test_the_last_start_of_the_events_counts(tmp_path):
@@ -54,7 +54,7 @@ def test_the_last_start_of_the_events_counts(tmp_path):
     ]
     with events.open("ab") as file:
         file.write(b"".join(msgspec.json.encode(line) + b"\n" for line in lines))
-        file.write(msgspec.json.encode(lines[0])[:-3])  # its process was killed
+        file.write(msgspec.json.encode(lines[0])[:-3])  # cut off when the process was killed
     assert flown_start_us(events) == 3_000_000
     times_us = np.array([2_000_000, 3_500_000])
     np.testing.assert_allclose(since_start_s(times_us, 3_000_000), [-1.0, 0.5])
@@ -62,31 +62,31 @@ def test_the_last_start_of_the_events_counts(tmp_path):
     assert FormationMoves.__struct_config__.tag in EVENT_KINDS
 
 
-class _Seat:
+class _Slot:
     def __init__(self, instance):
         self.instance = instance
         self.alive = True
 
 
-class _Mute:
-    """Vehicles that are there and set no motors."""
+class _Idle:
+    """Vehicles that are connected and set no motors."""
 
     def __init__(self, count):
-        self.seats = [_Seat(i) for i in range(count)]
-        self._answers = ActuatorInbox(count)
+        self.slots = [_Slot(i) for i in range(count)]
+        self._inbox = ActuatorInbox(count)
 
     @property
     def living(self):
-        return sum(seat.alive for seat in self.seats)
+        return sum(slot.alive for slot in self.slots)
 
     def send(self, frames):
-        assert len(list(frames)) == len(self.seats)
+        assert len(list(frames)) == len(self.slots)
 
-    def answers(self, time_us):
+    def receive(self, time_us):
         assert time_us > 0
-        return self._answers
+        return self._inbox
 
-    def judge(self, instances):
+    def check(self, instances):
         raise AssertionError(instances)
 
     def close(self):
@@ -95,67 +95,67 @@ class _Mute:
 
 @pytest.fixture
 def simulated(tmp_path):
-    """Three vehicles on the ground below a formation that is to fly east; the events; the run's folder."""
+    """Three vehicles on the ground below a formation that will fly east; the events; the run's folder."""
     folder = RunFolder.create(tmp_path / "run")
     config = msgspec.json.decode(
         folder.write_physics_config(SCENARIO, run_id="test").read_bytes(), type=PhysicsConfig
     )
-    told = []
-    simulation = Simulation(config, meet=lambda _: _Mute(3), air=None, emit=told.append)
-    yield simulation, told, folder
+    events = []
+    simulation = Simulation(config, meet=lambda _: _Idle(3), emulator=None, emit=events.append)
+    yield simulation, events, folder
     simulation.close()
 
 
-def _says(simulation, instance, value, *, component=APPLICATION_COMPONENT, name=b"start_ms"):
+def _report(simulation, instance, value, *, component=APPLICATION_COMPONENT, name=b"start_ms"):
     message = common.MAVLink_named_value_int_message(0, name, value)
     simulation.on_message(instance, stamp(message, system=instance + 1, component=component))
 
 
-def test_what_most_of_the_living_say_is_an_event_once(simulated):
-    simulation, told, folder = simulated
-    _says(simulation, 0, 4)
-    _says(simulation, 1, 4, component=AUTOPILOT_COMPONENT)
-    _says(simulation, 1, 4, name=b"other")
+def test_the_start_that_most_living_vehicles_report_is_one_event(simulated):
+    simulation, events, folder = simulated
+    _report(simulation, 0, 4)
+    _report(simulation, 1, 4, component=AUTOPILOT_COMPONENT)
+    _report(simulation, 1, 4, name=b"other")
     simulation.step()
-    assert told == []
-    _says(simulation, 1, 8)
-    _says(simulation, 1, 4)
-    _says(simulation, 2, 8)
+    assert events == []
+    _report(simulation, 1, 8)
+    _report(simulation, 1, 4)
+    _report(simulation, 2, 8)
     simulation.step()
     moves = FormationMoves(time_us=12_000, start_us=4_000)
-    assert told == [moves]
-    _says(simulation, 2, 4)
+    assert events == [moves]
+    _report(simulation, 2, 4)
     simulation.step()
-    assert told == [moves]
-    _says(simulation, 0, 5)  # no majority for another: the formation flies on
-    _says(simulation, 1, 6)
+    assert events == [moves]
+    _report(simulation, 0, 5)  # no majority for another start: no event
+    _report(simulation, 1, 6)
     simulation.step()
-    assert told == [moves]
+    assert events == [moves]
     for i in range(3):
-        _says(simulation, i, 100)
+        _report(simulation, i, 100)
     simulation.step()
-    assert told == [moves, FormationMoves(time_us=24_000, start_us=100_000)]
+    assert events == [moves, FormationMoves(time_us=24_000, start_us=100_000)]
     lines = folder.events.read_bytes().splitlines()
-    assert [msgspec.json.decode(line, type=FormationMoves) for line in lines] == told
+    assert [msgspec.json.decode(line, type=FormationMoves) for line in lines] == events
 
 
-def test_the_lost_have_no_say(simulated):
-    simulation, told, _ = simulated
-    _says(simulation, 0, 4)
-    _says(simulation, 1, 8)
-    _says(simulation, 2, 8)
+def test_reports_of_lost_vehicles_do_not_count(simulated):
+    simulation, events, _ = simulated
+    _report(simulation, 0, 4)
+    _report(simulation, 1, 8)
+    _report(simulation, 2, 8)
     for instance in (1, 2):
-        simulation.lockstep.seats[instance].alive = False
+        simulation.lockstep.slots[instance].alive = False
         simulation.on_lost(instance, "test")
     simulation.step()
-    assert told[-1] == FormationMoves(time_us=8_000, start_us=4_000)
+    assert events[-1] == FormationMoves(time_us=8_000, start_us=4_000)
 
 
-def test_a_vehicle_that_stays_behind_is_that_far_from_its_place(simulated):
-    """Its place has moved by a t^2 / 2 with 3 m/s^2 at t = 0.2 s since the start: 0.06 m."""
+def test_the_error_of_a_vehicle_at_rest_is_the_motion_of_its_place(simulated):
+    """The place has moved by a t^2 / 2 with 3 m/s^2 at t = 0.2 s since the start: 0.06 m."""
     simulation, _, _ = simulated
     for i in range(3):
-        _says(simulation, i, 4)
+        _report(simulation, i, 4)
     while simulation.time_us < 204_000:
         simulation.step()
     for vehicle in simulation.vehicles():
@@ -163,12 +163,12 @@ def test_a_vehicle_that_stays_behind_is_that_far_from_its_place(simulated):
 
 
 @pytest.mark.parametrize("start_ms", [None, 100])
-def test_the_report_holds_the_flown_against_the_plan(simulated, start_ms):
-    """Vehicles that stay where they were formed fall behind by 1.5 m/s^2 t^2, in shape not at all."""
+def test_the_report_compares_the_flight_with_the_plan(simulated, start_ms):
+    """Vehicles at rest fall behind the plan by 1.5 m/s^2 t^2; the shape has no error."""
     simulation, _, folder = simulated
     for i in range(3):
         if start_ms is not None:
-            _says(simulation, i, start_ms)
+            _report(simulation, i, start_ms)
     while simulation.time_us <= 500_000:
         simulation.step()
     simulation.close()

@@ -1,4 +1,4 @@
-"""Simulated time keeps to the wall clock without leaps; pausing and going on are commands like others."""
+"""Simulated time follows the wall clock without leaps; pausing and resuming are commands."""
 
 import queue
 from itertools import pairwise
@@ -14,7 +14,7 @@ STEP_US = 4_000
 
 
 class Clock:
-    """Wall time that passes by sleeping and by steps that take long, and by nothing else."""
+    """Wall time that passes only in sleeps and in steps."""
 
     def __init__(self) -> None:
         self.wall_s = 1_000.0
@@ -29,13 +29,13 @@ class Clock:
 
 
 class World:
-    """A simulation that does nothing but let time pass; step ``slow`` takes so much wall time."""
+    """A simulation in which only time passes; ``slow`` maps a step to its additional wall time."""
 
     def __init__(self, clock: Clock, slow: dict[int, float] | None = None) -> None:
         self.clock, self.slow = clock, slow or {}
         self.time_us = STEP_US
         self.any_alive, self.must_end, self.formed, self.busy_fraction = True, False, False, 0.0
-        self.lockstep = SimpleNamespace(connect=lambda *_, **__: None, living=0, seats=[])
+        self.lockstep = SimpleNamespace(connect=lambda *_, **__: None, living=0, slots=[])
         self.steps: list[tuple[int, float]] = []
 
     def step(self) -> None:
@@ -61,7 +61,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 
 
 class Inbox(queue.SimpleQueue):  # type: ignore[type-arg]
-    """A queue in which to wait is to let the clock's time pass, until what comes by itself at its time."""
+    """A queue whose waits advance the clock; the commands ``coming`` arrive at their wall times."""
 
     def __init__(self, clock: Clock, coming: dict[float, AnyCommand] | None = None) -> None:
         super().__init__()
@@ -89,17 +89,17 @@ def flown(
     during: dict[int, AnyCommand] | None = None,
     coming: dict[float, AnyCommand] | None = None,
 ) -> list[object]:
-    """Obey commands; those of ``during`` come when so much has been said, of ``coming`` at a wall time.
+    """Execute commands; those of ``during`` arrive after so many events, those of ``coming`` at a wall time.
 
-    Returns what was said.
+    Returns the events.
     """
     inbox = Inbox(world.clock, coming)
-    said: list[object] = []
+    events: list[object] = []
     later = dict(during or {})
 
     def emit(event: object) -> None:
-        said.append(event)
-        for command in [later.pop(k) for k in sorted(later) if len(said) >= k]:
+        events.append(event)
+        for command in [later.pop(k) for k in sorted(later) if len(events) >= k]:
             inbox.put(command)
         if isinstance(event, Paused):
             inbox.put(Stop())
@@ -107,7 +107,7 @@ def flown(
     for command in commands:
         inbox.put(command)
     obey(world, inbox, connect_timeout_s=1.0, emit=emit)  # type: ignore[arg-type]
-    return said
+    return events
 
 
 def test_a_second_at_speed_two_takes_half_a_second_however_inexact_sleeps_are(clock: Clock) -> None:
@@ -116,45 +116,45 @@ def test_a_second_at_speed_two_takes_half_a_second_however_inexact_sleeps_are(cl
     end = RunUntil(time_us=1_000_000 + STEP_US, speed=2.0)
     (*_, paused) = [e for e in flown_then_stop(world, end) if isinstance(e, Paused)]
     assert paused.time_us == end.time_us
-    # the first step begins it; from then on every step has its absolute time
+    # the first step sets the anchor; from then on every step has its absolute time
     assert clock.wall_s - begin_s == pytest.approx(0.001 + 0.5, abs=0.0021)
 
 
 def flown_then_stop(world: World, *commands: AnyCommand) -> list[object]:
-    """Obey commands one after the other, each when the run before is done, and then stop."""
+    """Execute commands one after the other, each when the previous run is done, and then stop."""
     inbox: queue.SimpleQueue[AnyCommand] = queue.SimpleQueue()
-    said: list[object] = []
+    events: list[object] = []
     waiting = [*commands, Stop()]
 
     def emit(event: object) -> None:
-        said.append(event)
+        events.append(event)
         if isinstance(event, Paused):
             inbox.put(waiting.pop(0))
 
     inbox.put(waiting.pop(0))
     obey(world, inbox, connect_timeout_s=1.0, emit=emit)  # type: ignore[arg-type]
-    return said
+    return events
 
 
-def test_what_a_stall_cost_is_told_and_not_caught_up_with(clock: Clock) -> None:
+def test_the_lag_of_a_stall_is_reported_and_not_caught_up(clock: Clock) -> None:
     world = World(clock, slow={50: 0.7})
-    said = flown_then_stop(world, RunUntil(time_us=2_000_000, speed=1.0))
-    (last,) = [e for e in said if isinstance(e, Progress)][-1:]
+    events = flown_then_stop(world, RunUntil(time_us=2_000_000, speed=1.0))
+    (last,) = [e for e in events if isinstance(e, Progress)][-1:]
     assert last.lag_s == pytest.approx(0.7, abs=0.01)
     after = world.steps[51:]
     for (earlier_us, earlier_s), (later_us, later_s) in pairwise(after):
         assert (later_s - earlier_s) == pytest.approx((later_us - earlier_us) * 1e-6, abs=1e-6)
 
 
-def test_a_stall_shorter_than_that_is_made_good(clock: Clock) -> None:
+def test_a_shorter_stall_is_caught_up(clock: Clock) -> None:
     world = World(clock, slow={50: 0.9 * MOST_LAG_S})
     begin_s = clock.wall_s
-    said = flown_then_stop(world, RunUntil(time_us=1_000_000 + STEP_US, speed=1.0))
+    events = flown_then_stop(world, RunUntil(time_us=1_000_000 + STEP_US, speed=1.0))
     assert clock.wall_s - begin_s == pytest.approx(1.0, abs=0.01)
-    assert all(e.lag_s == 0.0 for e in said if isinstance(e, Progress))
+    assert all(e.lag_s == 0.0 for e in events if isinstance(e, Progress))
 
 
-def test_a_program_that_thinks_between_two_runs_makes_no_lag() -> None:
+def test_wall_time_between_two_runs_is_no_lag() -> None:
     pacer = Pacer()
     pacer.begin(1.0, 0, 100.0)
     assert pacer.ahead_s(4_000, 100.0) == 0.0
@@ -164,29 +164,29 @@ def test_a_program_that_thinks_between_two_runs_makes_no_lag() -> None:
     assert pacer.ahead_s(16_000, 130.0) == pytest.approx(0.004)
     assert pacer.lag_s == 0.0
     pacer.begin(0.0, 16_000, 130.0)
-    assert pacer.ahead_s(1_000_000, 131.0) == 0.0  # as fast as it goes
+    assert pacer.ahead_s(1_000_000, 131.0) == 0.0  # as fast as possible
 
 
-def test_a_pause_before_and_in_a_run_lets_it_go_on_to_its_end(clock: Clock) -> None:
+def test_a_run_that_was_paused_continues_to_its_end(clock: Clock) -> None:
     world = World(clock)
-    # the pause comes first; reports of a run that stands go on, and the third brings the end of the pause
-    said = flown(world, Pause(), RunUntil(time_us=400_000, speed=1.0), during={3: Resume()})
-    standing = [e for e in said if isinstance(e, Progress) and e.paused]
+    # the pause comes first; a paused run continues to report, and the third report is followed by Resume
+    events = flown(world, Pause(), RunUntil(time_us=400_000, speed=1.0), during={3: Resume()})
+    standing = [e for e in events if isinstance(e, Progress) and e.paused]
     assert len(standing) >= 2
     assert {e.time_us for e in standing} == {STEP_US}
-    paused = next(e for e in said if isinstance(e, Paused))
+    paused = next(e for e in events if isinstance(e, Paused))
     assert (paused.reason, paused.time_us) == ("time", 400_000)
 
 
-def test_stop_ends_a_run_that_stands(clock: Clock) -> None:
+def test_stop_ends_a_paused_run(clock: Clock) -> None:
     world = World(clock)
-    said = flown(world, Pause(), RunUntil(time_us=400_000), during={2: Stop()})
-    assert isinstance(said[-1], Paused)
-    assert said[-1].reason == "command"
+    events = flown(world, Pause(), RunUntil(time_us=400_000), during={2: Stop()})
+    assert isinstance(events[-1], Paused)
+    assert events[-1].reason == "command"
     assert world.steps == []
 
 
-def test_another_speed_holds_from_then_on(clock: Clock) -> None:
+def test_another_speed_applies_from_then_on(clock: Clock) -> None:
     world = World(clock)
     flown(world, RunUntil(time_us=4_000_000, speed=1.0), during={2: SetSpeed(speed=4.0)})
     first, last = world.steps[:20], world.steps[-20:]
@@ -195,31 +195,31 @@ def test_another_speed_holds_from_then_on(clock: Clock) -> None:
         assert (steps[-1][0] - steps[0][0]) * 1e-6 / took_s == pytest.approx(speed, rel=0.1)
 
 
-def test_however_slow_it_is_told_a_few_times_per_second_and_a_command_ends_the_wait(clock: Clock) -> None:
+def test_a_slow_run_reports_a_few_times_per_second_and_a_command_ends_the_wait(clock: Clock) -> None:
     world, begin_s = World(clock), clock.wall_s
-    # a step in more than an hour
-    said = flown(world, RunUntil(time_us=1_000_000, speed=1e-6), coming={begin_s + 700.0: Stop()})
+    # more than an hour per step
+    events = flown(world, RunUntil(time_us=1_000_000, speed=1e-6), coming={begin_s + 700.0: Stop()})
     assert clock.wall_s == pytest.approx(begin_s + 700.0, abs=0.01)
-    told_s = [begin_s, *(e.wall_s for e in said if isinstance(e, Progress))]
-    assert len(told_s) > 1_000
-    assert max(later - earlier for earlier, later in pairwise(told_s)) < 2.0 * PROGRESS_PERIOD_S
+    reported_s = [begin_s, *(e.wall_s for e in events if isinstance(e, Progress))]
+    assert len(reported_s) > 1_000
+    assert max(later - earlier for earlier, later in pairwise(reported_s)) < 2.0 * PROGRESS_PERIOD_S
     assert max(clock.sleeps_s, default=0.0) <= NAP_S
-    assert [e.reason for e in said if isinstance(e, Paused)] == ["command"]
+    assert [e.reason for e in events if isinstance(e, Paused)] == ["command"]
 
 
-def test_another_speed_and_a_pause_hold_at_once_however_slow_it_was(clock: Clock) -> None:
+def test_another_speed_and_a_pause_apply_at_once_in_a_slow_run(clock: Clock) -> None:
     world, begin_s = World(clock), clock.wall_s
     coming: dict[float, AnyCommand] = {
         begin_s + 10.0: SetSpeed(speed=1.0),
         begin_s + 10.5: Pause(),
         begin_s + 14.0: Resume(),
     }
-    said = flown(world, RunUntil(time_us=1_000_000, speed=1e-6), coming=coming)
+    events = flown(world, RunUntil(time_us=1_000_000, speed=1e-6), coming=coming)
     assert clock.wall_s == pytest.approx(begin_s + 10.0 + 1.0 + 3.5, abs=0.05)
-    paused = next(e for e in said if isinstance(e, Paused))
+    paused = next(e for e in events if isinstance(e, Paused))
     assert paused.wall_paused_s == pytest.approx(3.5, abs=0.05)
-    # who breaks a run off that stands learns from the last report how long it has
-    standing = [e for e in said if isinstance(e, Progress) and e.paused]
+    # the last report of a paused run has the wall time of the pause
+    standing = [e for e in events if isinstance(e, Progress) and e.paused]
     assert standing[-1].wall_paused_s == pytest.approx(3.5, abs=1.5 * PROGRESS_PERIOD_S)
     for earlier, later in pairwise(standing):
         assert later.wall_paused_s - earlier.wall_paused_s == pytest.approx(later.wall_s - earlier.wall_s)

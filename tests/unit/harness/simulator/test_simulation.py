@@ -1,4 +1,4 @@
-"""The physics server's core: what becomes of who is gone, and that nothing stays open whatever fails."""
+"""The physics server's core: lost vehicles are disarmed, and errors leave nothing open."""
 
 from pathlib import Path
 
@@ -21,32 +21,32 @@ ARMED = 128
 SCENARIO = load(SCENARIOS / "article.toml", ["agents=2"])
 
 
-class _Seat:
+class _Slot:
     def __init__(self, instance):
         self.instance = instance
         self.alive = True
 
 
 class _Armed:
-    """Vehicles that are armed with their motors at rest, as long as they live."""
+    """Vehicles that are armed with their motors at rest until they are lost."""
 
     def __init__(self, error=None):
-        self.seats = [_Seat(i) for i in range(2)]
+        self.slots = [_Slot(i) for i in range(2)]
         self.error = error
-        self._answers = ActuatorInbox(2)
+        self._inbox = ActuatorInbox(2)
 
     @property
     def living(self):
-        return sum(seat.alive for seat in self.seats)
+        return sum(slot.alive for slot in self.slots)
 
     def send(self, frames):
         assert len(list(frames)) == 2
 
-    def answers(self, time_us):
-        for seat in self.seats:
-            if seat.alive:
-                self._answers.put(seat.instance, HilActuatorControls(time_us, (0.0,) * 16, ARMED, 1))
-        return self._answers
+    def receive(self, time_us):
+        for slot in self.slots:
+            if slot.alive:
+                self._inbox.put(slot.instance, HilActuatorControls(time_us, (0.0,) * 16, ARMED, 1))
+        return self._inbox
 
     def close(self):
         if self.error is not None:
@@ -61,7 +61,7 @@ def folder(tmp_path):
 def simulation_of(folder, meet):
     path = folder.write_physics_config(SCENARIO, run_id="test")
     config = msgspec.json.decode(path.read_bytes(), type=PhysicsConfig)
-    return Simulation(config, meet=meet, air=None, emit=lambda _: None)
+    return Simulation(config, meet=meet, emulator=None, emit=lambda _: None)
 
 
 def open_files(folder):
@@ -75,9 +75,9 @@ def test_the_lost_are_disarmed_from_their_last_step_on(folder):
     simulation = simulation_of(folder, lambda _: vehicles)
     simulation.step()
     assert [vehicle.armed for vehicle in simulation.vehicles()] == [True, True]
-    vehicles.seats[1].alive = False
+    vehicles.slots[1].alive = False
     simulation.on_lost(1, "of the test")
-    for _ in range(11):  # a record is made each 40 ms, of 10 steps
+    for _ in range(11):  # a record is made every 40 ms, 10 steps
         simulation.step()
     assert [vehicle.armed for vehicle in simulation.vehicles()] == [True, False]
     simulation.close()
@@ -86,7 +86,7 @@ def test_the_lost_are_disarmed_from_their_last_step_on(folder):
     assert np.array_equal(truth["alive"][-2:], truth["armed"][-2:])
 
 
-def test_a_rendezvous_that_fails_leaves_nothing_open(folder):
+def test_a_failing_handshake_leaves_nothing_open(folder):
     met = []
 
     def meet(simulation):

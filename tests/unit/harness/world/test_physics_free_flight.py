@@ -10,7 +10,7 @@ from harness.world.physics.bodies import BODY, near_something
 from harness.world.physics.bullet import Bullet
 from harness.world.physics.free_flight import MOST_RATE, coast
 from harness.world.physics.model import IRIS
-from harness.world.physics.world import GRAVITY_M_S2, LASTING, World
+from harness.world.physics.world import GRAVITY_M_S2, RELEASE_RATIO, World
 
 INERTIA = np.array(IRIS.inertia_diagonal_kg_m2)
 HALF_DIAGONAL_M = 0.5 * float(np.linalg.norm(IRIS.box_m))
@@ -99,7 +99,7 @@ def test_bullet_limits_rates_as_free_flight_does(field, applied_as, axis, sign):
 
 def near(rows, was_near=None):
     flags = np.zeros(len(rows), dtype=bool) if was_near is None else np.array(was_near)
-    changed = near_something(rows, 4.0 * HALF_DIAGONAL_M, LASTING, flags)
+    changed = near_something(rows, 4.0 * HALF_DIAGONAL_M, RELEASE_RATIO, flags)
     return changed, flags.tolist()
 
 

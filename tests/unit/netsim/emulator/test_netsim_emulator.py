@@ -294,7 +294,7 @@ def test_busy_time_is_the_union_of_what_was_on_the_air():
 
 def test_wrong_input_is_refused():
     swarm = Swarm(FORMATION[:2])
-    with pytest.raises(ValueError, match="no station 2"):
+    with pytest.raises(ValueError, match="station 2 is out of range"):
         swarm.emulator.submit(TxBatch(station=2, now_us=0, items=()))
     fine = np.zeros((2, 3))
     for wrong in (np.zeros((3, 3)), np.full((2, 3), np.nan)):

@@ -12,8 +12,8 @@ from netsim.ftm.negotiation import (
     can_measure,
     from_partial_tsf_ns,
     grant,
-    refusal,
-    wish,
+    rejection,
+    requested_parameters,
 )
 from netsim.model.config import FtmConfig
 
@@ -35,7 +35,7 @@ TIMES_NS = st.integers(0, 10**13)
 
 @given(CONFIGS, CONFIGS, TIMES_NS)
 def test_grant_keeps_to_the_responders_limits_and_else_to_the_wish(initiator, responder, now_ns):
-    wanted = wish(initiator, 13)
+    wanted = requested_parameters(initiator, 13)
     granted = grant(wanted, responder, 13, now_ns)
     assert granted.status is Status.SUCCESSFUL
     assert granted.bursts_exponent == initiator.bursts_exponent
@@ -70,7 +70,7 @@ def test_no_preference_gets_what_the_responder_would_ask_for(responder, now_ns):
 
 @given(CONFIGS, TIMES_NS, st.integers(0, 30_000_000))
 def test_both_sides_read_the_same_times_out_of_a_grant(config, now_ns, later_us):
-    granted = grant(wish(config, 13), config, 13, now_ns)
+    granted = grant(requested_parameters(config, 13), config, 13, now_ns)
     schedule = Schedule.of(granted, now_ns)
     # the initiator reads it later: up to half of the 67 s after which a partial TSF repeats
     assert Schedule.of(granted, now_ns + 1_000 * later_us) == schedule
@@ -123,6 +123,6 @@ def test_formats_wider_than_the_channel_are_out_of_reach():
 
 
 def test_seconds_to_wait_are_rounded_up_and_end_at_31():
-    seconds = [refusal(Status.FAILED, ns).value for ns in (1, 10**9, 10**9 + 1, 10**12)]
+    seconds = [rejection(Status.FAILED, ns).value for ns in (1, 10**9, 10**9 + 1, 10**12)]
     assert seconds == [1, 1, 2, 31]
-    assert refusal(Status.INCAPABLE, 5).value == 0
+    assert rejection(Status.INCAPABLE, 5).value == 0

@@ -1,4 +1,4 @@
-"""The emulator alone against ns-3's runs and theory; docs/radio.md has the whole of it."""
+"""The emulator alone against ns-3's runs and theory; docs/concepts/radio.md has the whole of it."""
 
 import csv
 import json
@@ -161,10 +161,10 @@ def test_every_command_answers_in_json_and_in_a_table(command, fields, capsys):
 @pytest.mark.parametrize(
     ("command", "says"),
     [
-        ("per --mode ofdm7 --snr-db 3", "'ofdm7' is no mode"),
+        ("per --mode ofdm7 --snr-db 3", "'ofdm7' is not a mode"),
         ("per --mode vht_mcs9 --width 20 --snr-db 3", "VHT MCS 9 does not exist on a 20 MHz channel"),
-        ("saturation --rate-mbps 11", "'ofdm11' is no mode"),
-        ("ftm --width 30", "30: the channel is 20, 40 or 80 MHz wide"),
+        ("saturation --rate-mbps 11", "'ofdm11' is not a mode"),
+        ("ftm --width 30", "30: the channel width must be 20, 40 or 80 MHz"),
         ("saturation --payload 2269", "less than or equal to 2268"),
         ("broadcast --stations 1", "greater than or equal to 2"),
         ("per --mode ofdm6 --snr-db 1e5", "'--snr-db'"),

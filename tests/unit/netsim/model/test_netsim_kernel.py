@@ -50,7 +50,7 @@ def test_what_is_done_between_calls_comes_before_each_and_changes_none():
 def test_the_past_cannot_be_scheduled():
     queue = EventQueue()
     queue.run_until(10)
-    with pytest.raises(ValueError, match="it is 10 ns"):
+    with pytest.raises(ValueError, match="is 10 ns"):
         queue.at(9, print, None)
 
 

@@ -200,7 +200,7 @@ def test_attenuations_that_are_none_are_refused(value):
     budget, trajectories = links()
     trajectories.set(0, [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0)], REST)
     row = budget.row(0, 0)
-    with pytest.raises(ValueError, match="attenuate"):
+    with pytest.raises(ValueError, match="attenuation of"):
         budget.set_extra_attenuation_db(value)
     assert budget.row(0, 0) is row
 

@@ -1,4 +1,4 @@
-"""The plan of a formation that moves: a smooth motion of a rigid whole, which ends or closes exactly."""
+"""Plan of a moving formation: a smooth motion of a rigid body that ends or closes exactly."""
 
 import numpy as np
 import pytest
@@ -20,10 +20,11 @@ def _compass(course_deg):
 
 
 def _lap_m(motion):
-    """Two straights and two half turns.
+    """Return the length of two straights and two half turns.
 
-    The curvature's integral over a half turn is pi. At each of its ends E = pi R / 2 have the mean curvature
-    1 / 2 R, so that (E + P) / R = pi with the tightest part's length P = pi R / 2; the turn is 2 E + P long.
+    The curvature's integral over a half turn is pi. A length E = pi R / 2 at each of its ends has the mean
+    curvature 1 / 2 R, so (E + P) / R = pi for a tightest part of length P = pi R / 2; the turn is 2 E + P
+    long.
     """
     return 2.0 * (motion.length_m + 1.5 * np.pi * motion.radius_m)
 
@@ -62,14 +63,14 @@ few = settings(max_examples=40, deadline=None, derandomize=True)
 
 
 def _duration_s(motion):
-    """Long enough for a lap and a half, or for the track and a while."""
+    """Return the time of a lap and a half, or of the track and some seconds more."""
     if isinstance(motion, RacetrackMotion):
         return _at_full_speed_s(motion) + 1.5 * _lap_m(motion) / motion.speed_m_s
     return motion.length_m / motion.speed_m_s + 2.0 * _at_full_speed_s(motion) + 5.0
 
 
 def _states(plan, times_s):
-    """(pos, vel, acc) of shape (T, N, 3), and headings and their rates (T,)."""
+    """Return (pos, vel, acc) of shape (T, N, 3), and headings and their rates (T,)."""
     states = [plan.at(t) for t in times_s]
     arrays = (
         np.array([getattr(s, name) for s in states]) for name in ("pos_ned_m", "vel_ned_m_s", "acc_ned_m_s2")
@@ -99,10 +100,11 @@ def test_a_formation_stands_before_its_motion_and_without_one():
 @few
 @given(motion=motions)
 def test_velocity_and_acceleration_are_the_derivatives(motion):
-    """By differences over h = 1 ms to either side.
+    """Central differences over h = 1 ms to either side.
 
-    Where the acceleration along the way steps, by 3 m/s^2 at most, that of the position is wrong by up to
-    3 h / 4, and that of the velocity is none. Elsewhere both are wrong by h^2 / 6 times the next derivative.
+    At a step of the acceleration along the path, at most 3 m/s^2, the difference of the position has an error
+    of up to 3 h / 4, and that of the velocity is invalid. Elsewhere both have errors of h^2 / 6 times the
+    next derivative.
     """
     plan = FormationPlan(PLACES_NED_M, -70.0, motion)
     step_s = 1e-3
@@ -119,13 +121,13 @@ def test_velocity_and_acceleration_are_the_derivatives(motion):
 
 
 def _centre_vel(*vel_ned_m_s):
-    """Of a rigid whole: the mean."""
+    """Return the velocities of the centre: the mean of a rigid body."""
     return np.stack([vel.mean(axis=1) for vel in vel_ned_m_s])
 
 
 @few
 @given(motion=motions, since_s=floats(0.0, 300.0))
-def test_all_ways_to_ask_give_one_answer(motion, since_s):
+def test_all_methods_give_the_same_states(motion, since_s):
     plan = FormationPlan(PLACES_NED_M, 200.0, motion)
     whole = plan.at(since_s)
     for i in range(8):
@@ -175,11 +177,11 @@ def test_a_lap_closes_and_its_halves_are_the_same_turned_by_pi(motion):
     np.testing.assert_allclose(between_ned_m, np.broadcast_to(between_ned_m[0], (50, 3)), atol=1e-7)
 
 
-def test_the_way_is_the_integral_of_its_velocity():
-    """The table of a turn of 25 m is good to some 1e-9 radii; Simpson's rule here is good to 1e-9 m."""
+def test_the_path_is_the_integral_of_its_velocity():
+    """The error of the table of a turn of 25 m is about 1e-9 radii, that of Simpson's rule here 1e-9 m."""
     motion = RacetrackMotion()
     plan = FormationPlan(PLACES_NED_M, 0.0, motion)
-    # from the begin of a turn, so that the ends of its three pieces lie on the grid's points
+    # from the start of a turn, so that the ends of its three pieces are points of the grid
     piece_s = 0.5 * np.pi * motion.radius_m / motion.speed_m_s
     begin_s = _at_full_speed_s(motion) + (motion.length_m - 9.0) / motion.speed_m_s
     for pieces in (1, 2, 3):
@@ -201,7 +203,7 @@ def test_the_centre_keeps_its_speed_and_never_turns_tighter_than_the_radius(moti
     centripetal_m_s2 = motion.speed_m_s**2 / motion.radius_m
     assert (side * clockwise_m_s2).max() == pytest.approx(centripetal_m_s2, rel=1e-9)
     assert (side * clockwise_m_s2).min() >= -1e-9 * centripetal_m_s2
-    # P of 2 (2 E + P) turned metres are the tightest: a third of them
+    # the tightest part is P of 2 E + P: a third of the turn
     straight_m, turned_m = 2.0 * motion.length_m, _lap_m(motion) - 2.0 * motion.length_m
     tightest = np.isclose(side * clockwise_m_s2, centripetal_m_s2, rtol=1e-6)
     assert tightest.mean() == pytest.approx(turned_m / 3.0 / (straight_m + turned_m), abs=0.02)
@@ -209,7 +211,7 @@ def test_the_centre_keeps_its_speed_and_never_turns_tighter_than_the_radius(moti
 
 @few
 @given(motion=racetracks())
-def test_a_formation_that_follows_its_track_looks_along_it(motion):
+def test_the_heading_of_a_formation_with_heading_track_follows_the_course(motion):
     if motion.heading == "fixed":
         return
     plan = FormationPlan(PLACES_NED_M, motion.course_deg + 25.0, motion)
@@ -222,10 +224,10 @@ def test_a_formation_that_follows_its_track_looks_along_it(motion):
 
 
 def test_no_velocity_or_acceleration_jumps_beside_the_centre():
-    """Where a circle met a straight, a UAV 12.75 m off would gain 12.75 m * 3 m/s / 25 m = 1.5 m/s at once.
+    """Where a circle joins a straight, a UAV 12.75 m off would gain 12.75 m * 3 m/s / 25 m = 1.5 m/s.
 
-    Continuous is what changes half as much in half the time. Only the acceleration along the way steps, when
-    the speed is reached.
+    A continuous quantity changes half as much in half the time. Only the acceleration along the path has a
+    step, when the speed is reached.
     """
     motion = RacetrackMotion()
     plan = FormationPlan(PLACES_NED_M, 0.0, motion)
@@ -251,7 +253,7 @@ def test_right_is_clockwise_seen_from_above():
 @few
 @given(motion=tracks)
 def test_a_track_ends_at_its_length_after_the_time_of_its_trapezoid(motion):
-    """Length / speed + speed / acceleration; too short a track reaches sqrt(length * acceleration)."""
+    """Length / speed + speed / acceleration; the peak of a short track is sqrt(length * acceleration)."""
     plan = FormationPlan(PLACES_NED_M, 45.0, motion)
     peak_m_s = min(motion.speed_m_s, np.sqrt(motion.acceleration_m_s2 * motion.length_m))
     duration_s = motion.length_m / peak_m_s + peak_m_s / motion.acceleration_m_s2
@@ -275,26 +277,26 @@ ABREAST_NED_M = np.array([[0.0, -13.0, -10.0], [0.0, 13.0, -10.0]])
     [
         # outside of a right turn: (v / R)^2 (R + d) = 3.0 m/s^2 at v = sqrt(3 * 625 / 38) = 7.02 m/s
         (RacetrackMotion(speed_m_s=7.0), 13.0, None),
-        (RacetrackMotion(speed_m_s=7.1), 13.0, "UAV 0, 13.0 m off the centre, would come to 3.1 m/s^2"),
+        (RacetrackMotion(speed_m_s=7.1), 13.0, "UAV 0, 13.0 m off the centre, would reach 3.1 m/s^2"),
         (RacetrackMotion(speed_m_s=7.1, side="left"), 13.0, "radius_m: UAV 1, 13.0 m off"),
-        # with its heading fixed each UAV flies the centre's turn: sqrt(3 * 25) = 8.66 m/s
+        # with a fixed heading each UAV flies the centre's turn: sqrt(3 * 25) = 8.66 m/s
         (RacetrackMotion(speed_m_s=8.6, heading="fixed"), 13.0, None),
         (
             RacetrackMotion(speed_m_s=8.7, heading="fixed"),
             13.0,
-            "radius_m: 8.7 m/s in a turn of 25 m is more",
+            "radius_m: 8.7 m/s in a turn of 25 m needs more",
         ),
         # v (1 + d / R): 19.5 and 20.1 m/s
         (RacetrackMotion(speed_m_s=9.0, radius_m=100.0), 30.0, None),
-        (RacetrackMotion(speed_m_s=9.0, radius_m=100.0), 34.0, "would come to 12.1 m/s in a turn of 100 m"),
-        # the inner one goes backwards: it may
+        (RacetrackMotion(speed_m_s=9.0, radius_m=100.0), 34.0, "would reach 12.1 m/s in a turn of 100 m"),
+        # the inner one flies backwards, which is allowed
         (RacetrackMotion(speed_m_s=2.0, radius_m=10.0), 13.0, None),
         (RacetrackMotion(speed_m_s=1.0, radius_m=1e-300), 13.0, "radius_m: 1 m/s in a turn of 1e-300 m"),
         (RacetrackMotion(acceleration_m_s2=1e-300), 13.0, "acceleration_m_s2: 3 m/s are not reached"),
         (TrackMotion(speed_m_s=12.0, acceleration_m_s2=3.0), 13.0, None),
     ],
 )
-def test_what_cannot_be_flown_is_refused(motion, half_span_m, says):
+def test_a_motion_that_cannot_be_flown_is_rejected(motion, half_span_m, says):
     places_ned_m = ABREAST_NED_M * [1.0, half_span_m / 13.0, 1.0]
     if says is None:
         check(places_ned_m, motion)

@@ -1,4 +1,4 @@
-"""Keeping clear: when nothing is to be done, the least that is to be done, and crowds. Some 10 s."""
+"""Collision avoidance: when it has no effect, minimality of the change, and crowds. Run time: 10 s."""
 
 import itertools
 import math
@@ -39,10 +39,10 @@ def as_seen(pos_ned_m, vel_ned_m_s, std_m, *, fresh=True):
 
 
 def change(
-    positions, wanted_ne_m_s=(0.0, 0.0), *, own=0, places=FAR_APART, velocities=None, std_m=0.0, radius_m=1.2,
-    goal=None, plan_vel=None, avoidance=None, now_us=0, fresh=None, in_place=True,
+    positions, desired_ne_m_s=(0.0, 0.0), *, own=0, places=FAR_APART, velocities=None, std_m=0.0,
+    radius_m=1.2, goal=None, plan_vel=None, avoidance=None, now_us=0, fresh=None, in_place=True,
 ):  # fmt: skip
-    """Ask for one change; ``in_place``: the own position is its place, whatever ``places`` says."""
+    """Return one velocity change; ``in_place``: the own position is its place, regardless of ``places``."""
     positions = np.array(positions, float)
     n = len(positions)
     plan = places[:n].copy()
@@ -60,45 +60,45 @@ def change(
         plan_pos_ned_m=plan,
         plan_vel_ned_m_s=np.zeros((n, 3)) if plan_vel is None else np.array(plan_vel, float),
         goal_ned_m=positions[own] if goal is None else np.array(goal, float),
-        wanted_ne_m_s=np.array(wanted_ne_m_s, float),
+        desired_ne_m_s=np.array(desired_ne_m_s, float),
     )
     return np.array(change_ne_m_s)
 
 
 @settings(deadline=None, max_examples=60)
 @given(st.integers(0, 10_000), st.sampled_from((1.25, 2.5, 10.0)), st.floats(0.0, 3.0))
-def test_in_formation_nothing_is_changed_however_unsure_and_up_to_a_fifth_of_the_spacing(
+def test_in_formation_nothing_is_changed_up_to_a_fifth_of_the_spacing_at_any_uncertainty(
     seed, spacing_m, std_m
 ):
-    """Everybody on its way back to its place by the position loop; exactly zero, not nearly."""
+    """All UAVs return to their places by the position loop; the change is exactly zero."""
     rng = np.random.default_rng(seed)
     places = article_places_ned_m(3.4 * spacing_m, spacing_m)
     errors_m = np.zeros((8, 3))
     size_m, course_rad = 0.2 * spacing_m * rng.uniform(0, 1, 8), rng.uniform(-math.pi, math.pi, 8)
     errors_m[:, 0], errors_m[:, 1] = size_m * np.cos(course_rad), size_m * np.sin(course_rad)
     for own in range(8):
-        wanted = -POSITION_P_1_S * errors_m[own, :2]
+        desired = -POSITION_P_1_S * errors_m[own, :2]
         found = change(
-            places + errors_m, wanted, own=own, places=places, std_m=std_m, goal=places[own], in_place=False
+            places + errors_m, desired, own=own, places=places, std_m=std_m, goal=places[own], in_place=False
         )
         assert np.array_equal(found, (0.0, 0.0))
 
 
-def test_the_gap_closes_at_its_rate_each_taking_half():
-    """Face to face 3 m apart with a reach of 1.2 m + 2 sigma: each may come at half of the gap per second."""
+def test_the_gap_closes_at_its_rate_half_by_each():
+    """Head-on, 3 m apart, with a reach of 1.2 m + 2 sigma: each may close half of the gap per second."""
     gap_m = 3.0 - 1.2 - SIGMAS * 0.1
     found = change([(0, 0, -5), (3.0, 0, -5)], (2.0, 0.0), std_m=0.1, goal=(3.0, 0.0, -5))
     assert found == pytest.approx((0.5 * CLOSING_1_S * gap_m - 2.0, 0.0))
-    # and too near a pair parts, each by half
+    # a pair that is too near separates, each by half
     found = change([(0, 0, -5), (1.0, 0, -5)], std_m=0.1)
     assert found == pytest.approx((0.5 * CLOSING_1_S * (1.0 - 1.4), 0.0))
 
 
-def test_the_own_side_takes_what_the_other_does_not():
-    """Coming with 1 m/s, 2.5 m from the reach: half of the gap per second it may, so it is left to it.
+def test_the_own_uav_compensates_a_neighbour_that_approaches_too_fast():
+    """At 1 m/s, 2.5 m outside of the reach, the neighbour keeps to its half of the gap per second: no change.
 
-    0.3 m from the reach it is faster than its half: the other goes with it, and faster, by half of what the
-    gap will lack at the end of the lead.
+    At 0.3 m from the reach it exceeds its half: the own UAV recedes at its speed, and faster by half of the
+    gap that will be missing at the end of the lead.
     """
     far = change([(0, 0, -5), (1.2 + 2.5 + LEAD_S, 0, -5)], velocities=[STILL, (-1.0, 0, 0)])
     assert np.array_equal(far, (0.0, 0.0))
@@ -109,7 +109,7 @@ def test_the_own_side_takes_what_the_other_does_not():
 
 
 def test_the_formations_own_motion_is_no_approach():
-    """Neighbours in a row that flies at 5 m/s along itself, in place, are as good as standing."""
+    """Neighbours in place in a row that flies at 5 m/s along itself are equivalent to standing ones."""
     velocities = np.tile((5.0, 0.0, 0.0), (8, 1))
     for own in range(8):
         found = change(
@@ -124,7 +124,7 @@ def test_the_formations_own_motion_is_no_approach():
     st.floats(0.0, 0.5),
 )  # fmt: skip
 def test_a_pair_reacts_alike(distance_m, course_rad, vel_ne_m_s, std_m):
-    """Turned by half a circle the two see the same, so they do the same: no one-sided pushing about."""
+    """Turned by half a circle the two have the same inputs, so their changes are equal."""
     way = distance_m * np.array((math.cos(course_rad), math.sin(course_rad), 0.0))
     vel = np.array((*vel_ne_m_s, 0.0))
     given_ = {"velocities": [vel, -vel], "std_m": std_m}
@@ -147,42 +147,43 @@ def test_one_above_the_other_part_in_opposite_directions_unless_high_enough_apar
 @settings(deadline=None, max_examples=300)
 @given(st.integers(0, 10_000), st.integers(1, 5))
 def test_the_velocity_is_the_nearest_one_that_keeps_all_bounds(seed, count):
-    """Against all candidates of the plane: the wish, its feet on each line, and where two lines cross.
+    """Compare with all candidates: the desired velocity, its projections on the lines, and intersections.
 
-    Bounds are kept to 0.03 m/s. Where two lines meet at a small angle that is a longer way along them.
+    Bounds are kept to 0.03 m/s. If two lines intersect at a small angle, that is a longer distance along
+    them.
     """
     rng = np.random.default_rng(seed)
     course = rng.uniform(-math.pi, math.pi, count)
     normals = np.column_stack((np.cos(course), np.sin(course)))
-    bounds = rng.uniform(-1.0, -0.05, count)  # standing keeps them all
-    wanted = rng.uniform(-1.5, 1.5, 2)
+    bounds = rng.uniform(-1.0, -0.05, count)  # zero velocity keeps them all
+    desired = rng.uniform(-1.5, 1.5, 2)
     found = np.empty(2)
-    _nearest(normals, bounds, count, wanted, found)
+    _nearest(normals, bounds, count, desired, found)
     assert (normals @ found >= bounds - 0.03).all()
-    least_m_s, best_m_s = (_least_change(normals, each, wanted) for each in (bounds - 0.03, bounds))
-    assert least_m_s - 1e-9 <= np.linalg.norm(found - wanted) <= best_m_s + 0.03
+    least_m_s, best_m_s = (_least_change(normals, each, desired) for each in (bounds - 0.03, bounds))
+    assert least_m_s - 1e-9 <= np.linalg.norm(found - desired) <= best_m_s + 0.03
 
 
-def _least_change(normals, bounds, wanted):
-    """Distance from the wish to the nearest velocity that keeps all bounds."""
-    candidates = [wanted, *(wanted + (b - n @ wanted) * n for n, b in zip(normals, bounds, strict=True))]
+def _least_change(normals, bounds, desired):
+    """Return the distance from the desired velocity to the nearest one that keeps all bounds."""
+    candidates = [desired, *(desired + (b - n @ desired) * n for n, b in zip(normals, bounds, strict=True))]
     for i, j in itertools.combinations(range(len(bounds)), 2):
         pair = normals[[i, j]]
         if abs(np.linalg.det(pair)) > 1e-9:
             candidates.append(np.linalg.solve(pair, bounds[[i, j]]))
     kept = [v for v in candidates if (normals @ v >= bounds - 1e-9).all()]
-    return min(np.linalg.norm(v - wanted) for v in kept)
+    return min(np.linalg.norm(v - desired) for v in kept)
 
 
-def test_a_silent_neighbour_is_kept_clear_of_where_the_plan_has_it_for_some_time():
+def test_a_silent_neighbour_is_avoided_where_the_plan_has_it_for_some_time():
     avoidance = Avoidance(own=0, places_ned_m=FAR_APART, radius_m=1.2)
     at = {"avoidance": avoidance, "places": FAR_APART}
     beside = FAR_APART[1] - (0.0, 98.0, 0.0)  # 2 m from the own place
     positions = np.array((FAR_APART[0], beside))
     assert np.array_equal(change(positions, now_us=0, **at), (0.0, 0.0))
-    # From then on nothing true is known of it: what is handed in for it does not count.
+    # From then on there is no valid estimate of it: the position passed for it is ignored.
     positions[1] = (0.0, -50.0, -10.0)
-    quiet = {"fresh": (False, False), **at}  # the own position is the own one, located or not
+    quiet = {"fresh": (False, False), **at}  # the own position counts, located or not
     early = change(positions, (0.0, 2.0), now_us=FRESH_US, **quiet)
     late = change(positions, (0.0, 2.0), now_us=3 * FRESH_US, **quiet)
     gap_m = 2.0 - 1.2 - SIGMAS * GROWTH_M_S * np.array((1.0, 3.0))
@@ -192,7 +193,7 @@ def test_a_silent_neighbour_is_kept_clear_of_where_the_plan_has_it_for_some_time
 
 
 @pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf])
-def test_numbers_that_are_none_do_not_reach_the_setpoint(wrong):
+def test_nan_and_infinity_do_not_reach_the_setpoint(wrong):
     positions = [(0, 0, -5), (wrong, 0.0, -5), (0.0, 1.0, -5)]
     places = np.array(((0.0, 0.0, -5), (0.0, 50.0, -5), (50.0, 0.0, -5)))
     assert np.isfinite(change(positions, (0.1, 0.1), places=places, std_m=0.1)).all()
@@ -200,7 +201,7 @@ def test_numbers_that_are_none_do_not_reach_the_setpoint(wrong):
     assert np.isfinite(found).all()
 
 
-def test_a_lone_uav_has_nobody_to_avoid():
+def test_a_lone_uav_avoids_nothing():
     assert np.array_equal(change([(0, 0, -5)], (3.0, 0.0)), (0.0, 0.0))
 
 
@@ -208,10 +209,11 @@ STEP_S = 0.01
 
 
 class Crowd:
-    """UAVs as points behind a position loop like the autopilot's, each with the errors of its estimates.
+    """UAVs as points with a position loop like the autopilot's and with estimation errors.
 
     The velocity loop has PX4's gains and the attitude's lag of 0.15 s; accelerations are limited to 5 m/s^2
-    and disturbed by gusts. Positions are known with errors of 5 s, the others' 0.15 s late and extrapolated.
+    and disturbed by gusts. Position errors have a time constant of 5 s; positions of others are 0.15 s late
+    and extrapolated.
     """
 
     def __init__(self, places, start, seed, *, error_std_m, gust_std_m_s2, avoid=True, plan=None):
@@ -247,19 +249,19 @@ class Crowd:
         known[:, :2] += self.error
         self.history.append((known, self.vel.copy()))
         if k % 5 == 0:
-            self._ask(k, known)
+            self._set(k, known)
         pos, vel, acc = self.setpoints
         miss = POSITION_P_1_S * (pos - known) + vel - self.vel
-        wanted = np.clip(1.8 * miss + self.integral + acc, -5.0, 5.0)
+        desired = np.clip(1.8 * miss + self.integral + acc, -5.0, 5.0)
         self.integral += 0.4 * miss * STEP_S
-        self.acc += (wanted - self.acc) * STEP_S / 0.15
+        self.acc += (desired - self.acc) * STEP_S / 0.15
         self.vel += (self.acc + self.gust) * STEP_S
         self.pos += self.vel * STEP_S
         way = self.pos[:, None] - self.pos[None]
         apart_m2 = (way**2).sum(axis=2) + 1e9 * np.eye(self.n)
         self.least_m = min(self.least_m, math.sqrt(apart_m2.min()))
 
-    def _ask(self, k, known):
+    def _set(self, k, known):
         late = min(k, 15)
         seen, moving = self.history[k - late]
         seen = seen + moving * late * STEP_S
@@ -279,7 +281,7 @@ class Crowd:
                 round(k * STEP_S * 1e6), others=as_seen(positions, velocities, 0.2),
                 plan_pos_ned_m=plan.pos_ned_m, plan_vel_ned_m_s=plan.vel_ned_m_s,
                 goal_ned_m=plan.pos_ned_m[i],
-                wanted_ne_m_s=POSITION_P_1_S * (pos - known[i])[:2] + vel[:2],
+                desired_ne_m_s=POSITION_P_1_S * (pos - known[i])[:2] + vel[:2],
             )  # fmt: skip
             self.pushes.append(math.hypot(*push))
             self.setpoints[1, i, :2] += push
@@ -287,7 +289,7 @@ class Crowd:
 
 
 def scattered(rng, extent_m):
-    """(8, 3) points at one height, no two within 2.5 m."""
+    """Return (8, 3) points at one height, no two within 2.5 m."""
     while True:
         points = np.column_stack((rng.uniform(-extent_m, extent_m, (8, 2)), np.full(8, -10.0)))
         apart = np.linalg.norm(points[:, None] - points[None], axis=2) + 1e9 * np.eye(8)
@@ -297,7 +299,7 @@ def scattered(rng, extent_m):
 
 @pytest.mark.parametrize("extent_m", [6.0, 12.0])
 def test_eight_cross_each_other_and_arrive(extent_m):
-    """Between random places, all at one height, errors of 0.15 m per axis; without this they do collide."""
+    """Between random places at one height, with errors of 0.15 m per axis; without avoidance they collide."""
     blind_m = []
     for seed in range(3):
         rng = np.random.default_rng(seed)
@@ -310,8 +312,8 @@ def test_eight_cross_each_other_and_arrive(extent_m):
     assert sum(least_m < 0.7 for least_m in blind_m) >= 1
 
 
-def test_two_face_to_face_pass_each_other():
-    """Exactly against each other, and one through another that stays; nobody waits for ever."""
+def test_two_uavs_head_on_pass_each_other():
+    """Exactly head-on, and one past another that stays; none waits for ever."""
     ends = np.array(((-6.0, 0.0, -10.0), (6.0, 0.0, -10.0)))
     crowd = Crowd(ends[::-1], ends, 0, error_std_m=0.0, gust_std_m_s2=0.0).fly(30.0)
     assert crowd.least_m > 1.2
@@ -324,10 +326,10 @@ def test_two_face_to_face_pass_each_other():
 
 
 @pytest.mark.parametrize("moving", [False, True])
-def test_a_dense_formation_is_left_alone(moving):
-    """Spacing 1.25 m, positions known to 0.15 m rms, held against weak gusts, standing and on a racetrack.
+def test_a_dense_formation_is_hardly_changed(moving):
+    """Spacing 1.25 m, position errors of 0.15 m rms, weak gusts, standing and on a racetrack.
 
-    Never nearer than 0.7 m, hardly a push, and the shape is none the worse for it.
+    Never nearer than 0.7 m, and hardly any velocity change.
     """
     motion = RacetrackMotion(speed_m_s=3.0, length_m=20.0, radius_m=25.0) if moving else None
     given_ = {"error_std_m": 0.15 / math.sqrt(2.0), "gust_std_m_s2": 0.1}
@@ -339,8 +341,8 @@ def test_a_dense_formation_is_left_alone(moving):
         assert max(crowd.pushes) < 0.5
 
 
-def test_strong_gusts_in_a_dense_formation_do_not_make_it_swing():
-    """Independent gusts of 0.35 m/s^2 push them together; being pushed apart, they come no nearer for it."""
+def test_strong_gusts_in_a_dense_formation_cause_no_oscillation():
+    """Independent gusts of 0.35 m/s^2 push UAVs together; avoidance increases the least distance."""
     nearest_m = []
     for avoid in (True, False):
         found = [
@@ -354,7 +356,7 @@ def test_strong_gusts_in_a_dense_formation_do_not_make_it_swing():
 
 
 def test_reach_is_within_what_the_places_allow():
-    """However unsure: 0.6 of the pair's places' distance, in place."""
+    """At any uncertainty: 0.6 of the distance of the pair's places, in place."""
     places = np.array(((0.0, 0.0, -10.0), (0.0, 2.5, -10.0)))
     reach_m = SPACING_SHARE * 2.5
     for apart_m, moves in ((reach_m - 0.01, True), (reach_m + 0.01, False)):

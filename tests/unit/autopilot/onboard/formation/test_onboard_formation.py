@@ -1,4 +1,4 @@
-"""Formation control: the correction when distances come and go, the reference that joins a plan, layers."""
+"""Formation control: the correction with and without distances, the reference, and height layers."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ ZERO = np.zeros(2)
 
 
 def settled_correction(offset_ne_m=(-1.2, 0.5)):
-    """Make a correction on the ground whose autopilot agrees with odometry: it is minus the offset."""
+    """Return a correction on the ground with an autopilot that agrees with odometry: minus the offset."""
     correction = Correction()
     correction.update(ZERO, np.array(offset_ne_m), DT_S, at_once=True)
     return correction
@@ -48,7 +48,7 @@ def test_without_any_distance_there_is_no_correction():
         assert np.array_equal(correction.ne_m, ZERO)
 
 
-def test_it_is_the_autopilots_position_less_the_true_one():
+def test_the_correction_is_the_autopilots_position_minus_the_true_one():
     # true = odometry + offset, autopilot = odometry + drift: the correction is drift - offset.
     correction = Correction()
     correction.update((0.3, -0.2), (-1.2, 0.5), DT_S, at_once=True)
@@ -62,7 +62,7 @@ def test_the_autopilots_drift_is_followed_without_delay():
     assert correction.ne_m - before == pytest.approx((0.4, 0.0))
 
 
-def test_a_new_estimate_is_taken_over_at_bounded_rate_in_the_air():
+def test_a_new_estimate_is_applied_at_bounded_rate_in_the_air():
     correction = settled_correction()
     target = np.array((3.0, -2.0))
     for _ in range(400):
@@ -72,7 +72,7 @@ def test_a_new_estimate_is_taken_over_at_bounded_rate_in_the_air():
     assert correction.ne_m == pytest.approx(-target, abs=1e-3)
 
 
-def test_when_distances_stop_it_freezes_then_fades():
+def test_without_distances_the_correction_freezes_then_fades():
     correction = settled_correction()
     frozen = np.array(correction.ne_m)
     for _ in range(round(COAST_S / DT_S) - 1):
@@ -83,7 +83,7 @@ def test_when_distances_stop_it_freezes_then_fades():
     assert correction.ne_m == pytest.approx(frozen / np.e, rel=0.01)
 
 
-def test_after_fading_it_returns_without_a_jump():
+def test_after_fading_the_correction_returns_without_a_jump():
     correction = settled_correction()
     for _ in range(1_000):
         correction.update(ZERO, None, DT_S, at_once=False)
@@ -101,9 +101,7 @@ def test_after_fading_it_returns_without_a_jump():
     st.tuples(st.floats(-30, 30), st.floats(-30, 30), st.floats(-20, 0)),
     st.floats(0.3, 3.0),
 )
-def test_the_reference_reaches_its_target_within_its_limits_and_does_not_pass_it(
-    start, target, climb_speed_m_s
-):
+def test_the_reference_reaches_its_target_within_its_limits_without_overshoot(start, target, climb_speed_m_s):
     reference = FormationReference(climb_speed_m_s=climb_speed_m_s)
     start, target = np.array(start), np.array(target)
     reference.reset(start, np.zeros(3))
@@ -125,7 +123,7 @@ def test_the_reference_reaches_its_target_within_its_limits_and_does_not_pass_it
 
 
 def is_at(reference, target_ned_m):
-    """Whether it is a target that stands."""
+    """Return whether the reference is at a standing target, at rest."""
     return np.array_equal(reference.pos_ned_m, target_ned_m) and not reference.vel_ned_m_s.any()
 
 
@@ -141,8 +139,8 @@ def advance(reference, state, **kwargs):
     )  # fmt: skip
 
 
-def test_once_joined_it_is_the_plan_itself():
-    """Exactly and for ever, on two rounds with all their joints: no lag, and the plan's feed-forward."""
+def test_a_joined_reference_equals_the_plan():
+    """Exactly, on two laps with all their transitions: no lag, and the plan's feed-forward."""
     plan, reference = racetrack(), FormationReference(climb_speed_m_s=1.5)
     reference.reset(plan.own(0, 0.0).pos_ned_m, np.zeros(3))
     for k in range(1, 3_000):
@@ -156,7 +154,7 @@ def test_once_joined_it_is_the_plan_itself():
 @pytest.mark.parametrize("since_s", [0.0, 7.0, 20.0, 33.0])
 @pytest.mark.parametrize("apart_ned_m", [(6.0, -4.0, 3.0), (0.0, 0.4, 0.0), (-0.03, 0.0, -9.0)])
 def test_a_plan_in_motion_is_joined_without_a_jump(since_s, apart_ned_m):
-    """From rest: relative to the plan its acceleration stays in the limits, and its speed comes into them."""
+    """From rest, relative to the plan: the acceleration stays within its limit, the speed converges to it."""
     plan, reference = racetrack(), FormationReference(climb_speed_m_s=1.5)
     state = plan.own(3, since_s)
     reference.reset(np.add(state.pos_ned_m, apart_ned_m), np.zeros(3))
@@ -165,13 +163,13 @@ def test_a_plan_in_motion_is_joined_without_a_jump(since_s, apart_ned_m):
         pos, vel = reference.pos_ned_m.copy(), reference.vel_ned_m_s.copy()
         state = plan.own(3, since_s + k * DT_S)
         advance(reference, state)
-        # A parabola through the step: the rest is the plan's jerk and the step's order.
+        # First-order prediction: the remainder is the acceleration and the plan's jerk.
         assert reference.pos_ned_m == pytest.approx(pos + DT_S * reference.vel_ned_m_s, abs=4e-3)
         assert np.linalg.norm(reference.vel_ned_m_s[:2] - vel[:2]) <= 4.0 * DT_S
         extra = reference.acc_ned_m_s2 - state.acc_ned_m_s2
         assert np.linalg.norm(extra[:2]) <= ACCELERATION_M_S2 + 1e-9
         assert abs(extra[2]) <= ACCELERATION_M_S2 + 1e-9
-        # The speed that it lacks at first is the plan's own; then it only ever nears the limit.
+        # The relative speed is the plan's at first, and then decreases monotonically to the limit.
         relative = np.linalg.norm((reference.vel_ned_m_s - state.vel_ned_m_s)[:2])
         assert relative <= fastest_m_s + 1e-6
         fastest_m_s = max(min(fastest_m_s, relative), JOIN_SPEED_M_S)
@@ -179,7 +177,7 @@ def test_a_plan_in_motion_is_joined_without_a_jump(since_s, apart_ned_m):
     assert np.array_equal(reference.vel_ned_m_s, state.vel_ned_m_s)
 
 
-def test_when_the_target_jumps_it_is_joined_anew():
+def test_a_target_that_jumps_is_joined_again():
     reference = FormationReference(climb_speed_m_s=1.5)
     place = np.array((1.0, 2.0, -10.0))
     reference.reset(place, np.zeros(3))
@@ -189,21 +187,21 @@ def test_when_the_target_jumps_it_is_joined_anew():
     assert np.linalg.norm(reference.pos_ned_m - place) <= ACCELERATION_M_S2 * DT_S**2 + 1e-12
 
 
-def test_it_waits_for_a_vehicle_that_stays_behind():
-    """It leads by the limit and no more."""
+def test_the_reference_waits_for_a_vehicle_that_stays_behind():
+    """It leads by at most the limit."""
     reference, still = FormationReference(climb_speed_m_s=1.5), np.zeros(3)
     for _ in range(100):
         reference.advance(np.array((50.0, 0.0, 0.0)), DT_S, vehicle_ned_m=still)
     assert LAG_MAX_M <= reference.pos_ned_m[0] <= LAG_MAX_M + JOIN_SPEED_M_S * DT_S + 1e-9
 
 
-def test_it_goes_around_with_a_vehicle_that_goes_around():
-    """Never farther than the limit, and ahead of the vehicle towards the target wherever that is led to."""
+def test_the_reference_follows_a_vehicle_around_an_obstacle():
+    """Within the limit, and ahead of the vehicle in the direction of the target."""
     reference, target = FormationReference(climb_speed_m_s=1.5), np.array((50.0, 0.0, 0.0))
     vehicle = np.zeros(3)
     reference.reset(vehicle, np.zeros(3))
     for k in range(460):
-        vehicle[1] = 6.0 * np.sin(min(k, 400) * DT_S / 6.0)  # kept from going on, it is moved across
+        vehicle[1] = 6.0 * np.sin(min(k, 400) * DT_S / 6.0)  # blocked ahead, it is moved across
         before = reference.pos_ned_m.copy()
         reference.advance(target, DT_S, vehicle_ned_m=vehicle)
         own_way_m = np.linalg.norm(reference.pos_ned_m - before)
@@ -227,8 +225,8 @@ def test_the_plan_waits_for_no_vehicle():
 
 @pytest.mark.parametrize("distance_m", [0.5, 2.0, 4.0, 9.0])
 @pytest.mark.parametrize("climb_speed_m_s", [0.3, 1.5])
-def test_joining_takes_the_time_that_is_reckoned_with(distance_m, climb_speed_m_s):
-    """Within the steps' coarseness: braking ends in a step instead of a parabola's foot."""
+def test_joining_takes_the_predicted_time(distance_m, climb_speed_m_s):
+    """Within the resolution of the steps: braking ends in a step."""
     reference = FormationReference(climb_speed_m_s=climb_speed_m_s)
     target, steps = np.array((0.0, 0.0, -distance_m)), 0
     while not is_at(reference, target):
@@ -257,9 +255,9 @@ def test_places_within_reach_get_heights_apart_and_none_near_the_ground(seed, co
 
 
 def test_the_articles_grid_needs_two_layers():
-    """4 sigma sqrt(2) 1.5 m is 8.49 m: rows 2.5 m apart see each other, columns 8.5 m apart do not."""
+    """4 sigma sqrt(2) 1.5 m is 8.49 m: rows 2.5 m apart are within reach, columns 8.5 m apart are not."""
     assert set(layers(article_places_ned_m(), 1.5)) == {0, 1}
-    # At half the wavelength every 2 x 2 block lies within reach: no fewer than four can do.
+    # At half the wavelength every 2 x 2 block lies within reach: at least four are needed.
     half = article_places_ned_m(4.25, 1.25)
     assert set(layers(half, 1.5)) == {-1, 0, 1, 2}
     # 4 sigma sqrt(2) 0.4 m is 2.26 m
@@ -267,7 +265,7 @@ def test_the_articles_grid_needs_two_layers():
 
 
 def timeline(events, *, until_s, own=4):
-    """Times and heights of every change, 20 Hz; ``events`` (time_s, supported) in order."""
+    """Return times and heights of every change, at 20 Hz; ``events`` (time_s, supported) in order."""
     height_layers = HeightLayers(own=own, places_ned_m=article_places_ned_m(), gps_std_m=1.5)
     changes, supported, known_m = [], True, 0.0
     for k in range(round(until_s / DT_S)):
@@ -283,7 +281,7 @@ def timeline(events, *, until_s, own=4):
     return changes
 
 
-def test_a_layer_is_reached_when_coasting_ends_and_left_when_support_has_lasted():
+def test_a_layer_is_reached_when_coasting_ends_and_left_after_lasting_support():
     leave_s = 1.0 + COAST_S - joining_time_s(SEPARATION_HEIGHT_M, 1.5)
     changes = timeline([(1.0, False), (30.0, True)], until_s=50.0)
     assert [height_m for _, height_m in changes] == [SEPARATION_HEIGHT_M, 0.0]
@@ -291,8 +289,8 @@ def test_a_layer_is_reached_when_coasting_ends_and_left_when_support_has_lasted(
     assert changes[1][0] == pytest.approx(30.0 + BACK_S)
 
 
-def test_near_places_are_left_before_odometry_brings_them_together():
-    """0.65 m of room are three sigma of two odometries after 2.3 s: no time to wait, with a way of 3.5 s."""
+def test_near_places_are_left_before_odometry_drift_closes_the_gap():
+    """A gap of 0.65 m is three sigma of two odometries after 2.3 s: too short for a climb of 3.5 s."""
     places = article_places_ned_m(4.25, 1.25)
     room_s = 0.5 * (0.65 / (DRIFT_SIGMAS * 0.1)) ** 2
     assert apart_s(places[1:, :2] - places[0, :2], 0.1) == pytest.approx(room_s)
@@ -300,34 +298,34 @@ def test_near_places_are_left_before_odometry_brings_them_together():
     height_layers = HeightLayers(own=5, places_ned_m=places, gps_std_m=1.5)
     assert height_layers.update(0, supported=True) == 0.0
     assert height_layers.update(50_000, supported=False) == 2.0 * SEPARATION_HEIGHT_M
-    # Better odometry leaves the time of `COAST_S`, whatever the spacing; a lone UAV has nobody to meet.
+    # Better odometry allows `COAST_S` at any spacing; a lone UAV has no limit.
     assert apart_s(places[1:, :2] - places[0, :2], 0.01) > COAST_S
     assert apart_s(np.zeros((0, 2)), 0.1) == np.inf
 
 
-def test_short_losses_and_short_returns_change_nothing():
+def test_short_losses_and_short_returns_have_no_effect():
     assert timeline([(k + part, part > 0.0) for k in range(40) for part in (0.0, 0.5)], until_s=40.0) == []
     flicker = [(1.0, False), *((20.0 + 4.0 * k + part, part == 0.0) for k in range(5) for part in (0.0, 3.0))]
     changes = timeline(flicker, until_s=40.0)
     assert [height_m for _, height_m in changes] == [SEPARATION_HEIGHT_M]
 
 
-def test_who_stays_is_watched_by_who_goes():
-    """Of a pair in reach one is at height 0; if it alone loses support, the other has to know."""
+def test_a_uav_with_a_layer_watches_those_that_stay():
+    """One of a pair within reach stays at height 0; if it loses support, the other must climb."""
     places = article_places_ned_m()
     found = layers(places, 1.5)
     for own in range(len(places)):
         height_layers = HeightLayers(own=own, places_ned_m=places, gps_std_m=1.5)
         assert height_layers.layer_m == SEPARATION_HEIGHT_M * found[own]
-        # the other UAV of the same column, for those who have a layer
+        # the other UAV of the same column, for those with a layer
         assert height_layers.watched == (((own + 4) % 8,) if found[own] else ())
 
 
-def test_gps_errors_that_would_collide_pass_each_other_in_layers():
-    """A column's two UAVs, 2.5 m apart, whose correction fades into GPS errors of 1.5 m per axis and 60 s.
+def test_height_layers_prevent_collisions_by_gps_errors():
+    """Two UAVs of a column, 2.5 m apart, with corrections that fade into GPS errors of 1.5 m per axis, 60 s.
 
-    20 pairs for 5 minutes: without layers many pass within 0.6 m; with them, and height errors of 0.3 m, no
-    one ever does, from the moment of the loss on.
+    20 pairs for 5 minutes: horizontally many pass within 0.6 m; with layers and height errors of 0.3 m none
+    does, from the loss on.
     """
     rng = np.random.default_rng(5)
     places = np.array(((0.0, 0.0, -10.0), (2.5, 0.0, -10.0)))
@@ -348,7 +346,7 @@ def test_gps_errors_that_would_collide_pass_each_other_in_layers():
             keep = np.exp(-0.25 / 60.0)
             bias = keep * bias + 1.5 * np.sqrt(1.0 - keep**2) * rng.standard_normal((2, 2))
             for j in range(2):
-                # The autopilot follows its bias, odometry does not: drift is what the bias moved.
+                # The autopilot follows its bias, odometry does not: the drift is the change of the bias.
                 corrections[j].update(bias[j] - start[j], None if k else ZERO, 0.25, at_once=not k)
                 height_m = ways[j].update(k * 250_000, supported=False)
                 for _ in range(5):

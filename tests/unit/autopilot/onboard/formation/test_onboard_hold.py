@@ -1,4 +1,4 @@
-"""Held: beacons and ranging, and nothing else, until a ground station releases the flight."""
+"""Held flights: only beacons and ranging until a ground station releases them."""
 
 from onboard_world import MODE_LOITER, SwarmWorld
 from pymavlink.dialects.v20 import common
@@ -14,7 +14,7 @@ STATION = (255, 190)
 
 
 def command(number, *, integer=False):
-    """A command to the application, as a ground station's."""
+    """Return a command from a ground station to the application."""
     if integer:
         message = common.MAVLink_command_int_message(1, 191, 0, number, 0, 0, 0.0, 0.0, 0.0, 0.0, 0, 0, 0.0)
     else:
@@ -24,13 +24,13 @@ def command(number, *, integer=False):
 
 
 def result_of(answers):
-    """The result, whoever asked having been answered once and alone."""
+    """Return the result of the single answer, which must be addressed to the ground station."""
     (answer,) = answers
     assert (answer.target_system, answer.target_component) == STATION
     return answer.result
 
 
-def test_held_uavs_say_where_they_are_and_ask_nothing_of_their_autopilots():
+def test_held_uavs_send_beacons_and_no_commands_to_their_autopilots():
     world = SwarmWorld(places_ned_m=PAIR, seed=1, config=HOLD)
     world.run_until(lambda w: all(app.phase is FlightPhase.HELD for app in w.apps), limit_s=1.5)
     before = dict(world.sent)
@@ -43,7 +43,7 @@ def test_held_uavs_say_where_they_are_and_ask_nothing_of_their_autopilots():
     assert all(autopilot.setpoint is None for autopilot in world.autopilots)
 
 
-def test_who_is_released_flies_and_the_other_does_not():
+def test_only_the_released_uav_flies():
     world = SwarmWorld(places_ned_m=PAIR, seed=1, config=HOLD)
     world.run(3.0)
     released, held = world.apps
@@ -52,12 +52,12 @@ def test_who_is_released_flies_and_the_other_does_not():
     world.run_until(lambda w: w.apps[0].phase is FlightPhase.ON_STATION, limit_s=25.0)
     assert held.phase is FlightPhase.HELD
     assert not world.autopilots[1].commands
-    # the other goes from where it stands, as if it had never been held
+    # the other one then flies as if it had not been held
     assert result_of(held.on_request(command(common.MAV_CMD_USER_1, integer=True))) == 0
     world.run_until(lambda w: w.apps[1].phase is FlightPhase.ON_STATION, limit_s=25.0)
 
 
-def test_a_release_before_the_position_is_known_holds_nobody_up():
+def test_a_release_before_the_first_position_skips_the_held_phase():
     world = SwarmWorld(places_ned_m=PAIR, seed=1, config=HOLD)
     for app in world.apps:
         app.on_request(command(common.MAV_CMD_USER_1))
@@ -80,7 +80,7 @@ def test_other_commands_and_flights_that_are_not_held_are_unsupported():
     assert result_of(free.on_request(command(common.MAV_CMD_USER_1))) == common.MAV_RESULT_UNSUPPORTED
 
 
-def test_a_vehicle_that_its_user_has_flown_is_taken_over_in_the_air():
+def test_a_vehicle_flown_by_its_user_is_taken_over_in_the_air():
     world = SwarmWorld(places_ned_m=PAIR, seed=1, config=HOLD)
     world.run(3.0)
     autopilot = world.autopilots[0]

@@ -1,7 +1,4 @@
-"""What the autopilot's GPS_RAW_INT becomes: a fix at the right time, with the accuracy that it states.
-
-Costs nothing.
-"""
+"""Conversion of GPS_RAW_INT to a fix with the time of measurement and the stated accuracy."""
 
 import pytest
 from pymavlink.dialects.v20 import common
@@ -37,14 +34,14 @@ def test_a_fix_has_the_time_of_its_measurement_and_the_stated_accuracy():
 
 
 def test_a_receiver_that_states_no_accuracy_has_none():
-    # The eph and epv of 150 and 250 are dilutions of precision here, no lengths.
+    # The eph and epv of 150 and 250 are dilutions of precision here, not lengths.
     own = state()
     assert own.on_gps(raw())
     assert (own.fix.std_h_m, own.fix.std_v_m) == (None, None)
 
 
 @pytest.mark.parametrize("message", [raw(fix_type=2), raw(boot_us=0), raw(boot_us=1_190_000)])
-def test_no_fix_and_no_news_change_nothing(message):
+def test_messages_without_a_new_fix_change_nothing(message):
     own = state()
     assert own.on_gps(raw(boot_us=1_190_000, h_acc=1_000))
     fix = own.fix

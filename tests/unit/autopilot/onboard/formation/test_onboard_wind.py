@@ -1,4 +1,4 @@
-"""The learned wind: what it is, and what the autopilot's cascade makes of it. Some 5 s once compiled."""
+"""Wind observer: its estimate, and its effect with the autopilot's cascade. Run time: 5 s once compiled."""
 
 import math
 from collections import deque
@@ -30,7 +30,7 @@ PLACE_NED_M = np.array((0.0, 0.0, -5.0))
 
 
 def watch(observer, attitude, acc_ned_m_s2, seconds, *, vel_ned_m_s=(0.0, 0.0, 0.0), flying=True, start_us=0):
-    """Hand in one attitude and a constant acceleration for a while; returns time and velocity at the end."""
+    """Feed a constant attitude and acceleration for a time; returns time and velocity at the end."""
     vel = np.array(vel_ned_m_s)
     for k in range(round(seconds * 1e6 / PERIOD_US)):
         observer.on_attitude(attitude)
@@ -44,10 +44,8 @@ def watch(observer, attitude, acc_ned_m_s2, seconds, *, vel_ned_m_s=(0.0, 0.0, 0
     st.floats(-0.6, 0.6), st.floats(-0.6, 0.6), st.floats(-math.pi, math.pi), st.floats(5.0, 15.0),
     st.floats(-3.0, 3.0), st.floats(-3.0, 3.0),
 )  # fmt: skip
-def test_a_level_wind_is_what_thrust_and_weight_leave_of_the_acceleration(
-    roll, pitch, yaw, thrust, north, east
-):
-    """From any attitude, however it climbs, a = g + T (-z of the body) + w."""
+def test_a_horizontal_wind_is_the_acceleration_minus_thrust_and_weight(roll, pitch, yaw, thrust, north, east):
+    """At any attitude and vertical speed, a = g + T (-z of the body) + w."""
     attitude = quat_from_euler(roll, pitch, yaw)
     acc = quat_rotate(attitude, np.array((0.0, 0.0, -thrust))) + np.array((north, east, GRAVITY_M_S2))
     observer = WindObserver()
@@ -60,14 +58,14 @@ def test_the_low_pass_has_its_time_constant():
     observer = WindObserver()
     attitude = tuple(quat_from_euler(0.0, -math.atan(2.0 / GRAVITY_M_S2), 0.0).tolist())
     steps = 9
-    for k in range(steps + 1):  # leaning to the north without moving: 2 m/s^2 from the north
+    for k in range(steps + 1):  # tilted to the north without moving: 2 m/s^2 from the north
         observer.on_attitude(attitude)
         observer.on_velocity(k * PERIOD_US, (0.0, 0.0, 0.0), flying=True)
     missing = math.exp(-steps * PERIOD_US * 1e-6 / TIME_CONSTANT_S)
     assert observer.acc_ne_m_s2 == pytest.approx((-2.0 * (1.0 - missing), 0.0), abs=1e-9)
 
 
-def test_the_feed_forward_is_against_it_and_limited():
+def test_the_feed_forward_opposes_the_wind_and_is_limited():
     observer = WindObserver()
     before = np.zeros(2)
     vel = np.zeros(3)
@@ -78,12 +76,12 @@ def test_the_feed_forward_is_against_it_and_limited():
         feed = np.array(observer.feed_forward_ne_m_s2)
         assert np.linalg.norm(feed - before) <= RATE_MAX_M_S3 * PERIOD_US * 1e-6 + 1e-9
         before = feed
-    # cut to the largest sample, and that again to the largest feed-forward
+    # limited to the largest sample, and the feed-forward to its own limit
     assert np.linalg.norm(observer.acc_ne_m_s2) == pytest.approx(SAMPLE_MAX_M_S2, abs=1e-6)
     assert before == pytest.approx(np.array((-1.0, 1.0)) * ACC_MAX_M_S2 / math.sqrt(2.0), abs=1e-6)
 
 
-def test_nothing_is_learned_on_the_ground_or_kept_from_the_last_flight():
+def test_the_estimate_is_reset_on_the_ground():
     observer = WindObserver()
     end_us, vel = watch(observer, LEVEL, (2.0, 0.0, 0.0), 2.0)
     assert observer.acc_ne_m_s2[0] > 1.9
@@ -95,7 +93,7 @@ def test_nothing_is_learned_on_the_ground_or_kept_from_the_last_flight():
 @pytest.mark.parametrize(
     ("attitude", "time_us", "vel_ned_m_s"),
     [
-        ((math.nan, 0.0, 0.0, 0.0), 33_000, (0.1, 0.0, 0.0)),  # no attitude that counts
+        ((math.nan, 0.0, 0.0, 0.0), 33_000, (0.1, 0.0, 0.0)),  # invalid attitude
         (tuple(quat_from_euler(1.2, 0.0, 0.0).tolist()), 33_000, (0.1, 0.0, 0.0)),  # beyond 60 degrees
         (LEVEL, round(GAP_MAX_S * 1e6) + 1, (0.1, 0.0, 0.0)),  # too long after the last
         (LEVEL, 0, (0.1, 0.0, 0.0)),  # not after the last
@@ -104,7 +102,7 @@ def test_nothing_is_learned_on_the_ground_or_kept_from_the_last_flight():
         (LEVEL, 33_000, (0.0, 0.0, math.inf)),
     ],
 )
-def test_samples_that_say_nothing_change_nothing(attitude, time_us, vel_ned_m_s):
+def test_invalid_samples_change_nothing(attitude, time_us, vel_ned_m_s):
     observer = WindObserver()
     observer.on_velocity(0, (0.0, 0.0, 0.0), flying=True)
     observer.on_attitude(attitude)
@@ -113,9 +111,9 @@ def test_samples_that_say_nothing_change_nothing(attitude, time_us, vel_ned_m_s)
 
 
 class Leaning:
-    """The application at an autopilot's side: telemetry at its rates in, setpoints 12 ms late at 20 Hz out.
+    """Wind feed-forward with the application's telemetry rates, and setpoints at 20 Hz, 12 ms late.
 
-    ``skew_steps`` of 4 ms: how much later than its attitudes a velocity comes, or earlier.
+    ``skew_steps`` of 4 ms: delay of velocities relative to attitudes; negative: attitudes are delayed.
     """
 
     def __init__(self, *, skew_steps=0, velocity_std_m_s=0.0, seed=0):
@@ -151,7 +149,7 @@ HOLDING = TrajectorySetpoint(pos_ned_m=PLACE_NED_M, yaw_rad=0.0)
 
 
 def hover(force_ned_n, leaning, *, seconds, seed=None):
-    """(n, 2) horizontal errors of the autopilot's cascade without an observer of its own, in a wind."""
+    """Return (n, 2) horizontal errors of the autopilot's cascade in wind, without its own observer."""
     iris = Iris(height_m=5.0, noise_seed=seed)
     controller = FlightController(WITHOUT_OBSERVER)
     errors = []
@@ -179,11 +177,11 @@ def test_gusts_move_the_vehicle_half_as_far():
 
 
 @pytest.mark.parametrize("skew_steps", [0, 12, -12])
-def test_the_loop_does_not_ring(skew_steps):
-    """A wind of 5 N begins at once, attitude and velocity up to 48 ms apart: one swing back, that dies away.
+def test_the_feed_forward_loop_does_not_oscillate(skew_steps):
+    """After a wind step of 5 N, with attitude and velocity up to 48 ms apart, a single overshoot decays.
 
-    It is what the cascade's integrator had gathered meanwhile. Without the observer the vehicle is pushed by
-    1.48 m; with it by a third of that.
+    It is due to the cascade's integrator. Without the observer the vehicle is displaced by 1.48 m; with it by
+    a third of that.
     """
     onset = round(5.0 / DT_S)
 

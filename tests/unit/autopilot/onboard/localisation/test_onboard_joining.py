@@ -1,4 +1,4 @@
-"""Solving for UAVs that join: the shape is found however GPS has spread them, or nobody joins."""
+"""Batch initialisation: the shape is found for any GPS errors, or no UAV joins."""
 
 from dataclasses import replace
 from itertools import permutations
@@ -29,9 +29,9 @@ def line(spacing_m):
 
 
 def drawn(places_ne_m, seed):
-    """An `InitialisationProblem` of UAVs in their places, with drawn GPS and the distances of all pairs.
+    """Return an `InitialisationProblem` of UAVs at their places with random GPS errors, and all distances.
 
-    Odometry is right, so that the states are errors: offsets are 0 in truth.
+    Odometry is exact, so the states are errors: the true offsets are 0.
     """
     rng = np.random.default_rng(seed)
     count = len(places_ne_m)
@@ -41,9 +41,9 @@ def drawn(places_ne_m, seed):
     state, cov = np.zeros(STATES * count), np.zeros((STATES * count, STATES * count))
     for station in range(count):
         receivers.begin(station, state, cov)
-    everybody = np.ones(count, bool)
+    all_uavs = np.ones(count, bool)
     problem = InitialisationProblem(
-        state=state, cov=cov, time_us=1_000_000, active=everybody, located=~everybody,
+        state=state, cov=cov, time_us=1_000_000, active=all_uavs, located=~all_uavs,
         places_ned_m=places, odometry_ned_m=places, drift_m2_s=MODEL.odometry_drift_m_sqrt_s**2,
         bias_var_m2=receivers.stated_var_m2,
     )  # fmt: skip
@@ -60,28 +60,28 @@ def found_ne_m(problem, solution):
 
 
 @pytest.mark.parametrize("places", SHAPES.values(), ids=SHAPES)
-def test_small_formations_are_located_however_gps_spreads_them(places):
-    """GPS shows pairs of 1 m up to 8 m apart. The worst of a thousand errors is within 4 sigma.
+def test_small_formations_are_located_for_any_gps_errors(places):
+    """GPS shows pairs at 1 m as up to 8 m apart. The worst of a thousand errors is within 4 sigma.
 
-    Each pair is measured twice. No place is known worse than to the root of 2 of one pair's distance.
+    Each pair is measured twice. The error of a position is at most sqrt(2) times that of one pair's distance.
     """
     for seed in range(60):
         problem, held = drawn(places, seed)
         joined = problem.join(held)
         assert joined is not None
         assert joined.joining.all()
-        assert not joined.liars
+        assert not joined.faulty
         error_m = aligned_error_m(found_ne_m(problem, joined.solution), problem.places_ned_m[:, :2])
         assert np.linalg.norm(error_m, axis=1).max() < 4.0 * RANGE_STD_M
 
 
 @pytest.mark.parametrize("spacing_m", LINES_M)
-def test_a_line_is_located_and_knows_how_little_it_knows_across(spacing_m):
-    """Along it is right; across it is not bent more than the distances allow, and less is said to be known.
+def test_a_line_is_located_with_a_consistent_variance_across_it(spacing_m):
+    """Exact along the line; the bend across it is within the limits of the distances and its variance.
 
-    The bow b (1, -2, 1) / sqrt(6) makes neighbours 3 b^2 / 4 d farther apart than along the line: by what
-    the distances are wrong, at most, with the outer two as the worst of a hundred. Distances tell nothing of
-    the sign, so that what is said is GPS's word, the standard deviation of one bias.
+    The bow b (1, -2, 1) / sqrt(6) lengthens the distance of neighbours by 3 b^2 / 4 d, which is at most the
+    error of the distances; the outer two are the worst of a hundred. Distances do not observe its sign, so
+    its standard deviation is that of GPS, of one bias.
     """
     bow = np.array((1.0, -2.0, 1.0)) / np.sqrt(6.0)
     for seed in range(60):
@@ -89,7 +89,7 @@ def test_a_line_is_located_and_knows_how_little_it_knows_across(spacing_m):
         joined = problem.join(held)
         assert joined is not None
         assert joined.joining.all()
-        assert not joined.liars
+        assert not joined.faulty
         found_m = found_ne_m(problem, joined.solution)
         along = (found_m[2] - found_m[0]) / np.linalg.norm(found_m[2] - found_m[0])
         across = np.array((along[1], -along[0]))
@@ -101,14 +101,14 @@ def test_a_line_is_located_and_knows_how_little_it_knows_across(spacing_m):
 
 
 @pytest.mark.parametrize("heading_rad", [0.3, -1.0, 2.0, -2.5, 3.0])
-def test_two_are_headed_as_gps_has_them_however_far_apart_that_is(heading_rad):
-    """GPS shows 1 m as 8 m. Least squares put both on the line between the two, the middle being GPS's."""
+def test_two_uavs_have_the_heading_of_gps_at_any_gps_distance(heading_rad):
+    """GPS shows 1 m as 8 m. Least squares place both on the GPS line, about the GPS midpoint."""
     problem, _ = drawn([(0.0, -0.5), (0.0, 0.5)], 1)
     ends_m = 4.0 * np.outer((-1.0, 1.0), (np.sin(heading_rad), np.cos(heading_rad)))
     state = np.zeros(len(problem.state))
     state.reshape(-1, STATES)[:, :2] = ends_m - problem.odometry_ned_m[:, :2]
     between_m = problem.odometry_ned_m[1] - problem.odometry_ned_m[0]
-    # With biases as wide as that no GPS counts as an outlier on one axis and not on the other.
+    # With such wide biases no GPS is an outlier on one axis only.
     problem = replace(problem, state=state, bias_var_m2=np.full(2, 1e6))
     joined = problem.join([Range(1, 0, 1_000_000, 1.0, RANGE_STD_M**2, between_m)])
     assert joined is not None
@@ -116,8 +116,8 @@ def test_two_are_headed_as_gps_has_them_however_far_apart_that_is(heading_rad):
     assert found_m == pytest.approx(ends_m / 8.0, abs=0.02)
 
 
-def test_nobody_joins_by_no_distance():
-    """Three whose distances make no triangle: who is left when two have been dropped stays out."""
+def test_no_uav_joins_without_consistent_distances():
+    """Three UAVs with distances that form no triangle: none of them joins."""
     for seed in range(40):
         problem, held = drawn(line(2.5), seed)
         spoilt = [
@@ -127,8 +127,8 @@ def test_nobody_joins_by_no_distance():
         assert problem.join(spoilt) is None
 
 
-def test_who_has_distances_only_to_those_that_stay_out_stays_out():
-    """Of four, 3 is linked to 0 alone: it is dropped for that, and 0, 1 and 2 lack their third link then."""
+def test_a_uav_linked_only_to_excluded_ones_is_excluded():
+    """Of four UAVs, 3 is linked to 0 only and is dropped; 0, 1 and 2 then lack their third link."""
     problem, held = drawn(SHAPES["2x2 at 0.8 m"], 1)
     fewer = [item for item in held if {item.initiator, item.responder} not in ({1, 3}, {2, 3})]
     assert problem.join(fewer) is None
@@ -138,7 +138,7 @@ def test_who_has_distances_only_to_those_that_stay_out_stays_out():
 
 
 @pytest.mark.parametrize("field", ["distance_m", "variance_m2"])
-def test_what_is_no_number_brings_nobody_in(field):
+def test_nan_lets_no_uav_join(field):
     problem, held = drawn(SHAPES["triangle of 1.04 m"], 1)
     for k in range(len(held)):
         spoilt = [replace(item, **{field: float("nan")}) if item is held[k] else item for item in held]
@@ -149,6 +149,6 @@ def test_what_is_no_number_brings_nobody_in(field):
     assert replace(problem, state=state).join(held) is None
 
 
-def test_a_weight_that_is_no_number_fits_badly():
+def test_a_nan_weight_is_a_misfit():
     _, held = drawn(SHAPES["two at 2.5 m"], 1)
     assert badly_fitting(held, [float("nan"), 1.0], 2)[:, 0].tolist() == [0.5, 0.5]

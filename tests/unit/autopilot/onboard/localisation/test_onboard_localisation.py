@@ -32,7 +32,7 @@ class StaticCase:
         self.truth = PLACES + np.pad(rng.normal(0.0, placement_std_m, (N, 2)), ((0, 0), (0, 1)))
         self.bias = rng.normal(0.0, STATIC.gps_bias_std_m, (N, 2))
         if mirrored:
-            # The worst that GPS can do: it shows the formation's two rows exchanged.
+            # The worst GPS errors: they show the formation's two rows exchanged.
             self.bias = np.column_stack((-2.0 * self.truth[:, 0], np.zeros(N)))
         self.fixes = self.truth[:, :2] + self.bias + rng.normal(0.0, STATIC.gps_white_std_m, (FIXES, N, 2))
         self.ranges = []
@@ -43,13 +43,13 @@ class StaticCase:
                 self.ranges.append((i, j, round((k + len(self.ranges) % 56 / 56) * 1e6) + 1_000, distance_m))
 
     def run(self, model=STATIC):
-        """Filter after all data, fed in order of time."""
+        """Return the filter after all data, fed in order of time."""
         filter_ = CooperativeLocalisation(own=0, places_ned_m=PLACES, model=model)
         ranges = iter(self.ranges)
         item = next(ranges)
         for now_us in range(0, 5_100_000, 100_000):
             for j in range(N):
-                # odometry's origin is arbitrary: here it is that of the site plus the station's number
+                # The origin of odometry is arbitrary: here it is the site's plus the station's number.
                 filter_.on_odometry(j, now_us, (float(j), 0.0, PLACES[j, 2]), (0.0, 0.0, 0.0))
                 if now_us % 200_000 == 0 and now_us // 200_000 < FIXES:
                     filter_.on_fix(j, now_us, (*self.fixes[now_us // 200_000, j], 0.0))
@@ -60,7 +60,7 @@ class StaticCase:
         return filter_
 
     def batch(self):
-        """Maximum a posteriori positions (N, 2) of the same data, by scipy from the truth."""
+        """Return the maximum a posteriori positions (N, 2) of the same data, by scipy from the truth."""
         mean_fix = self.fixes.mean(axis=0)
         fix_std_m = np.hypot(STATIC.gps_bias_std_m, STATIC.gps_white_std_m / np.sqrt(FIXES))
         i, j = np.array([item[0] for item in self.ranges]), np.array([item[1] for item in self.ranges])
@@ -81,7 +81,7 @@ def positions(filter_):
 
 
 def bound(pos, rounds):
-    """(16, 16) inverse Fisher information of horizontal positions: GPS as prior, and the distances."""
+    """Return (16, 16) the inverse Fisher information of horizontal positions: GPS as prior, and distances."""
     fix_var = STATIC.gps_bias_std_m**2 + STATIC.gps_white_std_m**2 / FIXES
     information = np.eye(2 * N) / fix_var
     for i, j in PAIRS:
@@ -93,7 +93,7 @@ def bound(pos, rounds):
 
 
 def pose_modes(pos):
-    """(16, 3) orthonormal: what two shifts and a small turn of the whole do to all positions."""
+    """Return (16, 3), orthonormal: displacements by two shifts and a small turn of the formation."""
     centred = pos - pos.mean(axis=0)
     turn = np.column_stack((-centred[:, 1], centred[:, 0])).ravel()
     north, east = np.tile((1.0, 0.0), N), np.tile((0.0, 1.0), N)
@@ -101,7 +101,7 @@ def pose_modes(pos):
 
 
 def shape_projector(pos):
-    """(16, 16) onto what a rigid alignment leaves."""
+    """Return the (16, 16) projector onto the displacements that a rigid alignment leaves."""
     modes = pose_modes(pos)
     return np.eye(2 * N) - modes @ modes.T
 
@@ -124,7 +124,7 @@ def test_shape_error_is_within_a_tenth_of_the_cramer_rao_bound(monte_carlo):
 
 
 def test_errors_are_consistent_with_the_covariance(monte_carlo):
-    """Shape and pose apart: a turn of the whole is an arc, which no Cartesian Gaussian can describe."""
+    """Shape and pose separately: a turn of the whole is an arc, which no Cartesian Gaussian describes."""
     shape_nees, pose_nees = [], []
     for case, filter_ in monte_carlo:
         keep = (np.arange(N)[:, None] * kernels.STATES + np.arange(2)).ravel()
@@ -152,8 +152,9 @@ def test_it_agrees_with_the_batch_optimum(monte_carlo):
         optimum = case.batch()
         apart.append(rms(np.linalg.norm(positions(filter_) - optimum, axis=1)))
         shape_apart.append(rms(shape_errors_m(positions(filter_), optimum)))
-    # Sequential and weighted for outliers, it loses less than a third of the 0.07 m that the optimum itself
-    # is off by, and with GPS weighted by how it fits, too, of the place of the whole a third of 0.53 m.
+    # Sequential fusion with outlier weights adds less than a third of the optimum's own shape error of 0.07
+    # m. With GPS weighted by its misfit it adds less than a third of the position error of the whole of 0.53
+    # m.
     assert rms(shape_apart) < 0.025
     assert rms(apart) < 0.53 / 3.0
 
@@ -176,7 +177,7 @@ def test_gps_that_shows_the_mirror_image_does_not_flip_the_formation():
     filter_ = case.run()
     assert rms(shape_errors_m(positions(filter_), case.truth[:, :2])) < 0.15
     north_m = positions(filter_)[:, 0]
-    assert np.all(north_m[:4] < north_m[4:])  # rows 0..3 stand south of rows 4..7, as they were put
+    assert np.all(north_m[:4] < north_m[4:])  # rows 0..3 are south of rows 4..7, as placed
 
 
 def test_one_distance_off_by_5_m_moves_nothing_by_more_than_5_cm():
@@ -194,24 +195,24 @@ def test_a_uav_that_measures_5_m_too_much_does_not_bend_the_others():
     case = StaticCase(12)
     honest = positions(case.run())
     case.ranges = [(i, j, t, d + (5.0 if i == 3 else 0.0)) for i, j, t, d in case.ranges]
-    lied_to = positions(case.run())
+    found = positions(case.run())
     others = [k for k in range(N) if k != 3]
-    assert rms(shape_errors_m(lied_to[others], honest[others])) < 0.1
+    assert rms(shape_errors_m(found[others], honest[others])) < 0.1
 
 
-def test_a_distance_is_used_once_however_often_it_is_told():
+def test_a_distance_is_used_once_even_if_repeated():
     case = StaticCase(13, rounds=1)
     filter_ = case.run()
-    told, cov = filter_.ranges_used, filter_.cov.copy()
-    assert told == 56
+    used, cov = filter_.ranges_used, filter_.cov.copy()
+    assert used == 56
     for item in case.ranges:
         filter_.on_range(*item, RANGE_STD_M, now_us=5_000_000)
     filter_.update(5_000_000)
-    assert filter_.ranges_used == told
+    assert filter_.ranges_used == used
     assert np.array_equal(filter_.cov, cov)
 
 
-def test_a_distance_from_the_future_is_refused_and_hides_nothing():
+def test_a_distance_from_the_future_is_rejected_and_does_not_suppress_others():
     filter_ = StaticCase(14).run()
     used = filter_.ranges_used
     filter_.on_range(1, 2, 900_000_000, 8.5, 0.1, now_us=5_000_000)
@@ -221,7 +222,7 @@ def test_a_distance_from_the_future_is_refused_and_hides_nothing():
 
 
 def moving_filter():
-    """Two UAVs, the second flying east at 3 m/s, with odometry every 100 ms from 0 to 2 s, located."""
+    """Return a filter of two located UAVs, the second flying east at 3 m/s; odometry every 100 ms for 2 s."""
     model = LocalisationModel(gps_bias_std_m=0.02, gps_white_std_m=0.01, odometry_drift_m_sqrt_s=0.01)
     filter_ = CooperativeLocalisation(
         own=0, places_ned_m=np.array([(0.0, 0.0, -5.0), (0.0, 10.0, -5.0)]), model=model
@@ -238,8 +239,8 @@ def moving_filter():
     return filter_
 
 
-def test_a_late_distance_is_compared_with_where_they_were_then():
-    # 0.45 s old: taken as of now it would be 1.35 m too short.
+def test_a_late_distance_is_compared_with_the_positions_of_its_time():
+    # 0.45 s old: compared with the present positions it would be 1.35 m too short.
     filter_ = moving_filter()
     filter_.on_range(1, 0, 1_550_000, 10.0 + 3.0 * 1.55, 0.05, now_us=2_000_000)
     before = filter_.state.copy()
@@ -259,10 +260,10 @@ def test_a_distance_waits_for_the_odometry_of_its_time():
     assert filter_.ranges_used == 2
 
 
-def test_a_wrong_arrangement_is_noticed_and_solved_afresh():
+def test_a_wrong_arrangement_is_detected_and_initialised_again():
     case = StaticCase(15)
     filter_ = case.run()
-    # Two UAVs are exchanged in the filter's mind, and it is sure of it.
+    # Two UAVs are exchanged in the filter's state, with a small variance.
     swapped = filter_.state.copy()
     for a in range(2):
         offset = filter_.positions_ned_m(5_000_000)[4, a] - filter_.positions_ned_m(5_000_000)[0, a]
@@ -283,7 +284,7 @@ def test_a_wrong_arrangement_is_noticed_and_solved_afresh():
 
 
 def drawn_beacon(rng, case, row, now_us):
-    """Beacon of a station whose number is its row plus ten: with what is new, old, late and unheard of."""
+    """Return a beacon of station row + 10 with new, old and late content, and unknown peers."""
     peers = rng.permutation([j for j in range(N + 3) if j != row])[: rng.integers(0, N)]
     fix_us = now_us - rng.integers(-20, 300) * 1_000
     jump_m = 3.0 * (rng.random() < 0.02)
@@ -299,23 +300,23 @@ def drawn_beacon(rng, case, row, now_us):
     )  # fmt: skip
 
 
-def test_what_a_beacon_tells_at_once_is_what_it_tells_one_by_one():
-    """Eight UAVs are localised of thirteen who are heard of, from 5 s on and over half a minute's silence."""
+def test_processing_a_beacon_equals_processing_its_parts():
+    """Eight of thirteen received UAVs are localised, from 5 s on, with half a minute of silence."""
     rng, case = np.random.default_rng(18), StaticCase(18)
     one_by_one, at_once = case.run(), case.run()
-    hearing = NeighbourTable(station=10, stations=N + 13, period_us=3_600_000_000, gps_std_m=1.0)
-    hearing.rows = np.array([*(10 * [-1]), *range(N), *(3 * [-1])])
+    table = NeighbourTable(station=10, stations=N + 13, period_us=3_600_000_000, gps_std_m=1.0)
+    table.rows = np.array([*(10 * [-1]), *range(N), *(3 * [-1])])
     for now_us in (*range(5_100_000, 9_000_000, 30_000), *range(40_000_000, 44_000_000, 30_000)):
         row = int(rng.integers(1, N))
         payload = wire.encode(drawn_beacon(rng, case, row, now_us))
-        hearing.pages.put(row + 10, payload)
-        at_once.read(hearing, now_us)
-        told = wire.decode(payload)
-        one_by_one.on_odometry(row, told.time_us, told.odometry_ned_m, told.vel_ned_m_s)
-        if told.fix is not None and told.fix.time_ms * 1_000 <= now_us:
-            fix = told.fix
+        table.pages.put(row + 10, payload)
+        at_once.read(table, now_us)
+        beacon = wire.decode(payload)
+        one_by_one.on_odometry(row, beacon.time_us, beacon.odometry_ned_m, beacon.vel_ned_m_s)
+        if beacon.fix is not None and beacon.fix.time_ms * 1_000 <= now_us:
+            fix = beacon.fix
             one_by_one.on_fix(row, fix.time_ms * 1_000, fix.pos_ned_m, fix.std_h_m, fix.std_v_m)
-        for item in told.distances:
+        for item in beacon.distances:
             if item.peer < 10 + N:
                 time_us = item.time_ms * 1_000
                 one_by_one.on_range(row, item.peer - 10, time_us, item.distance_m, item.std_m, now_us=now_us)
@@ -325,13 +326,13 @@ def test_what_a_beacon_tells_at_once_is_what_it_tells_one_by_one():
         assert np.array_equal(at_once.members, one_by_one.members)
         assert np.array_equal(at_once.cov, one_by_one.cov)
     assert np.array_equal(at_once.state, one_by_one.state)
-    assert (hearing.bad_beacons, hearing.pages.count) == (0, 0)
+    assert (table.bad_beacons, table.pages.count) == (0, 0)
     assert at_once.ranges_used == one_by_one.ranges_used > 300
     assert at_once.ranges_too_late == one_by_one.ranges_too_late > 0
     assert at_once.odometry_jumps == one_by_one.odometry_jumps > 0
 
 
-def test_however_many_distances_wait_for_odometry_none_is_lost():
+def test_no_distance_is_lost_while_many_wait_for_odometry():
     case = StaticCase(18)
     filter_ = case.run()
     before, now_us = filter_.ranges_used, 5_900_000
@@ -353,14 +354,14 @@ def test_the_gps_error_is_that_of_the_receiver():
     filter_ = case.run()
     for station in range(N):
         error_ned_m, std_m = filter_.gps_error(station)
-        # Known up to what the mean of eight hides: 1.5 / sqrt(8) per axis, and the heading.
+        # Known up to the error of the mean of eight, 1.5 / sqrt(8) per axis, and of the heading.
         assert 0.4 < std_m < 0.9
         assert np.abs(error_ned_m[:2] - case.bias[station]).max() < 4.0 * std_m
-        # GPS's height of 0 against a barometer that is right.
+        # The GPS height is 0, the barometer exact.
         assert error_ned_m[2] == pytest.approx(-PLACES[station, 2], abs=0.1)
 
 
-def test_nothing_is_known_of_who_is_not_located():
+def test_a_uav_that_is_not_located_has_no_distance_variance_and_a_prior_gps_error():
     filter_ = CooperativeLocalisation(own=0, places_ned_m=PLACES, model=STATIC)
     assert filter_.distance_variance_m2(1, 0) is None
     error_ned_m, std_m = filter_.gps_error(1)
@@ -368,7 +369,7 @@ def test_nothing_is_known_of_who_is_not_located():
     assert std_m == pytest.approx(1.5)
 
 
-def test_a_receiver_that_states_worse_is_believed_less():
+def test_a_receiver_that_states_a_worse_accuracy_has_less_weight():
     """One of two UAVs states 6 m: their mean place is then the other's, by 1 / (1 + (6 / 1.5)^2)."""
     model = LocalisationModel(gps_bias_std_m=1.5, gps_white_std_m=0.01, gps_bias_time_constant_s=1e6)
     found = []
@@ -389,19 +390,19 @@ def test_a_receiver_that_states_worse_is_believed_less():
     assert found[1] == pytest.approx(1.0 / 17.0, abs=0.02)
 
 
-def test_gps_height_counts_for_as_much_as_its_spectrum_says():
-    """Barometer 0.2 m, GPS of 2.5 m and 60 s once a second: the gain in the height is under a hundredth."""
+def test_the_weight_of_gps_height_follows_its_spectrum():
+    """Barometer 0.2 m, GPS of 2.5 m and 60 s once a second: the gain in the height is below 1 %."""
     model = LocalisationModel()
     state, cov = np.zeros(5), np.diag((2.0, 2.0, model.height_std_m**2, 2.25, 2.25))
     for _ in range(60):
         kernels.fuse_fix(state, cov, 0, np.array((0.0, 0.0, 2.5)), 0.04, 2.5**2 * 2.0 * 60.0)
-    # A minute of it, one time constant: information 60 / 750 against 1 / 0.04.
+    # Over a minute, one time constant: information 60 / 750 against 1 / 0.04.
     assert cov[2, 2] == pytest.approx(1.0 / (1.0 / 0.04 + 60.0 / 750.0), rel=1e-6)
     assert 0.0 < state[2] < 0.01
 
 
-def test_distances_of_a_time_of_which_odometry_is_gone_are_counted():
-    """The own track holds 64 samples: at 30 Hz all that is older than 2.1 s, which scenarios count on."""
+def test_distances_older_than_the_odometry_history_are_counted():
+    """The own track holds 64 samples: 2.1 s at 30 Hz, which scenarios rely on."""
     assert SAMPLES / 30.0 >= REMEMBERED_S
     filter_ = CooperativeLocalisation(own=0, places_ned_m=PLACES, model=STATIC)
     for k in range(150):
@@ -416,7 +417,7 @@ def test_distances_of_a_time_of_which_odometry_is_gone_are_counted():
     assert filter_.ranges_too_late == 1  # that one waits for GPS
 
 
-def test_a_distance_of_who_is_not_trusted_supports_nobody():
+def test_a_distance_of_a_distrusted_uav_gives_no_support():
     filter_ = StaticCase(3).run()
     assert filter_.located.all()
     known_us, now_us = filter_.own_range_us, 5_100_000

@@ -1,4 +1,4 @@
-"""What the localisation filter is made of, each part alone: kernels, fixes, trust, bending."""
+"""Parts of the localisation filter: odometry history, means of fixes, trust, bending."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def test_odometry_between_samples_is_exact_for_constant_acceleration():
         assert odometry_at(rings, 1, time_us, out) == KNOWN
         assert out == pytest.approx((s**2, -3.0 * s, -5.0), abs=1e-12)
     assert odometry_at(rings, 1, 700_001, out) == NOT_YET
-    # One more than are kept takes the first one's slot: what was before the second is forgotten.
+    # One sample more than the capacity overwrites the first one.
     for k in range(8, SAMPLES + 1):
         push(members, rings, 1, 100_000 * k, moved(k), step)
     assert odometry_at(rings, 1, 50_000, out) == TOO_OLD
@@ -37,7 +37,7 @@ def test_odometry_between_samples_is_exact_for_constant_acceleration():
     assert out == pytest.approx((last_s**2, -3.0 * last_s, -5.0), abs=1e-12)
 
 
-def test_the_mean_of_fixes_is_exact_and_dated():
+def test_the_mean_of_fixes_and_its_time_are_exact():
     members = new_members(1)
 
     def added(time_us, *pos_ned_m, at_once=False):
@@ -56,8 +56,8 @@ def test_the_mean_of_fixes_is_exact_and_dated():
     assert mean() == (1.0, 0.0, 0.0, 1_000_000, 1, 0)
 
 
-def test_who_measures_wrongly_is_told_from_who_is_elsewhere():
-    """Each pair by both ends, in turn; UAV 3 lies, or stands elsewhere."""
+def test_wrong_measurements_are_distinguished_from_a_wrong_position():
+    """Each pair by both ends, in turn; UAV 3 measures wrongly, or has a wrong position."""
     for elsewhere in (False, True):
         trust = Trust(new_members(N))
         for _ in range(4):
@@ -72,10 +72,10 @@ def test_who_measures_wrongly_is_told_from_who_is_elsewhere():
         assert not any(trust.elsewhere(k) for k in range(N))
 
 
-def test_a_part_that_misfits_for_half_a_minute_is_suspect_and_what_spoils_all_is_not():
+def test_lasting_misfits_of_some_uavs_are_suspect_and_those_of_all_are_not():
     """Of four UAVs 0 and 3 misfit to each other: a third of their distances, and none of 1 and 2.
 
-    Blocked lines of sight that spoil two in five everywhere are nobody's place.
+    Blocked lines of sight that spoil 40 % of all distances indicate no wrong position.
     """
     rng = np.random.default_rng(1)
     pairs = [(i, j) for i in range(4) for j in range(4) if i != j]
@@ -85,7 +85,7 @@ def test_a_part_that_misfits_for_half_a_minute_is_suspect_and_what_spoils_all_is
             for i, j in pairs:
                 trust.note(i, j, badly=rng.random() < 0.4 if blocked else {i, j} == {0, 3})
             suspects = trust.suspects(second * 1_000_000, range(4))
-            # The share is over the limit within ten seconds, and half a minute later it is time.
+            # The share exceeds the limit within ten seconds, and is suspected half a minute later.
             assert not suspects or second >= 30
             if suspects:
                 break
@@ -94,11 +94,11 @@ def test_a_part_that_misfits_for_half_a_minute_is_suspect_and_what_spoils_all_is
 
 
 def test_bending_lengthens_a_line_and_turning_nothing():
-    """Two of three in a line known across it to sigma: sigma^2 / 2 d; a turn of the whole: nothing."""
+    """One of three in a line uncertain across it by sigma: sigma^2 / 2 d; a turn of the whole: 0."""
     line_m = np.array([(0.0, -8.0), (0.0, 0.0), (0.0, 8.0)])
     out_m, out_var_m2 = np.empty((2, 3, 3))
     cov = np.zeros((15, 15))
-    cov[5, 5] = 1.0  # the middle one, across
+    cov[5, 5] = 1.0  # the middle one, across the line
     bend(line_m, line_m, cov, np.arange(3), out_m, out_var_m2)
     assert out_m[0, 1] == out_m[1, 2] == pytest.approx(1.0 / 16.0)
     assert out_m[0, 2] == pytest.approx(0.0, abs=1e-12)
@@ -110,10 +110,10 @@ def test_bending_lengthens_a_line_and_turning_nothing():
 
 
 def test_the_variance_of_bending_is_that_of_the_distance():
-    """Of sqrt(d^2 + y^2) to second order, y drawn about where it is estimated with its own sigma.
+    """That of sqrt(d^2 + y^2) to second order, with y drawn about its estimate with its sigma.
 
-    20 000 draws tell a standard deviation to 1 / sqrt(40 000) = 0.5 %, a mean of 0.1 m to 0.004 m; the fourth
-    order of the distance, y^4 / 8 d^3, is 2 % of the second here.
+    20 000 draws give a standard deviation to 1 / sqrt(40 000) = 0.5 %, and a mean of 0.1 m to 0.004 m. The
+    fourth-order term of the distance, y^4 / 8 d^3, is 2 % of the second-order one here.
     """
     rng = np.random.default_rng(1)
     line_m = np.array([(0.0, -8.0), (0.0, 0.0), (0.0, 8.0)])

@@ -1,4 +1,4 @@
-"""GPS receivers that state their accuracy: what a statement that changes does to the bias. Costs 2 s."""
+"""GPS receivers that state their accuracy: effect of a varying statement on the bias. Run time: 2 s."""
 
 import math
 
@@ -15,7 +15,7 @@ STILL = (0.0, 0.0, 0.0)
 
 
 def bias_std_m(waver_m, *, until_s=40.0):
-    """Error of the GPS errors of four UAVs that range each second, whose receivers state 2 m +- waver_m."""
+    """Return the errors of the GPS biases of four ranging UAVs with receivers that state 2 m +- waver_m."""
     rng, model = np.random.default_rng(1), LocalisationModel()
     filter_ = CooperativeLocalisation(own=0, places_ned_m=SQUARE, model=model)
     bias = 2.0 * rng.standard_normal((4, 2))
@@ -38,15 +38,15 @@ def bias_std_m(waver_m, *, until_s=40.0):
     return np.array([filter_.gps_error(i)[1] for i in range(4)])
 
 
-def test_a_bias_is_learned_though_the_statement_wavers():
-    """By 5 %, of which the worst of 200 is 3 sigma: a spread of 2.3 m instead of 2 m, and no more."""
+def test_a_bias_is_estimated_with_a_varying_statement():
+    """The statement varies by 5 %; the worst of 200 is 3 sigma, a spread of 2.3 m instead of 2 m."""
     steady_m, wavering_m = bias_std_m(0.0), bias_std_m(0.1)
     assert (steady_m < 1.25).all()
     assert (wavering_m < 2.3 / 2.0 * steady_m).all()
 
 
-def test_a_receiver_whose_statement_wavers_is_between_those_that_state_the_one_and_the_other():
-    """Alone, nothing but time tells the bias from the offset; never worse than the worst that was stated."""
+def test_a_varying_statement_lies_between_the_constant_ones():
+    """For a lone UAV only time separates bias and offset; the error never exceeds the worst stated one."""
     found_m = []
     for stated_m in ((1.6, 1.6), (1.6, 3.0), (3.0, 3.0)):
         filter_ = CooperativeLocalisation(own=0, places_ned_m=SQUARE, model=LocalisationModel())
@@ -58,8 +58,8 @@ def test_a_receiver_whose_statement_wavers_is_between_those_that_state_the_one_a
     assert found_m[0] < found_m[1] < found_m[2]
 
 
-def test_a_rise_counts_at_once_and_again_when_the_worst_is_forgotten():
-    """From 2 m to 3 m the variance rises by 5 m2, and again by as much of it as the bias has forgotten."""
+def test_a_rise_has_effect_at_once_and_again_after_the_worst_has_decayed():
+    """From 2 m to 3 m the variance rises by 5 m2, and later by the decayed share of it."""
     model = LocalisationModel(gps_bias_time_constant_s=60.0)
     members, filter_row, cov = new_members(1), new_filter(0, model), np.zeros((5, 5))
     Receivers(members, model)
@@ -70,7 +70,7 @@ def test_a_rise_counts_at_once_and_again_when_the_worst_is_forgotten():
         members["fix_us"] = round(time_s * 1e6)
         take_stated(members, 0, std_m, 3.0, cov, filter_row)
         added_m2 = cov[BIAS, BIAS] - before_m2
-        cov[BIAS, BIAS] = cov[BIAS + 1, BIAS + 1] = 0.5  # learned, so that nothing limits what comes next
+        cov[BIAS, BIAS] = cov[BIAS + 1, BIAS + 1] = 0.5  # reduced, so that the next rise is not limited
         return added_m2
 
     assert state(0.0, 2.0) == pytest.approx(4.0 - model.gps_bias_std_m**2)

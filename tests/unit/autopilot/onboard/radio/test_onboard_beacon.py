@@ -1,6 +1,6 @@
-"""The beacon's bytes: what goes in comes out, its size is what is documented, and wrong bytes are None.
+"""Encoding of beacons: round trip, documented sizes, and rejection of invalid bytes.
 
-Costs 3 s.
+Run time: 3 s.
 """
 
 import struct
@@ -18,13 +18,13 @@ from netsim.wire.messages import MAX_PAYLOAD_BYTES
 
 single = st.floats(-1e4, 1e4, width=32)
 vectors = st.tuples(single, single, single)
-speed = st.floats(-17.0, 17.0, width=32)  # 30 m/s is the most in all: 17 sqrt(3) = 29.4
+speed = st.floats(-17.0, 17.0, width=32)  # the limit is 30 m/s: 17 sqrt(3) = 29.4
 stds = st.integers(0, 65_535).map(lambda std_mm: std_mm * 1e-3)
 stated = st.none() | st.integers(1, 65_535).map(lambda std_mm: std_mm * 1e-3)
 milliseconds = st.integers(0, 2**32 - 1)
 fixes = st.builds(wire.Fix, milliseconds, vectors, stated, stated)
 STATION = 7
-wire.decode(b"")  # compiles what reads it, for which Hypothesis has no patience
+wire.decode(b"")  # compiles the decoder before Hypothesis measures its deadline
 
 
 @st.composite
@@ -49,7 +49,7 @@ beacons = beacons_()
 
 
 def full_beacon(peers=(1,)):
-    """Give a beacon that leaves nothing out."""
+    """Return a beacon with all fields."""
     return wire.Beacon(
         station=STATION, seq=3, time_us=5_000_000, phase=FlightPhase.ON_STATION,
         odometry_ned_m=(1.0, 2.0, 3.0), vel_ned_m_s=(4.0, 5.0, 6.0), motion_start_ms=9_000,
@@ -59,7 +59,7 @@ def full_beacon(peers=(1,)):
 
 
 @given(beacons)
-def test_a_beacon_survives_the_wire(beacon):
+def test_a_decoded_beacon_equals_the_encoded_one(beacon):
     assert wire.decode(wire.encode(beacon)) == beacon
 
 
@@ -81,24 +81,24 @@ def test_the_largest_beacon_fits_a_datagram_and_one_distance_more_does_not():
 
 
 @given(st.binary(max_size=300))
-def test_no_bytes_make_the_decoder_raise(buffer):
+def test_the_decoder_raises_for_no_bytes(buffer):
     wire.decode(buffer)
     wire.decode(bytes((wire.VERSION,)) + buffer)
 
 
 @given(beacons, st.data())
-def test_what_is_believed_of_a_spoilt_beacon_could_have_been_sent(beacon, data):
-    # Any bytes that decode at all decode to a beacon whose own bytes say the same.
+def test_a_corrupted_beacon_that_decodes_is_a_valid_beacon(beacon, data):
+    # Any bytes that decode do so to a beacon that survives encoding and decoding.
     buffer = bytearray(wire.encode(beacon))
     for _ in range(data.draw(st.integers(1, 3))):
         buffer[data.draw(st.integers(0, len(buffer) - 1))] = data.draw(st.integers(0, 255))
-    heard = wire.decode(bytes(buffer))
-    if heard is not None:
-        assert wire.decode(wire.encode(heard)) == heard
+    decoded = wire.decode(bytes(buffer))
+    if decoded is not None:
+        assert wire.decode(wire.encode(decoded)) == decoded
 
 
 @given(beacons, st.data())
-def test_a_beacon_cut_short_or_drawn_out_is_none(beacon, data):
+def test_a_beacon_of_wrong_length_is_rejected(beacon, data):
     buffer = wire.encode(beacon)
     assert wire.decode(buffer[: data.draw(st.integers(0, len(buffer) - 1))]) is None
     assert wire.decode(buffer + b"\0") is None
@@ -110,7 +110,7 @@ FLOATS = [17, 21, 25, 29, 33, 37, 49, 53, 57, 65, 69, 73, 79 + 5]
 
 @pytest.mark.parametrize("number", [float("nan"), float("inf"), -float("inf"), 1e30])
 @pytest.mark.parametrize("offset", FLOATS)
-def test_numbers_that_cannot_be_make_it_none(number, offset):
+def test_a_beacon_with_impossible_numbers_is_rejected(number, offset):
     buffer = bytearray(wire.encode(full_beacon()))
     assert wire.decode(bytes(buffer)) is not None
     struct.pack_into("<f", buffer, offset, number)
@@ -118,14 +118,14 @@ def test_numbers_that_cannot_be_make_it_none(number, offset):
 
 
 @pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, -0.6, 0.8), (0.48, 0.6, -0.64)])
-def test_nobody_flies_at_more_than_30_m_s(direction):
-    for speed_m_s, believed in ((29.9, True), (30.1, False), (3e5, False)):
+def test_a_speed_above_30_m_s_is_rejected(direction):
+    for speed_m_s, accepted in ((29.9, True), (30.1, False), (3e5, False)):
         beacon = replace(full_beacon(), vel_ned_m_s=tuple(speed_m_s * part for part in direction))
-        assert (wire.decode(wire.encode(beacon)) is not None) is believed
+        assert (wire.decode(wire.encode(beacon)) is not None) is accepted
 
 
-def test_a_beacon_comes_once_a_second_at_least():
-    """So many are heard within what localisation waits for odometry, and avoidance for a neighbour."""
+def test_the_beacon_period_is_at_most_one_second():
+    """Localisation waits so long for odometry, and avoidance for a neighbour."""
     assert convert({"beacon_period_ms": 1_000}, OnboardConfig).beacon_period_ms == 1_000
     with pytest.raises(ValidationError):
         convert({"beacon_period_ms": 1_001}, OnboardConfig)
@@ -145,25 +145,25 @@ def test_a_beacon_comes_once_a_second_at_least():
         (90, 1),  # a second distance to the peer of the first
     ],
 )
-def test_bytes_that_no_sender_would_send_make_it_none(offset, value):
+def test_undefined_or_contradictory_fields_are_rejected(offset, value):
     buffer = bytearray(wire.encode(full_beacon(peers=(1, 2))))
     assert wire.decode(bytes(buffer)) is not None
     buffer[offset] = value
     assert wire.decode(bytes(buffer)) is None
 
 
-def test_standard_deviations_saturate_and_a_stated_one_is_never_unstated():
+def test_standard_deviations_saturate_and_a_stated_one_is_at_least_1_mm():
     beacon = replace(
         full_beacon(),
         fix=wire.Fix(4_900, (7.0, 8.0, 9.0), float("inf"), 1e-6),
         gps_error=wire.GpsError((0.0, 0.0, 0.0), 100.0),
     )
-    heard = wire.decode(wire.encode(beacon))
-    assert heard.fix.std_h_m == heard.gps_error.std_m == 65.535
-    assert heard.fix.std_v_m == 0.001
+    decoded = wire.decode(wire.encode(beacon))
+    assert decoded.fix.std_h_m == decoded.gps_error.std_m == 65.535
+    assert decoded.fix.std_v_m == 0.001
 
 
-def test_a_standard_deviation_that_is_none_does_not_leave_the_house():
+def test_an_invalid_standard_deviation_is_not_encoded():
     for std_m, error in ((float("nan"), ValueError), (-0.1, struct.error)):
         with pytest.raises(error):
             wire.encode(replace(full_beacon(), gps_error=wire.GpsError((0.0, 0.0, 0.0), std_m)))

@@ -1,4 +1,4 @@
-"""Neighbourhoods of a large formation, and the one frame that they agree on."""
+"""Neighbourhoods of a large formation, and their common frame."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ LAYOUTS = {
 
 
 @pytest.mark.parametrize("nearest", [0, 7, 20])
-def test_all_are_neighbours_of_all_unless_there_are_more(nearest):
+def test_all_are_neighbours_in_a_small_formation(nearest):
     near = Neighbourhood(3, grid_ned_m(2, 4), nearest)
     assert near.whole
     assert near.rows == list(range(8))
@@ -37,9 +37,9 @@ def test_all_are_neighbours_of_all_unless_there_are_more(nearest):
     assert near.own == 3
 
 
-def test_neighbours_are_the_nearest_and_who_has_one_among_its_own():
+def test_neighbours_are_the_nearest_and_the_relation_is_symmetric():
     places = grid_ned_m(1, 6) * (1.0, 1.0, 0.0)
-    places[5, 1] = 100.0  # far from all, yet two are nearest to it
+    places[5, 1] = 100.0  # far from all, but two are its nearest
     found = linked(places, 2)
     assert [np.flatnonzero(row).tolist() for row in found] == [
         [1, 2], [0, 2], [0, 1, 3, 4], [2, 4, 5], [2, 3, 5], [3, 4],
@@ -52,7 +52,7 @@ def test_neighbours_are_the_nearest_and_who_has_one_among_its_own():
 
 
 @pytest.mark.parametrize("places", LAYOUTS.values(), ids=LAYOUTS)
-def test_everybody_finds_the_same_neighbours(places):
+def test_all_compute_the_same_neighbours(places):
     found = linked(places, 6)
     assert (found == found.T).all()
     assert not found.diagonal().any()
@@ -62,7 +62,7 @@ def test_everybody_finds_the_same_neighbours(places):
 
 
 @pytest.mark.parametrize("stations", [9, 16])
-def test_slots_are_for_neighbours_alone_and_each_is_one_pairs(stations):
+def test_each_slot_belongs_to_one_pair_of_neighbours(stations):
     found = linked(grid_ned_m(stations // 3, 3)[:stations] if stations == 9 else grid_ned_m(4, 4), 4)
     policies = [
         ScheduledRanging(
@@ -71,23 +71,23 @@ def test_slots_are_for_neighbours_alone_and_each_is_one_pairs(stations):
         for i in range(stations)
     ]
     pairs = int(found.sum()) // 2
-    asked = [
+    requests = [
         (at_us // 4_000, frozenset({i, peer}))
         for i, policy in enumerate(policies)
         for at_us, peer in policy.due(0, pairs * 4_000, range(stations).__contains__)
         if not policy.on_result(peer, ended_us=at_us)
     ]
-    slots = [slot for slot, _ in asked]
+    slots = [slot for slot, _ in requests]
     assert len(set(slots)) == len(slots)  # no two stations in one
-    assert {pair for _, pair in asked} <= {frozenset(p) for p in np.argwhere(found).tolist()}
+    assert {pair for _, pair in requests} <= {frozenset(p) for p in np.argwhere(found).tolist()}
     assert max(slots) < pairs
-    assert len(asked) >= pairs // 2  # at most two sessions of a station are open at once
+    assert len(requests) >= pairs // 2  # at most two sessions of a station are open at once
 
 
 @pytest.mark.parametrize("places", LAYOUTS.values(), ids=LAYOUTS)
 @pytest.mark.parametrize("nearest", [6, 12])
-def test_rounds_shrink_all_but_a_rigid_motion_of_the_whole(places, nearest):
-    """A round is linear in what everybody holds: its eigenvalues but three are inside of the unit circle."""
+def test_a_round_reduces_all_but_rigid_motions_of_the_whole(places, nearest):
+    """A round is linear in all positions: all but three eigenvalues are inside the unit circle."""
     there_m = places[:, :2]
     count = len(there_m)
     found = linked(places, nearest)
@@ -103,7 +103,7 @@ def test_rounds_shrink_all_but_a_rigid_motion_of_the_whole(places, nearest):
     assert sizes[3] < 0.999
 
 
-def test_a_picture_is_laid_onto_the_others_exactly_but_for_who_misfits():
+def test_alignment_to_the_neighbours_is_exact_and_robust_to_a_misfit():
     pos_m = grid_ned_m(3, 4)[:, :2]
     turned_m = 0.02 * (pos_m - pos_m[4])[:, ::-1] * (-1.0, 1.0) + (3.0, -2.0)
     np.testing.assert_allclose(laid_onto(pos_m, turned_m), turned_m[-1], atol=1e-9)
@@ -127,6 +127,6 @@ def test_a_formation_of_neighbourhoods_keeps_its_shape():
     assert rms([shape_errors_m(row, places) for row in truth]) < 0.25
     assert rms([shape_errors_m(*rows) for rows in zip(estimates, truth, strict=True)]) < 0.2
     assert w.least_distance_m > 3.0
-    # The whole stands where the mean of everybody's GPS has it, some way behind that.
+    # The whole follows the mean of all GPS positions with a lag.
     missed_m = (w.pos - places)[:, :2].mean(axis=0) + w.bias.mean(axis=0)
     assert np.linalg.norm(missed_m) < 0.5

@@ -1,4 +1,4 @@
-"""The ranging policy: everybody once per period, evenly, out of step, gentle when the air is full."""
+"""All-pairs ranging: every peer once per period, evenly, at random phases, slowed by a full channel."""
 
 import numpy as np
 
@@ -28,7 +28,7 @@ def schedule_of(station, seed, stations=8, period_us=PERIOD_US):
     return RangingSchedule(station=station, stations=stations, period_us=period_us, rng=rng)
 
 
-def test_every_peer_is_asked_once_in_every_period():
+def test_every_peer_is_requested_once_per_period():
     requests = run(schedule_of(3, 1), until_us=10 * PERIOD_US)
     first_us = requests[0][0]
     for k in range(9):
@@ -50,13 +50,13 @@ def test_stations_are_not_in_step():
     assert len({at_us % STEP_US for at_us in firsts_us}) == 8
 
 
-def test_a_silent_peer_is_not_asked_and_the_others_keep_their_times():
-    everybody = run(schedule_of(0, 4), until_us=3 * PERIOD_US)
+def test_a_silent_peer_is_not_requested_and_the_others_keep_their_times():
+    all_requests = run(schedule_of(0, 4), until_us=3 * PERIOD_US)
     without = run(schedule_of(0, 4), until_us=3 * PERIOD_US, reachable={1, 2, 3, 4, 6, 7})
-    assert without == [item for item in everybody if item[1] != 5]
+    assert without == [item for item in all_requests if item[1] != 5]
 
 
-def test_no_more_than_two_are_outstanding_and_lost_answers_do_not_stop_it_for_ever():
+def test_at_most_two_requests_are_outstanding_and_lost_results_do_not_block_for_ever():
     requests = run(schedule_of(0, 5), until_us=GIVE_UP_US + PERIOD_US, answer_after_us=None)
     before = [at_us for at_us, _ in requests if at_us <= GIVE_UP_US]
     assert len(before) == MAX_OUTSTANDING
@@ -73,16 +73,16 @@ def test_a_full_channel_slows_the_round_and_is_not_followed_by_a_burst():
     assert np.min(np.diff([at_us for at_us, _ in after])) >= 100_000 / 7 - 1
 
 
-def test_a_leap_of_the_clock_is_not_followed_by_a_burst_nor_by_a_long_search():
+def test_a_clock_jump_causes_no_burst_and_no_long_search():
     for leap_us in (3 * GIVE_UP_US, 10**15):
         schedule = schedule_of(0, 8)
         before = run(schedule, until_us=PERIOD_US)
         after = run(schedule, start_us=leap_us, until_us=leap_us + 10 * PERIOD_US)
         gaps_us = np.diff([at_us for at_us, _ in after])
-        assert np.all(gaps_us[1:] >= PERIOD_US / 7 - 1)  # the first of all may be late by less than a slot
+        assert np.all(gaps_us[1:] >= PERIOD_US / 7 - 1)  # the first one may be late by less than a slot
         assert len(after) in {70, 71}
         assert before
 
 
-def test_a_lone_station_asks_nobody():
+def test_a_lone_station_sends_no_requests():
     assert run(schedule_of(0, 7, stations=1), until_us=PERIOD_US) == []

@@ -1,6 +1,6 @@
-"""Ranging in slots: who measures what, that nobody is in anybody's way, and what is measured at which price.
+"""Scheduled ranging: ownership of pairs, disjoint slots, and the selection of distances by price.
 
-Costs 5 s.
+Run time: 5 s.
 """
 
 import itertools
@@ -31,7 +31,7 @@ from autopilot.onboard.radio.scheduled_ranging import (
 SLOT_US = 4_000
 STEP_US = 4_000
 SESSION_US = 1_500
-"""On the air: 8 measurement frames at 80 MHz."""
+"""Airtime: 8 measurement frames at 80 MHz."""
 MEASUREMENT_VAR_M2 = 0.05**2 + 0.03**2
 SIZES = range(2, 41)
 
@@ -62,11 +62,11 @@ def run(schedule, *, until_us, start_us=0, variance_m2=None, reachable=None, ans
     return requests
 
 
-# ---- who and when
+# ---- ownership and slots
 
 
 @pytest.mark.parametrize("stations", SIZES)
-def test_the_pairs_are_numbered_through_without_a_gap(stations):
+def test_the_pairs_are_numbered_without_a_gap(stations):
     numbers = [pair_number(i, j, stations) for i, j in itertools.combinations(range(stations), 2)]
     assert sorted(numbers) == list(range(len(numbers)))
     assert numbers == [pair_number(j, i, stations) for i, j in itertools.combinations(range(stations), 2)]
@@ -91,7 +91,7 @@ def test_each_pair_has_one_owner_and_each_station_its_share(stations):
 
 
 @pytest.mark.parametrize("stations", SIZES)
-def test_in_a_cycle_each_pair_has_one_session_in_a_slot_that_is_nobody_elses(stations):
+def test_in_a_cycle_each_pair_has_one_session_in_its_own_slot(stations):
     # Everything is worth measuring at the beginning.
     cycle_us = stations * (stations - 1) // 2 * SLOT_US
     sessions = sorted(
@@ -108,7 +108,7 @@ def test_in_a_cycle_each_pair_has_one_session_in_a_slot_that_is_nobody_elses(sta
     steps_us=st.lists(st.integers(1_000, 20_000), min_size=1, max_size=30),
     start_us=st.integers(0, 10**9),
 )
-def test_whatever_the_steps_a_request_lies_in_its_step_and_in_a_slot_of_its_pair(
+def test_a_request_lies_in_its_step_and_in_a_slot_of_its_pair_for_any_steps(
     stations, data, steps_us, start_us
 ):
     station = data.draw(st.integers(0, stations - 1))
@@ -126,12 +126,12 @@ def test_whatever_the_steps_a_request_lies_in_its_step_and_in_a_slot_of_its_pair
             assert into_us == round(GUARD * SLOT_US)
             schedule.on_result(peer, ended_us=at_us, variance_m2=MEASUREMENT_VAR_M2)
         now_us += step_us
-    # None of the own slots is passed over: the next one begins within a cycle.
+    # No own slot is skipped: the next one begins within a cycle.
     if schedule.next_us != math.inf:
         assert schedule.next_us < now_us + pairs * SLOT_US + 20_000
 
 
-def test_who_was_away_goes_on_in_the_present_and_not_with_what_was_missed():
+def test_missed_slots_are_skipped_after_a_pause():
     schedule = policy()
     schedule.due(0, STEP_US, range(8).__contains__, lambda _: 1e9)
     requests = run(schedule, start_us=60_000_000, until_us=60_112_000, variance_m2=lambda _: 1e9)
@@ -139,13 +139,13 @@ def test_who_was_away_goes_on_in_the_present_and_not_with_what_was_missed():
     assert sorted(peer for _, peer in requests) == owned
 
 
-def test_a_lone_station_and_one_that_owns_nothing_ask_nobody_and_need_not_be_woken():
+def test_a_station_without_owned_pairs_sends_no_requests_and_has_no_deadline():
     for schedule in (policy(0, 1), policy(1, 2)):
         assert run(schedule, until_us=100_000) == []
         assert schedule.next_us == math.inf
 
 
-# ---- whether
+# ---- worth
 
 
 def test_worth_is_the_information_that_a_measurement_adds():
@@ -161,15 +161,15 @@ def test_worth_is_the_information_that_a_measurement_adds():
 
 
 @pytest.mark.parametrize("unknown", [None, math.nan, -1.0])
-def test_what_is_not_known_is_worth_everything_but_not_all_the_time(unknown):
+def test_an_unknown_distance_has_infinite_worth_once_per_period(unknown):
     schedule = policy()
     schedule.price_nats = MOST_PRICE_NATS
     assert schedule.worth_nats(1, 0, unknown) == math.inf
     requests = run(schedule, until_us=10_000_000, variance_m2=lambda _: unknown)
     for peer, count in Counter(peer for _, peer in requests).items():
         assert owner(0, peer, 8) == 0
-        times_us = [at_us for at_us, asked in requests if asked == peer]
-        # The first slot, a cycle long at most, and a session after the period has passed.
+        times_us = [at_us for at_us, requested in requests if requested == peer]
+        # The first own slot after the period, at most a cycle later, and a session.
         assert all(
             UNKNOWN_PERIOD_US <= b - a < UNKNOWN_PERIOD_US + 28 * SLOT_US + 2 * STEP_US
             for a, b in itertools.pairwise(times_us)
@@ -177,7 +177,7 @@ def test_what_is_not_known_is_worth_everything_but_not_all_the_time(unknown):
         assert count > 15
 
 
-def test_an_idle_channel_is_left_nearly_silent_when_the_distances_are_known():
+def test_an_idle_channel_stays_nearly_unused_when_the_distances_are_known():
     # 3 % off the variance is less than the least price: each pair is only checked.
     schedule = policy()
     for k in range(100):
@@ -197,19 +197,19 @@ def test_no_pair_is_starved_at_any_price_by_a_variance_that_is_wrongly_small(pri
     schedule.price_nats = price_nats
     requests = run(schedule, until_us=60_000_000, variance_m2=lambda _: 0.0)
     for peer in (j for j in range(8) if j != 0 and owner(0, j, 8) == 0):
-        times_us = [at_us for at_us, asked in requests if asked == peer]
+        times_us = [at_us for at_us, requested in requests if requested == peer]
         longest_us = max(b - a for a, b in itertools.pairwise(times_us))
         assert longest_us < CHECK_LATEST_US + 28 * SLOT_US + 2 * STEP_US
         assert longest_us < schedule.silence_us
 
 
-def test_at_a_tight_price_the_widest_distances_are_served_and_the_others_are_not():
+def test_at_a_high_price_only_the_least_certain_distances_are_measured():
     schedule = policy(0, 16)
     schedule.price_nats = 1.0
     owned = [j for j in range(1, 16) if owner(0, j, 16) == 0]
     # Worth 0.5 log(1 + p / r) against 1: p / r = exp(2) - 1 = 6.39 divides them.
     ratios = dict(zip(owned, (1.0, 20.0, 6.3, 6.5, 0.1, 7.0, 3.0, 400.0), strict=True))
-    run(schedule, until_us=480_000)  # everybody once, so that nothing is overdue
+    run(schedule, until_us=480_000)  # all once, so that none is overdue
     requests = run(
         schedule, start_us=480_000, until_us=960_000,
         variance_m2=lambda peer: ratios[peer] * MEASUREMENT_VAR_M2,
@@ -217,14 +217,14 @@ def test_at_a_tight_price_the_widest_distances_are_served_and_the_others_are_not
     assert {peer for _, peer in requests} == {peer for peer, ratio in ratios.items() if ratio > 6.39}
 
 
-def test_who_is_not_heard_is_not_asked_and_the_others_keep_their_slots():
-    everybody = run(policy(), until_us=2_000_000)
+def test_a_silent_station_is_not_ranged_to_and_the_others_keep_their_slots():
+    all_requests = run(policy(), until_us=2_000_000)
     without = run(policy(), until_us=2_000_000, reachable={0, 1, 2, 4, 5, 6, 7})
-    assert without == [item for item in everybody if item[1] != 3]
-    assert len(without) < len(everybody)
+    assert without == [item for item in all_requests if item[1] != 3]
+    assert len(without) < len(all_requests)
 
 
-def test_a_peer_that_does_not_answer_is_tried_at_once_and_then_ever_more_seldom():
+def test_a_peer_that_does_not_answer_is_retried_with_doubling_pauses():
     # Pauses of 0, 1, 3, 7, ... cycles after the first, second, ... failure, CHECK_US at the most.
     schedule, times_us = policy(), []
     cycle_us = 28 * SLOT_US
@@ -241,7 +241,7 @@ def test_a_peer_that_does_not_answer_is_tried_at_once_and_then_ever_more_seldom(
     assert len(again) == 1
 
 
-def test_a_responder_that_asks_for_peace_gets_it():
+def test_the_retry_time_of_a_responder_is_respected():
     schedule = policy()
     ((at_us, peer),) = run(schedule, until_us=28 * SLOT_US, reachable={1}, answer_us=None)
     schedule.on_result(peer, ended_us=at_us, retry_after_us=1_000_000)
@@ -249,7 +249,7 @@ def test_a_responder_that_asks_for_peace_gets_it():
     assert at_us + 1_000_000 <= requests[0][0] < at_us + 1_000_000 + 29 * SLOT_US
 
 
-def test_lost_results_neither_fill_the_queue_nor_stop_it_for_ever():
+def test_lost_results_neither_fill_the_queue_nor_block_it_for_ever():
     requests = run(policy(), until_us=GIVE_UP_US + 500_000, answer_us=None)
     assert len([at_us for at_us, _ in requests if at_us <= GIVE_UP_US]) == MAX_OUTSTANDING
     assert len(requests) > MAX_OUTSTANDING
@@ -258,13 +258,13 @@ def test_lost_results_neither_fill_the_queue_nor_stop_it_for_ever():
 # ---- the price
 
 
-def test_the_price_rises_over_and_falls_under_the_wanted_occupancy_within_its_limits():
+def test_the_price_rises_above_and_falls_below_the_target_occupancy_within_its_limits():
     schedule = policy(airtime=0.25)
     schedule.on_survey(0, 0)
     schedule.on_survey(WINDOW_NS, WINDOW_NS // 4)
     assert schedule.price_nats == pytest.approx(FIRST_PRICE_NATS)
     schedule.on_survey(2 * WINDOW_NS, WINDOW_NS // 4 + WINDOW_NS // 2)
-    # Twice the wanted occupancy: the ratio, 1 to begin with, rises by exp(gain).
+    # Twice the target occupancy: the ratio, 1 to begin with, rises by exp(gain).
     assert schedule.price_nats == pytest.approx(0.5 * math.log1p(math.exp(0.5)))
     busy_ns = 3 * WINDOW_NS // 4
     for k in range(3, 30):
@@ -277,14 +277,14 @@ def test_the_price_rises_over_and_falls_under_the_wanted_occupancy_within_its_li
 
 
 @given(st.lists(st.tuples(st.integers(0, 2**63 - 1), st.integers(0, 2**63 - 1)), max_size=20))
-def test_no_counter_of_busy_time_takes_the_price_out_of_its_limits(surveys):
+def test_the_price_stays_within_its_limits_for_any_counter_of_busy_time(surveys):
     schedule = policy(airtime=1e-6)
     for ended_ns, busy_ns in surveys:
         schedule.on_survey(ended_ns, busy_ns)
         assert LEAST_PRICE_NATS <= schedule.price_nats <= MOST_PRICE_NATS
 
 
-def test_a_counter_that_begins_anew_is_no_measurement():
+def test_a_reset_of_the_busy_counter_is_ignored():
     schedule = policy()
     for ended_ns, busy_ns in ((0, 10**9), (WINDOW_NS, 5), (0, 5), (WINDOW_NS // 2, 5)):
         schedule.on_survey(ended_ns, busy_ns)
@@ -293,9 +293,9 @@ def test_a_counter_that_begins_anew_is_no_measurement():
 
 @dataclass
 class Channel:
-    """Stations that share a channel: every session occupies it, and so does somebody else's load.
+    """Stations that share a channel, which their sessions and an external load occupy.
 
-    The distances' variances grow by ``growth_m2_s`` and shrink by what is measured, as a filter's would.
+    The variances of the distances grow by ``growth_m2_s`` and are reduced by measurements, as in a filter.
     """
 
     stations: int
@@ -314,7 +314,7 @@ class Channel:
         return var_m2 + self.growth_m2_s * (now_us - since_us) * 1e-6
 
     def run(self, begin_s, end_s):
-        """Fly on; returns the mean occupancy."""
+        """Run from ``begin_s`` to ``end_s``; returns the mean occupancy."""
         busy_before_us, reachable, ended = self.busy_us, range(self.stations).__contains__, []
         for now_us in range(round(begin_s * 1e6), round(end_s * 1e6), STEP_US):
             for at_us, i, j in ended:
@@ -339,8 +339,8 @@ class Channel:
 
 @pytest.mark.parametrize("stations", [4, 8, 16])
 @pytest.mark.parametrize("load", [0.0, 0.1, 0.2])
-def test_the_occupancy_settles_at_what_is_wanted(stations, load):
-    # Of an empty channel the slots alone would take 1.5 / 4 = 0.375.
+def test_the_occupancy_settles_at_the_target(stations, load):
+    # The slots alone would occupy 1.5 / 4 = 0.375 of an empty channel.
     channel = Channel(stations=stations, load=load)
     channel.run(0.0, 6.0)
     assert channel.run(6.0, 16.0) == pytest.approx(0.3, rel=0.06)
@@ -365,7 +365,7 @@ def test_under_a_load_that_leaves_no_room_only_checks_remain(stations, load):
     assert occupancy == pytest.approx(load + channel.sessions.total() * SESSION_US / 10e6)
 
 
-def test_all_pairs_are_served_alike_where_they_are_worth_the_same():
+def test_pairs_of_equal_worth_are_measured_equally_often():
     channel = Channel(stations=8, load=0.2)
     channel.run(0.0, 6.0)
     channel.sessions.clear()

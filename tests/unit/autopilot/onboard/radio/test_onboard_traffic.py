@@ -1,6 +1,6 @@
-"""What one station says on the radio, and what it makes of what it hears.
+"""Radio traffic of one station: beacons, their reception, and ranging requests.
 
-Costs 1 s.
+Run time: 1 s.
 """
 
 import math
@@ -13,7 +13,14 @@ from autopilot.onboard.formation.own_state import OwnState
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.localisation.localisation import SILENCE_US
 from autopilot.onboard.radio import beacon as wire
-from autopilot.onboard.radio.neighbour_table import BEGUN_ANEW, HEARD, REFUSED, SHIFTS, WAIT_US, hear
+from autopilot.onboard.radio.neighbour_table import (
+    RECEIVED,
+    REFUSED,
+    RESTARTED,
+    SHIFTS,
+    WAIT_US,
+    receive_beacon,
+)
 from autopilot.onboard.radio.scheduled_ranging import CHECK_LATEST_US, CHECK_US, UNKNOWN_PERIOD_US, owner
 from autopilot.onboard.radio.traffic import Traffic
 from autopilot.parameters.config import SESSION_S, Devices, OnboardConfig, Site
@@ -53,104 +60,105 @@ def beacon_of(station, *, seq=0, time_us=0):
     )  # fmt: skip
 
 
-def take(hearing, beacon, now_us, *, source=None):
-    """Hear a beacon, sent in its own name or in that of another; gives as what it was heard."""
+def take(table, beacon, now_us, *, source=None):
+    """Receive a beacon from its station or from ``source``; returns the outcome of `receive_beacon`."""
     pages = wire.BeaconBuffer(1)
     pages.put(beacon.station if source is None else source, wire.encode(beacon))
-    return hear(pages.rows[0], now_us, hearing.listener, hearing.stations, hearing.rows)
+    return receive_beacon(pages.rows[0], now_us, table.listener, table.stations, table.rows)
 
 
-def heard(times_and_numbers, *, config=None):
-    """Hear beacons at times in s, of those times: whether each is of a new sender, and the hearing."""
-    traffic, new = traffic_of(config=config), []
+def received(times_and_numbers, *, config=None):
+    """Receive beacons at times in s; returns whether each indicates a restarted sender, and the table."""
+    traffic, restarted = traffic_of(config=config), []
     for time_s, seq in times_and_numbers:
         now_us = round(time_s * 1e6)
         beacon = beacon_of(1, seq=seq % wire.SEQ_MODULUS, time_us=now_us)
-        found = take(traffic.hearing, beacon, now_us)
-        assert found in {HEARD, BEGUN_ANEW}
-        new.append(found == BEGUN_ANEW)
-    return new, traffic.hearing
+        found = take(traffic.table, beacon, now_us)
+        assert found in {RECEIVED, RESTARTED}
+        restarted.append(found == RESTARTED)
+    return restarted, traffic.table
 
 
-def test_a_sender_that_begins_anew_is_told_from_one_whose_beacons_are_lost():
-    """Beacons each 100 ms: what was lost has been numbered, what another application sent has not."""
-    assert heard([(4.0, 39), (25.0, 39 + 210), (225.0, 39 + 2210)])[0] == [False, False, False]
-    # Silent from 4 s on; begun anew at 19 s, first heard at 25 s, with fewer numbers, the same, and more.
+def test_a_restarted_sender_is_distinguished_from_lost_beacons():
+    """Beacons every 100 ms: lost beacons have used sequence numbers, a restarted application starts over."""
+    assert received([(4.0, 39), (25.0, 39 + 210), (225.0, 39 + 2210)])[0] == [False, False, False]
+    # Silent from 4 s on; restarted at 19 s, first received at 25 s, with a lower, the same and a higher
+    # number.
     for seq in (10, 39, 60):
-        new, hearing = heard([(4.0, 39), (25.0, seq), (25.1, seq + 1)])
-        assert new == [False, True, False]
-        assert hearing.beacons_missed == 0
-    # The numbers go round, and do so without a beginning.
-    assert heard([(1.0, -2), (1.3, 1), (31.3, 301)])[0] == [False, False, False]
+        restarted, table = received([(4.0, 39), (25.0, seq), (25.1, seq + 1)])
+        assert restarted == [False, True, False]
+        assert table.beacons_missed == 0
+    # A wrap of the sequence numbers is not a restart.
+    assert received([(1.0, -2), (1.3, 1), (31.3, 301)])[0] == [False, False, False]
 
 
 @pytest.mark.parametrize("leap_us", [3 * WAIT_US, 10**15])
-def test_after_a_leap_of_the_clock_one_beacon_is_due_with_the_number_of_its_time(leap_us):
+def test_after_a_clock_jump_one_beacon_is_due_with_the_number_of_its_time(leap_us):
     traffic = traffic_of()
 
-    def said(now_us):
+    def numbers(now_us):
         items = traffic.due(own_state(now_us), now_us, now_us + STEP_US, ranging=False)
         return [wire.decode(item.payload).seq for item in items if isinstance(item, Broadcast)]
 
     period_us = OnboardConfig().beacon_period_ms * 1_000
-    before = [seq for now_us in range(0, 10 * period_us, STEP_US) for seq in said(now_us)]
-    ((seq,), later) = said(leap_us), said(leap_us + STEP_US)
+    before = [seq for now_us in range(0, 10 * period_us, STEP_US) for seq in numbers(now_us)]
+    ((seq,), later) = numbers(leap_us), numbers(leap_us + STEP_US)
     assert later == []
     assert (
         abs((seq - before[-1]) % wire.SEQ_MODULUS - (leap_us / period_us - 10) % wire.SEQ_MODULUS) <= SHIFTS
     )
-    gaps = np.diff([seq, *(seq for k in range(2, 500) for seq in said(leap_us + k * STEP_US))])
+    gaps = np.diff([seq, *(seq for k in range(2, 500) for seq in numbers(leap_us + k * STEP_US))])
     assert set(gaps % wire.SEQ_MODULUS) == {1}
 
 
 @pytest.mark.parametrize("period_ms", [10, 100, 1_000])
-def test_a_beacon_that_waits_for_the_channel_is_of_no_new_sender(period_ms):
-    """Each waits up to `WAIT_US` (in order), is shifted by 2 % of a period, and three in ten are lost."""
+def test_channel_access_delay_is_not_taken_for_a_restart(period_ms):
+    """Each beacon waits up to `WAIT_US` (in order), is shifted by 2 % of a period, and 30 % are lost."""
     rng, config = np.random.default_rng(1), OnboardConfig(beacon_period_ms=period_ms)
-    period_s, heard_s, sequence = 1e-3 * period_ms, 0.0, []
+    period_s, received_s, sequence = 1e-3 * period_ms, 0.0, []
     for seq in range(2_000):
         due_s = 1.0 + (seq + rng.uniform(-0.02, 0.02)) * period_s
-        heard_s = max(heard_s, due_s + rng.choice((0.0, 1e-6 * WAIT_US)))
+        received_s = max(received_s, due_s + rng.choice((0.0, 1e-6 * WAIT_US)))
         if rng.uniform() < 0.7:
-            sequence.append((heard_s, seq))
-    new, hearing = heard(sequence, config=config)
-    assert not any(new)
-    assert hearing.beacons_missed == sequence[-1][1] - sequence[0][1] + 1 - len(sequence)
+            sequence.append((received_s, seq))
+    restarted, table = received(sequence, config=config)
+    assert not any(restarted)
+    assert table.beacons_missed == sequence[-1][1] - sequence[0][1] + 1 - len(sequence)
 
 
-def test_a_beacon_that_was_overtaken_is_of_no_new_sender():
-    hearing, found = traffic_of().hearing, []
+def test_an_overtaken_beacon_is_not_taken_for_a_restart():
+    table, found = traffic_of().table, []
     for now_ms, seq, time_ms in ((1_000, 7, 1_000), (1_200, 9, 1_200), (1_210, 8, 1_100), (1_300, 10, 1_300)):
         beacon = beacon_of(1, seq=seq, time_us=1_000 * time_ms)
-        found.append(take(hearing, beacon, 1_000 * now_ms))
-    assert found == 4 * [HEARD]
-    assert (hearing.beacons_heard, hearing.beacons_missed) == (4, 1)
+        found.append(take(table, beacon, 1_000 * now_ms))
+    assert found == 4 * [RECEIVED]
+    assert (table.beacons_heard, table.beacons_missed) == (4, 1)
 
 
-def test_a_sender_is_new_beyond_what_waiting_explains_to_either_side():
-    for gap, is_new in ((100 + 10 + SHIFTS, False), (100 + 10 + SHIFTS + 1, True)):
-        assert heard([(1.0, 0), (11.0, gap)])[0] == [False, is_new]
-    for gap, is_new in ((100 - 10 - SHIFTS, False), (100 - 10 - SHIFTS - 1, True)):
-        assert heard([(1.0, 0), (11.0, gap)])[0] == [False, is_new]
+def test_a_sequence_gap_beyond_the_delay_tolerance_is_a_restart():
+    for gap, restarted in ((100 + 10 + SHIFTS, False), (100 + 10 + SHIFTS + 1, True)):
+        assert received([(1.0, 0), (11.0, gap)])[0] == [False, restarted]
+    for gap, restarted in ((100 - 10 - SHIFTS, False), (100 - 10 - SHIFTS - 1, True)):
+        assert received([(1.0, 0), (11.0, gap)])[0] == [False, restarted]
 
 
 @dataclass
 class Flight:
-    """A station whose neighbours are heard every 100 ms, and whose sessions succeed after 4 ms."""
+    """A station that receives its neighbours every 100 ms, and whose sessions succeed after 4 ms."""
 
     traffic: Traffic
-    heard: tuple
+    neighbours: tuple
     now_us: int = 0
     silent: int | None = None
-    """Whom no session reaches."""
+    """Station that no session reaches."""
 
     def run(self, seconds, *, variance_m2=None, busy=0.0):
-        """Fly on; returns the requests."""
+        """Run for some time; returns the requests."""
         requests, own = [], own_state()
         for now_us in range(self.now_us, self.now_us + round(seconds * 1e6), STEP_US):
             if now_us % 100_000 == 0:
-                for station in self.heard:
-                    take(self.traffic.hearing, beacon_of(station, time_us=now_us), now_us)
+                for station in self.neighbours:
+                    take(self.traffic.table, beacon_of(station, time_us=now_us), now_us)
             self.traffic.take_survey(Survey(ended_ns=now_us * 1_000, busy_ns=round(busy * now_us * 1_000)))
             own.time_us = now_us
             deadline_us = self.traffic.next_deadline_us(ranging=True)
@@ -179,7 +187,7 @@ def test_a_beacon_of_a_large_swarm_carries_the_newest_distances():
     assert {item.peer for item in beacon.distances} == set(range(STATIONS - wire.MAX_RANGES, STATIONS))
 
 
-def test_beacons_are_numbered_and_say_what_they_are_given():
+def test_beacons_are_numbered_and_carry_the_given_content():
     traffic, own = traffic_of(3), own_state(5_000_000)
     own.fix = wire.Fix(4_800, (1.0, 2.0, 3.0), 1.5, 2.5)
     errors = iter([None, wire.GpsError((0.5, -0.25, 0.0), 0.5)])
@@ -195,61 +203,61 @@ def test_beacons_are_numbered_and_say_what_they_are_given():
         assert beacon.fix == own.fix
 
 
-def test_the_gps_error_is_asked_for_when_there_is_a_beacon_and_not_in_every_step():
-    traffic, own, asked = traffic_of(), own_state(), []
+def test_the_gps_error_is_requested_once_per_beacon_and_not_in_every_step():
+    traffic, own, requested = traffic_of(), own_state(), []
     beacons = 0
     for now_us in range(0, 10_000_000, STEP_US):
         items = traffic.due(
-            own, now_us, now_us + STEP_US, ranging=False, gps_error=lambda t=now_us: asked.append(t)
+            own, now_us, now_us + STEP_US, ranging=False, gps_error=lambda t=now_us: requested.append(t)
         )
         beacons += len(items)
-    assert len(asked) == beacons
+    assert len(requested) == beacons
     assert abs(beacons - 100) <= 1
 
 
-def test_what_is_missing_from_the_numbers_heard_has_been_missed():
+def test_gaps_in_the_sequence_numbers_count_as_missed_beacons():
     numbers = [5, 6, 9, 9, 10, 12]
-    _, hearing = heard((0.1 * seq, seq) for seq in numbers)
-    assert hearing.beacons_missed == 2 + 1  # 7, 8 and 11
-    assert hearing.beacons_heard == len(numbers)
-    take(hearing, beacon_of(2, seq=100), 0)
-    assert hearing.beacons_missed == 3
+    _, table = received((0.1 * seq, seq) for seq in numbers)
+    assert table.beacons_missed == 2 + 1  # 7, 8 and 11
+    assert table.beacons_heard == len(numbers)
+    take(table, beacon_of(2, seq=100), 0)
+    assert table.beacons_missed == 3
 
 
 @pytest.mark.parametrize(
     ("beacon", "source"),
     [
-        (beacon_of(1), 2),  # in another's name
-        (beacon_of(0), 0),  # in one's own
-        (beacon_of(8), 8),  # of nobody in the formation
+        (beacon_of(1), 2),  # from another station
+        (beacon_of(0), 0),  # with the receiver's own number
+        (beacon_of(8), 8),  # not in the formation
         (beacon_of(1, time_us=20_000), 1),  # from the future
     ],
 )
-def test_a_beacon_that_contradicts_itself_is_counted_and_not_believed(beacon, source):
-    hearing = traffic_of(0).hearing
-    before = hearing.stations.copy()
-    assert take(hearing, beacon, 0, source=source) == REFUSED
-    assert (hearing.bad_beacons, hearing.beacons_heard) == (1, 0)
-    assert np.array_equal(hearing.stations, before)
+def test_an_invalid_beacon_is_counted_and_changes_nothing(beacon, source):
+    table = traffic_of(0).table
+    before = table.stations.copy()
+    assert take(table, beacon, 0, source=source) == REFUSED
+    assert (table.bad_beacons, table.beacons_heard) == (1, 0)
+    assert np.array_equal(table.stations, before)
 
 
 # ---- ranging
 
 
 def test_the_scenario_chooses_the_policy():
-    # Of the seven others all pairs asks each once per second; scheduled owns three or four of them.
-    everybody = Flight(traffic_of(0), tuple(range(1, 8))).run(5.0)
-    assert {item.peer for item in everybody} == set(range(1, 8))
+    # All pairs requests each of the seven others once per second; scheduled owns three or four pairs.
+    all_pairs = Flight(traffic_of(0), tuple(range(1, 8))).run(5.0)
+    assert {item.peer for item in all_pairs} == set(range(1, 8))
     scheduled = Flight(traffic_of(0, config=SCHEDULED), tuple(range(1, 8))).run(5.0)
     assert {item.peer for item in scheduled} == {j for j in range(1, 8) if owner(0, j, 8) == 0}
 
 
 @pytest.mark.parametrize("config", [OnboardConfig(), SCHEDULED])
-def test_only_who_is_heard_is_ranged_to_until_it_has_been_silent(config):
+def test_only_stations_with_recent_beacons_are_ranged_to(config):
     flight = Flight(traffic_of(0, config=config), (1, 2))
     assert {item.peer for item in flight.run(9.0)} == {1, 2}
     silent_us = flight.now_us
-    flight.heard = (1,)
+    flight.neighbours = (1,)
     requests = flight.run(12.0)
     assert max(item.at_us for item in requests if item.peer == 2) < silent_us + SILENCE_US
     assert max(item.at_us for item in requests if item.peer == 1) > silent_us + SILENCE_US
@@ -259,8 +267,8 @@ def test_only_who_is_heard_is_ranged_to_until_it_has_been_silent(config):
 @pytest.mark.parametrize(
     "config", [OnboardConfig(), OnboardConfig(ftm_period_s=0.1), SCHEDULED], ids=["1s", "100ms", "scheduled"]
 )
-def test_distances_come_more_often_than_what_counts_as_silence(config, busy):
-    # Whatever the channel and however well everything is known: each owned pair, once lost included.
+def test_the_gap_between_distances_is_below_the_silence_time(config, busy):
+    # For any channel load and any variance: each owned pair, including one lost session.
     flight = Flight(traffic_of(0, config=config), tuple(range(1, 8)))
     times_us = {}
     for item in flight.run(40.0, variance_m2=lambda _: 0.0, busy=busy):
@@ -273,8 +281,8 @@ def test_distances_come_more_often_than_what_counts_as_silence(config, busy):
 
 
 @pytest.mark.parametrize("config", [OnboardConfig(), OnboardConfig(ftm_period_s=4.0), SCHEDULED])
-def test_while_distances_are_gathered_each_pair_is_asked_for_twice(config):
-    """Of eight of whom one does not answer."""
+def test_each_pair_is_requested_twice_within_the_gathering_time(config):
+    """Eight stations, one of which does not answer."""
     flight = Flight(traffic_of(0, config=config), tuple(range(1, 8)), silent=1)
     requests = flight.run(flight.traffic.gather_s - SESSION_S)
     for peer in (j for j in range(1, 8) if config is not SCHEDULED or owner(0, j, 8) == 0):
@@ -284,8 +292,8 @@ def test_while_distances_are_gathered_each_pair_is_asked_for_twice(config):
 
 
 def test_a_busy_channel_leaves_only_the_valuable_distances():
-    # After 20 s at full occupancy the price is at its top of 3 nats: p / r = exp(6) - 1 = 402, and r is what
-    # `measured` makes of 7 round trips, below (0.08^2 + 0.05^2) m2.
+    # After 20 s at full occupancy the price is at its limit of 3 nats: p / r = exp(6) - 1 = 402, and r is
+    # that of `measured` for 7 round trips, below (0.08^2 + 0.05^2) m2.
     flight = Flight(traffic_of(0, config=SCHEDULED), (1, 2, 3))
     flight.run(20.0, variance_m2=lambda _: 0.01, busy=1.0)
     requests = flight.run(1.0, variance_m2=lambda peer: 4.0 if peer == 2 else 0.01, busy=1.0)
@@ -302,25 +310,25 @@ def test_without_a_filter_pairs_are_still_measured_at_an_even_pace():
     assert np.all((gaps_us >= UNKNOWN_PERIOD_US) & (gaps_us <= UNKNOWN_PERIOD_US + cycle_us + STEP_US))
 
 
-def test_a_failed_session_gives_no_distance_and_a_good_one_its_error():
+def test_a_failed_session_has_no_distance_and_a_good_one_has_a_standard_deviation():
     traffic = traffic_of()
     assert traffic.measured(result(1, 0, status="timeout")) is None
     assert traffic.measured(result(9, 0)) is None
     distance = traffic.measured(result(1, 0, std_m=Devices().ftm_trip_std_m))
-    # Scatter as expected of the device: a mean of 7 trips.
+    # The scatter equals the device's: a mean of 7 trips.
     assert distance.std_m == pytest.approx(Devices().ftm_trip_std_m / math.sqrt(7))
 
 
-def test_requests_and_beacons_share_one_rising_number():
+def test_requests_and_beacons_share_one_increasing_number():
     traffic, own, numbers = traffic_of(0, config=SCHEDULED), own_state(), []
-    take(traffic.hearing, beacon_of(1), 0)
+    take(traffic.table, beacon_of(1), 0)
     for now_us in range(0, 2_000_000, STEP_US):
         numbers += [item.seq for item in traffic.due(own, now_us, now_us + STEP_US, ranging=True)]
     assert numbers == list(range(len(numbers)))
     assert len(numbers) > 20
 
 
-def test_who_owns_no_pair_is_woken_for_beacons_alone():
+def test_a_station_that_owns_no_pair_has_beacon_deadlines_only():
     traffic, own = traffic_of(1, 2, config=SCHEDULED), own_state()
     traffic.due(own, 0, STEP_US, ranging=True)
     deadline_us = traffic.next_deadline_us(ranging=True)

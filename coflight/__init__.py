@@ -1,0 +1,60 @@
+"""The public face of coflight: flies a UAV swarm together with its radio.
+
+    from coflight import Swarm
+
+    with Swarm("article", agents=3) as swarm:
+        swarm.run_until_formed(timeout_s=60)
+
+`Swarm`, `OneProcessSwarm`, `Scenario`, `load_scenario` and the errors that they raise are loaded on
+first use. What they do is left to `harness`; the ``coflight`` command is `coflight.command`.
+"""
+
+import os
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from foundation.kernels import cache_folder
+
+if TYPE_CHECKING:
+    from harness.campaign import Campaign
+    from harness.launch.one_process import OneProcessSwarm
+    from harness.launch.processes import SetupError, SwarmError, SwarmTimeoutError
+    from harness.launch.swarm import Swarm
+    from harness.launch.truth import SwarmTruth
+    from harness.scenario.scenario import Scenario, ScenarioError
+    from harness.scenario.scenario import load as load_scenario
+    from netsim.transport.guest import Guest
+
+__all__ = [
+    "Campaign", "Guest", "OneProcessSwarm", "Scenario", "ScenarioError", "SetupError", "Swarm", "SwarmError",
+    "SwarmTimeoutError", "SwarmTruth", "load_scenario",
+]  # fmt: skip
+
+_PLACES = {
+    "Campaign": ("harness.campaign", "Campaign"),
+    "Guest": ("netsim.transport.guest", "Guest"),
+    "OneProcessSwarm": ("harness.launch.one_process", "OneProcessSwarm"),
+    "Scenario": ("harness.scenario.scenario", "Scenario"),
+    "ScenarioError": ("harness.scenario.scenario", "ScenarioError"),
+    "SetupError": ("harness.launch.processes", "SetupError"),
+    "Swarm": ("harness.launch.swarm", "Swarm"),
+    "SwarmError": ("harness.launch.processes", "SwarmError"),
+    "SwarmTimeoutError": ("harness.launch.processes", "SwarmTimeoutError"),
+    "SwarmTruth": ("harness.launch.truth", "SwarmTruth"),
+    "load_scenario": ("harness.scenario.scenario", "load"),
+}
+
+
+def __getattr__(name: str) -> object:
+    """Load a public name from its module; raises AttributeError for any other."""
+    if name not in _PLACES:
+        raise AttributeError(f"module 'coflight' has no attribute {name!r}")
+    # read when numba is imported, which the module does
+    os.environ.update(cache_folder.environment())
+    module, attribute = _PLACES[name]
+    value: object = getattr(import_module(module), attribute)
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,7 @@
+"""``python -m coflight``: the ``coflight`` command."""
+
+import sys
+
+from coflight.command import main
+
+sys.exit(main())

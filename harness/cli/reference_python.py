@@ -1,0 +1,154 @@
+"""The page of the Python interface: signatures and docstrings of what programs and tests use."""
+
+import ast
+import inspect
+import re
+import textwrap
+from collections.abc import Callable, Iterator
+from types import FunctionType
+from typing import Any
+
+from msgspec import Struct
+
+import harness.campaign
+import harness.launch.swarm
+from foundation.docstrings import field_docstrings
+from harness.cli.reference_text import UndocumentedError, one_line, paragraphs, table
+from harness.launch import pytest_plugin
+from harness.launch.swarm import SetupError, Swarm, SwarmError, SwarmTimeoutError, SwarmTruth
+
+INTRODUCTION = """# Python API
+
+What programs, notebooks and tests import: a swarm that flies while a program runs it, the fixture for pytest,
+and campaigns. This page is generated from the docstrings by `scripts/write_reference.py`.
+"""
+
+WIDTH = 88
+"""Columns of a signature that stands on one line."""
+
+
+def python_page() -> str:
+    """Return the page; raises UndocumentedError for a public method without a docstring."""
+    parts = [INTRODUCTION, "## Swarm\n", "`from harness.launch.swarm import Swarm`\n"]
+    parts.append(_module_text(harness.launch.swarm))
+    parts += _class(Swarm, "###")
+    parts += _class(SwarmTruth, "###")
+    parts += ["### Errors\n", table(("error", "meaning"), _errors())]
+    parts += ["## The fixture swarm of pytest\n", _module_text(pytest_plugin)]
+    fixture = inspect.unwrap(getattr(pytest_plugin.swarm, "__wrapped__", pytest_plugin.swarm))
+    parts.append(paragraphs(_doc(fixture, "swarm")) + "\n")
+    parts += ["## Campaigns\n", "`from harness.campaign import Campaign, load, run`\n"]
+    parts.append(_module_text(harness.campaign))
+    for name in ("load", "run"):
+        parts += _function(name, getattr(harness.campaign, name), "###")
+    for kind in (
+        harness.campaign.Campaign,
+        harness.campaign.Case,
+        harness.campaign.Landed,
+        harness.campaign.Table,
+    ):
+        parts += _class(kind, "###")
+    return "\n".join(parts)
+
+
+def _errors() -> Iterator[tuple[str, str]]:
+    for kind in (
+        SwarmError,
+        SwarmTimeoutError,
+        SetupError,
+        harness.campaign.CampaignError,
+        harness.campaign.ClusterError,
+    ):
+        yield f"`{kind.__name__}`", one_line(_doc(kind, kind.__name__))
+
+
+def _module_text(module: Any) -> str:  # noqa: ANN401
+    """Return the docstring of a module without its first line, which says that it is one."""
+    text = inspect.getdoc(module) or ""
+    _, _, rest = text.partition("\n")
+    return paragraphs(rest) + "\n" if rest.strip() else ""
+
+
+def _class(kind: type, level: str) -> Iterator[str]:
+    yield f"{level} {kind.__name__}\n"
+    fields = field_docstrings(kind)
+    if issubclass(kind, Struct) or hasattr(kind, "__dataclass_fields__"):
+        yield paragraphs(_doc(kind, kind.__name__)) + "\n"
+        names = getattr(kind, "__struct_fields__", None) or tuple(kind.__dataclass_fields__)
+        notes = inspect.get_annotations(kind)
+        rows = [(f"`{name}`", f"`{_name(notes[name])}`", one_line(fields.get(name, ""))) for name in names]
+        yield table(("field", "type", "meaning"), rows)
+    else:
+        yield f"```python\n{_signature(kind.__name__, kind.__init__)}\n```\n"
+        yield paragraphs(_doc(kind, kind.__name__)) + "\n"
+    for name, member in vars(kind).items():
+        if name.startswith("_"):
+            continue
+        if isinstance(member, property):
+            yield from _property(f"{kind.__name__}.{name}", member, f"{level}#")
+        elif isinstance(member, FunctionType):
+            yield from _function(f"{kind.__name__}.{name}", member, f"{level}#")
+
+
+def _property(name: str, member: property, level: str) -> Iterator[str]:
+    getter = member.fget
+    if getter is None:
+        return
+    yield f"{level} {name}\n"
+    yield f"```python\n{name}: {_returned(getter)}\n```\n"
+    yield paragraphs(_doc(getter, name)) + "\n"
+
+
+def _function(name: str, function: Callable[..., Any], level: str) -> Iterator[str]:
+    yield f"{level} {name}\n"
+    yield f"```python\n{_signature(name, function)}\n```\n"
+    yield paragraphs(_doc(function, name)) + "\n"
+
+
+def _signature(name: str, function: Callable[..., Any]) -> str:
+    """Return a signature with the annotations of the source, in lines of a width that fits a page."""
+    (definition,) = ast.parse(textwrap.dedent(inspect.getsource(function))).body
+    if not isinstance(definition, ast.FunctionDef):
+        raise TypeError(f"{name}: expected a function")
+    given = definition.args
+    arguments = [each for each in [*given.posonlyargs, *given.args] if each.arg != "self"]
+    first = len(arguments) - len(given.defaults)
+    texts = [
+        _argument(each, given.defaults[number - first] if number >= first else None)
+        for number, each in enumerate(arguments)
+    ]
+    if given.kwonlyargs:
+        texts.append("*")
+    texts += map(_argument, given.kwonlyargs, given.kw_defaults)
+    returns = definition.returns
+    result = "" if returns is None or definition.name == "__init__" else f" -> {ast.unparse(returns)}"
+    line = f"{name}({', '.join(texts)}){result}"
+    if len(line) <= WIDTH:
+        return line
+    body = "".join(f"    {text},\n" for text in texts)
+    return f"{name}(\n{body}){result}"
+
+
+def _argument(argument: ast.arg, default: ast.expr | None) -> str:
+    text = (
+        argument.arg if argument.annotation is None else f"{argument.arg}: {ast.unparse(argument.annotation)}"
+    )
+    return text if default is None else f"{text} = {ast.unparse(default)}"
+
+
+def _returned(getter: Callable[..., Any]) -> str:
+    _, _, returned = _signature("property", getter).partition(" -> ")
+    return returned
+
+
+def _name(annotation: object) -> str:
+    """Return an annotation as it is written, without the modules of its names."""
+    text = annotation if isinstance(annotation, str) else inspect.formatannotation(annotation)
+    return re.sub(r"\b(?:[a-z_0-9]+\.)+(?=[A-Za-z])", "", text)
+
+
+def _doc(what: object, name: str) -> str:
+    text = inspect.getdoc(what)
+    if not text:
+        raise UndocumentedError(f"{name}: public, and without a docstring")
+    return text

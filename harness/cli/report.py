@@ -1,0 +1,73 @@
+"""``coflight report RUN``: the results of a run that has ended, and its figures drawn again.
+
+Exit status: 0 fine, 2 no such run or tables of another version, with one line on stderr.
+"""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import typer
+from rich.console import Console
+
+from harness.cli.progress import summary_table
+from harness.records.manifest import NotARun, read_scenario
+from harness.records.run_folder import RunFolder
+from harness.report.report import draw_again
+
+FINE, BAD_INPUT = 0, 2
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+@app.command()
+def report(
+    run: Annotated[Path, typer.Argument(help="Folder of a run that has ended.", metavar="RUN")],
+    *,
+    figures: Annotated[bool, typer.Option("--figures", help="Draw the figures again.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="The summary alone on stdout.")] = False,
+) -> None:
+    """Show what came out of a run."""
+    folder = RunFolder(run)
+    scenario = read_scenario(folder)
+    summary = _summary(folder)
+    if figures:
+        formed_us = None if summary["formed_s"] is None else round(summary["formed_s"] * 1e6)
+        try:
+            drawn = draw_again(folder, scenario, formed_us=formed_us)
+        except (KeyError, ValueError):
+            raise NotARun(f"{folder.path}: its tables are not of the scenario in its manifest") from None
+        Console(stderr=True, highlight=False).print(f"drawn into {folder.figures}: {', '.join(drawn)}")
+    if json:
+        sys.stdout.write(folder.summary.read_text(encoding="utf-8"))
+    else:
+        Console(highlight=False).print(summary_table(summary))
+
+
+def _summary(folder: RunFolder) -> dict[str, Any]:
+    try:
+        return msgspec.json.decode(folder.summary.read_bytes(), type=dict[str, Any])
+    except FileNotFoundError:
+        raise NotARun(f"{folder.path}: it has no summary.json") from None
+    except msgspec.DecodeError as error:
+        raise NotARun(f"{folder.summary}: not JSON: {error}") from None
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    try:
+        app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False)
+    except typer.TyperException as error:
+        return _refuse(error.format_message())
+    except NotARun as error:
+        return _refuse(str(error))
+    except OSError as error:
+        return _refuse(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+    return FINE
+
+
+def _refuse(line: str) -> int:
+    sys.stderr.write(f"coflight: {line}\n")
+    return BAD_INPUT

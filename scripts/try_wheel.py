@@ -1,0 +1,43 @@
+"""Build the wheel, install it into a new environment and fly with it from a folder outside the checkout.
+
+``python scripts/try_wheel.py``. Exit status: 0 if every step succeeds; otherwise that of the failing step.
+"""
+
+import os
+import subprocess
+import sys
+import tempfile
+import venv
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+
+
+def run(*command: str | Path, cwd: Path) -> None:
+    """Run a command in a folder, with this checkout not importable; ends the program if it fails."""
+    print("+", *command, flush=True)
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    status = subprocess.run([str(word) for word in command], cwd=cwd, env=environment, check=False).returncode
+    if status:
+        sys.exit(status)
+
+
+def main() -> None:
+    """Build, install, fly, report."""
+    with tempfile.TemporaryDirectory(prefix="coflight-wheel-") as name:
+        folder = Path(name)
+        run(sys.executable, "-m", "build", "--no-isolation", "--outdir", folder, ROOT, cwd=folder)
+        (wheel,) = folder.glob("*.whl")
+        venv.create(folder / "env", with_pip=True)
+        python, coflight = folder / "env" / "bin" / "python", folder / "env" / "bin" / "coflight"
+        pip = (python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check")
+        run(*pip, "--constraint", ROOT / "requirements.lock", f"{wheel}[nec2]", cwd=folder)
+        run(coflight, "scenarios", cwd=folder)
+        run(coflight, "fly", "article", "--agents", "8", "--duration", "2", "--out", "run", cwd=folder)
+        run(coflight, "report", "run", "--figures", cwd=folder)
+        run(coflight, "export", "run", "--time", "17", "--out", "array.nec", cwd=folder)
+        print((folder / "array.nec").read_text(encoding="ascii").splitlines()[0])
+
+
+if __name__ == "__main__":
+    main()

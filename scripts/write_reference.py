@@ -1,0 +1,60 @@
+"""Write the generated pages of docs/reference: ``python scripts/write_reference.py [--check]``.
+
+``--check`` writes nothing; the status is then 1 if a page is not current.
+"""
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+from harness.launch import kernel_cache
+
+os.environ.update(kernel_cache.environment())  # read when numba is imported, which is next
+
+from antenna.lab.cli import app as antenna_app
+from harness.cli.campaign import campaign_app
+from harness.cli.export_deck import app as export_deck_app
+from harness.cli.fly import app as fly_app
+from harness.cli.reference import outdated, reference_pages, write_pages
+from netsim.lab.cli import app as wifi_app
+from netsim.lab.link_tables import tables_app
+from studies.antenna.cli import validate_antenna_app
+from studies.article.cli import article_app
+from studies.bench.cli import bench_app
+from studies.codesign.cli import codesign_app
+from studies.radio.bench_cli import bench_radio_app
+from studies.radio.cli import validate_radio_app
+from studies.vehicle.bench_cli import bench_app as bench_vehicle_app
+from studies.vehicle.cli import validate_app
+
+FOLDER = Path(__file__).parents[1] / "docs" / "reference"
+APPLICATIONS = {
+    "launch_swarm.py": fly_app, "campaign.py": campaign_app, "wifi_lab.py": wifi_app,
+    "antenna_lab.py": antenna_app, "export_deck.py": export_deck_app, "reproduce_article.py": article_app,
+    "experiment_codesign.py": codesign_app, "validate_vehicle.py": validate_app,
+    "validate_radio.py": validate_radio_app, "validate_antenna.py": validate_antenna_app,
+    "bench.py": bench_app, "bench_vehicle.py": bench_vehicle_app, "bench_radio.py": bench_radio_app,
+    "link_tables.py": tables_app,
+}  # fmt: skip
+"""Command lines that the page describes, in its order."""
+
+
+def main() -> int:
+    """Write or check the pages, and return the exit status."""
+    parser = argparse.ArgumentParser(description="Write the generated pages of docs/reference.")
+    parser.add_argument(
+        "--check", action="store_true", help="Write nothing; status 1 if a page is not current."
+    )
+    check = parser.parse_args().check
+    pages = reference_pages(APPLICATIONS)
+    changed = outdated(pages, FOLDER)
+    if not check:
+        write_pages(pages, FOLDER)
+    for name in changed:
+        print(f"docs/reference/{name}: {'not current' if check else 'written'}")
+    return 1 if check and changed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,178 @@
+"""The generated reference against the code that it describes, and the schema against the scenarios."""
+
+import json
+import re
+import subprocess
+import sys
+import tomllib
+from datetime import datetime
+
+import msgspec
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from msgspec import Struct
+from paths import ROOT
+
+from harness.cli import reference_scenario
+from harness.cli.reference import outdated, write_pages
+from harness.cli.reference_scenario import field_paths, scenario_page, scenario_schema
+from harness.cli.reference_tables import GAINS, tables_page
+from harness.cli.reference_text import UndocumentedError, paragraphs, table, unit_of
+from harness.records.tables import FLIGHT_RECORD, write_gains
+from harness.report.analysis import GainSeries
+from harness.scenario.scenario import Scenario
+
+FOLDER = ROOT / "docs" / "reference"
+SCHEMA = json.loads(scenario_schema())
+SCENARIOS = sorted((ROOT / "scenarios").glob("*.toml"))
+TYPES = {
+    "object": dict, "array": list, "string": (str, datetime), "boolean": bool, "integer": int,
+    "number": (int, float), "null": type(None),
+}  # fmt: skip
+BOUNDS = {
+    "minimum": lambda value, bound: value >= bound,
+    "maximum": lambda value, bound: value <= bound,
+    "exclusiveMinimum": lambda value, bound: value > bound,
+    "exclusiveMaximum": lambda value, bound: value < bound,
+    "multipleOf": lambda value, bound: value % bound == 0,
+    "minItems": lambda value, bound: len(value) >= bound,
+    "maxItems": lambda value, bound: len(value) <= bound,
+    "minLength": lambda value, bound: len(value) >= bound,
+    "maxLength": lambda value, bound: len(value) <= bound,
+    "pattern": lambda value, pattern: re.search(pattern, value) is not None,
+    "enum": lambda value, values: value in values,
+}
+NOTES = {"title", "description", "default", "$schema", "$defs", "format", "discriminator", "type"}
+
+
+def errors(value, schema, path="file"):
+    """Return what a JSON schema refuses in a value, for the keywords that the scenario's schema uses."""
+    if "type" in schema and (
+        not isinstance(value, TYPES[schema["type"]])
+        or (isinstance(value, bool) and schema["type"] != "boolean")
+    ):
+        return [f"{path}: expected {schema['type']}"]
+    found = []
+    for keyword, stated in schema.items():
+        if keyword == "$ref":
+            found += errors(value, SCHEMA["$defs"][stated.rpartition("/")[2]], path)
+        elif keyword == "anyOf":
+            if all(errors(value, each, path) for each in stated):
+                found.append(f"{path}: {value!r} is none of the alternatives")
+        elif keyword == "properties":
+            for name in set(stated) & set(value):
+                found += errors(value[name], stated[name], f"{path}.{name}")
+        elif keyword == "required":
+            found += [f"{path}.{name}: missing" for name in stated if name not in value]
+        elif keyword == "additionalProperties":
+            for name in set(value) - set(schema.get("properties", ())):
+                found += (
+                    errors(value[name], stated, f"{path}.{name}") if stated else [f"{path}.{name}: unknown"]
+                )
+        elif keyword == "prefixItems":
+            for each, kind in zip(value, stated, strict=False):
+                found += errors(each, kind, f"{path}[]")
+        elif keyword == "items":
+            for each in value if stated else ():
+                found += errors(each, stated, f"{path}[]")
+        elif keyword in BOUNDS:
+            if not BOUNDS[keyword](value, stated):
+                found.append(f"{path}: {value!r} against {keyword} {stated!r}")
+        else:
+            assert keyword in NOTES, keyword
+    return found
+
+
+def test_the_pages_are_current():
+    check = [sys.executable, "scripts/write_reference.py", "--check"]
+    result = subprocess.run(check, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, f"run scripts/write_reference.py: {result.stdout}{result.stderr}"
+    assert not any(str(ROOT) in page.read_text() for page in FOLDER.glob("*.md"))
+
+
+def test_every_field_of_the_scenario_has_a_row():
+    page, paths = scenario_page(), field_paths()
+    assert len(paths) > 150
+    for path in paths:
+        assert f"| `{path}` |" in page
+    assert {"run.seed", "radio.ftm.clock_ppm", "formation.motion.radius_m", "faults[].offset_m"} <= set(paths)
+    flat = {name for name, _ in _leaves(msgspec.to_builtins(Scenario(name="x")))}
+    assert flat <= set(paths)
+
+
+def _leaves(table_, above=""):
+    for name, value in table_.items():
+        yield above + name, value
+        if isinstance(value, dict) and name not in {"params", "per_uav", "px4_env"}:
+            yield from _leaves(value, f"{above}{name}.")
+
+
+class Undescribed(Struct, kw_only=True):
+    """A table whose field has no docstring."""
+
+    count: int = 1
+
+
+def test_a_field_without_a_docstring_is_an_error(monkeypatch):
+    monkeypatch.setattr(reference_scenario, "Scenario", Undescribed)
+    with pytest.raises(UndocumentedError, match=r"Undescribed\.count"):
+        scenario_page()
+
+
+@pytest.mark.parametrize("path", SCENARIOS, ids=[path.stem for path in SCENARIOS])
+def test_the_schema_accepts_the_scenarios(path):
+    assert errors(tomllib.loads(path.read_text()), SCHEMA) == []
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "agentz = 3", "[radio]\nchannle = 1", "[radio.ftm]\nx = 1", '[[faults]]\nkind = "gps_loss"\nx = 1',
+        "agents = 0", "agents = true", 'agents = "3"',
+        '[wind]\nkind = "gale"', "[formation.motion]\nspeed_m_s = 1",
+    ],
+)  # fmt: skip
+def test_the_schema_refuses_what_the_scenario_refuses(text):
+    assert errors(tomllib.loads(text), SCHEMA) != []
+
+
+def test_every_column_has_a_row(tmp_path):
+    page = tables_page()
+    for name in FLIGHT_RECORD.names:
+        assert f"| `{name}`" in page
+    series = GainSeries(
+        time_us=np.zeros(0, np.int64), max_gain_dbi=np.zeros(0), snapshots=(), patterns=(), missing=()
+    )
+    write_gains(tmp_path / "gains.parquet", series)
+    assert pq.read_table(tmp_path / "gains.parquet").column_names == list(GAINS)
+
+
+def test_outdated_pages(tmp_path):
+    pages = {"a.md": "text\n", "b.md": "more\n"}
+    assert outdated(pages, tmp_path / "new") == ["a.md", "b.md"]
+    write_pages(pages, tmp_path / "new")
+    assert outdated(pages, tmp_path / "new") == []
+    (tmp_path / "new" / "b.md").write_text("other\n")
+    assert outdated(pages, tmp_path / "new") == ["b.md"]
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("duration_s", "s"), ("speed_m_s", "m/s"), ("pos_ned_m", "m, NED"), ("offset_frd_m_s2", "m/s², FRD"),
+        ("ground_conductivity_s_m", "S/m"), ("odometry_drift_m_sqrt_s", "m/√s"), ("rows", ""),
+        ("tx_power_dbm", "dBm"),
+        ("bandwidth_bytes_s", "byte/s"), ("columns", ""),
+    ],
+)  # fmt: skip
+def test_units(name, unit):
+    assert unit_of(name) == unit
+
+
+def test_markdown():
+    assert table(("a",), [("x|y",)]) == "| a |\n| --- |\n| x\\|y |\n"
+    text = paragraphs(
+        "One\n    line with ``code``.\n\nArgs:\n    name: what it\n        is.\n\n    print(1)\n"
+    )
+    assert text == "One line with `code`.\n\nArgs:\n\n- `name`: what it is.\n\n```python\nprint(1)\n```"

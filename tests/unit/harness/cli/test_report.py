@@ -1,0 +1,52 @@
+"""``coflight report``: the summary of a run again, its figures drawn again from its tables. 10 s."""
+
+import json
+
+import pytest
+from paths import SCENARIOS
+
+from harness.cli import report
+from harness.launch.one_process import fly
+from harness.scenario.scenario import load
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run") / "flown"
+    overrides = ["run.duration_s=2", "antenna.snapshot_rate_hz=2", "antenna.grid_deg=6"]
+    fly(load(SCENARIOS / "article.toml", overrides), folder, draw=True)
+    return folder
+
+
+def test_it_shows_the_summary_that_the_flight_showed(run, capsys):
+    assert report.main([str(run)]) == report.FINE
+    shown = capsys.readouterr().out
+    summary = json.loads((run / "summary.json").read_text())
+    assert summary["log_sha256"][:16] in shown
+    assert report.main([str(run), "--json"]) == report.FINE
+    assert json.loads(capsys.readouterr().out) == summary
+
+
+def test_figures_are_drawn_again_as_they_were(run, capsys):
+    before = {path.name: path.read_bytes() for path in (run / "figures").iterdir()}
+    assert {"patterns.png", "tracks.png", "channel.png", "ftm_error.png"} <= before.keys()
+    for name in before:
+        (run / "figures" / name).unlink()
+    assert report.main([str(run), "--figures"]) == report.FINE
+    after = {path.name: path.read_bytes() for path in (run / "figures").iterdir()}
+    assert after == before
+    assert "drawn into" in capsys.readouterr().err
+
+
+def test_a_folder_without_a_run_is_one_line(tmp_path, capsys):
+    assert report.main([str(tmp_path)]) == report.BAD_INPUT
+    line = f"coflight: {tmp_path}: no run that has ended: it has no manifest.json\n"
+    assert capsys.readouterr().err == line
+
+
+@pytest.mark.parametrize(("content", "reason"), [("{", "not JSON"), ("{}", "of another version")])
+def test_a_manifest_that_cannot_be_read_is_one_line(content, reason, tmp_path, capsys):
+    (tmp_path / "manifest.json").write_text(content)
+    assert report.main([str(tmp_path)]) == report.BAD_INPUT
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"coflight: {tmp_path}/manifest.json: {reason}")

@@ -1,0 +1,32 @@
+"""Scenarios by name: packaged files, and files of the user's before them."""
+
+from pathlib import Path
+
+import pytest
+
+from harness.campaign import load as load_campaign
+from harness.scenario import packaged
+from harness.scenario.scenario import load
+
+
+@pytest.mark.parametrize("name", [name for name in packaged.names() if "/" not in name])
+def test_every_packaged_scenario_loads_by_its_name(name: str) -> None:
+    assert load(name).name == name
+
+
+@pytest.mark.parametrize("name", [name for name in packaged.names() if name.startswith("campaigns/")])
+def test_every_packaged_campaign_loads_by_its_name(name: str) -> None:
+    assert load_campaign(name).scenario.is_file()
+
+
+def test_a_file_at_the_path_has_precedence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert packaged.find("article") == packaged.FOLDER / "article.toml"
+    (tmp_path / "article").write_text("agents = 2\n")
+    assert packaged.find("article") == Path("article")
+
+
+@pytest.mark.parametrize("path", ["article.toml", "nowhere/article", "../article", "/article", "", "."])
+def test_what_is_no_name_stays_a_path(path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert packaged.find(path) == Path(path)
