@@ -1,4 +1,4 @@
-"""The antenna's validation: its closed forms, a small core of every subject, and that each can fail (8 s)."""
+"""Tests of the antenna's validation: closed forms, a small part of each subject, failing checks (8 s)."""
 
 import csv
 import json
@@ -38,14 +38,14 @@ def _pynec():
 # ---- arithmetic
 
 
-def test_the_worst_number_is_the_farthest_from_zero_and_nothing_is_no_number():
+def test_worst_is_the_largest_magnitude_or_nan():
     assert worst([0.1, -0.3, 0.2]) == -0.3
     assert math.isnan(worst([]))
     assert math.isnan(worst([0.1, math.nan]))
 
 
-def test_two_isotropic_elements_half_a_wavelength_apart_know_nothing_of_each_other():
-    """sin(pi) / pi is 0, so n elements fed in phase across the direction have n of one: 3.01 dB for two.
+def test_isotropic_elements_half_a_wavelength_apart_are_uncoupled():
+    """sin(pi) / pi is 0, so n elements in phase across the direction have n times the gain: 3.01 dB for two.
 
     A quarter wavelength apart along +y and in quadrature the mutual power is proportional to cos(pi / 2): the
     same.
@@ -58,7 +58,7 @@ def test_two_isotropic_elements_half_a_wavelength_apart_know_nothing_of_each_oth
         )
 
 
-def test_one_hertzian_dipole_has_a_directivity_of_three_halves():
+def test_hertzian_dipole_has_a_directivity_of_three_halves():
     places_m = np.zeros((1, 3))
     coupling = hertzian_coupling(places_m, LAMBDA_M)
     assert coupling[0, 0] == pytest.approx(2.0 / 3.0)  # the mean of sin^2
@@ -69,7 +69,7 @@ def test_one_hertzian_dipole_has_a_directivity_of_three_halves():
 
 @pytest.mark.parametrize("couple", [isotropic_coupling, hertzian_coupling])
 @pytest.mark.parametrize("columns", [4, 2])
-def test_policies_that_may_do_more_gain_more(couple, columns):
+def test_more_general_policies_have_more_gain(couple, columns):
     """The best lag includes those of end fire and Hansen-Woodyard, and the optimum includes it."""
     places_m = ideal.places(columns, LAMBDA_M)
     coupling = couple(places_m, LAMBDA_M)
@@ -85,8 +85,8 @@ def test_policies_that_may_do_more_gain_more(couple, columns):
         policy_voltages("superb", coupling, places_m, LAMBDA_M)
 
 
-def test_standard_errors_are_those_of_normal_gains():
-    """Of K normal numbers: s / sqrt(K) and s / sqrt(2 K); 400 samples of 200 spread by that."""
+def test_standard_errors_of_normal_gains():
+    """For K normal numbers s / sqrt(K) and s / sqrt(2 K), as in 400 samples of 200 numbers."""
     samples = np.random.default_rng(3).normal(11.0, 0.8, (400, 200))
     found = [sensitivity.moments(sample) for sample in samples]
     assert np.std([one.mean_dbi for one in found]) == pytest.approx(0.8 / math.sqrt(200), rel=0.1)
@@ -99,21 +99,21 @@ def test_standard_errors_are_those_of_normal_gains():
 
 
 def ideal_results():
-    """Solve short dipoles at one wavelength and one policy by two solvers; nothing else is there."""
-    wanted = {
+    """Solve short dipoles at one wavelength and one policy by two solvers; other results are missing."""
+    selected = {
         "short": lambda config: config.wavelength_m == LAMBDA_M,
         "long": lambda _: False,
         "policies": lambda one: one[:2] == ("2x4", "hansen_woodyard") and one[2] != "nec2c",
     }
     return {
-        group: [function(argument) if wanted[group](argument) else None for function, argument in jobs]
+        group: [function(argument) if selected[group](argument) else None for function, argument in jobs]
         for group, jobs in ideal.jobs(PLAN).items()
     }
 
 
 @needs_nec2
 @pytest.mark.usefixtures("_pynec")
-def test_the_ideal_array_meets_all_that_is_asked_and_wrong_ones_do_not(tmp_path):
+def test_ideal_array_meets_all_checks_and_wrong_ones_fail(tmp_path):
     results = ideal_results()
     section = ideal.judge(PLAN, results, tmp_path)
     assert missed(section) == []
@@ -137,9 +137,9 @@ def test_the_ideal_array_meets_all_that_is_asked_and_wrong_ones_do_not(tmp_path)
     assert any("-y" in name for name in wrong(back_dbi=-20.0))
 
 
-def test_long_dipoles_are_judged_by_their_reference():
+def test_long_dipoles_are_compared_with_their_reference():
     results = {group: [None] * len(jobs) for group, jobs in ideal.jobs(PLAN).items()}
-    asked = ideal.jobs(PLAN)["long"]
+    requested = ideal.jobs(PLAN)["long"]
     right = ideal.Solved(
         max_gain_dbi=13.60, theta_deg=90.0, phi_deg=90.0, average_gain=1.0, azimuth_deg=15.0,
         elevation_deg=87.0, side_lobe_dbi=5.0, back_dbi=0.0,
@@ -147,12 +147,12 @@ def test_long_dipoles_are_judged_by_their_reference():
     for gain_dbi, expected in ((13.60, 0), (13.61, 3)):
         results["long"] = [
             replace(right, max_gain_dbi=gain_dbi) if config.wavelength_m == LAMBDA_M else None
-            for _, config in asked
+            for _, config in requested
         ]
         section = ideal.judge(PLAN, results, None)
         assert sum("5 m, 10 m" in one.name for one in section.checks) == 3
         assert len([name for name in missed(section) if "dipole 5 m" in name]) == expected
-    assert "Not installed here, so without a row: batch, nec2, nec2c" in section.conditions
+    assert "Not installed, therefore without a row: batch, nec2, nec2c" in section.conditions
 
 
 # ---- batch against NEC2
@@ -161,11 +161,11 @@ def test_long_dipoles_are_judged_by_their_reference():
 @needs_nec2
 @pytest.mark.usefixtures("_pynec")
 @pytest.mark.parametrize("case", [agreement.CASES[0], agreement.CASES[1]], ids=lambda case: case.name)
-def test_a_few_formations_are_within_their_limits(case):
+def test_few_formations_are_within_their_limits(case):
     found = agreement.compare(agreement.Lot(case=case, solver="batch", number=0, count=5))
     assert len(found.maximum_db) == len(found.pattern_db) == len(found.average_gain) == 5
     assert missed(agreement.requirements(case.name, found)) == []
-    # and a little more than the limit, in one formation alone, is not
+    # one formation slightly above the limit fails
     for field, limit_db in zip(("maximum_db", "pattern_db"), found.limits_db, strict=True):
         worse = (*getattr(found, field)[:-1], -1.01 * limit_db)
         names = missed(agreement.requirements(case.name, replace(found, **{field: worse})))
@@ -182,8 +182,8 @@ def flat_pattern(gain_dbi, average_gain=1.0):
     )  # fmt: skip
 
 
-def test_differences_are_ours_less_nec2s_and_power_is_told_from_directivity():
-    """Both a tenth of a dB higher because 2.3 % more power is radiated: no difference of directivity."""
+def test_differences_are_relative_to_nec2_and_separate_power_from_directivity():
+    """Gains are 0.1 dB higher because of 2.3 % more radiated power: directivity is equal."""
     higher = flat_pattern(10.1, 10.0**0.01)
     found = agreement.differences([higher], [flat_pattern(10.0)], (0.01, 0.1), redrawn=3)
     assert found.maximum_db == pytest.approx((0.1,))
@@ -195,14 +195,14 @@ def test_differences_are_ours_less_nec2s_and_power_is_told_from_directivity():
         assert [name for name in names if "pattern" not in name] == first
 
 
-def test_patterns_are_compared_where_nec2_has_something():
+def test_patterns_are_compared_where_nec2_has_gain():
     nec2_dbi = np.array([[10.0, -19.9], [-20.1, -60.0]])
     ours_dbi = nec2_dbi + np.array([[0.0, -0.2], [3.0, 9.0]])
     assert agreement.greatest_difference_db(ours_dbi, nec2_dbi) == pytest.approx(-0.2)
     assert math.isnan(agreement.greatest_difference_db(nec2_dbi - 90.0, nec2_dbi - 90.0))
 
 
-def test_formations_that_touch_for_one_alone_are_not_passed_over():
+def test_formations_that_touch_for_one_solver_only_are_reported():
     pattern, touch = flat_pattern(10.0), ElementsTouch(0, 1, 0.0)
     same = agreement.differences([pattern, touch], [pattern, touch], (0.01, 0.1), redrawn=0)
     assert (same.touching, same.disagreeing, len(same.maximum_db)) == (1, 0, 1)
@@ -211,13 +211,13 @@ def test_formations_that_touch_for_one_alone_are_not_passed_over():
     assert "alone" in " ".join(missed(agreement.requirements("made up", agreement.together([same, other]))))
 
 
-def test_a_case_in_which_nothing_could_be_compared_is_not_met():
+def test_case_without_a_comparison_fails():
     touch = ElementsTouch(0, 1, 0.0)
     nothing = agreement.differences([touch], [touch], (0.01, 0.1), redrawn=0)
     assert len(missed(agreement.requirements("made up", nothing))) == 2
 
 
-def test_formations_are_drawn_until_their_wires_are_apart():
+def test_formations_are_drawn_with_the_required_wire_distance():
     crowded = replace(agreement.CASES[1], sigma_m=1.5, least_apart_m=1.0)
     element = crowded.config.element()
     snapshots, redrawn = agreement.formations(crowded, seed=2, count=20)
@@ -229,7 +229,7 @@ def test_formations_are_drawn_until_their_wires_are_apart():
     assert sum(agreement.least_apart_m(one, element) < 1.0 for one in loose) == redrawn
 
 
-def test_a_witness_that_is_missing_is_said_and_fails_nothing(monkeypatch):
+def test_missing_solver_is_reported_and_fails_no_check(monkeypatch):
     def unavailable(config):
         raise BackendUnavailable(f"no {config.backend}")
 
@@ -240,7 +240,7 @@ def test_a_witness_that_is_missing_is_said_and_fails_nothing(monkeypatch):
     }
     section = agreement.judge(PLAN, results, None)
     assert section.checks == ()
-    assert "Not installed here" in section.conditions
+    assert "Not installed" in section.conditions
     section = limits.judge(PLAN, {g: [f(a) for f, a in jobs] for g, jobs in limits.jobs(PLAN).items()}, None)
     assert missed(section) == []
     assert "nec2c" in section.conditions
@@ -249,19 +249,19 @@ def test_a_witness_that_is_missing_is_said_and_fails_nothing(monkeypatch):
 # ---- position errors
 
 
-def test_few_draws_have_the_references_gain_and_other_deviations_do_not():
+def test_draws_agree_with_the_reference_and_other_deviations_do_not():
     """1000 draws at 0.5 m and 10 m: 12.62 and 0.28 dB; at 0.25 m it would be 13.09, at 1 m 11.04."""
     row = next(r for r in sensitivity.reference_rows() if (r.sigma_m, r.wavelength_m) == (0.5, LAMBDA_M))
     config = AntennaConfig(grid_deg=sensitivity.GRID_DEG)
     for sigma_m, right in ((0.5, True), (0.25, False), (1.0, False)):
         gains = sensitivity.draw(sensitivity.Draw(config=config, sigma_m=sigma_m, samples=100))
-        # the grid is in single precision
+        # the grid has single precision
         assert all(a >= b - 1e-5 for a, b in zip(gains.refined, gains.on_grid, strict=True))
         ours = sensitivity.moments(np.array(gains.on_grid))
         assert (missed(sensitivity.compared("row", ours, row)) == []) == right
 
 
-def test_only_the_ratio_of_deviation_and_wavelength_counts():
+def test_gain_depends_on_the_ratio_of_deviation_and_wavelength():
     rows = [r for r in sensitivity.reference_rows() if r.sigma_m / r.wavelength_m in {0.05, 0.1}]
     gains = [
         sensitivity.draw(
@@ -277,8 +277,8 @@ def test_only_the_ratio_of_deviation_and_wavelength_counts():
     assert sensitivity.alike_db(rows, [moved, *gains[1:]]) > sensitivity.SAME_DB
 
 
-def test_every_row_of_the_reference_is_judged(tmp_path):
-    """Gains drawn by the table itself meet it, and with each row's mean or spread changed they do not."""
+def test_every_row_of_the_reference_is_checked(tmp_path):
+    """Gains drawn with the table's moments pass; with a changed mean or spread of a row they fail."""
     rows, rng = sensitivity.reference_rows(), np.random.default_rng(6)
     unit = rng.standard_normal(400)
     unit = (unit - unit.mean()) / unit.std(ddof=1)
@@ -301,13 +301,13 @@ def test_every_row_of_the_reference_is_judged(tmp_path):
     assert len(missed(sensitivity.judge(PLAN, results(shift_db=-0.3), None))) == len(rows) + 3
     spread = missed(sensitivity.judge(PLAN, results(stretch=2.5), None))
     assert all("deviation" in name for name in spread)
-    assert len(spread) >= 7  # a deviation of 0.03 dB may grow a little before it is 0.05 dB more
+    assert len(spread) >= 7  # a deviation of 0.03 dB may grow before it differs by 0.05 dB
 
 
 # ---- speed
 
 
-def test_speed_is_judged_by_the_benchmarks_fields_and_a_lost_one_is_not_met():
+def test_speed_is_checked_by_benchmark_fields_and_a_missing_field_fails():
     good = {"speedup_short_dipole": 200.0, "speedup_5m_dipole": 40.0, "speedup_two_cores": 1.7}
     section = speed.judge(PLAN, {"benchmark": [good | {"more": {"us": 12.5, "rounds": 3}}]}, None)
     assert missed(section) == []
@@ -323,7 +323,7 @@ def test_speed_is_judged_by_the_benchmarks_fields_and_a_lost_one_is_not_met():
 # ---- the program
 
 
-def test_every_subject_has_jobs_for_other_processes_and_a_quick_plan_has_fewer():
+def test_subjects_have_picklable_jobs_and_a_quick_plan_has_fewer():
     for module in (ideal, agreement, sensitivity, limits, speed):
         quick, full = (
             [job for group in module.jobs(plan).values() for job in group]
@@ -333,7 +333,7 @@ def test_every_subject_has_jobs_for_other_processes_and_a_quick_plan_has_fewer()
         assert all(function.__module__.startswith("studies.antenna") for function, _ in full)
 
 
-def test_an_unknown_subject_is_one_line():
+def test_unknown_subject_is_a_one_line_error():
     result = CliRunner().invoke(cli.validate_antenna_app, ["--only", "ideal,nonsense"])
     assert result.exit_code == 2
     assert result.stderr.count("\n") <= 2

@@ -1,4 +1,4 @@
-"""Arrays that were not flown: the scenario's, ideal, disturbed and leaning."""
+"""Tests of arrays without a flight: ideal, disturbed and tilted."""
 
 import math
 
@@ -23,7 +23,7 @@ def scenario_of(tmp_path, *changes):
 
 
 def test_places_and_settings_are_those_of_the_scenario(tmp_path):
-    """One row of eight at half a wavelength, on a grid of 10 degrees: array and draws are that one."""
+    """One row of eight at half a wavelength, on a grid of 10 degrees: array and draws have these settings."""
     path = scenario_of(
         tmp_path, ("columns = 4", "columns = 8"), ("rows = 2", "rows = 1"),
         ("broadside_spacing_lambda = 0.85", "broadside_spacing_lambda = 0.5"),
@@ -41,13 +41,13 @@ def test_places_and_settings_are_those_of_the_scenario(tmp_path):
     assert drawn[1e-4, 10.0].mean_gain == pytest.approx(10.0 ** (changed.max_gain_dbi / 10.0), rel=0.01)
 
 
-def test_an_array_that_leans_has_its_tops_upwind():
-    """Against a wind towards phi = 0 a dipole's axis, and with it its null, goes to phi = 180 degrees."""
+def test_tilted_array_has_its_tops_upwind():
+    """Against a wind towards phi = 0 a dipole's axis, and its null, tilt to phi = 180 degrees."""
     leaning = tilted(10.0, math.radians(30.0), 0.0, 5.0)
     row = int(np.flatnonzero(leaning.theta_deg == 30.0)[0])
     assert leaning.gain_dbi[row, leaning.phi_deg == 180.0] < -50.0
     assert leaning.gain_dbi[row, leaning.phi_deg == 0.0] > -50.0
 
 
-def test_solvers_are_told_the_frequency_of_the_wavelength():
+def test_solver_input_has_the_frequency_of_the_wavelength():
     assert frequency_mhz(20.0) == pytest.approx(299.792458 / 20.0)

@@ -1,4 +1,4 @@
-"""Plan, readings, page and command line of the reproduction, without flights (10 s)."""
+"""Tests of plan, measures, page and command line of the reproduction, without flights (10 s)."""
 
 import csv
 import io
@@ -53,12 +53,12 @@ from studies.common.report import markdown
 SMALL = ArticlePlan(seeds=2, duration_s=6.0, wavelengths_m=(5.0, 10.0), winds_n=(0.0, 5.0), draws=20)
 
 
-# ---- what is flown
+# ---- plan
 
 
 @pytest.mark.parametrize("plan", [ArticlePlan(), QUICK], ids=["whole", "quick"])
-def test_every_flight_of_the_plans_can_be_flown(plan):
-    """All scenarios load; the article's campaign has every wavelength in every wind with every seed."""
+def test_all_flights_of_the_plans_have_valid_scenarios(plan):
+    """All scenarios load; the article's campaign has each wavelength in each wind with each seed."""
     made = {name: expand(campaign, state="") for name, campaign in campaigns(plan).items()}
     combinations = {(*run.swept, run.seed) for run in made[ARTICLE]}
     assert len(combinations) == len(plan.wavelengths_m) * len(plan.winds_n) * plan.seeds
@@ -69,23 +69,23 @@ def test_every_flight_of_the_plans_can_be_flown(plan):
     crowded = made.get(CROWDED, [])
     by_case = {case: [run for run in crowded if run.case == case] for case in (CROWDED, UNCROWDED)}
     assert {len(runs) for runs in by_case.values()} == {plan.crowded_seeds}
-    for often, usual in zip(by_case[CROWDED], by_case[UNCROWDED], strict=True):  # but for the period alike
+    for often, usual in zip(by_case[CROWDED], by_case[UNCROWDED], strict=True):  # equal except the period
         assert often.seed == usual.seed
         assert often.scenario.onboard.ftm_period_s == CROWDED_FTM_PERIOD_S
         onboard = structs.replace(often.scenario.onboard, ftm_period_s=usual.scenario.onboard.ftm_period_s)
         assert structs.replace(often.scenario, onboard=onboard) == usual.scenario
     others = {run.digest for run in made[EXPLAINING] + by_case[CROWDED]}
-    assert len(others) == len(made[EXPLAINING]) + plan.crowded_seeds  # each change changes something
+    assert len(others) == len(made[EXPLAINING]) + plan.crowded_seeds  # each change has an effect
     assert not others & {run.digest for run in made[ARTICLE]}
-    assert list(made)[-1] == ARTICLE  # its table stays in the folder
+    assert list(made)[-1] == ARTICLE  # its table remains in the folder
     assert all(campaign.keep for campaign in campaigns(plan).values())
 
 
-# ---- numbers out of tables
+# ---- values from tables
 
 
 def table(campaign, *, gains, **columns):
-    """Make a table as the campaign's, whose series are ``gains`` (by row) and whose numbers are these."""
+    """Make a campaign's table with the series ``gains`` (by row) and the given columns."""
     runs = expand(campaign, state="")
     base = {"case": [run.case for run in runs]}
     for number, path in enumerate(campaign.sweep):
@@ -104,8 +104,8 @@ def of_gains(values):
     return pa.table({"max_gain_dbi": pa.array(values, pa.float64())})
 
 
-def test_a_cell_has_all_instants_of_its_seeds():
-    """Seed 1: 12 and 13 dBi and a missing instant; seed 2 failed. Rms of the one shape error is itself."""
+def test_cell_has_all_instants_of_its_seeds():
+    """Seed 1: 12 and 13 dBi and a missing instant; seed 2 failed. The rms of one error is that error."""
     campaign = campaigns(SMALL)[ARTICLE]
     made = table(
         campaign, gains=lambda row: of_gains([12.0, None, 13.0 + row]) if row % 2 == 0 else None,
@@ -134,8 +134,8 @@ def test_a_cell_has_all_instants_of_its_seeds():
     assert row["between_flights_db"] == ""
 
 
-def test_the_deviation_between_flights_is_that_of_their_means():
-    """Means of 12 and 13 dBi deviate by 1 / sqrt(2), whatever their instants do."""
+def test_deviation_between_flights_is_that_of_their_means():
+    """Means of 12 and 13 dBi deviate by 1 / sqrt(2), for any instants."""
     made = table(
         campaigns(SMALL)[ARTICLE], gains=lambda row: of_gains([11.0 + row % 2, 13.0 + row % 2]),
         status=lambda _: "completed",
@@ -147,7 +147,7 @@ def test_the_deviation_between_flights_is_that_of_their_means():
     assert cell.of([2]).max_gain_dbi.tolist() == [12.0, 14.0]
 
 
-def test_without_a_pattern_a_cell_has_no_numbers():
+def test_cell_without_a_pattern_has_no_values():
     campaign = campaigns(SMALL)[ARTICLE]
     cells = read_cells(table(campaign, gains=lambda _: None, status=lambda _: "failed"))
     cell = cells[ARTICLE, 5.0, 0.0]
@@ -155,7 +155,7 @@ def test_without_a_pattern_a_cell_has_no_numbers():
     assert all(len(each.max_gain_dbi) == 0 for each in cells.values())
 
 
-def test_gains_that_do_not_differ_have_an_infinite_peak():
+def test_equal_gains_have_an_infinite_peak():
     campaign = campaigns(SMALL)[CROWDED]
     made = table(campaign, gains=lambda _: of_gains([13.0, 13.0]), status=lambda _: "completed")
     cells = read_cells(made)
@@ -164,7 +164,7 @@ def test_gains_that_do_not_differ_have_an_infinite_peak():
 
 
 def kept_table(tilt_rad):
-    """Make a table of kept flights that stand in their places, tilted alike, from 1 s on in formation."""
+    """Make a table of retained flights in their places with equal tilt, in formation from 1 s on."""
     campaign = campaigns(SMALL)[KEPT]
     runs = expand(campaign, state="")
 
@@ -185,14 +185,14 @@ def kept_table(tilt_rad):
     return made
 
 
-def test_kept_flights_are_solved_as_they_flew_upright_and_in_their_places():
-    """In their places and upright they are ideal; all that tilt costs is tilt's."""
+def test_retained_flights_are_solved_in_all_variants():
+    """In their places and upright they are ideal; the whole loss is due to tilt."""
     flights = list(kept_flights(kept_table(0.3)))
     assert len(flights) == 7  # of eight, one was not formed
     assert all(isinstance(each.flight, Flight) and each.flight.time_us[0] == 1_000_000 for each in flights)
-    told = []
-    found = separate(flights[:2], done=told.append)
-    assert told == [1, 2]
+    reported = []
+    found = separate(flights[:2], done=reported.append)
+    assert reported == [1, 2]
     for each in found:
         assert each.loss_db("upright") == pytest.approx(0.0, abs=1e-3)
         assert each.loss_db("in place") == pytest.approx(each.loss_db("flown"), abs=1e-3)
@@ -202,19 +202,19 @@ def test_kept_flights_are_solved_as_they_flew_upright_and_in_their_places():
 
 
 def without_patterns(kept):
-    """Put two vehicles of a flight into one place, all the time."""
+    """Put two vehicles of a flight into the same place at all instants."""
     touching = kept.flight.pos_ned_m.copy()
     touching[:, 1] = touching[:, 0]
     return replace(kept, flight=replace(kept.flight, pos_ned_m=touching))
 
 
-def test_a_flight_without_patterns_is_left_out():
-    """As one all of whose antennas touch; the other flight's numbers are its own."""
+def test_flight_without_patterns_is_skipped():
+    """For example if antennas always touch; the other flight is not affected."""
     flights = list(kept_flights(kept_table(0.1)))[:2]
     assert flights[0].scenario.antenna.wavelength_m == flights[1].scenario.antenna.wavelength_m
-    told = []
-    assert separate([without_patterns(flights[0])], done=told.append) == []
-    assert told == [1]
+    reported = []
+    assert separate([without_patterns(flights[0])], done=reported.append) == []
+    assert reported == [1]
     (found,) = separate([without_patterns(flights[0]), flights[1]])
     assert found.mean_dbi == separate(flights[1:])[0].mean_dbi
     assert figure_patterns_of(without_patterns(flights[0])) is None
@@ -236,13 +236,13 @@ def test_figure_4_solves_each_array_once(monkeypatch):
     assert sum(count for _, count in solved) == 3 * instants + 2
     assert {grid_deg for grid_deg, _ in solved} == {analysis.FIGURE_GRID_DEG}
     assert set(found.means) == set(VARIANTS)
-    # all instants are alike, so mean and median are one pattern, and the upright one is the ideal
+    # all instants are equal, so mean and median are one pattern, and the upright one is ideal
     assert found.median.gain_dbi == pytest.approx(found.means["flown"].gain_dbi, abs=1e-3)
     assert found.ideal.gain_dbi == pytest.approx(found.means["upright"].gain_dbi, abs=1e-3)
 
 
-def test_the_median_instant_is_in_the_middle_of_the_gains():
-    """The flight tilts more and more, which lowers the gain: the instant in the middle has the median."""
+def test_median_instant_has_the_median_gain():
+    """The tilt increases, which lowers the gain: the middle instant has the median."""
     kept = next(each for each in kept_flights(kept_table(0.0)) if each.scenario.antenna.wavelength_m == 10.0)
     flight = kept.flight
     half_rad = np.linspace(0.05, 0.25, len(flight.time_us))
@@ -279,7 +279,7 @@ def results():
                         broken=["article, seed 9: fell"])  # fmt: skip
 
 
-def test_the_page_names_every_statement_case_and_flight(results, tmp_path):
+def test_page_contains_all_statements_cases_and_flights(results, tmp_path):
     found = results
     sections = page.sections(found)
     cli._write(found, sections, tmp_path, quick=False)
@@ -302,18 +302,18 @@ def test_the_page_names_every_statement_case_and_flight(results, tmp_path):
     assert len(rows) == 1 + len(found.evidence.cells)
 
 
-def test_the_page_says_so_when_nothing_was_kept(results):
+def test_page_without_retained_flights_states_it(results):
     found = results
     evidence = Evidence(cells=found.evidence.cells, ideals=found.evidence.ideals, separations=[], patterns={},
                         drawn=found.evidence.drawn)  # fmt: skip
     bare = page.Results(plan=SMALL, evidence=evidence, judged=judge_all(evidence), figure=None)
     text = markdown(page.sections(bare), title="", introduction=page.introduction(bare, quick=True))
-    assert "No flight of it was kept." in text
+    assert "No flight of this case was retained." in text
     assert "not measured" in text
     assert "--quick" in text
 
 
-def test_a_page_comes_out_when_every_flight_has_failed(results, tmp_path):
+def test_page_is_written_if_all_flights_failed(results, tmp_path):
     cells = read_cells(table(campaigns(SMALL)[ARTICLE], gains=lambda _: None, status=lambda _: "failed"))
     evidence = Evidence(cells=cells, ideals=results.evidence.ideals, separations=[], patterns={},
                         drawn=results.evidence.drawn)  # fmt: skip
@@ -324,8 +324,8 @@ def test_a_page_comes_out_when_every_flight_has_failed(results, tmp_path):
     assert (tmp_path / "images" / page.FIGURE3).exists()
 
 
-def test_all_that_is_judged_comes_out_of_the_tables(monkeypatch):
-    """The first flight of figure 4 has no pattern, so it is the second's; a flight that failed is named."""
+def test_evidence_is_read_from_the_tables(monkeypatch):
+    """The first flight of figure 4 has no pattern, so the second is used; a failed flight is named."""
     monkeypatch.setattr(cli, "draw", lambda *_, **__: {})
     tables = {
         name: table(
@@ -360,11 +360,11 @@ def command(monkeypatch):
     return lambda *arguments: CliRunner().invoke(cli.article_app, list(arguments))
 
 
-def test_json_is_one_object_with_every_verdict(command, monkeypatch, results, tmp_path):
+def test_json_is_one_object_with_all_verdicts(command, monkeypatch, results, tmp_path):
     found = results
     monkeypatch.setattr(cli, "_fly", lambda *_, **__: {})
     monkeypatch.setattr(cli, "_measure", lambda *_: found)
-    monkeypatch.setattr(cli, "figures", Mock())  # drawn elsewhere
+    monkeypatch.setattr(cli, "figures", Mock())  # drawn in other tests
     ended = command("--quick", "--json", "--out", str(tmp_path))
     said = json.loads(ended.stdout)
     assert [each["name"] for each in said["statements"]] == [each.name for each in STATEMENTS]
@@ -385,7 +385,7 @@ def test_json_is_one_object_with_every_verdict(command, monkeypatch, results, tm
     ],
 )
 @pytest.mark.parametrize("step", ["_fly", "_measure"])
-def test_what_stops_it_is_one_line(command, monkeypatch, error, status, line, step):
+def test_error_is_one_line(command, monkeypatch, error, status, line, step):
     def fly(*_, **__):
         raise error
 
@@ -397,18 +397,18 @@ def test_what_stops_it_is_one_line(command, monkeypatch, error, status, line, st
     assert ended.stdout == ""
 
 
-def test_ctrl_c_says_that_the_same_command_goes_on(command, monkeypatch):
+def test_interruption_states_that_the_same_command_continues(command, monkeypatch):
     def fly(*_, **__):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(cli, "_fly", fly)
     ended = command()
     assert ended.exit_code == cli.INTERRUPTED
-    assert "the same command goes on" in ended.stderr
+    assert "the same command continues" in ended.stderr
 
 
 @pytest.mark.parametrize("arguments", [("--seeds", "0"), ("--duration", "1"), ("--workers", "0")])
-def test_bad_numbers_are_refused_before_anything_flies(command, arguments):
+def test_bad_numbers_are_rejected_before_the_first_flight(command, arguments):
     ended = command(*arguments)
     assert ended.exit_code == cli.BAD_INPUT
     assert arguments[0] in ended.stderr

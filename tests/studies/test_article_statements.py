@@ -1,4 +1,4 @@
-"""Verdicts on the article's statements: each comes out either way, by its numbers alone (5 s)."""
+"""Tests of the verdicts on the article's statements, in both directions, from given values (5 s)."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -20,14 +20,14 @@ from studies.article.statements import STATEMENTS, StatementVerdict, count, judg
 
 WAVELENGTHS_M, WINDS_N = (5.0, 7.5, 10.0, 15.0, 20.0), (0.0, 2.0, 5.0)
 NORMAL = ndtri((np.arange(400) + 0.5) / 400)
-"""Of mean 0 and deviation 1, without chance."""
+"""Deterministic values with mean 0 and deviation 1."""
 
 
 SEEDS = (1, 2, 3)
 
 
 def cell(wavelength_m, wind_n, mean_dbi, std_db, *, case=ARTICLE, shape_m=0.1, scatter_db=0.0, **changes):
-    """Make flights whose means lie ``scatter_db`` below, at and above a mean."""
+    """Make flights with means ``scatter_db`` below, at and above a mean."""
     runs = tuple(
         OneFlight(
             seed=seed, max_gain_dbi=mean_dbi + scatter_db * (seed - 2) + std_db * NORMAL, ideal_dbi=13.26,
@@ -40,12 +40,12 @@ def cell(wavelength_m, wind_n, mean_dbi, std_db, *, case=ARTICLE, shape_m=0.1, s
 
 
 def each_run(found, **changes):
-    """Change all flights of a cell."""
+    """Return a cell with changes in all flights."""
     return replace(found, runs=tuple(replace(run, **changes) for run in found.runs))
 
 
 def as_in_the_article():
-    """Make numbers with which every statement holds."""
+    """Make evidence with which every statement holds."""
     cells = {}
     for wavelength_m in WAVELENGTHS_M:
         for wind_n in WINDS_N:
@@ -135,7 +135,7 @@ def without_solver(name, evidence):
 
 
 def shifted(wavelength_m, wind_n, by_db):
-    """Move the gains of one cell."""
+    """Shift the gains of one cell."""
     evidence, key = as_in_the_article(), (ARTICLE, wavelength_m, wind_n)
     found = evidence.cells[key]
     moved = tuple(replace(run, max_gain_dbi=run.max_gain_dbi + by_db) for run in found.runs)
@@ -143,7 +143,7 @@ def shifted(wavelength_m, wind_n, by_db):
 
 
 def with_losses(losses_db):
-    """Give separations of what variants cost in 5 N, and nothing without wind."""
+    """Make separations with the given losses of the variants in 5 N, and none without wind."""
     return replace(
         as_in_the_article(),
         separations=[separation(0.0, flown=0.0, upright=0.0, tilted=0.0),
@@ -152,7 +152,7 @@ def with_losses(losses_db):
 
 
 def falling(loss_db):
-    """Random formations that lose this many dB by a function of (2 pi sigma / lambda)^2."""
+    """Make random formations with a loss in dB as a function of (2 pi sigma / lambda)^2."""
     evidence = as_in_the_article()
     drawn = {
         (sigma_m, each_m): drawing(13.262 - loss_db((2.0 * np.pi * sigma_m / each_m) ** 2), 1.0)
@@ -172,7 +172,7 @@ OTHERWISE = {
     "contention": with_cell((CROWDED, 10.0, 5.0), shape_horizontal_m=0.21),
     "short wavelengths": shifted(5.0, 2.0, 2.0),
     "near flat": with_cell((ARTICLE, 5.0, 5.0), max_gain_dbi=13.0 + 0.07 * NORMAL),
-    "wind lowers": shifted(15.0, 2.0, -0.5),  # and 5 N are above it
+    "wind lowers": shifted(15.0, 2.0, -0.5),  # lower than in 5 N
     "wind flattens": with_cell((ARTICLE, 20.0, 5.0), max_gain_dbi=13.0 + 0.04 * NORMAL),
     "no wind": shifted(7.5, 0.0, -0.3),
     "noticeable": shifted(20.0, 5.0, 0.15),
@@ -190,7 +190,7 @@ OTHERWISE = {
 }  # fmt: skip
 
 
-def test_with_the_articles_numbers_every_statement_holds():
+def test_all_statements_hold_with_matching_values():
     judged = judge_all(as_in_the_article())
     assert [(each.name, each.found) for each in judged if each.verdict is not StatementVerdict.AGREES] == []
     assert not any(each.why for each in judged)
@@ -199,7 +199,7 @@ def test_with_the_articles_numbers_every_statement_holds():
 
 
 @pytest.mark.parametrize("statement", STATEMENTS, ids=lambda each: each.name)
-def test_each_statement_can_fail_and_says_why(statement):
+def test_each_statement_can_fail_with_a_reason(statement):
     found = judge(statement, OTHERWISE[statement.name])
     assert found.verdict is StatementVerdict.DIFFERS, found.found
     assert found.why
@@ -207,7 +207,7 @@ def test_each_statement_can_fail_and_says_why(statement):
 
 
 @pytest.mark.parametrize("statement", STATEMENTS, ids=lambda each: each.name)
-def test_what_was_not_measured_is_no_verdict(statement):
+def test_missing_evidence_is_not_a_verdict(statement):
     nothing = Evidence(cells={}, ideals={}, separations=[], patterns={}, drawn={})
     found = judge(statement, nothing)
     assert found.verdict is StatementVerdict.UNKNOWN
@@ -215,14 +215,14 @@ def test_what_was_not_measured_is_no_verdict(statement):
     assert "\n" not in found.found
 
 
-def test_no_two_statements_have_one_name():
+def test_statement_names_are_unique():
     names = [each.name for each in STATEMENTS]
     assert len(set(names)) == len(names)
     assert set(OTHERWISE) == set(names)
 
 
-def test_the_error_that_the_articles_densities_imply_is_found_between_too_little_and_too_much():
-    """5 m are flat from 0.5 m on: a peak of 1 per dB, half of that of 10 m. With 1.4 m 10 and 20 m differ."""
+def test_implied_position_errors_are_bounded_on_both_sides():
+    """λ 5 m is flat from 0.5 m on: a peak of 1 per dB, half of that of 10 m. At 1.4 m 10 and 20 m differ."""
     peaks = {0.1: (5.0, 10.0), 0.5: (0.5, 1.2), 1.0: (0.4, 0.9), 1.4: (0.4, 0.9)}
     spans_db = {0.1: 0.01, 0.5: 0.1, 1.0: 0.29, 1.4: 0.5}
     drawn = {}
@@ -237,13 +237,12 @@ def test_the_error_that_the_articles_densities_imply_is_found_between_too_little
     never = {key: replace(each, peak_per_db=9.0) for key, each in drawn.items()}
     assert gain_findings.flat_from_m(never) is None
     assert (
-        "No error that was drawn"
-        in judge(statement_of("near flat"), replace(OTHERWISE["near flat"], drawn=never)).why
+        "No drawn error" in judge(statement_of("near flat"), replace(OTHERWISE["near flat"], drawn=never)).why
     )
 
 
-def test_what_was_flown_flat_is_told_from_what_was_not():
-    """Flat beside 10 m is a deviation of 2.5 against 1 dB, peaks of 0.16 and 0.4 per dB; 0.1 dB has 4."""
+def test_flat_and_other_changes_are_separated():
+    """Flat relative to 10 m: deviations of 2.5 and 1 dB, peaks of 0.16 and 0.4 per dB; 0.1 dB has 4."""
     evidence = OTHERWISE["near flat"]
     extra = {
         (GPS, 5.0, 5.0): cell(5.0, 5.0, 9.0, 2.5, case=GPS, shape_m=1.7),
@@ -251,7 +250,7 @@ def test_what_was_flown_flat_is_told_from_what_was_not():
         ("cascade", 10.0, 5.0): cell(10.0, 5.0, 13.1, 0.05, case="cascade", shape_m=0.2),
     }
     why = judge(statement_of("near flat"), replace(evidence, cells=evidence.cells | extra)).why
-    flat, not_flat = why.split("met the criterion with: ")[1].split("They did not with: ")
+    flat, not_flat = why.split("that meet the criterion: ")[1].split("Flights that do not: ")
     assert "GPS alone" in flat
     assert "cascade" in not_flat
 
@@ -260,7 +259,7 @@ def statement_of(name):
     return next(each for each in STATEMENTS if each.name == name)
 
 
-# ---- what belongs together is compared, and no more is told than can be
+# ---- comparison over common seeds, undecided statements
 
 
 def with_runs(key, runs):
@@ -271,8 +270,8 @@ def with_runs(key, runs):
 @pytest.mark.parametrize(
     ("name", "key"), [("contention", (UNCROWDED, 10.0, 5.0)), ("FTM accuracy", (ARTICLE, 10.0, 5.0))]
 )
-def test_only_seeds_that_both_sides_have_are_compared(name, key):
-    """A fourth seed, a hundred times as far off, is on one side alone and changes nothing."""
+def test_only_common_seeds_are_compared(name, key):
+    """A fourth seed with 100 times the deviation, on one side only, has no effect."""
     runs = as_in_the_article().cells[key].runs
     far = replace(runs[0], seed=4, shape_horizontal_m=100.0 * runs[0].shape_horizontal_m)
     usual, more = judge(statement_of(name), as_in_the_article()), judge(
@@ -281,14 +280,14 @@ def test_only_seeds_that_both_sides_have_are_compared(name, key):
     assert (more.found, more.verdict) == (usual.found, usual.verdict)
 
 
-def test_contention_is_measured_against_flights_as_long_and_not_the_articles():
+def test_contention_is_compared_with_flights_of_equal_length():
     assert judge(
         statement_of("contention"), with_cell((ARTICLE, 10.0, 5.0), shape_horizontal_m=9.0)
     ) == judge(statement_of("contention"), as_in_the_article())
 
 
-def test_a_pair_that_differs_alike_is_told_apart_though_seeds_differ_more():
-    """Shape errors of 0.2, 0.4, 0.6 m and half as much again each: by pairs nothing is left to chance."""
+def test_consistent_pairs_decide_despite_larger_differences_between_seeds():
+    """Shape errors of 0.2, 0.4, 0.6 m, and 1.5 times these: the ratio of each pair is the same."""
     of = as_in_the_article().cells
     keys = (CROWDED, 10.0, 5.0), (UNCROWDED, 10.0, 5.0)
     for growth, verdict in ((1.5, StatementVerdict.AGREES), (1.0, StatementVerdict.DIFFERS)):
@@ -306,8 +305,8 @@ def test_a_pair_that_differs_alike_is_told_apart_though_seeds_differ_more():
 @pytest.mark.parametrize(
     ("scatter_db", "verdict"), [(0.001, StatementVerdict.DIFFERS), (0.1, StatementVerdict.OPEN)]
 )
-def test_a_difference_within_two_standard_errors_is_no_verdict(scatter_db, verdict):
-    """5 N cost 0.05 dB at 20 m, 0.05 less than asked; by seeds +s, -2 s, +s: an error of s."""
+def test_difference_within_two_standard_errors_is_undecided(scatter_db, verdict):
+    """Loss of 0.05 dB in 5 N at 20 m, 0.05 below the limit; by seeds +s, -2 s, +s: an error of s."""
     key, calm = (ARTICLE, 20.0, 5.0), as_in_the_article().cells[ARTICLE, 20.0, 0.0]
     runs = [
         replace(run, max_gain_dbi=run.max_gain_dbi - 0.05 + scatter_db * (1.0, -2.0, 1.0)[number])
@@ -327,8 +326,8 @@ def test_a_difference_within_two_standard_errors_is_no_verdict(scatter_db, verdi
         ((0.4, 0.5, 0.6), StatementVerdict.DIFFERS),
     ],
 )
-def test_patterns_are_judged_by_all_flights_that_were_kept(deficits_db, verdict):
-    """Of 1 dB in the region; half a dB between flights leaves a mean of 1.03 dB open."""
+def test_patterns_are_judged_by_all_retained_flights(deficits_db, verdict):
+    """Limit of 1 dB in the region; with 0.5 dB between flights a mean of 1.03 dB is undecided."""
     evidence = as_in_the_article()
     flights = {
         seed: evidence.patterns
@@ -345,24 +344,24 @@ def test_patterns_are_judged_by_all_flights_that_were_kept(deficits_db, verdict)
     assert judge(statement_of("region: reduced"), single).verdict is StatementVerdict.OPEN
 
 
-def test_one_flight_has_no_standard_error():
+def test_single_flight_has_no_standard_error():
     runs = as_in_the_article().cells[ARTICLE, 20.0, 5.0].runs
     found = judge(statement_of("resilient"), with_runs((ARTICLE, 20.0, 5.0), runs[:1]))
     assert found.verdict is StatementVerdict.OPEN
     assert "no standard error" in found.why
 
 
-def test_the_winds_effect_has_to_be_alike_and_not_the_means_alone():
-    """15 m lose 0.2 dB more in 5 N from a mean 0.2 dB higher without wind: the means in 5 N do not differ."""
+def test_losses_and_means_must_both_agree():
+    """λ 15 m loses 0.2 dB more from a mean 0.2 dB higher without wind: the means in 5 N are equal."""
     moved = shifted(15.0, 0.0, 0.2)
     found = judge(statement_of("alike"), moved)
     assert found.verdict is StatementVerdict.DIFFERS
-    assert "cost of 5 N" in found.why
+    assert "loss in 5 N" in found.why
     assert "means" not in found.why.split(". ")[0]
 
 
-def test_every_solver_means_every_solver():
-    """Without one of them nothing can be said, unless one that is here does not meet it."""
+def test_criteria_require_every_solver():
+    """Without one solver there is no verdict, unless another one violates the criterion."""
     for name in ("main lobe", "ideal gain"):
         found = judge(statement_of(name), without_solver("nec2c", as_in_the_article()))
         assert found.verdict is StatementVerdict.UNKNOWN
@@ -373,7 +372,7 @@ def test_every_solver_means_every_solver():
         )
 
 
-def test_the_ideal_is_that_of_the_flights_solver():
+def test_ideal_gain_is_that_of_the_flights_solver():
     evidence = as_in_the_article()
     other = SimpleNamespace(max_gain_dbi=12.0, max_theta_deg=90.0, max_phi_deg=90.0)
     evidence = replace(evidence, ideals=evidence.ideals | {"nec2": {10.0: other}})
@@ -381,7 +380,7 @@ def test_the_ideal_is_that_of_the_flights_solver():
     assert replace(evidence, solver="nec2").ideal_dbi(10.0) == 12.0
 
 
-def test_what_falls_exponentially_holds_whatever_its_rate():
+def test_exponential_loss_holds_at_any_rate():
     for rate in (0.5, 1.0, 1.7):
         found = judge(
             statement_of("exponential"), falling(lambda v, rate=rate: 10.0 * rate * v / np.log(10.0))
@@ -391,12 +390,12 @@ def test_what_falls_exponentially_holds_whatever_its_rate():
 
 
 @pytest.mark.parametrize("loss", [lambda v: 3.0 * np.sqrt(v), lambda v: -10.0 * np.log10(max(1 - v, 0.1))])
-def test_a_fall_in_proportion_to_error_or_variance_is_no_exponential(loss):
+def test_linear_loss_in_error_or_variance_is_not_exponential(loss):
     assert judge(statement_of("exponential"), falling(loss)).verdict is StatementVerdict.DIFFERS
 
 
-def test_what_remains_in_the_ideal_direction_explains_what_is_no_exponential():
-    """There 2 + 19.2 exp(-v) is left of 21.2: above a rest of 2 (3.01 dBi) an exponential of rate 1."""
+def test_residual_gain_in_the_ideal_direction_explains_the_deviation():
+    """There 2 + 19.2 exp(-v) of 21.2 remains: above a residual of 2 (3.01 dBi) an exponential of rate 1."""
     by_variance = falling(lambda v: -10.0 * np.log10(max(1.0 - v, 0.1)))
     ideal = 10.0**1.3262
     along = {
@@ -410,41 +409,45 @@ def test_what_remains_in_the_ideal_direction_explains_what_is_no_exponential():
     assert explained.verdict is StatementVerdict.DIFFERS
     assert "3.01 dBi remain" in explained.why
     assert "within 0.00 dB of exp(-1.00" in explained.why
-    usual = judge(statement_of("exponential"), by_variance)  # the same in that direction as the maximum
+    usual = judge(statement_of("exponential"), by_variance)  # in that direction the same as the maximum
     assert "errors favour" not in usual.why
 
 
-# ---- reasons follow from the numbers beside them
+# ---- reasons follow from their values
 
 REASONS = [
-    ("angular deviation", with_losses((0.6, 0.01, 0.05)), "Neither alone", "Positions alone cost more"),
-    ("angular deviation", with_losses((0.6, 0.5, 0.05)), "Positions alone cost more", "Neither"),
-    ("angular deviation", with_losses((-0.1, 0.0, 0.05)), "no more than no wind", "Positions alone cost"),
-    ("contention", with_cell((CROWDED, 10.0, 5.0), shape_horizontal_m=0.216), "not make up", "bring more"),
-    ("contention", with_cell((CROWDED, 10.0, 5.0), shape_horizontal_m=0.15), "bring more", "not make up"),
+    ("angular deviation", with_losses((0.6, 0.01, 0.05)), "Neither alone", "Positions alone cause more"),
+    ("angular deviation", with_losses((0.6, 0.5, 0.05)), "Positions alone cause more", "Neither"),
+    ("angular deviation", with_losses((-0.1, 0.0, 0.05)), "There is no loss", "Positions alone cause"),
+    ("contention", with_cell((CROWDED, 10.0, 5.0), shape_horizontal_m=0.216),
+     "not compensate", "benefit exceeds"),
+    ("contention", with_cell((CROWDED, 10.0, 5.0), shape_horizontal_m=0.15),
+     "benefit exceeds", "not compensate"),
     ("no wind", shifted(7.5, 0.0, 0.5), "Above the ideal at λ 7.5 m", "Position errors remain"),
     ("no wind", shifted(7.5, 0.0, -0.5), "Position errors remain", "Above the ideal"),
     ("noticeable", shifted(20.0, 5.0, 0.9), "the mean is higher at λ 20 m", "hold the shape"),
     ("noticeable", shifted(20.0, 5.0, 0.15), "λ 20 m", "the mean is higher"),
-    ("symmetry", with_pattern("ideal", asymmetry_db=0.5), "not symmetric itself", "flown one differs"),
-    ("symmetry", with_pattern("median", asymmetry_db=0.5), "flown one differs", "not symmetric itself"),
+    ("symmetry", with_pattern("ideal", asymmetry_db=0.5),
+     "ideal pattern is not symmetric", "flown pattern differs"),
+    ("symmetry", with_pattern("median", asymmetry_db=0.5),
+     "flown pattern differs", "ideal pattern is not symmetric"),
     ("lower throughout", replace(
         with_pattern("median", lower_share=0.5), patterns=with_pattern("median", lower_share=0.5).patterns
         | {"ideal": structs.replace(as_in_the_article().patterns["ideal"], mean_dbi=1.0)},
-    ), "1.00 dBi ideally.", "have to gain"),
+    ), "1.00 dBi ideally.", "a gain in others"),
     ("region: reduced", with_pattern("median", region_dbi=1.0), "1.00 dBi", "zenith"),
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("name", "evidence", "said", "unsaid"), REASONS)
-def test_a_reason_says_what_its_numbers_do(name, evidence, said, unsaid):
+def test_reason_follows_from_the_values(name, evidence, said, unsaid):
     found = judge(statement_of(name), evidence)
     assert found.verdict is StatementVerdict.DIFFERS, found.found
     assert said in found.why
     assert unsaid not in found.why
 
 
-def test_a_gain_is_not_said_to_be_a_deficit():
+def test_gain_increase_is_not_reported_as_a_deficit():
     found = judge(statement_of("region: reduced"), with_pattern("median", region_dbi=1.0)).found
     assert "2.00 dB higher than ideal" in found
     assert "difference from ideal is 2.00" in found

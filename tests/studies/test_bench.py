@@ -1,4 +1,4 @@
-"""The bench: floors' frames, medians and shares of given costs, tables, its command line's refusals."""
+"""Tests of the benchmark: floors' frames, medians and shares of given costs, tables, command line errors."""
 
 import json
 import socket
@@ -26,22 +26,22 @@ def sensor_frame(sequence=7):
     return floor.frame(floor._SENSOR, 107, 108, sequence, *SENSOR)
 
 
-def test_a_bare_vehicle_and_its_server_speak_mavlink():
+def test_floor_frames_are_valid_mavlink():
     (sensed,) = HilParser(HilSensor).push(sensor_frame())
     assert (sensed.time_usec, sensed.temperature, sensed.fields_updated) == (4_000, 12.0, 0x1FFF)
-    (answered,) = HilParser(HilActuatorControls).push(floor.reply(sensor_frame(), 3))
-    assert (answered.time_usec, list(answered.controls[:5]), answered.flags) == (
+    (response,) = HilParser(HilActuatorControls).push(floor.reply(sensor_frame(), 3))
+    assert (response.time_usec, list(response.controls[:5]), response.flags) == (
         4_000,
         pytest.approx([0.7, 0.7, 0.7, 0.7, 0.0]),
         1,
     )
-    # pymavlink is the other witness
+    # independent parser
     parsed = mavlink.MAVLink(None).parse_buffer(bytearray(sensor_frame()))
     assert [message.get_type() for message in parsed] == ["HIL_SENSOR"]
 
 
 @pytest.mark.parametrize("at", [0, 7, 12, 70, 75])
-def test_a_wrong_byte_is_no_frame(at):
+def test_corrupted_frame_is_rejected(at):
     wrong = bytearray(sensor_frame())
     wrong[at] ^= 0x10
     assert floor.fields_of(bytes(wrong), floor._SENSOR, 107, 108) is None
@@ -49,7 +49,7 @@ def test_a_wrong_byte_is_no_frame(at):
         floor.reply(bytes(wrong), 0)
 
 
-def test_the_floors_are_of_as_many_processes_and_cost_something():
+def test_floors_have_the_requested_processes_and_positive_costs():
     cost = floor.measure(FloorJob(agents=3, wall_s=0.2))
     assert cost.agents == 3
     for speed in (cost.lockstep, cost.echo):
@@ -58,11 +58,11 @@ def test_the_floors_are_of_as_many_processes_and_cost_something():
         assert speed.vehicles_cpu_s_per_simulated_s > 0.0
 
 
-def test_a_bare_process_that_ends_is_noticed():
-    def hang_up(link: socket.socket) -> None:
+def test_end_of_a_bare_process_is_detected():
+    def close_link(link: socket.socket) -> None:
         link.recv(4_096)
 
-    with floor.bare_processes(2, hang_up) as bare, pytest.raises((floor.LostError, ConnectionError)):
+    with floor.bare_processes(2, close_link) as bare, pytest.raises((floor.LostError, ConnectionError)):
         next(floor._echo_steps(bare.links))
 
 
@@ -100,7 +100,7 @@ def profiled():
             samples=1_000,
         )
 
-    # what sampled itself took longer, and is asked for shares alone
+    # the profiled flight takes longer; only its shares are used
     return flight(
         1.0,
         profile={"physics": kind(sensors=0.2, physics=0.2), VEHICLES: kind(control=0.3, link=0.1, log=1e-4)},
@@ -120,18 +120,18 @@ def run():
         8,
         "article.toml",
         floors=[floor_cost(20.0), floor_cost(30.0), floor_cost(10.0)],
-        flights=[flight(7.0), flight(1.0, scale=5.0), flight(8.0)],  # a hiccup in the second
+        flights=[flight(7.0), flight(1.0, scale=5.0), flight(8.0)],  # the second is disturbed
         profiled=profiled(),
     )
 
 
-def test_medians_count_and_the_parts_add_up_to_them(run):
+def test_summary_has_medians_and_parts_that_add_up(run):
     assert run.real_time_factor == pytest.approx(7.0)
     assert run.whole_real_time_factor == pytest.approx(7.7)
     assert run.floor_real_time_factor == 20.0
     assert run.startup_s == 3.0
     assert run.uss_mb_per_uav == 40.0
-    assert run.other_processors == pytest.approx(0.5)  # of a noisy repeat one should know
+    assert run.other_processors == pytest.approx(0.5)  # a noisy repeat must be reported
     assert run.cpu_s_per_simulated_s[VEHICLES] == pytest.approx(0.2)
     assert run.parts_cpu_s_per_simulated_s["physics"] == {
         "sensors": pytest.approx(0.05),
@@ -146,7 +146,7 @@ def found(*runs):
     return FlightBench(machine=machine, duration_s=10.0, repeats=3, runs=runs)
 
 
-def test_tables_have_a_column_for_every_number_of_uavs(run):
+def test_tables_have_a_column_for_each_number_of_uavs(run):
     for sheet in sheets(found(run, run)):
         assert sheet.heading == ("UAVs", "8", "8")
         assert all(len(row) == 3 for row in sheet.rows), sheet.title
@@ -155,26 +155,26 @@ def test_tables_have_a_column_for_every_number_of_uavs(run):
     assert cells["in formation"] == "7.00"
     assert cells["slowest to fastest"] == "1.00 to 8.00"
     assert cells["  control"] == "150"
-    assert cells["  log"] == "0.0"  # too little to be told alone, and nobody beside it
+    assert cells["  log"] == "0.0"  # below the limit for a row, but the only such part
 
 
-def test_markdown_has_the_machine_and_every_table(run):
+def test_markdown_contains_machine_and_tables(run):
     text = markdown(found(run))
-    assert text.startswith("any, 2 processors, 8 GB; Linux, Python 3.11; load 0.1 before it began.\n")
+    assert text.startswith("any, 2 processors, 8 GB; Linux, Python 3.11; load 0.1 before the start.\n")
     assert "| in formation | 7.00 |\n" in text
     assert "| &nbsp;&nbsp;control | 150 |\n" in text
 
 
-def test_json_has_what_programs_look_for(run):
-    (told,) = json.loads(to_json(found(run)))["runs"]
+def test_json_has_the_documented_fields(run):
+    (result,) = json.loads(to_json(found(run)))["runs"]
     assert {"agents", "real_time_factor", "floor_real_time_factor", "uss_mb_per_uav", "startup_s"} <= set(
-        told
+        result
     )
-    assert set(told["cpu_s_per_simulated_s"]) == {"physics", "radio", VEHICLES, LAUNCHER}
-    assert len(told["flights"]) == len(told["floors"]) == 3
+    assert set(result["cpu_s_per_simulated_s"]) == {"physics", "radio", VEHICLES, LAUNCHER}
+    assert len(result["flights"]) == len(result["floors"]) == 3
 
 
-def test_few_fly_the_article_and_many_a_large_swarm():
+def test_default_scenario_depends_on_the_number_of_uavs():
     plan = BenchPlan(agents=(8, 9), duration_s=1.0, repeats=1, floor_wall_s=0.1)
     assert [plan.scenario_for(number).name for number in plan.agents] == ["article.toml", "swarm64.toml"]
 
@@ -188,7 +188,7 @@ def test_few_fly_the_article_and_many_a_large_swarm():
         (["--agents", "1,1000"], "bench: "),
     ],
 )
-def test_bad_input_is_one_line_before_anything_flies(arguments, line):
+def test_bad_input_is_one_line_before_the_first_flight(arguments, line):
     result = CliRunner().invoke(bench_app, arguments)
     assert result.exit_code == 2
     assert result.stderr.startswith(line)
@@ -198,7 +198,7 @@ def test_bad_input_is_one_line_before_anything_flies(arguments, line):
 
 @pytest.fixture
 def measure(monkeypatch, run):
-    """Run the command line for 1, 8 and 64 UAVs, of which the 64 come to the end that is given."""
+    """Run the command line for 1, 8 and 64 UAVs; the run with 64 ends with the given exception."""
 
     def invoke(reason, *options, agents="1,8,64"):
         def one(_plan, agents, note):
@@ -218,34 +218,34 @@ def measure(monkeypatch, run):
     ("reason", "status", "line"),
     [
         (bench.BenchError("uav 3 was lost"), FAILED, "bench: 64 UAVs: uav 3 was lost"),
-        (KeyboardInterrupt(), INTERRUPTED, "bench: 64 UAVs: broken off"),
+        (KeyboardInterrupt(), INTERRUPTED, "bench: 64 UAVs: interrupted"),
     ],
 )
-def test_what_was_measured_before_it_came_to_an_end_is_told(measure, reason, status, line):
-    told = measure(reason)
-    assert told.exit_code == status
-    assert told.stderr.splitlines()[-1] == line
-    assert "in formation" in told.stdout
-    kept = json.loads(measure(reason, "--json").stdout)
-    assert [each["agents"] for each in kept["runs"]] == [1, 8]
-    assert f"bench: {kept['failure']}" == line
-    assert kept["broken_off"] is (status == INTERRUPTED)
+def test_results_before_a_failure_are_reported(measure, reason, status, line):
+    result = measure(reason)
+    assert result.exit_code == status
+    assert result.stderr.splitlines()[-1] == line
+    assert "in formation" in result.stdout
+    document = json.loads(measure(reason, "--json").stdout)
+    assert [each["agents"] for each in document["runs"]] == [1, 8]
+    assert f"bench: {document['failure']}" == line
+    assert document["broken_off"] is (status == INTERRUPTED)
 
 
 @pytest.mark.parametrize(
     ("reason", "status", "line"),
     [
         (bench.BenchError("uav 3 was lost"), FAILED, "bench: uav 3 was lost"),
-        (KeyboardInterrupt(), INTERRUPTED, "bench: broken off"),
+        (KeyboardInterrupt(), INTERRUPTED, "bench: interrupted"),
     ],
 )
-def test_when_nothing_was_measured_the_reason_is_all_there_is(measure, reason, status, line):
-    told = measure(reason, agents="64,8")
-    assert (told.exit_code, told.stdout) == (status, "")
-    assert told.stderr.splitlines()[-1] == line
+def test_without_results_only_the_reason_is_printed(measure, reason, status, line):
+    result = measure(reason, agents="64,8")
+    assert (result.exit_code, result.stdout) == (status, "")
+    assert result.stderr.splitlines()[-1] == line
 
 
-def test_a_measurement_that_fails_is_told_with_its_last_words(tmp_path):
+def test_failed_measurement_is_reported_with_its_last_line(tmp_path):
     plan = BenchPlan(
         agents=(1,), duration_s=1.0, repeats=1, floor_wall_s=0.1, scenario=tmp_path / "nowhere.toml"
     )
@@ -253,14 +253,14 @@ def test_a_measurement_that_fails_is_told_with_its_last_words(tmp_path):
         bench._flight(plan, 1)
 
 
-def test_a_measurement_that_is_not_done_in_time_is_broken_off(monkeypatch):
+def test_measurement_over_its_time_limit_is_interrupted(monkeypatch):
     monkeypatch.setattr(bench, "WALL_LIMIT_S", 1.0)
-    others = psutil.Process().children()  # of tests before this one
+    others = psutil.Process().children()  # started by earlier tests
     with pytest.raises(bench.BenchError, match=r"^studies\.bench\.floor: not done within 1 s$"):
         bench._floor(1, 60.0)
     assert set(psutil.Process().children()) <= set(others)
 
 
-def test_frame_lengths_are_a_flights():
+def test_frame_lengths_are_those_of_a_flight():
     assert floor._SENSOR.size == struct.calcsize("<Q13fI") == 64
     assert floor._REPLY.size == 81

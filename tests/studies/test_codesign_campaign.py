@@ -1,4 +1,4 @@
-"""The co-design experiment's campaign on disk, its command line and its page, without flights (10 s)."""
+"""Tests of the co-design experiment's campaign store, command line and page, without flights (10 s)."""
 
 import csv
 import json
@@ -45,8 +45,8 @@ def flown(task, **numbers):
     return CodesignFlown(case=task.case, seed=task.seed, digest=task.digest, measures=measures)
 
 
-def fly_noted(task):
-    """Leave a mark of each flight; one breaks, one kills its process, all others land."""
+def fly_recorded(task):
+    """Record each flight in a file; one breaks, one kills its process, all others finish."""
     marks = Path(task.folder).parents[1] / "marks"
     with marks.open("a") as file:
         file.write(f"{task.case} {task.seed}\n")
@@ -55,7 +55,7 @@ def fly_noted(task):
     if task.case == GPS_ALONE.name and task.seed == 1:
         deadline_s = time.monotonic() + 20.0
         while len(marks.read_text().splitlines()) < 3 and time.monotonic() < deadline_s:
-            time.sleep(0.01)  # until somebody else is in the air, or has been
+            time.sleep(0.01)  # until another flight has started
         os._exit(3)
     return flown(task, shape_m=0.1 * task.seed)
 
@@ -65,9 +65,9 @@ def marks_of(folder):
     return marks.read_text().splitlines() if marks.exists() else []
 
 
-def test_a_campaign_flies_each_flight_once_and_goes_on_after_losses(tmp_path, monkeypatch):
-    """A killed worker costs its own flight alone; a second run flies nothing; a changed one flies anew."""
-    monkeypatch.setattr(results, "START_METHOD", "fork")  # spawned ones would import all of this
+def test_campaign_flies_each_flight_once_and_continues_after_losses(tmp_path, monkeypatch):
+    """A killed worker loses only its own flight; a second run flies nothing; changed sources repeat all."""
+    monkeypatch.setattr(results, "START_METHOD", "fork")  # spawned workers would import this module
     monkeypatch.setattr(results, "sources_state", lambda: "one")
     plan, cases = CodesignPlan(seeds=2), (BASE, GPS_ALONE, LOSSY, BASE)
     tasks = make_tasks(cases, plan, folder=tmp_path, state="one")
@@ -75,45 +75,45 @@ def test_a_campaign_flies_each_flight_once_and_goes_on_after_losses(tmp_path, mo
         (case.name, seed) for seed in (1, 2) for case in (BASE, GPS_ALONE, LOSSY)
     ]
     assert make_tasks((all_pairs(16, 0.25), BASE), plan, folder=tmp_path)[-1].case.startswith("ftm-16")
-    store, heard = CodesignStore(tmp_path), []
-    fly_tasks(tasks, store, fly_noted, workers=2, done=heard.append)
-    assert sorted((each.case, each.seed) for each in heard) == sorted(
+    store, finished = CodesignStore(tmp_path), []
+    fly_tasks(tasks, store, fly_recorded, workers=2, done=finished.append)
+    assert sorted((each.case, each.seed) for each in finished) == sorted(
         (each.case, each.seed) for each in tasks
     )
     reasons = {(each.case, each.seed): each.broken for each in store.flights() if each.broken}
     assert reasons == {(GPS_ALONE.name, 1): "its process died", (LOSSY.name, 2): "fell into the sea"}
     with store.path.open("ab") as file:
-        file.write(b'{"case": "ftm-8-5n", "seed": 1, "dig')  # killed while it wrote
+        file.write(b'{"case": "ftm-8-5n", "seed": 1, "dig')  # killed during a write
     there = known(tasks, CodesignStore(tmp_path))
     assert len(there) == len(tasks)
     assert there[BASE.name, 2].measures.shape_m == pytest.approx(0.2)
     store.append(flown(tasks[0], shape_m=7.0))
-    assert known(tasks, store)[BASE.name, 1].measures.shape_m == 7.0  # the latest, on a line of its own
-    assert {each.state for each in known(tasks, store).values()} == {"one"}  # also of that without a note
+    assert known(tasks, store)[BASE.name, 1].measures.shape_m == 7.0  # the latest, on a new line
+    assert {each.state for each in known(tasks, store).values()} == {"one"}  # also for lines without a state
     later = make_tasks(cases, plan, folder=tmp_path, state="another")
     assert known(later, store) == {}
     assert len(known(later, store, stale=True)) == len(tasks)
     shorter = make_tasks(cases, replace(plan, duration_s=8.0), folder=tmp_path, state="one")
-    assert known(shorter, store) == known(shorter, store, stale=True) == {}  # cuts and lies come elsewhere
-    with pytest.raises(CampaignError, match="the sources have changed"):
-        fly_tasks(later, store, fly_noted, workers=2, done=heard.append)
-    assert len(heard) == len(tasks)
+    assert known(shorter, store) == known(shorter, store, stale=True) == {}  # other fault times
+    with pytest.raises(CampaignError, match="the sources changed"):
+        fly_tasks(later, store, fly_recorded, workers=2, done=finished.append)
+    assert len(finished) == len(tasks)
 
 
-def test_two_campaigns_do_not_fly_into_one_folder(tmp_path, monkeypatch):
+def test_folder_is_locked_for_one_campaign(tmp_path, monkeypatch):
     monkeypatch.setattr(cli, "keep_stdout", lambda: sys.stdout)
     with CodesignStore(tmp_path).alone():
         with pytest.raises(CampaignError, match="another campaign"), CodesignStore(tmp_path).alone():
             pass
         result = run_cli("--only", "baselines", "--data", tmp_path)
         assert result.exit_code == BAD_INPUT
-        assert "another campaign" in " ".join(result.stderr.split())  # whatever line the folder's name fills
+        assert "another campaign" in " ".join(result.stderr.split())  # the line may be wrapped
     with CodesignStore(tmp_path).alone():
         pass
 
 
-def test_pairs_are_of_one_state_of_the_sources():
-    """Of three seeds one has its second flight by other sources, and one has none."""
+def test_pairs_have_the_same_state_of_the_sources():
+    """Of three seeds, one has its second flight from other sources, and one has no second flight."""
     states = {(BASE.name, 1): "a", (BASE.name, 2): "a", (BASE.name, 3): "a"}
     states |= {(LOSSY.name, 1): "a", (LOSSY.name, 2): "b"}
     flights = {}
@@ -132,8 +132,8 @@ def fly_timed_out(*_, **__):
     raise SwarmTimeoutError("the physics server is silent")
 
 
-def test_a_flight_whose_machinery_failed_is_broken(tmp_path, monkeypatch):
-    """A timeout is a formation that was not reached, unless it is the machinery's."""
+def test_flight_with_an_infrastructure_failure_is_broken(tmp_path, monkeypatch):
+    """A timeout means that the formation was not reached, unless the infrastructure caused it."""
     (task,) = make_tasks((BASE,), CodesignPlan(seeds=1), folder=tmp_path)
     for status, reason in (("failed", "the physics server is silent"), ("not_formed", None)):
 
@@ -168,19 +168,19 @@ def test_a_flight_whose_machinery_failed_is_broken(tmp_path, monkeypatch):
                 one_process.fly(task.scenario, tmp_path)
 
 
-def test_the_state_of_the_sources_is_what_they_do(tmp_path):
-    """Comments, docstrings and layout change nothing; a number does, wherever it flies."""
+def test_source_state_ignores_comments_and_layout(tmp_path):
+    """Comments, docstrings and layout do not change the state; a number in flight code does."""
     for package in ("antenna", "netsim", "autopilot", "harness/cli", "studies/codesign"):
         (tmp_path / package).mkdir(parents=True)
     for name in ("flights.py", "measures.py"):
         (tmp_path / "studies" / "codesign" / name).touch()
-    flying, telling = tmp_path / "autopilot" / "a.py", tmp_path / "harness" / "cli" / "fly.py"
+    flying, reporting = tmp_path / "autopilot" / "a.py", tmp_path / "harness" / "cli" / "fly.py"
     flying.write_text('"""One."""\n\n\ndef f(x):\n    """Two."""\n    return x + 1\n')
-    telling.write_text("A = 1\n")
+    reporting.write_text("A = 1\n")
     first = sources_state(tmp_path)
     sources_state.cache_clear()
     flying.write_text('"""Three."""\ndef f(x):\n    # four\n    return (x + 1)\n')
-    telling.write_text("A = 2\n")
+    reporting.write_text("A = 2\n")
     assert sources_state(tmp_path) == first
     sources_state.cache_clear()
     flying.write_text("def f(x):\n    return x + 2\n")
@@ -197,7 +197,7 @@ def fly_made_up(task):
 
 @pytest.fixture
 def no_flying(monkeypatch):
-    """A campaign whose flights land at once, in this process, and are counted; one breaks at first."""
+    """A campaign whose flights finish at once in this process and are counted; one breaks at first."""
     flights = []
 
     def fly_here(tasks, store, _fly, *, done, **_):
@@ -222,7 +222,7 @@ def run_cli(*arguments):
     return CliRunner().invoke(cli.codesign_app, [str(argument) for argument in arguments])
 
 
-def test_a_second_run_flies_nothing_and_writes_the_same_page(tmp_path, no_flying, monkeypatch):
+def test_second_run_flies_nothing_and_writes_the_same_page(tmp_path, no_flying, monkeypatch):
     monkeypatch.setattr(cli, "keep_stdout", lambda: sys.stdout)
     arguments = ("--only", "baselines", "--data", tmp_path / "data", "--out", tmp_path / "docs")
     first = run_cli(*arguments)
@@ -255,39 +255,39 @@ def test_a_second_run_flies_nothing_and_writes_the_same_page(tmp_path, no_flying
     assert len(no_flying) == 40 + 1 + 40
 
 
-def words_of(flights, tasks, **changed):
-    """The introduction's text without its lines."""
+def introduction_text(flights, tasks, **changed):
+    """Return the introduction without line breaks."""
     text = introduction(Book(plan=PLAN, flights=flights), tasks, made_by=command(PLAN), **changed)
     return " ".join(text.split())
 
 
-def test_the_page_says_what_it_rests_on():
-    """Of four cases one has no flight, one two and the others three; a cut of 10 s is flown for 40 s."""
+def test_introduction_states_flights_and_sources():
+    """Of four cases one has no flight, one two and the others three; an outage of 10 s takes 40 s."""
     cases = (BASE, cut(PLAN), LOSSY, GPS_ALONE)
     tasks = make_tasks(cases, PLAN, folder=Path(), state="now")
     flights = {}
     for task in tasks:
         if task.case != GPS_ALONE.name and task.seed <= 3 - (task.case == LOSSY.name):
             flights[task.case, task.seed] = replace(flown(task), state="now")
-    text = words_of(flights, tasks)
+    text = introduction_text(flights, tasks)
     assert "from 8 flights of `scenarios/article.toml`" in text
-    assert "30 to 40 s in formation each by the plan" in text
+    assert "30 to 40 s in formation each as planned" in text
     assert "2 to 3 of each of 3 cases, and none of 1 more." in text
-    assert "7 minutes were simulated in 1 minutes of flying" in text  # 8 of 50 s, in 10 s each
-    assert "the same sources give the same ones" in text
-    assert "the present one" not in text
+    assert "7 minutes were simulated in 1 minutes of wall time" in text  # 8 of 50 s, in 10 s each
+    assert "the same sources give the same numbers" in text
+    assert "the current one" not in text
     flights[BASE.name, 1] = replace(flights[BASE.name, 1], digest="other", state="before")
-    text = words_of(flights, tasks)
-    assert "1 of the flights are of other states of the sources than the present one**, 2 states" in text
+    text = introduction_text(flights, tasks)
+    assert "1 of the flights are of other states of the sources than the current one**, 2 states" in text
     assert "same sources" not in text
     assert "same winds" not in text
-    assert "neither state for sure" not in text
-    assert "neither state for sure" in words_of(flights, tasks, changed=True)
-    assert "without a flight of any of the 4 cases" in words_of({}, tasks)
-    assert "from simulated measurements, without a flight" in words_of({}, [])
+    assert "cannot be assigned to one state" not in text
+    assert "cannot be assigned to one state" in introduction_text(flights, tasks, changed=True)
+    assert "without a flight of any of the 4 cases" in introduction_text({}, tasks)
+    assert "from simulated measurements, without a flight" in introduction_text({}, [])
 
 
-def test_the_page_names_the_command_that_makes_it():
+def test_page_names_its_command():
     program = "python scripts/experiment_codesign.py"
     assert command(CodesignPlan()) == program
     assert command(QUICK, quick=True) == f"{program} --quick"
@@ -299,17 +299,17 @@ def test_the_page_names_the_command_that_makes_it():
 
 
 @pytest.mark.usefixtures("no_flying")
-def test_json_is_the_checks_and_unmet_ones_are_the_exit_status(tmp_path, monkeypatch):
+def test_json_has_the_checks_and_failed_ones_set_the_exit_status(tmp_path, monkeypatch):
     monkeypatch.setattr(cli, "keep_stdout", lambda: sys.stdout)
     result = run_cli("--only", "wind_agents", "--quick", "--json", "--data", tmp_path)
     assert result.exit_code == MISSED
     numbers = {each["name"]: each for each in json.loads(result.stdout)}
     assert numbers["shape error with FTM, 8 UAVs, 5 N, mean"]["met"] is True
-    assert numbers["GPS alone over FTM there"]["value"] == pytest.approx(1.0)
-    assert numbers["GPS alone over FTM there"]["at_least"] == 5.0
+    assert numbers["shape error with GPS alone over that with FTM, same case"]["value"] == pytest.approx(1.0)
+    assert numbers["shape error with GPS alone over that with FTM, same case"]["at_least"] == 5.0
 
 
-def test_an_unknown_group_is_one_line():
+def test_unknown_group_is_a_one_line_error():
     result = run_cli("--only", "wind_agents,nonsense")
     assert result.exit_code == BAD_INPUT
     assert "nonsense" in result.stderr

@@ -1,4 +1,4 @@
-"""What the co-design experiment flies, measures of a flight, and makes of many (10 s)."""
+"""Tests of the co-design experiment: cases, measures of a flight, statistics of many (10 s)."""
 
 import math
 
@@ -40,7 +40,7 @@ PLACES_NED_M = BASE.scenario(PLAN, 1).places_ned_m()
 
 
 def t_quantile(probability, freedom):
-    """Student's quantile by quadrature of its density and bisection: nothing of what is under test."""
+    """Return Student's quantile by quadrature of its density and bisection, for an independent test."""
     scale = special.gamma((freedom + 1) / 2) / (math.sqrt(freedom * math.pi) * special.gamma(freedom / 2))
 
     def density(x):
@@ -54,8 +54,8 @@ def t_quantile(probability, freedom):
     return low
 
 
-def test_a_mean_has_students_interval():
-    """1 to 5: deviation sqrt(2.5), so the mean 3 is known to t(0.975, 4) sqrt(2.5 / 5) = 1.963."""
+def test_mean_has_students_interval():
+    """1 to 5: deviation sqrt(2.5), so the interval of the mean 3 is ± t(0.975, 4) sqrt(2.5 / 5) = 1.963."""
     interval = mean_interval([1.0, 2.0, None, 3.0, 4.0, 5.0])
     half = t_quantile(0.975, 4) * math.sqrt(0.5)
     assert (interval.value, interval.count) == (3.0, 5)
@@ -66,7 +66,7 @@ def test_a_mean_has_students_interval():
     assert mean_interval([None]).text() == "–"
 
 
-def test_a_mean_s_interval_holds_the_truth_in_95_of_100_campaigns():
+def test_mean_interval_has_95_percent_coverage():
     """4000 campaigns of ten: 95 % with a standard error of 0.34 %."""
     rng = np.random.default_rng(3)
     held = [
@@ -76,8 +76,8 @@ def test_a_mean_s_interval_holds_the_truth_in_95_of_100_campaigns():
     assert np.mean(held) == pytest.approx(0.95, abs=0.012)
 
 
-def test_a_ratio_is_of_the_means_and_its_interval_is_of_pairs():
-    """What both flights of a pair share cancels: here all of it, and only 1 % per pair is left.
+def test_ratio_is_of_means_with_an_interval_over_pairs():
+    """Common errors of a pair cancel: here all of them, except 1 % per pair.
 
     Pairs (c, 5 c (1 + e)) with c from 0.1 to 0.9: a ratio of means taken apart would be known to some 20 %.
     """
@@ -96,7 +96,7 @@ def test_a_ratio_is_of_the_means_and_its_interval_is_of_pairs():
     assert ratio_interval([1.0, 1.0], [0.0, 0.0]).count == 0
 
 
-def test_a_ratio_s_interval_holds_the_truth():
+def test_ratio_interval_covers_the_truth():
     """Lognormal pairs of ratio 6; with ten pairs the bootstrap is a little short of its 95 %."""
     rng = np.random.default_rng(5)
     held = 0
@@ -111,7 +111,7 @@ def test_a_ratio_s_interval_holds_the_truth():
 # ---- the antenna's expectation
 
 
-def test_expected_gain_goes_through_the_table_in_between_and_no_further():
+def test_expected_gain_interpolates_the_table_and_does_not_extrapolate():
     assert expected_gain(0.5, 10).mean_dbi == pytest.approx(12.62)
     assert expected_gain(0.5, 5).mean_dbi == expected_gain(1.0, 10).mean_dbi == pytest.approx(11.04)
     assert expected_gain(0.0, 10).mean_dbi == pytest.approx(13.26)
@@ -123,10 +123,10 @@ def test_expected_gain_goes_through_the_table_in_between_and_no_further():
 
 
 @pytest.mark.nec2
-def test_expected_gain_is_what_drawn_errors_give():
-    """Between the table's points, at sigma / lambda = 0.03: 40 draws know the mean to 0.14 / sqrt(40) dB.
+def test_expected_gain_agrees_with_drawn_errors():
+    """Between the table's points, at sigma / lambda = 0.03; 40 draws have an error of 0.14 / sqrt(40) dB.
 
-    The interpolation between 12.9 dBi of neighbours is allowed a tenth of a decibel beside that.
+    The tolerance of the interpolation between neighbours at 12.9 dBi is 0.1 dB in addition.
     """
     config = BASE.scenario(PLAN, 1).antenna
     try:
@@ -149,8 +149,8 @@ def test_expected_gain_is_what_drawn_errors_give():
     assert np.std(gains) == pytest.approx(expected.std_db, rel=0.5)
 
 
-def test_sigma_is_what_was_drawn():
-    """Independent errors of 0.2 m, aligned: the rms comes back to sigma by the degrees of freedom left."""
+def test_sigma_recovers_the_drawn_deviation():
+    """Independent errors of 0.2 m, aligned: the rms gives sigma with the remaining degrees of freedom."""
     rng = np.random.default_rng(7)
     errors_m = rng.normal(0.0, 0.2, (2000, 8, 3))
     left = shape_errors_ne_m(errors_m[..., :2], PLACES_NED_M)
@@ -163,7 +163,7 @@ def test_sigma_is_what_was_drawn():
 # ---- cases
 
 
-def test_every_case_is_a_scenario_that_differs_as_its_name_says():
+def test_each_case_is_a_scenario_that_matches_its_name():
     plan = CodesignPlan(seeds=1)
     cases = {case.name: case for members in groups(plan).values() for case in members}
     assert len({msgspec.json.encode((case.scenario(plan, 1), case.faults)) for case in cases.values()}) == 37
@@ -186,8 +186,8 @@ def test_every_case_is_a_scenario_that_differs_as_its_name_says():
     assert np.ptp(tight.places_ned_m()[:, 0]) == pytest.approx(1.25)
 
 
-def test_simulated_pairs_are_measured_by_whom_the_policy_says():
-    """Of N stations each pair has one initiator, its owner, in the simulation as in flight."""
+def test_simulated_pairs_have_the_initiator_of_the_policy():
+    """Each pair has one initiator, its owner, in the simulation as in flight."""
     for count in range(2, 10):
         flown = simulate(
             places_ned_m=np.pad(10.0 * np.arange(count)[:, None], ((0, 0), (0, 2))),
@@ -199,7 +199,7 @@ def test_simulated_pairs_are_measured_by_whom_the_policy_says():
         assert len(seen) == count * (count - 1) // 2
 
 
-def test_a_cut_of_ten_seconds_leaves_twenty_to_recover():
+def test_outage_of_ten_seconds_leaves_twenty_to_recover():
     (fault,) = cut(PLAN).faults
     assert isinstance(fault, RadioAttenuation)
     assert (fault.uav, fault.start_s, fault.duration_s) == ("all", 10.0, 10.0)
@@ -213,7 +213,7 @@ def test_a_cut_of_ten_seconds_leaves_twenty_to_recover():
 
 
 def tables_of(pos_ned_m, *, own_ned_m=None, collisions_us=(), sessions=40):
-    """50 rows per second from 1 s on; the channel is busy a tenth of the time, hosts lose 3 beacons of 12."""
+    """Make tables of 50 rows per second from 1 s on; channel busy 10 %, hosts lose 3 of 12 beacons."""
     instants, vehicles = pos_ned_m.shape[:2]
     time_us = 1_000_000 + 20_000 * np.arange(instants)
     return FlightTables(
@@ -234,10 +234,10 @@ def tables_of(pos_ned_m, *, own_ned_m=None, collisions_us=(), sessions=40):
     )
 
 
-def test_the_gains_of_a_flight_may_be_those_of_feeds_for_estimates():
-    """All believe themselves 3 m off the same way, which shifts all phases alike: the ideal gain.
+def test_gains_with_feeds_for_estimates():
+    """All estimates are off by the same 3 m, which shifts all phases equally: the gain is ideal.
 
-    One does not know its place for the first of five seconds, for which there is no gain.
+    One estimate is missing in the first of five seconds, for which there is no gain.
     """
     scenario = BASE.scenario(PLAN, 1)
     antenna = msgspec.structs.replace(scenario.antenna, feeds_for="estimates")
@@ -250,10 +250,10 @@ def test_the_gains_of_a_flight_may_be_those_of_feeds_for_estimates():
     assert measures.gain_dbi == pytest.approx([13.262] * 4, abs=0.001)
 
 
-def test_a_flight_s_errors_are_taken_apart():
-    """Where the vehicles believe to be is where they should be: all the error is of the estimates.
+def test_errors_of_a_flight_are_separated():
+    """The estimated positions are the desired ones: the whole error is that of the estimates.
 
-    The formation is shifted and turned as a whole besides, which is an absolute error and none of shape.
+    The formation is also shifted and turned, which is an absolute error but no shape error.
     """
     rng = np.random.default_rng(8)
     turn = np.array(((math.cos(0.1), -math.sin(0.1)), (math.sin(0.1), math.cos(0.1))))
@@ -262,7 +262,7 @@ def test_a_flight_s_errors_are_taken_apart():
     wrong_m = rng.normal(0.0, 0.2, (500, 8, 2))
     pos_ned_m[..., :2] += wrong_m
     own_ned_m = np.tile(PLACES_NED_M, (500, 1, 1))
-    own_ned_m[:50, 0] = np.nan  # not known at first
+    own_ned_m[:50, 0] = np.nan  # unknown at first
     scenario = BASE.scenario(PLAN, 1)
     tables = tables_of(pos_ned_m, own_ned_m=own_ned_m)
     measures = measure(tables, scenario, formed_us=2_000_000, wall_s=2.0, gains=False)
@@ -288,11 +288,11 @@ def test_a_flight_s_errors_are_taken_apart():
     assert shape_over_time_m(track_ne_m, PLACES_NED_M).mean() == pytest.approx(expected_m, rel=0.05)
 
 
-def test_after_a_fall_shape_is_that_of_a_wreck():
+def test_measures_end_at_a_contact_or_fall():
     """One is out of its place in one row of 150; two touch 4 s after the formation, and one falls 2 s later.
 
-    What counts ends with the touch, or with the fall if nobody touched: two of 300 rows are off then. Their
-    rms is that of what the alignment leaves of them. Vehicles on the ground are near nobody.
+    Measures end with the contact, or with the fall if there is no contact: two of 300 rows are off then.
+    Their rms is that of the error after alignment. Vehicles on the ground are excluded from distances.
     """
     pos_ned_m = np.tile(PLACES_NED_M, (500, 1, 1))
     hit = 50 + 200
@@ -316,7 +316,7 @@ def test_after_a_fall_shape_is_that_of_a_wreck():
         wall_s=0.0,
         gains=False,
     )
-    assert before.shape_m == untouched.shape_m  # what touched before it was formed is flying well
+    assert before.shape_m == untouched.shape_m  # a contact before the formation has no effect
     assert measures.shape_whole_m > 5.0
     assert measures.least_distance_m == measures.least_distance_formed_m == pytest.approx(0.5)
     assert (measures.collisions, measures.down) == (1, 2)
@@ -334,7 +334,7 @@ def test_after_a_fall_shape_is_that_of_a_wreck():
 
 
 def shape_series(seconds, changes):
-    """(T,) shape error: the last of ``(from_s, error_m)`` that holds."""
+    """(T,) shape error: the last valid one of ``(from_s, error_m)``."""
     time_s = TRACK_PERIOD_S * np.arange(round(seconds / TRACK_PERIOD_S))
     values = np.zeros(len(time_s))
     for from_s, error_m in changes:
@@ -342,11 +342,11 @@ def shape_series(seconds, changes):
     return values
 
 
-def test_recovery_is_when_the_error_is_small_for_good():
+def test_recovery_requires_a_lasting_small_error():
     """0.2 m before and 1 m during; back at 0.2 m 2.4 s after the return, with a relapse before that.
 
     The rms of the last second is below 0.25 m when as many of its five squares are small, so 4 (0.2)^2 +
-    1^2 is too much and only five small ones will do: 0.8 s after the first.
+    1^2 is too large and all five must be small: 0.8 s after the first.
     """
     shape_m = shape_series(40.0, [(0, 0.2), (12, 1.0), (20.4, 0.2), (21.6, 1.0), (22.4, 0.2)])
     result = judge_cut(shape_m, cut_at_s=10.0, cut_s=10.0)
@@ -373,26 +373,26 @@ def test_recovery_is_when_the_error_is_small_for_good():
     assert math.isnan(ended.largest_after_m)
 
 
-def test_what_was_large_before_may_be_a_fifth_larger_after():
+def test_recovery_limit_is_relative_to_the_error_before():
     shape_m = shape_series(40.0, [(0, 0.5), (12, 1.0), (25.0, 0.59)])
     assert judge_cut(shape_m, cut_at_s=10.0, cut_s=10.0).recovery_s == pytest.approx(5.0 + 0.8)
     shape_m = shape_series(40.0, [(0, 0.5), (12, 1.0), (25.0, 0.61)])
     assert math.isinf(judge_cut(shape_m, cut_at_s=10.0, cut_s=10.0).recovery_s)
 
 
-def test_a_pull_is_what_differs_between_two_flights_of_a_seed():
-    """One of the others is 0.4 m off from 10 s on, the liar itself 9 m, the whole shifted by 2 m.
+def test_pull_is_the_difference_of_two_flights_of_a_seed():
+    """From 10 s on one of the others is 0.4 m off, the biased UAV 9 m, and all are shifted by 2 m.
 
-    Alignment spreads the 0.4 m: the seven are laid over their places by the mean, which takes a seventh.
-    The turn takes a little more, which depends on where the vehicle stands.
+    Alignment distributes the 0.4 m: the mean of the seven removes a seventh, and the rotation removes a
+    little more, which depends on the place of the vehicle.
     """
     rng = np.random.default_rng(9)
     usual_ne_m = rng.normal(0.0, 0.1, (150, 8, 2))
-    lying_ne_m = usual_ne_m.copy()
-    lying_ne_m[50:] += (2.0, 0.0)
-    lying_ne_m[50:, LIAR] += 9.0
-    lying_ne_m[50:, 0, 0] += 0.4
-    pull = judge_liar(lying_ne_m, usual_ne_m, PLACES_NED_M, liar=LIAR, from_s=5.0)
+    biased_ne_m = usual_ne_m.copy()
+    biased_ne_m[50:] += (2.0, 0.0)
+    biased_ne_m[50:, LIAR] += 9.0
+    biased_ne_m[50:, 0, 0] += 0.4
+    pull = judge_liar(biased_ne_m, usual_ne_m, PLACES_NED_M, liar=LIAR, from_s=5.0)
     assert 0.5 * 0.4 < pull.displacement_m < 0.4 * 6 / 7 + 0.02
     assert pull.lasting_m == pytest.approx(pull.displacement_m * 100 / 125, rel=0.1)
     assert pull.shift_m == pytest.approx(2.0 + 0.4 / 7, rel=1e-6)
@@ -400,14 +400,14 @@ def test_a_pull_is_what_differs_between_two_flights_of_a_seed():
     assert pull.shape_m > pull.shape_without_m
     same = judge_liar(usual_ne_m, usual_ne_m[:120], PLACES_NED_M, liar=LIAR, from_s=5.0)
     assert same.displacement_m == same.shift_m == 0.0
-    short = judge_liar(lying_ne_m[:51], usual_ne_m, PLACES_NED_M, liar=LIAR, from_s=10.0)
+    short = judge_liar(biased_ne_m[:51], usual_ne_m, PLACES_NED_M, liar=LIAR, from_s=10.0)
     assert short.shift_m > 1.9
-    ended = judge_liar(lying_ne_m[:50], usual_ne_m, PLACES_NED_M, liar=LIAR, from_s=10.0)
+    ended = judge_liar(biased_ne_m[:50], usual_ne_m, PLACES_NED_M, liar=LIAR, from_s=10.0)
     assert all(math.isnan(getattr(ended, name)) for name in ended.__struct_fields__)
 
 
-def test_a_turn_displaces_in_space_and_not_within_the_shape():
-    """All turn by 2 degrees about the origin: the farthest of the others at r moves by 2 r sin(1 degree)."""
+def test_rotation_displaces_in_space_but_not_in_the_shape():
+    """All rotate by 2 degrees about the origin: the farthest other, at r, moves by 2 r sin(1 degree)."""
     usual_ne_m = np.zeros((150, 8, 2))
     angle = math.radians(2.0)
     turn = np.array(((math.cos(angle), -math.sin(angle)), (math.sin(angle), math.cos(angle))))

@@ -1,4 +1,4 @@
-"""How the co-design experiment judges what was flown and studied, without flights (8 s)."""
+"""Tests of the judgement of the co-design experiment's flights and studies, without flights (8 s)."""
 
 import math
 from types import MappingProxyType
@@ -33,13 +33,13 @@ def made_up(
     *,
     ftm_m=0.2,
     gps_m=1.5,
-    liar_pull_m=0.0,
-    liar_shift_m=0.0,
+    bias_pull_m=0.0,
+    bias_shift_m=0.0,
     recovers=True,
     drop_grows=1.2,
     drops=0.3,
     cuts=True,
-    tells=True,
+    measures_bias=True,
     gps_dbi=9.0,
     busy_scheduled=0.1,
     busy_per_session=0.001,
@@ -47,28 +47,29 @@ def made_up(
     completes=0.98,
     worse=MappingProxyType({}),
 ):
-    """A book in which everything was flown: ``ftm_m`` of shape error give or take a twentieth by seed.
+    """Make a book with all flights: a shape error of ``ftm_m`` with a scatter of 5 % by seed.
 
-    ``worse``: by what factor a case's errors are larger, by its name. Every session of ranging takes
+    ``worse``: factor on the errors of a case, by its name. Every ranging session takes
     ``busy_per_session`` of the channel's time: 5.6 % with 8 UAVs, all pairs and a second, 24 % with 16.
     """
     rng = np.random.default_rng(10)
     flights = {}
     for case in {case.name: case for members in groups(plan).values() for case in members}.values():
         for seed in range(1, plan.seeds + 1):
-            luck = 1.0 + 0.05 * np.random.default_rng(seed).standard_normal()
-            shape_m = luck * (gps_m if case.localisation == "gps" else ftm_m) * worse.get(case.name, 1.0)
+            scatter = 1.0 + 0.05 * np.random.default_rng(seed).standard_normal()
+            shape_m = scatter * (gps_m if case.localisation == "gps" else ftm_m) * worse.get(case.name, 1.0)
             if case.drop_fraction:
                 shape_m *= drop_grows
             instants = round((plan.duration_s + case.longer_s) / TRACK_PERIOD_S)
             track_ne_m = np.random.default_rng([seed, 1]).normal(
                 0.0, shape_m / math.sqrt(2), (instants, case.agents, 2)
             )
-            lies = tells and (case.lies or any(isinstance(fault, RangingBias) for fault in case.faults))
-            if lies:
+            in_flight = any(isinstance(fault, RangingBias) for fault in case.faults)
+            biased = measures_bias and (case.lies or in_flight)
+            if biased:
                 begin = 0 if case.lies else round(plan.liar_after_s / TRACK_PERIOD_S)
-                track_ne_m[begin:, 0, 0] += liar_pull_m
-                track_ne_m[begin:, :, 1] += liar_shift_m
+                track_ne_m[begin:, 0, 0] += bias_pull_m
+                track_ne_m[begin:, :, 1] += bias_shift_m
             if case == cut(plan):
                 begin = round(plan.cut_s / TRACK_PERIOD_S)
                 track_ne_m[begin : 2 * begin + 20 if recovers else None] *= 4.0
@@ -88,7 +89,7 @@ def made_up(
                 "completed_fraction": completes * (1.0 - drops * bool(case.drop_fraction)),
                 "beacons_lost_fraction": drops * bool(case.drop_fraction),
                 "longest_silence_s": plan.cut_s if case == cut(plan) and cuts else 0.1,
-                "range_offsets_m": tuple(5.0 * (lies and i == LIAR) for i in range(case.agents)),
+                "range_offsets_m": tuple(5.0 * (biased and i == LIAR) for i in range(case.agents)),
                 "gain_dbi": tuple(rng.normal(gps_dbi if case.localisation == "gps" else 13.0, 0.1, 30))
                 if case.gains
                 else (),
@@ -108,21 +109,22 @@ def missed(sections):
     return [check.name for section in sections.values() for check in section.checks if not check.passed]
 
 
-def test_a_campaign_that_meets_everything_passes_and_is_drawn(tmp_path):
+def test_campaign_within_all_limits_passes_and_is_drawn(tmp_path):
     sections = judged(made_up(PLAN), tmp_path)
     assert missed(sections) == []
     drawn = [name for section in sections.values() for name, _ in section.figures]
     assert len(drawn) == 6
     assert all((tmp_path / name).stat().st_size > 10_000 for name in drawn)
     checks = {check.name: check for section in sections.values() for check in section.checks}
-    assert checks["GPS alone over FTM there"].value == pytest.approx(1.5 / 0.2)
+    ratio = checks["shape error with GPS alone over that with FTM, same case"]
+    assert ratio.value == pytest.approx(1.5 / 0.2)
     (rows,) = [table.rows for table in sections["wavelength"].tables]
     assert len(rows) == 8
     cell = dict(zip(sections["wavelength"].tables[0].columns, rows[-1], strict=True))
     assert (cell["λ m"], cell["wind N"], cell["positions by"]) == ("10", "5", "with FTM")
     assert float(cell["σ horizontal m"]) == pytest.approx(0.2 / math.sqrt(1.625), rel=0.06)
     assert cell["expected for σ/λ dBi"].startswith("13.1")
-    assert "collides in 5 of 10 flights" in sections["wavelength"].tables[0].caption
+    assert "5 of 10 flights with GPS alone have a collision" in sections["wavelength"].tables[0].caption
     assert len(sections["beacon_period"].tables[0].rows) == len(BEACON_PERIODS_MS)
 
 
@@ -133,23 +135,23 @@ def test_a_campaign_that_meets_everything_passes_and_is_drawn(tmp_path):
             {"ftm_m": 0.26, "gps_m": 2.0},
             [
                 "shape error with FTM, 8 UAVs, 5 N, mean",
-                "shape error with FTM, all winds and numbers of UAVs that were flown, largest mean",
+                "shape error with FTM, all flown winds and numbers of UAVs, largest mean",
                 "shape error with FTM, any period, largest mean",
-                "shape error with FTM, any policy that the channel has room for, largest mean",
+                "shape error with FTM, any policy within the channel capacity, largest mean",
             ],
         ),
         (
             {"worse": {"ftm-16-5n": 1.3, "ftm-16-5n-scheduled": 1.3}},
             [
-                "shape error with FTM, all winds and numbers of UAVs that were flown, largest mean",
-                "shape error with FTM, any policy that the channel has room for, largest mean",
+                "shape error with FTM, all flown winds and numbers of UAVs, largest mean",
+                "shape error with FTM, any policy within the channel capacity, largest mean",
             ],
         ),
         (
             {"worse": {"ftm-16-0n": 1.3}},
-            ["shape error with FTM, all winds and numbers of UAVs that were flown, largest mean"],
+            ["shape error with FTM, all flown winds and numbers of UAVs, largest mean"],
         ),
-        ({"gps_dbi": 11.0}, ["gain that GPS alone loses and FTM gives back, in dB, smallest share"]),
+        ({"gps_dbi": 11.0}, ["share of the gain lost with GPS alone that FTM recovers, in dB, smallest"]),
         ({"worse": {"ftm-8-5n-beacon200": 1.15}}, ["shape error at 200 ms over that at 50 ms"]),
         (
             {"worse": {"ftm-8-5n-beacon1000": 0.8}},
@@ -159,14 +161,14 @@ def test_a_campaign_that_meets_everything_passes_and_is_drawn(tmp_path):
             {"completes": 0.94},
             [
                 (
-                    "share of ranging sessions that complete, any policy that the channel has room for, "
+                    "share of ranging sessions that complete, any policy within the channel capacity, "
                     "smallest mean"
                 )
             ],
         ),
         (
             {"busy_scheduled": 0.115},
-            ["scheduled: occupancy of the channel over what is wanted, largest"],
+            ["scheduled: occupancy of the channel over its configured share, largest"],
         ),
         (
             {"worse": {"ftm-8-5n-scheduled": 1.02}},
@@ -201,35 +203,38 @@ def test_a_campaign_that_meets_everything_passes_and_is_drawn(tmp_path):
             {"worse": {"ftm-8-5n-ideal": 0.9}},
             ["shape error over the emulated channel over that over an ideal one"],
         ),
-        ({"gps_m": 0.97}, ["GPS alone over FTM there"]),
+        ({"gps_m": 0.97}, ["shape error with GPS alone over that with FTM, same case"]),
         ({"drop_grows": 1.55}, ["30% of beacons and distances lost: growth of the shape error"]),
         (
             {"drops": 0.2},
             [
-                "losses: share of the beacons that hosts lost",
+                "losses: share of the beacons lost at the hosts",
                 "losses: share of ranging sessions that complete",
             ],
         ),
-        ({"cuts": False}, ["cut: time without any distance, shortest"]),
-        ({"tells": False}, ["liar: error of the distances that it measures, median, smallest"]),
-        ({"recovers": False}, ["cut: recovery from the channel's return, slowest"]),
+        ({"cuts": False}, ["outage: time without any distance, shortest"]),
+        ({"measures_bias": False}, ["ranging bias: error of the measured distances, median, smallest"]),
+        ({"recovers": False}, ["outage: recovery after the channel's return, slowest"]),
         (
-            {"liar_pull_m": 0.8},
+            {"bias_pull_m": 0.8},
             [
-                "liar in flight: displacement of another within the shape over 2 s, largest",
-                "liar in flight: displacement of another in space over 2 s, largest",
-                "liar from the start: lasting displacement of another within the shape, largest",
+                "ranging bias in flight: displacement of another in the shape over 2 s, largest",
+                "ranging bias in flight: displacement of another in space over 2 s, largest",
+                "ranging bias from the start: lasting displacement of another in the shape, largest",
             ],
         ),
-        ({"liar_shift_m": 0.4}, ["liar in flight: displacement of another in space over 2 s, largest"]),
+        (
+            {"bias_shift_m": 0.4},
+            ["ranging bias in flight: displacement of another in space over 2 s, largest"],
+        ),
     ],
 )
-def test_each_line_is_judged_by_its_own_number(changes, expected):
+def test_each_check_depends_on_its_own_measure(changes, expected):
     assert missed(judged(made_up(PLAN, **changes))) == expected
 
 
-def test_too_few_flights_are_not_enough():
-    """Every section says so, and every ratio."""
+def test_too_few_flights_fail():
+    """Every section and every ratio requires enough flights."""
     names = missed(judged(made_up(replace(PLAN, seeds=4))))
     assert names.count("flights that formed, fewest") == len(cli.JUDGES)
     assert names.count("pairs of flights, fewest of a ratio") == 3
@@ -238,15 +243,15 @@ def test_too_few_flights_are_not_enough():
         "pairs of flights, fewest of a ratio",
         "pairs of flights, GPS alone and FTM",
         "pairs of flights, with and without losses",
-        "pairs of flights, with and without a liar in flight",
-        "pairs of flights, with and without a liar from the start",
+        "pairs of flights, with and without ranging bias in flight",
+        "pairs of flights, with and without ranging bias from the start",
     })  # fmt: skip
 
 
 @pytest.mark.parametrize("name", cli.JUDGES)
-def test_a_group_whose_flights_all_broke_is_missed(name):
-    """So is one in which a single flight broke, or two UAVs collided, of any case that FTM holds together."""
-    book = made_up(replace(PLAN, seeds=11))  # one more than is needed, so that the lost one is seen as such
+def test_group_with_broken_flights_fails(name):
+    """A single broken flight or collision in a case with FTM fails as well."""
+    book = made_up(replace(PLAN, seeds=11))  # one more than required, so that the broken one is the cause
     assert missed(judged(book)) == []
     broken = {
         key: replace(flown, measures=None, broken="no vehicle is left") for key, flown in book.flights.items()
@@ -263,8 +268,8 @@ def test_a_group_whose_flights_all_broke_is_missed(name):
             assert any(expected in check.name and not check.passed for check in worse.checks), case.name
 
 
-def test_on_gps_alone_collisions_are_no_fault_but_what_is_expected():
-    """At 1.25 m half of the made-up flights collide; none would leave nothing to keep clear of."""
+def test_collisions_with_gps_alone_are_expected():
+    """At 1.25 m half of the synthetic flights collide; without collisions the case would not be critical."""
     book, tight = made_up(PLAN), wavelength("gps", 5, 2)
     calm = {
         key: replace(flown, measures=replace(flown.measures, collisions=0)) if key[0] == tight.name else flown
@@ -275,8 +280,8 @@ def test_on_gps_alone_collisions_are_no_fault_but_what_is_expected():
     ]
 
 
-def test_what_no_check_needs_may_be_missing_and_is_judged_where_it_is():
-    """Winds of 0 and 2 N with 4 and 16 UAVs are flown last; 240 sessions in 0.25 s are never judged."""
+def test_optional_flights_may_be_missing_but_are_judged_if_present():
+    """Winds of 0 and 2 N with 4 and 16 UAVs are flown last; 240 sessions in 0.25 s are not judged."""
     book = made_up(PLAN)
     last = {case.name for members in groups(PLAN).values() for case in members if case.last}
     assert last >= {"ftm-4-0n", "ftm-16-2n", "ftm-16-5n-every0.25s"}
@@ -292,8 +297,8 @@ def test_what_no_check_needs_may_be_missing_and_is_judged_where_it_is():
 
 
 @pytest.mark.parametrize("case", [LOSSY, LIAR_FROM_START, liar_in_flight(PLAN), cut(PLAN)])
-def test_a_flight_that_did_not_form_is_missed(case):
-    """It has neither errors nor a track, and its pair none to compare with."""
+def test_flight_that_did_not_form_fails(case):
+    """It has neither errors nor a track, and no pair for a comparison."""
     book = made_up(PLAN)
     old = book.flights[case.name, 3]
     nowhere = replace(old, measures=replace(old.measures, formed_s=None, shape_m=None, track_mm=()))
@@ -302,18 +307,18 @@ def test_a_flight_that_did_not_form_is_missed(case):
     assert len(names) == (2 if case == cut(PLAN) else 3)
 
 
-def test_a_track_that_ends_before_the_lie_is_no_pass():
+def test_track_that_ends_before_the_bias_fails():
     book, case = made_up(PLAN), liar_in_flight(PLAN)
     old = book.flights[case.name, 3]
     short = replace(old, measures=replace(old.measures, track_mm=old.measures.track_mm[:5]))
     names = missed(judged(replace(book, flights=dict(book.flights) | {(case.name, 3): short})))
     assert names == [
-        "liar in flight: displacement of another within the shape over 2 s, largest",
-        "liar in flight: displacement of another in space over 2 s, largest",
+        "ranging bias in flight: displacement of another in the shape over 2 s, largest",
+        "ranging bias in flight: displacement of another in space over 2 s, largest",
     ]
 
 
-def test_a_collision_at_five_metres_is_seen():
+def test_collision_at_five_metres_fails():
     book = made_up(PLAN)
     tight = wavelength("ftm", 5, 2)
     old = book.flights[tight.name, 3]
@@ -327,8 +332,8 @@ def test_a_collision_at_five_metres_is_seen():
         assert missed(judged(worse)) == expected
 
 
-def test_nothing_flown_is_nothing_met(tmp_path):
-    """No number is made up, and nothing breaks for the lack of them."""
+def test_without_flights_every_check_fails(tmp_path):
+    """Missing values are NaN and raise no exception."""
     sections = judged(Book(plan=PLAN, flights={}), tmp_path)
     checks = [check for section in sections.values() for check in section.checks]
     assert len(missed(sections)) == len(checks) > 10
@@ -337,7 +342,7 @@ def test_nothing_flown_is_nothing_met(tmp_path):
 def fake_study(setting, runs):
     """Ten runs of 8 UAVs have 130 degrees of freedom: the mean NEES of a consistent filter is 13.
 
-    With losses it lies above its band, with 4 UAVs below it.
+    With losses it is above its band, with 4 UAVs below it.
     """
     nees = 9.9 if setting.agents == 4 else 16.1 if setting.loss else 14.0
     return LocalisationResult(
@@ -347,41 +352,42 @@ def fake_study(setting, runs):
     )  # fmt: skip
 
 
-def test_studies_are_done_once_for_a_state_and_a_number_of_runs(tmp_path, monkeypatch):
-    """Only the article's geometry is held to 1.5 times the bound."""
+def test_studies_are_stored_by_state_and_number_of_runs(tmp_path, monkeypatch):
+    """Only the article's geometry must be within 1.5 times the bound."""
     monkeypatch.setattr(estimator_section, "START_METHOD", "fork")
     monkeypatch.setattr(estimator_section, "study", fake_study)
     seen = []
 
-    def go(plan):
+    def run_studies(plan):
         seen.clear()
-        return estimator_section.studies(plan, tmp_path, workers=2, done=lambda *told: seen.append(told))
+        return estimator_section.studies(plan, tmp_path, workers=2, done=lambda *counts: seen.append(counts))
 
-    first = go(CodesignPlan(seeds=1))
+    first = run_studies(CodesignPlan(seeds=1))
     assert seen == [(done, 5) for done in range(6)]
     section = estimator_section.judge_estimator(first)
-    assert [check.passed for check in section.checks] == [False, True, True]  # ten runs are not enough
+    assert [check.passed for check in section.checks] == [False, True, True]  # ten runs are too few
     assert section.checks[1].value == pytest.approx(1.49)
     (table,) = section.tables
     assert [row[0] for row in table.rows] == ["8", "8", "8", "4", "16"]
     cells = [dict(zip(table.columns, row, strict=True)) for row in table.rows]
-    assert [row["consistent"] for row in cells] == ["yes", "**too sure**", "yes", "**too cautious**", "yes"]
+    verdicts = [row["consistent"] for row in cells]
+    assert verdicts == ["yes", "**overconfident**", "yes", "**too cautious**", "yes"]
     assert [row["expected"] for row in cells] == ["13", "13", "13", "5", "29"]
-    assert (cells[0]["filter says"], cells[0]["batch over bound"]) == ("0.100", "1.20")
+    assert (cells[0]["filter predicts"], cells[0]["batch over bound"]) == ("0.100", "1.20")
     assert "distances of the last 4 s" in section.conditions
-    monkeypatch.setattr(estimator_section, "study", None)  # nothing is studied again ...
-    assert go(CodesignPlan(seeds=1)) == first
+    monkeypatch.setattr(estimator_section, "study", None)  # no study is repeated ...
+    assert run_studies(CodesignPlan(seeds=1)) == first
     assert seen == [(5, 5)]
     monkeypatch.setattr(estimator_section, "study", fake_study)
-    assert go(CodesignPlan(seeds=2)) != first  # ... but for another number of runs
-    enough = estimator_section.judge_estimator(go(CodesignPlan(seeds=10)))
+    assert run_studies(CodesignPlan(seeds=2)) != first  # ... except with another number of runs
+    enough = estimator_section.judge_estimator(run_studies(CodesignPlan(seeds=10)))
     assert [check.passed for check in enough.checks] == [True, True, True]
-    go(CodesignPlan(seeds=1))
+    run_studies(CodesignPlan(seeds=1))
     assert seen == [(5, 5)]
     with monkeypatch.context() as patch:
         patch.setattr(estimator_section, "_SEED", 6)
-        go(CodesignPlan(seeds=1))
+        run_studies(CodesignPlan(seeds=1))
         assert seen[0] == (0, 5)
     monkeypatch.setattr(estimator_section, "_state", lambda: "another")
-    go(CodesignPlan(seeds=1))
+    run_studies(CodesignPlan(seeds=1))
     assert seen[0] == (0, 5)

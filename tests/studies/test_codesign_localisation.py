@@ -1,4 +1,4 @@
-"""The localisation filter on simulated flights: near the bound, consistent, hard to pull. Takes 20 s."""
+"""Tests of the localisation filter on simulated flights: bound, consistency, robustness (20 s)."""
 
 from dataclasses import replace
 
@@ -26,18 +26,18 @@ def flight(seed, *, places=PLACES, duration_s=16.0, **kwargs):
 
 
 def found_m(flown, filter_):
-    """(N, 2) estimated horizontal positions at the end, its odometry granted."""
+    """Return the estimated horizontal positions (N, 2) at the end, with the final odometry."""
     return flown.odometry_ned_m[-1, :, :2] + filter_.state.reshape(flown.pos_ned_m.shape[1], -1)[:, :2]
 
 
 def errors_m(flown, filter_, members):
-    """(M,) distances from the truth that the best rigid alignment of these leaves."""
+    """Return the distances (M,) of members from the truth after their best rigid alignment."""
     truth_m = flown.pos_ned_m[-1, members, :2]
     return np.linalg.norm(aligned_error_m(found_m(flown, filter_)[members], truth_m), axis=1)
 
 
 def pulled_m(places, trouble, *, spared, seeds, **kwargs):
-    """Largest shift of the others' shape that a trouble causes, draws being the same; and the filters."""
+    """Return the others' largest displacement in shape by a fault, with equal draws, and the filters."""
     members = [k for k in range(len(places)) if k != spared]
     worst_m, filters = 0.0, []
     for seed in seeds:
@@ -55,11 +55,11 @@ def pulled_m(places, trouble, *, spared, seeds, **kwargs):
 @pytest.mark.parametrize(
     ("loss", "scheduled"), [(0.0, False), (0.3, False), (0.0, True), (0.3, True)], ids=str
 )
-def test_it_is_within_one_and_a_half_of_the_bound_and_consistent(loss, scheduled):
+def test_filter_is_within_1_5_of_the_bound_and_consistent(loss, scheduled):
     """25 runs of 13 degrees of freedom: the ratio scatters by 1 / sqrt(2 * 325) = 4 %.
 
-    So few runs in four settings are held against the band of 999 in 1000; studies of 100 runs are what the
-    band of 95 in 100 is for.
+    The few runs in four settings are compared with the 99.9 % band; the 95 % band is used for studies of
+    100 runs.
     """
     result = localisation_study(
         PLACES, runs=25, seed=5, trouble=Trouble(loss=loss), scheduled=scheduled, duration_s=12.0, batch=False
@@ -67,19 +67,19 @@ def test_it_is_within_one_and_a_half_of_the_bound_and_consistent(loss, scheduled
     assert 0.88 < result.filter_over_bound < 1.3
     low, high = chi2.ppf((0.0005, 0.9995), 25 * 13) / 25
     assert low < result.nees < high
-    # It says of itself what the bound is, and no less.
+    # The predicted error is at least the bound.
     assert 0.95 < result.predicted_m / result.bound_m < 1.2
 
 
-def test_the_batch_optimum_is_at_the_bound_and_the_filter_near_both():
+def test_batch_optimum_is_at_the_bound_and_the_filter_near_both():
     result = localisation_study(PLACES, runs=12, seed=6, duration_s=10.0, scheduled=True)
     # 12 runs of 13 degrees of freedom scatter by 6 %.
     assert 0.8 < result.batch_over_bound < 1.25
     assert result.filter_m < 1.2 * result.batch_m
 
 
-def test_the_bound_of_two_uavs_at_rest_is_that_of_kalman_and_bucy():
-    """Two UAVs that only walk, measured once a second: the variance obeys a scalar Riccati equation.
+def test_bound_of_two_uavs_at_rest_obeys_the_riccati_equation():
+    """Two UAVs with random walk only, one distance each second: the variance obeys a scalar Riccati equation.
 
     Just after a measurement p = (p + q) r / (p + q + r), with q = 2 * 0.1^2 m^2 from the two walks in a
     second and r = 0.03^2 + 0.05^2 m^2; its root p = (sqrt(q^2 + 4 q r) - q) / 2. Heights are known, and the
@@ -99,20 +99,20 @@ def test_the_bound_of_two_uavs_at_rest_is_that_of_kalman_and_bucy():
 
 @pytest.mark.parametrize("scheduled", [False, True], ids=["all_pairs", "scheduled"])
 @pytest.mark.parametrize(("lie_m", "since_s"), [(5.0, 0.0), (-5.0, 0.0), (5.0, 8.0), (-5.0, 8.0)])
-def test_a_liar_pulls_nobody_else_by_30_cm(scheduled, lie_m, since_s):
+def test_ranging_bias_of_one_uav_moves_no_other_by_30_cm(scheduled, lie_m, since_s):
     trouble = Trouble(liars_m={1: lie_m}, liars_since_s=since_s)
     worst_m, filters = pulled_m(PLACES, trouble, spared=1, seeds=range(3), scheduled=scheduled)
     assert worst_m < 0.3
     for flown, filter_ in filters:
         assert filter_.located.all()
-        # What the others measure holds the liar. When it is only from 0, 6 and 7, which stand nearly in a
-        # line with it, GPS holds it across that line: 3 sigma of 1.5 m.
+        # The others' distances determine the biased UAV. If there are only those of 0, 6 and 7, nearly in a
+        # line with it, GPS determines its position across that line: 3 sigma of 1.5 m.
         limit_m = 4.5 if scheduled else 0.5
         assert errors_m(flown, filter_, list(range(8)))[1] < limit_m
 
 
 @pytest.mark.parametrize("since_s", [0.0, 8.0])
-def test_a_gps_that_is_off_by_20_m_pulls_nobody(since_s):
+def test_gps_error_of_20_m_of_one_uav_moves_no_other(since_s):
     trouble = Trouble(gps_off_ned_m={2: (20.0, -6.0, 0.0)}, gps_off_since_s=since_s)
     worst_m, filters = pulled_m(PLACES, trouble, spared=2, seeds=range(3))
     assert worst_m < 0.1
@@ -121,7 +121,7 @@ def test_a_gps_that_is_off_by_20_m_pulls_nobody(since_s):
         error_ned_m, std_m = filter_.gps_error(2)
         truth_m = (flown.fix_ned_m - flown.pos_ned_m)[-1, 2, :2]
         assert np.linalg.norm(error_ned_m[:2] - truth_m) < 3.0 * np.hypot(std_m, 0.5) * np.sqrt(2.0)
-        # The place of the whole is what seven GPS give instead of eight: 3 sigma of 1.5 sqrt(1/7 - 1/8) m.
+        # The common position is the mean of seven GPS instead of eight: 3 sigma of 1.5 sqrt(1/7 - 1/8) m.
         clean = flight(seed)
         there_m = [
             (found_m(*pair) - pair[0].pos_ned_m[-1, :, :2]).mean(axis=0)
@@ -131,8 +131,8 @@ def test_a_gps_that_is_off_by_20_m_pulls_nobody(since_s):
 
 
 @pytest.mark.parametrize("jump_m", [1.0, -3.0, 8.0])
-def test_odometry_that_jumps_moves_nobody(jump_m):
-    """As that of an application that has been started again, at the origin."""
+def test_odometry_jump_moves_no_uav(jump_m):
+    """As the odometry of a restarted application, which begins at the origin."""
     trouble = Trouble(odometry_jump_ne_m={2: (jump_m, 0.0)}, odometry_jump_s=8.0)
     for seed in range(2):
         flown = flight(seed, duration_s=10.0, trouble=trouble)
@@ -141,8 +141,8 @@ def test_odometry_that_jumps_moves_nobody(jump_m):
         assert errors_m(flown, filter_, list(range(8))).max() < 0.45
 
 
-def test_an_outage_of_beacons_is_no_jump():
-    """3 s without a word, in which the UAV flew a bow at 1 m/s^2: 0.75 m beside the mean of velocities."""
+def test_beacon_outage_is_not_detected_as_a_jump():
+    """3 s without messages in a turn at 1 m/s^2: 0.75 m from the mean of the velocities."""
     filter_ = flight(1, duration_s=4.0).filtered()
     last_us = 4_000_000
     odometry_m = filter_.positions_ned_m(last_us)[3] - filter_.state.reshape(8, -1)[3, :3]
@@ -152,17 +152,17 @@ def test_an_outage_of_beacons_is_no_jump():
 
 
 @pytest.mark.parametrize("scheduled", [False, True], ids=["all_pairs", "scheduled"])
-def test_blocked_lines_of_sight_bend_the_shape_by_centimetres(scheduled):
+def test_blocked_lines_of_sight_deform_the_shape_by_centimetres(scheduled):
     trouble = Trouble(nlos_fraction=0.2, nlos_mean_m=3.0)
     squares = []
     for seed in range(6):
         flown = flight(seed, trouble=trouble, scheduled=scheduled)
         squares.append(np.square(errors_m(flown, flown.filtered(), list(range(8)))))
-    # A fifth of the distances off by 3 m and more; without any the rms is 0.1 m.
+    # A fifth of the distances has an excess with a mean of 3 m; without it the rms is 0.1 m.
     assert np.sqrt(np.mean(squares)) < 0.25
 
 
-def test_late_double_and_shuffled_beacons_change_little():
+def test_late_duplicate_and_reordered_beacons_have_little_effect():
     quiet, shuffled = [], []
     for seed in range(4):
         for trouble, into in ((Trouble(), quiet), (Trouble(shuffled=True, loss=0.3), shuffled)):
@@ -175,8 +175,8 @@ def test_late_double_and_shuffled_beacons_change_little():
     assert np.sqrt(np.mean(shuffled)) < 1.6 * np.sqrt(np.mean(quiet))
 
 
-def test_what_distances_do_not_see_of_a_line_gps_holds():
-    """Across a line the UAVs stand as GPS has them, no worse, and the filter knows how badly."""
+def test_positions_across_a_line_follow_gps():
+    """Across a line the error is not larger than that of GPS, and the filter predicts it."""
     across, gps, predicted = [], [], []
     for seed in range(8):
         flown = flight(seed, places=LINE, duration_s=40.0)
@@ -188,7 +188,7 @@ def test_what_distances_do_not_see_of_a_line_gps_holds():
         along_m = aligned_error_m(found_m(flown, filter_), flown.pos_ned_m[-1, :, :2])[:, 1]
         assert np.sqrt(np.mean(along_m**2)) < 0.6
     assert np.mean(across) < np.mean(gps)
-    # 64 errors, a few of them alike: within 1.5 of what it says.
+    # 64 errors, some correlated: within 1.5 of the prediction.
     assert np.mean(across) < 1.5**2 * np.mean(predicted)
 
 
@@ -201,25 +201,25 @@ def test_few_uavs_and_a_ring_are_located_within_the_bound(count):
         assert result.nees < 1.2 * result.nees_band[1]
 
 
-def test_one_alone_keeps_to_its_gps():
+def test_single_uav_follows_its_gps():
     flown = flight(1, places=PLACES[:1], duration_s=5.0)
     filter_ = flown.filtered()
     assert not filter_.located.any()
     assert filter_.shape_std_m(flown.end_us) == float("inf")
     error_m = np.linalg.norm(found_m(flown, filter_) - flown.fix_ned_m[-1, :, :2])
-    assert error_m < 1.0  # white noise and drift; the bias is not to be told
+    assert error_m < 1.0  # white noise and drift; the bias is unobservable
     assert 1.3 < filter_.std_ned_m()[0] < 1.7
 
 
-def test_a_wrong_arrangement_by_gps_is_not_fallen_for():
-    """GPS that shows the rows exchanged, from the start."""
+def test_wrong_arrangement_by_gps_is_rejected():
+    """GPS with the rows exchanged from the start."""
     off = {k: (-2.0 * PLACES[k, 0], 0.0, 0.0) for k in range(8)}
     for seed in range(3):
         flown = flight(seed, trouble=Trouble(gps_off_ned_m=off))
         assert errors_m(flown, flown.filtered(), list(range(8))).max() < 0.5
 
 
-def test_everything_told_is_as_simulated():
+def test_messages_have_the_simulated_statistics():
     flown = flight(3, duration_s=6.0, trouble=Trouble(loss=0.3))
     fixes, distances = flown.known()
     assert len(set(fixes)) == len(fixes)
@@ -236,9 +236,9 @@ def test_everything_told_is_as_simulated():
 
 
 class Hover:
-    """UAVs at rest in their places, as one of them has it: beacons at 10 Hz, each pair twice a second.
+    """UAVs at rest in their places and the filter of one of them: beacons at 10 Hz, each pair twice a second.
 
-    What is public may be changed between runs; GPS biases are constant, odometry is at rest.
+    Public attributes may be changed between runs; GPS biases are constant, odometry is at rest.
     """
 
     def __init__(self, places, *, seed=1):
@@ -258,10 +258,10 @@ class Hover:
     def run(self, seconds):
         for _ in range(round(10 * seconds)):
             self.steps += 1
-            self._hear()
+            self._receive()
             self.filter.update(self.now_us)
 
-    def _hear(self):
+    def _receive(self):
         for k in set(range(self.n)) - self.silent:
             down_m = self.places[k, 2]
             self.filter.on_odometry(k, self.now_us, (*self.odometry_m[k].tolist(), down_m), (0.0, 0.0, 0.0))
@@ -277,7 +277,7 @@ class Hover:
                 self.filter.on_range(i, j, self.now_us, float(distance_m), 0.03, now_us=self.now_us)
 
     def error_m(self, members):
-        """Largest distance from the truth that the best rigid alignment of these leaves."""
+        """Return the largest distance from the truth after the best rigid alignment of the members."""
         found_m = self.filter.positions_ned_m(self.now_us)[members, :2]
         return np.linalg.norm(aligned_error_m(found_m, self.places[members, :2]), axis=1).max()
 
@@ -294,29 +294,28 @@ class Hover:
     ],
     ids=["two", "line_0.9", "line_2.5", "line_8.5", "triangle", "square"],
 )
-def test_small_formations_are_located_and_know_their_shape(places):
-    """In the filter, half a minute long: nobody is thrown out, and the error is no larger than is said.
+def test_small_formations_are_located_with_a_consistent_shape_error(places):
+    """In half a minute no UAV is restarted, and the error is not larger than predicted.
 
-    The mean square of 15 runs over what the filter expects: of one degree of freedom and a bow, 1 and three
-    times sqrt(2 / 15).
+    The mean square of 15 runs over its prediction, with one degree of freedom, is at most 1 + 3 sqrt(2 / 15).
     """
     ratios = []
     for seed in range(15):
         world = Hover(np.array([(*place, -10.0) for place in places]), seed=seed)
         world.run(30)
-        everybody = list(range(world.n))
+        all_uavs = list(range(world.n))
         assert world.filter.located.all()
         assert world.filter.restarts == 0
         found_m = world.filter.positions_ned_m(world.now_us)[:, :2]
         error_m = aligned_error_m(found_m, world.places[:, :2])
         ratios.append(np.sum(error_m**2) / world.n / world.filter.shape_std_m(world.now_us) ** 2)
         if world.n != 3 or places[1][1] == 1.04:
-            assert world.error_m(everybody) < 0.25
+            assert world.error_m(all_uavs) < 0.25
     assert np.mean(ratios) < 1.0 + 3.0 * np.sqrt(2.0 / 15.0)
 
 
-def test_a_step_of_odometry_is_none_of_the_fixes():
-    """Solved afresh before its next fix, a UAV begins where it would have begun without the step."""
+def test_odometry_step_does_not_change_the_restart():
+    """A UAV restarted before its next fix begins at the same position as without the step."""
     offsets_m = []
     for jump_m in (0.0, 8.0):
         world = Hover(CORNERS)
@@ -329,7 +328,7 @@ def test_a_step_of_odometry_is_none_of_the_fixes():
 
 
 @pytest.mark.parametrize("count", [3, 4])
-def test_who_begins_anew_comes_back_though_another_is_dead(count):
+def test_restarted_uav_is_located_while_another_is_lost(count):
     world = Hover(CORNERS[:count])
     world.run(10)
     assert world.filter.located.all()
@@ -337,48 +336,48 @@ def test_who_begins_anew_comes_back_though_another_is_dead(count):
     world.run(5)
     world.filter.restart(1)
     assert not world.filter.located[1]
-    world.run(4)  # GPS within 0.5 s, distances within 1 s or what is there of them within 2.5 s
-    living = list(range(count - 1))
-    assert world.filter.located[living].all()
-    assert world.error_m(living) < 0.3
+    world.run(4)  # GPS within 0.5 s, all distances within 1 s, available ones used after 2.5 s
+    alive = list(range(count - 1))
+    assert world.filter.located[alive].all()
+    assert world.error_m(alive) < 0.3
 
 
 @pytest.mark.parametrize("count", [3, 4])
-def test_the_dead_do_not_spoil_the_shape_of_the_living(count):
-    """The dead one's place is known to 0.1 sqrt(100) = 1 m per axis, which says nothing of the others.
+def test_lost_uav_does_not_degrade_the_shape_of_the_others(count):
+    """The lost UAV's position error is 0.1 sqrt(100) = 1 m per axis, which does not affect the others.
 
-    Two or three living are known as well as ever: 0.05 to 0.1 m. Bending would shorten them by 0.1 m.
+    The error of two or three others remains 0.05 to 0.1 m. A deformation would shorten distances by 0.1 m.
     """
     world = Hover(CORNERS[:count])
     world.run(15)
     before_m = world.filter.shape_std_m(world.now_us)
     world.silent = {count - 1}
-    living = list(range(count - 1))
+    alive = list(range(count - 1))
     errors_m = []
     for _ in range(20):
         world.run(5)
-        apart_m = world.filter.positions_ned_m(world.now_us)[living]
+        apart_m = world.filter.positions_ned_m(world.now_us)[alive]
         errors_m += [
             np.linalg.norm(apart_m[i] - apart_m[j]) - np.linalg.norm(world.places[i] - world.places[j])
-            for i in living
-            for j in living[:i]
+            for i in alive
+            for j in alive[:i]
         ]
     assert world.filter.shape_std_m(world.now_us) < 1.3 * before_m
-    # Means of 20 errors and more of 0.1 m, hardly alike after 5 s: 0.02 m.
+    # Means of at least 20 errors of 0.1 m, nearly uncorrelated after 5 s: 0.02 m.
     assert abs(np.mean(errors_m)) < 0.06
 
 
 @pytest.mark.parametrize(("silent_s", "back_s"), [(12.0, 1.0), (200.0, 3.5)])
 @pytest.mark.parametrize("cut", [False, True], ids=["one", "all"])
-def test_who_was_silent_is_back_at_once(silent_s, back_s, *, cut):
-    """Three, whose mirror image fits all distances, wandering by 0.1 m sqrt(s) and pushed by the wind."""
+def test_uav_is_located_soon_after_a_silence(silent_s, back_s, *, cut):
+    """Three UAVs, whose mirror image fits all distances, with a walk of 0.1 m sqrt(s) and wind."""
     places = PLACES[[0, 1, 5]]
     silent = {1, 2} if cut else {1}
     for seed in range(4, 8):
         flown = flight(seed, places=places, duration_s=12.0 + silent_s + back_s)
         from_us, to_us = 12_000_000, 12_000_000 + round(1e6 * silent_s)
 
-        def told(item, *, from_us=from_us, to_us=to_us):
+        def without_silent(item, *, from_us=from_us, to_us=to_us):
             distances = [
                 d
                 for d in item.distances
@@ -389,7 +388,7 @@ def test_who_was_silent_is_back_at_once(silent_s, back_s, *, cut):
         flown = replace(
             flown,
             messages=tuple(
-                told(m)
+                without_silent(m)
                 for m in flown.messages
                 if m.station not in silent or not from_us <= m.arrival_us < to_us
             ),
@@ -399,8 +398,8 @@ def test_who_was_silent_is_back_at_once(silent_s, back_s, *, cut):
         assert errors_m(flown, filter_, [0, 1, 2]).max() < 0.4
 
 
-def test_an_application_begun_anew_after_a_silence_is_told_and_found_again():
-    """Its odometry is 5 m off, which the wind could have come to in 3 s."""
+def test_application_restart_after_a_silence_is_detected_and_recovered():
+    """Its odometry is 5 m off, which wind could cause in 3 s."""
     world = Hover(CORNERS)
     world.odometry_m[3] = (4.0, 3.0)
     world.run(15)
@@ -414,8 +413,8 @@ def test_an_application_begun_anew_after_a_silence_is_told_and_found_again():
     assert world.error_m([0, 1, 2, 3]) < 0.3
 
 
-def test_a_wrong_place_that_half_fits_is_left_within_a_minute():
-    """UAV 3 mirrored in the diagonal of 1 and 2 is beside UAV 0: two of its three distances fit."""
+def test_wrong_place_that_fits_two_distances_is_left_within_a_minute():
+    """UAV 3 mirrored at the diagonal of 1 and 2 is near UAV 0: two of its three distances fit."""
     world = Hover(CORNERS)
     world.run(15)
     world.filter.state[3 * STATES : 3 * STATES + 2] -= (2.2, 2.8)
@@ -424,8 +423,8 @@ def test_a_wrong_place_that_half_fits_is_left_within_a_minute():
     assert world.error_m([0, 1, 2, 3]) < 0.3
 
 
-def test_a_line_of_sight_that_stays_blocked_throws_nobody_out():
-    """One of six pairs measures 3 m too much: no place of its ends fits better, so they keep theirs."""
+def test_permanently_blocked_line_of_sight_restarts_no_uav():
+    """One of six pairs measures 3 m too much: no other place of its ends fits better, so they keep theirs."""
     world = Hover(CORNERS)
     world.run(15)
     world.blocked_m[frozenset((0, 3))] = 3.0

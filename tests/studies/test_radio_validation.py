@@ -1,4 +1,4 @@
-"""The radio's validation: verdicts on given numbers, references, command lines; its benchmark (20 s)."""
+"""Tests of the radio's validation: verdicts on given values, references, command lines, benchmark (20 s)."""
 
 import json
 import math
@@ -45,8 +45,8 @@ def missed(section):
 # ---- arithmetic
 
 
-def test_a_curve_crosses_where_its_logarithm_does():
-    """10^(5 - s) is a line on the logarithm, which comes down to 0.1 at s = 6, whatever the points."""
+def test_crossing_is_interpolated_in_the_logarithm():
+    """10^(5 - s) is linear in the logarithm and reaches 0.1 at s = 6, for any points."""
     snr_db = [4.7, 5.3, 5.8, 6.6, 7.0]
     per = [min(1.0, 10.0 ** (5.0 - s)) for s in snr_db]
     assert crossing_db(snr_db, per) == pytest.approx(6.0)
@@ -56,7 +56,7 @@ def test_a_curve_crosses_where_its_logarithm_does():
 
 
 def test_means_have_the_standard_error_of_their_runs():
-    """1, 2, 3: variance 1, so the mean's error is 1 / sqrt(3); one run alone has none."""
+    """1, 2, 3: variance 1, so the mean's error is 1 / sqrt(3); a single run has none."""
     mean = mean_of([1.0, 2.0, 3.0])
     assert mean.value == pytest.approx(2.0)
     assert mean.error == pytest.approx(1.0 / math.sqrt(3.0))
@@ -94,7 +94,7 @@ def bianchi_mbps(stations, frame_bytes):
     return good * 8.0 * BIANCHI_PACKET_BYTES / (1.0 - 1.0 / window) / mean_us
 
 
-def test_the_references_packets_are_1500_bytes_over_llc_alone():
+def test_reference_packets_have_1500_bytes_over_llc_only():
     """With that frame the model is within 0.3 % of every value; IP and UDP headers would take 1.3 % more."""
     frame_bytes = BIANCHI_UDP_BYTES + UDP_OVERHEAD_BYTES + DATA_OVERHEAD_BYTES
     assert frame_bytes == 1500 + 8 + 28
@@ -105,11 +105,11 @@ def test_the_references_packets_are_1500_bytes_over_llc_alone():
         assert bianchi_mbps(row.stations, frame_bytes + 28) < 0.99 * row.throughput_mbps
 
 
-def test_ns3_ran_for_as_many_ticks_as_ours():
-    """In range of each other all stations hear a broadcast or none does.
+def test_ns3_runs_have_as_many_ticks_as_ours():
+    """All stations are in range, so either all of them receive a broadcast or none does.
 
-    So what is delivered is a whole number of the datagrams that were sent in 600 ticks, to the table's six
-    digits: at other lengths some row's is not.
+    The delivery ratio is therefore a whole number of the datagrams sent in 600 ticks, to the table's six
+    digits; with other run lengths this fails for some row.
     """
     rows = [row for row in ns3_broadcasts() if row.period_s == 0.1]
     assert len(rows) == 35
@@ -139,7 +139,7 @@ def saturation_results(factor=lambda _row: 1.0):
     return results
 
 
-def test_saturation_is_judged_row_by_row(tmp_path):
+def test_saturation_is_checked_row_by_row(tmp_path):
     results = saturation_results(lambda _row: 1.029)
     assert set(results) == set(saturation_section.jobs(PLAN))
     section = saturation_section.judge(PLAN, results, tmp_path)
@@ -153,40 +153,40 @@ def test_saturation_is_judged_row_by_row(tmp_path):
 def broadcast_results(ratio=0.0, delay=1.0):
     results = {}
     for row in ns3_broadcasts():
-        wanted, wanted_ms = broadcast_section.theirs(row)
-        # what the means' errors allow beside the tolerance is taken up first; one run of ours has none
-        lower = math.copysign(2.0 * (wanted.error or 0.0), ratio) if ratio else 0.0
-        later_ms = math.copysign(2.0 * (wanted_ms.error or 0.0), delay - 1.0) if delay != 1.0 else 0.0
+        reference, reference_ms = broadcast_section.theirs(row)
+        # uses the tolerance added for the means' errors; a single run of ours has none
+        lower = math.copysign(2.0 * (reference.error or 0.0), ratio) if ratio else 0.0
+        later_ms = math.copysign(2.0 * (reference_ms.error or 0.0), delay - 1.0) if delay != 1.0 else 0.0
         results[f"{row.stations}/{row.period_s:g}/{row.jitter_s:g}"] = [
             BroadcastResult(
-                delivery_ratio=max(wanted.value + ratio + lower, 0.0),
-                mean_delay_ms=delay * wanted_ms.value + later_ms,
+                delivery_ratio=max(reference.value + ratio + lower, 0.0),
+                mean_delay_ms=delay * reference_ms.value + later_ms,
                 p50_ms=1.0, p95_ms=2.0, p99_ms=3.0,
             )
         ]  # fmt: skip
     return results
 
 
-def test_broadcasts_are_judged_by_delivery_and_delay(tmp_path):
-    """42 rows and more; delays only of those of which more than a twentieth arrives."""
+def test_broadcasts_are_checked_by_delivery_and_delay(tmp_path):
+    """At least 42 rows; delays only for rows with a delivery ratio above 0.05."""
     results = broadcast_results(ratio=-0.029, delay=1.09)
     assert set(results) == set(broadcast_section.jobs(PLAN))
     section = broadcast_section.judge(PLAN, results, tmp_path)
     assert missed(section) == []
     assert (tmp_path / section.figures[0][0]).stat().st_size > 10_000
     rows = ns3_broadcasts()
-    heard = [row for row in rows if row.delivery_ratio > 0.05]
-    assert len(section.checks) == len(rows) + len(heard)
+    delivered = [row for row in rows if row.delivery_ratio > 0.05]
+    assert len(section.checks) == len(rows) + len(delivered)
     late = missed(broadcast_section.judge(PLAN, broadcast_results(delay=1.11), None))
-    assert len(late) == len(heard)
+    assert len(late) == len(delivered)
     assert all(name.endswith("mean delay") for name in late)
-    # of those of which less than 0.031 arrives nothing less can be said
+    # below a delivery ratio of 0.031 there is no lower limit
     lost = missed(broadcast_section.judge(PLAN, broadcast_results(ratio=-0.031), None))
     assert len(lost) == sum(row.delivery_ratio >= 0.031 for row in rows)
 
 
 def test_phases_drawn_once_are_compared_with_several_seeds():
-    """ns-3's own seeds lie farther apart than is allowed, so that one of them could not be asked for."""
+    """ns-3's seeds differ by more than the tolerance, so a single one cannot be the reference."""
     (row,) = (row for row in ns3_broadcasts() if (row.stations, row.period_s) == (8, 0.005))
     ratio, delay_ms = broadcast_section.theirs(row)
     assert ratio.error is not None
@@ -196,8 +196,8 @@ def test_phases_drawn_once_are_compared_with_several_seeds():
     assert broadcast_section.theirs(slow)[0] == mean_of([slow.delivery_ratio])
 
 
-def test_error_rates_are_judged_where_they_are_a_tenth(tmp_path):
-    """ns-3's own curves meet it; moved by one of their points, 0.5 dB, non-HT does not, by two none."""
+def test_error_rates_are_checked_at_10_percent(tmp_path):
+    """ns-3's curves pass; shifted by one point, 0.5 dB, non-HT fails; by two points all fail."""
     curves = ns3_error_curves()
 
     def moved(points):
@@ -227,7 +227,7 @@ def ranged(error_mean_m=0.7, error_std_m=0.1, round_trip_std_m=0.1, airtime_ms=1
 
 
 def ranging_results(bias_m=0.0, trip=1.0, averaging=1.0, airtime=1.0, failed=0):
-    """Two frames make one round trip, which has no scatter of its own: the others tell it."""
+    """Make results; two frames result in one round trip, whose scatter follows from the other sessions."""
     trips_m = {20: 0.384 * trip, 40: 0.161 * trip, 80: 0.08 * trip}
     results = {
         f"width/{width}": [ranged(error_mean_m=0.7 + bias_m, round_trip_std_m=trip_m)]
@@ -248,13 +248,13 @@ def ranging_results(bias_m=0.0, trip=1.0, averaging=1.0, airtime=1.0, failed=0):
     return results
 
 
-def test_ranging_is_judged_by_bias_sigma_averaging_and_air_time(tmp_path):
+def test_ranging_is_checked_by_bias_sigma_averaging_and_air_time(tmp_path):
     results = ranging_results(bias_m=-0.0099, trip=1.09, averaging=0.91, airtime=1.049)
     assert set(results) == set(ranging_section.jobs(PLAN))
     section = ranging_section.judge(PLAN, results, tmp_path)
     assert missed(section) == []
     assert (tmp_path / section.figures[0][0]).stat().st_size > 10_000
-    for wrong, told, count in (
+    for wrong, text, count in (
         ({"bias_m": 0.0101}, "mean error", 3),
         ({"trip": 0.89}, "sigma of a round trip", 2),
         ({"averaging": 1.11}, "√", 12),
@@ -263,37 +263,37 @@ def test_ranging_is_judged_by_bias_sigma_averaging_and_air_time(tmp_path):
     ):
         names = missed(ranging_section.judge(PLAN, ranging_results(**wrong), None))
         assert len(names) == count
-        assert all(told in name for name in names)
+        assert all(text in name for name in names)
 
 
 def mesh_results(plan, completed, delay_ms):
-    """Sessions of 1.5 ms; ``completed`` and ``delay_ms`` of the share of the time that they want."""
+    """Make sessions of 1.5 ms; ``completed`` and ``delay_ms`` are functions of the requested air time."""
     results = {}
     for period_s in mesh_section.PERIODS_S:
         for n in range(2, plan.mesh_stations + 1):
-            wanted = 1.5e-3 * n * (n - 1) / period_s
+            requested = 1.5e-3 * n * (n - 1) / period_s
             results[f"{period_s:g}/{n}"] = [
                 MeshResult(
-                    stations=n, completed_fraction=completed(wanted), mean_delay_ms=delay_ms(wanted),
-                    round_trips_mean=7.0, busy_fraction=min(0.7 * wanted, 0.7), airtime_fraction=wanted,
+                    stations=n, completed_fraction=completed(requested), mean_delay_ms=delay_ms(requested),
+                    round_trips_mean=7.0, busy_fraction=min(0.7 * requested, 0.7), airtime_fraction=requested,
                 )
             ]  # fmt: skip
     return results
 
 
-def test_ranging_of_all_pairs_is_judged_by_the_air_time_it_wants(tmp_path):
-    def fits(wanted):
-        return min(1.0, 1.0 / wanted)
+def test_ranging_of_all_pairs_is_checked_by_its_requested_air_time(tmp_path):
+    def fits(requested):
+        return min(1.0, 1.0 / requested)
 
-    def delayed(wanted):
-        return 1.6 if wanted < 1.0 else 10.0
+    def delayed(requested):
+        return 1.6 if requested < 1.0 else 10.0
 
     results = mesh_results(PLAN, fits, delayed)
     assert set(results) == set(mesh_section.jobs(PLAN))
     section = mesh_section.judge(PLAN, results, tmp_path)
     assert missed(section) == []
     assert (tmp_path / section.figures[0][0]).stat().st_size > 10_000
-    # a channel that never fills, and one that never works
+    # a channel with unlimited capacity, and one with nearly none
     names = missed(mesh_section.judge(PLAN, mesh_results(PLAN, lambda _: 1.0, lambda _: 1.6), None))
     assert len(names) == sum(check.name in names for check in section.checks) > 0
     assert {"round trips" in name or "delay" in name for name in names} == {True}
@@ -305,7 +305,7 @@ def test_ranging_of_all_pairs_is_judged_by_the_air_time_it_wants(tmp_path):
 # ---- command lines
 
 
-def test_every_subject_has_jobs_for_other_processes_and_a_quick_plan_has_fewer():
+def test_subjects_have_picklable_jobs_and_a_quick_plan_has_fewer():
     assert set(ORDER) == set(SUBJECTS)
     for subject in SUBJECTS.values():
         quick, full = (
@@ -316,14 +316,14 @@ def test_every_subject_has_jobs_for_other_processes_and_a_quick_plan_has_fewer()
         assert all(function.__module__.startswith("studies.radio") for function, _ in full)
 
 
-def test_an_unknown_subject_is_one_line():
+def test_unknown_subject_is_a_one_line_error():
     result = CliRunner().invoke(validate_radio_app, ["--only", "per,nonsense"])
     assert result.exit_code == BAD_INPUT
     assert result.stderr.count("\n") <= 2
     assert "nonsense" in result.stderr
 
 
-def test_numbers_alone_are_printed_and_the_page_is_written(tmp_path):
+def test_json_prints_only_numbers_and_the_page_is_written(tmp_path):
     result = CliRunner().invoke(validate_radio_app, ["--only", "per", "--json", "--out", str(tmp_path)])
     assert result.exit_code == FINE, result.stdout
     numbers = json.loads(result.stdout)
@@ -339,17 +339,17 @@ def test_numbers_alone_are_printed_and_the_page_is_written(tmp_path):
 # ---- benchmark
 
 
-def test_the_articles_traffic_comes_about_without_a_flight_and_again():
-    """Ten beacons a second from each of eight, and in each second a request from each to each.
+def test_article_traffic_is_recorded_without_a_flight_and_repeatable():
+    """Eight UAVs send ten beacons a second each, and in each second a request to every other one.
 
-    The first second is short of requests: who has not been heard is not ranged to.
+    The first second has fewer requests, because ranging starts after the first beacon of a station.
     """
     scenario, seconds = load(ARTICLE), 3.0
     steps = record(scenario, seconds)
     items = [item for step in steps for batch in step.batches for item in batch.items]
     assert sum(isinstance(item, Broadcast) for item in items) == pytest.approx(8 * 10 * seconds, abs=8)
     assert 8 * 7 * (seconds - 1.0) <= sum(isinstance(item, FtmRequest) for item in items) <= 8 * 7 * seconds
-    # the beacons carry distances, so sessions have come about
+    # the beacons contain distances, so sessions completed
     assert (
         max(len(item.payload) for item in items if isinstance(item, Broadcast))
         == HEADER_BYTES + 7 * RANGE_BYTES
@@ -361,8 +361,8 @@ def test_the_articles_traffic_comes_about_without_a_flight_and_again():
     assert 0 < run < len(steps)
 
 
-def test_what_is_scheduled_can_be_played_without_its_work():
-    """Two calls at once, of which the first schedules a third after the end of the interval."""
+def test_scheduled_events_can_be_replayed_without_effect():
+    """Two simultaneous calls; the first schedules a third one after the end of the interval."""
     schedule, run_until = EventQueue.at, EventQueue.run_until
     with _scheduling() as intervals:
         queue, done = EventQueue(), []
@@ -376,7 +376,7 @@ def test_what_is_scheduled_can_be_played_without_its_work():
     _play_empty(intervals)
 
 
-def test_a_peer_is_timed_beside_the_emulator():
+def test_peer_program_is_timed():
     """A peer that computes for at least 0.3 s and simulates two seconds costs 0.15 s a second."""
     busy = "import time\nwhile time.process_time() < 0.3: pass"
     cost = bench_saturated(
@@ -386,11 +386,11 @@ def test_a_peer_is_timed_beside_the_emulator():
     assert 0.15 <= cost.peer.cpu_s < 1.0
     assert cost.faster_cpu == pytest.approx(cost.peer.cpu_s / cost.process.cpu_s)
     assert 0.0 < cost.floor.cpu_s < cost.run.cpu_s < cost.process.cpu_s
-    # each of 600 frames a second is handed over by Python
+    # each of 600 frames a second is submitted by Python
     assert cost.events > 600
 
 
-def test_a_peer_that_fails_is_one_line():
+def test_failing_peer_is_a_one_line_error():
     command = shlex.join([sys.executable, "-c", "raise SystemExit(3)"])
     result = CliRunner().invoke(
         bench_radio_app, ["--peer", command, "--seconds", "0.5", "--stations", "2", "--repeats", "1"]

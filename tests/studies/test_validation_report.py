@@ -1,4 +1,4 @@
-"""What a validation says: verdicts, page, command lines, allocation's oracle; the benchmark (20 s)."""
+"""Tests of the vehicle's validation: verdicts, page, command lines, allocation; the benchmark (20 s)."""
 
 import json
 import math
@@ -60,7 +60,7 @@ def test_page():
     assert page.endswith("![a figure](images/x.png)\n")
 
 
-def test_figures_lie_in_the_shared_folder_beside_the_pages_if_there_is_one(tmp_path):
+def test_figures_are_in_the_shared_folder_if_it_exists(tmp_path):
     out = tmp_path / "docs" / "results"
     assert figures_folder(out) == out / "images"
     assert figures_link(out) == figures_link(None) == "images"
@@ -72,7 +72,7 @@ def test_figures_lie_in_the_shared_folder_beside_the_pages_if_there_is_one(tmp_p
     assert page.endswith("![a figure](../images/x.png)\n")
 
 
-def test_the_achievable_torques_are_those_that_a_linear_programme_finds():
+def test_achievable_torques_agree_with_a_linear_programme():
     rng = np.random.default_rng(4)
     levers = effectiveness(AllocationParams())[1:3] * RANGE_N
     torques = rng.uniform(-3.5, 3.5, (150, 2))
@@ -91,14 +91,14 @@ def test_allocation_of_random_demands():
     assert max(worst.lost_torque_n_m, worst.turned_rad, worst.misreported_n_m, worst.added_thrust) < 1e-9
 
 
-def test_every_subject_is_judged_by_the_results_that_it_asks_for(tmp_path):
-    """Allocation alone is quick; of the others the jobs must at least go to another process."""
+def test_subjects_are_judged_by_the_results_of_their_jobs(tmp_path):
+    """Only allocation is fast; the jobs of the other subjects must be picklable."""
     seen = []
     (section,) = campaign.run(
         replace(QUICK, demands=500),
         ["allocation"],
         images=tmp_path,
-        progress=lambda *told: seen.append(told),
+        progress=lambda *counts: seen.append(counts),
     )
     assert seen == [("allocation", 1, 1)]
     assert all(one.passed for one in section.checks)
@@ -108,10 +108,10 @@ def test_every_subject_is_judged_by_the_results_that_it_asks_for(tmp_path):
         assert all(function.__module__.startswith("studies.vehicle") for function, _ in jobs)
 
 
-def drawn_campaign(seed, *, thinks_better_by=1.0, runs=20, epochs=90):
-    """Independent errors of a filter that is honest, or thinks itself better than it is."""
+def drawn_campaign(seed, *, overconfidence=1.0, runs=20, epochs=90):
+    """Draw independent errors of a filter that is consistent or overconfident."""
     rng = np.random.default_rng(seed)
-    square = (rng.standard_normal((len(STATES), runs, epochs, 3)) ** 2).sum(axis=3) * thinks_better_by**2
+    square = (rng.standard_normal((len(STATES), runs, epochs, 3)) ** 2).sum(axis=3) * overconfidence**2
     return Consistency(
         time_s=EPOCH_S * np.arange(epochs),
         nees=dict(zip(STATES, square, strict=True)),
@@ -127,8 +127,8 @@ def nees_checks(campaigns):
     return [one for one in section.checks if "NEES" in one.name], section
 
 
-def test_normalised_errors_are_judged_by_the_band_of_all_epochs_for_every_seed():
-    """A tenth too sure is 1.21 per degree of freedom: inside one epoch's 0.675 to 1.388, but not of 90.
+def test_normalised_errors_are_checked_by_the_band_of_all_epochs_for_each_seed():
+    """10 % overconfidence is 1.21 per degree of freedom: inside one epoch's 0.675 to 1.388, but not of 90.
 
     20 runs of 90 independent epochs are 5400 degrees of freedom, a band of 1 +- 1.96 sqrt(2 / 5400) = 0.038.
     """
@@ -137,7 +137,7 @@ def test_normalised_errors_are_judged_by_the_band_of_all_epochs_for_every_seed()
     assert checks[0].at_most - checks[0].at_least == pytest.approx(2 * 0.038, rel=0.3)
     assert "outside" not in str(section.tables[0].rows)
     checks, section = nees_checks(
-        [drawn_campaign(11), drawn_campaign(12, thinks_better_by=1.1), drawn_campaign(14)]
+        [drawn_campaign(11), drawn_campaign(12, overconfidence=1.1), drawn_campaign(14)]
     )
     assert [one.passed for one in checks] == [True, False, True, False] * 2
     low, high = drawn_campaign(12).band()
@@ -147,7 +147,7 @@ def test_normalised_errors_are_judged_by_the_band_of_all_epochs_for_every_seed()
     ]  # fmt: skip
 
 
-def test_pooled_campaigns_are_one_of_all_their_runs():
+def test_pooled_campaign_contains_all_runs():
     campaigns = [drawn_campaign(seed, runs=5) for seed in range(3)]
     together = pooled(campaigns)
     assert together.nees["position"].shape == (15, 90)
@@ -157,8 +157,8 @@ def test_pooled_campaigns_are_one_of_all_their_runs():
     )
 
 
-def test_the_tilt_that_a_hover_cannot_know_is_that_of_the_simulated_biases():
-    """40000 drawn biases: their mean tilt, and how often a mean of eight is beyond the limit (2.5 %)."""
+def test_unobservable_tilt_is_that_of_the_simulated_biases():
+    """40000 drawn biases: their mean tilt, and the share of means of eight above the limit (2.5 %)."""
     rng = np.random.default_rng(15)
     model = PROFILES["consumer"].accel_m_s2.at_interval(0.004)
     axes = rng.standard_normal((40_000, 2, 2)) * (model.turn_on_std, model.drift_std)
@@ -168,7 +168,7 @@ def test_the_tilt_that_a_hover_cannot_know_is_that_of_the_simulated_biases():
     assert beyond == pytest.approx(0.025, abs=0.015)
 
 
-def test_a_calm_hover_with_consumer_sensors_learns_no_tilt_that_it_cannot_know():
+def test_calm_hover_with_consumer_sensors_adds_no_unobservable_tilt():
     """Eight flights; with an EKF2_ABIAS_INIT of 0.2 their mean is over the limit."""
     hovers = [
         Hover(seed=seed, mean_n=0.0, gust_rms_n=0.0, sensors="consumer", measure_s=10.0) for seed in range(8)
@@ -176,14 +176,14 @@ def test_a_calm_hover_with_consumer_sensors_learns_no_tilt_that_it_cannot_know()
     assert np.mean([fly_hover(hover).tilt_deg for hover in hovers]) < unobservable_tilt_deg(8)
 
 
-def test_an_unknown_subject_is_one_line():
+def test_unknown_subject_is_a_one_line_error():
     result = CliRunner().invoke(validate_app, ["--only", "hover,nonsense"])
     assert result.exit_code == BAD_INPUT
     assert result.stderr.count("\n") <= 2
     assert "nonsense" in result.stderr
 
 
-def test_the_script_prints_nothing_but_json():
+def test_script_prints_only_json():
     done = subprocess.run(
         [sys.executable, SCRIPT, "--quick", "--only", "allocation", "--json"],
         capture_output=True, text=True, check=False, timeout=200,
@@ -192,8 +192,8 @@ def test_the_script_prints_nothing_but_json():
     assert {one["met"] for one in json.loads(done.stdout)} == {True}
 
 
-def test_a_stop_watch_takes_off_what_it_calls():
-    """10 ms within, 5 ms around it: by the clock, so with room for a busy machine, but never negative."""
+def test_stop_watch_subtracts_nested_parts():
+    """10 ms nested, 5 ms around it, in wall time: with tolerance for a busy machine, but never negative."""
 
     def busy(seconds):
         end = time.perf_counter() + seconds
@@ -214,7 +214,7 @@ def test_a_stop_watch_takes_off_what_it_calls():
     assert 5e6 <= watch.spent_ns["outer"] <= whole_ns - watch.spent_ns["inner"]
 
 
-def test_the_parts_of_a_step_make_the_whole():
+def test_parts_of_a_step_add_up():
     recording = record_flight(16.0)
     cost = measure(recording, streams=False, repeats=1)
     assert 0 < recording.armed_from < len(recording.stream)

@@ -1,4 +1,4 @@
-"""One vehicle in one process: repeatable, controllable, and it measures what it says (15 s of processor)."""
+"""Tests of one vehicle in one process: repeatability, control and measures (15 s of processor time)."""
 
 import math
 
@@ -37,7 +37,7 @@ def standing(seconds, **kwargs):
 
 
 def track_of(pos_ned_m, **kwargs):
-    """A track at those positions, north up, estimated without error unless told otherwise."""
+    """Make a track at the given positions, level and heading north, by default without estimation error."""
     steps = len(pos_ned_m)
     level = np.tile((1.0, 0.0, 0.0, 0.0), (steps, 1))
     given = {
@@ -55,18 +55,18 @@ def test_equal_seeds_give_equal_bytes_and_others_do_not():
     assert first != standing(2.0, seed=4)[0]
 
 
-def test_the_vehicle_stands_at_the_origin_of_its_track():
+def test_vehicle_is_at_the_origin_of_its_track():
     _, track = standing(3.0)
     assert len(track.time_s) == round(3.0 / STEP_S)
     np.testing.assert_allclose(track.time_s, STEP_S * np.arange(1, len(track.time_s) + 1))
-    np.testing.assert_allclose(track.pos_ned_m, 0.0, atol=1e-4)  # it sinks in by 10 um
+    np.testing.assert_allclose(track.pos_ned_m, 0.0, atol=1e-4)  # contact penetration of 10 um
     late = track.after(2.0)
     assert late.time_s[0] == pytest.approx(2.0)
     assert len(late.pos_ned_m) == len(late.time_s) == round(1.0 / STEP_S) + 1
 
 
 def test_inertial_noise_scales_without_changing_its_pattern():
-    """The same draws times 0 and times 2: readings lie on a line through the truth."""
+    """The same draws times 0 and times 2: readings are on a line through the truth."""
 
     def readings(scale):
         with solo(imu_noise=scale, sensors=SensorsConfig(profile="gazebo")) as flight:
@@ -80,7 +80,7 @@ def test_inertial_noise_scales_without_changing_its_pattern():
     assert np.abs(readings(1.0) - still).max() > 0.01
 
 
-def test_the_plain_body_has_linear_drag_of_a_quarter_newton_per_metre_per_second():
+def test_plain_body_has_linear_drag_of_0_25_newton_per_metre_per_second():
     """Level at 10 m/s north with rotors at rest: F = -0.25 v, a = F / 1.55 kg, and gravity down."""
     with World(model=PLAIN, spawn_pos_ned_m=[[0.0, 0.0, -500.0]], spawn_yaw_rad=0.0, step_us=4_000) as world:
         force = np.array([[1550.0, 0.0, 0.0]])  # 1000 m/s^2 for 10 ms
@@ -94,14 +94,14 @@ def test_the_plain_body_has_linear_drag_of_a_quarter_newton_per_metre_per_second
         assert world.truth.acc_ned_m_s2[0, 1] == 0.0
 
 
-def test_a_vehicle_that_cannot_arm_says_why():
+def test_failure_to_arm_is_reported_with_its_reason():
     with solo() as flight:
         flight.gps = False
         with pytest.raises(FlightError, match=r"not ready after 30 s: .*GPS"):
             flight.take_off(5.0)
 
 
-def test_controls_from_elsewhere_go_to_the_motors():
+def test_external_controls_replace_those_of_the_vehicle():
     with solo() as flight:
         flight.take_off(2.0)
         assert not flight.vehicle.commander.landed
@@ -147,8 +147,8 @@ def test_hover_in_wind_with_and_without_observer():
     assert with_observer.total_m < 0.5 * without.total_m < 0.4
 
 
-def test_hover_uses_what_it_is_told():
-    """Steady wind: the plain body's mean thrust axis leans by atan(5 / 15.2), whatever holds it there."""
+def test_hover_uses_its_conditions():
+    """Steady wind: the mean tilt of the plain body's thrust axis is atan(5 / 15.2) for any controller."""
     track = track_hover(
         Hover(
             seed=0,
@@ -179,8 +179,8 @@ def test_minimum_times(distance_m, seconds):
     assert allowed_s(distance_m) == pytest.approx(1.15 * seconds + 1.0)
 
 
-def test_a_response_is_judged_by_its_mean():
-    """Two flights whose noise cancels: the mean is 4 % beyond for a while, the worst flight 10 %."""
+def test_response_is_evaluated_by_its_mean():
+    """Two flights with cancelling noise: overshoot of the mean 4 %, of the worst flight 10 %."""
     times_s = TRACE_S * np.arange(250)
     mean = np.where(times_s < 1.0, times_s, np.where(times_s < 2.0, 1.04, 1.0))
     noise = 0.06 * (-1.0) ** np.arange(250) * (times_s >= 1.0)
@@ -193,8 +193,8 @@ def test_a_response_is_judged_by_its_mean():
     assert (band_of(1.0), band_of(2.0), band_of(20.0)) == (0.1, 0.05, 0.05)
 
 
-def test_a_move_of_the_whole_vehicle():
-    """One flight, whose hover is noisy by centimetres: the 5 m are long enough for that not to matter."""
+def test_move_of_the_whole_vehicle():
+    """One flight with noise of centimetres in hover, which is negligible for a step of 5 m."""
     trace = fly_move(Move(seed=0, distance_m=5.0))
     response = respond([trace], band=band_of(5.0))
     assert abs(trace[0]) < 0.02
@@ -202,14 +202,14 @@ def test_a_move_of_the_whole_vehicle():
     assert minimum_time_s(5.0, ControlParams().trajectory) - 1.0 < response.settled_s <= allowed_s(5.0)
 
 
-def test_a_velocity_step_of_the_whole_vehicle():
+def test_velocity_step_of_the_whole_vehicle():
     trace = fly_velocity_step(VelocityStep(seed=0, vel_ned_m_s=(0.0, 0.0, -2.0)))
     assert abs(trace[0]) < 0.05
     assert trace[-1] == pytest.approx(1.0, abs=0.05)
     assert trace.max() <= 1.1
 
 
-def test_recoveries_from_turned_over_and_random_attitudes():
+def test_recoveries_from_inverted_and_random_attitudes():
     cases = [recover(seed) for seed in range(8)]
     assert cases[0].tilt_deg[0] == pytest.approx(180.0)
     assert len({case.tilt_deg[0] for case in cases}) > 5
@@ -220,7 +220,7 @@ def test_recoveries_from_turned_over_and_random_attitudes():
         assert max(case.tilt_deg[upright_from:]) <= UPRIGHT_DEG
 
 
-def test_a_thrown_vehicle_catches_itself():
+def test_vehicle_recovers_from_an_upset():
     catch = throw(1)
     assert catch.start_rate_rad_s > 0.3
     assert catch.aligned_s <= LIMIT_S
