@@ -31,8 +31,8 @@ compared with closed forms and reference results. All numbers are produced by
 
     python scripts/validate_antenna.py
 
-which repeats all computations in some minutes on two cores; with `--out docs` it writes this page, its
-figures and `antenna-validation.csv`, the checks with all digits. All formations are determined by their
+which repeats all computations in some minutes on two cores; with `--out docs/results` it writes this page,
+its figures and `antenna-validation.csv`, the checks with all digits. All formations are determined by their
 seeds: the same sources give the same numbers, except for the speed.
 """
 PAGE = Page(file_name="antenna-validation.md", title="Validation of the antenna", introduction=INTRODUCTION)

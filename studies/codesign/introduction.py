@@ -10,7 +10,7 @@ from studies.codesign.results import CodesignTask
 
 _WIDTH = 110
 _MEANING = (
-    "The quantities are described in [codesign.md](codesign.md). Intervals have 95 % confidence: Student's "
+    "The quantities are described in [codesign.md](../concepts/codesign.md). Intervals have 95 % confidence: Student's "
     "interval for means over the flights, a bootstrap over pairs of flights for ratios."
 )
 

@@ -29,9 +29,9 @@ figures of the standard. All numbers are produced by
 
     python scripts/validate_radio.py
 
-which repeats all simulations in some minutes on two cores; with `--out docs` it writes this page and its
-figures. The reference results of ns-3 and Bianchi's model are in `studies/reference`. All runs are determined
-by their seeds: the same sources give the same numbers.
+which repeats all simulations in some minutes on two cores; with `--out docs/results` it writes this page
+and its figures. The reference results of ns-3 and Bianchi's model are in `studies/reference`. All runs are
+determined by their seeds: the same sources give the same numbers.
 """
 PAGE = Page(file_name="radio-validation.md", title="Validation of the radio", introduction=INTRODUCTION)
 

@@ -20,8 +20,8 @@ swarm, in one process (`studies.vehicle.solo`). All numbers are produced by
 
     python scripts/validate_vehicle.py
 
-which repeats all flights in some minutes on two cores; with `--out docs` it writes this page and its figures.
-All flights are determined by their seeds: the same sources give the same numbers.
+which repeats all flights in some minutes on two cores; with `--out docs/results` it writes this page and
+its figures. All flights are determined by their seeds: the same sources give the same numbers.
 """
 PAGE = Page(file_name="validation.md", title="Validation of one vehicle", introduction=INTRODUCTION)
 

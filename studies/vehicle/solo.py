@@ -162,7 +162,7 @@ class Solo:
         self.stream: list[bytes] | None = None
         """If a list is set: bytes sent to the vehicle, one entry each step"""
         self.now_us = 0
-        self.heard: list[tuple[int, Message]] = []
+        self.received: list[tuple[int, Message]] = []
         """(time_us, message) received by the ground station, without heartbeats."""
         self.modes: list[tuple[int, str, bool]] = []
         """(time_us, mode, armed) from heartbeats to the simulator, at each change."""
@@ -248,7 +248,7 @@ class Solo:
         self.step()
         results = [
             message.result
-            for time_us, message in self.heard
+            for time_us, message in self.received
             if time_us == self.now_us and message.get_type() == "COMMAND_ACK" and message.command == command
         ]
         if len(results) != 1:
@@ -258,7 +258,7 @@ class Solo:
 
     def texts(self) -> list[str]:
         """Return the status texts received so far."""
-        return [message.text for _, message in self.heard if message.get_type() == "STATUSTEXT"]
+        return [message.text for _, message in self.received if message.get_type() == "STATUSTEXT"]
 
     def set_position(self, north_m: float, east_m: float, down_m: float) -> None:
         """Stream this offboard setpoint from now on, in the estimator's frame, heading north."""
@@ -353,7 +353,7 @@ class Solo:
         return esc.readings(self._measured.rotor_speed_rad_s)
 
     def _receive(self, output: StepOutput) -> None:
-        self.heard += [
+        self.received += [
             (self.now_us, message)
             for partner, message in output.links
             if partner.link == GROUND_STATION and message.get_type() != "HEARTBEAT"

@@ -114,10 +114,10 @@ def test_unknown_guest_is_refused_with_the_list_of_guests(lab):
 
 
 def test_an_endpoint_without_a_radio_is_one_line():
-    with contextlib.closing(Transport.listen("127.0.0.1", 0)) as nobody:
+    with contextlib.closing(Transport.listen("127.0.0.1", 0)) as listener:
         with pytest.raises(RadioLost, match="no response of a radio emulator"):
-            Guest(nobody.endpoint, name="s0")
-        endpoint = nobody.endpoint
+            Guest(listener.endpoint, name="s0")
+        endpoint = listener.endpoint
     with pytest.raises(TransportError, match="cannot connect to"):
         Guest(endpoint, name="s0")
 

@@ -232,7 +232,7 @@ def test_invalid_advance_is_refused(invalid):
     state = {"pos_ned_m": still, "vel_ned_m_s": still, "q_ned_frd": LEVEL}
     hosted.advance(Advance(to_us=4000, release_us=8000, at_us=0, **state))
     with pytest.raises(ValueError, match="rejects the request to advance"):
-        hosted.advance(Advance(**({"to_us": 8000, "release_us": 12_000, "at_us": 4000} | state | senseless)))
+        hosted.advance(Advance(**({"to_us": 8000, "release_us": 12_000, "at_us": 4000} | state | invalid)))
 
 
 def test_lost_station_does_not_block_others(radio):

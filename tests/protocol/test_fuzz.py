@@ -87,7 +87,7 @@ def test_garbage_on_both_links_of_a_flying_vehicle_has_no_effect():
         assert sent[0] == sent[1]  # as text, since NaN is not equal to itself
         assert outputs[0].actuators == outputs[1].actuators
         for flight in (plain, attacked):
-            flight.heard.clear()
+            flight.received.clear()
 
     def attack_until(sent_bytes):
         while sum(port.sent_bytes for port in ports) < sent_bytes:
@@ -170,7 +170,7 @@ def test_messages_with_any_contents_neither_raise_nor_accumulate(flying):
             encoder.encode(addressed.message)  # every answer can be encoded
         for _ in range(4):
             flight.step(streams=True)
-        flight.heard.clear()
+        flight.received.clear()
         if i >= rounds // 2:
             gc.collect(0)
             grown.append(sys.getallocatedblocks())

@@ -54,11 +54,11 @@ def place(flight, command, north_m, east_m, height_m, *params):
 
 def upload(flight, items, kind=PlanType.MISSION):
     """Upload a plan as ground stations do; returns the MAV_MISSION_RESULT."""
-    answered = len(flight.heard)
+    answered = len(flight.received)
     flight.send(MissionCount(1, 1, len(items), int(kind)))
     for _ in range(40 * (len(items) + 10)):
         flight.step()
-        received, answered = flight.heard[answered:], len(flight.heard)
+        received, answered = flight.received[answered:], len(flight.received)
         for _, message in received:
             if message.get_type() == "MISSION_REQUEST_INT":
                 item = items[message.seq]
@@ -79,7 +79,7 @@ def upload(flight, items, kind=PlanType.MISSION):
 
 def said(flight, name):
     """Return all messages of a name that the vehicle sent to the ground station."""
-    return [message for _, message in flight.heard if message.get_type() == name]
+    return [message for _, message in flight.received if message.get_type() == name]
 
 
 def reached(flight):

@@ -184,11 +184,11 @@ def test_every_change_is_reported_to_stations():
         flight.vehicle.set_parameter("MPC_XY_P", 1.2)
         flight.vehicle.set_parameter("COM_RC_IN_MODE", 4.0)
         flight.step()
-        reported = [message.param_id for _, message in flight.heard if message.get_type() == "PARAM_VALUE"]
+        reported = [message.param_id for _, message in flight.received if message.get_type() == "PARAM_VALUE"]
         assert set(reported) == {"MPC_XY_P", "COM_RC_IN_MODE"}
-        flight.heard.clear()
+        flight.received.clear()
         flight.run(0.2)
-        assert not [message for _, message in flight.heard if message.get_type() == "PARAM_VALUE"]
+        assert not [message for _, message in flight.received if message.get_type() == "PARAM_VALUE"]
 
 
 def test_the_metadata_message_can_be_requested():
@@ -196,5 +196,5 @@ def test_the_metadata_message_can_be_requested():
         flight.step()
         message_id = float(COMPONENT_METADATA)
         assert flight.command(common.MAV_CMD_REQUEST_MESSAGE, message_id) == common.MAV_RESULT_ACCEPTED
-        (message,) = [m for _, m in flight.heard if m.get_msgId() == COMPONENT_METADATA]
+        (message,) = [m for _, m in flight.received if m.get_msgId() == COMPONENT_METADATA]
         assert flight.vehicle.messaging.files.open(message.uri.removeprefix("mftp://")) is not None

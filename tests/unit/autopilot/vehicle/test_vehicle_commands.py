@@ -43,11 +43,11 @@ def go_to(flight, place, *, speed_m_s=-1.0, yaw_rad=NAN):
             speed_m_s, 1.0, 0.0, yaw_rad, x, y, z,
         )
     )  # fmt: skip
-    return len(flight.heard)
+    return len(flight.received)
 
 
 def acks(flight, since):
-    return [m.result for _, m in flight.heard[since:] if m.get_type() == "COMMAND_ACK"]
+    return [m.result for _, m in flight.received[since:] if m.get_type() == "COMMAND_ACK"]
 
 
 def listen(flight, seconds, link=GROUND_STATION):
@@ -166,7 +166,7 @@ def test_no_command_in_flight_breaks_the_vehicle_or_is_unanswered():
         commands = sorted(COMMANDS - ends)
         numbers = (0.0, 1.0, -1.0, 2.5, NAN, math.inf, -math.inf, 1e30, -3.4e38, 47.4, 488.0, 21196.0)
         for _ in range(400):
-            command, since = int(rng.choice(commands)), len(flight.heard)
+            command, since = int(rng.choice(commands)), len(flight.received)
             params = [numbers[i] for i in rng.integers(0, len(numbers), 7)]
             if rng.random() < 0.5:
                 flight.send(common.MAVLink_command_long_message(1, 1, command, 0, *params))

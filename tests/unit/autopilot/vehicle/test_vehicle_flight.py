@@ -261,7 +261,7 @@ def test_messages_for_other_systems_are_ignored(flight):
     flight.send(common.MAVLink_command_long_message(2, 1, ARM, 0, 1.0, *[0.0] * 6))
     flight.step()
     assert not flight.vehicle.commander.armed
-    assert flight.heard == []
+    assert flight.received == []
 
 
 def test_messages_of_stations_do_not_reach_the_application_as_the_autopilots():

@@ -346,9 +346,9 @@ def test_parameters_are_reset_and_reported_on_the_ground():
         assert vehicle.parameters.get("MPC_XY_P") == 1.5
         vehicle.set_parameter("CAL_MAG0_ROT", 2.0)
         flight.step()
-        flight.heard.clear()
+        flight.received.clear()
         assert flight.command(common.MAV_CMD_PREFLIGHT_STORAGE, 2.0) == ACCEPTED
-        names = {m.param_id for _, m in flight.heard if m.get_type() == "PARAM_VALUE"}
+        names = {m.param_id for _, m in flight.received if m.get_type() == "PARAM_VALUE"}
         assert names == {*set_before, "CAL_MAG0_ROT"} - {"EKF2_GPS_DELAY"}  # can only be set at the start
         fresh = ParameterSet(Settings())
         kept = {"EKF2_GPS_DELAY", "MAV_SYS_ID"}
