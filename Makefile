@@ -16,7 +16,7 @@ help:
 	@echo "make validate [ARGS='--quick | --out docs/results']   measure how well one vehicle flies (docs/results/validation.md)"
 	@echo "make validate-radio [ARGS='--quick | --out docs/results']   compare the radio with ns-3 (docs/results/radio-validation.md)"
 	@echo "make validate-antenna [ARGS='--quick | --out docs/results']   hold the antenna's solvers against each other (docs/results/antenna-validation.md)"
-	@echo "make codesign [ARGS='--quick | --out docs/results']   measure what ranging does for the formation (docs/concepts/codesign.md)"
+	@echo "make codesign [ARGS='--quick | --out docs/results']   measure what ranging does for the formation (docs/concepts/ranging-and-localisation.md)"
 	@echo "make article [ARGS='--quick | --out docs/results']    fly the article's cases and judge its statements (docs/results/article.md)"
 	@echo "make campaign ARGS='CAMPAIGN.toml --out DIR'  many flights, one table (docs/how-to/campaigns.md)"
 	@echo "make antenna ARGS='pattern --wavelength 10'   the antenna alone: pattern, statistics, benchmark (docs/concepts/antenna.md)"

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common
 
-from autopilot.commander.conditions import (
+from autopilot.commander.arming_requirements import (
     AFTER_DISARMING,
     MODE_NEEDS,
     MODES_TO_ARM_IN,

@@ -1,1 +1,4 @@
-"""MAVLink framing, signing, PX4's mode numbers and the UDP link. The services are in `autopilot.services`."""
+"""MAVLink framing, dialect, signing, PX4's mode numbers, HIL messages and the UDP link.
+
+Import `codec` for messages, `links.UdpLink` for a socket. The services are in `autopilot.services`.
+"""

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
-from autopilot.commander.conditions import MANUAL_MODES
+from autopilot.commander.arming_requirements import MANUAL_MODES
 from autopilot.control.hover_thrust import GRAVITY_M_S2
 from autopilot.control.params import PositionParams, TrajectoryParams
 from autopilot.mavlink.modes import FlightMode

@@ -36,7 +36,7 @@ class FlightData:
     """The estimate at this step."""
     now_us: int = 0
     conditions: int = 0
-    """`autopilot.commander.conditions.Condition` bits."""
+    """`autopilot.commander.arming_requirements.Condition` bits."""
     causes: int = 0
     """`autopilot.commander.failsafe.Cause` bits."""
     battery: BatteryMonitor = field(default_factory=lambda: BatteryMonitor(BatteryParams()))

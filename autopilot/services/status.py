@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 from pymavlink.dialects.v20 import common
 
+from autopilot.commander.arming_requirements import Condition
 from autopilot.commander.commander import Commander
-from autopilot.commander.conditions import Condition
 from autopilot.mavlink.codec import Message
 from foundation.types import Course
 

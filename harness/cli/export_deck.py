@@ -19,7 +19,7 @@ from antenna.solvers.selection import make_backend
 from harness.records.manifest import NotARun, read_scenario
 from harness.records.run_folder import RunFolder
 from harness.records.tables import read_flight
-from harness.report.analysis import NoFeed, describe_touch, living, snapshot_at
+from harness.report.flown_array import NoFeed, describe_touch, living, snapshot_at
 
 FINE, BAD_INPUT = 0, 2
 

@@ -21,7 +21,7 @@ from autopilot.onboard.formation.formation_plan import FormationPlan
 from foundation.records.record_log import read
 from harness.records.flight import Flight
 from harness.records.run_folder import RunFolder
-from harness.report.analysis import GainSeries
+from harness.report.flown_array import GainSeries
 from harness.scenario.scenario import Scenario
 from harness.simulator.motion_start import flown_start_us, since_start_s
 from harness.simulator.truth_record import AIR_RECORD, TRUTH_RECORD

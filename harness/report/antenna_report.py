@@ -20,7 +20,7 @@ from antenna.solvers.selection import make_backend
 from harness.records.flight import Flight
 from harness.records.run_folder import RunFolder
 from harness.records.tables import write_gains
-from harness.report.analysis import GainSeries, NoFeed, describe_touch, gain_series, ideal_pattern
+from harness.report.flown_array import GainSeries, NoFeed, describe_touch, gain_series, ideal_pattern
 from harness.scenario.scenario import Scenario
 
 _threads: ContextVar[int | None] = ContextVar("threads", default=None)

@@ -23,8 +23,8 @@ from harness.records.run_folder import RunFolder
 from harness.records.tables import flight_of, read_flight, write_tables
 from harness.records.versions import DISTRIBUTIONS, versions
 from harness.report import antenna_report, figures
-from harness.report.analysis import figure_patterns
 from harness.report.antenna_report import Aperture
+from harness.report.flown_array import figure_patterns
 from harness.report.formation_error import FormationError, formation_error
 from harness.scenario.scenario import Scenario
 from harness.simulator.motion_start import flown_start_us, since_start_s

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from netsim.emulator.ideal_channel import IdealChannel
-from netsim.mac.access import DCF, EDCA
+from netsim.mac.access_parameters import DCF, EDCA
 from netsim.mac.jobs import FrameSender, OnGroupFrame, Upper
 from netsim.mac.radios import Radios
 from netsim.model.config import RadioConfig

@@ -15,7 +15,7 @@ from collections.abc import Callable
 import msgspec
 
 from netsim.emulator.records import FrameBook
-from netsim.mac.access import SIFS_NS
+from netsim.mac.access_parameters import SIFS_NS
 from netsim.mac.jobs import GroupReception, Job, JobOutcome, OnGroupFrame, Reception, Upper
 from netsim.mac.station import RESPONSE_TIMEOUT_NS
 from netsim.model.config import RadioConfig

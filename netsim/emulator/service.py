@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.records.record_log import RecordLog
-from netsim.capture.writer import Capture
+from netsim.capture.pcapng_writer import Capture
 from netsim.emulator.emulator import Emulator
 from netsim.emulator.log_layout import FRAME_LOG, SESSION_LOG
 from netsim.emulator.records import frame_log_rows, session_log_rows

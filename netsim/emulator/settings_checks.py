@@ -4,7 +4,7 @@ from typing import Literal
 
 from netsim.ftm.elements import NON_HT_FORMAT, Measurement
 from netsim.ftm.negotiation import grant, requested_parameters
-from netsim.mac.access import DCF, EDCA, SIFS_NS
+from netsim.mac.access_parameters import DCF, EDCA, SIFS_NS
 from netsim.model.config import Mode, RadioConfig
 from netsim.phy.frames import ACK_BYTES, DATA_OVERHEAD_BYTES
 from netsim.phy.modes import phy_mode, response_mode

@@ -10,7 +10,7 @@ from netsim.ftm.elements import Measurement, Parameters, Request, Status
 from netsim.ftm.negotiation import TIME_UNIT_NS, Schedule, requested_parameters
 from netsim.ftm.port import ObservedRequest, Port
 from netsim.ftm.stamps import measured_m
-from netsim.mac.access import SIFS_NS
+from netsim.mac.access_parameters import SIFS_NS
 from netsim.mac.jobs import Job, JobOutcome, Reception
 from netsim.model.event_queue import Event
 

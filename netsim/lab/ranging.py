@@ -5,7 +5,7 @@ from msgspec import Struct
 
 from netsim.emulator.records import FrameRecord
 from netsim.lab.bench import HEIGHT_M, RadioBench, ring_ned_m
-from netsim.mac.access import EDCA, SIFS_NS, SLOT_NS
+from netsim.mac.access_parameters import EDCA, SIFS_NS, SLOT_NS
 from netsim.model.config import BandwidthMhz, FtmConfig, Mode, RadioConfig
 from netsim.phy.frames import FrameKind
 from netsim.wire.messages import FtmRequest, FtmResult

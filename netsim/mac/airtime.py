@@ -5,7 +5,7 @@ The functions are compiled and work on `netsim.model.tables.Air`.
 
 from numba import njit
 
-from netsim.mac.access import SIFS_NS
+from netsim.mac.access_parameters import SIFS_NS
 from netsim.model import columns as c
 from netsim.model import tables as t
 from netsim.model.tables import Air

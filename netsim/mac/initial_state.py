@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import get_args
 
-from netsim.mac.access import AccessParameters
+from netsim.mac.access_parameters import AccessParameters
 from netsim.model import columns as c
 from netsim.model import tables as t
 from netsim.model.config import Mode, RadioConfig

@@ -9,7 +9,7 @@ from numba import njit
 
 from netsim.mac import station as mac
 from netsim.mac.borrowed import borrowed
-from netsim.mac.channel import contend, is_full, on_deadline
+from netsim.mac.contention import contend, is_full, on_deadline
 from netsim.model import columns as c
 from netsim.model import tables as t
 from netsim.model.events import drop_next, is_off

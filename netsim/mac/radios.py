@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from netsim.mac import loop
-from netsim.mac.access import AccessParameters
+from netsim.mac.access_parameters import AccessParameters
 from netsim.mac.initial_state import silent_air
 from netsim.mac.interference import Bursts
 from netsim.mac.jobs import GroupReception, Job, JobOutcome, OnGroupFrame, Reception, Upper

@@ -20,9 +20,9 @@ The functions are compiled and work on `netsim.model.tables.Air`.
 
 from numba import njit
 
-from netsim.mac.access import CCA_NS, SIFS_NS, SLOT_NS
+from netsim.mac.access_parameters import CCA_NS, SIFS_NS, SLOT_NS
 from netsim.mac.airtime import cts_ns, data_ns, duration_ns, exchange_ns, response_ns
-from netsim.mac.channel import drop_expired, fail, freeze, give_up, resume, succeeded, unwatch, win
+from netsim.mac.contention import drop_expired, fail, freeze, give_up, resume, succeeded, unwatch, win
 from netsim.model import columns as c
 from netsim.model import tables as t
 from netsim.model.events import schedule

@@ -62,7 +62,7 @@ NUMBERS = 56
     ACCESS, ACCESS_AT,  # order and time of the planned access event; 0 when frozen or empty
     FRESH,  # the frame found the medium idle and has no backoff
     DEADLINE, DEADLINE_AT,  # order and time of the check for expired frames
-    AIFS, WINDOW_LEAST, WINDOW_MOST, TXOP, SLOT_OFFSET,  # `netsim.mac.access.AccessParameters`
+    AIFS, WINDOW_LEAST, WINDOW_MOST, TXOP, SLOT_OFFSET,  # `netsim.mac.access_parameters.AccessParameters`
     QUEUE_COLUMNS,
 ) = range(17)  # fmt: skip
 

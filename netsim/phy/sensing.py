@@ -4,8 +4,8 @@ Clear channel assessment (IEEE 802.11-2016, 17.3.10.6): the medium is busy while
 dBm, and during a frame above -82 dBm and 4 dB above the noise. Such a frame counts from its arrival,
 regardless of other signals and of its reception: the short training fields of colliding frames are also
 detected by a correlator, and ns-3 treats frames as busy from its CCA sensitivity. The detection time of 4 us
-is applied by the MAC (`netsim.mac.access.CCA_NS`). Both thresholds apply to the power in the whole channel,
-which is more sensitive than the standard requires for wide channels.
+is applied by the MAC (`netsim.mac.access_parameters.CCA_NS`). Both thresholds apply to the power in the whole
+channel, which is more sensitive than the standard requires for wide channels.
 """
 
 import numpy as np

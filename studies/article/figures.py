@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from antenna.analysis.plots import patterns_figure
+from antenna.analysis.figures import patterns_figure
 from antenna.analysis.statistics import gain_density
 from studies.article.campaign_data import Cell, Key
 from studies.article.monte_carlo import Drawn

@@ -11,8 +11,8 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from antenna.analysis.features import main_lobe
+from antenna.analysis.figures import GAIN_RANGE_DBI
 from antenna.analysis.patterns import FLOOR_DBI, HALF_POWER_DB, Pattern, from_dbi, to_dbi
-from antenna.analysis.plots import GAIN_RANGE_DBI
 from harness.records.flight import Array
 
 REGION_THETA_DEG, REGION_PHI_DEG = (0.0, 45.0), (180.0, 225.0)

@@ -20,7 +20,7 @@ from antenna.solvers.ports import MAIN_LOBE_DEG
 from harness.campaign import Table
 from harness.records.flight import Array, Flight
 from harness.records.tables import make_flight
-from harness.report.analysis import FIGURE_GRID_DEG, gain_series, ideal_pattern
+from harness.report.flown_array import FIGURE_GRID_DEG, gain_series, ideal_pattern
 from harness.report.formation_error import formation_error
 from harness.scenario.scenario import Scenario
 from studies.article.patterns import PatternReading, mean_pattern, read_pattern

@@ -1,4 +1,4 @@
-"""Arrays of a flight or a formation, as computed by `harness.report.analysis` before solving."""
+"""Arrays of a flight or a formation, as computed by `harness.report.flown_array` before solving."""
 
 import math
 
@@ -7,7 +7,7 @@ import numpy as np
 from antenna.model.config import AntennaConfig
 from antenna.model.geometry import ElementsTouch, Snapshot
 from harness.records.flight import Flight
-from harness.report.analysis import NoFeed, antenna_snapshot, snapshot_at
+from harness.report.flown_array import NoFeed, antenna_snapshot, snapshot_at
 from harness.scenario.scenario import Scenario
 
 

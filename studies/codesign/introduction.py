@@ -10,8 +10,9 @@ from studies.codesign.results import CodesignTask
 
 _WIDTH = 110
 _MEANING = (
-    "The quantities are described in [codesign.md](../concepts/codesign.md). Intervals have 95 % confidence: "
-    "Student's interval for means over the flights, a bootstrap over pairs of flights for ratios."
+    "The quantities are described in [ranging and localisation](../concepts/ranging-and-localisation.md). "
+    "Intervals have 95 % confidence: Student's interval for means over the flights, "
+    "a bootstrap over pairs of flights for ratios."
 )
 
 

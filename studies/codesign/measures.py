@@ -18,7 +18,7 @@ from antenna.model.config import AntennaConfig
 from harness.launch.processes import RADIO
 from harness.records.flight import Array, Flight
 from harness.records.run_folder import RunFolder
-from harness.report.analysis import gain_series
+from harness.report.flown_array import gain_series
 from harness.report.formation_error import formation_error
 from harness.scenario.scenario import Scenario
 

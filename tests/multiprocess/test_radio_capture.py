@@ -11,7 +11,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from netsim.capture.writer import Capture
+from netsim.capture.pcapng_writer import Capture
 from netsim.emulator.emulator import Emulator
 from netsim.ftm.elements import Request, Status
 from netsim.model.config import RadioConfig

@@ -3,8 +3,8 @@
 import pytest
 from pymavlink.dialects.v20 import common
 
+from autopilot.commander.arming_requirements import Condition
 from autopilot.commander.commander import Commander
-from autopilot.commander.conditions import Condition
 from autopilot.commander.params import CommanderParams
 from autopilot.mavlink.modes import FlightMode
 from autopilot.services.manual_control import ManualControlService

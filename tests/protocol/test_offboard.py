@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
+from autopilot.commander.arming_requirements import Condition
 from autopilot.commander.commander import Commander
-from autopilot.commander.conditions import Condition
 from autopilot.commander.params import CommanderParams
 from autopilot.control import ControlParams, FlightController
 from autopilot.estimation.estimator import Estimator

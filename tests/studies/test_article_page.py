@@ -22,7 +22,7 @@ from antenna.solvers.parallel import WorkerError, compute_patterns
 from harness.campaign import CampaignError
 from harness.campaign.definition import expand
 from harness.records.flight import Flight
-from harness.report import analysis
+from harness.report import flown_array
 from studies.article import cli, page
 from studies.article import retained_flights as kept_module
 from studies.article.campaign_data import CSV_COLUMNS, csv_text, read_cells
@@ -230,11 +230,11 @@ def test_figure_4_solves_each_array_once(monkeypatch):
         solved.append((config.grid_deg, len(snapshots)))
         return compute_patterns(config, snapshots, **options)
 
-    for module in (kept_module, analysis):
+    for module in (kept_module, flown_array):
         monkeypatch.setattr(module, "compute_patterns", counted)
     found = figure_patterns_of(kept)
     assert sum(count for _, count in solved) == 3 * instants + 2
-    assert {grid_deg for grid_deg, _ in solved} == {analysis.FIGURE_GRID_DEG}
+    assert {grid_deg for grid_deg, _ in solved} == {flown_array.FIGURE_GRID_DEG}
     assert set(found.means) == set(VARIANTS)
     # all instants are equal, so mean and median are one pattern, and the upright one is ideal
     assert found.median.gain_dbi == pytest.approx(found.means["flown"].gain_dbi, abs=1e-3)

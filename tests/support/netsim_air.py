@@ -5,7 +5,7 @@ from itertools import chain
 
 import numpy as np
 
-from netsim.mac.access import DCF, AccessParameters
+from netsim.mac.access_parameters import DCF, AccessParameters
 from netsim.mac.jobs import GroupReception, Job, JobOutcome, Reception
 from netsim.mac.radios import Radios
 from netsim.mac.rates import RateControl

@@ -9,7 +9,7 @@ from netsim.ftm.elements import Measurement, Request
 from netsim.ftm.initiator import Ranging
 from netsim.ftm.session import FtmRadio
 from netsim.ftm.stamps import Clock
-from netsim.mac.access import EDCA
+from netsim.mac.access_parameters import EDCA
 from netsim.mac.jobs import Job, Reception
 from netsim.mac.radios import Radios
 from netsim.model.config import FtmConfig, RadioConfig

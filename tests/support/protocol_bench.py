@@ -4,8 +4,8 @@ import math
 
 from pymavlink.dialects.v20 import common
 
+from autopilot.commander.arming_requirements import Condition
 from autopilot.commander.commander import Commander
-from autopilot.commander.conditions import Condition
 from autopilot.commander.params import CommanderParams
 from autopilot.estimation.estimator import Estimator
 from autopilot.estimation.params import EstimatorParams

@@ -11,7 +11,7 @@ from autopilot.onboard.formation.formation_plan import FormationPlan
 from autopilot.onboard.formation.height_layers import HeightLayers
 from autopilot.onboard.formation.motion import MotionStart
 from autopilot.onboard.formation.own_state import OwnState
-from autopilot.onboard.formation.wind import WindObserver
+from autopilot.onboard.formation.wind_observer import WindObserver
 from autopilot.onboard.localisation.uncertainty import Others
 from autopilot.onboard.radio.neighbour_table import NeighbourTable
 from autopilot.onboard.radio.neighbourhood import Neighbourhood

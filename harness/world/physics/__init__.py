@@ -1,1 +1,4 @@
-"""Rigid bodies, rotors and contacts: the true motion of the vehicles. Wind and faults are inputs."""
+"""Rigid bodies, rotors and contacts: the true motion of the vehicles.
+
+Import `world.World`; `interface.Physics` is what the simulation requires of it. Wind and faults are inputs.
+"""

@@ -1,1 +1,5 @@
-"""Simulated sensors of the vehicles: noise, biases, rates and delays. No I/O."""
+"""Simulated sensors of the vehicles: noise, biases, rates and delays. No I/O.
+
+Import `suite.SensorSuite`, and `config` for the profiles. Sensor messages are encoded in
+`harness.simulator.hil`.
+"""

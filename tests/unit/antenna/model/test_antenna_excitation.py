@@ -11,7 +11,7 @@ from antenna.model.config import AntennaConfig
 from antenna.model.excitation import end_fire, hansen_woodyard
 from antenna.model.geometry import grid
 from antenna.solvers.ports import feed
-from harness.report.analysis import antenna_snapshot
+from harness.report.flown_array import antenna_snapshot
 
 LAMBDA_M = 10.0
 K_RAD_M = 2.0 * np.pi / LAMBDA_M

@@ -3,8 +3,7 @@
 import pytest
 from pymavlink.dialects.v20 import common
 
-from autopilot.commander.commander import Commander
-from autopilot.commander.conditions import (
+from autopilot.commander.arming_requirements import (
     MODE_NEEDS,
     MODES_TO_ARM_IN,
     Condition,
@@ -12,6 +11,7 @@ from autopilot.commander.conditions import (
     arming_needs,
     first_missing,
 )
+from autopilot.commander.commander import Commander
 from autopilot.commander.failsafe import ARMING_CAUSES, Cause
 from autopilot.commander.params import CommanderParams
 from autopilot.mavlink.modes import FlightMode

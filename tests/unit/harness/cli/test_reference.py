@@ -20,7 +20,7 @@ from harness.cli.reference_scenario import field_paths, scenario_page, scenario_
 from harness.cli.reference_tables import GAINS, tables_page
 from harness.cli.reference_text import UndocumentedError, paragraphs, table, unit_of
 from harness.records.tables import FLIGHT_RECORD, write_gains
-from harness.report.analysis import GainSeries
+from harness.report.flown_array import GainSeries
 from harness.scenario.scenario import Scenario
 
 FOLDER = ROOT / "docs" / "reference"

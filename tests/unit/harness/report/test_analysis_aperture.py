@@ -12,7 +12,7 @@ from antenna.model.geometry import ElementsTouch, grid
 from autopilot.onboard.formation.formation_plan import FormationPlan
 from autopilot.parameters.config import RacetrackMotion
 from harness.records.flight import Flight
-from harness.report.analysis import (
+from harness.report.flown_array import (
     NoFeed,
     antenna_from_ned,
     antenna_snapshot,

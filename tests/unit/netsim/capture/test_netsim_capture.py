@@ -17,8 +17,8 @@ from netsim_pcapng import OFDM24, blocks, datagram, options, packets, radiotap, 
 from netsim_swarm import Swarm
 
 from netsim.capture.ieee80211 import mpdu
-from netsim.capture.writer import CHUNK_BYTES, HOLD_NS, WRITE_PERIOD_NS, Capture
-from netsim.mac.access import EDCA
+from netsim.capture.pcapng_writer import CHUNK_BYTES, HOLD_NS, WRITE_PERIOD_NS, Capture
+from netsim.mac.access_parameters import EDCA
 from netsim.model.config import RadioConfig, StationConfig
 from netsim.phy.frames import Frame, FrameKind
 from netsim.phy.modes import phy_mode

@@ -8,7 +8,7 @@ second.
 import pytest
 from netsim_air import UNDETECTED_DBM, A, Air, B, C, D
 
-from netsim.mac.access import DCF, EDCA
+from netsim.mac.access_parameters import DCF, EDCA
 from netsim.mac.jobs import JobOutcome
 from netsim.phy.modes import phy_mode
 

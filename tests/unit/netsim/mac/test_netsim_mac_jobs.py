@@ -7,7 +7,7 @@ second.
 import pytest
 from netsim_air import UNDETECTED_DBM, A, Air, B, C
 
-from netsim.mac.access import EDCA
+from netsim.mac.access_parameters import EDCA
 from netsim.mac.jobs import JobOutcome
 from netsim.model.event_queue import NEVER_NS
 

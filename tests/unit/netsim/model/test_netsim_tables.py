@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from netsim_air import Air
 
-from netsim.mac.access import EDCA
+from netsim.mac.access_parameters import EDCA
 from netsim.mac.jobs import JobOutcome
 from netsim.model import columns as c
 from netsim.model import tables as t

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from netsim_air import A, Air, B, C
 
-from netsim.mac.access import EDCA
+from netsim.mac.access_parameters import EDCA
 from netsim.mac.rates import AdaptiveRate, channel_modes
 from netsim.model.random_streams import Uniforms
 

@@ -5,7 +5,7 @@ import pytest
 from netsim_air import Air
 from netsim_swarm import Swarm
 
-from netsim.mac.access import DCF, EDCA
+from netsim.mac.access_parameters import DCF, EDCA
 from netsim.mac.jobs import Job, JobOutcome
 from netsim.mac.radios import Radios
 from netsim.model.columns import (

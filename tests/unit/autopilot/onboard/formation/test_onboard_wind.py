@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from autopilot.control import ControlParams, FlightController
 from autopilot.control.params import DisturbanceParams
-from autopilot.onboard.formation.wind import (
+from autopilot.onboard.formation.wind_observer import (
     ACC_MAX_M_S2,
     GAP_MAX_S,
     GRAVITY_M_S2,

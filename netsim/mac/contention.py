@@ -16,7 +16,7 @@ The functions are compiled and work on `netsim.model.tables.Air`. Frame exchange
 
 from numba import njit
 
-from netsim.mac.access import CCA_NS, EIFS_EXTRA_NS, SLOT_NS
+from netsim.mac.access_parameters import CCA_NS, EIFS_EXTRA_NS, SLOT_NS
 from netsim.model import columns as c
 from netsim.model import tables as t
 from netsim.model.event_queue import NEVER_NS

@@ -4,7 +4,7 @@ from heapq import heappop, heappush
 from pathlib import Path
 
 from netsim.capture.ieee80211 import mpdu
-from netsim.capture.pcapng import (
+from netsim.capture.pcapng_blocks import (
     LINKTYPE_IEEE802_11_RADIOTAP,
     enhanced_packet,
     interface_description,
