@@ -124,7 +124,7 @@ def test_free_bodies_cannot_touch_anything():
     """
     rng = np.random.default_rng(2)
     with World(model=IRIS, spawn_pos_ned_m=[(0.0, 0.0, -9.0)], spawn_yaw_rad=0.0, step_us=4_000) as world:
-        reach_m, lasting = world._model.reach_m, world._model.lasting
+        reach_m, release_ratio = world._model.reach_m, world._model.release_ratio
     free_ones, nearest_ground_m, nearest_other_m = 0, np.inf, np.inf
     for _ in range(2_000):
         rows, flags = np.zeros(2, BODY), rng.random(2) < 0.5
@@ -132,7 +132,7 @@ def test_free_bodies_cannot_touch_anything():
         rows["q_ned_frd"] /= np.linalg.norm(rows["q_ned_frd"], axis=1)[:, None]
         rows["pos_ned_m"][0, 2] = -rng.uniform(0.0, 1.5 * reach_m)
         rows["pos_ned_m"][1] = rows["pos_ned_m"][0] + rng.uniform(-1.5, 1.5, 3) * reach_m
-        near_something(rows, reach_m, lasting, flags)
+        near_something(rows, reach_m, release_ratio, flags)
         for row in rows[~flags]:
             corners_m = [quat_rotate(row["q_ned_frd"], corner)[2] for corner in CORNERS_FRD_M]
             nearest_ground_m = min(nearest_ground_m, -row["pos_ned_m"][2] - max(corners_m))
