@@ -59,5 +59,5 @@ def test_interrupted_bench_leaves_no_process_and_no_file(tmp_path, number):
     if number == signal.SIGKILL:  # no process is left to delete the files
         return
     assert bench.returncode == 130
-    assert errors.splitlines()[-1] == "bench: broken off"
+    assert errors.splitlines()[-1] == "bench: interrupted"
     assert list(tmp_path.iterdir()) == []
