@@ -17,6 +17,7 @@ from harness.cli.campaign import campaign_app
 from harness.cli.export_deck import app as export_deck_app
 from harness.cli.fly import app as fly_app
 from harness.cli.reference import outdated, reference_pages, write_pages
+from harness.cli.report import app as report_app
 from netsim.lab.cli import app as wifi_app
 from netsim.lab.link_tables import tables_app
 from studies.antenna.cli import validate_antenna_app
@@ -30,12 +31,13 @@ from studies.vehicle.cli import validate_app
 
 FOLDER = Path(__file__).parents[1] / "docs" / "reference"
 APPLICATIONS = {
-    "launch_swarm.py": fly_app, "campaign.py": campaign_app, "wifi_lab.py": wifi_app,
-    "antenna_lab.py": antenna_app, "export_deck.py": export_deck_app, "reproduce_article.py": article_app,
-    "experiment_codesign.py": codesign_app, "validate_vehicle.py": validate_app,
-    "validate_radio.py": validate_radio_app, "validate_antenna.py": validate_antenna_app,
-    "bench.py": bench_app, "bench_vehicle.py": bench_vehicle_app, "bench_radio.py": bench_radio_app,
-    "link_tables.py": tables_app,
+    "coflight fly": fly_app, "coflight report": report_app, "coflight campaign": campaign_app,
+    "coflight radio": wifi_app, "coflight antenna": antenna_app, "coflight export": export_deck_app,
+    "coflight bench": bench_app, "coflight study vehicle": validate_app,
+    "coflight study radio": validate_radio_app, "coflight study antenna": validate_antenna_app,
+    "coflight study codesign": codesign_app, "coflight study article": article_app,
+    "coflight study vehicle-cost": bench_vehicle_app, "coflight study radio-cost": bench_radio_app,
+    "python scripts/link_tables.py": tables_app,
 }  # fmt: skip
 """Command lines that the page describes, in its order."""
 

@@ -94,7 +94,7 @@ def save_gain_density(path: Path, series: Mapping[str, Array], ideal_dbi: float)
 
 
 def save_patterns(path: Path, ideal: Pattern, flown: Pattern) -> None:
-    """Draw the ideal and a flown pattern, as the article's figure 4: see `analysis.figure_patterns`."""
+    """Draw the ideal and a flown pattern, as the article's figure 4: see `flown_array.figure_patterns`."""
     patterns_figure({"Ideal": ideal, "Flown": flown}).savefig(path, dpi=DPI)
 
 

@@ -17,7 +17,7 @@ class RadioSilent(ConnectionError):
 
 
 class EmulatorLine(Protocol):
-    """Connection to the emulator: see `netsim.transport.interval_stream.ClockLine`."""
+    """Connection to the emulator: see `netsim.transport.interval_stream.IntervalStream`."""
 
     def send(self, message: Advance) -> None:
         """Request an interval."""

@@ -46,7 +46,7 @@ class InProcessRadio:
 
 
 class InProcessEmulatorLine:
-    """The emulator as the time master uses it: replaces `netsim.transport.interval_stream.ClockLine`."""
+    """The emulator as the time master uses it: replaces `netsim.transport.interval_stream.IntervalStream`."""
 
     def __init__(self, emulator: EmulatorService, radios: Sequence[InProcessRadio]) -> None:
         self._emulator = emulator

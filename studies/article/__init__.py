@@ -1,1 +1,1 @@
-"""Reproduction of the article: its statements compared with our flights; generates docs/article.md."""
+"""Reproduction of the article: its statements compared with our flights (docs/results/article.md)."""

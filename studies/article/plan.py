@@ -25,7 +25,7 @@ SNAPSHOT_RATE_HZ = 10.0
 FIGURE_WAVELENGTH_M, FIGURE_WIND_N = 10.0, 5.0
 """Conditions of the pattern in the article's figure."""
 CROWDED_FTM_PERIOD_S = 0.1
-"""Period of all pairs: 560 ranging sessions a second of 1.5 ms, with contention (docs/radio.md)."""
+"""Period of all pairs: 560 ranging sessions a second of 1.5 ms, with contention (docs/concepts/radio.md)."""
 
 _CASCADE: dict[str, Any] = {"autopilot.params.CF_DOB_EN": 0}
 _OWN_GUSTS: dict[str, Any] = _CASCADE | {"wind.correlation": 0.0}

@@ -1,4 +1,4 @@
-"""The code blocks of docs/ground-control.md run unchanged, except for the ports."""
+"""The code blocks of docs/how-to/ground-control.md run unchanged, except for the ports."""
 
 import re
 import subprocess

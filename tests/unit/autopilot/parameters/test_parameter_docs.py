@@ -10,7 +10,7 @@ PAGE = ROOT / "docs" / "reference" / "parameters.md"
 
 
 def test_the_page_is_up_to_date():
-    assert PAGE.read_text() == markdown(), "run scripts/list_parameters.py > docs/parameters.md"
+    assert PAGE.read_text() == markdown(), "run scripts/list_parameters.py > docs/reference/parameters.md"
 
 
 @pytest.mark.parametrize("parameter", TABLE, ids=[parameter.name for parameter in TABLE])
