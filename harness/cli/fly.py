@@ -57,6 +57,7 @@ def fly(
     scenario: Annotated[
         Path, typer.Argument(help="TOML file, or the name of a packaged scenario.", metavar="SCENARIO")
     ],
+    *,
     speed: Annotated[
         str | None,
         typer.Option(
@@ -65,7 +66,7 @@ def fly(
         ),
     ] = None,
     duration: Annotated[float | None, typer.Option(help="Simulated seconds in formation.")] = None,
-    hold: Annotated[  # noqa: FBT002
+    hold: Annotated[
         bool,
         typer.Option(
             "--hold",
@@ -87,7 +88,7 @@ def fly(
     port_offset: Annotated[
         int, typer.Option(help="Added to every port, for a second swarm on one machine: 1000, 2000 ...")
     ] = 0,
-    one_process: Annotated[  # noqa: FBT002
+    one_process: Annotated[
         bool,
         typer.Option(
             "--one-process",
@@ -95,12 +96,12 @@ def fly(
             " connections from outside: no ground station, companion or guest of the radio.",
         ),
     ] = False,
-    profile: Annotated[  # noqa: FBT002
+    profile: Annotated[
         bool,
         typer.Option("--profile", help="Report processor time by process and part."),
     ] = False,
-    json: Annotated[bool, typer.Option("--json", help="The summary alone on stdout.")] = False,  # noqa: FBT002
-    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,  # noqa: FBT002
+    json: Annotated[bool, typer.Option("--json", help="The summary alone on stdout.")] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
 ) -> None:
     """Fly a swarm, with its radio, and report what came out."""
     messages = Console(stderr=True, highlight=False)
