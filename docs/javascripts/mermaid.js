@@ -1,5 +1,5 @@
 // Material for MkDocs uses `window.mermaid` where it is defined, and loads a copy from another host where it is not.
-// This one loads the site's copy (see scripts/docs_hook.py) when a page has its first diagram.
+// This one loads the site's copy (see scripts/site/docs_hook.py) when a page has its first diagram.
 (() => {
   const library = new URL("mermaid/index.js", document.currentScript.src).href;
   let options = {};

@@ -116,8 +116,8 @@ def test_incomplete_pattern_of_nec2c_is_a_one_line_error(monkeypatch, missing):
     if shutil.which("nec2c") is None:
         pytest.skip("the program nec2c is not installed")
     backend = make_backend(AntennaConfig(backend="nec2c"))
-    monkeypatch.setattr(nec2c.PynecFarField, "_run", lambda *_: np.ones((37 * 72 - missing, 2)))
-    given = rf"^nec2c gave {37 * 72 - missing} directions; expected 37 by 72$"
+    monkeypatch.setattr(nec2c.Nec2cFarField, "_run", lambda *_: np.ones((37 * 72 - missing, 2)))
+    given = rf"^nec2c returned {37 * 72 - missing} directions; expected 37 by 72$"
     with pytest.raises(Nec2cFailed, match=given):
         backend.patterns([ideal(LAMBDA_M)])
 
