@@ -170,7 +170,7 @@ class Simulation:
         self._wind_now = self._wind.step(
             self._step_us * 1e-6, time_us=self.time_us, height_m=-truth.pos_ned_m[:, 2]
         )
-        self._sensors.begin_fast_steps()
+        self._sensors.draw_ahead()
         inbox = self._inbox = self.lockstep.receive(self.time_us)
         interval_begins = emulator is not None and emulator.begins_at(self.time_us)
         if interval_begins:

@@ -35,12 +35,12 @@ class SensorError:
 
     def next(self) -> Array:
         """Return the error of the next sample; do not write to it."""
-        self.begin_fast_steps()
+        self.draw_ahead()
         error: Array = self._errors[self._taken]
         self._taken += 1
         return error
 
-    def begin_fast_steps(self) -> None:
+    def draw_ahead(self) -> None:
         """Prepare the next sample's error, so that `next` is fast. Changes no sample."""
         if self._taken < len(self._errors):
             return

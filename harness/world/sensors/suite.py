@@ -172,10 +172,10 @@ class SensorSuite:
             gps=self._receivers(faults) if gps_due else None,
         )
 
-    def begin_fast_steps(self) -> None:
+    def draw_ahead(self) -> None:
         """Draw the random numbers of the next `sample` in advance. Changes no sample."""
         for error in self._errors:
-            error.begin_fast_steps()
+            error.draw_ahead()
 
     def _is_due(self, time_us: int, period_us: int) -> bool:
         """Whether a multiple of the period lies in the step that ends now."""

@@ -131,7 +131,8 @@ def test_a_rally_point_keeps_its_height_frame():
         (FENCE, (vertex(0, 0, 2.0), vertex(0, 9, 2.0)), common.MAV_MISSION_INVALID_PARAM1, 0, "param1 2"),
         (FENCE, (*SQUARE[:3], vertex(9000, 0, 5.0)), common.MAV_MISSION_INVALID_PARAM1, 3, "does not belong"),
         (FENCE, (SQUARE[0], SQUARE[2], SQUARE[1], SQUARE[3]), common.MAV_MISSION_INVALID, 0, "crosses"),
-        (RALLY, (rally_item(47.0, 8.0, 1.0), WAYPOINT), common.MAV_MISSION_UNSUPPORTED, 1, "not a rally"),
+        (RALLY, (rally_item(47.0, 8.0, 1.0), WAYPOINT), common.MAV_MISSION_UNSUPPORTED, 1,
+         "not a rally point"),
         (RALLY, (item(5100, z=1e9),), common.MAV_MISSION_INVALID_PARAM7, 0, "altitude 1e+09"),
     ],
 )  # fmt: skip

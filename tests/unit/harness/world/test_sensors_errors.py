@@ -92,5 +92,5 @@ def test_samples_equal_those_of_the_recursion(shape):
         step, white = rng.standard_normal((2, *shape))
         drift = kept * drift + 0.7 * math.sqrt(1.0 - kept * kept) * step
         if sample % 7 == 0:
-            error.begin_fast_steps()
+            error.draw_ahead()
         assert error.next().tobytes() == (turn_on + drift + 0.3 * white).tobytes()
