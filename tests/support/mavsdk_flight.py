@@ -108,8 +108,13 @@ class Flight:
         check, offboard = self.checks.check, self.offboard
         await check("offboard without setpoint", refused(offboard.start(), "NO_SETPOINT_SET"))
         await check("mission mode without a mission", self.mission.start_mission())
+        await check("which is its mode", self._mode(FlightMode.MISSION))
+        # of the modes that do not arm: from mission and return MAVSDK itself changes to hold before it arms
+        await check("land mode on the ground", self.action.land())
+        await check("which is its mode", self._mode(FlightMode.LAND))
         await check("in which it does not arm", refused(self.action.arm(), "COMMAND_DENIED"))
         await check("back to hold", self.action.hold())
+        await check("which is its mode", self._mode(FlightMode.HOLD))
 
     async def take_off(self) -> None:
         check, action, telemetry = self.checks.check, self.action, self.telemetry
