@@ -13,7 +13,7 @@ from netsim.emulator.log_layout import FRAME_LOG, SESSION_LOG
 from netsim.ftm.session import Ranging
 from netsim.mac.initial_state import MODE_NAMES
 from netsim.mac.observations import KINDS
-from netsim.model.columns import COLLIDED, DELIVERED, LOST, RECORD_COLUMNS
+from netsim.model.codes import COLLIDED, DELIVERED, LOST
 from netsim.model.tables import Integers
 from netsim.phy.frames import GROUP, FrameKind
 from netsim.phy.signals import Transmission
@@ -107,7 +107,7 @@ class FrameBook:
     def take(self) -> Integers:
         """Return the rows since the last call: fields of `FrameRecord`, kind and mode as numbers."""
         rows, self._rows = self._rows, []
-        return np.array(rows, np.int64).reshape(-1, RECORD_COLUMNS)
+        return np.array(rows, np.int64).reshape(-1, len(FrameRecord._fields))
 
 
 _KIND_BYTES = np.array([kind.value for kind in KINDS], "S16")

@@ -1,14 +1,13 @@
 """Air times of frames and frame exchanges.
 
-The functions are compiled and work on `netsim.model.tables.Air`.
+The functions are compiled and work on the tables of `netsim.model.tables`.
 """
 
 from numba import njit
 
 from netsim.mac.access_parameters import SIFS_NS
-from netsim.model import columns as c
 from netsim.model import tables as t
-from netsim.model.tables import Air
+from netsim.model.records import Air
 from netsim.phy.frames import ACK_BYTES, CTS_BYTES, GROUP, RTS_BYTES
 from netsim.phy.modes import SERVICE_AND_TAIL_BITS, SYMBOL_NS, VHT_DELIMITER_BYTES
 
@@ -16,38 +15,39 @@ from netsim.phy.modes import SERVICE_AND_TAIL_BITS, SYMBOL_NS, VHT_DELIMITER_BYT
 @njit(cache=True)
 def duration_ns(air: Air, mode: int, frame_bytes: int) -> int:
     """Return the air time of a frame: see `netsim.phy.modes.PhyMode.duration_ns`."""
-    length = frame_bytes + VHT_DELIMITER_BYTES * t.modes(air, mode)[c.VHT]
-    symbols = -(-(SERVICE_AND_TAIL_BITS + 8 * length) // t.modes(air, mode)[c.BITS_PER_SYMBOL])
-    return int(t.modes(air, mode)[c.PREAMBLE] + SYMBOL_NS * symbols)
+    phy = t.mode(air, mode)
+    length = frame_bytes + VHT_DELIMITER_BYTES * phy.vht
+    symbols = -(-(SERVICE_AND_TAIL_BITS + 8 * length) // phy.bits_per_symbol)
+    return phy.preamble_ns + SYMBOL_NS * symbols
 
 
 @njit(cache=True)
 def response_ns(air: Air, job: int) -> int:
     """Return the time from the end of a job's frame to the end of its ACK; 0 for a group frame."""
-    if t.jobs(air, job)[c.JOB_TO] == GROUP:
+    if t.job(air, job).to == GROUP:
         return 0
-    mode = t.modes(air, t.jobs(air, job)[c.JOB_MODE])[c.RESPONSE_MODE]
-    return int(SIFS_NS + duration_ns(air, mode, ACK_BYTES))
+    mode = t.mode(air, t.job(air, job).mode).response_mode
+    return SIFS_NS + duration_ns(air, mode, ACK_BYTES)
 
 
 @njit(cache=True)
 def data_ns(air: Air, job: int) -> int:
     """Return the time from the beginning of a job's frame to the end of its ACK."""
-    mode, frame_bytes = t.jobs(air, job)[c.JOB_MODE], t.jobs(air, job)[c.JOB_BYTES]
+    mode, frame_bytes = t.job(air, job).mode, t.job(air, job).frame_bytes
     return duration_ns(air, mode, frame_bytes) + response_ns(air, job)
 
 
 @njit(cache=True)
 def cts_ns(air: Air) -> int:
     """Return the air time of a CTS."""
-    mode = t.modes(air, air[c.CONTROL_MODE])[c.RESPONSE_MODE]
+    mode = t.mode(air, air.control_mode).response_mode
     return duration_ns(air, mode, CTS_BYTES)
 
 
 @njit(cache=True)
 def exchange_ns(air: Air, job: int) -> int:
     """Return the duration of a job's exchange, RTS and CTS included."""
-    if not t.jobs(air, job)[c.JOB_RTS]:
+    if not t.job(air, job).rts:
         return data_ns(air, job)
-    rts_ns = duration_ns(air, air[c.CONTROL_MODE], RTS_BYTES)
+    rts_ns = duration_ns(air, air.control_mode, RTS_BYTES)
     return rts_ns + SIFS_NS + cts_ns(air) + SIFS_NS + data_ns(air, job)

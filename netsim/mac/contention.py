@@ -11,17 +11,19 @@ which another station begins to send (10.22.2.4). A station with empty queues co
 A frame whose lifetime is over leaves its queue at once, at any position and also while the medium is busy;
 only an exchange that has begun is completed.
 
-The functions are compiled and work on `netsim.model.tables.Air`. Frame exchanges are in `netsim.mac.station`.
+The functions are compiled and work on the tables of `netsim.model.tables`. Frame exchanges are in
+`netsim.mac.station`.
 """
 
 from numba import njit
 
 from netsim.mac.access_parameters import CCA_NS, EIFS_EXTRA_NS, SLOT_NS
-from netsim.model import columns as c
+from netsim.model import codes as c
 from netsim.model import tables as t
 from netsim.model.event_queue import NEVER_NS
 from netsim.model.events import schedule
-from netsim.model.tables import Air, call, draw_backoff
+from netsim.model.records import Air
+from netsim.model.tables import add_call, draw_backoff
 
 # --- queues
 
@@ -29,42 +31,41 @@ from netsim.model.tables import Air, call, draw_backoff
 @njit(cache=True)
 def push(air: Air, q: int, job: int) -> None:
     """Append a job to a queue."""
-    queue = t.queues(air, q)
-    t.jobs(air, job)[c.NEXT_JOB] = c.NOTHING
-    if queue[c.FIRST] == c.NOTHING:
-        queue[c.FIRST] = job
+    queue = t.queue(air, q)
+    t.job(air, job).next_job = c.NOTHING
+    if queue.first_job == c.NOTHING:
+        queue.first_job = job
     else:
-        t.jobs(air, queue[c.LAST])[c.NEXT_JOB] = job
-    queue[c.LAST] = job
-    t.stations(air, q // air[c.CATEGORIES])[c.HELD] += 1
+        t.job(air, queue.last_job).next_job = job
+    queue.last_job = job
+    t.station(air, q // air.categories).queued_frames += 1
 
 
 @njit(cache=True)
 def give_up(air: Air, q: int, outcome: int) -> None:
     """Remove the first job of a queue and report its outcome."""
-    queue = t.queues(air, q)
-    job = queue[c.FIRST]
-    queue[c.FIRST] = t.jobs(air, job)[c.NEXT_JOB]
-    t.stations(air, q // air[c.CATEGORIES])[c.HELD] -= 1
-    if queue[c.FIRST] == c.NOTHING:
+    queue = t.queue(air, q)
+    job = queue.first_job
+    queue.first_job = t.job(air, job).next_job
+    t.station(air, q // air.categories).queued_frames -= 1
+    if queue.first_job == c.NOTHING:
         unwatch(air, q)
     _report_done(air, q, job, outcome)
 
 
 @njit(cache=True)
 def _report_done(air: Air, q: int, job: int, outcome: int) -> None:
-    i = call(air, c.DONE, q // air[c.CATEGORIES], job)
-    t.calls(air, i)[c.CALL_DETAIL] = outcome
-    t.calls(air, i)[c.CALL_SOURCE] = c.NOTHING
+    call = add_call(air, c.DONE, q // air.categories, job)
+    call.detail, call.source = outcome, c.NOTHING
 
 
 @njit(cache=True)
 def drop_expired(air: Air, q: int) -> None:
     """Remove expired and cancelled jobs from the head of a queue."""
-    queue = t.queues(air, q)
-    while queue[c.FIRST] != c.NOTHING:
-        job = t.jobs(air, queue[c.FIRST])
-        if job[c.JOB_EXPIRES] > air[c.NOW] and not job[c.JOB_CANCELLED]:
+    queue = t.queue(air, q)
+    while queue.first_job != c.NOTHING:
+        job = t.job(air, queue.first_job)
+        if job.expires_ns > air.now_ns and not job.cancelled:
             break
         give_up(air, q, c.EXPIRED)
 
@@ -72,51 +73,52 @@ def drop_expired(air: Air, q: int) -> None:
 @njit(cache=True)
 def is_full(air: Air, station: int) -> bool:
     """Whether a station's queues are full after removing expired frames."""
-    if t.stations(air, station)[c.HELD] >= air[c.QUEUE_FRAMES]:
-        k = air[c.CATEGORIES]
+    if t.station(air, station).queued_frames >= air.queue_frames:
+        k = air.categories
         for q in range(station * k, station * k + k):
-            if t.queues(air, q)[c.IN_USE] and q != t.stations(air, station)[c.CURRENT]:
+            if t.queue(air, q).in_use and q != t.station(air, station).current_queue:
                 drop_expired(air, q)
-    return bool(t.stations(air, station)[c.HELD] >= air[c.QUEUE_FRAMES])
+    return t.station(air, station).queued_frames >= air.queue_frames
 
 
 @njit(cache=True)
 def watch(air: Air, q: int, expires_ns: int) -> None:
     """Schedule the check for expired frames at ``expires_ns``, earlier than the scheduled one."""
-    t.queues(air, q)[c.DEADLINE_AT] = expires_ns
-    t.queues(air, q)[c.DEADLINE] = schedule(air, max(expires_ns, air[c.NOW]), c.ON_DEADLINE, q)
+    queue = t.queue(air, q)
+    queue.deadline_ns = expires_ns
+    queue.deadline_event = schedule(air, max(expires_ns, air.now_ns), c.ON_DEADLINE, q)
 
 
 @njit(cache=True)
 def unwatch(air: Air, q: int) -> None:
     """Cancel the check for expired frames."""
-    t.queues(air, q)[c.DEADLINE] = 0
-    t.queues(air, q)[c.DEADLINE_AT] = NEVER_NS
+    queue = t.queue(air, q)
+    queue.deadline_event, queue.deadline_ns = 0, NEVER_NS
 
 
 @njit(cache=True)
 def on_deadline(air: Air, q: int) -> None:
     """Remove all expired frames of a queue except one whose exchange is under way."""
     unwatch(air, q)
-    queue, station = t.queues(air, q), t.stations(air, q // air[c.CATEGORIES])
-    spared = queue[c.FIRST] if station[c.CURRENT] == q else c.NOTHING
+    queue, station = t.queue(air, q), t.station(air, q // air.categories)
+    spared = queue.first_job if station.current_queue == q else c.NOTHING
     next_ns = NEVER_NS
-    before, job = c.NOTHING, queue[c.FIRST]
+    before, job = c.NOTHING, queue.first_job
     while job != c.NOTHING:
-        behind, expires_ns = t.jobs(air, job)[c.NEXT_JOB], t.jobs(air, job)[c.JOB_EXPIRES]
-        if expires_ns > air[c.NOW]:
+        behind, expires_ns = t.job(air, job).next_job, t.job(air, job).expires_ns
+        if expires_ns > air.now_ns:
             next_ns = min(next_ns, expires_ns)
-        if expires_ns > air[c.NOW] or job == spared:
+        if expires_ns > air.now_ns or job == spared:
             before = job
         else:
             if before == c.NOTHING:
-                queue[c.FIRST] = behind
+                queue.first_job = behind
             else:
-                t.jobs(air, before)[c.NEXT_JOB] = behind
-            station[c.HELD] -= 1
+                t.job(air, before).next_job = behind
+            station.queued_frames -= 1
             _report_done(air, q, job, c.EXPIRED)
         job = behind
-    queue[c.LAST] = before
+    queue.last_job = before
     if next_ns < NEVER_NS:
         watch(air, q, next_ns)
 
@@ -127,16 +129,17 @@ def on_deadline(air: Air, q: int) -> None:
 @njit(cache=True)
 def _back_off(air: Air, q: int) -> None:
     """Draw a new backoff, uniform in 0..CW slots."""
-    queue = t.queues(air, q)
-    draw = draw_backoff(air, q // air[c.CATEGORIES])
-    queue[c.BACKOFF] = int(draw * (queue[c.WINDOW] + 1))
-    queue[c.FRESH] = 0
+    queue = t.queue(air, q)
+    draw = draw_backoff(air, q // air.categories)
+    queue.backoff_slots = int(draw * (queue.window + 1))
+    queue.found_idle = False
 
 
 @njit(cache=True)
 def succeeded(air: Air, q: int) -> None:
     """Reset the contention window and back off, after a success or at the retry limit (10.3.3)."""
-    t.queues(air, q)[c.WINDOW] = t.queues(air, q)[c.WINDOW_LEAST]
+    queue = t.queue(air, q)
+    queue.window = queue.window_min
     _back_off(air, q)
 
 
@@ -146,44 +149,45 @@ def fail(air: Air, q: int) -> None:
 
     The frame is dropped if its retry limit is exceeded or its lifetime is over.
     """
-    job = t.queues(air, q)[c.FIRST]
-    t.jobs(air, job)[c.JOB_FAILURES] += 1
-    if t.jobs(air, job)[c.JOB_FAILURES] > t.jobs(air, job)[c.JOB_RETRIES]:
+    queue = t.queue(air, q)
+    job = t.job(air, queue.first_job)
+    job.failures += 1
+    if job.failures > job.retry_limit:
         succeeded(air, q)
         give_up(air, q, c.RETRY_LIMIT)
         return
-    t.queues(air, q)[c.WINDOW] = min(2 * t.queues(air, q)[c.WINDOW] + 1, t.queues(air, q)[c.WINDOW_MOST])
+    queue.window = min(2 * queue.window + 1, queue.window_max)
     _back_off(air, q)
-    if t.jobs(air, job)[c.JOB_EXPIRES] <= air[c.NOW]:
+    if job.expires_ns <= air.now_ns:
         give_up(air, q, c.EXPIRED)
 
 
 @njit(cache=True)
 def freeze(air: Air, station: int, from_ns: int) -> None:
     """Freeze all backoffs: the medium is busy from ``from_ns``; accesses until then still take place."""
-    t.stations(air, station)[c.PLANNED] = 0
-    k = air[c.CATEGORIES]
+    t.station(air, station).planned = False
+    k = air.categories
     for q in range(station * k, station * k + k):
-        if t.queues(air, q)[c.IN_USE]:
+        if t.queue(air, q).in_use:
             _freeze_queue(air, q, from_ns)
 
 
 @njit(cache=True)
 def _freeze_queue(air: Air, q: int, from_ns: int) -> None:
     """Subtract the elapsed slots from a queue's backoff."""
-    queue = t.queues(air, q)
-    if queue[c.ACCESS]:
-        if queue[c.ACCESS_AT] <= from_ns:
+    queue = t.queue(air, q)
+    if queue.access_event:
+        if queue.access_ns <= from_ns:
             return
-        queue[c.ACCESS] = 0
-        if queue[c.FRESH]:
+        queue.access_event = 0
+        if queue.found_idle:
             _back_off(air, q)
-            queue[c.BASE] = NEVER_NS
+            queue.slots_from_ns = NEVER_NS
             return
-    if queue[c.BACKOFF] and from_ns >= queue[c.BASE]:
-        passed_slots = (from_ns - queue[c.BASE]) // SLOT_NS + queue[c.SLOT_OFFSET]
-        queue[c.BACKOFF] = max(0, queue[c.BACKOFF] - passed_slots)
-    queue[c.BASE] = NEVER_NS
+    if queue.backoff_slots and from_ns >= queue.slots_from_ns:
+        passed_slots = (from_ns - queue.slots_from_ns) // SLOT_NS + queue.slot_offset
+        queue.backoff_slots = max(0, queue.backoff_slots - passed_slots)
+    queue.slots_from_ns = NEVER_NS
 
 
 # --- accesses
@@ -192,19 +196,19 @@ def _freeze_queue(air: Air, q: int, from_ns: int) -> None:
 @njit(cache=True)
 def contend(air: Air, station: int, q: int, job: int) -> None:
     """Enqueue a frame, and plan its access if it is the first."""
-    queue, now = t.queues(air, q), air[c.NOW]
-    queue[c.IN_USE] = 1
-    first = queue[c.FIRST] == c.NOTHING
+    queue, now = t.queue(air, q), air.now_ns
+    queue.in_use = True
+    first = queue.first_job == c.NOTHING
     push(air, q, job)
-    if t.jobs(air, job)[c.JOB_EXPIRES] < queue[c.DEADLINE_AT]:
-        watch(air, q, t.jobs(air, job)[c.JOB_EXPIRES])
-    if not first or t.stations(air, station)[c.CURRENT] == q:
+    if t.job(air, job).expires_ns < queue.deadline_ns:
+        watch(air, q, t.job(air, job).expires_ns)
+    if not first or t.station(air, station).current_queue == q:
         return
     busy = _is_busy(air, station)
-    remaining_ns = queue[c.BACKOFF] * SLOT_NS
-    if remaining_ns == 0 or (not busy and now >= queue[c.BASE] + remaining_ns):
-        queue[c.BACKOFF] = 0
-        queue[c.FRESH] = not busy
+    remaining_ns = queue.backoff_slots * SLOT_NS
+    if remaining_ns == 0 or (not busy and now >= queue.slots_from_ns + remaining_ns):
+        queue.backoff_slots = 0
+        queue.found_idle = not busy
         if busy:
             _back_off(air, q)
     resume(air, station)
@@ -212,100 +216,100 @@ def contend(air: Air, station: int, q: int, job: int) -> None:
 
 @njit(cache=True)
 def _is_busy(air: Air, station: int) -> bool:
-    now, row = air[c.NOW], t.stations(air, station)
-    return bool(
-        row[c.CURRENT] != c.NOTHING
-        or row[c.BUSY_FROM] + CCA_NS < now < row[c.BUSY_UNTIL]
-        or now < row[c.RESERVED_UNTIL]
-        or now < row[c.SENDING_UNTIL]
+    now, row = air.now_ns, t.station(air, station)
+    return (
+        row.current_queue != c.NOTHING
+        or row.busy_from_ns + CCA_NS < now < row.busy_until_ns
+        or now < row.nav_until_ns
+        or now < row.sending_until_ns
     )
 
 
 @njit(cache=True)
 def resume(air: Air, station: int) -> None:
     """Plan each queue's next access from the state of the medium; to be called after each change of it."""
-    now, row = air[c.NOW], t.stations(air, station)
-    if row[c.CURRENT] != c.NOTHING or row[c.SENDING_UNTIL] > now or row[c.RADIO_OFF]:
+    now, row = air.now_ns, t.station(air, station)
+    if row.current_queue != c.NOTHING or row.sending_until_ns > now or row.radio_off:
         return
-    idle_ns = row[c.BUSY_UNTIL]
+    idle_ns = row.busy_until_ns
     unsensed = False
     # a busy period within the NAV does not prevent planning an access after the NAV
-    if idle_ns > now and idle_ns > row[c.RESERVED_UNTIL]:
+    if idle_ns > now and idle_ns > row.nav_until_ns:
         # a busy period that the station cannot have sensed yet does not prevent an access
-        unsensed = now <= row[c.BUSY_FROM] + CCA_NS
+        unsensed = now <= row.busy_from_ns + CCA_NS
         if not unsensed:
             return
-        idle_ns = row[c.IDLE_BEFORE]
-    idle_ns = max(idle_ns, row[c.SENDING_UNTIL], row[c.RESERVED_UNTIL], row[c.WAIT_UNTIL])
-    if row[c.BROKEN]:
-        idle_ns = max(idle_ns, row[c.BROKEN] + EIFS_EXTRA_NS)
-    row[c.PLANNED] = 1
-    k = air[c.CATEGORIES]
+        idle_ns = row.idle_before_ns
+    idle_ns = max(idle_ns, row.sending_until_ns, row.nav_until_ns, row.wait_until_ns)
+    if row.last_error_ns:
+        idle_ns = max(idle_ns, row.last_error_ns + EIFS_EXTRA_NS)
+    row.planned = True
+    k = air.categories
     for q in range(station * k, station * k + k):
-        queue = t.queues(air, q)
+        queue = t.queue(air, q)
         # if unsensed, the slots before that busy period were subtracted when the backoff was frozen
-        frozen = queue[c.BACKOFF] and queue[c.BASE] == NEVER_NS
-        if queue[c.IN_USE] and not (unsensed and frozen):
-            _plan(air, q, idle_ns + queue[c.AIFS])
+        frozen = queue.backoff_slots and queue.slots_from_ns == NEVER_NS
+        if queue.in_use and not (unsensed and frozen):
+            _plan(air, q, idle_ns + queue.aifs_ns)
     if unsensed:
-        freeze(air, station, row[c.BUSY_FROM] + CCA_NS)
+        freeze(air, station, row.busy_from_ns + CCA_NS)
 
 
 @njit(cache=True)
 def _plan(air: Air, q: int, base_ns: int) -> None:
     """Plan one queue's access to a medium that is idle, AIFS included, from ``base_ns``."""
-    queue = t.queues(air, q)
-    queue[c.BASE] = base_ns
-    if queue[c.FIRST] == c.NOTHING:
+    queue = t.queue(air, q)
+    queue.slots_from_ns = base_ns
+    if queue.first_job == c.NOTHING:
         return
-    access_ns = max(base_ns + queue[c.BACKOFF] * SLOT_NS, air[c.NOW])
-    if not queue[c.ACCESS] or queue[c.ACCESS_AT] != access_ns:
-        queue[c.ACCESS_AT] = access_ns
-        queue[c.ACCESS] = schedule(air, access_ns, c.ON_ACCESS, q)
+    access_ns = max(base_ns + queue.backoff_slots * SLOT_NS, air.now_ns)
+    if not queue.access_event or queue.access_ns != access_ns:
+        queue.access_ns = access_ns
+        queue.access_event = schedule(air, access_ns, c.ON_ACCESS, q)
 
 
 @njit(cache=True)
 def win(air: Air, q: int) -> int:
-    """Return the queue that gets the access planned by ``q``, or `columns.NOTHING`.
+    """Return the queue that gets the access planned by ``q``, or `codes.NOTHING`.
 
     It may be a queue of higher priority of the same station.
     """
-    queue, now = t.queues(air, q), air[c.NOW]
-    queue[c.ACCESS] = 0
-    k = air[c.CATEGORIES]
+    queue, now = t.queue(air, q), air.now_ns
+    queue.access_event = 0
+    k = air.categories
     station = q // k
-    row = t.stations(air, station)
-    if row[c.CURRENT] != c.NOTHING or row[c.SENDING_UNTIL] > now:
-        queue[c.BASE] = NEVER_NS
+    row = t.station(air, station)
+    if row.current_queue != c.NOTHING or row.sending_until_ns > now:
+        queue.slots_from_ns = NEVER_NS
         return c.NOTHING
     drop_expired(air, q)
-    if queue[c.FIRST] == c.NOTHING:
+    if queue.first_job == c.NOTHING:
         resume(air, station)
         return c.NOTHING
     winner = _collide_inside(air, station, q)
-    row[c.CURRENT] = winner
-    t.queues(air, winner)[c.BACKOFF] = 0
-    t.queues(air, winner)[c.FRESH] = 0
+    row.current_queue = winner
+    won = t.queue(air, winner)
+    won.backoff_slots, won.found_idle = 0, False
     return winner
 
 
 @njit(cache=True)
 def _collide_inside(air: Air, station: int, q: int) -> int:
     """Resolve an internal collision: the queue of highest priority wins, the access of the others fails."""
-    k = air[c.CATEGORIES]
+    k = air.categories
     winner = c.NOTHING
     for rival in range(station * k, station * k + k):
-        queue = t.queues(air, rival)
-        if rival != q and not (queue[c.ACCESS] and queue[c.ACCESS_AT] <= air[c.NOW]):
+        queue = t.queue(air, rival)
+        if rival != q and not (queue.access_event and queue.access_ns <= air.now_ns):
             continue
         drop_expired(air, rival)
-        if queue[c.FIRST] == c.NOTHING:
+        if queue.first_job == c.NOTHING:
             continue
-        queue[c.ACCESS] = 0
+        queue.access_event = 0
         if winner == c.NOTHING:
             winner = rival
-            t.stations(air, station)[c.CURRENT] = winner
+            t.station(air, station).current_queue = winner
         else:
-            queue[c.BASE] = NEVER_NS
+            queue.slots_from_ns = NEVER_NS
             fail(air, rival)
     return winner

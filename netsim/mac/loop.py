@@ -7,64 +7,77 @@ the event that causes them, so that reactions of the upper layers follow all eff
 import numpy as np
 from numba import njit
 
+from foundation.kernels.records import Block
 from netsim.mac import station as mac
-from netsim.mac.borrowed import borrowed
 from netsim.mac.contention import contend, is_full, on_deadline
-from netsim.model import columns as c
+from netsim.model import codes as c
 from netsim.model import tables as t
 from netsim.model.events import drop_next, is_off
-from netsim.model.tables import Air, Integers, end_signal
+from netsim.model.records import Air
+from netsim.model.tables import Integers, add_call, end_signal, take_signal
 from netsim.phy import medium, sensing
 from netsim.phy.frames import GROUP
 from netsim.phy.path_loss import Doubles
 
 # Reasons for which `run` returns.
 REACHED, HAS_CALLS, NEEDS_BUDGET, NEEDS_MODE, NEEDS_ROOM = range(5)
-"""No more events are due; there are calls to report; needed: the link budget of the station
-`columns.BUDGET_SENDER`, which sends now; the mode of the next frame of the queue `columns.DUE`; random draws
-or free rows."""
+"""No more events are due; there are calls to report; needed: the link budget of a station, which sends now;
+the mode of the next frame of a queue; random draws or free rows."""
 
 # Results of `enqueue`.
 ACCEPTED, REJECTED, LACKS_ROOM = range(3)
 
 
 @njit(cache=True)
-def run(air: Air, fading: Doubles, until_ns: int, until_order: int) -> int:
-    """Run the events before a time and an order of scheduling; return the reason for stopping.
+def run(
+    block: Block, fading: Doubles, now_ns: int, scheduled: int, until_ns: int, until_order: int
+) -> tuple[int, int, int, int]:
+    """Run the events before a time and an order of scheduling.
 
-    The missing data must be supplied before the next call.
+    ``now_ns`` and ``scheduled`` are the clock and the number of scheduled events. Returns the reason for
+    stopping, both numbers afterwards, and the station or queue that needs data, which must be supplied
+    before the next call.
     """
-    air, fading = borrowed(air), borrowed(fading)
+    air = t.open_air(block)
+    air.now_ns, air.scheduled = now_ns, scheduled
+    reason = _run_until(air, fading, until_ns, until_order)
+    needed_by = air.budget_sender if reason == NEEDS_BUDGET else air.due_queue
+    return reason, air.now_ns, air.scheduled, needed_by
+
+
+@njit(cache=True)
+def _run_until(air: Air, fading: Doubles, until_ns: int, until_order: int) -> int:
+    """Run events; return the reason for stopping."""
     while True:
-        if air[c.DUE] != c.NOTHING:
-            lack = _begin_due(air, fading)
+        if air.due_queue != c.NOTHING:
+            reason = _begin_due(air, fading)
         elif _next_is_due(air, until_ns, until_order):
-            lack = _run_next(air, fading)
+            reason = _run_next(air, fading)
         else:
             return REACHED
-        if lack != REACHED:
-            return lack
-        if air[c.CALLS] and air[c.DUE] == c.NOTHING:
+        if reason != REACHED:
+            return reason
+        if air.calls and air.due_queue == c.NOTHING:
             return HAS_CALLS
 
 
 @njit(cache=True)
 def _next_is_due(air: Air, until_ns: int, until_order: int) -> bool:
     """Whether there is an event before a time and an order; drops cancelled events."""
-    while air[c.EVENTS] and is_off(air):
+    while air.events and is_off(air):
         drop_next(air)
-    if not air[c.EVENTS]:
+    if not air.events:
         return False
-    event = t.events(air, 0)
-    return bool(event[c.AT] < until_ns or (event[c.AT] == until_ns and event[c.ORDER] <= until_order))
+    event = t.event(air, 0)
+    return event.at_ns < until_ns or (event.at_ns == until_ns and event.order <= until_order)
 
 
 @njit(cache=True)
 def _run_next(air: Air, fading: Doubles) -> int:
     """Run the next event; return `REACHED`, or what it needs first."""
-    event = t.events(air, 0)
-    what, about = event[c.WHAT], event[c.ABOUT]
-    air[c.NOW] = event[c.AT]
+    event = t.event(air, 0)
+    what, about = event.what, event.about
+    air.now_ns = event.at_ns
     if not has_room(air):
         return NEEDS_ROOM
     if what in (c.SEND_JOB, c.SEND_FRAME):
@@ -74,26 +87,33 @@ def _run_next(air: Air, fading: Doubles) -> int:
             return REACHED
         if _lacks_budget(air, sender):
             return NEEDS_BUDGET
-    first, second = event[c.FURTHER], event[c.FURTHER + 1]
-    third, fourth = event[c.FURTHER + 2], event[c.FURTHER + 3]
+    first, second, third, fourth = event.first, event.second, event.third, event.fourth
     drop_next(air)
-    _act(air, fading, what, about, first, second, third, fourth)
+    if what == c.SEND_FRAME:
+        mac.send_frame(air, fading, about, first, second, third, fourth)
+    elif what == c.SEND_JOB:
+        mac.send_job(air, fading, about)
+    elif what == c.ON_UNUSED:
+        if medium.drop_reservation(air, about, first, second):
+            mac.on_unused(air, about)
+    else:
+        _act(air, what, about)
     return REACHED
 
 
 @njit(cache=True)
 def _begin_due(air: Air, fading: Doubles) -> int:
     """Begin the exchange that is due; return `REACHED`, or what it needs first."""
-    q = air[c.DUE]
+    q = air.due_queue
     if mac.lacks_mode(air, q):
         return NEEDS_MODE
     if mac.has_time(air, q):
-        if _lacks_budget(air, q // air[c.CATEGORIES]):
+        if _lacks_budget(air, q // air.categories):
             return NEEDS_BUDGET
         mac.begin(air, fading, q)
     else:
         mac.leave(air, q)
-    air[c.DUE] = c.NOTHING
+    air.due_queue = c.NOTHING
     return REACHED
 
 
@@ -103,42 +123,30 @@ def _lacks_budget(air: Air, sender: int) -> bool:
 
     It is valid for a limited time, so it is requested only when a transmission begins.
     """
-    air[c.BUDGET_SENDER] = sender
-    return bool(air[c.NOW] > t.budgets(air, sender)[c.BUDGET_UNTIL])
+    air.budget_sender = sender
+    return air.now_ns > t.station(air, sender).budget_until_ns
 
 
 @njit(cache=True)
 def has_room(air: Air) -> bool:
     """Whether there are enough draws and free rows for any one event."""
-    return bool(
-        not air[c.DRAWS_LOW]
-        and air[c.FREE_SIGNAL] != c.NOTHING
-        and air[c.EVENTS] + spare_events(air) <= air[c.EVENT_ROWS]
-        and air[c.RECORDS] < c.RECORD_ROWS
+    return (
+        not air.draws_low
+        and air.free_signal != c.NOTHING
+        and air.events + t.spare_events(air.stations, air.categories) <= air.event_rows
+        and air.records < c.RECORD_ROWS
     )
 
 
 @njit(cache=True)
-def spare_events(air: Air) -> int:
-    """Return the most events that one event schedules: access and deadline per queue, a response."""
-    return int(air[c.STATIONS] * (2 * air[c.CATEGORIES] + 2) + 8)
-
-
-@njit(cache=True)
-def _act(
-    air: Air, fading: Doubles, what: int, about: int, first: int, second: int, third: int, fourth: int
-) -> None:
-    """Run one event."""
+def _act(air: Air, what: int, about: int) -> None:
+    """Run one event that sends nothing."""
     if what == c.END_FRAME:
         _end_frame(air, about)
     elif what == c.DETECT:
         medium.find(air, about)
     elif what == c.ON_ACCESS:
         mac.on_access(air, about)
-    elif what == c.SEND_FRAME:
-        mac.send_frame(air, fading, about, first, second, third, fourth)
-    elif what == c.SEND_JOB:
-        mac.send_job(air, fading, about)
     elif what == c.START_EXCHANGE:
         mac.schedule_access(air, about)
     elif what == c.ON_TIMEOUT:
@@ -147,28 +155,26 @@ def _act(
         on_deadline(air, about)
     elif what == c.LOOK_FOR_UNUSED:
         medium.look_for_unused(air, about)
-    elif what == c.ON_UNUSED:
-        if medium.drop_reservation(air, about, first, second):
-            mac.on_unused(air, about)
     elif what == c.END_BURST:
         medium.end_burst(air, about)
-        for r in range(air[c.STATIONS]):
+        for r in range(air.stations):
             mac.on_air_changed(air, r)
 
 
 @njit(cache=True)
 def _end_frame(air: Air, frame: int) -> None:
+    sent = t.signal(air, frame)
     medium.settle(air, frame)
-    if t.signals(air, frame)[c.TO] == GROUP:
+    if sent.to == GROUP:
         mac.report_group_frame(air, frame)
-    for r in range(air[c.STATIONS]):
-        if t.ends(air, c.FATES)[r] != c.ABSENT:
+    for r in range(air.stations):
+        if t.end(air, r).fate != c.ABSENT:
             mac.on_end(air, frame, r)
     medium.conclude(air, frame)
     mac.on_sent(air, frame)
-    if air[c.OBSERVED]:
-        t.call(air, c.FRAME_ENDED, t.signals(air, frame)[c.SOURCE], t.signals(air, frame)[c.JOB])
-        air[c.ENDED] = frame
+    if air.observed:
+        add_call(air, c.FRAME_ENDED, sent.source, sent.job)
+        air.ended_frame = frame
     else:
         end_signal(air, frame)
 
@@ -178,20 +184,24 @@ def _end_frame(air: Air, frame: int) -> None:
 
 @njit(cache=True)
 def set_budget(
-    air: Air, source: int, powers_mw: Doubles, delays_ns: Integers, until_ns: int, longest_delay_ns: int
+    block: Block, source: int, powers_mw: Doubles, delays_ns: Integers, until_ns: int, longest_delay_ns: int
 ) -> None:
     """Set the link budget of a station: powers and delays (n,), valid until a time."""
-    t.budgets_mw(air, source)[:] = powers_mw
-    t.budget_delays_ns(air, source)[:] = delays_ns
-    budget = t.budgets(air, source)
-    budget[c.BUDGET_UNTIL], budget[c.BUDGET_DELAY] = until_ns, longest_delay_ns
+    air = t.open_air(block)
+    for r in range(air.stations):
+        budget = t.budget(air, source, r)
+        budget.power_mw, budget.delay_ns = powers_mw[r], delays_ns[r]
+    sender = t.station(air, source)
+    sender.budget_until_ns, sender.budget_longest_delay_ns = until_ns, longest_delay_ns
 
 
 @njit(cache=True)
 def enqueue(
-    air: Air,
+    block: Block,
+    now_ns: int,
+    scheduled: int,
     q: int,
-    job: int,
+    row: int,
     kind: int,
     to: int,
     mode: int,
@@ -202,58 +212,77 @@ def enqueue(
     adapts: int,
     seq: int,
     cancelled: int,
-) -> int:
+) -> tuple[int, int, int]:
     """Fill a free row of jobs and append it to a queue.
 
-    Returns `REJECTED` if the station's queues are full or its radio is off, and `LACKS_ROOM` without any
-    change if `has_room` is False.
+    Returns the result, the number of scheduled events and the number of calls. The result is `REJECTED` if
+    the station's queues are full or its radio is off, and `LACKS_ROOM`, without any change, if `has_room` is
+    False.
     """
+    air = t.open_air(block)
+    air.now_ns, air.scheduled = now_ns, scheduled
     if not has_room(air):
-        return LACKS_ROOM
-    row = t.jobs(air, job)
-    row[:] = 0
-    row[c.NEXT_JOB], row[c.JOB_KIND], row[c.JOB_TO], row[c.JOB_MODE] = c.NOTHING, kind, to, mode
-    row[c.JOB_BYTES], row[c.JOB_EXPIRES], row[c.JOB_RETRIES] = frame_bytes, expires_ns, retries
-    row[c.JOB_RTS], row[c.JOB_ADAPTS], row[c.JOB_SEQ], row[c.JOB_CANCELLED] = rts, adapts, seq, cancelled
-    station = q // air[c.CATEGORIES]
-    if t.stations(air, station)[c.RADIO_OFF] or is_full(air, station):
-        return REJECTED
-    contend(air, station, q, job)
-    return ACCEPTED
+        return LACKS_ROOM, air.scheduled, air.calls
+    job = t.job(air, row)
+    job.next_job, job.kind, job.to, job.mode = c.NOTHING, kind, to, mode
+    job.frame_bytes, job.expires_ns, job.retry_limit = frame_bytes, expires_ns, retries
+    job.rts, job.adapts, job.cancelled = rts != 0, adapts != 0, cancelled != 0
+    job.seq, job.sequence, job.attempts, job.failures, job.sent_ns = seq, 0, 0, 0, 0
+    station, result = q // air.categories, ACCEPTED
+    if t.station(air, station).radio_off or is_full(air, station):
+        result = REJECTED
+    else:
+        contend(air, station, q, row)
+    return result, air.scheduled, air.calls
 
 
 @njit(cache=True)
-def silence(air: Air, station: int) -> None:
-    """Switch a station's radio off for good."""
+def silence(block: Block, station: int) -> int:
+    """Switch a station's radio off for good; return the number of calls."""
+    air = t.open_air(block)
     mac.silence(air, station)
+    return air.calls
 
 
 @njit(cache=True)
-def start_burst(air: Air, burst: int) -> None:
-    """Start an interferer's burst, a row of signals."""
+def start_burst(
+    block: Block, source: int, end_ns: int, powers_mw: Doubles, delays_ns: Integers, longest_delay_ns: int
+) -> int:
+    """Start an interferer's burst now with powers and delays (n,); return the number of scheduled events."""
+    air = t.open_air(block)
+    burst = take_signal(air)
+    signal = t.signal(air, burst)
+    signal.source, signal.longest_delay_ns = source, longest_delay_ns
+    signal.start_ns, signal.end_ns = air.now_ns, end_ns
+    for r in range(air.stations):
+        path = t.path(air, burst, r)
+        path.power_mw, path.delay_ns = powers_mw[r], delays_ns[r]
     mac.on_busy(air, burst, medium.start_burst(air, burst))
+    return air.scheduled
 
 
 @njit(cache=True)
-def release(air: Air, frame: int) -> None:
+def release(block: Block, frame: int) -> None:
     """Free the row of a frame whose end has been reported."""
-    end_signal(air, frame)
+    end_signal(t.open_air(block), frame)
 
 
 @njit(cache=True)
-def surveyed_ns(air: Air, at_ns: int) -> Integers:
+def surveyed_ns(block: Block, at_ns: int) -> Integers:
     """Return the time (n,) up to now, ``at_ns``, for which each station sensed the medium busy or sent."""
-    busy_ns = np.empty(air[c.STATIONS], np.int64)
-    for r in range(len(busy_ns)):
-        busy_ns[r] = sensing.surveyed_ns(t.stations(air, r), at_ns)
+    air = t.open_air(block)
+    busy_ns = np.empty(air.stations, np.int64)
+    for r in range(air.stations):
+        busy_ns[r] = sensing.surveyed_ns(t.station(air, r), at_ns)
     return busy_ns
 
 
 @njit(cache=True)
-def next_ns(air: Air, never_ns: int) -> int:
+def next_ns(block: Block, never_ns: int) -> int:
     """Return the time of the next event, or ``never_ns``."""
-    while air[c.EVENTS]:
+    air = t.open_air(block)
+    while air.events:
         if not is_off(air):
-            return int(t.events(air, 0)[c.AT])
+            return t.event(air, 0).at_ns
         drop_next(air)
     return never_ns

@@ -15,7 +15,7 @@ At the retry limit the window is reset to its minimum (10.3.3). The expiry of a 
 
 Not modelled: fragmentation, power save, aggregation, block acknowledgement, CF-End.
 
-The functions are compiled and work on `netsim.model.tables.Air`.
+The functions are compiled and work on the tables of `netsim.model.tables`.
 """
 
 from numba import njit
@@ -23,10 +23,11 @@ from numba import njit
 from netsim.mac.access_parameters import CCA_NS, SIFS_NS, SLOT_NS
 from netsim.mac.airtime import cts_ns, data_ns, duration_ns, exchange_ns, response_ns
 from netsim.mac.contention import drop_expired, fail, freeze, give_up, resume, succeeded, unwatch, win
-from netsim.model import columns as c
+from netsim.model import codes as c
 from netsim.model import tables as t
-from netsim.model.events import schedule
-from netsim.model.tables import Air, call, take_signal
+from netsim.model.events import begin_event, end_event, schedule
+from netsim.model.records import Air
+from netsim.model.tables import add_call, take_signal
 from netsim.phy import medium
 from netsim.phy.frames import ACK_BYTES, CTS_BYTES, GROUP, RTS_BYTES
 from netsim.phy.modes import NON_HT_PREAMBLE_NS
@@ -45,15 +46,15 @@ IDLE, AWAITING_CTS, SENDING, AWAITING_ACK = range(4)
 
 @njit(cache=True)
 def sender(air: Air, what: int, about: int) -> int:
-    """Return the station that sends at an event now; `netsim.model.columns.NOTHING` if it no longer can.
+    """Return the station that sends at an event now; `netsim.model.codes.NOTHING` if it no longer can.
 
     The event is the frame of a job (`SEND_JOB`), whose exchange may have ended meanwhile, or a control frame
     (`SEND_FRAME`), whose station may have been switched off or be sending another frame.
     """
     if what == c.SEND_JOB:
-        return about // air[c.CATEGORIES] if _may_send(air, about) else c.NOTHING
-    row = t.stations(air, about)
-    return c.NOTHING if row[c.RADIO_OFF] or row[c.SENDING_UNTIL] > air[c.NOW] else about
+        return about // air.categories if _may_send(air, about) else c.NOTHING
+    row = t.station(air, about)
+    return c.NOTHING if row.radio_off or row.sending_until_ns > air.now_ns else about
 
 
 @njit(cache=True)
@@ -61,7 +62,7 @@ def on_access(air: Air, q: int) -> None:
     """Resolve the access planned by ``q`` and make the exchange of the winning queue due."""
     winner = win(air, q)
     if winner != c.NOTHING:
-        t.stations(air, winner // air[c.CATEGORIES])[c.TXOP_END] = air[c.NOW] + t.queues(air, winner)[c.TXOP]
+        t.station(air, winner // air.categories).txop_end_ns = air.now_ns + t.queue(air, winner).txop_ns
         schedule_access(air, winner)
 
 
@@ -69,19 +70,19 @@ def on_access(air: Air, q: int) -> None:
 def schedule_access(air: Air, q: int) -> None:
     """Make the exchange of a queue's first job due now, if the queue may still send and has one."""
     if _may_send(air, q):
-        air[c.DUE], air[c.CHOSEN] = q, 0
+        air.due_queue, air.mode_chosen = q, False
 
 
 @njit(cache=True)
 def _may_send(air: Air, q: int) -> bool:
-    may = t.stations(air, q // air[c.CATEGORIES])[c.CURRENT] == q
-    return bool(may and t.queues(air, q)[c.FIRST] != c.NOTHING)
+    may = t.station(air, q // air.categories).current_queue == q
+    return may and t.queue(air, q).first_job != c.NOTHING
 
 
 @njit(cache=True)
 def lacks_mode(air: Air, q: int) -> bool:
     """Whether the mode of a queue's next frame has to be chosen before its exchange begins."""
-    return bool(t.jobs(air, t.queues(air, q)[c.FIRST])[c.JOB_ADAPTS] and not air[c.CHOSEN])
+    return t.job(air, t.queue(air, q).first_job).adapts != 0 and air.mode_chosen == 0
 
 
 @njit(cache=True)
@@ -90,61 +91,61 @@ def has_time(air: Air, q: int) -> bool:
 
     It may not fit in a mode that has just been selected; then it needs a new access.
     """
-    txop_end_ns, queue = t.stations(air, q // air[c.CATEGORIES])[c.TXOP_END], t.queues(air, q)
-    goes_on = air[c.NOW] > txop_end_ns - queue[c.TXOP]  # the TXOP has begun before
-    late = air[c.CHOSEN] and goes_on and air[c.NOW] + exchange_ns(air, queue[c.FIRST]) > txop_end_ns
+    txop_end_ns, queue = t.station(air, q // air.categories).txop_end_ns, t.queue(air, q)
+    goes_on = air.now_ns > txop_end_ns - queue.txop_ns  # the TXOP has begun before
+    late = air.mode_chosen and goes_on and air.now_ns + exchange_ns(air, queue.first_job) > txop_end_ns
     return not late
 
 
 @njit(cache=True)
 def begin(air: Air, fading: Doubles, q: int) -> None:
     """Begin the exchange of a queue's first job: see `lacks_mode` and `has_time`."""
-    station, job = q // air[c.CATEGORIES], t.queues(air, q)[c.FIRST]
-    target = _rts_target(air, station, job) if t.jobs(air, job)[c.JOB_RTS] else c.NOTHING
+    station, job = q // air.categories, t.queue(air, q).first_job
+    target = _rts_target(air, station, job) if t.job(air, job).rts else c.NOTHING
     if target == c.NOTHING:
         send_job(air, fading, q)
         return
-    t.stations(air, station)[c.PHASE] = AWAITING_CTS
-    rts = _frame(air, c.RTS, station, target, air[c.CONTROL_MODE], RTS_BYTES)
-    cts_end_ns = SIFS_NS + cts_ns(air)
-    t.signals(air, rts)[c.NAV] = cts_end_ns + SIFS_NS + data_ns(air, job)
-    t.signals(air, rts)[c.LAPSE] = cts_end_ns + SIFS_NS + NON_HT_PREAMBLE_NS + 2 * SLOT_NS
+    t.station(air, station).phase = AWAITING_CTS
+    rts = _frame(air, c.RTS, station, target, air.control_mode, RTS_BYTES)
+    sent, cts_end_ns = t.signal(air, rts), SIFS_NS + cts_ns(air)
+    sent.nav_ns = cts_end_ns + SIFS_NS + data_ns(air, job)
+    sent.lapse_ns = cts_end_ns + SIFS_NS + NON_HT_PREAMBLE_NS + 2 * SLOT_NS
     _send(air, fading, rts)
     _await_response(air, station, rts)
 
 
 @njit(cache=True)
 def _rts_target(air: Air, station: int, job: int) -> int:
-    if t.jobs(air, job)[c.JOB_TO] != GROUP:
-        return int(t.jobs(air, job)[c.JOB_TO])
-    oldest_ns = air[c.NOW] - NEIGHBOUR_LIFETIME_NS
-    return medium.loudest(air, station, oldest_ns, t.jobs(air, job)[c.JOB_FAILURES])
+    data = t.job(air, job)
+    if data.to != GROUP:
+        return data.to
+    return medium.loudest(air, station, air.now_ns - NEIGHBOUR_LIFETIME_NS, data.failures)
 
 
 @njit(cache=True)
 def send_job(air: Air, fading: Doubles, q: int) -> None:
     """Send the data frame of a queue's exchange; requires that the queue may send: see `sender`."""
-    station = q // air[c.CATEGORIES]
-    row, queue = t.stations(air, station), t.queues(air, q)
-    which = queue[c.FIRST]
-    job = t.jobs(air, which)
-    if job[c.JOB_ATTEMPTS] == 0:
-        row[c.SEQUENCE] += 1
-        job[c.JOB_SEQUENCE] = row[c.SEQUENCE]
+    station = q // air.categories
+    row, queue = t.station(air, station), t.queue(air, q)
+    which = queue.first_job
+    job = t.job(air, which)
+    if job.attempts == 0:
+        row.sequence += 1
+        job.sequence = row.sequence
     nav_ns = response_ns(air, which)
-    if queue[c.TXOP] and job[c.NEXT_JOB] != c.NOTHING:
-        next_ns = SIFS_NS + exchange_ns(air, job[c.NEXT_JOB])
-        if air[c.NOW] + data_ns(air, which) + next_ns <= row[c.TXOP_END]:
+    if queue.txop_ns and job.next_job != c.NOTHING:
+        next_ns = SIFS_NS + exchange_ns(air, job.next_job)
+        if air.now_ns + data_ns(air, which) + next_ns <= row.txop_end_ns:
             nav_ns += next_ns
-    frame = _frame(air, job[c.JOB_KIND], station, job[c.JOB_TO], job[c.JOB_MODE], job[c.JOB_BYTES])
-    sent = t.signals(air, frame)
-    sent[c.NAV] = nav_ns
-    sent[c.SEQ], sent[c.FRAME_SEQUENCE], sent[c.JOB] = job[c.JOB_SEQ], job[c.JOB_SEQUENCE], which
-    job[c.JOB_ATTEMPTS] += 1
-    job[c.JOB_SENT_AT] = air[c.NOW]
-    row[c.PHASE] = SENDING if job[c.JOB_TO] == GROUP else AWAITING_ACK
+    frame = _frame(air, job.kind, station, job.to, job.mode, job.frame_bytes)
+    sent = t.signal(air, frame)
+    sent.nav_ns = nav_ns
+    sent.seq, sent.sequence, sent.job = job.seq, job.sequence, which
+    job.attempts += 1
+    job.sent_ns = air.now_ns
+    row.phase = SENDING if job.to == GROUP else AWAITING_ACK
     _send(air, fading, frame)
-    if job[c.JOB_TO] != GROUP:
+    if job.to != GROUP:
         _await_response(air, station, frame)
 
 
@@ -152,61 +153,63 @@ def send_job(air: Air, fading: Doubles, q: int) -> None:
 def _frame(air: Air, kind: int, source: int, to: int, mode: int, frame_bytes: int) -> int:
     """Allocate a row of signals for a frame that begins now, and fill the common fields."""
     row = take_signal(air)
-    frame = t.signals(air, row)
-    frame[c.SOURCE], frame[c.TO], frame[c.KIND] = source, to, kind
-    frame[c.MODE], frame[c.BYTES] = mode, frame_bytes
-    frame[c.START] = air[c.NOW]
-    frame[c.END] = frame[c.START] + duration_ns(air, mode, frame_bytes)
-    frame[c.NAV] = frame[c.LAPSE] = frame[c.SEQ] = frame[c.FRAME_SEQUENCE] = 0
-    frame[c.JOB] = c.NOTHING
+    frame = t.signal(air, row)
+    frame.source, frame.to, frame.kind = source, to, kind
+    frame.mode, frame.frame_bytes = mode, frame_bytes
+    frame.start_ns = air.now_ns
+    frame.end_ns = frame.start_ns + duration_ns(air, mode, frame_bytes)
+    frame.nav_ns, frame.lapse_ns, frame.seq, frame.sequence = 0, 0, 0, 0
+    frame.job = c.NOTHING
     return row
 
 
 @njit(cache=True)
 def _send(air: Air, fading: Doubles, frame: int) -> None:
-    freeze(air, t.signals(air, frame)[c.SOURCE], air[c.NOW])
+    freeze(air, t.signal(air, frame).source, air.now_ns)
     on_busy(air, frame, medium.start(air, fading, frame))
 
 
 @njit(cache=True)
 def on_busy(air: Air, signal: int, count: int) -> None:
-    """Freeze the backoffs of the ``count`` stations in `NEWLY_BUSY`, where the medium becomes busy."""
-    for r in t.ends(air, c.NEWLY_BUSY)[:count]:
-        if t.stations(air, r)[c.PLANNED]:
-            freeze(air, r, t.signals(air, signal)[c.START] + t.delays_ns(air, signal)[r] + CCA_NS)
+    """Freeze the backoffs of the first ``count`` stations of `records.End.newly_busy`."""
+    for k in range(count):
+        r = t.end(air, k).newly_busy
+        if t.station(air, r).planned:
+            freeze(air, r, t.signal(air, signal).start_ns + t.path(air, signal, r).delay_ns + CCA_NS)
 
 
 @njit(cache=True)
 def _await_response(air: Air, station: int, frame: int) -> None:
-    t.stations(air, station)[c.TIMED_OUT] = 0
-    at_ns = t.signals(air, frame)[c.END] + RESPONSE_TIMEOUT_NS
-    t.stations(air, station)[c.TIMEOUT] = schedule(air, at_ns, c.ON_TIMEOUT, station)
+    row = t.station(air, station)
+    row.timed_out = False
+    at_ns = t.signal(air, frame).end_ns + RESPONSE_TIMEOUT_NS
+    row.timeout_event = schedule(air, at_ns, c.ON_TIMEOUT, station)
 
 
 @njit(cache=True)
 def _stop_waiting(air: Air, station: int) -> None:
-    t.stations(air, station)[c.TIMED_OUT] = 0
-    t.stations(air, station)[c.TIMEOUT] = 0
+    row = t.station(air, station)
+    row.timed_out, row.timeout_event = False, 0
 
 
 @njit(cache=True)
 def _succeed(air: Air, station: int, outcome: int, end_ns: int) -> None:
     """End the exchange with success at ``end_ns``, and begin the next one of the TXOP if it fits."""
-    q = t.stations(air, station)[c.CURRENT]
+    q = t.station(air, station).current_queue
     if q == c.NOTHING:
         return
     _stop_waiting(air, station)
     give_up(air, q, outcome)
-    if not (t.queues(air, q)[c.TXOP] and _goes_on(air, station, q, end_ns + SIFS_NS)):
+    if not (t.queue(air, q).txop_ns and _goes_on(air, station, q, end_ns + SIFS_NS)):
         leave(air, q)
 
 
 @njit(cache=True)
 def leave(air: Air, q: int) -> None:
     """Release the medium after a success and back off."""
-    station = q // air[c.CATEGORIES]
-    t.stations(air, station)[c.CURRENT] = c.NOTHING
-    t.stations(air, station)[c.PHASE] = IDLE
+    station = q // air.categories
+    row = t.station(air, station)
+    row.current_queue, row.phase = c.NOTHING, IDLE
     succeeded(air, q)
     resume(air, station)
 
@@ -214,36 +217,33 @@ def leave(air: Air, q: int) -> None:
 @njit(cache=True)
 def _goes_on(air: Air, station: int, q: int, start_ns: int) -> bool:
     """Schedule the next exchange of a TXOP at ``start_ns`` if there is one that ends within the limit."""
-    queue = t.queues(air, q)
-    queue[c.WINDOW] = queue[c.WINDOW_LEAST]
+    queue = t.queue(air, q)
+    queue.window = queue.window_min
     drop_expired(air, q)
-    job = queue[c.FIRST]
+    job = queue.first_job
     if job == c.NOTHING:
         return False
     # the duration of a frame without a mode is checked when the mode has been selected
-    if (
-        not t.jobs(air, job)[c.JOB_ADAPTS]
-        and start_ns + exchange_ns(air, job) > t.stations(air, station)[c.TXOP_END]
-    ):
+    if not t.job(air, job).adapts and start_ns + exchange_ns(air, job) > t.station(air, station).txop_end_ns:
         return False
-    t.stations(air, station)[c.PHASE] = SENDING
+    t.station(air, station).phase = SENDING
     schedule(air, start_ns, c.START_EXCHANGE, q)
     return True
 
 
 @njit(cache=True)
 def _fail_exchange(air: Air, station: int) -> None:
-    row = t.stations(air, station)
-    q = row[c.CURRENT]
+    row = t.station(air, station)
+    q = row.current_queue
     if q == c.NOTHING:
         return
-    job = t.queues(air, q)[c.FIRST]
-    if row[c.PHASE] == AWAITING_ACK and t.jobs(air, job)[c.JOB_ADAPTS]:
-        call(air, c.FAILED, station, job)
+    job = t.queue(air, q).first_job
+    if row.phase == AWAITING_ACK and t.job(air, job).adapts:
+        add_call(air, c.FAILED, station, job)
     _stop_waiting(air, station)
-    row[c.CURRENT] = c.NOTHING
-    row[c.PHASE] = IDLE
-    row[c.WAIT_UNTIL] = air[c.NOW]
+    row.current_queue = c.NOTHING
+    row.phase = IDLE
+    row.wait_until_ns = air.now_ns
     fail(air, q)
     resume(air, station)
 
@@ -251,10 +251,11 @@ def _fail_exchange(air: Air, station: int) -> None:
 @njit(cache=True)
 def on_timeout(air: Air, station: int) -> None:
     """Handle the time-out of a response: the exchange fails unless a frame is being received."""
-    t.stations(air, station)[c.TIMEOUT] = 0
-    if t.stations(air, station)[c.LOCK] != c.NOTHING:
+    row = t.station(air, station)
+    row.timeout_event = 0
+    if row.locked_frame != c.NOTHING:
         # a frame has begun in time: it is decided at its end whether it is the response
-        t.stations(air, station)[c.TIMED_OUT] = 1
+        row.timed_out = True
     else:
         _fail_exchange(air, station)
 
@@ -265,12 +266,12 @@ def on_timeout(air: Air, station: int) -> None:
 @njit(cache=True)
 def on_end(air: Air, frame: int, station: int) -> None:
     """Process the end of a frame at a station, after the medium has determined its outcome."""
-    row, fate = t.stations(air, station), t.ends(air, c.FATES)[station]
-    if t.ends(air, c.UPSETS)[station] and row[c.PLANNED]:
-        freeze(air, station, air[c.NOW])
-    if fate == c.RECEIVED and t.signals(air, frame)[c.TO] == station:
+    row, end = t.station(air, station), t.end(air, station)
+    if end.upset and row.planned:
+        freeze(air, station, air.now_ns)
+    if end.fate == c.RECEIVED and t.signal(air, frame).to == station:
         _receive_own(air, frame, station)
-    if fate != c.MISSED and row[c.TIMED_OUT]:
+    if end.fate != c.MISSED and row.timed_out:
         _fail_exchange(air, station)
     on_air_changed(air, station)
 
@@ -278,26 +279,27 @@ def on_end(air: Air, frame: int, station: int) -> None:
 @njit(cache=True)
 def on_air_changed(air: Air, station: int) -> None:
     """Plan accesses of a station that has no plan."""
-    if not t.stations(air, station)[c.PLANNED]:
+    if not t.station(air, station).planned:
         resume(air, station)
 
 
 @njit(cache=True)
 def on_unused(air: Air, station: int) -> None:
     """Plan accesses of a station again after its NAV has been reset."""
-    if t.stations(air, station)[c.PLANNED]:
-        freeze(air, station, air[c.NOW])
+    if t.station(air, station).planned:
+        freeze(air, station, air.now_ns)
     resume(air, station)
 
 
 @njit(cache=True)
 def on_sent(air: Air, frame: int) -> None:
     """Continue after the own frame of a station has ended at all receivers."""
-    station = t.signals(air, frame)[c.SOURCE]
-    row = t.stations(air, station)
-    if row[c.PHASE] == SENDING and t.signals(air, frame)[c.KIND] not in (c.CTS, c.ACK):
-        _succeed(air, station, c.SENT, t.signals(air, frame)[c.END])
-    elif row[c.TIMED_OUT] and row[c.LOCK] == c.NOTHING:
+    sent = t.signal(air, frame)
+    station = sent.source
+    row = t.station(air, station)
+    if row.phase == SENDING and sent.kind not in (c.CTS, c.ACK):
+        _succeed(air, station, c.SENT, sent.end_ns)
+    elif row.timed_out and row.locked_frame == c.NOTHING:
         # its own transmission has aborted a reception that might have been the response
         _fail_exchange(air, station)
     else:
@@ -306,54 +308,50 @@ def on_sent(air: Air, frame: int) -> None:
 
 @njit(cache=True)
 def _receive_own(air: Air, frame: int, station: int) -> None:
-    row, kind = t.stations(air, station), t.signals(air, frame)[c.KIND]
-    source = t.signals(air, frame)[c.SOURCE]
-    end_ns = t.signals(air, frame)[c.END] + t.delays_ns(air, frame)[station]
+    row, sent, path = t.station(air, station), t.signal(air, frame), t.path(air, frame, station)
+    kind, source = sent.kind, sent.source
+    end_ns = sent.end_ns + path.delay_ns
     if kind == c.CTS:
-        if row[c.PHASE] == AWAITING_CTS and row[c.CURRENT] != c.NOTHING:
+        if row.phase == AWAITING_CTS and row.current_queue != c.NOTHING:
             _stop_waiting(air, station)
-            row[c.PHASE] = SENDING
-            schedule(air, end_ns + SIFS_NS, c.SEND_JOB, row[c.CURRENT])
+            row.phase = SENDING
+            schedule(air, end_ns + SIFS_NS, c.SEND_JOB, row.current_queue)
     elif kind == c.ACK:
-        if row[c.PHASE] == AWAITING_ACK and row[c.CURRENT] != c.NOTHING:
-            done = air[c.CALLS]
+        if row.phase == AWAITING_ACK and row.current_queue != c.NOTHING:
+            done = t.call(air, air.calls)
             _succeed(air, station, c.ACKNOWLEDGED, end_ns)
-            t.calls(air, done)[c.CALL_SOURCE] = source
-            t.calls(air, done)[c.CALL_START] = t.signals(air, frame)[c.START]
-            t.calls(air, done)[c.CALL_END] = end_ns
-            t.calls_mw(air, done)[0] = t.powers_mw(air, frame)[station]
+            done.source, done.start_ns, done.end_ns = source, sent.start_ns, end_ns
+            done.power_mw = path.power_mw
     elif kind == c.RTS:
         # no CTS while the NAV is set, unless the sender of the RTS set it (10.22.2.4)
-        free = row[c.RESERVED_UNTIL] <= end_ns or row[c.RESERVED_BY] == source
-        if free and row[c.CURRENT] == c.NOTHING:
+        free = row.nav_until_ns <= end_ns or row.nav_set_by == source
+        if free and row.current_queue == c.NOTHING:
             _respond(air, frame, end_ns, station)
     else:
         _respond(air, frame, end_ns, station)
-        sequence = t.signals(air, frame)[c.FRAME_SEQUENCE]
-        again = t.last_sequences(air, station)[source * c.KINDS + kind] == sequence
-        t.last_sequences(air, station)[source * c.KINDS + kind] = sequence
-        _report_frame(air, frame, station, int(again))
+        last_sequence = t.link(air, station, source).last_sequence
+        again = last_sequence[kind] == sent.sequence
+        last_sequence[kind] = sent.sequence
+        _report_frame(air, frame, station, again)
 
 
 @njit(cache=True)
 def report_group_frame(air: Air, frame: int) -> None:
     """Report a group frame that has ended to the upper layer if any station has received it."""
-    for fate in t.ends(air, c.FATES):
-        if fate == c.RECEIVED:
-            i = call(air, c.GROUP_FRAME, c.NOTHING, t.signals(air, frame)[c.JOB])
-            t.calls(air, i)[c.CALL_DETAIL] = frame
+    for station in range(air.stations):
+        if t.end(air, station).fate == c.RECEIVED:
+            add_call(air, c.GROUP_FRAME, c.NOTHING, t.signal(air, frame).job).detail = frame
             return
 
 
 @njit(cache=True)
-def _report_frame(air: Air, frame: int, station: int, again: int) -> None:
-    """Report a frame to the upper layer of a station; ``again`` is 1 for a duplicate."""
-    i = call(air, c.FRAME, station, t.signals(air, frame)[c.JOB])
-    t.calls(air, i)[c.CALL_DETAIL] = again
-    t.calls(air, i)[c.CALL_SOURCE] = t.signals(air, frame)[c.SOURCE]
-    t.calls(air, i)[c.CALL_START] = t.signals(air, frame)[c.START]
-    t.calls(air, i)[c.CALL_END] = t.signals(air, frame)[c.END] + t.delays_ns(air, frame)[station]
-    t.calls_mw(air, i)[0] = t.powers_mw(air, frame)[station]
+def _report_frame(air: Air, frame: int, station: int, again: bool) -> None:  # noqa: FBT001 - kernels take positions
+    """Report a frame to the upper layer of a station; ``again``: it is a duplicate."""
+    sent, path = t.signal(air, frame), t.path(air, frame, station)
+    call = add_call(air, c.FRAME, station, sent.job)
+    call.detail, call.source = again, sent.source
+    call.start_ns, call.end_ns = sent.start_ns, sent.end_ns + path.delay_ns
+    call.power_mw = path.power_mw
 
 
 # --- responses
@@ -362,26 +360,37 @@ def _report_frame(air: Air, frame: int, station: int, again: int) -> None:
 @njit(cache=True)
 def _respond(air: Air, frame: int, end_ns: int, station: int) -> None:
     """Schedule the CTS or ACK of a frame that has ended at this station at ``end_ns``."""
-    mode = t.modes(air, t.signals(air, frame)[c.MODE])[c.RESPONSE_MODE]
-    if t.signals(air, frame)[c.KIND] == c.RTS:
-        what, frame_bytes = c.CTS, CTS_BYTES
+    received = t.signal(air, frame)
+    mode = t.mode(air, received.mode).response_mode
+    if received.kind == c.RTS:
+        kind, frame_bytes = c.CTS, CTS_BYTES
     else:
-        what, frame_bytes = c.ACK, ACK_BYTES
-    nav_ns = max(0, t.signals(air, frame)[c.NAV] - SIFS_NS - duration_ns(air, mode, frame_bytes))
-    to = t.signals(air, frame)[c.SOURCE]
-    schedule(air, end_ns + SIFS_NS, c.SEND_FRAME, station, to, what * c.MODES + mode, frame_bytes, nav_ns)
+        kind, frame_bytes = c.ACK, ACK_BYTES
+    nav_ns = max(0, received.nav_ns - SIFS_NS - duration_ns(air, mode, frame_bytes))
+    what = kind * c.MODES + mode
+    schedule_frame(air, end_ns + SIFS_NS, station, received.source, what, frame_bytes, nav_ns)
+
+
+@njit(cache=True)
+def schedule_frame(
+    air: Air, at_ns: int, station: int, to: int, what: int, frame_bytes: int, nav_ns: int
+) -> None:
+    """Schedule `send_frame`."""
+    event = begin_event(air, at_ns, c.SEND_FRAME, station)
+    event.first, event.second, event.third, event.fourth = to, what, frame_bytes, nav_ns
+    end_event(air)
 
 
 @njit(cache=True)
 def send_frame(
     air: Air, fading: Doubles, station: int, to: int, what: int, frame_bytes: int, nav_ns: int
 ) -> None:
-    """Send a control frame or one of `Radios.transmit`, which belongs to no job: see `sender`.
+    """Send a control frame, which belongs to no job: see `sender`.
 
     ``what`` is its kind times the number of modes, plus its mode.
     """
     frame = _frame(air, what // c.MODES, station, to, what % c.MODES, frame_bytes)
-    t.signals(air, frame)[c.NAV] = nav_ns
+    t.signal(air, frame).nav_ns = nav_ns
     _send(air, fading, frame)
 
 
@@ -391,19 +400,19 @@ def send_frame(
 @njit(cache=True)
 def silence(air: Air, station: int) -> None:
     """Switch a station's radio off for good: it no longer sends, responds or receives."""
-    row = t.stations(air, station)
-    row[c.RADIO_OFF] = 1
-    row[c.LOCK] = c.NOTHING
-    freeze(air, station, air[c.NOW] - 1)
+    row = t.station(air, station)
+    row.radio_off = True
+    row.locked_frame = c.NOTHING
+    freeze(air, station, air.now_ns - 1)
     _stop_waiting(air, station)
-    row[c.CURRENT] = c.NOTHING
-    k = air[c.CATEGORIES]
+    row.current_queue = c.NOTHING
+    k = air.categories
     for q in range(station * k, station * k + k):
-        if not t.queues(air, q)[c.IN_USE]:
+        if not t.queue(air, q).in_use:
             continue
         unwatch(air, q)
-        while t.queues(air, q)[c.FIRST] != c.NOTHING:
-            job = t.queues(air, q)[c.FIRST]
+        while t.queue(air, q).first_job != c.NOTHING:
+            job = t.job(air, t.queue(air, q).first_job)
             # a group frame in the queue with an attempt is on the air and is completed
-            gone = t.jobs(air, job)[c.JOB_TO] == GROUP and t.jobs(air, job)[c.JOB_ATTEMPTS] > 0
+            gone = job.to == GROUP and job.attempts > 0
             give_up(air, q, c.SENT if gone else c.EXPIRED)

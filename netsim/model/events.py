@@ -2,56 +2,64 @@
 
 from numba import njit
 
-from netsim.model import columns as c
+from netsim.model import codes as c
 from netsim.model import tables as t
-from netsim.model.tables import Air
+from netsim.model.records import Air, ScheduledEvent
 
 
 @njit(cache=True)
 def _comes_before(air: Air, i: int, j: int) -> bool:
-    one, other = t.events(air, i), t.events(air, j)
-    if one[c.AT] != other[c.AT]:
-        return bool(one[c.AT] < other[c.AT])
-    return bool(one[c.ORDER] < other[c.ORDER])
+    one, other = t.event(air, i), t.event(air, j)
+    if one.at_ns != other.at_ns:
+        return one.at_ns < other.at_ns
+    return one.order < other.order
 
 
 @njit(cache=True)
 def _swap(air: Air, i: int, j: int) -> None:
-    one, other = t.events(air, i), t.events(air, j)
-    for column in range(c.EVENT_COLUMNS):
-        one[column], other[column] = other[column], one[column]
+    one, other = t.event(air, i), t.event(air, j)
+    one.at_ns, other.at_ns = other.at_ns, one.at_ns
+    one.order, other.order = other.order, one.order
+    one.what, other.what = other.what, one.what
+    one.about, other.about = other.about, one.about
+    one.first, other.first = other.first, one.first
+    one.second, other.second = other.second, one.second
+    one.third, other.third = other.third, one.third
+    one.fourth, other.fourth = other.fourth, one.fourth
 
 
 @njit(cache=True)
-def schedule(
-    air: Air,
-    at_ns: int,
-    what: int,
-    about: int,
-    first: int = 0,
-    second: int = 0,
-    third: int = 0,
-    fourth: int = 0,
-) -> int:
-    """Schedule an event; return its order, which is unique."""
-    air[c.SCHEDULED] += 1
-    i = air[c.EVENTS]
-    air[c.EVENTS] = i + 1
-    event = t.events(air, i)
-    event[c.AT], event[c.ORDER], event[c.WHAT], event[c.ABOUT] = at_ns, air[c.SCHEDULED], what, about
-    event[c.FURTHER], event[c.FURTHER + 1] = first, second
-    event[c.FURTHER + 2], event[c.FURTHER + 3] = third, fourth
+def begin_event(air: Air, at_ns: int, what: int, about: int) -> ScheduledEvent:
+    """Write an event behind the heap; return it for its further numbers, then call `end_event`."""
+    event = t.event(air, air.events)
+    event.at_ns, event.order, event.what, event.about = at_ns, air.scheduled + 1, what, about
+    return event
+
+
+@njit(cache=True)
+def end_event(air: Air) -> int:
+    """Add the event of `begin_event` to the heap; return its order, which is unique."""
+    i = air.events
+    air.events += 1
+    air.scheduled += 1
     while i and _comes_before(air, i, (i - 1) // 2):
         _swap(air, i, (i - 1) // 2)
         i = (i - 1) // 2
-    return int(air[c.SCHEDULED])
+    return air.scheduled
+
+
+@njit(cache=True)
+def schedule(air: Air, at_ns: int, what: int, about: int) -> int:
+    """Schedule an event without further numbers; return its order."""
+    begin_event(air, at_ns, what, about)
+    return end_event(air)
 
 
 @njit(cache=True)
 def drop_next(air: Air) -> None:
     """Remove the next event."""
-    count = air[c.EVENTS] - 1
-    air[c.EVENTS] = count
+    count = air.events - 1
+    air.events = count
     _swap(air, 0, count)
     i = 0
     while 2 * i + 1 < count:
@@ -67,12 +75,12 @@ def drop_next(air: Air) -> None:
 @njit(cache=True)
 def is_off(air: Air) -> bool:
     """Whether the next event is cancelled: its station or queue no longer refers to its order."""
-    event = t.events(air, 0)
-    what, about, order = event[c.WHAT], event[c.ABOUT], event[c.ORDER]
+    event = t.event(air, 0)
+    what, about, order = event.what, event.about, event.order
     if what == c.ON_ACCESS:
-        return bool(t.queues(air, about)[c.ACCESS] != order)
+        return t.queue(air, about).access_event != order
     if what == c.ON_DEADLINE:
-        return bool(t.queues(air, about)[c.DEADLINE] != order)
+        return t.queue(air, about).deadline_event != order
     if what == c.ON_TIMEOUT:
-        return bool(t.stations(air, about)[c.TIMEOUT] != order)
+        return t.station(air, about).timeout_event != order
     return False

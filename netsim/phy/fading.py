@@ -16,7 +16,7 @@ The gain is a function of seed, unordered pair and theta, so a link is reciproca
 order of transmissions. It is constant during a frame, and equal on all subcarriers.
 """
 
-from math import cos, pi, sin, sqrt
+from math import cos, pi, prod, sin, sqrt
 
 import numpy as np
 from numba import njit
@@ -26,6 +26,8 @@ from netsim.phy.path_loss import SPEED_OF_LIGHT_M_S, Doubles
 
 SECTORS = 8
 """Angles per link, sufficient according to Zheng and Xiao; the number of waves is twice that."""
+_HEAD, _WEIGHTS = 2, 4
+"""Numbers before the links' in the block; weights of a wave."""
 
 
 @njit(cache=True)
@@ -59,35 +61,35 @@ def _turn(
 
 
 @njit(cache=True)
-def fade(block: Doubles, source: int, at_ns: int, powers_mw: Doubles) -> None:
-    """Multiply the received powers (n,) of a station's signal by the fading gains in ``block``."""
-    n = len(powers_mw)
-    since_ns, line_of_sight = int(block[0]), block[1]
-    theta_rad, rates_rad_ns, cosines, weights = _parts(block, n)
-    for r in range(n):
-        angle_rad = theta_rad[source, r] + rates_rad_ns[source, r] * (at_ns - since_ns)
-        real, imaginary = line_of_sight, 0.0
-        for m in range(SECTORS):
-            phase_rad = angle_rad * cosines[source, r, m]
-            cosine, sine = cos(phase_rad), sin(phase_rad)
-            real += weights[source, r, m, 0] * cosine + weights[source, r, m, 1] * sine
-            imaginary += weights[source, r, m, 2] * cosine + weights[source, r, m, 3] * sine
-        powers_mw[r] *= real * real + imaginary * imaginary
+def gain(block: Doubles, stations: int, source: int, receiver: int, at_ns: int) -> float:
+    """Return the power gain of a link by fading, from the data of `RicianFading.block`."""
+    links, link = stations * stations, source * stations + receiver
+    theta_rad, rate_rad_ns = block[_HEAD + link], block[_HEAD + links + link]
+    angle_rad = theta_rad + rate_rad_ns * (at_ns - int(block[0]))
+    real, imaginary = block[1], 0.0
+    wave = _HEAD + 2 * links + link * SECTORS
+    weight = _HEAD + (2 + SECTORS) * links + link * SECTORS * _WEIGHTS
+    for m in range(SECTORS):
+        phase_rad = angle_rad * block[wave + m]
+        cosine, sine = cos(phase_rad), sin(phase_rad)
+        real += block[weight] * cosine + block[weight + 1] * sine
+        imaginary += block[weight + 2] * cosine + block[weight + 3] * sine
+        weight += _WEIGHTS
+    return float(real * real + imaginary * imaginary)
 
 
-@njit(cache=True)
 def _parts(block: Doubles, n: int) -> tuple[Doubles, Doubles, Doubles, Doubles]:
     """Return views of theta and its rate (n, n), and the waves' cosines (n, n, sectors) and weights.
 
     Weights (n, n, sectors, 4) are those of cosine and sine in the real part, then in the imaginary part.
     """
-    square = n * n
-    at = 2
-    theta_rad = block[at : at + square].reshape((n, n))
-    rates_rad_ns = block[at + square : at + 2 * square].reshape((n, n))
-    at += 2 * square
-    cosines = block[at : at + square * SECTORS].reshape((n, n, SECTORS))
-    weights = block[at + square * SECTORS : at + 5 * square * SECTORS].reshape((n, n, SECTORS, 4))
+    shapes = ((n, n), (n, n), (n, n, SECTORS), (n, n, SECTORS, _WEIGHTS))
+    views, at = [], _HEAD
+    for shape in shapes:
+        size = prod(shape)
+        views.append(block[at : at + size].reshape(shape))
+        at += size
+    theta_rad, rates_rad_ns, cosines, weights = views
     return theta_rad, rates_rad_ns, cosines, weights
 
 
@@ -103,8 +105,8 @@ class RicianFading:
         self._wavelength_m = SPEED_OF_LIGHT_M_S / (frequency_mhz * 1e6)
         self._stations = stations
         self._pos_ned_m: Doubles | None = None
-        self.block = np.zeros(2 + stations**2 * (2 + 5 * SECTORS))
-        """Data of `fade`: time of the last update in ns, line-of-sight amplitude, arrays of `_parts`."""
+        self.block = np.zeros(_HEAD + stations**2 * (2 + (1 + _WEIGHTS) * SECTORS))
+        """Data of `gain`: time of the last update in ns, line-of-sight amplitude, arrays of `_parts`."""
         self.block[1] = (k / (k + 1.0)) ** 0.5
         self._theta_rad, self._rates_rad_ns, self._cosines, self._weights = _parts(self.block, stations)
         self._rates_rad_ns[...] = 2e-9 * pi * doppler_hz
@@ -135,9 +137,8 @@ class RicianFading:
 
     def gains(self, source: int, at_ns: int) -> Doubles:
         """Return the gains (n,) of the links of ``source``; its own entry is meaningless."""
-        gains = np.ones(self._stations)
-        fade(self.block, source, at_ns, gains)
-        return gains
+        n = self._stations
+        return np.array([gain(self.block, n, source, receiver, at_ns) for receiver in range(n)])
 
     def _waves(self, generator: np.random.Generator) -> tuple[Doubles, Doubles]:
         """Return random waves of one link: cosines (sectors,) and weights (sectors, 4)."""

@@ -13,19 +13,20 @@ Not modelled: adjacent channels; secondary channels, as every frame occupies the
 delays above SIFS (4.8 km), for which the timing of 802.11 fails and no signal is received; abort of a
 reception after a failed signal field: the receiver stays locked until the frame ends with errors.
 
-The functions are compiled and work on `netsim.model.tables.Air`. Rows of `tables.ends` report to the caller
-which MACs are affected: `NEWLY_BUSY`, or `FATES` and `UPSETS`.
+The functions are compiled and work on the tables of `netsim.model.tables`. Records of `tables.end` report
+which MACs are affected: ``newly_busy`` at the begin of a signal, ``fate`` and ``upset`` at its end.
 """
 
 from math import inf
 
 from numba import njit
 
-from netsim.model import columns as c
+from netsim.model import codes as c
 from netsim.model import tables as t
-from netsim.model.events import schedule
-from netsim.model.tables import Air, Integers, draw_reception, end_signal, release
-from netsim.phy.fading import fade
+from netsim.model.events import begin_event, end_event, schedule
+from netsim.model.records import Air
+from netsim.model.tables import draw_reception, end_signal, release
+from netsim.phy.fading import gain
 from netsim.phy.frames import GROUP
 from netsim.phy.path_loss import Doubles
 from netsim.phy.sensing import begin_sending, end_sending, energy_until_ns, occupy
@@ -37,124 +38,116 @@ PREAMBLE_SINR = 10.0**0.4
 CAPTURE_RATIO = 10.0**0.5
 """A later frame captures a receiver during an earlier frame's preamble if it is 5 dB stronger."""
 CAPTURE_WINDOW_NS = 16_000
-FRAMES, BURSTS = 0, 1
-"""Rows of `netsim.model.tables.on_air`."""
 
 
 @njit(cache=True)
 def start(air: Air, fading: Doubles, frame: int) -> int:
-    """Start a frame now, a row of signals without powers; return the number of stations in `NEWLY_BUSY`.
+    """Start a frame now, a row of signals without powers; return the number of `newly_busy` stations.
 
     The sender's link budget must be valid.
     """
-    now = air[c.NOW]
-    sent = t.signals(air, frame)
-    source = sent[c.SOURCE]
-    powers_mw, delays_ns = t.powers_mw(air, frame), t.delays_ns(air, frame)
-    powers_mw[:] = t.budgets_mw(air, source)
-    delays_ns[:] = t.budget_delays_ns(air, source)
-    if len(fading):
-        fade(fading, source, now, powers_mw)
-    air[c.STARTED] += 1
-    sent[c.NUMBER] = air[c.STARTED]
-    sent[c.LONGEST_DELAY] = t.budgets(air, source)[c.BUDGET_DELAY]
+    now = air.now_ns
+    sent = t.signal(air, frame)
+    sender = t.station(air, sent.source)
+    for r in range(air.stations):
+        path, budget = t.path(air, frame, r), t.budget(air, sent.source, r)
+        path.delay_ns = budget.delay_ns
+        path.power_mw = budget.power_mw
+        if len(fading):
+            path.power_mw *= gain(fading, air.stations, sent.source, r, now)
+    air.frames_started += 1
+    sent.number = air.frames_started
+    sent.longest_delay_ns = sender.budget_longest_delay_ns
     _overlap(air, frame)
-    for k in range(air[c.BURSTS]):
-        _add_overlap(air, frame, t.on_air(air, BURSTS)[k])
-    t.on_air(air, FRAMES)[air[c.ACTIVE]] = frame
-    air[c.ACTIVE] += 1
-    begin_sending(t.stations(air, source), now, sent[c.END])
-    newly_busy = _radiate(air, frame, t.levels_mw(air, 0)[c.SENSED_MW])
+    for k in range(air.bursts_on_air):
+        _add_overlap(air, frame, t.burst_on_air(air, k).signal)
+    t.frame_on_air(air, air.frames_on_air).signal = frame
+    air.frames_on_air += 1
+    begin_sending(sender, now, sent.end_ns)
+    newly_busy = _radiate(air, frame, air.sensed_mw)
     schedule(air, now + PREAMBLE_DETECTION_NS, c.DETECT, frame)
-    schedule(air, sent[c.END] + sent[c.LONGEST_DELAY], c.END_FRAME, frame)
+    schedule(air, sent.end_ns + sent.longest_delay_ns, c.END_FRAME, frame)
     return newly_busy
 
 
 @njit(cache=True)
 def start_burst(air: Air, burst: int) -> int:
     """Start an interferer's burst now, a row of signals with powers; return as `start`."""
-    signal = t.signals(air, burst)
+    signal = t.signal(air, burst)
     _overlap(air, burst)
-    bursts = t.on_air(air, BURSTS)
-    for other in bursts[: air[c.BURSTS]]:
-        if t.signals(air, other)[c.SOURCE] != signal[c.SOURCE]:
+    for k in range(air.bursts_on_air):
+        other = t.burst_on_air(air, k).signal
+        if t.signal(air, other).source != signal.source:
             _add_overlap(air, burst, other)
-    bursts[air[c.BURSTS]] = burst
-    air[c.BURSTS] += 1
+    t.burst_on_air(air, air.bursts_on_air).signal = burst
+    air.bursts_on_air += 1
     newly_busy = _radiate(air, burst, inf)
     # its overlaps are needed only now; if kept, each burst would keep all previous ones
-    for other in t.overlaps(air, burst)[: signal[c.OVERLAPS]]:
-        release(air, other)
-    signal[c.OVERLAPS] = 0
-    schedule(air, signal[c.END] + signal[c.LONGEST_DELAY], c.END_BURST, burst)
+    for k in range(signal.overlap_count):
+        release(air, t.overlap(air, burst, k).signal)
+    signal.overlap_count = 0
+    schedule(air, signal.end_ns + signal.longest_delay_ns, c.END_BURST, burst)
     return newly_busy
 
 
 @njit(cache=True)
 def end_burst(air: Air, burst: int) -> None:
     """End an interferer's burst."""
-    air[c.BURSTS] = _remove(t.on_air(air, BURSTS), air[c.BURSTS], burst)
-    end_signal(air, burst)
-
-
-@njit(cache=True)
-def _remove(rows: Integers, count: int, row: int) -> int:
-    """Remove a row from the first ``count``, keeping their order; return the new count."""
     kept = 0
-    for k in range(count):
-        if rows[k] != row:
-            rows[kept] = rows[k]
+    for k in range(air.bursts_on_air):
+        other = t.burst_on_air(air, k).signal
+        if other != burst:
+            t.burst_on_air(air, kept).signal = other
             kept += 1
-    return kept
+    air.bursts_on_air = kept
+    end_signal(air, burst)
 
 
 @njit(cache=True)
 def _overlap(air: Air, signal: int) -> None:
     """Record the overlaps of a signal that begins now with the frames on the air, in both directions."""
-    for other in t.on_air(air, FRAMES)[: air[c.ACTIVE]]:
-        frame = t.signals(air, other)
-        if frame[c.END] + frame[c.LONGEST_DELAY] > air[c.NOW]:
+    for k in range(air.frames_on_air):
+        other = t.frame_on_air(air, k).signal
+        frame = t.signal(air, other)
+        if frame.end_ns + frame.longest_delay_ns > air.now_ns:
             _add_overlap(air, signal, other)
             _add_overlap(air, other, signal)
 
 
 @njit(cache=True)
 def _add_overlap(air: Air, signal: int, other: int) -> None:
-    count = t.signals(air, signal)[c.OVERLAPS]
-    t.overlaps(air, signal)[count] = other
-    t.signals(air, signal)[c.OVERLAPS] = count + 1
-    t.signals(air, other)[c.HOLDERS] += 1
+    overlapped = t.signal(air, signal)
+    t.overlap(air, signal, overlapped.overlap_count).signal = other
+    overlapped.overlap_count += 1
+    t.signal(air, other).references += 1
 
 
 @njit(cache=True)
 def _radiate(air: Air, which: int, sensed_mw: float) -> int:
     """Update the carrier sense of all stations for a signal that begins now.
 
-    The signal is sensed by itself from ``sensed_mw``. Returns the number of stations in `NEWLY_BUSY`: those
+    The signal is sensed by itself from ``sensed_mw``. Returns the number of `newly_busy` stations: those
     where the medium becomes busy beyond the NAV.
     """
-    signal = t.signals(air, which)
-    start_ns, end_ns = signal[c.START], signal[c.END]
-    if end_ns > air[c.BUSY_UNTIL_NS]:
-        air[c.BUSY_NS] += end_ns - max(start_ns, air[c.BUSY_UNTIL_NS])
-        air[c.BUSY_UNTIL_NS] = end_ns
+    signal = t.signal(air, which)
+    start_ns, end_ns = signal.start_ns, signal.end_ns
+    if end_ns > air.busy_until_ns:
+        air.busy_ns += end_ns - max(start_ns, air.busy_until_ns)
+        air.busy_until_ns = end_ns
     count = 0
-    newly_busy = t.ends(air, c.NEWLY_BUSY)
-    powers_mw, delays_ns = t.powers_mw(air, which), t.delays_ns(air, which)
-    energy_mw = t.levels_mw(air, 0)[c.ENERGY_MW]
-    for r in range(air[c.STATIONS]):
-        row = t.stations(air, r)
-        if r == signal[c.SOURCE] or row[c.RADIO_OFF]:
+    for r in range(air.stations):
+        row, path = t.station(air, r), t.path(air, which, r)
+        if r == signal.source or row.radio_off:
             continue
-        arrival_ns, until_ns = start_ns + delays_ns[r], end_ns + delays_ns[r]
-        if powers_mw[r] < sensed_mw:
-            if signal[c.OVERLAPS] == 0 and powers_mw[r] < energy_mw:
+        arrival_ns, until_ns = start_ns + path.delay_ns, end_ns + path.delay_ns
+        if path.power_mw < sensed_mw:
+            if signal.overlap_count == 0 and path.power_mw < air.energy_mw:
                 continue
             until_ns = energy_until_ns(air, which, r, arrival_ns, until_ns)
             if until_ns == 0:
                 continue
-        if occupy(row, arrival_ns, until_ns) and row[c.BUSY_UNTIL] > row[c.RESERVED_UNTIL]:
-            newly_busy[count] = r
+        if occupy(row, arrival_ns, until_ns) and row.busy_until_ns > row.nav_until_ns:
+            t.end(air, count).newly_busy = r
             count += 1
     return count
 
@@ -166,47 +159,46 @@ def find(air: Air, frame: int) -> None:
     Detection requires the least power, and 4 dB above the noise and all other signals since the arrival. A
     receiver that is locked on to another frame changes to a stronger one that began soon after it.
     """
-    sent = t.signals(air, frame)
-    powers_mw, delays_ns, locks_mw = t.powers_mw(air, frame), t.delays_ns(air, frame), t.locks_mw(air, 0)
-    levels_mw = t.levels_mw(air, 0)
-    for r in range(air[c.STATIONS]):
-        row = t.stations(air, r)
-        arrival_ns = sent[c.START] + delays_ns[r]
+    sent = t.signal(air, frame)
+    for r in range(air.stations):
+        row, path = t.station(air, r), t.path(air, frame, r)
+        arrival_ns = sent.start_ns + path.delay_ns
         if (
-            r == sent[c.SOURCE]
-            or powers_mw[r] < levels_mw[c.PREAMBLE_MW]
-            or row[c.SENDING_UNTIL] > arrival_ns
-            or row[c.RADIO_OFF]
+            r == sent.source
+            or path.power_mw < air.preamble_mw
+            or row.sending_until_ns > arrival_ns
+            or row.radio_off
         ):
             continue
-        if sent[c.OVERLAPS]:
+        if sent.overlap_count:
             floor_mw = _floor_mw(air, frame, r, arrival_ns)
-            if powers_mw[r] < PREAMBLE_SINR * (levels_mw[c.NOISE_MW] + floor_mw):
+            if path.power_mw < PREAMBLE_SINR * (air.noise_mw + floor_mw):
                 continue
-            if row[c.LOCK] != c.NOTHING and (
-                powers_mw[r] < CAPTURE_RATIO * locks_mw[r]
-                or arrival_ns > row[c.LOCK_ARRIVED] + CAPTURE_WINDOW_NS
+            if row.locked_frame != c.NOTHING and (
+                path.power_mw < CAPTURE_RATIO * row.lock_mw
+                or arrival_ns > row.lock_arrived_ns + CAPTURE_WINDOW_NS
             ):
                 continue
-        row[c.LOCK] = sent[c.NUMBER]
-        row[c.LOCK_ARRIVED] = arrival_ns
-        row[c.LOCKED] = air[c.NOW]
-        locks_mw[r] = powers_mw[r]
+        row.locked_frame = sent.number
+        row.lock_arrived_ns = arrival_ns
+        row.last_detection_ns = air.now_ns
+        row.lock_mw = path.power_mw
 
 
 @njit(cache=True)
 def _floor_mw(air: Air, frame: int, r: int, arrival_ns: int) -> float:
     """Return the total power at ``r`` of all other signals present since a frame's arrival."""
-    sent = t.signals(air, frame)
+    sent = t.signal(air, frame)
     floor_mw = 0.0
-    for k in t.overlaps(air, frame)[: sent[c.OVERLAPS]]:
-        other, delay_ns = t.signals(air, k), t.delays_ns(air, k)[r]
+    for k in range(sent.overlap_count):
+        which = t.overlap(air, frame, k).signal
+        other, path = t.signal(air, which), t.path(air, which, r)
         if (
-            other[c.SOURCE] != r
-            and other[c.START] + delay_ns < arrival_ns + air[c.NOW] - sent[c.START]
-            and other[c.END] + delay_ns > arrival_ns
+            other.source != r
+            and other.start_ns + path.delay_ns < arrival_ns + air.now_ns - sent.start_ns
+            and other.end_ns + path.delay_ns > arrival_ns
         ):
-            floor_mw += t.powers_mw(air, k)[r]
+            floor_mw += path.power_mw
     return floor_mw
 
 
@@ -214,58 +206,70 @@ def _floor_mw(air: Air, frame: int, r: int, arrival_ns: int) -> float:
 def settle(air: Air, frame: int) -> None:
     """Determine the outcomes of a frame that has ended at all stations, and update the stations.
 
-    `FATES` become the outcomes at all stations, `NOTES` those at intended receivers: delivered, collided
-    (it would have been received without other signals) or lost. One draw decides whether it is received, and
-    whether it would have been without the others; there is no draw if reception is certain. `UPSETS` mark
-    stations that must plan their accesses again: after an error, at the end of EIFS, with a longer NAV.
+    In `records.End`, ``fate`` becomes the outcome at each station, ``note`` that at intended receivers:
+    delivered, collided (it would have been received without other signals) or lost. One draw decides whether
+    it is received, and whether it would have been without the others; there is no draw if reception is
+    certain. ``upset`` marks stations that must plan their accesses again: after an error, at the end of EIFS,
+    with a longer NAV.
     """
-    air[c.ACTIVE] = _remove(t.on_air(air, FRAMES), air[c.ACTIVE], frame)
-    sent, powers_mw = t.signals(air, frame), t.powers_mw(air, frame)
-    fates, notes, upsets = t.ends(air, c.FATES), t.ends(air, c.NOTES), t.ends(air, c.UPSETS)
-    doubtful_mw = inf if sent[c.OVERLAPS] else clean_mw(air, sent[c.MODE])
-    for r in range(air[c.STATIONS]):
-        row = t.stations(air, r)
-        notes[r], upsets[r] = c.NOT_MEANT, 0
-        if r == sent[c.SOURCE] or row[c.RADIO_OFF]:
-            fates[r] = c.ABSENT
+    _take_off_air(air, frame)
+    sent = t.signal(air, frame)
+    doubtful_mw = inf if sent.overlap_count else clean_mw(air, sent.mode)
+    for r in range(air.stations):
+        row, end, power_mw = t.station(air, r), t.end(air, r), t.path(air, frame, r).power_mw
+        end.note, end.upset = c.NOT_MEANT, False
+        if r == sent.source or row.radio_off:
+            end.fate = c.ABSENT
             continue
         draw = -1.0
-        if row[c.LOCK] != sent[c.NUMBER]:
-            fates[r] = c.MISSED
+        if row.locked_frame != sent.number:
+            end.fate = c.MISSED
         else:
-            fates[r] = c.RECEIVED
-            if powers_mw[r] < doubtful_mw:
+            end.fate = c.RECEIVED
+            if power_mw < doubtful_mw:
                 survival = among_others(air, frame, r)
                 if survival < 1.0:
                     draw = draw_reception(air, r)
                     if draw >= survival:
-                        fates[r] = c.BROKE
-            upsets[r] = _take_note(air, frame, r, fates[r])
-        if sent[c.TO] in (r, GROUP):
-            notes[r] = _judge(air, frame, r, fates[r], draw)
+                        end.fate = c.BROKE
+            end.upset = _take_note(air, frame, r, end.fate)
+        if sent.to in (r, GROUP):
+            end.note = _judge(air, frame, r, end.fate, draw)
+
+
+@njit(cache=True)
+def _take_off_air(air: Air, frame: int) -> None:
+    """Remove a frame from those on the air, keeping their order."""
+    kept = 0
+    for k in range(air.frames_on_air):
+        other = t.frame_on_air(air, k).signal
+        if other != frame:
+            t.frame_on_air(air, kept).signal = other
+            kept += 1
+    air.frames_on_air = kept
 
 
 @njit(cache=True)
 def _take_note(air: Air, frame: int, r: int, fate: int) -> bool:
     """Update a station that was locked on to a frame at its end; return whether its plan must change."""
-    row, sent = t.stations(air, r), t.signals(air, frame)
-    end_here_ns = sent[c.END] + t.delays_ns(air, frame)[r]
-    row[c.LOCK] = c.NOTHING
+    row, sent, path = t.station(air, r), t.signal(air, frame), t.path(air, frame, r)
+    end_here_ns = sent.end_ns + path.delay_ns
+    row.locked_frame = c.NOTHING
     if fate == c.BROKE:
-        row[c.BROKEN] = end_here_ns
+        row.last_error_ns = end_here_ns
         return True
-    upset = row[c.BROKEN] != 0
-    row[c.BROKEN] = 0
-    is_answer = sent[c.KIND] in (c.CTS, c.ACK)
+    upset = row.last_error_ns != 0
+    row.last_error_ns = 0
+    is_answer = sent.kind in (c.CTS, c.ACK)
     # other stations than the addressed one set their NAV
-    if r != sent[c.TO] and sent[c.NAV] and end_here_ns + sent[c.NAV] > row[c.RESERVED_UNTIL]:
-        row[c.RESERVED_UNTIL] = end_here_ns + sent[c.NAV]
-        row[c.RESERVED_BY] = sent[c.TO] if is_answer else sent[c.SOURCE]
+    if r != sent.to and sent.nav_ns and end_here_ns + sent.nav_ns > row.nav_until_ns:
+        row.nav_until_ns = end_here_ns + sent.nav_ns
+        row.nav_set_by = sent.to if is_answer else sent.source
         upset = True
     if not is_answer:
-        t.last_received_ns(air, r)[sent[c.SOURCE]] = end_here_ns
-        t.last_received_mw(air, r)[sent[c.SOURCE]] = t.powers_mw(air, frame)[r]
-    return bool(upset)
+        link = t.link(air, r, sent.source)
+        link.last_received_ns, link.last_received_mw = end_here_ns, path.power_mw
+    return upset
 
 
 @njit(cache=True)
@@ -273,8 +277,8 @@ def _judge(air: Air, frame: int, r: int, fate: int, draw: float) -> int:
     """Return the outcome at an intended receiver: `DELIVERED`, `COLLIDED` or `LOST`."""
     if fate == c.RECEIVED:
         return c.DELIVERED
-    power_mw = t.powers_mw(air, frame)[r]
-    if t.signals(air, frame)[c.OVERLAPS] and power_mw >= t.levels_mw(air, 0)[c.PREAMBLE_MW]:
+    power_mw = t.path(air, frame, r).power_mw
+    if t.signal(air, frame).overlap_count and power_mw >= air.preamble_mw:
         if fate != c.BROKE:
             draw = draw_reception(air, r)
         if draw < alone(air, frame, power_mw):
@@ -288,22 +292,25 @@ def conclude(air: Air, frame: int) -> None:
 
     Schedules the check for an unused reservation.
     """
-    sent, notes = t.signals(air, frame), t.ends(air, c.NOTES)
-    if sent[c.LAPSE]:
-        sent[c.HOLDERS] += 1
-        schedule(air, sent[c.END] + sent[c.LAPSE], c.LOOK_FOR_UNUSED, frame)
-    t.sent(air, 0)[sent[c.KIND]] += 1
-    record = t.records(air, air[c.RECORDS])
-    air[c.RECORDS] += 1
-    record[0], record[1], record[2], record[3] = sent[c.START], sent[c.END], sent[c.SOURCE], sent[c.TO]
-    record[4], record[5], record[6], record[7] = sent[c.KIND], sent[c.MODE], sent[c.BYTES], sent[c.SEQ]
-    record[8] = record[9] = record[10] = 0
-    for r in range(air[c.STATIONS]):
-        if notes[r] != c.NOT_MEANT:
-            record[7 + notes[r]] += 1
-            if sent[c.KIND] == c.DATA and sent[c.TO] == GROUP:
-                t.counts(air, r)[notes[r] - 1] += 1
-    end_sending(t.stations(air, sent[c.SOURCE]))
+    sent = t.signal(air, frame)
+    if sent.lapse_ns:
+        sent.references += 1
+        schedule(air, sent.end_ns + sent.lapse_ns, c.LOOK_FOR_UNUSED, frame)
+    air.sent[sent.kind] += 1
+    record = t.record(air, air.records)
+    air.records += 1
+    record.start_ns, record.end_ns = sent.start_ns, sent.end_ns
+    record.source, record.to, record.kind = sent.source, sent.to, sent.kind
+    record.mode, record.frame_bytes, record.seq = sent.mode, sent.frame_bytes, sent.seq
+    outcomes = record.outcomes
+    outcomes[0] = outcomes[1] = outcomes[2] = 0
+    for r in range(air.stations):
+        note = t.end(air, r).note
+        if note != c.NOT_MEANT:
+            outcomes[note - 1] += 1
+            if sent.kind == c.DATA and sent.to == GROUP:
+                t.station(air, r).broadcasts[note - 1] += 1
+    end_sending(t.station(air, sent.source))
 
 
 # --- unused reservations
@@ -312,48 +319,49 @@ def conclude(air: Air, frame: int) -> None:
 @njit(cache=True)
 def look_for_unused(air: Air, frame: int) -> None:
     """Schedule a NAV reset at stations that detected no frame after the one that set it (10.3.2.4)."""
-    nav_ns, lapse_ns = t.signals(air, frame)[c.NAV], t.signals(air, frame)[c.LAPSE]
-    for r in range(air[c.STATIONS]):
-        end_here_ns = t.signals(air, frame)[c.END] + t.delays_ns(air, frame)[r]
-        if (
-            t.stations(air, r)[c.RESERVED_UNTIL] == end_here_ns + nav_ns
-            and t.stations(air, r)[c.LOCKED] <= end_here_ns
-        ):
-            schedule(air, end_here_ns + lapse_ns, c.ON_UNUSED, r, end_here_ns, end_here_ns + nav_ns)
+    sent = t.signal(air, frame)
+    for r in range(air.stations):
+        row = t.station(air, r)
+        end_here_ns = sent.end_ns + t.path(air, frame, r).delay_ns
+        if row.nav_until_ns == end_here_ns + sent.nav_ns and row.last_detection_ns <= end_here_ns:
+            event = begin_event(air, end_here_ns + sent.lapse_ns, c.ON_UNUSED, r)
+            event.first, event.second = end_here_ns, end_here_ns + sent.nav_ns
+            end_event(air)
     release(air, frame)
 
 
 @njit(cache=True)
 def drop_reservation(air: Air, r: int, end_here_ns: int, until_ns: int) -> bool:
     """Reset the NAV if it is unchanged and still unused; return whether it was reset."""
-    row = t.stations(air, r)
-    if row[c.RESERVED_UNTIL] == until_ns and row[c.LOCKED] <= end_here_ns:
-        row[c.RESERVED_UNTIL] = air[c.NOW]
+    row = t.station(air, r)
+    if row.nav_until_ns == until_ns and row.last_detection_ns <= end_here_ns:
+        row.nav_until_ns = air.now_ns
         return True
     return False
 
 
 @njit(cache=True)
 def loudest(air: Air, station: int, oldest_ns: int, turn: int) -> int:
-    """Return a neighbour received since ``oldest_ns``; `netsim.model.columns.NOTHING` without any.
+    """Return a neighbour received since ``oldest_ns``; `codes.NOTHING` without any.
 
     ``turn`` selects cyclically among them, in order of falling received power and then of their numbers.
     """
-    last_received_ns, last_received_mw = t.last_received_ns(air, station), t.last_received_mw(air, station)
     count = 0
-    for other in range(len(last_received_ns)):
-        count += last_received_ns[other] >= oldest_ns
+    for other in range(air.stations):
+        count += t.link(air, station, other).last_received_ns >= oldest_ns
     if count == 0:
         return c.NOTHING
     rank = turn % count
-    for other in range(len(last_received_ns)):
-        if last_received_ns[other] < oldest_ns:
+    for other in range(air.stations):
+        link = t.link(air, station, other)
+        if link.last_received_ns < oldest_ns:
             continue
         ahead = 0
-        for rival in range(len(last_received_ns)):
-            if last_received_ns[rival] >= oldest_ns and (
-                last_received_mw[rival] > last_received_mw[other]
-                or (last_received_mw[rival] == last_received_mw[other] and rival < other)
+        for rival in range(air.stations):
+            rivals = t.link(air, station, rival)
+            if rivals.last_received_ns >= oldest_ns and (
+                rivals.last_received_mw > link.last_received_mw
+                or (rivals.last_received_mw == link.last_received_mw and rival < other)
             ):
                 ahead += 1
                 if ahead > rank:

@@ -1,6 +1,7 @@
 """Probability that a frame is received despite noise and interference: hazards of chunks of constant SINR.
 
-The functions are compiled and work on `netsim.model.tables.Air`. Signal fields use the lowest rate, mode 0.
+The functions are compiled and work on the tables of `netsim.model.tables`. Signal fields use the lowest
+rate, mode 0.
 """
 
 from math import exp
@@ -8,9 +9,8 @@ from math import exp
 import numpy as np
 from numba import njit
 
-from netsim.model import columns as c
 from netsim.model import tables as t
-from netsim.model.tables import Air
+from netsim.model.records import Air, PhyModeRow
 from netsim.phy.errors import hazard_per_bit
 from netsim.phy.modes import NON_HT_PREAMBLE_NS
 
@@ -25,34 +25,31 @@ VHT_SIGNAL_BITS = 72
 @njit(cache=True)
 def clean_mw(air: Air, mode: int) -> float:
     """Return the power from which a frame without interference is received with certainty."""
-    return float(
-        max(t.hazards(air, SIGNAL_MODE)[0], t.hazards(air, mode)[0]) * t.levels_mw(air, 0)[c.NOISE_MW]
-    )
+    return max(t.mode(air, SIGNAL_MODE).clean_linear, t.mode(air, mode).clean_linear) * air.noise_mw
 
 
 @njit(cache=True)
-def _hazard_per_bit(air: Air, mode: int, sinr: float) -> float:
-    return hazard_per_bit(
-        t.hazards(air, mode)[1 : 1 + t.modes(air, mode)[c.HAZARDS]], t.hazards(air, mode)[0], sinr
-    )
+def _hazard_per_bit(mode: PhyModeRow, sinr: float) -> float:
+    return hazard_per_bit(mode.log_hazards[: mode.hazards], mode.clean_linear, sinr)
 
 
 @njit(cache=True)
 def alone(air: Air, frame: int, power_mw: float) -> float:
     """Return the probability that a frame is received without interference, signal field included."""
-    mode = t.signals(air, frame)[c.MODE]
-    sinr = power_mw / t.levels_mw(air, 0)[c.NOISE_MW]
-    signal_bits = VHT_SIGNAL_BITS if t.modes(air, mode)[c.VHT] else SIGNAL_BITS
-    hazard = signal_bits * _hazard_per_bit(air, SIGNAL_MODE, sinr)
-    hazard += 8 * t.signals(air, frame)[c.BYTES] * _hazard_per_bit(air, mode, sinr)
+    sent = t.signal(air, frame)
+    mode = t.mode(air, sent.mode)
+    sinr = power_mw / air.noise_mw
+    signal_bits = VHT_SIGNAL_BITS if mode.vht else SIGNAL_BITS
+    hazard = signal_bits * _hazard_per_bit(t.mode(air, SIGNAL_MODE), sinr)
+    hazard += 8 * sent.frame_bytes * _hazard_per_bit(mode, sinr)
     return exp(-hazard) if hazard > 0.0 else 1.0
 
 
 @njit(cache=True)
 def among_others(air: Air, frame: int, r: int) -> float:
     """Return the probability that a frame is received with interference at receiver ``r``."""
-    power_mw = t.powers_mw(air, frame)[r]
-    if t.signals(air, frame)[c.OVERLAPS] == 0:
+    power_mw = t.path(air, frame, r).power_mw
+    if t.signal(air, frame).overlap_count == 0:
         return alone(air, frame, power_mw)
     hazard = _hazard(air, frame, r, power_mw)
     return exp(-hazard) if hazard > 0.0 else 1.0
@@ -60,28 +57,28 @@ def among_others(air: Air, frame: int, r: int) -> float:
 
 @njit(cache=True)
 def _hazard(air: Air, frame: int, r: int, power_mw: float) -> float:
-    mode, noise_mw = t.signals(air, frame)[c.MODE], t.levels_mw(air, 0)[c.NOISE_MW]
-    start_ns = t.signals(air, frame)[c.START] + t.delays_ns(air, frame)[r]
-    end_ns = t.signals(air, frame)[c.END] + t.delays_ns(air, frame)[r]
+    sent, delay_ns = t.signal(air, frame), t.path(air, frame, r).delay_ns
+    signal_mode, mode = t.mode(air, SIGNAL_MODE), t.mode(air, sent.mode)
+    start_ns, end_ns = sent.start_ns + delay_ns, sent.end_ns + delay_ns
     # the signal fields end where the payload begins; L-SIG is the last 4 us of the non-HT preamble
     signal_from_ns = start_ns + NON_HT_PREAMBLE_NS - 4_000
-    payload_from_ns = start_ns + t.modes(air, mode)[c.PREAMBLE]
-    signal_bits = VHT_SIGNAL_BITS if t.modes(air, mode)[c.VHT] else SIGNAL_BITS
+    payload_from_ns = start_ns + mode.preamble_ns
+    signal_bits = VHT_SIGNAL_BITS if mode.vht else SIGNAL_BITS
     signal_rate = signal_bits / (payload_from_ns - signal_from_ns)
-    payload_rate = 8 * t.signals(air, frame)[c.BYTES] / (end_ns - payload_from_ns)
-    others = t.overlaps(air, frame)[: t.signals(air, frame)[c.OVERLAPS]]
-    at_ns = np.empty(2 * len(others) + 2, np.int64)
-    changes_mw = np.empty(2 * len(others) + 2)
+    payload_rate = 8 * sent.frame_bytes / (end_ns - payload_from_ns)
+    at_ns = np.empty(2 * sent.overlap_count + 2, np.int64)
+    changes_mw = np.empty(2 * sent.overlap_count + 2)
     at_ns[0], changes_mw[0] = start_ns, 0.0
     count = 1
-    for other in others:
-        other_start_ns = t.signals(air, other)[c.START] + t.delays_ns(air, other)[r]
-        other_end_ns = t.signals(air, other)[c.END] + t.delays_ns(air, other)[r]
-        if t.signals(air, other)[c.SOURCE] == r or other_end_ns <= start_ns or other_start_ns >= end_ns:
+    for k in range(sent.overlap_count):
+        which = t.overlap(air, frame, k).signal
+        other, path = t.signal(air, which), t.path(air, which, r)
+        other_start_ns, other_end_ns = other.start_ns + path.delay_ns, other.end_ns + path.delay_ns
+        if other.source == r or other_end_ns <= start_ns or other_start_ns >= end_ns:
             continue
         for when_ns, change_mw in (
-            (max(other_start_ns, start_ns), t.powers_mw(air, other)[r]),
-            (min(other_end_ns, end_ns), -t.powers_mw(air, other)[r]),
+            (max(other_start_ns, start_ns), path.power_mw),
+            (min(other_end_ns, end_ns), -path.power_mw),
         ):
             # sorted by time, then by change of power
             i = count
@@ -99,11 +96,11 @@ def _hazard(air: Air, frame: int, r: int, power_mw: float) -> float:
         interference_mw = max(0.0, interference_mw + changes_mw[i])
         if to_ns == from_ns:
             continue
-        sinr = power_mw / (noise_mw + interference_mw)
+        sinr = power_mw / (air.noise_mw + interference_mw)
         in_signal_ns = min(to_ns, payload_from_ns) - max(from_ns, signal_from_ns)
         if in_signal_ns > 0:
-            hazard += in_signal_ns * signal_rate * _hazard_per_bit(air, SIGNAL_MODE, sinr)
+            hazard += in_signal_ns * signal_rate * _hazard_per_bit(signal_mode, sinr)
         in_payload_ns = to_ns - max(from_ns, payload_from_ns)
         if in_payload_ns > 0:
-            hazard += in_payload_ns * payload_rate * _hazard_per_bit(air, mode, sinr)
+            hazard += in_payload_ns * payload_rate * _hazard_per_bit(mode, sinr)
     return hazard

@@ -4,24 +4,17 @@ import numpy as np
 import pytest
 from netsim_air import Air
 from netsim_swarm import Swarm
+from numba import njit
 
 from netsim.mac.access_parameters import DCF, EDCA
 from netsim.mac.jobs import Job, JobOutcome
-from netsim.mac.radios import Radios
-from netsim.model.columns import (
-    BROKEN,
-    BUSY_FROM,
-    BUSY_UNTIL,
-    FREE_SIGNAL,
-    IDLE_BEFORE,
-    LOCK,
-    NEXT_SIGNAL,
-    NOTHING,
-)
+from netsim.mac.radios import KIND_ROWS, Radios
+from netsim.mac.station import schedule_frame
+from netsim.model.codes import MODES, NOTHING
 from netsim.model.config import InterfererConfig, RadioConfig
 from netsim.model.event_queue import NEVER_NS, EventQueue
 from netsim.model.random_streams import Model, RandomStreams
-from netsim.model.tables import stations, tables_of
+from netsim.model.tables import open_air
 from netsim.phy.frames import GROUP, Frame, FrameKind
 from netsim.phy.interferers import Interferer
 from netsim.phy.modes import phy_mode
@@ -48,6 +41,13 @@ class Powers:
 
     def interferer_row(self, _index, at_ns):
         return self.row("x", at_ns)
+
+
+@njit
+def transmit(block, source, to, what, frame_bytes):
+    air = open_air(block)
+    schedule_frame(air, air.now_ns, source, to, what, frame_bytes, 0)
+    return air.scheduled
 
 
 class Listener:
@@ -90,18 +90,25 @@ class Channel:
             mode=phy_mode(mode, 20),
             frame_bytes=frame_bytes,
         )
-        self.queue.at(1_000 * at_us, self.radios.transmit, frame)
+        self.queue.at(1_000 * at_us, self._transmit, frame)
+
+    def _transmit(self, frame):
+        """Send a frame now, regardless of the medium."""
+        radios = self.radios
+        radios._make_ready()
+        what = KIND_ROWS[frame.kind] * MODES + radios._modes[frame.mode]
+        self.queue.scheduled = transmit(radios._block, frame.source, frame.destination, what, frame.bytes)
 
     def _on_group_frame(self, reception):
         for station, end_ns in zip(reception.stations, reception.ends_ns, strict=True):
             self.listeners[station].received.append((reception.source, end_ns / 1_000))
 
     def row(self, station):
-        return stations(self.radios.air, station)
+        return self.radios.tables.stations[station]
 
     def busy_us(self, station):
         row = self.row(station)
-        return row[BUSY_FROM] / 1_000, row[BUSY_UNTIL] / 1_000
+        return row.busy_from_ns / 1_000, row.busy_until_ns / 1_000
 
 
 def interferer(duty_cycle, burst_us=1_000.0):
@@ -143,7 +150,7 @@ def test_colliding_weak_frames_are_sensed_without_being_received():
     channel.send(3000, B)
     channel.queue.run_until(3_110_000)
     assert channel.busy_us(C) == (3000, 3160)
-    assert channel.row(C)[LOCK] == NOTHING
+    assert channel.row(C).locked_frame == NOTHING
 
 
 #   A  weak  |====================|  1000..2376
@@ -169,7 +176,7 @@ def test_station_that_sends_while_receiving_senses_the_rest(power_dbm, busy_us):
     channel.queue.run_until(1_300_000)
     assert channel.busy_us(C) == busy_us
     channel.queue.run_until(3_000_000)
-    assert (channel.listeners[C].received, channel.row(C)[BROKEN]) == ([], 0)
+    assert (channel.listeners[C].received, channel.row(C).last_error_ns) == ([], 0)
 
 
 @pytest.mark.parametrize(
@@ -181,7 +188,7 @@ def test_capture_takes_five_db_within_sixteen_microseconds(margin_db, later_us, 
     channel.send(1000, A)
     channel.send(1000 + later_us, B)
     channel.queue.run_until(1_050_000)
-    assert channel.row(C)[LOCK] == (2 if captured else 1)  # frames are numbered as they begin
+    assert channel.row(C).locked_frame == (2 if captured else 1)  # frames are numbered as they begin
 
 
 @pytest.mark.parametrize(("power_dbm", "found"), [(-81.9, True), (-82.1, False)])
@@ -211,8 +218,8 @@ def test_duty_cycles_of_0_and_1():
     for at_ns in range(1_000, SECOND_NS, 7_300_000):
         channel.queue.run_until(at_ns)
         for row in map(channel.row, range(3)):
-            assert (row[BUSY_FROM], row[IDLE_BEFORE]) == (500, 0)
-            assert row[BUSY_UNTIL] > at_ns
+            assert (row.busy_from_ns, row.idle_before_ns) == (500, 0)
+            assert row.busy_until_ns > at_ns
         assert channel.radios.busy_ns() == at_ns
 
 
@@ -226,16 +233,16 @@ def test_a_long_burst_is_one_busy_period_in_parts_that_follow_the_receivers():
     channel.queue.run_until(479 * MILLISECOND_NS)
     assert channel.busy_us(0) == (0, 0)
     channel.queue.run_until(990 * MILLISECOND_NS)
-    assert channel.row(0)[BUSY_FROM] == pytest.approx(480 * MILLISECOND_NS, abs=1_000)
+    assert channel.row(0).busy_from_ns == pytest.approx(480 * MILLISECOND_NS, abs=1_000)
     assert channel.radios.busy_ns() == 990 * MILLISECOND_NS
 
 
 def burst_over(channel):
     """(start, end) in ns of the first burst after 1 ms that lasts over 1 ms, from the energy at A."""
     row = channel.row(A)
-    while not (row[BUSY_FROM] > MILLISECOND_NS and row[BUSY_UNTIL] - row[BUSY_FROM] > MILLISECOND_NS):
+    while not (row.busy_from_ns > MILLISECOND_NS and row.busy_until_ns - row.busy_from_ns > MILLISECOND_NS):
         channel.queue.run_until(channel.queue.next_ns())
-    return row[BUSY_FROM], row[BUSY_UNTIL]
+    return row.busy_from_ns, row.busy_until_ns
 
 
 # the frame of C's choice lies within the burst, overlaps its beginning by half, or has ended before it
@@ -252,7 +259,7 @@ def test_frames_are_lost_under_a_strong_burst(before_us, lost, interference_dbm)
     if lost and interference_dbm == -50.0:
         assert frame.collided == [B]
         # under the burst there is no preamble to be found; before it there was
-        assert bool(channel.row(B)[BROKEN]) is (before_us > 0)
+        assert bool(channel.row(B).last_error_ns) is (before_us > 0)
     else:
         assert frame.delivered == [B]
 
@@ -266,8 +273,8 @@ def test_a_burst_is_sensed_by_its_energy_alone_and_with_that_of_others():
     channel = Channel(powers, **settings)
     channel.send(begin_ns // 1_000 + 100, A, C)
     channel.queue.run_until(begin_ns + 200_000)
-    assert channel.row(A)[BUSY_UNTIL] == end_ns
-    assert channel.row(C)[BUSY_UNTIL] == 0
+    assert channel.row(A).busy_until_ns == end_ns
+    assert channel.row(C).busy_until_ns == 0
     # -64 dBm twice are -61, as long as A sends; no preamble can be found at 0 dB
     start_us = begin_ns // 1_000 + 100
     assert channel.busy_us(B) == (start_us, start_us + 160)
@@ -390,8 +397,8 @@ def test_continuous_interferers_do_not_accumulate_state():
     )
     swarm.run(1_000_000)
     # about 2000 bursts have been; two are on the air, and their successors may be
-    air = swarm.emulator._channel.air
-    free, row = 0, int(air[FREE_SIGNAL])
+    tables = swarm.emulator._channel.tables
+    free, row = 0, tables.air[0].free_signal
     while row != NOTHING:
-        free, row = free + 1, int(tables_of(air).signals[row, NEXT_SIGNAL])
-    assert free >= len(tables_of(air).signals) - 4
+        free, row = free + 1, tables.signals[row].next_signal
+    assert free >= len(tables.signals) - 4
