@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from foundation.kernels.records import Block
 from netsim.mac import loop
 from netsim.mac.access_parameters import AccessParameters
 from netsim.mac.initial_state import silent_block
@@ -32,7 +33,6 @@ KIND_ROWS = {kind: row for row, kind in enumerate(KINDS)}
 OUTCOMES = list(JobOutcome)
 _NO_FADING = np.empty(0)
 _AT_END = ["sequence", "attempts", "failures", "sent_ns"]
-_SOURCE_AND_END = ["source", "end_ns"]
 
 
 class LinkBudgets(Protocol):
@@ -79,10 +79,10 @@ class Radios:
         self._categories = {category: parameters.index(access[category]) for category in access}
         """Queue by access category; categories with equal parameters share a queue (DCF)."""
         self._queues_each = len(parameters)
-        self._block, self._modes = silent_block(
+        block, self._modes = silent_block(
             config, stations=stations, queues=parameters, observed=on_ended is not None
         )
-        self._tables = t.tables_of(self._block)
+        self._use(block)
         self._fading_block = _NO_FADING if links.fading is None else links.fading.block
         self._links_version = links.version
         self._uppers: list[Upper] = []
@@ -248,8 +248,17 @@ class Radios:
             self._grow(signals=2 * len(tables.signals))
 
     def _grow(self, *, events: int = 0, jobs: int = 0, signals: int = 0) -> None:
-        self._block = t.grown(self._block, events=events, jobs=jobs, signals=signals)
-        self._tables = self._modes.tables = t.tables_of(self._block)
+        self._use(t.grown(self._block, events=events, jobs=jobs, signals=signals))
+
+    def _use(self, block: Block) -> None:
+        """Use this block from now on, with views of the fields that are read for every frame."""
+        tables = t.tables_of(block)
+        self._block, self._tables, self._modes.tables = block, tables, tables
+        self._call_count: Integers = tables.air["calls"]
+        self._jobs_at_end = tables.jobs[_AT_END]
+        self._fates: Integers = tables.ends["fate"]
+        self._delays_ns: Integers = tables.paths["delay_ns"]
+        self._powers_mw: Doubles = tables.paths["power_mw"]
 
     def _update_budget(self, source: int, at_ns: int) -> None:
         row = self._links.row(source, at_ns)
@@ -288,10 +297,10 @@ class Radios:
     def _dispatch_calls(self, *, keep: bool = False) -> None:
         """Dispatch the calls of the last event; ``keep`` does not free the rows of ended jobs."""
         tables = self._tables
-        count = int(tables.air["calls"][0])
+        count = self._call_count.item(0)
         if not count:
             return
-        tables.air["calls"] = 0
+        self._call_count[0] = 0
         pending: list[tuple[Any, Job | None]] = []
         # free the rows first: a callback may enqueue a frame at once
         for call in tables.calls[:count].tolist():
@@ -299,7 +308,7 @@ class Radios:
             job = self._jobs[row] if row >= 0 else None
             pending.append((call, job))
             if what == c.DONE and job is not None:
-                job.sequence, job.attempts, job.failures, sent_ns = tables.jobs[_AT_END][row].tolist()
+                job.sequence, job.attempts, job.failures, sent_ns = self._jobs_at_end[row].tolist()
                 job.sent_ns = sent_ns if job.attempts else None
                 job.row = None
                 if not keep:
@@ -310,7 +319,7 @@ class Radios:
                 reception = Reception(source, start_ns, end_ns, power_mw, seq, body, bool(detail))
                 self._uppers[station].on_frame(reception)
             elif what == c.GROUP_FRAME:
-                self._report_group_frame(job, detail)
+                self._report_group_frame(job, detail, source, end_ns)
             elif what == c.FRAME_ENDED:
                 self._report_ended(job)
             elif what == c.DONE and job is not None:
@@ -323,16 +332,20 @@ class Radios:
             elif what == c.FAILED and job is not None and job.rates is not None:
                 job.rates.report(job.destination, job.mode, acknowledged=False)
 
-    def _report_group_frame(self, job: Job | None, frame: int) -> None:
+    def _report_group_frame(self, job: Job | None, frame: int, source: int, end_ns: int) -> None:
         """Report a group frame that has just ended to its receivers."""
         seq, body = (0, None) if job is None else (job.seq, job.body)
-        tables = self._tables
-        source, end_ns = tables.signals[_SOURCE_AND_END][frame].tolist()
-        stations = (tables.ends["fate"] == c.RECEIVED).nonzero()[0]
-        paths = tables.paths[frame][stations]
-        ends_ns = (paths["delay_ns"] + end_ns).tolist()
+        stations = [station for station, fate in enumerate(self._fates.tolist()) if fate == c.RECEIVED]
+        delays_ns, powers_mw = self._delays_ns[frame].tolist(), self._powers_mw[frame].tolist()
         self._on_group_frame(
-            GroupReception(source, seq, body, stations.tolist(), ends_ns, paths["power_mw"].tolist())
+            GroupReception(
+                source,
+                seq,
+                body,
+                stations,
+                [end_ns + delays_ns[station] for station in stations],
+                [powers_mw[station] for station in stations],
+            )
         )
 
     def _report_ended(self, job: Job | None) -> None:

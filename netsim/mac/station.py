@@ -340,7 +340,9 @@ def report_group_frame(air: Air, frame: int) -> None:
     """Report a group frame that has ended to the upper layer if any station has received it."""
     for station in range(air.stations):
         if t.end(air, station).fate == c.RECEIVED:
-            add_call(air, c.GROUP_FRAME, c.NOTHING, t.signal(air, frame).job).detail = frame
+            sent = t.signal(air, frame)
+            call = add_call(air, c.GROUP_FRAME, c.NOTHING, sent.job)
+            call.detail, call.source, call.end_ns = frame, sent.source, sent.end_ns
             return
 
 
