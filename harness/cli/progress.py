@@ -4,17 +4,20 @@ Input are the messages of the processes (`harness.launch.processes.Message`), wh
 """
 
 import contextlib
+import time
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 from rich.console import Console, Group
 from rich.live import Live
+from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
 from foundation.processes.child_protocol import Warned
-from harness.launch.processes import Message, ProcessNotice, uav
+from harness.launch.kernel_cache import Compiled
+from harness.launch.processes import Compiling, Message, ProcessNotice, uav
 from harness.launch.supervisor import Exited
 from harness.simulator.messages import (
     Collision,
@@ -27,8 +30,8 @@ from harness.simulator.messages import (
     VehicleTruth,
 )
 
-LINE_PERIOD_S = 3.0
-"""Wall time between two plain lines."""
+LINE_PERIOD_S, COMPILING_LINE_PERIOD_S = 3.0, 10.0
+"""Wall time between two plain lines, in flight and while kernels compile."""
 PACE_WINDOW_S = 2.0
 """Wall time over which the present speed is measured."""
 _IGNORE_CLOSED_TERMINAL = contextlib.suppress(OSError)
@@ -51,6 +54,23 @@ class FlightDisplay(Protocol):
 def display_for(console: Console) -> FlightDisplay:
     """Return a live display on a terminal, plain lines elsewhere."""
     return LiveDisplay(console) if console.is_terminal else LineDisplay(console)
+
+
+def compiled(packages: Mapping[str, Compiled]) -> str:
+    """Return the numbers of compiled and loaded kernels by package."""
+    counts = (
+        f"{name} {each.done} of {each.total}" if each.total else f"{name} loading"
+        for name, each in packages.items()
+    )
+    return ", ".join(counts)
+
+
+def _compile_bars(packages: Mapping[str, Compiled]) -> Table:
+    table = Table.grid(padding=(0, 1))
+    for name, each in packages.items():
+        bar = ProgressBar(total=each.total or 1, completed=each.done, width=40)
+        table.add_row(f"{name} kernels", bar, f"{each.done} of {each.total}" if each.total else "loading")
+    return table
 
 
 def describe(message: Message) -> str | None:
@@ -103,11 +123,17 @@ class LineDisplay:
         self._console = console
         self._pace = Pace()
         self._wall_next_s = 0.0
+        self._wall_compiling_s = 0.0
 
     def on_message(self, message: Message) -> None:
         """Print notable events, and periodically the state of the run."""
         if (line := describe(message)) is not None:
             self.note(line)
+        if isinstance(message, Compiling):
+            if (wall_s := time.monotonic()) >= self._wall_compiling_s:
+                self._wall_compiling_s = wall_s + COMPILING_LINE_PERIOD_S
+                self.note(f"compiled kernels: {compiled(message.packages)}")
+            return
         if not isinstance(message, Progress):
             return
         factor = self._pace.update(message.time_us, message.wall_s)
@@ -136,6 +162,8 @@ class LiveDisplay:
         """Redraw the table, and print notable events above it."""
         if (line := describe(message)) is not None:
             self.note(line)
+        if isinstance(message, Compiling):
+            self._live.update(_compile_bars(message.packages))
         if isinstance(message, Progress):
             factor = self._pace.update(message.time_us, message.wall_s)
             self._live.update(Group(Text(headline(message, factor)), _vehicle_table(message.vehicles)))

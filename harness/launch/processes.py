@@ -9,7 +9,7 @@ import socket
 import sys
 import time
 import uuid
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +47,13 @@ class ProcessNotice(Struct, frozen=True, kw_only=True):
     text: str
 
 
-Message = ChildMessage | Exited | ProcessNotice
+class Compiling(Struct, frozen=True, kw_only=True):
+    """Kernels that are being compiled before the flight, by package."""
+
+    packages: Mapping[str, kernel_cache.Compiled]
+
+
+Message = ChildMessage | Exited | ProcessNotice | Compiling
 RunEvent = AnyEvent | Warned | Exited
 
 
@@ -114,6 +120,7 @@ class Processes:
         self._px4 = px4.instances(scenario)
         self._has_prefork = len(self._px4) < scenario.agents
         self._running = False
+        self._kernels = kernel_cache.Compilers({})
         self._affinity: CpuAffinity | None = None
         self._connected = False
         """Whether every vehicle has connected to the physics server."""
@@ -193,12 +200,23 @@ class Processes:
         if self._on_message is not None:
             self._on_message(ProcessNotice(text=text))
 
+    def _on_compiled(self, packages: Mapping[str, kernel_cache.Compiled]) -> None:
+        if self._on_message is not None:
+            self._on_message(Compiling(packages=dict(packages)))
+
+    def await_kernels(self) -> None:
+        """Wait for the kernels that the flight does not need. Raises SwarmError."""
+        try:
+            self._kernels.wait()
+        except kernel_cache.CompileError as error:
+            raise SwarmError(str(error)) from None
+
     def _start(self) -> None:
         scenario, host, run_id = self._scenario, self._scenario.ports.host, uuid.uuid4().hex[:16]
         vehicles = range(scenario.agents)
         allow_descriptors(len((PHYSICS, RADIO, PREFORK)) + len(vehicles) + len(self._px4))
         self._check_ports()
-        kernel_cache.prepare(self._note)
+        self._kernels = kernel_cache.prepare_flight(self._note, self._on_compiled)
         with contextlib.ExitStack() as sockets:
             base = scenario.ports.simulator_tcp
             listeners = [

@@ -395,6 +395,7 @@ class Swarm:
         from harness.report import report  # noqa: PLC0415  the analysis is slow to import: not before the flight
 
         processes = self._processes
+        processes.await_kernels()
         lost = processes.records_lost
         if interrupted and lost is None:
             status = "interrupted"
