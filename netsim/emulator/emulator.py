@@ -26,7 +26,10 @@ from netsim.model.config import RadioConfig, StationConfig
 from netsim.model.event_queue import EventQueue
 from netsim.model.random_streams import Model, RandomStreams, Uniforms
 from netsim.model.tables import Integers
+from netsim.phy.fading import make_fading
 from netsim.phy.frames import DATA_OVERHEAD_BYTES, GROUP, UDP_OVERHEAD_BYTES, FrameKind
+from netsim.phy.interfaces import FadingFactory, PropagationFactory
+from netsim.phy.path_gain import make_propagation
 from netsim.phy.propagation import Links, Trajectories, is_possible
 from netsim.phy.signals import Transmission
 from netsim.wire.messages import (
@@ -54,7 +57,8 @@ class Emulator:
     """All radios of a run and the channel between them.
 
     ``seed`` seeds the emulator; every model and link has a separate stream derived from it.
-    ``on_transmission`` is called with every frame that has ended. Raises ValueError for inconsistent settings
+    ``on_transmission`` is called with every frame that has ended. ``propagation`` and ``fading`` create other
+    models than the built-in ones (`netsim.phy.interfaces`). Raises ValueError for inconsistent settings
     (`netsim.emulator.settings_checks`).
     """
 
@@ -65,6 +69,8 @@ class Emulator:
         stations: int,
         seed: np.random.SeedSequence,
         on_transmission: Callable[[Transmission], None] | None = None,
+        propagation: PropagationFactory = make_propagation,
+        fading: FadingFactory = make_fading,
     ) -> None:
         self._vehicles = stations - len(config.guests)
         check(config, self._vehicles)
@@ -79,7 +85,9 @@ class Emulator:
         self._level = np.tile([1.0, 0.0, 0.0, 0.0], (stations, 1))
         """Default attitudes (n, 4), wxyz."""
         self._shapes = (stations, 3), (stations, 3), self._level.shape
-        self._links = Links(config, self.trajectories, stations, self._streams)
+        self._links = Links(
+            config, self.trajectories, stations, self._streams, propagation=propagation, fading=fading
+        )
         self._channel = channel_of(
             config,
             queue=self.queue,
