@@ -21,7 +21,8 @@ import msgspec
 
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Stop, commands, emit
 from foundation.profiling.profiler import profiled
-from netsim.emulator.service import EmulatorService
+from netsim.emulator.interface import NetworkEmulator
+from netsim.emulator.service import make_emulator
 from netsim.model.config import ServerConfig
 from netsim.transport.interval_stream import BATCH_LIMIT_S, IntervalStream, emulators_end
 from netsim.transport.lockstep_radio import directory_key, in_pieces, receive_key, transmit_key
@@ -52,7 +53,7 @@ class Server:
     """
 
     def __init__(self, config: ServerConfig, *, on_visit: Callable[[], None] = lambda: None) -> None:
-        self._service = EmulatorService(config)
+        self._service: NetworkEmulator = make_emulator(config)
         self._directory = encode(
             Directory(
                 run_id=config.run_id,
