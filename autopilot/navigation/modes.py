@@ -182,7 +182,7 @@ class MissionMode(StopMode):
         self._mission = mission
 
     def enter(self, entry: ModeEntry) -> None:
-        """Continue the mission; a finished one that is entered anew starts with its first item."""
+        """Continue the mission; a finished one starts with its first item."""
         if self._mission.runner.finished and not entry.again:
             self._mission.restart()
         self._mission.resume(entry, self._context.params)
