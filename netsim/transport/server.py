@@ -177,13 +177,13 @@ def _shares_a_processor() -> bool:
     return sys.platform == "linux" and len(os.sched_getaffinity(0)) == 1
 
 
-def run(config_path: Path, clock_fd: int, *, supervised: bool) -> None:
+def run(config_path: Path, interval_fd: int, *, supervised: bool) -> None:
     """Serve with the settings of a configuration file until the time master closes its socket.
 
     Raises TransportError, OSError, or ValueError (also as msgspec.DecodeError).
     """
     with contextlib.ExitStack() as stack:
-        clock = emulators_end(stack.enter_context(socket.socket(fileno=clock_fd)))
+        clock = emulators_end(stack.enter_context(socket.socket(fileno=interval_fd)))
         config = msgspec.json.decode(config_path.read_bytes(), type=ServerConfig)
         server = Server(config, on_visit=lambda: emit(Influenced(name="radio", by="a guest on the radio")))
         stack.enter_context(contextlib.closing(server))
