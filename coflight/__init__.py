@@ -5,8 +5,9 @@
     with Swarm("article", agents=3) as swarm:
         swarm.run_until_formed(timeout_s=60)
 
-`Swarm`, `OneProcessSwarm`, `Scenario`, `load_scenario` and the errors that they raise are loaded on
-first use. What they do is left to `harness`; the ``coflight`` command is `coflight.command`.
+`Swarm`, `OneProcessSwarm`, `Scenario`, `load_scenario`, the errors that they raise and the protocols of parts
+that can be replaced (`Application` and others) are loaded on first use. What they do is left to `harness` and
+the packages below; the ``coflight`` command is `coflight.command`.
 """
 
 import os
@@ -16,6 +17,9 @@ from typing import TYPE_CHECKING
 from foundation.kernels import cache_folder
 
 if TYPE_CHECKING:
+    from autopilot.navigation.flight_mode import FlightModeBehaviour
+    from autopilot.onboard.application import Application
+    from autopilot.services.service import MavlinkService
     from harness.campaign import Campaign
     from harness.launch.one_process import OneProcessSwarm
     from harness.launch.processes import SetupError, SwarmError, SwarmTimeoutError
@@ -23,17 +27,29 @@ if TYPE_CHECKING:
     from harness.launch.truth import SwarmTruth
     from harness.scenario.scenario import Scenario, ScenarioError
     from harness.scenario.scenario import load as load_scenario
+    from harness.world.physics.interface import Physics
+    from netsim.emulator.interface import NetworkEmulator
+    from netsim.phy.interfaces import ErrorModel, Fading, Propagation
     from netsim.transport.guest import Guest
 
 __all__ = [
-    "Campaign", "Guest", "OneProcessSwarm", "Scenario", "ScenarioError", "SetupError", "Swarm", "SwarmError",
-    "SwarmTimeoutError", "SwarmTruth", "load_scenario",
+    "Application", "Campaign", "ErrorModel", "Fading", "FlightModeBehaviour", "Guest", "MavlinkService",
+    "NetworkEmulator", "OneProcessSwarm", "Physics", "Propagation", "Scenario", "ScenarioError", "SetupError",
+    "Swarm", "SwarmError", "SwarmTimeoutError", "SwarmTruth", "load_scenario",
 ]  # fmt: skip
 
 _PLACES = {
+    "Application": ("autopilot.onboard.application", "Application"),
     "Campaign": ("harness.campaign", "Campaign"),
+    "ErrorModel": ("netsim.phy.interfaces", "ErrorModel"),
+    "Fading": ("netsim.phy.interfaces", "Fading"),
+    "FlightModeBehaviour": ("autopilot.navigation.flight_mode", "FlightModeBehaviour"),
     "Guest": ("netsim.transport.guest", "Guest"),
+    "MavlinkService": ("autopilot.services.service", "MavlinkService"),
+    "NetworkEmulator": ("netsim.emulator.interface", "NetworkEmulator"),
     "OneProcessSwarm": ("harness.launch.one_process", "OneProcessSwarm"),
+    "Physics": ("harness.world.physics.interface", "Physics"),
+    "Propagation": ("netsim.phy.interfaces", "Propagation"),
     "Scenario": ("harness.scenario.scenario", "Scenario"),
     "ScenarioError": ("harness.scenario.scenario", "ScenarioError"),
     "SetupError": ("harness.launch.processes", "SetupError"),

@@ -19,12 +19,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m netsim", description="The 802.11 emulator of one run.")
     parser.add_argument("--config", type=Path, required=True, help="JSON file with the emulator's settings")
     parser.add_argument(
-        "--clock-fd", type=int, required=True, help="inherited stream socket to the time master"
+        "--interval-fd", type=int, required=True, help="inherited stream socket to the time master"
     )
     parser.add_argument("--supervised", action="store_true", help="read commands on stdin; exit at its end")
     arguments = parser.parse_args()
     try:
-        run(arguments.config, arguments.clock_fd, supervised=arguments.supervised)
+        run(arguments.config, arguments.interval_fd, supervised=arguments.supervised)
     except (TransportError, OSError, ValueError) as error:  # ValueError: invalid settings
         print(f"radio: {error}", file=sys.stderr)
         return 2

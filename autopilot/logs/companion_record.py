@@ -15,7 +15,7 @@ from autopilot.logs.vehicle_record import VEHICLE_RECORD
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.components import AUTOPILOT_COMPONENT
 from autopilot.navigation.site_frame import LEAST_FIX_TYPE
-from autopilot.onboard.app import OnboardApp
+from autopilot.onboard.application import Application
 from autopilot.parameters.config import VehicleConfig
 from foundation.geometry.geodesy import geodetic_to_ned
 from foundation.records.record_log import RecordLog
@@ -42,7 +42,7 @@ _NO_AXIS = (
 class CompanionLog:
     """The log of one application; close it. Raises OSError if the file cannot be opened."""
 
-    def __init__(self, config: VehicleConfig, path: str, app: OnboardApp) -> None:
+    def __init__(self, config: VehicleConfig, path: str, app: Application) -> None:
         self._site = config.site
         self._system = config.instance + 1
         self._period_us = config.record_period_us

@@ -1,51 +1,26 @@
-"""Setpoints of each flight mode for the flight controller. Pure.
+"""Setpoints of the present flight mode for the flight controller. Pure.
 
 Offboard mode is not part of this: its setpoints are external and go to the controller unchanged.
 """
 
-import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
-from msgspec.structs import replace
-
-from autopilot.commander.arming_requirements import MANUAL_MODES
 from autopilot.control.hover_thrust import GRAVITY_M_S2
 from autopilot.control.params import PositionParams, TrajectoryParams
 from autopilot.mavlink.modes import FlightMode
-from autopilot.navigation.guide import Guide, HomePosition, Moment, heading_rad
-from autopilot.navigation.landing import IDLE, Landing, TakeOff, descend
-from autopilot.navigation.manual import CENTRED, ManualFlight, ManualInput
-from autopilot.navigation.mission_flight import MissionFlight, MissionStage
-from autopilot.navigation.orbit import Orbit, default_circle
+from autopilot.navigation.flight_mode import ON_GROUND_M, ModeContext, ModeEntry, ModeInputs
+from autopilot.navigation.guide import HomePosition
+from autopilot.navigation.landing import IDLE, Landing, TakeOff
+from autopilot.navigation.manual import ManualFlight, ManualInput
+from autopilot.navigation.mission_flight import MissionFlight
+from autopilot.navigation.modes import Flights, HoldMode, HoldTarget, make_behaviours
+from autopilot.navigation.orbit import Orbit
 from autopilot.navigation.params import NavigationParams
 from autopilot.navigation.plan_items import RallyPoint
 from autopilot.navigation.return_home import ReturnHome, ReturnPhase
 from foundation.types import Array, AttitudeSetpoint, Course, EstimatorState, Setpoint, TrajectorySetpoint
 
 __all__ = ["IDLE", "ON_GROUND_M", "NavigationParams", "Navigator", "down_demand_m_s"]
-
-ON_GROUND_M = 0.3
-"""A target less than this above the last position on the ground counts as on the ground, given the accuracy
-of heights."""
-_HAVE_LEGS = {FlightMode.HOLD, FlightMode.RETURN}
-"""Modes besides Mission that accept a change of speed."""
-_ENDS_IN_HOLD = {FlightMode.TAKEOFF, FlightMode.MISSION}
-"""Modes that continue as hold at their final position."""
-_COURSE_OF_MODE = {
-    FlightMode.TAKEOFF: Course.TAKE_OFF,
-    FlightMode.LAND: Course.LANDING,
-    FlightMode.DESCEND: Course.LANDING,
-}
-_COURSE_OF_STAGE = {MissionStage.TAKE_OFF: Course.TAKE_OFF, MissionStage.LAND: Course.LANDING}
-
-
-class _HoldTarget(NamedTuple):
-    """Target of a hold."""
-
-    place_ned_m: Array
-    yaw_rad: float | None
-    """None: by MPC_YAW_MODE."""
 
 
 class Navigator:
@@ -54,25 +29,24 @@ class Navigator:
     def __init__(
         self, params: NavigationParams, trajectory: TrajectoryParams, position: PositionParams
     ) -> None:
-        self._params = params
-        self._limits = trajectory
-        self._position = position
-        self._guide = Guide(trajectory)
-        self._take_off = TakeOff(self._guide)
-        self._landing = Landing(self._guide)
-        self._return = ReturnHome(self._guide, self._landing)
+        self._context = context = ModeContext(params, trajectory, position)
+        self._guide = guide = context.guide
+        take_off, landing = TakeOff(guide), Landing(guide)
+        self._return = ReturnHome(guide, landing)
         self._manual = ManualFlight(params, trajectory, position)
-        self.mission = MissionFlight(
-            self._guide, self._take_off, self._landing, limits=trajectory, position=position
-        )
+        self.mission = MissionFlight(guide, take_off, landing, limits=trajectory, position=position)
         """The mission and its progress; kept while other modes are active."""
-        self.orbit = Orbit(self._guide)
+        self.orbit = Orbit(guide)
+        self._hold = HoldMode(context, landing)
+        self.behaviours = dict(
+            make_behaviours(
+                context,
+                Flights(take_off, landing, self.mission, self._return, self.orbit, self._manual),
+                self._hold,
+            )
+        )
+        """By mode; see `autopilot.navigation.flight_mode.FlightModeBehaviour`."""
         self._mode = FlightMode.HOLD
-        self._ground_down_m = math.inf
-        """Down position when a mode was last entered on the ground; infinite before."""
-        self._hold_target: _HoldTarget | None = None
-        self._speed_m_s: float | None = None
-        """Ground speed requested in the present mode; None: MPC_XY_CRUISE."""
 
     # ---- status
 
@@ -84,18 +58,12 @@ class Navigator:
     @property
     def course(self) -> Course:
         """Whether the vehicle takes off or lands, by a mode, a mission item or a return."""
-        if self._mode is FlightMode.MISSION:
-            return _COURSE_OF_STAGE.get(self.mission.stage, Course.OTHER)
-        if self._mode is FlightMode.RETURN and self._return.phase is ReturnPhase.LAND:
-            return Course.LANDING
-        return _COURSE_OF_MODE.get(self._mode, Course.OTHER)
+        return self.behaviours[self._mode].course
 
     @property
     def target_ned_m(self) -> Array | None:
         """Target position (3,) of the present mode; None in modes without one."""
-        if self._mode is FlightMode.MISSION:
-            return self.mission.place_ned_m
-        return None if self._mode in MANUAL_MODES | {FlightMode.DESCEND} else self._guide.target_ned_m
+        return self.behaviours[self._mode].target_ned_m
 
     @property
     def place_ned_m(self) -> Array:
@@ -104,19 +72,11 @@ class Navigator:
 
     def next_mode(self, state: EstimatorState) -> FlightMode | None:
         """Return the next mode: hold after a take-off or a mission, return by a mission item; or None."""
-        if self._mode in _ENDS_IN_HOLD and self.completed(state):
-            return FlightMode.HOLD
-        returns = self._mode is FlightMode.MISSION and self.mission.return_requested
-        return FlightMode.RETURN if returns else None
+        return self.behaviours[self._mode].next_mode(state)
 
     def completed(self, state: EstimatorState) -> bool:
         """Return whether a take-off is at its height, a mission at its end, or a return on the ground."""
-        if self._mode is FlightMode.TAKEOFF:
-            missing_m = abs(float(state.pos_ned_m[2]) - float(self._guide.target_ned_m[2]))
-            return self._take_off.airborne and missing_m < self._params.altitude_acceptance_m
-        if self._mode is FlightMode.MISSION:
-            return self.mission.done
-        return self._mode is FlightMode.RETURN and self._return.phase is ReturnPhase.DONE
+        return self.behaviours[self._mode].completed(state)
 
     # ---- requests
 
@@ -128,37 +88,26 @@ class Navigator:
         self, params: NavigationParams, trajectory: TrajectoryParams, position: PositionParams
     ) -> None:
         """Change the settings; a take-off or a leg in progress keeps its target."""
-        self._params, self._limits, self._position = params, trajectory, position
+        context = self._context
+        context.params, context.limits, context.position = params, trajectory, position
         self.mission.set_limits(trajectory, position)
         self._manual.set_params(params, trajectory, position)
-        if self._mode is FlightMode.MISSION:
-            self.mission.apply_limits()
-        elif self._mode is FlightMode.TAKEOFF:
-            self._take_off.set_limits(trajectory, speed_m_s=position.tko_speed_m_s)
-        else:
-            self._guide.set_limits(self._leg_limits())
+        self.behaviours[self._mode].apply_limits()
 
     def change_speed(self, speed_m_s: float | None) -> None:
         """Change the ground speed of legs until the mode ends; None: as by the parameters.
 
         In a mission it applies until an item changes the speed.
         """
-        if self._mode is FlightMode.MISSION:
-            self.mission.runner.speed_m_s = speed_m_s
-            self.mission.apply_limits()
-        elif self._mode in _HAVE_LEGS:
-            self._speed_m_s = speed_m_s
-            self._guide.set_limits(self._leg_limits())
+        self.behaviours[self._mode].change_speed(speed_m_s)
 
     def hold_at(self, place_ned_m: Array, *, yaw_rad: float | None = None) -> None:
         """Fly to a position (3,) in the hold mode that was entered; yaw None: by MPC_YAW_MODE."""
-        self._hold_target = _HoldTarget(place_ned_m, yaw_rad)
-        self._guide.go_to(place_ned_m, yaw_rad=yaw_rad)
+        self._hold.hold_at(HoldTarget(place_ned_m, yaw_rad))
 
     def stop(self, state: EstimatorState) -> None:
         """Stop in the hold mode that was entered."""
-        self._hold_target = None
-        self._guide.restart(state)
+        self._hold.stop(state)
 
     def enter(
         self,
@@ -173,40 +122,22 @@ class Navigator:
 
         A mission, a return, an orbit and the flight to a hold target continue; a finished mission that is
         entered again starts with its first item. ``takeoff_down_m`` is the final height of a take-off, which
-        never descends.
+        never descends. Hold after a mode that ends in hold keeps the path of that mode.
         """
         again = mode is self._mode
         if landed:
-            self._ground_down_m = float(state.pos_ned_m[2])
+            self._context.ground_down_m = float(state.pos_ned_m[2])
         if landed or not again:
-            self._hold_target = self._speed_m_s = None
-        goes_on = (
-            mode is FlightMode.HOLD and self._mode in _ENDS_IN_HOLD and not landed and self.completed(state)
-        )
+            self._hold.target = self._context.speed_m_s = None
+        goes_on = mode is FlightMode.HOLD and not landed and self.next_mode(state) is FlightMode.HOLD
         self._mode = mode
         if goes_on:
             return
-        moment = Moment(state=state, dt_s=0.0, landed=landed, touching=False, home_ned_m=home_ned_m)
-        if mode is FlightMode.MISSION:
-            if self.mission.runner.finished and not again:
-                self.mission.restart()
-            self.mission.resume(moment, self._params)
-            return
-        self._guide.set_limits(self._leg_limits())
-        if mode is FlightMode.RETURN:
-            (self._return.resume if again else self._return.start)(moment, self._params)
-        elif mode is FlightMode.TAKEOFF:
-            self._take_off.start(moment, down_m=takeoff_down_m, speed_m_s=self._position.tko_speed_m_s)
-        elif mode in MANUAL_MODES:
-            self._manual.start(state)
-        elif mode is FlightMode.ORBIT:
-            circle = self.orbit.circle if again else None
-            self.orbit.start(state, default_circle(state) if circle is None else circle)
-        else:
-            self._guide.restart(state)
-            self._landing.start(state)
-            if self._hold_target is not None:
-                self.hold_at(self._hold_target.place_ned_m, yaw_rad=self._hold_target.yaw_rad)
+        entry = ModeEntry(
+            state=state, dt_s=0.0, landed=landed, touching=False, home_ned_m=home_ned_m,
+            again=again, takeoff_down_m=takeoff_down_m,
+        )  # fmt: skip
+        self.behaviours[mode].enter(entry)
 
     def update(
         self,
@@ -226,61 +157,11 @@ class Navigator:
         ``manual``: sticks; None: centred. ``hover_thrust``: thrust at mid throttle in stabilized mode; None:
         MPC_THR_HOVER. ``disturbance_ned_m_s2``: (3,) acceleration that the controller compensates.
         """
-        mode = self._mode
-        on_ground = self._guide.target_ned_m[2] > self._ground_down_m - ON_GROUND_M
-        if mode is FlightMode.HOLD and self._hold_target is None and not on_ground:
-            return IDLE if landed else self._guide.follow(dt_s)
-        moment = Moment(state=state, dt_s=dt_s, landed=landed, touching=touching, home_ned_m=home_ned_m)
-        if mode is FlightMode.MISSION:
-            return self.mission.update(moment, self._params)
-        if mode is FlightMode.RETURN:
-            return self._return.update(moment, self._params)
-        if mode is FlightMode.TAKEOFF:
-            return self._take_off.update(moment)
-        if mode in MANUAL_MODES:
-            sticks = CENTRED if manual is None else manual
-            if mode is FlightMode.STABILIZED:
-                return self._manual.stabilized(moment, sticks, hover_thrust=hover_thrust)
-            if mode is FlightMode.ALTITUDE:
-                return self._manual.altitude(moment, sticks, disturbance_ned_m_s2=disturbance_ned_m_s2)
-            return self._manual.position(moment, sticks)
-        if landed:
-            return IDLE
-        if mode is FlightMode.HOLD:
-            return self._set_down(moment) if on_ground else self._fly_to_hold_target(moment)
-        if mode is FlightMode.ORBIT:
-            return self.orbit.update(moment, self._params, manual=manual)
-        if mode is FlightMode.LAND:
-            return self._landing.update(moment, self._params)
-        if mode is FlightMode.DESCEND:
-            return descend(state, self._params, touching=touching, yaw_rad=self._guide.yaw_rad)
-        return self._guide.follow(dt_s)
-
-    # ---- parts
-
-    def _fly_to_hold_target(self, moment: Moment) -> TrajectorySetpoint:
-        """Return the setpoint on the way to the hold target; heading as on any leg unless one was given."""
-        guide, target = self._guide, self._hold_target
-        if target is not None and target.yaw_rad is None and not guide.resting:
-            yaw_rad = heading_rad(
-                self._params.yaw_mode, guide, target.place_ned_m, moment.home_ned_m,
-                near_m=self._params.acceptance_m,
-            )  # fmt: skip
-            if yaw_rad is not None:
-                guide.turn_to(yaw_rad)
-        return guide.follow(moment.dt_s, vehicle_pos_ned_m=moment.state.pos_ned_m)
-
-    def _set_down(self, moment: Moment) -> TrajectorySetpoint:
-        """Land if the hold target is on the ground: a hover above it would never be detected as landed."""
-        if self._guide.pos_ned_m[2] <= self._ground_down_m - ON_GROUND_M:  # not yet at the target
-            self._landing.start(moment.state)
-            return self._fly_to_hold_target(moment)
-        return self._landing.update(moment, self._params)
-
-    def _leg_limits(self) -> TrajectoryParams:
-        if self._speed_m_s is None:
-            return self._limits
-        return replace(self._limits, xy_cruise_m_s=min(self._speed_m_s, self._position.xy_vel_max_m_s))
+        inputs = ModeInputs(
+            state=state, dt_s=dt_s, landed=landed, touching=touching, home_ned_m=home_ned_m,
+            manual=manual, hover_thrust=hover_thrust, disturbance_ned_m_s2=disturbance_ned_m_s2,
+        )  # fmt: skip
+        return self.behaviours[self._mode].update(inputs)
 
 
 def down_demand_m_s(

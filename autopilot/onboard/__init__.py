@@ -1,9 +1,11 @@
 """The application beside each autopilot: beacons, ranging, localisation, formation control. No I/O.
 
-`OnboardApp` composes them. It exchanges MAVLink messages with its autopilot, and datagrams and ranging
+`application.Application` is the interface that the vehicle requires; `app.OnboardApp` is the built-in one and
+composes the rooms. An application exchanges MAVLink messages with its autopilot, and datagrams and ranging
 requests with its radio, nothing else. It can therefore also run on a companion computer beside a PX4.
 """
 
-from autopilot.onboard.app import Estimate, OnboardApp, OnboardOutput
+from autopilot.onboard.app import OnboardApp
+from autopilot.onboard.application import Application, Estimate, OnboardOutput
 
-__all__ = ["Estimate", "OnboardApp", "OnboardOutput"]
+__all__ = ["Application", "Estimate", "OnboardApp", "OnboardOutput"]

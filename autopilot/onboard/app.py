@@ -10,14 +10,13 @@ positions, and `FlightSequence` selects the flight phase and the commands.
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
 
 import numpy as np
-from msgspec import Struct
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.local_messages import LocalPosition, PositionTarget
+from autopilot.onboard.application import NOTHING, Estimate, OnboardOutput
 from autopilot.onboard.formation import messages
 from autopilot.onboard.formation.avoidance import FRESH_US
 from autopilot.onboard.formation.commands import CommandSender
@@ -51,35 +50,12 @@ GATHER_MAX_S = 0.8e-6 * LOCALISE_TIMEOUT_US
 """Longest time for which distances are gathered: the others must be located before take-off times out."""
 
 
-class OnboardOutput(Struct, frozen=True):
-    """What the application sends in one iteration of its loop."""
-
-    mavlink: Sequence[Message | PositionTarget]
-    """Messages to the autopilot of the same UAV."""
-    radio: tuple[TxItem, ...]
-
-
 _BACK, _LOST = "ranging is back", "ranging lost: correction frozen, then fading"
 _UNKNOWN: Vector = (math.nan, math.nan, math.nan)
-NOTHING = OnboardOutput((), ())
-"""Output of an iteration in which nothing is due."""
-
-
-class Estimate(NamedTuple):
-    """The application's estimate of its UAV's position; site NED, metres."""
-
-    pos_ned_m: Vector
-    """The autopilot's position minus the correction."""
-    std_ned_m: Vector
-    """One sigma, including the position error of the formation as a whole."""
-    correction_ned_m: Vector
-    odometry_offset_ned_m: Vector
-    """Part of the correction that depends on the radio: estimated true position minus odometry. NaN until
-    localisation has estimated it; frozen while no distances arrive."""
 
 
 class OnboardApp:
-    """One UAV's application.
+    """One UAV's application; see `autopilot.onboard.application.Application`.
 
     Args:
         station: index of this UAV in the formation and on the radio; its MAVLink system id is one more.

@@ -4,10 +4,11 @@ import numpy as np
 
 from autopilot.mavlink.components import APPLICATION_COMPONENT
 from autopilot.onboard.app import OnboardApp
+from autopilot.onboard.application import Application
 from autopilot.parameters.config import VehicleConfig
 
 
-def make_application(config: VehicleConfig) -> OnboardApp:
+def make_application(config: VehicleConfig) -> Application:
     """Return the application for these settings.
 
     Its random numbers depend on the seed and the instance only, not on the process it runs in.

@@ -25,7 +25,7 @@ from autopilot.logs.companion_record import CompanionLog
 from autopilot.mavlink.codec import Encoder, Message, Parser, stamp
 from autopilot.mavlink.components import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
 from autopilot.mavlink.local_messages import PositionTarget
-from autopilot.onboard.app import NOTHING
+from autopilot.onboard.application import NOTHING, Application
 from autopilot.onboard.factory import make_application
 from autopilot.onboard.formation.messages import heartbeat
 from autopilot.onboard.formation.phases import FlightPhase
@@ -84,7 +84,7 @@ class Companion:
     def __init__(self, config: VehicleConfig) -> None:
         self.now_us = -1
         self._system = config.instance + 1
-        self.app = make_application(config)
+        self.app: Application = make_application(config)
         self._stamp_us = -1
         """Time of the last timed message, whether it was accepted or not."""
         self._tick_us = 0

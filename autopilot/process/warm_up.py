@@ -15,6 +15,7 @@ from autopilot.mavlink.hil import HilActuatorControls, HilSensor, pack
 from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation.manual import ManualInput
 from autopilot.navigation.setpoints import Navigator
+from autopilot.onboard.app import OnboardApp
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.localisation.common_frame import CommonFrame
 from autopilot.onboard.localisation.localisation import CooperativeLocalisation, LocalisationModel
@@ -95,7 +96,7 @@ def _warm_up_distances(vehicle: Vehicle, now_us: int) -> None:
 
     Raises WarmUpError.
     """
-    localisation = vehicle.app.localisation if vehicle.app is not None else None
+    localisation = vehicle.app.localisation if isinstance(vehicle.app, OnboardApp) else None
     if localisation is None or localisation.distance_variance_m2(1, now_us) is None:
         raise WarmUpError("the vehicles of the warm-up are not localised")
 

@@ -35,19 +35,28 @@ class Addressed(NamedTuple):
     message: Message
 
 
-class Service(Protocol):
+class MavlinkService(Protocol):
     """A state machine that receives messages and time and returns the messages to send.
 
-    A vehicle has one instance of each service for all of its links. Conversation state is kept per partner.
+    Consumers: `autopilot.services.services.Services` and `autopilot.vehicle.messaging`. A vehicle has one
+    instance of each service for all of its links. Conversation state is kept per partner.
+
+    Time is the vehicle's simulated time in us and never decreases; there is no other clock and no I/O. Equal
+    calls give equal messages. Call order: `on_message` at any time, `on_timer` at the first step at or after
+    `next_deadline_us`, which is read again after every call of either.
     """
 
     @property
     def takes(self) -> frozenset[int]:
-        """Ids of the messages that it handles."""
+        """Ids of the messages that it handles; constant. Several services may take the same id."""
         ...
 
     def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
-        """Handle a message of `takes` that is addressed to this vehicle's autopilot; return the answers."""
+        """Handle a message of `takes` that is addressed to this vehicle's autopilot; return the answers.
+
+        ``partner`` is the sender; an answer to it is ``reply(partner, message)``, one to all
+        ``reply(ALL, message)``. Messages need no sequence number or source.
+        """
         ...
 
     def on_timer(self, now_us: int) -> Sequence[Addressed]:

@@ -3,15 +3,15 @@
 from collections.abc import Sequence
 
 from autopilot.mavlink.codec import Message
-from autopilot.services.service import Addressed, Partner, Service
+from autopilot.services.service import Addressed, MavlinkService, Partner
 
 
 class Services:
     """A vehicle's services. A message is passed to all that handle its id, in the order given."""
 
-    def __init__(self, services: Sequence[Service]) -> None:
+    def __init__(self, services: Sequence[MavlinkService]) -> None:
         self._services = tuple(services)
-        self._of_kind: dict[int, list[Service]] = {}
+        self._of_kind: dict[int, list[MavlinkService]] = {}
         for service in services:
             for kind in service.takes:
                 self._of_kind.setdefault(kind, []).append(service)

@@ -29,7 +29,7 @@ from autopilot.mavlink.local_messages import PositionTarget
 from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation import site_plan
 from autopilot.navigation.site_frame import SiteFrame
-from autopilot.onboard.app import NOTHING
+from autopilot.onboard.application import NOTHING, Application
 from autopilot.onboard.factory import make_application
 from autopilot.onboard.formation.messages import COMMANDS
 from autopilot.parameters.config import VehicleConfig
@@ -146,7 +146,7 @@ class Vehicle:
         succeeds."""
         self._uses_truth = config.onboard.localisation == "truth"
         self._loop_period_us = config.onboard.loop_period_us
-        self.app = make_application(config) if config.onboard.enabled else None
+        self.app: Application | None = make_application(config) if config.onboard.enabled else None
         if self.app is not None:
             self.messaging.send_to_application = self.app.on_mavlink
         self._last_us: int | None = None

@@ -12,16 +12,32 @@ from msgspec import Struct
 
 import harness.campaign
 import harness.launch.swarm
+from autopilot.navigation.flight_mode import FlightModeBehaviour
+from autopilot.onboard.application import Application
+from autopilot.services.service import MavlinkService
 from foundation.docstrings import field_docstrings
 from harness.cli.reference_text import UndocumentedError, one_line, paragraphs, table
 from harness.launch import pytest_plugin
+from harness.launch.one_process import OneProcessSwarm
 from harness.launch.swarm import SetupError, Swarm, SwarmError, SwarmTimeoutError, SwarmTruth
+from harness.world.physics.interface import Physics
+from netsim.emulator.interface import NetworkEmulator
+from netsim.phy.interfaces import ErrorModel, Fading, Propagation
 
 INTRODUCTION = """# Python API
 
-What programs, notebooks and tests import: a swarm that flies while a program runs it, the fixture for pytest,
-and campaigns. This page is generated from the docstrings by `scripts/write_reference.py`.
+What programs, notebooks and tests import: a swarm that flies while a program runs it, the fixture for
+pytest, campaigns, and the protocols of parts that can be replaced. This page is generated from the
+docstrings by `scripts/write_reference.py`.
 """
+
+PROTOCOLS = (
+    Application, FlightModeBehaviour, MavlinkService, Propagation, Fading, ErrorModel, NetworkEmulator,
+    Physics,
+)  # fmt: skip
+PROTOCOLS_INTRODUCTION = """The built-in parts are reached through these protocols of `typing`, so that
+another object with the same methods can take their place. None of them does I/O, reads a clock or draws
+random numbers of its own: time, state and randomness are arguments, or come from the factory."""
 
 WIDTH = 88
 """Columns of a signature that stands on one line."""
@@ -29,15 +45,16 @@ WIDTH = 88
 
 def python_page() -> str:
     """Return the page; raises UndocumentedError for a public method without a docstring."""
-    parts = [INTRODUCTION, "## Swarm\n", "`from harness.launch.swarm import Swarm`\n"]
+    parts = [INTRODUCTION, "## Swarm\n", "`from coflight import Swarm`\n"]
     parts.append(_module_text(harness.launch.swarm))
     parts += _class(Swarm, "###")
     parts += _class(SwarmTruth, "###")
+    parts += _class(OneProcessSwarm, "###")
     parts += ["### Errors\n", table(("error", "meaning"), _errors())]
     parts += ["## The fixture swarm of pytest\n", _module_text(pytest_plugin)]
     fixture = inspect.unwrap(getattr(pytest_plugin.swarm, "__wrapped__", pytest_plugin.swarm))
     parts.append(paragraphs(_doc(fixture, "swarm")) + "\n")
-    parts += ["## Campaigns\n", "`from harness.campaign import Campaign, load, run`\n"]
+    parts += ["## Campaigns\n", "`from coflight import Campaign`, `from harness.campaign import load, run`\n"]
     parts.append(_module_text(harness.campaign))
     for name in ("load", "run"):
         parts += _function(name, getattr(harness.campaign, name), "###")
@@ -48,6 +65,11 @@ def python_page() -> str:
         harness.campaign.Table,
     ):
         parts += _class(kind, "###")
+    parts += ["## Protocols of replaceable parts\n", paragraphs(PROTOCOLS_INTRODUCTION) + "\n"]
+    for protocol in PROTOCOLS:
+        name = protocol.__name__
+        parts += [f"### {name}\n", f"`from coflight import {name}`\n"]
+        parts += [paragraphs(_doc(protocol, name)) + "\n", *_members(protocol, "####")]
     return "\n".join(parts)
 
 
@@ -81,13 +103,18 @@ def _class(kind: type, level: str) -> Iterator[str]:
     else:
         yield f"```python\n{_signature(kind.__name__, kind.__init__)}\n```\n"
         yield paragraphs(_doc(kind, kind.__name__)) + "\n"
+    yield from _members(kind, f"{level}#")
+
+
+def _members(kind: type, level: str) -> Iterator[str]:
+    """Return the public methods and properties that a class defines."""
     for name, member in vars(kind).items():
         if name.startswith("_"):
             continue
         if isinstance(member, property):
-            yield from _property(f"{kind.__name__}.{name}", member, f"{level}#")
+            yield from _property(f"{kind.__name__}.{name}", member, level)
         elif isinstance(member, FunctionType):
-            yield from _function(f"{kind.__name__}.{name}", member, f"{level}#")
+            yield from _function(f"{kind.__name__}.{name}", member, level)
 
 
 def _property(name: str, member: property, level: str) -> Iterator[str]:

@@ -54,7 +54,7 @@ from harness.simulator.in_process_links import InProcessEmulatorLine, InProcessR
 from harness.simulator.messages import AnyCommand
 from harness.simulator.server import obey
 from harness.simulator.simulation import Simulation
-from netsim.emulator.service import EmulatorService
+from netsim.emulator.service import make_emulator
 from netsim.model.config import ServerConfig
 
 NAME = "one process"
@@ -82,7 +82,7 @@ class _Flight:
     ) -> None:
         self._config = physics
         self._emit = emit
-        self._emulator = stack.enter_context(contextlib.closing(EmulatorService(radio)))
+        self._emulator = stack.enter_context(contextlib.closing(make_emulator(radio)))
         self._emulator.open_logs()
         radios = [InProcessRadio(self._emulator, config.instance) for config in vehicles]
         line = InProcessEmulatorLine(self._emulator, radios)

@@ -234,12 +234,12 @@ class Processes:
             clock = [sockets.enter_context(end) for end in socket.socketpair()]
             radio_fd, physics_fd = (end.fileno() for end in clock)
             config = self._folder.write_radio_config(scenario, run_id=run_id)
-            command = python_module("netsim", *supervised(config), "--clock-fd", str(radio_fd))
+            command = python_module("netsim", *supervised(config), "--interval-fd", str(radio_fd))
             self._supervisor.start(RADIO, command, pass_fds=[radio_fd])
             fds = [listener.fileno() for listener in listeners]
             config = self._folder.write_physics_config(scenario, run_id=run_id)
             command = python_module("harness.simulator.server", *supervised(config))
-            command += ["--listen-fds", ",".join(map(str, fds)), "--clock-fd", str(physics_fd)]
+            command += ["--listen-fds", ",".join(map(str, fds)), "--interval-fd", str(physics_fd)]
             if own_name is not None:
                 own_listener = sockets.enter_context(bind_local(own_name, backlog=len(vehicles)))
                 fds.append(own_listener.fileno())

@@ -18,7 +18,7 @@ from foundation.processes.child_protocol import Warned
 from foundation.records.record_log import BLOCK_ROWS
 from harness.simulator.actuator_inbox import ANSWER_BYTES, ActuatorInbox
 from harness.simulator.lockstep import CLOSED, ConnectionState
-from netsim.emulator.service import EmulatorService
+from netsim.emulator.interface import NetworkEmulator
 from netsim.transport.lockstep_radio import Deliveries, checked
 from netsim.wire.lockstep import Advance, Advanced
 from netsim.wire.messages import TxBatch, TxItem
@@ -30,7 +30,7 @@ LINKS_INACTIVE = (False, False)
 class InProcessRadio:
     """A vehicle's radio in this process, with the methods of `lockstep_radio.RadioClient`."""
 
-    def __init__(self, emulator: EmulatorService, station: int) -> None:
+    def __init__(self, emulator: NetworkEmulator, station: int) -> None:
         self._emulator = emulator
         self._station = station
         self.deliveries = Deliveries()
@@ -48,7 +48,7 @@ class InProcessRadio:
 class InProcessEmulatorLine:
     """The emulator as the time master uses it: replaces `netsim.transport.interval_stream.IntervalStream`."""
 
-    def __init__(self, emulator: EmulatorService, radios: Sequence[InProcessRadio]) -> None:
+    def __init__(self, emulator: NetworkEmulator, radios: Sequence[InProcessRadio]) -> None:
         self._emulator = emulator
         self._radios = radios
         self._advanced: Advanced | None = None

@@ -324,7 +324,7 @@ def main() -> int:
         "--own-listen-fd", type=int, help="inherited listening Unix socket, for all vehicles but PX4s"
     )
     parser.add_argument(
-        "--clock-fd",
+        "--interval-fd",
         type=int,
         help="inherited stream socket to the 802.11 emulator; without it the swarm has no radio",
     )
@@ -338,7 +338,7 @@ def main() -> int:
         listeners = [socket.socket(fileno=int(fd)) for fd in arguments.listen_fds.split(",")]
         own_listener, clock = (
             None if fd is None else socket.socket(fileno=fd)
-            for fd in (arguments.own_listen_fd, arguments.clock_fd)
+            for fd in (arguments.own_listen_fd, arguments.interval_fd)
         )
         serve(config, listeners, own_listener, clock, arguments.radio_endpoint)
     except (ConnectTimeout, RadioSilent, OSError, ValueError) as error:

@@ -39,7 +39,7 @@ from harness.simulator.motion_start import START_NAME, agreed, start_us
 from harness.simulator.truth_record import AIR_RECORD, EVENT_KINDS, TRUTH_RECORD
 from harness.world import esc
 from harness.world.faults import MOST_ATTENUATION_DB, AnyFault, Faults, kind
-from harness.world.physics.interface import Physics
+from harness.world.physics.interface import Physics, PhysicsFactory
 from harness.world.physics.model import IRIS
 from harness.world.physics.truth import Truth
 from harness.world.physics.world import World
@@ -65,6 +65,7 @@ class Simulation:
         meet: Callable[["Simulation"], Vehicles],
         emulator: ChannelInterface | None,
         emit: Callable[[AnyEvent], None],
+        physics: PhysicsFactory = World,
     ) -> None:
         scenario = config.scenario
         self._scenario = scenario
@@ -116,16 +117,15 @@ class Simulation:
         """Commanded attenuation of every radio link; None: the scenario's value."""
         with contextlib.ExitStack() as stack:  # closes everything if a part cannot be opened
             keep = stack.enter_context
-            self._world: Physics = keep(
-                World(
-                    model=IRIS,
-                    spawn_pos_ned_m=spawn_ned_m,
-                    spawn_yaw_rad=float(np.radians(scenario.formation.heading_deg)),
-                    step_us=self._step_us,
-                    environment=scenario.environment,
-                    ground_altitude_m=scenario.site.altitude_m,
-                )
+            self._world: Physics = physics(
+                model=IRIS,
+                spawn_pos_ned_m=spawn_ned_m,
+                spawn_yaw_rad=float(np.radians(scenario.formation.heading_deg)),
+                step_us=self._step_us,
+                environment=scenario.environment,
+                ground_altitude_m=scenario.site.altitude_m,
             )
+            keep(contextlib.closing(self._world))
             self._truth_log = keep(contextlib.closing(RecordLog(config.truth_log_path, TRUTH_RECORD)))
             self._air_log = keep(contextlib.closing(RecordLog(config.air_log_path, AIR_RECORD)))
             self._event_log = keep(Path(config.event_log_path).open("wb", buffering=0))  # noqa: SIM115

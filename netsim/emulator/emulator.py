@@ -7,18 +7,19 @@ the order in which the stations' batches of one step are submitted.
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from math import isfinite, log10
+from math import isfinite
 from operator import attrgetter, itemgetter
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from netsim.emulator.arrivals import Arrivals
 from netsim.emulator.channels import channel_of
 from netsim.emulator.ideal_channel import undisturbed
 from netsim.emulator.records import EmulatorCounters, FrameRecord, Tally, frame_records
 from netsim.emulator.settings_checks import check
-from netsim.ftm.session import FtmRadio, Ranging, lost
+from netsim.ftm.session import FtmRadio, Ranging
 from netsim.ftm.stamps import Clock
 from netsim.mac.jobs import FrameSender, GroupReception, Job, JobOutcome, Reception
 from netsim.mac.rates import datagram_modes
@@ -26,17 +27,17 @@ from netsim.model.config import RadioConfig, StationConfig
 from netsim.model.event_queue import EventQueue
 from netsim.model.random_streams import Model, RandomStreams, Uniforms
 from netsim.model.tables import Integers
+from netsim.phy.fading import make_fading
 from netsim.phy.frames import DATA_OVERHEAD_BYTES, GROUP, UDP_OVERHEAD_BYTES, FrameKind
+from netsim.phy.interfaces import FadingFactory, PropagationFactory
+from netsim.phy.path_gain import make_propagation
 from netsim.phy.propagation import Links, Trajectories, is_possible
 from netsim.phy.signals import Transmission
 from netsim.wire.messages import (
     Broadcast,
-    Delivery,
     FtmRequest,
-    FtmResult,
     RxItem,
     Sent,
-    Survey,
     TxBatch,
     TxItem,
     Unicast,
@@ -44,8 +45,6 @@ from netsim.wire.messages import (
 
 NOTHING_PENDING_US = 2**62 // 1000
 Doubles = NDArray[np.float64]
-_Received = tuple[int, int, int, RxItem]
-"""An item that has reached a station: time in ns, source, sequence number, item."""
 _ORDER = itemgetter(0, 1, 2)
 _ITEM_ORDER = attrgetter("at_us", "seq")
 
@@ -54,7 +53,8 @@ class Emulator:
     """All radios of a run and the channel between them.
 
     ``seed`` seeds the emulator; every model and link has a separate stream derived from it.
-    ``on_transmission`` is called with every frame that has ended. Raises ValueError for inconsistent settings
+    ``on_transmission`` is called with every frame that has ended. ``propagation`` and ``fading`` create other
+    models than the built-in ones (`netsim.phy.interfaces`). Raises ValueError for inconsistent settings
     (`netsim.emulator.settings_checks`).
     """
 
@@ -65,6 +65,8 @@ class Emulator:
         stations: int,
         seed: np.random.SeedSequence,
         on_transmission: Callable[[Transmission], None] | None = None,
+        propagation: PropagationFactory = make_propagation,
+        fading: FadingFactory = make_fading,
     ) -> None:
         self._vehicles = stations - len(config.guests)
         check(config, self._vehicles)
@@ -74,27 +76,33 @@ class Emulator:
         self._stations = stations
         self._streams = RandomStreams(seed)
         self._tally = Tally()
+        self._silent: set[int] = set()
+        self._arrivals = Arrivals(
+            stations=stations,
+            vehicles=self._vehicles,
+            drop_fraction=config.drop_fraction,
+            streams=self._streams,
+            tally=self._tally,
+            silent=self._silent,
+        )
         self.queue = EventQueue()
         self.trajectories = Trajectories(stations)
         self._level = np.tile([1.0, 0.0, 0.0, 0.0], (stations, 1))
         """Default attitudes (n, 4), wxyz."""
         self._shapes = (stations, 3), (stations, 3), self._level.shape
-        self._links = Links(config, self.trajectories, stations, self._streams)
+        self._links = Links(
+            config, self.trajectories, stations, self._streams, propagation=propagation, fading=fading
+        )
         self._channel = channel_of(
             config,
             queue=self.queue,
             links=self._links,
             stations=stations,
             streams=self._streams,
-            on_group_frame=self._deliver,
+            on_group_frame=self._arrivals.add_datagram,
             on_ended=on_transmission,
         )
         self._host_jitter = [Uniforms(self._streams.generator(Model.HOST, i)) for i in range(stations)]
-        self._host_losses: list[Uniforms] = []
-        """Draws by station; empty if ``drop_fraction`` is 0."""
-        if config.drop_fraction > 0.0:
-            losses = (self._streams.generator(Model.HOST_LOSS, i) for i in range(stations))
-            self._host_losses = [Uniforms(generator) for generator in losses]
         self._range_offsets_m: Mapping[int, float] = {}
         own = {each.station: each for each in config.stations}
         self._modes = [
@@ -108,12 +116,9 @@ class Emulator:
         ]
         for i in range(stations):
             self._add_station(i, clocks)
-        self._silent: set[int] = set()
         self._submitted: list[tuple[int, int, int, TxItem]] = []
         self._ready_ns = [0] * stations
         """Time by station at which its last item reaches the radio."""
-        self._received: list[list[_Received]] = [[] for _ in range(stations)]
-        """Items by receiving station."""
 
     def _add_station(self, station: int, clocks: list[Clock]) -> None:
         config = self._config
@@ -187,18 +192,7 @@ class Emulator:
             self.queue.at(ready_ns, self._on_ready, (station, item))
         self._submitted.clear()
         self.queue.run_until(to_ns)
-        if not any(self._received):
-            return {}
-        busy_ns = self._channel.surveyed_ns()
-        arrived: dict[int, list[RxItem]] = {}
-        for station, received in enumerate(self._received):
-            if received:
-                received.sort(key=_ORDER)
-                arrived[station] = items = [entry[-1] for entry in received]
-                received.clear()
-                if station < self._vehicles:
-                    items.append(Survey(ended_ns=to_ns, busy_ns=busy_ns[station]))
-        return arrived
+        return self._arrivals.take(to_ns, self._channel.surveyed_ns)
 
     @property
     def next_event_us(self) -> int:
@@ -277,59 +271,23 @@ class Emulator:
         self, station: int, destination: int, seq: int, status: str, attempts: int, ended_ns: int
     ) -> None:
         self._tally.unicasts[status] += 1
-        if station not in self._silent:
-            sent = Sent(destination=destination, seq=seq, ended_ns=ended_ns, status=status, attempts=attempts)
-            self._received[station].append((ended_ns, destination, seq, sent))
+        self._arrivals.add_report(
+            station,
+            Sent(destination=destination, seq=seq, ended_ns=ended_ns, status=status, attempts=attempts),
+        )
 
     def _on_datagram(self, station: int, reception: Reception) -> None:
         if not reception.duplicate:
             source, seq, body = reception.source, reception.seq, reception.body
-            self._deliver(
+            self._arrivals.add_datagram(
                 GroupReception(source, seq, body, [station], [reception.end_ns], [reception.power_mw])
             )
 
-    def _deliver(self, received: GroupReception) -> None:
-        """Add a datagram to the deliveries of its receivers, except where the host loses it."""
-        source, seq, payload = received.source, received.seq, received.body
-        if not isinstance(payload, bytes):
-            raise TypeError("the body of a group frame must be bytes")
-        for station, end_ns, power_mw in zip(
-            received.stations, received.ends_ns, received.powers_mw, strict=True
-        ):
-            if self._host_losses and self._host_loses(station):
-                self._tally.lost_by_hosts += 1
-                continue
-            rssi_dbm = 10.0 * log10(power_mw)
-            item = Delivery(source=source, seq=seq, received_ns=end_ns, rssi_dbm=rssi_dbm, payload=payload)
-            self._received[station].append((end_ns, source, seq, item))
-
-    def _host_loses(self, station: int) -> bool:
-        return bool(self._host_losses) and self._host_losses[station].draw() < self._config.drop_fraction
-
     def _on_ranged(self, ranging: Ranging) -> None:
-        if ranging.status == "ok":
-            offset_m = self._range_offsets_m.get(ranging.initiator)
-            if offset_m is not None:
-                ranging = msgspec.structs.replace(ranging, distance_m=ranging.distance_m + offset_m)
-            if self._host_loses(ranging.initiator):
-                ranging = lost(ranging)
-        self._tally.count_session(ranging)
-        if ranging.initiator in self._silent:
-            return
-        result = FtmResult(
-            peer=ranging.peer,
-            seq=ranging.seq,
-            status=ranging.status,
-            measured_ns=ranging.measured_ns,
-            ended_ns=ranging.ended_ns,
-            distance_m=ranging.distance_m,
-            distance_std_m=ranging.distance_std_m,
-            rssi_dbm=ranging.rssi_dbm,
-            round_trips=ranging.round_trips,
-            measurements=ranging.measurements,
-            retry_after_s=ranging.retry_after_s,
-        )
-        self._received[ranging.initiator].append((ranging.ended_ns, ranging.peer, ranging.seq, result))
+        offset_m = self._range_offsets_m.get(ranging.initiator)
+        if offset_m is not None and ranging.status == "ok":
+            ranging = msgspec.structs.replace(ranging, distance_m=ranging.distance_m + offset_m)
+        self._arrivals.add_ranging(ranging)
 
     # --- control and results of the run
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from foundation.records.record_log import RecordLog
 from netsim.capture.pcapng_writer import Capture
 from netsim.emulator.emulator import Emulator
+from netsim.emulator.interface import NetworkEmulator
 from netsim.emulator.log_layout import FRAME_LOG, SESSION_LOG
 from netsim.emulator.records import frame_log_rows, session_log_rows
 from netsim.model.config import ServerConfig
@@ -39,6 +40,11 @@ _BATCH_ORDER = attrgetter("now_us", "station")
 _REJECTED = "the 802.11 emulator rejects the request to advance: bad motion, station or time"
 STREAM = 802
 """Key of the emulator's random streams, different from those of the run's other processes."""
+
+
+def make_emulator(config: ServerConfig) -> NetworkEmulator:
+    """Return the network emulator of a run. Raises ValueError for inconsistent settings."""
+    return EmulatorService(config)
 
 
 class EmulatorService:

@@ -23,6 +23,7 @@ from statistics import NormalDist
 import numpy as np
 from numba import njit
 
+from netsim.phy.interfaces import ErrorModel
 from netsim.phy.modes import PhyMode
 from netsim.phy.path_loss import Doubles
 from netsim.phy.vht_tables import VHT_COUNTS
@@ -121,6 +122,18 @@ def _counted_hazard(mode: PhyMode) -> Callable[[float], float]:
     return hazard
 
 
+class PublishedErrors:
+    """The built-in error model: union bounds of non-HT modes, results of a link simulation for VHT modes."""
+
+    def hazard(self, mode: PhyMode) -> Callable[[float], float]:
+        """See `netsim.phy.interfaces.ErrorModel`."""
+        return _counted_hazard(mode) if mode.vht else _hard_hazard(mode)
+
+
+ERRORS: ErrorModel = PublishedErrors()
+"""The error model of all modes; `error_model` caches its tables."""
+
+
 @njit(cache=True)
 def hazard_per_bit(log_hazards: Doubles, clean_linear: float, sinr_linear: float) -> float:
     """Return the hazard of one data bit from the table of a `PacketErrorModel`, log-linearly interpolated."""
@@ -138,7 +151,7 @@ def hazard_per_bit(log_hazards: Doubles, clean_linear: float, sinr_linear: float
 
 
 class PacketErrorModel:
-    """Table of the hazard per data bit of a mode over the SINR.
+    """Table of an error model's hazard per data bit of a mode over the SINR.
 
     Hazards add over bits and over chunks of different interference: the probability of success of a frame is
     exp(-sum of hazard times bits).
@@ -146,11 +159,11 @@ class PacketErrorModel:
 
     __slots__ = ("clean_linear", "log_hazards")
 
-    def __init__(self, mode: PhyMode) -> None:
+    def __init__(self, mode: PhyMode, errors: ErrorModel) -> None:
         self.clean_linear = inf
         """SINR from which the hazard is 0."""
         log_hazards: list[float] = []
-        hazard_at = _counted_hazard(mode) if mode.vht else _hard_hazard(mode)
+        hazard_at = errors.hazard(mode)
         for k in range(round((_LAST_DB - _FIRST_DB) / _STEP_DB) + 1):
             snr_db = _FIRST_DB + k * _STEP_DB
             hazard = hazard_at(snr_db)
@@ -169,7 +182,7 @@ class PacketErrorModel:
 @cache
 def error_model(mode: PhyMode) -> PacketErrorModel:
     """Return the cached error model of a mode."""
-    return PacketErrorModel(mode)
+    return PacketErrorModel(mode, ERRORS)
 
 
 def packet_error_rate(mode: PhyMode, frame_bytes: int, snr_linear: float) -> float:

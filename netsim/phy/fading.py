@@ -21,7 +21,9 @@ from math import cos, pi, prod, sin, sqrt
 import numpy as np
 from numba import njit
 
+from netsim.model.config import RadioConfig
 from netsim.model.random_streams import Model, RandomStreams
+from netsim.phy.interfaces import Fading
 from netsim.phy.path_loss import SPEED_OF_LIGHT_M_S, Doubles
 
 SECTORS = 8
@@ -91,6 +93,19 @@ def _parts(block: Doubles, n: int) -> tuple[Doubles, Doubles, Doubles, Doubles]:
         at += size
     theta_rad, rates_rad_ns, cosines, weights = views
     return theta_rad, rates_rad_ns, cosines, weights
+
+
+def make_fading(config: RadioConfig, stations: int, streams: RandomStreams) -> Fading | None:
+    """Return the fading of the settings; None if ``radio.rician_k_db`` is not set."""
+    if config.rician_k_db is None:
+        return None
+    return RicianFading(
+        k_db=config.rician_k_db,
+        doppler_hz=config.fading_doppler_hz,
+        frequency_mhz=config.frequency_mhz,
+        stations=stations,
+        streams=streams,
+    )
 
 
 class RicianFading:

@@ -8,6 +8,7 @@ import numpy as np
 from netsim.model.config import RadioConfig
 from netsim.model.random_streams import RandomStreams
 from netsim.phy.antenna import direct_coupling, reflected_coupling, unpolarised_source_coupling
+from netsim.phy.interfaces import Propagation
 from netsim.phy.path_loss import (
     REFERENCE_DISTANCE_M,
     Complexes,
@@ -24,19 +25,32 @@ ALL = slice(None)
 """Selects all stations as sources."""
 
 
+def make_propagation(config: RadioConfig, streams: RandomStreams) -> Propagation:
+    """Return the propagation model that the settings select."""
+    return PathGain(config, streams)
+
+
 class PathGain:
-    """The propagation models selected by the settings."""
+    """The built-in propagation models, as selected by the settings."""
 
     def __init__(self, config: RadioConfig, streams: RandomStreams) -> None:
         self._frequency_mhz = config.frequency_mhz
         self._bandwidth_mhz = config.bandwidth_mhz
         self._two_ray = config.path_loss == "two_ray"
-        self.exponent = 2.0 if config.path_loss == "friis" else config.path_loss_exponent
+        self._exponent = 2.0 if config.path_loss == "friis" else config.path_loss_exponent
         """Exponent of the power law, if that is the path loss."""
+        self.uses_attitudes = config.antenna == "dipole"
+        """See `netsim.phy.interfaces.Propagation`."""
         self._permittivity = ground_permittivity(config.frequency_mhz)
         self._shadowing: Shadowing | None = None
         if config.shadowing_std_db > 0.0:
             self._shadowing = Shadowing(config.shadowing_std_db, config.shadowing_distance_m, streams)
+
+    @property
+    def power_law_exponent(self) -> float | None:
+        """See `netsim.phy.interfaces.Propagation`."""
+        plain = not (self._two_ray or self.uses_attitudes or self._shadowing is not None)
+        return self._exponent if plain else None
 
     def between_stations(
         self, sources: slice, pos_ned_m: Doubles, axes_ned: Doubles | None
@@ -90,7 +104,7 @@ class PathGain:
         return self._shadowed(gains, from_ned_m, to_ned_m, distances_m), distances_m
 
     def _power_law(self, distances_m: Doubles) -> Doubles:
-        return np.asarray(np.maximum(distances_m, REFERENCE_DISTANCE_M) ** -self.exponent)
+        return np.asarray(np.maximum(distances_m, REFERENCE_DISTANCE_M) ** -self._exponent)
 
     def _two_rays(
         self, distances_m: Doubles, ray: GroundRay, direct: Doubles | float, reflected: Complexes

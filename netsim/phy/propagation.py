@@ -17,9 +17,10 @@ from netsim.model.event_queue import NEVER_NS
 from netsim.model.random_streams import RandomStreams
 from netsim.model.tables import Integers
 from netsim.phy.antenna import body_z_ned
-from netsim.phy.fading import RicianFading
+from netsim.phy.fading import make_fading
+from netsim.phy.interfaces import Fading, FadingFactory, Propagation, PropagationFactory
 from netsim.phy.obstruction import Obstruction
-from netsim.phy.path_gain import ALL, PathGain
+from netsim.phy.path_gain import ALL, make_propagation
 from netsim.phy.path_loss import REFERENCE_DISTANCE_M, SPEED_OF_LIGHT_M_S, Doubles, Vector, friis_loss_db
 
 __all__ = [
@@ -229,13 +230,19 @@ class Links:
     """Link budgets of all pairs, computed when a station transmits and cached while no station moves."""
 
     def __init__(
-        self, config: RadioConfig, trajectories: Trajectories, stations: int, streams: RandomStreams
+        self,
+        config: RadioConfig,
+        trajectories: Trajectories,
+        stations: int,
+        streams: RandomStreams,
+        *,
+        propagation: PropagationFactory = make_propagation,
+        fading: FadingFactory = make_fading,
     ) -> None:
         self._config = config
         self._trajectories = trajectories
         self._stations = stations
         self._extra_db = config.extra_attenuation_db
-        self._dipoles = config.antenna == "dipole"
         # stations that may sense a signal must process its end
         self._audible_mw = min(
             AUDIBLE_BELOW_NOISE * thermal_noise_mw(config.bandwidth_mhz, config.noise_figure_db),
@@ -245,13 +252,15 @@ class Links:
         self._rows: list[LinkRow | None] = [None] * stations
         self._row_until_ns = [0] * stations
         self._row_version = [-1] * stations
-        self._path_gain = PathGain(config, streams)
+        self._propagation: Propagation = propagation(config, streams)
+        self._exponent = self._propagation.power_law_exponent
+        self._uses_attitudes = self._propagation.uses_attitudes
         self._together = stations <= COMPUTED_TOGETHER
         self._paths: tuple[Doubles, Doubles] | None = None
         """Gains and distances of all links; ``_paths_of`` is the pose version and time of them."""
         self._paths_of: tuple[int, int] | None = None
         self._poses: tuple[Doubles, Doubles | None] | None = None
-        """Positions (n, 3) and dipole axes; ``_poses_of`` is the pose version and time of them."""
+        """Positions (n, 3) and the bodies' z axes; ``_poses_of`` is the pose version and time of them."""
         self._poses_of: tuple[int, int] | None = None
         self._interferer_rows: list[LinkRow] = []
         self._interferer_rows_of: tuple[int, int] | None = None
@@ -264,23 +273,9 @@ class Links:
                 streams=streams,
             )
         self._blocked_gain = 10.0 ** (-config.nlos_loss_db / 10.0)
-        self.fading: RicianFading | None = None
-        if config.rician_k_db is not None:
-            self.fading = RicianFading(
-                k_db=config.rician_k_db,
-                doppler_hz=config.fading_doppler_hz,
-                frequency_mhz=config.frequency_mhz,
-                stations=stations,
-                streams=streams,
-            )
+        self.fading: Fading | None = fading(config, stations, streams)
+        if self.fading is not None:
             trajectories.on_set = self.fading.move
-        self._plain = not (
-            config.path_loss == "two_ray"
-            or self._dipoles
-            or config.shadowing_std_db > 0.0
-            or self._obstruction is not None
-        )
-        """The path gain is only a power law of the distance, which is computed in a kernel."""
         self._distances_m = np.empty(stations)
         """Buffer used while a row is computed."""
         self._tx_power_dbm = [config.tx_power_dbm] * stations
@@ -314,7 +309,7 @@ class Links:
     def version(self) -> int:
         """Incremented when rows may differ from those of the extrapolated motion."""
         trajectories = self._trajectories
-        poses = trajectories.pose_version if self._dipoles else trajectories.version
+        poses = trajectories.pose_version if self._uses_attitudes else trajectories.version
         return poses + self._powers_version
 
     def blocked(self, a: int, b: int, at_ns: int) -> bool:
@@ -329,17 +324,17 @@ class Links:
         """Return the link budget from a station to all others, without fading."""
         row = self._rows[source]
         trajectories = self._trajectories
-        version = trajectories.pose_version if self._dipoles else trajectories.version
+        version = trajectories.pose_version if self._uses_attitudes else trajectories.version
         if row is not None and version == self._row_version[source] and at_ns <= self._row_until_ns[source]:
             return row
         until_ns = at_ns + ROW_LIFETIME_NS if trajectories.moving else NEVER_NS
-        if self._plain:
+        if self._exponent is not None and self._obstruction is None:  # computed in a kernel
             powers_mw, delays_ns = np.empty(self._stations), np.empty(self._stations, np.int64)
             longest_ns = _power_law(
                 *trajectories.course(at_ns),
                 source,
                 self._at_reference_mw[source],
-                self._path_gain.exponent,
+                self._exponent,
                 self._audible_mw,
                 powers_mw,
                 self._distances_m,
@@ -368,7 +363,7 @@ class Links:
         if key != self._interferer_rows_of:
             self._interferer_rows_of = key
             places = np.array([interferer.pos_ned_m for interferer in self._config.interferers])
-            gains, distances = self._path_gain.from_others(places, *self._poses_at(key[1]))
+            gains, distances = self._propagation.from_others(places, *self._poses_at(key[1]))
             gain_db = self._config.antenna_gain_dbi - friis_loss_db(
                 REFERENCE_DISTANCE_M, self._config.frequency_mhz
             )
@@ -391,19 +386,19 @@ class Links:
         if self._poses is None or self._poses_of != key:
             places = trajectories.positions_ned_m(since_ns)
             self._poses_of = key
-            self._poses = places, trajectories.body_z_ned() if self._dipoles else None
+            self._poses = places, trajectories.body_z_ned() if self._uses_attitudes else None
         return self._poses
 
     def _paths_from(self, source: int, since_ns: int) -> tuple[Doubles, Doubles]:
         """Return gains and distances (n,) of one station's links; with few stations computes all links."""
         if not self._together:
             sources = slice(source, source + 1)
-            gains, distances = self._path_gain.between_stations(sources, *self._poses_at(since_ns))
+            gains, distances = self._propagation.between_stations(sources, *self._poses_at(since_ns))
             return gains[0], distances[0]
         key = self._trajectories.pose_version, since_ns
         if self._paths is None or self._paths_of != key:
             self._paths_of = key
-            self._paths = self._path_gain.between_stations(ALL, *self._poses_at(since_ns))
+            self._paths = self._propagation.between_stations(ALL, *self._poses_at(since_ns))
         return self._paths[0][source], self._paths[1][source]
 
     def _finish(

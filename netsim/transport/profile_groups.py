@@ -10,6 +10,7 @@ PROFILE_GROUPS = {
     "netsim.model.event_queue": "events",
     "netsim.model.events": "events",
     "netsim.model.tables": "events",
+    "netsim.emulator.arrivals": "events",
     "netsim.emulator.channels": "events",
     "netsim.emulator.ideal_channel": "events",
     "netsim.wire": "batches",

@@ -21,7 +21,8 @@ import msgspec
 
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Stop, commands, emit
 from foundation.profiling.profiler import profiled
-from netsim.emulator.service import EmulatorService
+from netsim.emulator.interface import NetworkEmulator
+from netsim.emulator.service import make_emulator
 from netsim.model.config import ServerConfig
 from netsim.transport.interval_stream import BATCH_LIMIT_S, IntervalStream, emulators_end
 from netsim.transport.lockstep_radio import directory_key, in_pieces, receive_key, transmit_key
@@ -52,7 +53,7 @@ class Server:
     """
 
     def __init__(self, config: ServerConfig, *, on_visit: Callable[[], None] = lambda: None) -> None:
-        self._service = EmulatorService(config)
+        self._service: NetworkEmulator = make_emulator(config)
         self._directory = encode(
             Directory(
                 run_id=config.run_id,
@@ -176,13 +177,13 @@ def _shares_a_processor() -> bool:
     return sys.platform == "linux" and len(os.sched_getaffinity(0)) == 1
 
 
-def run(config_path: Path, clock_fd: int, *, supervised: bool) -> None:
+def run(config_path: Path, interval_fd: int, *, supervised: bool) -> None:
     """Serve with the settings of a configuration file until the time master closes its socket.
 
     Raises TransportError, OSError, or ValueError (also as msgspec.DecodeError).
     """
     with contextlib.ExitStack() as stack:
-        clock = emulators_end(stack.enter_context(socket.socket(fileno=clock_fd)))
+        clock = emulators_end(stack.enter_context(socket.socket(fileno=interval_fd)))
         config = msgspec.json.decode(config_path.read_bytes(), type=ServerConfig)
         server = Server(config, on_visit=lambda: emit(Influenced(name="radio", by="a guest on the radio")))
         stack.enter_context(contextlib.closing(server))

@@ -1,1 +1,5 @@
-"""Reproduction of the article: its statements compared with our flights (docs/results/article.md)."""
+"""Reproduction of the article: its statements compared with our flights.
+
+Import `cli`, which makes docs/results/article.md: `plan` flies the cases, `*_findings` judge the statements,
+`page` writes the report. Flights are left to `harness.campaign`, runner and report to `studies.common`.
+"""

@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from autopilot.mavlink.codec import Encoder, Message, Parser, stamp
-from autopilot.services.service import BROADCAST, GROUND_STATION, Addressed, Partner, Service
+from autopilot.services.service import BROADCAST, GROUND_STATION, Addressed, MavlinkService, Partner
 
 STATION_SYSTEM, STATION_COMPONENT = 255, 190
 VEHICLE_SYSTEM = 1
@@ -90,7 +90,7 @@ _TO_SERVICE = 1_000
 
 
 def play(
-    service: Service,
+    service: MavlinkService,
     *stations: Station,
     seed: int = 0,
     loss: float = 0.0,

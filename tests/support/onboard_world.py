@@ -11,7 +11,7 @@ import numpy as np
 from pymavlink.dialects.v20 import common
 
 from autopilot.onboard import OnboardApp
-from autopilot.onboard.app import NOTHING
+from autopilot.onboard.application import NOTHING
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.parameters.config import Devices, OnboardConfig, Site
 from foundation.geometry.geodesy import ned_to_geodetic

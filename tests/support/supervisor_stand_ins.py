@@ -161,7 +161,7 @@ def main(command_line: Sequence[str]) -> int:
     parser.add_argument("--config", type=Path)
     parser.add_argument("--listen-fds", default="")
     parser.add_argument("--own-listen-fd")
-    parser.add_argument("--clock-fd")
+    parser.add_argument("--interval-fd")
     parser.add_argument("--radio-endpoint")
     parser.add_argument("--fork-fd", type=int)
     parser.add_argument("--supervised", action="store_true")

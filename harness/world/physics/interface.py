@@ -1,19 +1,22 @@
-"""What the simulation requires of a physics engine."""
+"""What the simulation requires of a physics engine; consumer: `harness.simulator.simulation`."""
 
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from foundation.types import Array
+from harness.world.physics.environment import EnvironmentConfig
+from harness.world.physics.model import VehicleModel
 from harness.world.physics.truth import Contact, Truth
 
 
 class Physics(Protocol):
     """n vehicles over flat ground, advanced in fixed steps; `harness.world.physics.world.World` is built in.
 
-    It uses no randomness: equal arguments give equal bytes. Frames: NED from the site's origin, FRD of the
-    body.
+    Call order: in each step the properties are read, then `step` is called once; `close` at the end. Before
+    the first step the properties hold the spawned state. The engine has no clock and uses no randomness:
+    equal arguments give equal bytes. Frames: NED from the site's origin, FRD of the body.
     """
 
     def step(
@@ -48,3 +51,24 @@ class Physics(Protocol):
 
     def close(self) -> None:
         """Free the engine's memory. May be called again."""
+
+
+class PhysicsFactory(Protocol):
+    """Creates the engine of a run."""
+
+    def __call__(
+        self,
+        *,
+        model: VehicleModel,
+        spawn_pos_ned_m: ArrayLike,
+        spawn_yaw_rad: float,
+        step_us: int,
+        environment: EnvironmentConfig,
+        ground_altitude_m: float,
+    ) -> Physics:
+        """Return an engine whose vehicles of one ``model`` are at rest and level.
+
+        ``spawn_pos_ned_m`` (n, 3): centres of mass; ``spawn_yaw_rad``: heading, clockwise from north;
+        ``step_us``: length of a step in us; ``ground_altitude_m``: ground above mean sea level. Raises
+        ValueError for a spawn below the ground.
+        """

@@ -6,7 +6,7 @@ from onboard_world import ALONE, STEP_US, phase_is, world
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.local_messages import PositionTarget
-from autopilot.onboard.app import NOTHING
+from autopilot.onboard.application import NOTHING
 from autopilot.onboard.formation.formation_plan import FormationPlan, RacetrackMotion
 from autopilot.onboard.formation.guidance import SETPOINT_PERIOD_US
 from autopilot.onboard.formation.phases import FlightPhase

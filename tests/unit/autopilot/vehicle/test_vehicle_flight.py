@@ -11,7 +11,7 @@ from vehicle_world import STEP_US, Flight, vehicle_config
 from autopilot.logs.vehicle_record import VEHICLE_RECORD, record
 from autopilot.mavlink.codec import Encoder, Parser, stamp
 from autopilot.mavlink.modes import FlightMode
-from autopilot.onboard.app import Estimate
+from autopilot.onboard.application import Estimate
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.parameters.config import OnboardConfig, VehicleConfig
 from autopilot.parameters.table import ParameterError

@@ -15,6 +15,7 @@ from harness.scenario.scenario import load
 from harness.simulator.actuator_inbox import ActuatorInbox
 from harness.simulator.simulation import Simulation
 from harness.simulator.truth_record import TRUTH_RECORD
+from harness.world.physics.truth import Truth
 
 ARMED = 128
 """MAV_MODE_FLAG_SAFETY_ARMED"""
@@ -58,10 +59,10 @@ def folder(tmp_path):
     return RunFolder.create(tmp_path / "run")
 
 
-def simulation_of(folder, meet):
+def simulation_of(folder, meet, **parts):
     path = folder.write_physics_config(SCENARIO, run_id="test")
     config = msgspec.json.decode(path.read_bytes(), type=PhysicsConfig)
-    return Simulation(config, meet=meet, emulator=None, emit=lambda _: None)
+    return Simulation(config, meet=meet, emulator=None, emit=lambda _: None, **parts)
 
 
 def open_files(folder):
@@ -108,3 +109,36 @@ def test_vehicles_that_do_not_close_keep_neither_logs_nor_world_open(folder):
     assert open_files(folder) == []
     assert simulation._world._bullet._client is None
     simulation.close()
+
+
+class _Statues:
+    """A physics engine whose vehicles stay where they were spawned."""
+
+    vehicle_contacts = ()
+
+    def __init__(self, *, spawn_pos_ned_m, **_):
+        n = len(spawn_pos_ned_m)
+        zeros = np.zeros((n, 3))
+        self.truth = Truth.of(
+            pos_ned_m=spawn_pos_ned_m, vel_ned_m_s=zeros, q_ned_frd=np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
+            omega_frd_rad_s=zeros, rotor_speed_rad_s=np.zeros((n, 4)), acc_ned_m_s2=zeros,
+            specific_force_frd_m_s2=np.tile([0.0, 0.0, -9.8066], (n, 1)), mean_omega_frd_rad_s=zeros,
+        )  # fmt: skip
+        self.density_ratio = np.ones(n)
+        self.calls = []
+
+    def step(self, controls, armed, wind_force_ned_n, **_):
+        self.calls.append((controls.shape, armed.tolist(), wind_force_ned_n.shape))
+
+    def close(self):
+        self.calls.append("close")
+
+
+def test_another_physics_engine_is_stepped_and_closed(folder):
+    simulation = simulation_of(folder, lambda _: _Armed(), physics=_Statues)
+    for _ in range(3):
+        simulation.step()
+    engine = simulation._world
+    assert [list(each.pos_ned_m) for each in simulation.vehicles()] == engine.truth.pos_ned_m.tolist()
+    simulation.close()
+    assert engine.calls == [((2, 4), [True, True], (2, 3))] * 3 + ["close"]

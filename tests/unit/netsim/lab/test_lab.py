@@ -225,7 +225,7 @@ def test_emulator_process_rejects_inconsistent_settings_in_one_line(tmp_path, ca
     path = tmp_path / "radio.json"
     path.write_text(f'{{"run_id":"x","stations":2,"seed":1,"radio":{CONTRADICTORY}}}')
     clock, master = socket.socketpair()
-    monkeypatch.setattr(sys, "argv", ["netsim", "--config", str(path), "--clock-fd", str(clock.detach())])
+    monkeypatch.setattr(sys, "argv", ["netsim", "--config", str(path), "--interval-fd", str(clock.detach())])
     with master:
         assert serve_run() == 2
     error = capsys.readouterr().err

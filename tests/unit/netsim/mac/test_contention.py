@@ -1,4 +1,4 @@
-"""Channel access and frame exchange by DCF as timelines in microseconds. EDCA is in test_netsim_mac_edca.
+"""Channel access and frame exchange by DCF as timelines in microseconds. EDCA is in test_edca.
 
 100 bytes at 6 Mbit/s last 160 us and their ACK 44 us; RTS and CTS at 24 Mbit/s last 28 us. Slot 9, SIFS 16,
 DIFS 34. The file runs in under a second.

@@ -1,0 +1,109 @@
+"""Items that have reached the stations' hosts: datagrams, reports of unicasts and results of ranging."""
+
+from collections.abc import Callable
+from math import log10
+from operator import itemgetter
+
+from netsim.emulator.records import Tally
+from netsim.ftm.session import Ranging, lost
+from netsim.mac.jobs import GroupReception
+from netsim.model.random_streams import Model, RandomStreams, Uniforms
+from netsim.wire.messages import Delivery, FtmResult, RxItem, Sent, Survey
+
+_Received = tuple[int, int, int, RxItem]
+"""An item that has reached a station: time in ns, source, sequence number, item."""
+_ORDER = itemgetter(0, 1, 2)
+
+
+class Arrivals:
+    """Received items by station, until the end of the interval.
+
+    ``vehicles`` of the ``stations`` also receive surveys; ``silent`` stations get no results.
+    ``drop_fraction`` is the share of items that hosts lose; ``tally`` counts them and the ranging sessions.
+    """
+
+    def __init__(
+        self,
+        *,
+        stations: int,
+        vehicles: int,
+        drop_fraction: float,
+        streams: RandomStreams,
+        tally: Tally,
+        silent: set[int],
+    ) -> None:
+        self._vehicles = vehicles
+        self._drop_fraction = drop_fraction
+        self._losses: list[Uniforms] = []
+        """Draws by station; empty if ``drop_fraction`` is 0."""
+        if drop_fraction > 0.0:
+            generators = (streams.generator(Model.HOST_LOSS, i) for i in range(stations))
+            self._losses = [Uniforms(generator) for generator in generators]
+        self._tally = tally
+        self._silent = silent
+        self._received: list[list[_Received]] = [[] for _ in range(stations)]
+        """Items by receiving station."""
+
+    def add_datagram(self, received: GroupReception) -> None:
+        """Add a datagram to the deliveries of its receivers, except where the host loses it."""
+        source, seq, payload = received.source, received.seq, received.body
+        if not isinstance(payload, bytes):
+            raise TypeError("the body of a group frame must be bytes")
+        for station, end_ns, power_mw in zip(
+            received.stations, received.ends_ns, received.powers_mw, strict=True
+        ):
+            if self._host_loses(station):
+                self._tally.lost_by_hosts += 1
+                continue
+            rssi_dbm = 10.0 * log10(power_mw)
+            item = Delivery(source=source, seq=seq, received_ns=end_ns, rssi_dbm=rssi_dbm, payload=payload)
+            self._received[station].append((end_ns, source, seq, item))
+
+    def add_report(self, station: int, sent: Sent) -> None:
+        """Add the report of a station's unicast datagram."""
+        if station not in self._silent:
+            self._received[station].append((sent.ended_ns, sent.destination, sent.seq, sent))
+
+    def add_ranging(self, ranging: Ranging) -> None:
+        """Add the result of a ranging session to its initiator's items; a lost one has failed."""
+        if ranging.status == "ok" and self._host_loses(ranging.initiator):
+            ranging = lost(ranging)
+        self._tally.count_session(ranging)
+        if ranging.initiator in self._silent:
+            return
+        result = FtmResult(
+            peer=ranging.peer,
+            seq=ranging.seq,
+            status=ranging.status,
+            measured_ns=ranging.measured_ns,
+            ended_ns=ranging.ended_ns,
+            distance_m=ranging.distance_m,
+            distance_std_m=ranging.distance_std_m,
+            rssi_dbm=ranging.rssi_dbm,
+            round_trips=ranging.round_trips,
+            measurements=ranging.measurements,
+            retry_after_s=ranging.retry_after_s,
+        )
+        self._received[ranging.initiator].append((ranging.ended_ns, ranging.peer, ranging.seq, result))
+
+    def take(self, ended_ns: int, surveyed_ns: Callable[[], list[int]]) -> dict[int, list[RxItem]]:
+        """Return and clear the items of stations that received any, each list in order.
+
+        The order is (time, source, sequence number); a vehicle's list ends with a `Survey` at ``ended_ns`` of
+        the time that ``surveyed_ns`` returns for each station.
+        """
+        if not any(self._received):
+            return {}
+        busy_ns = surveyed_ns()
+        arrived: dict[int, list[RxItem]] = {}
+        for station, received in enumerate(self._received):
+            if received:
+                received.sort(key=_ORDER)
+                arrived[station] = items = [entry[-1] for entry in received]
+                received.clear()
+                if station < self._vehicles:
+                    items.append(Survey(ended_ns=ended_ns, busy_ns=busy_ns[station]))
+        return arrived
+
+    def _host_loses(self, station: int) -> bool:
+        return bool(self._losses) and self._losses[station].draw() < self._drop_fraction

@@ -1,0 +1,75 @@
+"""The interface of a network emulator behind the messages of `netsim.wire`.
+
+Consumers: `netsim.transport.server` over sockets and Zenoh, `harness.simulator.in_process_links` by calls.
+The built-in emulator is `netsim.emulator.service.EmulatorService`.
+"""
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from netsim.wire.lockstep import Advance, Advanced
+from netsim.wire.messages import RxBatch, Station, TxBatch
+
+
+class NetworkEmulator(Protocol):
+    """All radios of a run in lockstep with the simulation.
+
+    Stations 0..vehicles-1 are vehicles, the following ones guests (`is_guest`). Call order: `open_logs` once;
+    then for each interval any number of `submit`, `missing` until it is empty, `advance`, `advanced`; at the
+    end `close`. `submit` may be called from any thread, all other methods from one.
+
+    Simulated time is the only clock, in us; it is given by `Advance` and never decreases. Equal settings,
+    seeds, batches and intervals give equal deliveries, in whatever order the batches of an interval arrive.
+    Guests are exempt: their traffic is not simulated.
+    """
+
+    @property
+    def stations(self) -> int:
+        """Number of vehicles and guests."""
+
+    @property
+    def reached_us(self) -> int:
+        """Time up to which the channel has been simulated; 0 before the first interval."""
+
+    @property
+    def counters(self) -> dict[str, Any]:
+        """Counters of the run by name, as values that JSON can hold, for the manifest."""
+
+    def open_logs(self) -> None:
+        """Create the log files named in the settings. Raises OSError."""
+
+    def close(self) -> None:
+        """Write the rest of the logs and close them; repeated calls have no effect."""
+
+    def is_guest(self, station: Station) -> bool:
+        """Whether the station's host is an external program."""
+
+    def submit(self, batch: TxBatch) -> bool:
+        """Store a batch until its interval; return False if the station is unknown or the time invalid.
+
+        A vehicle's batch must not be more than `netsim.wire.lockstep.LEAD_US` ahead of `reached_us`.
+        """
+
+    def missing(self, request: Advance) -> set[Station]:
+        """Return the senders of an interval, silent ones excepted, whose batches have not been submitted."""
+
+    def advance(self, request: Advance) -> dict[Station, RxBatch]:
+        """Simulate up to ``request.to_us`` and return the deliveries by station, none for silent stations.
+
+        The request holds positions (n, 3) in m, velocities (n, 3) in m/s (world NED) and attitudes (n, 4),
+        Hamilton wxyz FRD to NED, of all vehicles at ``request.at_us``. Items of a delivery are in order of
+        (time, source, sequence number). Raises ValueError for an invalid request.
+        """
+
+    def advanced(self, *, delivered: tuple[Station, ...] = (), missing: tuple[Station, ...] = ()) -> Advanced:
+        """Return the reply to the time master after `advance`, or instead of it if senders are missing.
+
+        ``quiet_until_us`` of the reply is a time before which nothing happens unless a station sends: the
+        time master skips intervals until then.
+        """
+
+    def set_between_events(self, function: Callable[[], object] | None) -> None:
+        """Set a function that is called between events, to yield the processor; None removes it.
+
+        An emulator without events may ignore it.
+        """
