@@ -19,7 +19,7 @@ from harness.records.flight import Array
 from studies.codesign.statistics import Interval
 
 DPI = 130
-GPS, FTM, OTHER, FOURTH = "#D55E00", "#0072B2", "#009E73", "#CC79A7"
+GPS, FTM, OTHER = "#D55E00", "#0072B2", "#009E73"
 """Palette of Okabe and Ito, suitable for colour vision deficiency"""
 COLOURS = {"gps": GPS, "ftm": FTM}
 LABELS = {"gps": "GPS alone", "ftm": "with FTM"}
