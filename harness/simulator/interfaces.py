@@ -1,10 +1,9 @@
-"""Interfaces of the simulation to its vehicles and to the radio channel, for sockets and for calls."""
+"""Interface of the simulation to its vehicles, over sockets or by calls."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Protocol
 
 from harness.simulator.actuator_inbox import ActuatorInbox
-from harness.world.physics.truth import Truth
 
 
 class Slot(Protocol):
@@ -44,37 +43,3 @@ class Vehicles(Protocol):
 
     def close(self) -> None:
         """Close the connections to all vehicles."""
-
-
-class ChannelInterface(Protocol):
-    """The radio channel of the time master: see `harness.simulator.emulator_client.EmulatorClient`."""
-
-    extra_attenuation_db: float | None
-    range_offsets_m: Mapping[int, float]
-    busy_ns: int
-
-    def is_pending(self, time_us: int) -> bool:
-        """Whether an interval with deliveries due at ``time_us`` is not complete."""
-
-    def delivered(self, time_us: int) -> tuple[int, ...]:
-        """Return the vehicles whose radio has a delivery for the step of ``time_us``."""
-
-    def begins_at(self, time_us: int) -> bool:
-        """Whether `begin` has to be called in the step of ``time_us``."""
-
-    def begin(
-        self,
-        time_us: int,
-        step_us: int,
-        truth: Truth,
-        *,
-        senders: tuple[int, ...] = (),
-        silent: tuple[int, ...] = (),
-    ) -> None:
-        """Start the interval that begins at ``time_us``."""
-
-    def end(self) -> tuple[int, ...]:
-        """Wait until the interval is complete; returns the vehicles whose batches are missing."""
-
-    def wait_on(self, silent: tuple[int, ...]) -> tuple[int, ...]:
-        """Continue to wait for the missing batches, except those of ``silent`` vehicles."""
