@@ -54,6 +54,7 @@ from harness.simulator.in_process_links import InProcessEmulatorLine, InProcessR
 from harness.simulator.messages import AnyCommand
 from harness.simulator.server import obey
 from harness.simulator.simulation import Simulation
+from harness.world.faults import AnyFault
 from netsim.emulator.service import EmulatorService
 from netsim.model.config import ServerConfig
 
@@ -297,34 +298,45 @@ class OneProcessSwarm(Swarm):
         raise SwarmError(f"{uav(instance)} has no link to the outside in a swarm of one process")
 
 
-def fly(scenario: Scenario, out: Path, *, until_s: float | None = None, draw: bool = False) -> dict[str, Any]:
+def fly(
+    scenario: Scenario,
+    out: Path,
+    *,
+    until_s: float | None = None,
+    faults_in_formation: Iterable[AnyFault] = (),
+) -> dict[str, Any]:
     """Fly a scenario on one processor and return the summary of `harness.report.report.finish`.
 
-    Flies until formed and then for ``run.duration_s``, as the command line does, or up to ``until_s``. A
-    formation that is not reached in time is a result with its own ``status``. Raises SwarmError for a failed
-    run; OSError or MemoryError if the machine lacks disk space or memory.
+    Flies until formed and then for ``run.duration_s``, as the command line does, or up to ``until_s``. The
+    start times of ``faults_in_formation`` are relative to the instant at which it is formed. A formation that
+    is not reached in time is a result with its own ``status``. Raises SwarmError for a failed run; OSError or
+    MemoryError if the machine lacks disk space or memory.
     """
     try:
         with OneProcessSwarm(scenario, out=out) as swarm:
-            return _flown(swarm, scenario, until_s, draw=draw)
+            return _flown(swarm, scenario, until_s, faults_in_formation)
     except SwarmError as error:
         if isinstance(error.__cause__, OSError | MemoryError):
             raise error.__cause__ from None
         raise
 
 
-def _flown(swarm: Swarm, scenario: Scenario, until_s: float | None, *, draw: bool) -> dict[str, Any]:
+def _flown(
+    swarm: Swarm, scenario: Scenario, until_s: float | None, faults: Iterable[AnyFault]
+) -> dict[str, Any]:
     if until_s is not None:
         swarm.run(until_s=until_s)
     else:
         with contextlib.suppress(SwarmTimeoutError):
             if scenario.onboard.enabled:  # else there is no formation
                 swarm.run_until_formed(timeout_s=scenario.run.reach_timeout_s)
+            for fault in faults:
+                swarm.inject(fault)
             swarm.run_for(scenario.run.duration_s)
     from harness.report import antenna_report  # noqa: PLC0415  the analysis is slow to import: not before the flight
 
     with antenna_report.on_threads(1):
-        summary = swarm.summary(draw=draw)
+        summary = swarm.summary(draw=False)
     if summary["status"] == "failed":  # not only a timeout of the formation
         raise SwarmError(summary["reason"])
     return summary

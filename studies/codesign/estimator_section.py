@@ -13,7 +13,7 @@ from msgspec import Struct
 
 from studies.codesign.batch import RANGE_WINDOW_US
 from studies.codesign.cases import CodesignPlan, wind_agents
-from studies.codesign.results import START_METHOD, sources_state
+from studies.codesign.results import state
 from studies.codesign.simulated import Trouble
 from studies.codesign.study import LocalisationResult, localisation_study
 from studies.common.report import PASSED, Check, ReportTable, Section
@@ -21,6 +21,8 @@ from studies.common.report import PASSED, Check, ReportTable, Section
 OVER_BOUND_MOST = 1.5
 """Relative position error over the Cramer-Rao bound at the article's geometry"""
 RUNS_PER_SEED, RUNS_LEAST = 10, 100
+START_METHOD = "spawn"
+"""No fork: this process may have threads, and a worker must start like a new program."""
 _SEED = 5
 _STUDIED = ("study.py", "simulated.py", "bounds.py", "batch.py")
 
@@ -77,8 +79,8 @@ def studies(
 
     ``done`` is called with the number of finished studies and their total. Returns all studies.
     """
-    runs, state, path = RUNS_PER_SEED * plan.seeds, _state(), data / "studies.jsonl"
-    digests = {setting: _digest(state, _arguments(setting, runs)) for setting in SETTINGS}
+    runs, sources, path = RUNS_PER_SEED * plan.seeds, _state(), data / "studies.jsonl"
+    digests = {setting: _digest(sources, _arguments(setting, runs)) for setting in SETTINGS}
     found: dict[Setting, LocalisationResult] = {}
     for line in path.read_bytes().splitlines() if path.exists() else ():
         try:
@@ -163,7 +165,7 @@ def _verdict(result: LocalisationResult) -> str:
 
 
 def _state() -> str:
-    content = hashlib.sha256(sources_state().encode())
+    content = hashlib.sha256(state().encode())
     for name in _STUDIED:
         content.update((Path(__file__).parent / name).read_bytes())
     return content.hexdigest()[:16]
