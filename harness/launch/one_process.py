@@ -50,8 +50,10 @@ from harness.launch.swarm import Speed, Swarm
 from harness.records.run_folder import PhysicsConfig, RunFolder
 from harness.scenario.scenario import Scenario
 from harness.simulator.emulator_client import EmulatorClient
-from harness.simulator.in_process_links import InProcessEmulatorLine, InProcessRadio, InProcessVehicles
+from harness.simulator.in_process_links import InProcessEmulatorLine, InProcessLink, InProcessRadio
+from harness.simulator.lockstep import Lockstep
 from harness.simulator.messages import AnyCommand
+from harness.simulator.response_watchdog import ResponseWatchdog
 from harness.simulator.server import obey
 from harness.simulator.simulation import Simulation
 from harness.world.faults import AnyFault
@@ -90,15 +92,28 @@ class _Flight:
         period_us = physics.scenario.onboard.loop_period_us
         emulator = EmulatorClient(line, period_us=period_us, asynchronous=bool(radio.radio.guests))
 
-        def meet(simulation: Simulation) -> InProcessVehicles:
-            self.vehicles = InProcessVehicles(
-                vehicles, radios, on_message=simulation.on_message, on_lost=simulation.on_lost, emit=emit
+        self.links = [
+            stack.enter_context(contextlib.closing(InProcessLink(config, radio, emit=emit)))
+            for config, radio in zip(vehicles, radios, strict=True)
+        ]
+
+        def meet(simulation: Simulation) -> Lockstep:
+            return Lockstep(
+                links=self.links,
+                watchdog=ResponseWatchdog(physics.scenario.run.silence_limit_s),
+                on_message=simulation.on_message,
+                on_silent=simulation.on_silent,
+                on_lost=simulation.on_lost,
             )
-            return self.vehicles
 
         self._simulation = stack.enter_context(
             contextlib.closing(Simulation(physics, meet=meet, emulator=emulator, emit=self._emit_event))
         )
+
+    def kill(self, name: str) -> None:
+        """End a vehicle at once; the simulation reports it as lost in the next step."""
+        for link in self.links:
+            link.killed |= link.host.name == name
 
     def fly(self, inbox: "queue.SimpleQueue[AnyCommand]") -> None:
         """Execute commands until Stop."""
@@ -108,7 +123,7 @@ class _Flight:
             "time_us": simulation.time_us,
             "formed": simulation.formed,
             RADIO: {"counters": self._emulator.counters},
-            **{slot.host.name: slot.host.vehicle.troubles() for slot in self.vehicles.slots},
+            **{link.host.name: link.host.vehicle.troubles() for link in self.links},
         }
         self._emit_event(Finished(name=PHYSICS, details=details))
 
@@ -168,7 +183,7 @@ class _ThreadSupervisor(Supervisor):
     def kill(self, name: str) -> None:
         """End a vehicle at once; the simulation reports it as lost in the next step."""
         if self._flight is not None:
-            self._flight.vehicles.kill(name)
+            self._flight.kill(name)
 
     def end(self, names: Iterable[str], *, grace_s: float = 0.0) -> list[str]:
         """End the flight if `PHYSICS` is among the names; returns a line if it does not end in time."""

@@ -23,7 +23,7 @@ from harness.records.run_folder import PhysicsConfig
 from harness.simulator.actuator_inbox import ActuatorInbox
 from harness.simulator.emulator_client import EmulatorClient
 from harness.simulator.hil import TRUTH_PERIOD_US, SensorEncoder
-from harness.simulator.interfaces import Vehicles
+from harness.simulator.lockstep import Lockstep
 from harness.simulator.messages import (
     AnyEvent,
     Collision,
@@ -55,7 +55,7 @@ _RECORDED_OF_TRUTH = ("pos_ned_m", "vel_ned_m_s", "q_ned_frd", "omega_frd_rad_s"
 class Simulation:
     """World, wind, sensors, vehicles and radio channel, stepped together.
 
-    ``meet`` returns the vehicles' interface, which calls this object's `on_message`, `on_silent` and
+    ``meet`` returns the vehicles' lockstep, which calls this object's `on_message`, `on_silent` and
     `on_lost`. ``emit`` receives the events. Raises OSError if a log cannot be written.
     """
 
@@ -63,7 +63,7 @@ class Simulation:
         self,
         config: PhysicsConfig,
         *,
-        meet: Callable[["Simulation"], Vehicles],
+        meet: Callable[["Simulation"], Lockstep],
         emulator: EmulatorClient | None,
         emit: Callable[[AnyEvent], None],
     ) -> None:
