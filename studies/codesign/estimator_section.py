@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
+from harness.campaign.store import Flown, Store
 from studies.codesign.batch import RANGE_WINDOW_US
 from studies.codesign.cases import CodesignPlan, wind_agents
 from studies.codesign.results import state
@@ -47,15 +48,6 @@ SETTINGS = (
 )
 
 
-class Studied(Struct, frozen=True, kw_only=True):
-    """Finished study."""
-
-    setting: Setting
-    digest: str
-    """Hash of the sources and of all arguments"""
-    result: LocalisationResult
-
-
 def study(setting: Setting, runs: int) -> LocalisationResult:
     """Run one study in the article's geometry, adapted to the number of UAVs."""
     return localisation_study(**_arguments(setting, runs))
@@ -79,16 +71,13 @@ def studies(
 
     ``done`` is called with the number of finished studies and their total. Returns all studies.
     """
-    runs, sources, path = RUNS_PER_SEED * plan.seeds, _state(), data / "studies.jsonl"
+    runs, sources, store = RUNS_PER_SEED * plan.seeds, _state(), Store(data)
     digests = {setting: _digest(sources, _arguments(setting, runs)) for setting in SETTINGS}
-    found: dict[Setting, LocalisationResult] = {}
-    for line in path.read_bytes().splitlines() if path.exists() else ():
-        try:
-            studied = msgspec.json.decode(line, type=Studied)
-        except msgspec.DecodeError:
-            continue
-        if digests.get(studied.setting) == studied.digest:
-            found[studied.setting] = studied.result
+    found = {
+        setting: msgspec.convert(stored.summary, LocalisationResult)
+        for setting in SETTINGS
+        if (stored := store.get(digests[setting])) is not None
+    }
     missing = [setting for setting in SETTINGS if setting not in found]
     done(len(found), len(SETTINGS))
     if not missing:
@@ -96,11 +85,10 @@ def studies(
     with ProcessPoolExecutor(workers, mp_context=get_context(START_METHOD)) as pool:
         waiting = {pool.submit(study, setting, runs): setting for setting in missing}
         for future in as_completed(waiting):
-            setting = waiting[future]
-            found[setting] = future.result()
-            studied = Studied(setting=setting, digest=digests[setting], result=found[setting])
-            with path.open("ab") as file:
-                file.write(msgspec.json.encode(studied) + b"\n")
+            setting, result = waiting[future], future.result()
+            found[setting] = result
+            summary = msgspec.to_builtins(result)
+            store.put(Flown(digest=digests[setting], status="completed", summary=summary, state=sources), {})
             done(len(found), len(SETTINGS))
     return found
 
