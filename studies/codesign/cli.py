@@ -127,6 +127,6 @@ def _study(plan: CodesignPlan, data: Path, *, workers: int, messages: Console) -
     """Run the studies of `estimator_section`."""
     from studies.codesign.estimator_section import judge_estimator, studies  # noqa: PLC0415  numba reads its cache folder at import
 
-    with progress_lines(messages) as (note, _):
+    with progress_lines(messages) as note:
         results = studies(plan, data, workers=workers, done=lambda done, total: note(ESTIMATOR, done, total))
     return judge_estimator(results)
