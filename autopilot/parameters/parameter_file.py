@@ -30,7 +30,6 @@ from autopilot.parameters.table import (
     ParameterError,
     ParameterSet,
     Row,
-    Settings,
     check_range,
 )
 
@@ -95,21 +94,11 @@ def load_known(path: Path) -> ParsedParameters:
     return parse(text, str(path))
 
 
-def values_of(parameters: ParameterSet, *, only_changed: bool) -> dict[str, float]:
-    """Values of a set by name, all or those that differ from the defaults.
-
-    Setting them reproduces the same settings to the last bit.
-    """
-    defaults = Settings()
-    values = {}
-    for parameter in TABLE:
-        setting = _setting(parameter, parameters.settings)
-        if not only_changed or setting != _setting(parameter, defaults):
-            values[parameter.name] = _value_of(parameter, setting)
-    for row in STATED:
-        value = parameters.stated[row.name]
-        if not row.read_only and (not only_changed or value != row.default):
-            values[row.name] = value
+def values_of(parameters: ParameterSet) -> dict[str, float]:
+    """Values of a set by name; setting them reproduces the same settings to the last bit."""
+    settings = parameters.settings
+    values = {each.name: _value_of(each, attrgetter(each.path)(settings)) for each in TABLE}
+    values |= {row.name: parameters.stated[row.name] for row in STATED if not row.read_only}
     return dict(sorted(values.items()))
 
 
@@ -125,9 +114,9 @@ def dumps(values: Mapping[str, float], *, system_id: int = 1) -> str:
     return "\n".join(lines) + "\n"
 
 
-def save(path: Path, parameters: ParameterSet, *, only_changed: bool = False, system_id: int = 1) -> None:
+def save(path: Path, parameters: ParameterSet, *, system_id: int = 1) -> None:
     """Write a set's values atomically. Raises OSError."""
-    text = dumps(values_of(parameters, only_changed=only_changed), system_id=system_id)
+    text = dumps(values_of(parameters), system_id=system_id)
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         beside.write_text(text, encoding="utf-8", newline="\n")
@@ -178,11 +167,6 @@ def _text(parameter: Row, value: float) -> tuple[str, str]:
         return INT32, str(round(value))
     text = f"{value:.0f}" if value == round(value) and abs(value) < 1e15 else repr(value)
     return REAL32, text if _real(text) == value else f"{value:.16e}"
-
-
-def _setting(parameter: Parameter, settings: Settings) -> float:
-    setting: float = attrgetter(parameter.path)(settings)
-    return setting
 
 
 def _value_of(parameter: Parameter, setting: float) -> float:

@@ -170,6 +170,8 @@ class Run(Struct, frozen=True, kw_only=True):
     scenario: Scenario
     digest: str
     """Hash of scenario and sources: runs with equal digests are one flight"""
+    options: dict[str, Any] = {}
+    """Further arguments of the function that flies it: `harness.campaign.task.Flying`"""
 
     def describe(self, campaign: Campaign) -> str:
         """Return its name in one line."""

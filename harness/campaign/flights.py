@@ -1,5 +1,6 @@
 """One run of a campaign in this process: flies, reports, returns the requested series, leaves no files."""
 
+import pkgutil
 import re
 import tempfile
 from pathlib import Path
@@ -10,7 +11,7 @@ from harness.campaign.series import read_series
 from harness.campaign.store import Flown
 from harness.campaign.task import Task, failed
 from harness.launch import kernel_cache
-from harness.launch.one_process import fly, use_kernel_cache
+from harness.launch.one_process import use_kernel_cache
 from harness.launch.processes import SetupError
 from harness.records.run_folder import RunFolder
 
@@ -32,14 +33,22 @@ def fly_task(task: Task, folder: Path) -> tuple[Flown, dict[str, bytes]]:
     with tempfile.TemporaryDirectory(dir=folder, prefix="run-", ignore_cleanup_errors=True) as path:
         run = RunFolder(Path(path))
         try:
-            summary = fly(task.scenario, run.path)
-            series = read_series(run, task.keep, antenna_note=summary["max_gain_dbi"].get("note"))
+            summary = pkgutil.resolve_name(task.flying.function)(task.scenario, run.path, **task.options)
+            note = summary["max_gain_dbi"].get("note") if task.keep else None
+            series = read_series(run, task.keep, antenna_note=note)
         except OF_THE_MACHINE:
             raise
         except Exception as error:  # noqa: BLE001  the campaign continues after a failed run
             return failed(task, one_line(error, run.path)), {}
     status, reason = summary["status"], summary["reason"]
-    flown = Flown(digest=task.digest, status=status, reason=reason, summary=summary, settings=task.settings)
+    flown = Flown(
+        digest=task.digest,
+        status=status,
+        reason=reason,
+        summary=summary,
+        settings=task.settings,
+        state=task.state,
+    )
     return flown, series
 
 

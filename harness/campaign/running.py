@@ -21,7 +21,7 @@ from harness.campaign.cluster import check_address, connected
 from harness.campaign.definition import Campaign, Run, expand
 from harness.campaign.store import FAILED, ClusterError, Flown, Store
 from harness.campaign.table import Table, write_table
-from harness.campaign.task import Task, failed
+from harness.campaign.task import PLAIN_FLIGHT, Flying, Task, failed
 from harness.campaign.worker import fly_on_worker, sources_bytes, sources_state
 
 DIED = "its process died"
@@ -51,6 +51,7 @@ def run(
     dashboard: str | None = None,
     progress: Callable[[Landed], None] | None = None,
     note: Callable[[str], None] | None = None,
+    flying: Flying = PLAIN_FLIGHT,
 ) -> Table:
     """Fly the missing runs of a campaign, and write its table.
 
@@ -64,15 +65,15 @@ def run(
         dashboard: address of the local cluster's status page, such as ``127.0.0.1:8787``.
         progress: called for every run that ends.
         note: called with a line before an operation that takes long.
+        flying: the function that flies and measures a run.
 
     Raises CampaignError for an invalid campaign, before the first flight; ClusterError, CompileError,
     OSError.
 
     """
     check_address(scheduler)
-    state = sources_state()
     if runs is None:
-        runs = expand(campaign, state=state)
+        runs = expand(campaign, state=sources_state(flying.measured_by))
     store = Store(Path(out))
     with store.alone():
         flown, missing = known(campaign, runs, store, retry=retry)
@@ -84,7 +85,7 @@ def run(
                 dashboard=dashboard,
                 note=note or _ignore,
             ) as client:
-                for landed, kept in _fly(client, campaign, missing, store, state):
+                for landed, kept in _fly(client, campaign, missing, store, flying):
                     flown[kept.digest] = kept
                     if progress is not None:
                         progress(landed)
@@ -117,7 +118,7 @@ def _fly(
     campaign: Campaign,
     missing: Sequence[Run],
     store: Store,
-    state: str,
+    flying: Flying,
 ) -> Iterator[tuple[Landed, Flown]]:
     """Fly all runs, store each result, and yield it with its stored form.
 
@@ -128,11 +129,13 @@ def _fly(
     def task_of(each: Run) -> Task:
         return Task(
             digest=each.digest,
-            state=state,
-            state_bytes=sources_bytes(),
+            state=sources_state(flying.measured_by),
+            state_bytes=sources_bytes(flying.measured_by),
             scenario=each.scenario,
             settings=each.settings,
             keep=campaign.keep,
+            flying=flying,
+            options=each.options,
         )
 
     done = 0

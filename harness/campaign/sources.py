@@ -18,11 +18,6 @@ _SHOWN = {"antenna/analysis/figures.py", "harness/report/figures.py", "harness/l
 """Modules for drawing and tests, which do not affect a flight."""
 
 
-def hash_sources(root: Path, *, measured_by: Collection[str]) -> str:
-    """Return the hash of the code of `read_sources` and of the libraries; raises OSError, SyntaxError."""
-    return hash_code(read_sources(root, measured_by=measured_by))
-
-
 def read_sources(root: Path, *, measured_by: Collection[str]) -> dict[str, bytes]:
     """Read the modules that affect a flight or its results, by their sorted paths below ``root``.
 

@@ -50,6 +50,8 @@ class Flown(Struct, frozen=True, kw_only=True):
     """Result of `harness.report.report.finish`; empty for a failed run"""
     settings: tuple[str, ...] = ()
     """Overrides of the campaign's scenario, to repeat the run"""
+    state: str = ""
+    """Hash of sources and libraries"""
     series: dict[str, Kept] = {}
     """Stored series by name"""
 
@@ -91,6 +93,11 @@ class Store:
             return None
         complete = flown.status == FAILED or all(self._is_whole(flown, name) for name in keep)
         return flown if complete and flown.digest == digest else None
+
+    def flights(self) -> list[Flown]:
+        """Return all stored runs, of any sources, the oldest first; their series are not checked."""
+        paths = sorted(self._runs.glob("[!.]*.json"), key=lambda path: (path.stat().st_mtime_ns, path.name))
+        return [flown for path in paths if (flown := self.get(path.stem)) is not None]
 
     def _is_whole(self, flown: Flown, name: str) -> bool:
         kept, path = flown.series.get(name), self.series_path(flown.digest, name)

@@ -16,21 +16,31 @@ _STDOUT, _STDERR = 1, 2
 _MEASURED_BY = ("harness/campaign/flights.py", "harness/campaign/series.py")
 
 
-@cache
-def _sources() -> dict[str, bytes]:
-    return read_sources(ROOT, measured_by=_MEASURED_BY)
+def _read(measured_by: tuple[str, ...]) -> dict[str, bytes]:
+    return read_sources(ROOT, measured_by=(*_MEASURED_BY, *measured_by))
+
+
+_sources = cache(_read)
 
 
 @cache
-def sources_state() -> str:
-    """Return the hash of libraries and sources of flights and results, as of the first call."""
-    return hash_code(_sources())
+def sources_state(measured_by: tuple[str, ...] = ()) -> str:
+    """Return the hash of libraries and sources of flights and results, as of the first call.
+
+    ``measured_by``: see `harness.campaign.task.Flying`.
+    """
+    return hash_code(_sources(measured_by))
+
+
+def present_state(measured_by: tuple[str, ...] = ()) -> str:
+    """Return the hash of the same libraries and sources as of now."""
+    return hash_code(_read(measured_by))
 
 
 @cache
-def sources_bytes() -> str:
+def sources_bytes(measured_by: tuple[str, ...] = ()) -> str:
     """Return the hash of the same libraries and of the sources' bytes."""
-    return hash_bytes(_sources())
+    return hash_bytes(_sources(measured_by))
 
 
 def fly_on_worker(task: Task) -> tuple[Flown, dict[str, bytes]]:
@@ -41,7 +51,8 @@ def fly_on_worker(task: Task) -> tuple[Flown, dict[str, bytes]]:
     from distributed import get_worker  # noqa: PLC0415  slow to import
 
     worker = get_worker()
-    if sources_bytes() != task.state_bytes and sources_state() != task.state:
+    measured_by = task.flying.measured_by
+    if sources_bytes(measured_by) != task.state_bytes and sources_state(measured_by) != task.state:
         raise ClusterError(
             f"the sources of the worker at {worker.address} are not the campaign's, or have changed since it "
             "began, or its libraries are others; start workers and campaign again"

@@ -68,14 +68,6 @@ def scenario_page() -> str:
     return "\n".join(parts)
 
 
-def field_paths() -> list[str]:
-    """Return the path of every field, also of the tables themselves."""
-    paths = []
-    for path, info in _tables(_struct(type_info(Scenario)), ""):
-        paths += [_join(path, each.encode_name) for each in info.fields]
-    return paths
-
-
 def scenario_schema() -> str:
     """Return the JSON schema of scenario files, with the docstrings as descriptions."""
     schema = msgspec.json.schema(Scenario)

@@ -50,10 +50,13 @@ from harness.launch.swarm import Speed, Swarm
 from harness.records.run_folder import PhysicsConfig, RunFolder
 from harness.scenario.scenario import Scenario
 from harness.simulator.emulator_client import EmulatorClient
-from harness.simulator.in_process_links import InProcessEmulatorLine, InProcessRadio, InProcessVehicles
+from harness.simulator.in_process_links import InProcessEmulatorLine, InProcessLink, InProcessRadio
+from harness.simulator.lockstep import Lockstep
 from harness.simulator.messages import AnyCommand
+from harness.simulator.response_watchdog import ResponseWatchdog
 from harness.simulator.server import obey
 from harness.simulator.simulation import Simulation
+from harness.world.faults import AnyFault
 from netsim.emulator.service import make_emulator
 from netsim.model.config import ServerConfig
 
@@ -89,15 +92,28 @@ class _Flight:
         period_us = physics.scenario.onboard.loop_period_us
         emulator = EmulatorClient(line, period_us=period_us, asynchronous=bool(radio.radio.guests))
 
-        def meet(simulation: Simulation) -> InProcessVehicles:
-            self.vehicles = InProcessVehicles(
-                vehicles, radios, on_message=simulation.on_message, on_lost=simulation.on_lost, emit=emit
+        self.links = [
+            stack.enter_context(contextlib.closing(InProcessLink(config, radio, emit=emit)))
+            for config, radio in zip(vehicles, radios, strict=True)
+        ]
+
+        def meet(simulation: Simulation) -> Lockstep:
+            return Lockstep(
+                links=self.links,
+                watchdog=ResponseWatchdog(physics.scenario.run.silence_limit_s),
+                on_message=simulation.on_message,
+                on_silent=simulation.on_silent,
+                on_lost=simulation.on_lost,
             )
-            return self.vehicles
 
         self._simulation = stack.enter_context(
             contextlib.closing(Simulation(physics, meet=meet, emulator=emulator, emit=self._emit_event))
         )
+
+    def kill(self, name: str) -> None:
+        """End a vehicle at once; the simulation reports it as lost in the next step."""
+        for link in self.links:
+            link.killed |= link.host.name == name
 
     def fly(self, inbox: "queue.SimpleQueue[AnyCommand]") -> None:
         """Execute commands until Stop."""
@@ -107,7 +123,7 @@ class _Flight:
             "time_us": simulation.time_us,
             "formed": simulation.formed,
             RADIO: {"counters": self._emulator.counters},
-            **{slot.host.name: slot.host.vehicle.troubles() for slot in self.vehicles.slots},
+            **{link.host.name: link.host.vehicle.troubles() for link in self.links},
         }
         self._emit_event(Finished(name=PHYSICS, details=details))
 
@@ -167,7 +183,7 @@ class _ThreadSupervisor(Supervisor):
     def kill(self, name: str) -> None:
         """End a vehicle at once; the simulation reports it as lost in the next step."""
         if self._flight is not None:
-            self._flight.vehicles.kill(name)
+            self._flight.kill(name)
 
     def end(self, names: Iterable[str], *, grace_s: float = 0.0) -> list[str]:
         """End the flight if `PHYSICS` is among the names; returns a line if it does not end in time."""
@@ -297,34 +313,45 @@ class OneProcessSwarm(Swarm):
         raise SwarmError(f"{uav(instance)} has no link to the outside in a swarm of one process")
 
 
-def fly(scenario: Scenario, out: Path, *, until_s: float | None = None, draw: bool = False) -> dict[str, Any]:
+def fly(
+    scenario: Scenario,
+    out: Path,
+    *,
+    until_s: float | None = None,
+    faults_in_formation: Iterable[AnyFault] = (),
+) -> dict[str, Any]:
     """Fly a scenario on one processor and return the summary of `harness.report.report.finish`.
 
-    Flies until formed and then for ``run.duration_s``, as the command line does, or up to ``until_s``. A
-    formation that is not reached in time is a result with its own ``status``. Raises SwarmError for a failed
-    run; OSError or MemoryError if the machine lacks disk space or memory.
+    Flies until formed and then for ``run.duration_s``, as the command line does, or up to ``until_s``. The
+    start times of ``faults_in_formation`` are relative to the instant at which it is formed. A formation that
+    is not reached in time is a result with its own ``status``. Raises SwarmError for a failed run; OSError or
+    MemoryError if the machine lacks disk space or memory.
     """
     try:
         with OneProcessSwarm(scenario, out=out) as swarm:
-            return _flown(swarm, scenario, until_s, draw=draw)
+            return _flown(swarm, scenario, until_s, faults_in_formation)
     except SwarmError as error:
         if isinstance(error.__cause__, OSError | MemoryError):
             raise error.__cause__ from None
         raise
 
 
-def _flown(swarm: Swarm, scenario: Scenario, until_s: float | None, *, draw: bool) -> dict[str, Any]:
+def _flown(
+    swarm: Swarm, scenario: Scenario, until_s: float | None, faults: Iterable[AnyFault]
+) -> dict[str, Any]:
     if until_s is not None:
         swarm.run(until_s=until_s)
     else:
         with contextlib.suppress(SwarmTimeoutError):
             if scenario.onboard.enabled:  # else there is no formation
                 swarm.run_until_formed(timeout_s=scenario.run.reach_timeout_s)
+            for fault in faults:
+                swarm.inject(fault)
             swarm.run_for(scenario.run.duration_s)
     from harness.report import antenna_report  # noqa: PLC0415  the analysis is slow to import: not before the flight
 
     with antenna_report.on_threads(1):
-        summary = swarm.summary(draw=draw)
+        summary = swarm.summary(draw=False)
     if summary["status"] == "failed":  # not only a timeout of the formation
         raise SwarmError(summary["reason"])
     return summary

@@ -312,7 +312,8 @@ class Swarm:
     def restore_channel(self) -> None:
         """Restore the scenario's attenuation; begins as `cut_channel`."""
         self._intervene("restore the channel")
-        self._processes.send(SetAttenuation(extra_attenuation_db=None))
+        scenario_db = self.scenario.radio.extra_attenuation_db
+        self._processes.send(SetAttenuation(extra_attenuation_db=scenario_db))
 
     def inject(self, fault: AnyFault) -> None:
         """Inject a fault from the next step on, or ``fault.start_s`` later; of radios as `cut_channel`.

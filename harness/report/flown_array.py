@@ -72,14 +72,18 @@ def ideal_pattern(places_ned_m: Array, heading_rad: float, config: AntennaConfig
     It does not depend on the formation's motion because the antenna's frame rotates with it. Raises
     `ElementsTouch`, `NoFeed`.
     """
-    upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(places_ned_m), 1))
-    snapshot = antenna_snapshot(
-        places_ned_m, upright, places_ned_m, heading_rad, config, believed_pos_ned_m=places_ned_m
-    )
-    (pattern,) = compute_patterns(config, [snapshot])
+    (pattern,) = compute_patterns(config, [upright_snapshot(places_ned_m, heading_rad, config)])
     if isinstance(pattern, ElementsTouch):
         raise pattern
     return pattern
+
+
+def upright_snapshot(places_ned_m: Array, heading_rad: float, config: AntennaConfig) -> Snapshot:
+    """Return the array of `ideal_pattern`; raises `ElementsTouch`, `NoFeed`."""
+    upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(places_ned_m), 1))
+    return antenna_snapshot(
+        places_ned_m, upright, places_ned_m, heading_rad, config, believed_pos_ned_m=places_ned_m
+    )
 
 
 def antenna_snapshot(

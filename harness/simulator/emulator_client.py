@@ -49,10 +49,6 @@ class EmulatorClient:
         """End of the last interval requested."""
         self._delivered: dict[int, tuple[int, ...]] = {}
         """Vehicles with a delivery, by time of release."""
-        self.extra_attenuation_db: float | None = None
-        """Attenuation of every link in the intervals that begin from now on; None: the scenario's value."""
-        self.range_offsets_m: Mapping[int, float] = {}
-        """Offset of each station's measured ranges in the intervals that begin from now on."""
         self.busy_ns = 0
         """Time for which the channel was occupied until the end of the last completed interval."""
 
@@ -74,6 +70,8 @@ class EmulatorClient:
         step_us: int,
         truth: Truth,
         *,
+        extra_attenuation_db: float,
+        range_offsets_m: Mapping[int, float],
         senders: tuple[int, ...] = (),
         silent: tuple[int, ...] = (),
     ) -> None:
@@ -81,7 +79,8 @@ class EmulatorClient:
 
         The emulator runs in parallel with the physics, so it uses the positions and velocities at the
         interval's begin: an acceleration of 2 m/s2 changes a position by 1.6 mm in 40 ms. ``senders`` are the
-        vehicles that handed over a batch in this step; ``silent`` are those that were lost.
+        vehicles that handed over a batch in this step; ``silent`` are those that were lost. The attenuation
+        is that of every link; ``range_offsets_m`` are added to the ranges that a station measures.
         """
         to_us = time_us + (step_us if self._asynchronous else self._period_us)
         quiet_us = min(self._quiet_until_us, self._requested_us + MAX_QUIET_US)
@@ -97,8 +96,8 @@ class EmulatorClient:
             q_ned_frd=pack_rows(truth.q_ned_frd),
             senders=senders,
             silent=silent,
-            extra_attenuation_db=self.extra_attenuation_db,
-            range_offsets_m=tuple(self.range_offsets_m.items()),
+            extra_attenuation_db=extra_attenuation_db,
+            range_offsets_m=tuple(range_offsets_m.items()),
         )
         self._line.send(self._request)
 

@@ -1,4 +1,4 @@
-"""Lockstep with the vehicles over sockets.
+"""Lockstep with the vehicles, over sockets or by calls (`harness.simulator.in_process_links`).
 
 Each step sends the sensors of one instant to every vehicle and waits for the answers, within the limits of
 each vehicle's `LockstepPolicy`.
@@ -7,12 +7,14 @@ An I/O module: owns the connections of PX4's simulator API. `harness.simulator.r
 a silent vehicle is given up, `harness.simulator.handshake` which connection belongs to which slot.
 """
 
+import contextlib
 import socket
 import struct
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.hil import HilActuatorControls, HilParser
@@ -27,6 +29,8 @@ on, but starts up in wall time, and drops messages that arrive faster."""
 BREAK_S = 2.0
 """A longer wall time between two steps counts as a pause of the simulation, which resets silences."""
 _RECEIVE_BYTES = 4096
+CONNECTION_LOST = (ConnectionError, TimeoutError)
+"""Errors of a link to a vehicle that has ended or cannot be reached; others end the run."""
 _POLL_TIMEVAL = struct.pack("ll", 0, round(POLL_S * 1e6))
 
 
@@ -51,12 +55,36 @@ PX4 = LockstepPolicy(starts_silent=True, late_after_s=0.3)
 a lost answer it sends the next one only if it receives further sensors."""
 
 
-class ConnectionState:
-    """Parser of the bytes from one vehicle that `actuator_inbox` does not unpack."""
+class Link(Protocol):
+    """Connection to one vehicle: a socket, or `harness.simulator.in_process_links.InProcessLink`.
 
-    def __init__(self, instance: int, policy: LockstepPolicy = OWN) -> None:
+    All methods raise ConnectionError or TimeoutError if the connection is lost, and BlockingIOError if they
+    cannot go on within the link's time limit.
+    """
+
+    def sendall(self, data: bytes | memoryview, /) -> None:
+        """Send the vehicle its sensors."""
+
+    def recv_into(self, buffer: memoryview, /) -> int:
+        """Receive bytes of the vehicle into a buffer; returns how many, 0 if the vehicle has ended."""
+
+    def recv(self, size: int, flags: int = 0, /) -> bytes:
+        """Receive at most ``size`` bytes of the vehicle; none if it has ended."""
+
+    def close(self) -> None:
+        """Close the connection, which ends the vehicle; harmless when repeated."""
+
+
+class VehicleSlot:
+    """One vehicle's slot at the simulator: its link, the state of its answers, and a parser.
+
+    The parser reads what `actuator_inbox` does not unpack.
+    """
+
+    def __init__(self, instance: int, policy: LockstepPolicy = OWN, link: Link | None = None) -> None:
         self.instance = instance
         self.policy = policy
+        self.link = link
         self.parser = HilParser(HilActuatorControls)
         self.answer: HilActuatorControls | None = None
         """HIL_ACTUATOR_CONTROLS of the present step once received, or the previous one if it is late."""
@@ -64,6 +92,13 @@ class ConnectionState:
         """Answer to any step; stored for vehicles that may be late."""
         self.silent_since_s: float | None = None
         """Wall time of the first step that continued without an answer of a vehicle that may be late."""
+        self.late_answers = 0
+        """Steps that continued with its previous controls."""
+
+    @property
+    def alive(self) -> bool:
+        """Whether the vehicle is still in the run."""
+        return self.link is not None
 
     def await_answer(self) -> None:
         """Begin a step: clear the answer."""
@@ -88,21 +123,6 @@ class ConnectionState:
         self.silent_since_s = None
 
 
-class VehicleSlot(ConnectionState):
-    """One vehicle's slot at the simulator: its connection and the state of its answers."""
-
-    def __init__(self, instance: int, policy: LockstepPolicy) -> None:
-        super().__init__(instance, policy)
-        self.connection: socket.socket | None = None
-        self.late_answers = 0
-        """Steps that continued with its previous controls."""
-
-    @property
-    def alive(self) -> bool:
-        """Whether the vehicle is still in the run."""
-        return self.connection is not None
-
-
 class ConnectTimeout(TimeoutError):
     """Not every vehicle connected in time; the text names those that did not."""
 
@@ -113,12 +133,13 @@ class Lockstep:
     ``on_message(instance, message)`` is called for every message except answers; ``on_silent(instance,
     wall_silence_s)`` once per silence; ``on_lost(instance, reason)`` when a vehicle is removed from the run.
     ``policies`` has one policy per vehicle, by default `OWN`. ``listeners`` has one TCP socket per slot;
-    ``own_listener`` is a Unix socket to which all of coflight's own vehicles may connect instead.
+    ``own_listener`` is a Unix socket to which all of coflight's own vehicles may connect instead. Vehicles in
+    this process have ``links`` instead.
     """
 
     def __init__(
         self,
-        listeners: Sequence[socket.socket],
+        listeners: Sequence[socket.socket] = (),
         *,
         watchdog: ResponseWatchdog,
         on_message: Callable[[int, Message], None],
@@ -126,10 +147,14 @@ class Lockstep:
         on_lost: Callable[[int, str], None],
         policies: Sequence[LockstepPolicy] = (),
         own_listener: socket.socket | None = None,
+        links: Sequence[Link] = (),
     ) -> None:
-        policies = policies or [OWN] * len(listeners)
-        self.slots = [VehicleSlot(i, policies[i]) for i in range(len(listeners))]
-        self.living = 0
+        vehicles = len(links or listeners)
+        self.slots = [
+            VehicleSlot(i, policies[i] if policies else OWN, links[i] if links else None)
+            for i in range(vehicles)
+        ]
+        self.living = len(links)
         """How many vehicles are in the run."""
         reachable = [Listener(server, frozenset((i,))) for i, server in enumerate(listeners)]
         if own_listener is not None:
@@ -139,7 +164,7 @@ class Lockstep:
         self._handshake = Handshake(reachable)
         self._watchdog = watchdog
         self._on_message, self._on_silent, self._on_lost = on_message, on_silent, on_lost
-        self._inbox = ActuatorInbox(len(listeners))
+        self._inbox = ActuatorInbox(vehicles)
         self._inbox.states["needs_parser"] = [slot.policy != OWN for slot in self.slots]
         self._pending: list[VehicleSlot] = []
         """Slots whose answers to this step's sensors are awaited."""
@@ -179,7 +204,7 @@ class Lockstep:
         if slot.policy.late_after_s is not None:
             # steps continue without it, so it may leave megabytes unread, which must not block the others
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _POLL_TIMEVAL)
-        slot.connection, slot.parser = connection, arrival.parser
+        slot.link, slot.parser = connection, arrival.parser
         self.living += 1
         for message in arrival.messages[1:]:  # the first only identified the vehicle
             self._on_message(slot.instance, message)
@@ -199,16 +224,16 @@ class Lockstep:
             self._starting.clear()
         self._pending.clear()
         for slot, frame in zip(self.slots, frames, strict=True):
-            if slot.connection is None:
+            if slot.link is None:
                 continue
             try:
-                slot.connection.sendall(frame)
+                slot.link.sendall(frame)
             except BlockingIOError:
                 self.lose(slot.instance, "it does not read its sensors any more")
                 continue
             except (BrokenPipeError, ConnectionResetError):
                 pass  # closed by the vehicle: `receive` reads its last messages and reports it
-            except OSError:
+            except CONNECTION_LOST:
                 self.lose(slot.instance, "its connection broke")
                 continue
             (self._starting if self.is_starting(slot) else self._pending).append(slot)
@@ -243,10 +268,10 @@ class Lockstep:
         received_bytes = inbox.states["received_bytes"]
         for slot in reversed(pending):
             try:
-                size = slot.connection.recv_into(inbox.buffers[slot.instance]) if slot.connection else 0
+                size = slot.link.recv_into(inbox.buffers[slot.instance]) if slot.link else 0
             except BlockingIOError:
                 break  # a vehicle is silent: all are polled below
-            except OSError:
+            except CONNECTION_LOST:
                 size = 0
             if size == 0:
                 self.lose(slot.instance, CLOSED)
@@ -267,7 +292,7 @@ class Lockstep:
             slot.await_answer()
             self._take(slot, inbox.take_bytes(slot.instance), time_us)
         for slot in reversed(slots):
-            while slot.connection is not None and slot.answer is None:
+            while slot.link is not None and slot.answer is None:
                 if not self._receive(slot, time_us):
                     self._poll_all(slots, time_us)
         for slot in slots:
@@ -283,19 +308,20 @@ class Lockstep:
     def lose(self, instance: int, reason: str) -> None:
         """Remove a vehicle from the run."""
         slot = self.slots[instance]
-        if slot.connection is not None:
-            slot.connection.close()
-            slot.connection = None
+        if slot.link is not None:
+            slot.link.close()
+            slot.link = None
             slot.answer = None
             self.living -= 1
             self._on_lost(instance, reason)
 
     def close(self) -> None:
         """Close every connection and listener; the vehicles end when their connection closes."""
-        for slot in self.slots:
-            if slot.connection is not None:
-                slot.connection.close()
-                slot.connection = None
+        with contextlib.ExitStack() as stack:  # closes all, even if one cannot be closed
+            for slot in self.slots:
+                if slot.link is not None:
+                    stack.callback(slot.link.close)
+                    slot.link = None
         self.living = 0
         self._handshake.close()
         for listener in self._listeners:
@@ -303,13 +329,13 @@ class Lockstep:
 
     def _receive(self, slot: VehicleSlot, time_us: int, flags: int = 0) -> bool:
         """Receive and parse bytes of a vehicle, waiting `POLL_S` at most; False if there were none."""
-        if slot.connection is None:
+        if slot.link is None:
             return False
         try:
-            data = slot.connection.recv(_RECEIVE_BYTES, flags)
+            data = slot.link.recv(_RECEIVE_BYTES, flags)
         except BlockingIOError:
             return False
-        except OSError:
+        except CONNECTION_LOST:
             data = b""
         if not data:
             self.lose(slot.instance, CLOSED)
@@ -324,7 +350,7 @@ class Lockstep:
     def _poll_all(self, slots: Iterable[VehicleSlot], time_us: int) -> None:
         """While a vehicle is silent: receive from the others, and check those that have not answered."""
         for slot in slots:
-            while slot.connection is not None and slot.answer is None:
+            while slot.link is not None and slot.answer is None:
                 if not self._receive(slot, time_us, socket.MSG_DONTWAIT):
                     self._check(slot)
                     break

@@ -43,9 +43,9 @@ class SetSpeed(SimulatorCommand, frozen=True, kw_only=True):
 
 
 class SetAttenuation(SimulatorCommand, frozen=True, kw_only=True):
-    """Set the attenuation of every radio link from the next interval on; None: the scenario's value."""
+    """Set the attenuation of every radio link from the next interval on, before radio faults."""
 
-    extra_attenuation_db: float | None
+    extra_attenuation_db: float
 
 
 class SetPid(SimulatorCommand, frozen=True, kw_only=True):

@@ -21,8 +21,9 @@ from autopilot.onboard.formation.phases import FlightPhase
 from foundation.records.record_log import RecordLog
 from harness.records.run_folder import PhysicsConfig
 from harness.simulator.actuator_inbox import ActuatorInbox
+from harness.simulator.emulator_client import EmulatorClient
 from harness.simulator.hil import TRUTH_PERIOD_US, SensorEncoder
-from harness.simulator.interfaces import ChannelInterface, Vehicles
+from harness.simulator.lockstep import Lockstep
 from harness.simulator.messages import (
     AnyEvent,
     Collision,
@@ -54,7 +55,7 @@ _RECORDED_OF_TRUTH = ("pos_ned_m", "vel_ned_m_s", "q_ned_frd", "omega_frd_rad_s"
 class Simulation:
     """World, wind, sensors, vehicles and radio channel, stepped together.
 
-    ``meet`` returns the vehicles' interface, which calls this object's `on_message`, `on_silent` and
+    ``meet`` returns the vehicles' lockstep, which calls this object's `on_message`, `on_silent` and
     `on_lost`. ``emit`` receives the events. Raises OSError if a log cannot be written.
     """
 
@@ -62,8 +63,8 @@ class Simulation:
         self,
         config: PhysicsConfig,
         *,
-        meet: Callable[["Simulation"], Vehicles],
-        emulator: ChannelInterface | None,
+        meet: Callable[["Simulation"], Lockstep],
+        emulator: EmulatorClient | None,
         emit: Callable[[AnyEvent], None],
         physics: PhysicsFactory = World,
     ) -> None:
@@ -113,8 +114,8 @@ class Simulation:
         self._phase_changed = False
         """Whether the formation may have been reached, or its start agreed, since the last check."""
         self._touching: set[tuple[int, int]] = set()
-        self._attenuation_db: float | None = None
-        """Commanded attenuation of every radio link; None: the scenario's value."""
+        self._attenuation_db = scenario.radio.extra_attenuation_db
+        """Attenuation of every radio link, without that of active faults: the scenario's, or as commanded."""
         with contextlib.ExitStack() as stack:  # closes everything if a part cannot be opened
             keep = stack.enter_context
             self._world: Physics = physics(
@@ -182,7 +183,17 @@ class Simulation:
                 period_us = self._record_period_us
                 self._air_record_us = self.time_us - self.time_us % period_us + period_us
                 self._air_log.append([(self.time_us, emulator.busy_ns)])
-            emulator.begin(self.time_us, self._step_us, truth, senders=inbox.senders, silent=self._lost)
+            emulator.begin(
+                self.time_us,
+                self._step_us,
+                truth,
+                extra_attenuation_db=min(
+                    self._attenuation_db + self._faults.extra_attenuation_db, MOST_ATTENUATION_DB
+                ),
+                range_offsets_m=self._faults.range_offsets_m,
+                senders=inbox.senders,
+                silent=self._lost,
+            )
         self._world.step(
             inbox.controls,
             inbox.armed,
@@ -196,10 +207,9 @@ class Simulation:
             self._notice_formation()
             self._notice_motion()
 
-    def set_extra_attenuation_db(self, value: float | None) -> None:
-        """Set the attenuation of every radio link from the next interval on; None: the scenario's value."""
+    def set_extra_attenuation_db(self, value: float) -> None:
+        """Set the attenuation of every radio link from the next interval on; radio faults are added to it."""
         self._attenuation_db = value
-        self._apply_radio_faults()
 
     def inject(self, fault: AnyFault) -> None:
         """Schedule a fault for ``start_s`` after the next step. Raises ValueError for a wrong vehicle."""
@@ -207,10 +217,7 @@ class Simulation:
 
     def _advance_faults(self) -> None:
         """Advance the faults to this step, and report which of them end and begin."""
-        changes = self._faults.advance(self.time_us)
-        if changes:
-            self._apply_radio_faults()
-        for change in changes:
+        for change in self._faults.advance(self.time_us):
             self._emit(
                 FaultChanged(
                     time_us=self.time_us,
@@ -221,18 +228,6 @@ class Simulation:
                     change="began" if change.began else "ended",
                 )
             )
-
-    def _apply_radio_faults(self) -> None:
-        """Set the emulator's attenuation and range offsets: the radio's faults on top of the commands."""
-        emulator, fault_db = self._emulator, self._faults.extra_attenuation_db
-        if emulator is None:
-            return
-        own_db = self._attenuation_db
-        if fault_db is not None:
-            own_db = self._scenario.radio.extra_attenuation_db if own_db is None else own_db
-            own_db = min(own_db + fault_db, MOST_ATTENUATION_DB)
-        emulator.extra_attenuation_db = own_db
-        emulator.range_offsets_m = self._faults.range_offsets_m
 
     def _escs(self, truth: Truth) -> esc.EscReadings | None:
         """Return the readings of the motors' speed controllers if they are due in this step."""

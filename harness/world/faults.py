@@ -260,7 +260,7 @@ class Faults:
         """(n, 4)"""
         self.rotor_stopped: NDArray[np.bool_] | None = None
         """(n, 4)"""
-        self.extra_attenuation_db: float | None = None
+        self.extra_attenuation_db = 0.0
         """In addition to the attenuation of every link."""
         self.range_offsets_m: Mapping[int, float] = {}
         """Error of the distances that a vehicle's radio measures, for affected vehicles."""
@@ -349,8 +349,8 @@ class Faults:
                 if self.rotor_stopped is None:
                     self.rotor_stopped = np.zeros((self._vehicles, ROTORS), dtype=np.bool_)
                 self.rotor_stopped[_affected(fault), fault.motor] = True
-        losses_db = [fault.attenuation_db for fault in active if isinstance(fault, RadioAttenuation)]
-        self.extra_attenuation_db = min(sum(losses_db), MOST_ATTENUATION_DB) if losses_db else None
+        losses_db = (fault.attenuation_db for fault in active if isinstance(fault, RadioAttenuation))
+        self.extra_attenuation_db = min(sum(losses_db, 0.0), MOST_ATTENUATION_DB)
         offsets_m = self._sum((fault, fault.offset_m) for fault in active if isinstance(fault, RangingBias))
         self.range_offsets_m = {}
         if offsets_m is not None:

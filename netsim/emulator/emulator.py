@@ -299,8 +299,8 @@ class Emulator:
         self._macs[station].silence()
         self._ftm[station].silence()
 
-    def set_extra_attenuation_db(self, value: float | None) -> None:
-        """Set the extra attenuation of frames that start from now on; None: the configured value."""
+    def set_extra_attenuation_db(self, value: float) -> None:
+        """Set the extra attenuation of frames that start from now on, instead of the configured one."""
         self._links.set_extra_attenuation_db(value)
 
     def set_range_offsets(self, offsets_m: Mapping[int, float]) -> None:

@@ -18,7 +18,6 @@ MEASUREMENT_ACTION = 33
 PARAMETERS_ELEMENT = 206
 PARAMETERS_BYTES = 9
 _ELEMENT_BYTES = 2 + PARAMETERS_BYTES
-STAMP_BITS = 48
 NO_PREFERENCE = 15
 """Code for "no preference" of bursts exponent and burst duration; in the other fields it is 0."""
 MIN_DELTA_UNIT_US = 100

@@ -44,6 +44,7 @@ def serve_in_real_time(config: ServerConfig, *, speed: float) -> None:
                 pos_ned_m=b"",
                 vel_ned_m_s=b"",
                 q_ned_frd=b"",
+                extra_attenuation_db=config.radio.extra_attenuation_db,
             )
             server.advance(request)
             ahead_s = to_us * 1e-6 / speed - (time.monotonic() - wall_start_s)

@@ -286,16 +286,15 @@ class Links:
         """By source: power received at `REFERENCE_DISTANCE_M`, antenna gains and attenuation included."""
         self._update_powers()
 
-    def set_extra_attenuation_db(self, value: float | None) -> None:
-        """Set the extra attenuation of all links; None: the configured value. Interferers are not attenuated.
+    def set_extra_attenuation_db(self, value: float) -> None:
+        """Set the extra attenuation of all links. Interferers are not attenuated.
 
         Raises ValueError if it is negative or not finite.
         """
-        extra_db = self._config.extra_attenuation_db if value is None else value
-        if not 0.0 <= extra_db < inf:
-            raise ValueError(f"extra attenuation of {extra_db} dB is negative or not finite")
-        if extra_db != self._extra_db:
-            self._extra_db = extra_db
+        if not 0.0 <= value < inf:
+            raise ValueError(f"extra attenuation of {value} dB is negative or not finite")
+        if value != self._extra_db:
+            self._extra_db = value
             self._update_powers()
 
     def _update_powers(self) -> None:

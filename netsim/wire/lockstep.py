@@ -44,8 +44,8 @@ class Advance(Struct, frozen=True, kw_only=True, array_like=True):
     """Vehicles that have sent a batch of ``at_us``; the emulator waits for these batches."""
     silent: tuple[Station, ...] = ()
     """Stations that have ended: their radios are off, and the emulator does not wait for their batches."""
-    extra_attenuation_db: Annotated[float, Meta(ge=0.0, le=1_000.0)] | None = None
-    """Extra attenuation of every link from now on; None: the scenario's."""
+    extra_attenuation_db: Annotated[float, Meta(ge=0.0, le=1_000.0)]
+    """Extra attenuation of every link from now on"""
     range_offsets_m: tuple[tuple[Station, RangeOffset], ...] = ()
     """Offsets added to measured ranges from now on, by initiator; without an entry there is none."""
 

@@ -4,12 +4,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from antenna.analysis.statistics import gain_density
+from studies.common.figures import new_figure, save
 
-DPI = 130
 DASHES = ("-", "--", ":")
 LEAST_DB = 1e-5
 """Smaller differences are drawn as this one."""
@@ -20,7 +18,7 @@ def save_agreement(
     cases: Sequence[tuple[str, tuple[Sequence[float], Sequence[float]], tuple[float, float]]],
 ) -> None:
     """Plot cumulative shares of formations over the difference: (case, (maximum, pattern), limits), dB."""
-    figure = Figure(figsize=(10.0, 4.2), layout="constrained")
+    figure = new_figure(10.0, 4.2)
     panels = figure.subplots(1, 2, sharey=True)
     for panel, (axes, title) in enumerate(zip(panels, ("Maximum gain", "Pattern, greatest"), strict=True)):
         for i, (name, differences_db, limits_db) in enumerate(cases):
@@ -30,10 +28,9 @@ def save_agreement(
             axes.axvline(limits_db[panel], color=f"C{i}", linestyle="--", linewidth=0.9)
         axes.set_xscale("log")
         axes.set(xlabel="Difference from NEC2 (dB)", title=f"{title}; dashed: limit")
-        _finish(axes)
     panels[0].set_ylabel("Share of the formations")
     panels[0].legend(fontsize="small", loc="upper left")
-    figure.savefig(path, dpi=DPI)
+    save(figure, path)
 
 
 def save_sensitivity(
@@ -49,7 +46,7 @@ def save_sensitivity(
     ``curve`` and ``points`` are (sigma in wavelengths, mean dBi, deviation dB), the points of the reference;
     ``densities`` are (sigma in wavelengths, title, gains in dBi), with one colour for each sigma.
     """
-    figure = Figure(figsize=(10.0, 4.4), layout="constrained")
+    figure = new_figure(10.0, 4.4)
     left, right = figure.subplots(1, 2)
     at, mean_dbi, std_db = np.array(curve).T
     left.plot(at, mean_dbi, color="C0", label="batch: mean, refined maximum")
@@ -63,7 +60,6 @@ def save_sensitivity(
     left.set_xscale("log")
     left.set(xlabel="σ of positions on each axis (wavelengths)", ylabel="Maximum gain (dBi)")
     left.legend(fontsize="small", loc="lower left")
-    _finish(left)
     groups = sorted({round(at, 9) for at, *_ in densities})
     for i, group in enumerate(groups):
         alike = [(title, gains) for at, title, gains in densities if round(at, 9) == group]
@@ -76,13 +72,12 @@ def save_sensitivity(
     right.set(xlabel="Maximum gain (dBi)", ylabel="Probability density (1/dB)")
     right.set_ylim(bottom=0.0)
     right.legend(fontsize="small", loc="upper left", title="σ at wavelength: ratio")
-    _finish(right)
-    figure.savefig(path, dpi=DPI)
+    save(figure, path)
 
 
 def save_convergence(path: Path, curves: Mapping[str, Sequence[tuple[int, float]]]) -> None:
     """Plot maximum gain over segments, (segments, dBi) by title, less the gain with the most segments."""
-    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
+    figure = new_figure(6.4, 4.0)
     axes = figure.subplots()
     for i, (title, points) in enumerate(curves.items()):
         segments, gain_dbi = np.array(sorted(points)).T
@@ -90,9 +85,4 @@ def save_convergence(path: Path, curves: Mapping[str, Sequence[tuple[int, float]
         axes.plot(segments, gain_dbi - gain_dbi[-1], dots, color=f"C{i // 2}", label=title, markersize=5)
     axes.set(xlabel="Segments of a dipole", ylabel="Maximum gain less that of the most segments (dB)")
     axes.legend(fontsize="small")
-    _finish(axes)
-    figure.savefig(path, dpi=DPI)
-
-
-def _finish(axes: Axes) -> None:
-    axes.grid(alpha=0.3)
+    save(figure, path)

@@ -132,7 +132,7 @@ def _measure(plan: ArticlePlan, tables: Mapping[str, Table], messages: Console) 
     cells = {
         key: cell for name, table in tables.items() if name != KEPT for key, cell in read_cells(table).items()
     }
-    with progress_lines(messages) as (note, _):
+    with progress_lines(messages) as note:
         drawn = draw(plan.draws, done=lambda done, total: note("random formations", done, total))
         kept = list(kept_flights(tables[KEPT]))
         separations = separate(kept, done=lambda done: note("kept flights", done, len(kept)))

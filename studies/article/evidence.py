@@ -93,9 +93,9 @@ class Evidence:
             raise Missing(f"{_named((case, wavelength_m, wind_n))}: no flight has a pattern")
         return cell
 
-    def gains(self, wavelength_m: float, wind_n: float, case: str = ARTICLE) -> GainStatistics:
+    def gains(self, wavelength_m: float, wind_n: float) -> GainStatistics:
         """Return the statistics of a cell's maximum gain; raises Missing."""
-        found = self.cell(wavelength_m, wind_n, case).statistics
+        found = self.cell(wavelength_m, wind_n).statistics
         assert found is not None  # noqa: S101  the cell has gains
         return found
 

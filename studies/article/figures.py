@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from antenna.analysis.figures import patterns_figure
@@ -15,8 +14,8 @@ from studies.article.monte_carlo import Drawn
 from studies.article.patterns import REGION_PHI_DEG, REGION_THETA_DEG
 from studies.article.plan import ARTICLE, CHANGES
 from studies.article.retained_flights import FLOWN, FigurePatterns
+from studies.common.figures import DPI, new_figure, save
 
-DPI = 130
 COLOURS = {5.0: "#D55E00", 7.5: "#E69F00", 10.0: "#009E73", 15.0: "#56B4E9", 20.0: "#0072B2"}
 """Palette of Okabe and Ito, suitable for colour vision deficiency"""
 TAILS = 0.002
@@ -45,7 +44,7 @@ def _save_panels(
     path: Path, panels: Mapping[str, Sequence[Cell]], heights: Sequence[float] | None, ideal_dbi: float
 ) -> None:
     count = max(len(panels), 1)
-    figure = Figure(figsize=(8.0, 1.2 + 2.2 * sum(heights or [1.0] * count)), layout="constrained")
+    figure = new_figure(8.0, 1.2 + 2.2 * sum(heights or [1.0] * count))
     all_axes = figure.subplots(count, 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
     for axes, (title, cells) in zip(all_axes, panels.items(), strict=False):
         for cell in cells:
@@ -54,14 +53,13 @@ def _save_panels(
         axes.set(ylabel="Density (1/dB)")
         axes.set_title(title, loc="left", fontsize="medium")
         axes.set_ylim(bottom=0.0)
-        axes.grid(alpha=0.3)
         axes.legend(fontsize="x-small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
     gains = [cell.max_gain_dbi for cells in panels.values() for cell in cells]
     if gains:
         low_dbi = min(float(np.quantile(each, TAILS)) for each in gains)
         all_axes[0].set_xlim(low_dbi - 0.1 * (ideal_dbi - low_dbi), ideal_dbi + 0.2)
     all_axes[-1].set_xlabel("Maximum gain (dB)")
-    figure.savefig(path, dpi=DPI)
+    save(figure, path)
 
 
 def _draw_density(axes: Axes, cell: Cell) -> None:
@@ -96,7 +94,7 @@ def save_patterns(path: Path, patterns: FigurePatterns, *, mean: bool = False) -
 
 def save_wind(path: Path, cells: Mapping[Key, Cell], ideal_dbi: float) -> None:
     """Plot mean and deviation of the maximum gain against wind, by wavelength."""
-    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    figure = new_figure(9.0, 3.6)
     left, right = figure.subplots(1, 2)
     of_article = [cell for cell in cells.values() if cell.case == ARTICLE and len(cell.max_gain_dbi)]
     for wavelength_m in sorted({cell.wavelength_m for cell in of_article}):
@@ -112,14 +110,13 @@ def save_wind(path: Path, cells: Mapping[Key, Cell], ideal_dbi: float) -> None:
     right.set_ylim(bottom=0.0)
     for axes in (left, right):
         axes.set(xlabel="Mean wind force (N)")
-        axes.grid(alpha=0.3)
     left.legend(fontsize="small")
-    figure.savefig(path, dpi=DPI)
+    save(figure, path)
 
 
 def save_sigma(path: Path, drawn: Mapping[tuple[float, float], Drawn], cells: Iterable[Cell]) -> None:
     """Plot mean maximum gain against position error: random formations with ± σ, and all flights."""
-    figure = Figure(figsize=(8.0, 4.2), layout="constrained")
+    figure = new_figure(8.0, 4.2)
     axes = figure.subplots()
     sigmas_lambda, means, stds = (
         np.array(column)
@@ -150,6 +147,5 @@ def save_sigma(path: Path, drawn: Mapping[tuple[float, float], Drawn], cells: It
         axes.plot([], [], color=colour, label=f"λ = {wavelength_m:g} m")
     axes.set(xlabel="Horizontal position error per axis σ/λ", ylabel="Maximum gain, mean ± deviation (dB)")
     axes.set_xscale("log")
-    axes.grid(alpha=0.3)
     axes.legend(fontsize="small", loc="lower left", ncols=2)
-    figure.savefig(path, dpi=DPI)
+    save(figure, path)

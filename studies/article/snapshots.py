@@ -2,12 +2,10 @@
 
 import math
 
-import numpy as np
-
 from antenna.model.config import AntennaConfig
 from antenna.model.geometry import ElementsTouch, Snapshot
 from harness.records.flight import Flight
-from harness.report.flown_array import NoFeed, antenna_snapshot, snapshot_at
+from harness.report.flown_array import NoFeed, snapshot_at, upright_snapshot
 from harness.scenario.scenario import Scenario
 
 
@@ -16,12 +14,8 @@ def upright_array(scenario: Scenario) -> Snapshot:
 
     Raises `ElementsTouch`, `NoFeed`.
     """
-    places_ned_m = scenario.places_ned_m()
-    level = np.tile([1.0, 0.0, 0.0, 0.0], (len(places_ned_m), 1))
     heading_rad = math.radians(scenario.formation.heading_deg)
-    return antenna_snapshot(
-        places_ned_m, level, places_ned_m, heading_rad, scenario.antenna, believed_pos_ned_m=places_ned_m
-    )
+    return upright_snapshot(scenario.places_ned_m(), heading_rad, scenario.antenna)
 
 
 def snapshots_of(flight: Flight, config: AntennaConfig) -> dict[int, Snapshot]:

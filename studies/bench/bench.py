@@ -15,7 +15,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import msgspec
 import psutil
@@ -314,5 +314,4 @@ def _processor_model() -> str:
 
 def to_json(found: FlightBench) -> str:
     """Return the results as JSON."""
-    plain: Any = msgspec.to_builtins(found)
-    return msgspec.json.format(msgspec.json.encode(plain), indent=2).decode()
+    return msgspec.json.format(msgspec.json.encode(found), indent=2).decode()

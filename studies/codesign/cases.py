@@ -74,12 +74,11 @@ class CodesignCase(Struct, frozen=True, kw_only=True):
     last: bool = False
     """Flown after all others: it only completes a table and is not required by a check."""
 
-    def scenario(self, plan: CodesignPlan, seed: int) -> Scenario:
-        """Return the scenario for a seed."""
+    def settings(self, plan: CodesignPlan) -> tuple[str, ...]:
+        """Return the changes of the article's scenario, without the seed."""
         settings = [
             f"name={self.name}",
             f"agents={self.agents}",
-            f"run.seed={seed}",
             f"run.duration_s={plan.duration_s + self.longer_s}",
             f"formation.columns={self.agents // 2}",
             "formation.rows=2",
@@ -95,7 +94,11 @@ class CodesignCase(Struct, frozen=True, kw_only=True):
         ]
         if self.lies:
             settings.append(f"faults=[{{kind='ranging_bias', uav={LIAR}, offset_m={LIE_M}}}]")
-        return load(ARTICLE, settings)
+        return tuple(settings)
+
+    def scenario(self, plan: CodesignPlan, seed: int) -> Scenario:
+        """Return the scenario for a seed."""
+        return load(ARTICLE, [*self.settings(plan), f"run.seed={seed}"])
 
 
 def wind_agents(localisation: str, agents: int, wind_n: float) -> CodesignCase:

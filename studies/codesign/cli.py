@@ -4,8 +4,6 @@ Exit status as in `studies.common.command_line`, and 130 after an interruption: 
 """
 
 import os
-import shutil
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -13,23 +11,17 @@ import typer
 from msgspec.structs import replace
 from rich.console import Console
 
-from harness.campaign.store import CampaignError
+from harness.campaign.display import CampaignDisplay
+from harness.campaign.running import run
+from harness.campaign.store import CampaignError, Store
+from harness.campaign.worker import present_state
 from harness.launch import kernel_cache
 from harness.launch.interrupts import interruptible
 from studies.codesign.book import Book
-from studies.codesign.cases import QUICK, CodesignCase, CodesignPlan, groups
+from studies.codesign.cases import QUICK, CodesignPlan, groups
 from studies.codesign.factor_sections import judge_baselines, judge_beacon_period, judge_ranging
 from studies.codesign.introduction import command, introduction
-from studies.codesign.results import (
-    FLYING,
-    CodesignFlown,
-    CodesignStore,
-    CodesignTask,
-    fly_tasks,
-    known,
-    make_tasks,
-    sources_state,
-)
+from studies.codesign.results import FLYING, campaign, known, make_runs, state
 from studies.codesign.sections import Judge, judge_wavelength, judge_wind_agents
 from studies.codesign.tables import write_csv
 from studies.codesign.trouble_section import judge_trouble
@@ -84,31 +76,34 @@ def codesign(
     plan = replace(plan, seeds=seeds or plan.seeds, duration_s=duration or plan.duration_s)
     stdout = keep_stdout()
     by_group = {name: cases for name, cases in groups(plan).items() if name in names}
-    store = CodesignStore(data)
-    tasks = make_tasks([case for cases in by_group.values() for case in cases], plan, folder=data)
-    flights = known(tasks, store, stale=stale)
-    if retry:
-        flights = {key: flown for key, flown in flights.items() if flown.broken is None}
-    missing = [task for task in tasks if (task.case, task.seed) not in flights]
-    messages.print(f"{len(tasks)} flights, {len(missing)} of them missing; stored in {store.path}")
+    cases = [case for cases in by_group.values() for case in cases]
+    store, began_with = Store(data), state()
+    runs = make_runs(cases, plan, of_state=began_with)
+    flights = known(runs, store, stale=stale, retry=retry)
+    missing = [each for each in runs if (each.case, each.seed) not in flights]
+    messages.print(f"{len(runs)} flights, {len(missing)} of them missing; stored in {data}")
     made_by = command(plan, () if set(names) == set(GROUPS) else names, quick=quick, stale=stale)
     estimated, changed = None, False
     if missing or ESTIMATOR in names:
-        state = sources_state()
         try:
-            with store.alone(), interruptible():
+            with interruptible():
                 kernel_cache.prepare(messages.print)
                 if ESTIMATOR in names:
-                    estimated = _study(plan, data, workers=workers, messages=messages)
-                _fly(missing, by_group, store, flights, workers=workers, messages=messages)
+                    with store.alone():
+                        estimated = _study(plan, data, workers=workers, messages=messages)
+                with CampaignDisplay(messages, campaign(plan), total=len(missing), kept=0) as display:
+                    run(
+                        campaign(plan), out=data, runs=missing, workers=workers, retry=retry,
+                        progress=display.on_landed, note=display.note, flying=FLYING,
+                    )  # fmt: skip
         except KeyboardInterrupt:
             messages.print("interrupted: the same command continues from here")
             raise typer.Exit(INTERRUPTED) from None
         except (CampaignError, kernel_cache.CompileError) as error:
             messages.print(f"experiment_codesign: {error}")
             raise typer.Exit(BAD_INPUT) from None
-        sources_state.cache_clear()
-        changed = sources_state() != state
+        flights |= known(missing, store)
+        changed = present_state(FLYING.measured_by) != began_with
         if changed:
             messages.print("the sources changed during the run: its flights cannot be assigned to one state")
     book = Book(plan=plan, flights=flights)
@@ -119,56 +114,19 @@ def codesign(
     if estimated is not None:
         sections.insert(0, estimated)
     if out is not None:
-        write_csv(out, [case for cases in by_group.values() for case in cases], book)
+        write_csv(out, cases, book)
     page = Page(
         file_name="codesign-results.md",
         title="Co-design: results",
-        introduction=introduction(book, tasks, made_by=made_by, changed=changed),
+        introduction=introduction(book, runs, made_by=made_by, changed=changed),
     )
     report_and_exit(sections, page=page, out=out, json=json, stdout=stdout, px4=False)
 
 
-def _fly(
-    missing: Sequence[CodesignTask],
-    by_group: dict[str, tuple[CodesignCase, ...]],
-    store: CodesignStore,
-    flights: dict[tuple[str, int], CodesignFlown],
-    *,
-    workers: int,
-    messages: Console,
-) -> None:
-    """Fly the missing tasks and add them to ``flights``; a case in several groups counts in the first."""
-    from studies.codesign.flights import fly_task  # noqa: PLC0415  numba reads its cache folder at import
-
-    shutil.rmtree(store.folder / FLYING, ignore_errors=True)  # of campaigns that were killed
-    group_of: dict[str, str] = {}
-    for group, cases in by_group.items():
-        for case in cases:
-            group_of.setdefault(case.name, group)
-    total = dict.fromkeys(group_of.values(), 0)
-    done = dict(total)
-    for task in missing:
-        total[group_of[task.case]] += 1
-    with progress_lines(messages) as (note, message):
-        for group in total:
-            if total[group]:
-                note(group, 0, total[group])
-
-        def landed(flown: CodesignFlown) -> None:
-            flights[flown.case, flown.seed] = flown
-            group = group_of[flown.case]
-            done[group] += 1
-            note(group, done[group], total[group])
-            if flown.broken is not None:
-                message(f"{flown.case}, seed {flown.seed}: {flown.broken}")
-
-        fly_tasks(missing, store, fly_task, workers=workers, done=landed)
-
-
 def _study(plan: CodesignPlan, data: Path, *, workers: int, messages: Console) -> Section:
     """Run the studies of `estimator_section`."""
-    from studies.codesign.estimator_section import judge_estimator, studies  # noqa: PLC0415  as in `_fly`
+    from studies.codesign.estimator_section import judge_estimator, studies  # noqa: PLC0415  numba reads its cache folder at import
 
-    with progress_lines(messages) as (note, _):
+    with progress_lines(messages) as note:
         results = studies(plan, data, workers=workers, done=lambda done, total: note(ESTIMATOR, done, total))
     return judge_estimator(results)

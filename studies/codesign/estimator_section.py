@@ -11,9 +11,10 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
+from harness.campaign.store import Flown, Store
 from studies.codesign.batch import RANGE_WINDOW_US
 from studies.codesign.cases import CodesignPlan, wind_agents
-from studies.codesign.results import START_METHOD, sources_state
+from studies.codesign.results import state
 from studies.codesign.simulated import Trouble
 from studies.codesign.study import LocalisationResult, localisation_study
 from studies.common.report import PASSED, Check, ReportTable, Section
@@ -21,6 +22,8 @@ from studies.common.report import PASSED, Check, ReportTable, Section
 OVER_BOUND_MOST = 1.5
 """Relative position error over the Cramer-Rao bound at the article's geometry"""
 RUNS_PER_SEED, RUNS_LEAST = 10, 100
+START_METHOD = "spawn"
+"""No fork: this process may have threads, and a worker must start like a new program."""
 _SEED = 5
 _STUDIED = ("study.py", "simulated.py", "bounds.py", "batch.py")
 
@@ -43,15 +46,6 @@ SETTINGS = (
     Setting(agents=4, loss=0.0, scheduled=False, batch=False),
     Setting(agents=16, loss=0.0, scheduled=False, batch=False),
 )
-
-
-class Studied(Struct, frozen=True, kw_only=True):
-    """Finished study."""
-
-    setting: Setting
-    digest: str
-    """Hash of the sources and of all arguments"""
-    result: LocalisationResult
 
 
 def study(setting: Setting, runs: int) -> LocalisationResult:
@@ -77,16 +71,13 @@ def studies(
 
     ``done`` is called with the number of finished studies and their total. Returns all studies.
     """
-    runs, state, path = RUNS_PER_SEED * plan.seeds, _state(), data / "studies.jsonl"
-    digests = {setting: _digest(state, _arguments(setting, runs)) for setting in SETTINGS}
-    found: dict[Setting, LocalisationResult] = {}
-    for line in path.read_bytes().splitlines() if path.exists() else ():
-        try:
-            studied = msgspec.json.decode(line, type=Studied)
-        except msgspec.DecodeError:
-            continue
-        if digests.get(studied.setting) == studied.digest:
-            found[studied.setting] = studied.result
+    runs, sources, store = RUNS_PER_SEED * plan.seeds, _state(), Store(data)
+    digests = {setting: _digest(sources, _arguments(setting, runs)) for setting in SETTINGS}
+    found = {
+        setting: msgspec.convert(stored.summary, LocalisationResult)
+        for setting in SETTINGS
+        if (stored := store.get(digests[setting])) is not None
+    }
     missing = [setting for setting in SETTINGS if setting not in found]
     done(len(found), len(SETTINGS))
     if not missing:
@@ -94,11 +85,10 @@ def studies(
     with ProcessPoolExecutor(workers, mp_context=get_context(START_METHOD)) as pool:
         waiting = {pool.submit(study, setting, runs): setting for setting in missing}
         for future in as_completed(waiting):
-            setting = waiting[future]
-            found[setting] = future.result()
-            studied = Studied(setting=setting, digest=digests[setting], result=found[setting])
-            with path.open("ab") as file:
-                file.write(msgspec.json.encode(studied) + b"\n")
+            setting, result = waiting[future], future.result()
+            found[setting] = result
+            summary = msgspec.to_builtins(result)
+            store.put(Flown(digest=digests[setting], status="completed", summary=summary, state=sources), {})
             done(len(found), len(SETTINGS))
     return found
 
@@ -163,7 +153,7 @@ def _verdict(result: LocalisationResult) -> str:
 
 
 def _state() -> str:
-    content = hashlib.sha256(sources_state().encode())
+    content = hashlib.sha256(state().encode())
     for name in _STUDIED:
         content.update((Path(__file__).parent / name).read_bytes())
     return content.hexdigest()[:16]

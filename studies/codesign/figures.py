@@ -11,15 +11,14 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
 from antenna.analysis.statistics import gain_density
 from harness.records.flight import Array
 from studies.codesign.statistics import Interval
+from studies.common.figures import new_figure, save
 
-DPI = 130
-GPS, FTM, OTHER, FOURTH = "#D55E00", "#0072B2", "#009E73", "#CC79A7"
+GPS, FTM, OTHER = "#D55E00", "#0072B2", "#009E73"
 """Palette of Okabe and Ito, suitable for colour vision deficiency"""
 COLOURS = {"gps": GPS, "ftm": FTM}
 LABELS = {"gps": "GPS alone", "ftm": "with FTM"}
@@ -30,7 +29,7 @@ def save_wind(
     path: Path, winds_n: Sequence[float], shape_m: Mapping[int, Mapping[str, Sequence[Interval]]]
 ) -> None:
     """Plot shape error against wind, a panel for each number of vehicles, by localisation."""
-    figure = Figure(figsize=(9.0, 3.8), layout="constrained")
+    figure = new_figure(9.0, 3.8)
     panels = figure.subplots(1, len(shape_m), sharey=True, squeeze=False)[0]
     for axes, (agents, by_localisation) in zip(panels, shape_m.items(), strict=True):
         for localisation, intervals in by_localisation.items():
@@ -38,10 +37,9 @@ def save_wind(
         _logarithmic(axes)
         axes.set(title=f"{agents} UAVs", xlabel="Mean wind force (N)")
         axes.set_xticks(list(winds_n))
-        _finish(axes)
     panels[0].set_ylabel("Horizontal shape error, rms (m)")
     _legend(panels[0], fontsize="small")
-    figure.savefig(path, dpi=DPI)
+    save(figure, path, margin=0.05)
 
 
 def save_agents(
@@ -51,7 +49,7 @@ def save_agents(
     busy: Mapping[str, Sequence[Interval]],
 ) -> None:
     """Plot shape error and channel occupancy against the number of vehicles, by localisation."""
-    figure = Figure(figsize=(9.0, 3.8), layout="constrained")
+    figure = new_figure(9.0, 3.8)
     left, right = figure.subplots(1, 2)
     for localisation in shape_m:
         colour, label = COLOURS[localisation], LABELS[localisation]
@@ -65,13 +63,12 @@ def save_agents(
         axes.set_xlabel("UAVs")
         axes.set_xticks(list(agents))
         _legend(axes, fontsize="small")
-        _finish(axes)
-    figure.savefig(path, dpi=DPI)
+    save(figure, path, margin=0.05)
 
 
 def save_beacons(path: Path, periods_ms: Sequence[float], parts_m: Mapping[str, Sequence[Interval]]) -> None:
     """Plot shape error and its parts against the beacon period."""
-    figure = Figure(figsize=(7.0, 4.0), layout="constrained")
+    figure = new_figure(7.0, 4.0)
     axes = figure.subplots()
     for i, (name, intervals) in enumerate(parts_m.items()):
         _draw(axes, periods_ms, intervals, (FTM, OTHER, GPS)[i], name, marker=_MARKERS[i])
@@ -81,8 +78,7 @@ def save_beacons(path: Path, periods_ms: Sequence[float], parts_m: Mapping[str, 
     axes.set(xlabel="Beacon period (ms)", ylabel="Horizontal rms after alignment (m)")
     axes.set_ylim(bottom=0.0)
     _legend(axes, fontsize="small")
-    _finish(axes)
-    figure.savefig(path, dpi=DPI)
+    save(figure, path, margin=0.05)
 
 
 def save_ranging(path: Path, points: Mapping[str, Sequence[tuple[str, Interval, Interval]]]) -> None:
@@ -90,7 +86,7 @@ def save_ranging(path: Path, points: Mapping[str, Sequence[tuple[str, Interval, 
 
     A policy has one marker in all series, and a series one colour.
     """
-    figure = Figure(figsize=(8.6, 4.4), layout="constrained")
+    figure = new_figure(8.6, 4.4)
     axes = figure.subplots()
     names = dict.fromkeys(name for entries in points.values() for name, _, _ in entries)
     marker_of = dict(zip(names, itertools.cycle(_MARKERS), strict=False))
@@ -108,10 +104,9 @@ def save_ranging(path: Path, points: Mapping[str, Sequence[tuple[str, Interval, 
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set(xlabel="Channel busy (%)", ylabel="Horizontal shape error, rms (m)")
     axes.set_ylim(bottom=0.0)
-    _finish(axes)
     if axes.get_legend_handles_labels()[0]:
         figure.legend(loc="outside right center", fontsize="small")
-    figure.savefig(path, dpi=DPI)
+    save(figure, path, margin=0.05)
 
 
 def save_gains(
@@ -121,7 +116,7 @@ def save_gains(
 
     By localisation and wind.
     """
-    figure = Figure(figsize=(9.6, 4.0), layout="constrained")
+    figure = new_figure(9.6, 4.0)
     panels = figure.subplots(1, len(gains_dbi), sharex=True, squeeze=False)[0]
     for axes, (wavelength_m, series) in zip(panels, gains_dbi.items(), strict=True):
         for (localisation, wind_n), values_dbi in series.items():
@@ -143,16 +138,15 @@ def save_gains(
         axes.set(title=f"λ = {wavelength_m:g} m", xlabel="Maximum gain (dBi)")
         axes.set_ylim(bottom=0.0)
         _legend(axes, fontsize="x-small", loc="upper left")
-        _finish(axes)
     panels[0].set_ylabel("Probability density (1/dB)")
-    figure.savefig(path, dpi=DPI)
+    save(figure, path, margin=0.05)
 
 
 def save_cut(
     path: Path, time_s: Array, shape_m: Array, *, cut_at_s: float, cut_s: float, usual_m: float
 ) -> None:
     """Plot shape error over time (seeds, T) through a channel outage: mean, band of all flights."""
-    figure = Figure(figsize=(8.0, 3.8), layout="constrained")
+    figure = new_figure(8.0, 3.8)
     axes = figure.subplots()
     axes.axvspan(cut_at_s, cut_at_s + cut_s, color="0.85", label="no channel")
     if len(shape_m):
@@ -168,8 +162,7 @@ def save_cut(
     axes.set(xlabel="Time in formation (s)", ylabel="Horizontal shape error (m)")
     axes.set_ylim(0.0, 1.4 * float(shape_m.max(initial=0.1)))  # leaves space for the legend
     _legend(axes, fontsize="small", loc="upper left", ncols=2)
-    _finish(axes)
-    figure.savefig(path, dpi=DPI)
+    save(figure, path, margin=0.05)
 
 
 def _draw(
@@ -210,8 +203,3 @@ def _logarithmic(axes: Axes) -> None:
 def _legend(axes: Axes, **options: Any) -> None:  # noqa: ANN401  options of matplotlib
     if axes.get_legend_handles_labels()[0]:
         axes.legend(**options)
-
-
-def _finish(axes: Axes) -> None:
-    axes.grid(alpha=0.3)
-    axes.margins(x=0.05)

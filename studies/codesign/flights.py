@@ -1,47 +1,31 @@
-"""Fly and measure one flight of the experiment in this process, without leaving files."""
+"""Fly and measure one flight of the experiment in this process: see `harness.campaign.task.Flying`."""
 
-import shutil
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
-from harness.launch.one_process import OneProcessSwarm
-from harness.launch.processes import SwarmError
-from harness.launch.swarm import SwarmTimeoutError
+import msgspec
+
+from harness.launch import one_process
 from harness.records.run_folder import RunFolder
+from harness.scenario.scenario import Scenario
+from harness.world.faults import AnyFault
 from studies.codesign.measures import measure, read_tables
-from studies.codesign.results import CodesignFlown, CodesignTask, broken
 
 
-def fly_task(task: CodesignTask) -> CodesignFlown:
-    """Fly a task; errors are reported in the result. A formation that is not reached is a valid result."""
-    folder = Path(task.folder)
-    shutil.rmtree(folder, ignore_errors=True)  # left by a killed campaign
-    try:
-        return _fly(task, folder)
-    except Exception as error:  # noqa: BLE001  a failed flight must not end the campaign
-        return broken(task, f"{type(error).__name__}: {error}".splitlines()[0])
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+def fly(scenario: Scenario, folder: Path, *, faults: Iterable[AnyFault], gains: bool) -> dict[str, Any]:
+    """Fly with faults that are injected in formation; return the summary with only the flight's measures.
 
-
-def _fly(task: CodesignTask, folder: Path) -> CodesignFlown:
-    run = task.scenario.run
-    with OneProcessSwarm(task.scenario, out=folder) as swarm:
-        try:
-            swarm.run_until_formed(timeout_s=run.reach_timeout_s)
-            for fault in task.faults:
-                swarm.inject(fault)
-            swarm.run_for(run.duration_s)
-        except SwarmTimeoutError:
-            pass
-        summary = swarm.summary(draw=False)
-    if summary["status"] == "failed":
-        raise SwarmError(summary["reason"])
+    A formation that is not reached is a valid result. Raises as `one_process.fly`.
+    """
+    summary = one_process.fly(scenario, folder, faults_in_formation=faults)
     formed_s = summary["formed_s"]
     measures = measure(
-        read_tables(RunFolder(folder), task.scenario.agents),
-        task.scenario,
+        read_tables(RunFolder(folder), scenario),
+        scenario,
         formed_us=None if formed_s is None else round(formed_s * 1e6),
         wall_s=summary["wall_s"],
-        gains=task.gains,
+        gains=gains,
     )
-    return CodesignFlown(case=task.case, seed=task.seed, digest=task.digest, measures=measures)
+    kept = {name: summary[name] for name in ("scenario", "seed", "status", "reason")}
+    return kept | {"measures": msgspec.to_builtins(measures)}

@@ -4,9 +4,9 @@ import textwrap
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
+from harness.campaign.definition import Run
 from studies.codesign.book import Book
 from studies.codesign.cases import ARTICLE, QUICK, CodesignPlan
-from studies.codesign.results import CodesignTask
 
 _WIDTH = 110
 _MEANING = (
@@ -29,18 +29,18 @@ def command(plan: CodesignPlan, only: Sequence[str] = (), *, quick: bool = False
     return " ".join(["python scripts/experiment_codesign.py", *(text for text, holds in options if holds)])
 
 
-def introduction(book: Book, tasks: Sequence[CodesignTask], *, made_by: str, changed: bool = False) -> str:
+def introduction(book: Book, runs: Sequence[Run], *, made_by: str, changed: bool = False) -> str:
     """Return the introduction of the page, with the flights that its numbers are based on.
 
     Args:
         book: the flights.
-        tasks: the flights that the page requires, with the current sources.
+        runs: the flights that the page requires, with the current sources.
         made_by: the command, without its output folder.
         changed: whether the sources changed during the run.
 
     """
-    if tasks:
-        sentences = [_flown(book, tasks), _sources(book, tasks)]
+    if runs:
+        sentences = [_flown(book, runs), _sources(book, runs)]
     else:
         sentences = ["from simulated measurements, without a flight. The same sources give the same numbers."]
     if changed:
@@ -54,9 +54,9 @@ def introduction(book: Book, tasks: Sequence[CodesignTask], *, made_by: str, cha
     return "\n".join(lines) + "\n"
 
 
-def _flown(book: Book, tasks: Sequence[CodesignTask]) -> str:
+def _flown(book: Book, runs: Sequence[Run]) -> str:
     """Return the sentence with the number of flights and cases that have results, and their duration."""
-    required = {(task.case, task.seed): task for task in tasks}
+    required = {(run.case, run.seed): run for run in runs}
     flown = {key: each.measures for key, each in book.flights.items() if key in required and each.measures}
     per_case = Counter(case for case, _ in flown)
     without = len({case for case, _ in required}) - len(per_case)
@@ -74,9 +74,9 @@ def _flown(book: Book, tasks: Sequence[CodesignTask]) -> str:
     )
 
 
-def _sources(book: Book, tasks: Sequence[CodesignTask]) -> str:
+def _sources(book: Book, runs: Sequence[Run]) -> str:
     """Return the sentence on reproducibility: whether all flights are of the current sources."""
-    required = {(task.case, task.seed): task.digest for task in tasks}
+    required = {(run.case, run.seed): run.digest for run in runs}
     flown = {key: each for key, each in book.flights.items() if key in required}
     stale = sum(each.digest != required[key] for key, each in flown.items())
     if stale:

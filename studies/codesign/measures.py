@@ -3,9 +3,8 @@
 The formation of these flights does not move, so the desired places are those of the scenario.
 """
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import msgspec
@@ -18,6 +17,7 @@ from antenna.model.config import AntennaConfig
 from harness.launch.processes import RADIO
 from harness.records.flight import Array, Flight
 from harness.records.run_folder import RunFolder
+from harness.records.tables import read_flight
 from harness.report.flown_array import gain_series
 from harness.report.formation_error import formation_error
 from harness.scenario.scenario import Scenario
@@ -96,16 +96,7 @@ class Measures(Struct, frozen=True, kw_only=True):
 class FlightTables:
     """Tables of a run: T instants of N vehicles, in the site's NED frame."""
 
-    time_us: NDArray[np.int64]
-    """(T,)"""
-    alive: NDArray[np.bool_]
-    """(T, N)"""
-    pos_ned_m: Array
-    """(T, N, 3)"""
-    q_ned_frd: Array
-    """(T, N, 4)"""
-    own_pos_ned_m: Array
-    """(T, N, 3) position estimated by the application; NaN if unknown"""
+    flown: Flight
     air_us: NDArray[np.int64]
     """(K,)"""
     busy_ns: NDArray[np.int64]
@@ -124,33 +115,14 @@ class FlightTables:
     beacons_lost: int
     """Received beacons that a host lost"""
 
-    def flight(
-        self, places_ned_m: Array, pos_ned_m: Array | None = None, *, heading_rad: float = 0.0
-    ) -> Flight:
-        """Return the positions, by default the true ones, with places (N, 3) or (T, N, 3) as desired ones."""
-        pos_ned_m = self.pos_ned_m if pos_ned_m is None else pos_ned_m
-        known = np.asarray(np.isfinite(pos_ned_m).all(axis=-1), dtype=np.bool_)
-        return Flight(
-            time_us=self.time_us,
-            pos_ned_m=np.where(known[..., None], pos_ned_m, 0.0),
-            q_ned_frd=self.q_ned_frd,
-            desired_pos_ned_m=np.broadcast_to(places_ned_m, pos_ned_m.shape),
-            heading_rad=np.full(len(self.time_us), heading_rad),
-            alive=self.alive & known,
-            believed_pos_ned_m=self.own_pos_ned_m,
-        )
-
     def rows(self, begin_us: int, end_us: int) -> "FlightTables":
         """Return the instants and events in [begin_us, end_us]; the beacon counts are not restricted."""
-        at = (self.time_us >= begin_us) & (self.time_us <= end_us)
+        time_us = self.flown.time_us
         air = (self.air_us >= begin_us) & (self.air_us <= end_us)
         sessions = (self.session_us > begin_us) & (self.session_us <= end_us)
-        return FlightTables(
-            time_us=self.time_us[at],
-            alive=self.alive[at],
-            pos_ned_m=self.pos_ned_m[at],
-            q_ned_frd=self.q_ned_frd[at],
-            own_pos_ned_m=self.own_pos_ned_m[at],
+        return replace(
+            self,
+            flown=self.flown.at(np.flatnonzero((time_us >= begin_us) & (time_us <= end_us))),
             air_us=self.air_us[air],
             busy_ns=self.busy_ns[air],
             session_us=self.session_us[sessions],
@@ -158,37 +130,22 @@ class FlightTables:
             session_by=self.session_by[sessions],
             session_error_m=self.session_error_m[sessions],
             collisions_us=tuple(time_us for time_us in self.collisions_us if begin_us <= time_us <= end_us),
-            beacons_received=self.beacons_received,
-            beacons_lost=self.beacons_lost,
         )
 
     @property
     def in_the_air(self) -> NDArray[np.bool_]:
         """(T, N) whether the vehicle is airborne."""
-        return self.alive & (self.pos_ned_m[..., 2] < -FLOWN_HEIGHT_M)
+        return self.flown.alive & (self.flown.pos_ned_m[..., 2] < -FLOWN_HEIGHT_M)
 
 
-def read_tables(folder: RunFolder, vehicles: int) -> FlightTables:
+def read_tables(folder: RunFolder, scenario: Scenario) -> FlightTables:
     """Read the tables of a run."""
-    vectors = {"pos_ned_m": "ned", "q_ned_frd": "wxyz", "onboard_pos_ned_m": "ned"}
-    names = [f"{name}.{label}" for name, labels in vectors.items() for label in labels]
-    flight = _columns(folder.flight, ["time_us", "alive", *names])
     air = _columns(folder.air, ["time_us", "busy_ns"])
     sessions = _columns(folder.ftm, ["measured_ns", "status", "initiator", "distance_m", "true_distance_m"])
-    stacked = {
-        name: np.stack([flight[f"{name}.{label}"] for label in labels], axis=-1).reshape(
-            -1, vehicles, len(labels)
-        )
-        for name, labels in vectors.items()
-    }
     received, lost = _beacons(folder)
     events = [msgspec.json.decode(line) for line in folder.events.read_bytes().splitlines() if line]
     return FlightTables(
-        time_us=flight["time_us"][::vehicles].astype(np.int64),
-        alive=flight["alive"].astype(np.bool_).reshape(-1, vehicles),
-        pos_ned_m=stacked["pos_ned_m"],
-        q_ned_frd=stacked["q_ned_frd"],
-        own_pos_ned_m=stacked["onboard_pos_ned_m"],
+        flown=read_flight(folder, scenario),
         air_us=air["time_us"].astype(np.int64),
         busy_ns=air["busy_ns"].astype(np.int64),
         session_us=sessions["measured_ns"].astype(np.int64) // _NS_PER_US,
@@ -221,7 +178,7 @@ def measure(
     tables: FlightTables, scenario: Scenario, *, formed_us: int | None, wall_s: float, gains: bool
 ) -> Measures:
     """Return the measures of a run."""
-    end_us = int(tables.time_us[-1]) if len(tables.time_us) else 0
+    end_us = int(tables.flown.time_us[-1]) if len(tables.flown.time_us) else 0
     first_us = min(tables.collisions_us, default=None)
     numbers: dict[str, Any] = {
         "formed_s": None if formed_us is None else formed_us / 1e6,
@@ -230,7 +187,7 @@ def measure(
         "real_time_factor": end_us / 1e6 / wall_s if wall_s else None,
         "collisions": len(tables.collisions_us),
         "first_collision_s": None if first_us is None else first_us / 1e6,
-        "down": int((~tables.in_the_air[-1]).sum()) if len(tables.time_us) else scenario.agents,
+        "down": int((~tables.in_the_air[-1]).sum()) if len(tables.flown.time_us) else scenario.agents,
         "least_distance_m": _least_distance_m(tables),
         "beacons_lost_fraction": (
             tables.beacons_lost / tables.beacons_received if tables.beacons_received else None
@@ -238,29 +195,32 @@ def measure(
     }
     if formed_us is None:
         return Measures(**numbers)
-    places_ned_m = scenario.places_ned_m()
     whole = tables.rows(formed_us, end_us)
     numbers |= _over_the_air(whole, scenario.agents)
     numbers["least_distance_formed_m"] = _least_distance_m(whole)
-    numbers["shape_whole_m"] = formation_error(whole.flight(places_ned_m)).shape.horizontal_rms_m
-    numbers["track_mm"] = _track_mm(whole.flight(places_ned_m))
-    fallen_us = whole.time_us[~whole.in_the_air.all(axis=1)][:1].tolist()
+    numbers["shape_whole_m"] = formation_error(whole.flown).shape.horizontal_rms_m
+    numbers["track_mm"] = _track_mm(whole.flown)
+    fallen_us = whole.flown.time_us[~whole.in_the_air.all(axis=1)][:1].tolist()
     sound = whole.rows(formed_us, min((*whole.collisions_us, *fallen_us), default=end_us + 1) - 1)
-    if len(sound.time_us):
-        numbers |= _errors(sound, places_ned_m)
+    if len(sound.flown):
+        numbers |= _errors(sound.flown)
         if gains:
-            numbers["gain_dbi"] = _gains(sound, scenario)
+            numbers["gain_dbi"] = _gains(sound.flown, scenario.antenna)
     return Measures(**numbers)
 
 
-def _errors(tables: FlightTables, places_ned_m: Array) -> dict[str, float | None]:
-    flown = tables.flight(places_ned_m)
+def _errors(flown: Flight) -> dict[str, float | None]:
     error = formation_error(flown)
     vertical_m = np.where(flown.alive, flown.pos_ned_m[..., 2] - flown.desired_pos_ned_m[..., 2], np.nan)
     living = flown.alive.any(axis=1)
     deviation_m = vertical_m[living] - np.nanmean(vertical_m[living], axis=1, keepdims=True)
-    believed = tables.flight(places_ned_m, tables.own_pos_ned_m)
-    estimated = tables.flight(tables.pos_ned_m, tables.own_pos_ned_m)
+    own_pos_ned_m = flown.believed_pos_ned_m
+    assert own_pos_ned_m is not None  # noqa: S101  recorded in every run
+    known = np.asarray(np.isfinite(own_pos_ned_m).all(axis=-1), dtype=np.bool_)
+    believed = replace(
+        flown, pos_ned_m=np.where(known[..., None], own_pos_ned_m, 0.0), alive=flown.alive & known
+    )
+    estimated = replace(believed, desired_pos_ned_m=flown.pos_ned_m)
     return {
         "shape_m": error.shape.horizontal_rms_m,
         "absolute_m": error.absolute.horizontal_rms_m,
@@ -271,12 +231,12 @@ def _errors(tables: FlightTables, places_ned_m: Array) -> dict[str, float | None
 
 
 def _over_the_air(tables: FlightTables, vehicles: int) -> dict[str, Any]:
-    span_us = int(tables.time_us[-1] - tables.time_us[0]) if len(tables.time_us) else 0
+    span_us = int(tables.flown.time_us[-1] - tables.flown.time_us[0]) if len(tables.flown.time_us) else 0
     air_us = int(tables.air_us[-1] - tables.air_us[0]) if len(tables.air_us) else 0
     busy_ns = int(tables.busy_ns[-1] - tables.busy_ns[0]) if len(tables.air_us) else 0
     sessions = len(tables.session_us)
     ranged_us = np.sort(tables.session_us[tables.session_ok])
-    ends_us = tables.time_us[[0, -1]] if span_us else ranged_us[:0]
+    ends_us = tables.flown.time_us[[0, -1]] if span_us else ranged_us[:0]
     gaps_us = np.diff(np.concatenate((ends_us[:1], ranged_us, ends_us[1:])))
     own_m = [tables.session_error_m[tables.session_ok & (tables.session_by == i)] for i in range(vehicles)]
     return {
@@ -290,10 +250,10 @@ def _over_the_air(tables: FlightTables, vehicles: int) -> dict[str, Any]:
 
 def _least_distance_m(tables: FlightTables) -> float | None:
     """Return the least distance over all pairs and instants with both airborne; None without any."""
-    in_the_air, least_m = tables.in_the_air, np.inf
+    in_the_air, pos_ned_m, least_m = tables.in_the_air, tables.flown.pos_ned_m, np.inf
     for i in range(in_the_air.shape[1] - 1):
         both = in_the_air[:, i + 1 :] & in_the_air[:, i : i + 1]
-        distance_m = np.linalg.norm(tables.pos_ned_m[:, i + 1 :] - tables.pos_ned_m[:, i : i + 1], axis=-1)
+        distance_m = np.linalg.norm(pos_ned_m[:, i + 1 :] - pos_ned_m[:, i : i + 1], axis=-1)
         least_m = min(least_m, float(np.min(distance_m, where=both, initial=np.inf)))
     return least_m if np.isfinite(least_m) else None
 
@@ -305,9 +265,6 @@ def _track_mm(flight: Flight) -> tuple[tuple[int, ...], ...]:
     return tuple(map(tuple, rows))
 
 
-def _gains(tables: FlightTables, scenario: Scenario) -> tuple[float, ...]:
-    heading_rad = math.radians(scenario.formation.heading_deg)
-    flight = tables.flight(scenario.places_ned_m(), heading_rad=heading_rad)
-    antenna: AntennaConfig = msgspec.structs.replace(scenario.antenna, snapshot_rate_hz=GAIN_RATE_HZ)
-    series = gain_series(flight, antenna)
+def _gains(flown: Flight, antenna: AntennaConfig) -> tuple[float, ...]:
+    series = gain_series(flown, msgspec.structs.replace(antenna, snapshot_rate_hz=GAIN_RATE_HZ))
     return tuple(round(float(gain_dbi), 4) for gain_dbi in series.max_gain_dbi)

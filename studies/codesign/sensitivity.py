@@ -1,16 +1,15 @@
 """Expected gain of the array for a position error, from a table in studies/reference; see its README."""
 
-import csv
 import math
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from msgspec import Struct
 from scipy.interpolate import PchipInterpolator
 
-SENSITIVITY = Path(__file__).parents[2] / "studies" / "reference" / "antenna_sensitivity.csv"
+from studies.antenna.sensitivity import reference_rows
+
 IDEAL_DBI = 13.26
 """Gain of the ideal array with short dipoles by NEC2, at any wavelength"""
 
@@ -24,13 +23,7 @@ class Expected(Struct, frozen=True):
 
 @cache
 def _curves() -> tuple[Any, Any, float]:
-    with SENSITIVITY.open(encoding="utf-8", newline="") as file:
-        rows = {
-            float(row["sigma_m"]) / float(row["wavelength_m"]): (
-                float(row["mean_max_gain_dbi"]), float(row["std_db"]),
-            )
-            for row in csv.DictReader(file)
-        }  # fmt: skip
+    rows = {row.sigma_m / row.wavelength_m: (row.mean_max_gain_dbi, row.std_db) for row in reference_rows()}
     sigmas, values = zip((0.0, (IDEAL_DBI, 0.0)), *sorted(rows.items()), strict=True)
     means, stds = np.array(values).T
     return PchipInterpolator(sigmas, means), PchipInterpolator(sigmas, stds), sigmas[-1]

@@ -118,13 +118,12 @@ class SimulatedFlight:
         }
         return sorted(fixes), [distances[key] for key in sorted(distances)]
 
-    def filtered(self, *, until_us: int | None = None) -> CooperativeLocalisation:
-        """Return the UAV's filter after all messages received until ``until_us``, propagated to that time."""
+    def filtered(self) -> CooperativeLocalisation:
+        """Return the UAV's filter after all messages, propagated to the end of the flight."""
         filter_ = CooperativeLocalisation(own=self.own, places_ned_m=self.places_ned_m, model=self.model)
-        last_us = self.end_us if until_us is None else until_us
-        for _ in self.steps(filter_, until_us=last_us):
+        for _ in self.steps(filter_, until_us=self.end_us):
             pass
-        filter_.advance(last_us)
+        filter_.advance(self.end_us)
         return filter_
 
     def steps(self, filter_: CooperativeLocalisation, *, until_us: int) -> Iterator[int]:

@@ -5,8 +5,7 @@ import math
 import numpy as np
 from msgspec import Struct
 
-from harness.records.flight import Array, Flight
-from harness.report.formation_error import formation_error
+from harness.records.flight import Array
 from studies.codesign.measures import TRACK_PERIOD_S
 
 SMOOTHED_S = 1.0
@@ -63,16 +62,16 @@ def shape_errors_ne_m(track_ne_m: Array, places_ned_m: Array) -> Array:
 
 
 def _aligned(track_ne_m: Array, places_ned_m: Array) -> tuple[Array, Array]:
-    """Return the errors of `shape_errors_ne_m` and the removed rotations (T,) as unit complex numbers."""
-    pos_ned_m = np.broadcast_to(places_ned_m, (len(track_ne_m), *places_ned_m.shape)).copy()
-    pos_ned_m[..., :2] += track_ne_m
-    error = formation_error(_flight(pos_ned_m, places_ned_m))
-    turn = np.exp(1j * error.yaw_rad)
-    flown = (pos_ned_m[..., 0] + 1j * pos_ned_m[..., 1]) - (pos_ned_m[..., 0] + 1j * pos_ned_m[..., 1]).mean(
-        axis=1, keepdims=True
-    )
-    desired = places_ned_m[:, 0] + 1j * places_ned_m[:, 1]
-    left = flown * turn[:, None].conj() - (desired - desired.mean())
+    """Return the errors of `shape_errors_ne_m` and the removed rotations (T,) as unit complex numbers.
+
+    The best rotation of `harness.report.formation_error`, with north + j east as complex numbers.
+    """
+    places = places_ned_m[:, 0] + 1j * places_ned_m[:, 1]
+    flown = places + track_ne_m[..., 0] + 1j * track_ne_m[..., 1]
+    flown -= flown.mean(axis=1, keepdims=True)
+    desired = places - places.mean()
+    turn = np.exp(1j * np.angle((desired.conj() * flown).sum(axis=1)))
+    left = flown * turn[:, None].conj() - desired
     return np.stack((left.real, left.imag), axis=-1), turn
 
 
@@ -138,18 +137,6 @@ def judge_liar(
         shift_m=largest(moved_ne_m.mean(axis=1)),
         turn_deg=largest(turned_deg[:, None]),
         moved_m=largest(moved_ne_m),
-    )
-
-
-def _flight(pos_ned_m: Array, places_ned_m: Array) -> Flight:
-    instants, vehicles = pos_ned_m.shape[:2]
-    return Flight(
-        time_us=np.arange(instants, dtype=np.int64),
-        pos_ned_m=pos_ned_m,
-        q_ned_frd=np.broadcast_to(np.array((1.0, 0.0, 0.0, 0.0)), (instants, vehicles, 4)),
-        desired_pos_ned_m=np.broadcast_to(places_ned_m, pos_ned_m.shape),
-        heading_rad=np.zeros(instants),
-        alive=np.ones((instants, vehicles), dtype=np.bool_),
     )
 
 

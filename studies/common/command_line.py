@@ -38,13 +38,10 @@ def chosen(program: str, only: str, names: Iterable[str], messages: Console) -> 
 
 
 @contextlib.contextmanager
-def progress_lines(
-    messages: Console,
-) -> Iterator[tuple[Callable[[str, int, int], None], Callable[[str], None]]]:
+def progress_lines(messages: Console) -> Iterator[Callable[[str, int, int], None]]:
     """Show a progress bar for each name; without a terminal, print a line when a name is complete.
 
-    Yields two functions: the first takes a name, the number of its finished jobs and their total; the second
-    prints a permanent line.
+    Yields a function that takes a name, the number of its finished jobs and their total.
     """
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=messages) as progress:
@@ -57,14 +54,14 @@ def progress_lines(
             if done == total and not messages.is_terminal:
                 progress.console.print(f"{name}: {total} done")
 
-        yield note, lambda line: progress.console.print(line, markup=False)
+        yield note
 
 
 def run_with_progress(
     plan: P, subjects: Mapping[str, Subject[P]], *, out: Path | None, messages: Console
 ) -> list[Section]:
     """Run all subjects with a progress line for each; figures are written to ``images`` in ``out``."""
-    with progress_lines(messages) as (note, _):
+    with progress_lines(messages) as note:
         images = None if out is None else figures_folder(out)
         return run_subjects(plan, subjects, images=images, progress=note)
 

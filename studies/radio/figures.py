@@ -6,20 +6,19 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from studies.common.figures import new_figure, save
 from studies.radio.peers import Broadcasts, ErrorCurve, Saturated
 from studies.radio.statistics import Mean, Mesh
 
-DPI = 130
 LEAST_PER = 1e-4
 RANGING_TICKS_M = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 
 
 def save_saturation(path: Path, rows: Sequence[tuple[str, Saturated, Mean]]) -> None:
     """Plot throughput over the number of stations: (``ns3`` or ``bianchi``, reference, ours)."""
-    figure = Figure(figsize=(10.0, 4.4), layout="constrained")
+    figure = new_figure(10.0, 4.4)
     left, right = figure.subplots(1, 2)
     for axes, reference, title in (
         (left, "ns3", "1000 B of UDP; crosses: ns-3 3.37"),
@@ -38,9 +37,8 @@ def save_saturation(path: Path, rows: Sequence[tuple[str, Saturated, Mean]]) -> 
         axes.set(xlabel="Saturated stations", title=title)
         axes.set_ylim(bottom=0.0)
         axes.legend(fontsize="small")
-        _finish(axes)
     left.set_ylabel("Throughput (Mbit/s)")
-    figure.savefig(path, dpi=DPI)
+    save(figure, path, margin=0.03)
 
 
 def save_broadcast(
@@ -50,7 +48,7 @@ def save_broadcast(
 
     Rows of the period ``long_s`` are on the left with a curve for each jitter, shorter periods on the right.
     """
-    figure = Figure(figsize=(10.0, 7.6), layout="constrained")
+    figure = new_figure(10.0, 7.6)
     grid = figure.subplots(2, 2)
     curves: dict[tuple[float, float], list[tuple[int, tuple[Mean, Mean], tuple[Mean, Mean]]]] = {}
     for row, ours, theirs in rows:
@@ -74,11 +72,9 @@ def save_broadcast(
         delays.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         delays.yaxis.set_major_formatter("{x:g}")
         delays.yaxis.set_minor_formatter(NullFormatter())
-        _finish(ratios)
-        _finish(delays)
     grid[0][0].set_ylabel("Delivered")
     grid[1][0].set_ylabel("Mean delay (ms)")
-    figure.savefig(path, dpi=DPI)
+    save(figure, path, margin=0.03)
 
 
 def _jitter(jitter_s: float) -> str:
@@ -89,7 +85,7 @@ def save_error_rates(
     path: Path, curves: Sequence[tuple[ErrorCurve, Sequence[float], Sequence[float]]]
 ) -> None:
     """Plot packet error rate over SNR: (ns-3's curve as dots, our ratios in dB and rates as lines)."""
-    figure = Figure(figsize=(10.0, 4.4), layout="constrained")
+    figure = new_figure(10.0, 4.4)
     left, right = figure.subplots(1, 2, sharey=True)
     for axes, model, title in (
         (left, "nist", "Non-HT, 20 MHz; dots: ns-3's NIST model"),
@@ -105,16 +101,15 @@ def save_error_rates(
         lengths = {curve.frame_bytes for curve, *_ in chosen}
         axes.set(xlabel="SNR (dB)", title=f"{title}, {max(lengths, default=0)} B", ylim=(LEAST_PER, 1.3))
         axes.legend(fontsize="x-small", loc="lower right")
-        _finish(axes)
     left.set_ylabel("Packet error rate")
-    figure.savefig(path, dpi=DPI)
+    save(figure, path, margin=0.03)
 
 
 def save_ranging(
     path: Path, *, frames: Sequence[int], spreads: Mapping[int, tuple[float, list[float]]]
 ) -> None:
     """Plot the error's sigma over the round trips of a session, by width: (sigma of one trip, sigmas)."""
-    figure = Figure(figsize=(6.4, 4.2), layout="constrained")
+    figure = new_figure(6.4, 4.2)
     axes = figure.subplots()
     trips = np.array(frames) - 1
     for i, (width_mhz, (trip_m, sigmas_m)) in enumerate(spreads.items()):
@@ -130,13 +125,12 @@ def save_ranging(
     axes.minorticks_off()
     axes.set_yticks(RANGING_TICKS_M, [f"{tick_m:g}" for tick_m in RANGING_TICKS_M])
     axes.legend(fontsize="small")
-    _finish(axes)
-    figure.savefig(path, dpi=DPI)
+    save(figure, path, margin=0.03)
 
 
 def save_mesh(path: Path, periods: Mapping[float, Sequence[Mesh]]) -> None:
     """Plot shares and delay over the number of stations, by period."""
-    figure = Figure(figsize=(10.0, 6.4), layout="constrained")
+    figure = new_figure(10.0, 6.4)
     grid = figure.subplots(2, len(periods), sharex=True, sharey="row", squeeze=False)
     for column, (period_s, row) in enumerate(periods.items()):
         shares, delays = grid[0][column], grid[1][column]
@@ -159,20 +153,13 @@ def save_mesh(path: Path, periods: Mapping[float, Sequence[Mesh]]) -> None:
         shares.legend(fontsize="small")
         _errorbar(delays, counts, [mesh.delay_ms for mesh in row], marker="o")
         delays.set_xlabel("Stations")
-        _finish(shares)
-        _finish(delays)
     grid[0][0].set_ylabel("Share")
     grid[1][0].set_ylabel("Mean delay of the completed (ms)")
     grid[1][0].set_ylim(bottom=0.0)
-    figure.savefig(path, dpi=DPI)
+    save(figure, path, margin=0.03)
 
 
 def _errorbar(axes: Axes, counts: Sequence[int], means: Sequence[Mean], **style: Any) -> None:  # noqa: ANN401
     """Draw means with their standard errors."""
     errors = [mean.error or 0.0 for mean in means]
     axes.errorbar(counts, [mean.value for mean in means], errors, linewidth=1.2, **({"marker": "."} | style))
-
-
-def _finish(axes: Axes) -> None:
-    axes.grid(alpha=0.3)
-    axes.margins(x=0.03)

@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 
 from studies.common.report import Check, ReportTable, Section
+from studies.common.runner import Job, Results
 from studies.vehicle.allocation import AllocationResult, check_allocation
 from studies.vehicle.figures import save_upsets
-from studies.vehicle.plan import Job, Results, VehiclePlan
+from studies.vehicle.plan import VehiclePlan
 from studies.vehicle.solo import STEP_S
 from studies.vehicle.upsets import (
     ALIGNED_DEG,

@@ -9,12 +9,21 @@ from rich.console import Console
 
 from harness.launch import kernel_cache
 from studies.common.command_line import BAD_INPUT, Page, chosen, report_and_exit, run_with_progress
+from studies.common.runner import Subject
 from studies.common.standard_output import keep_stdout
-from studies.vehicle.campaign import SUBJECTS
+from studies.vehicle import attitude_sections, estimation_section, hover_section, move_section
 from studies.vehicle.plan import QUICK, VehiclePlan
 
 __all__ = ["BAD_INPUT", "validate_app"]
 
+SUBJECTS: dict[str, Subject[VehiclePlan]] = {
+    "px4": Subject(hover_section.px4_jobs, hover_section.judge_px4),
+    "hover": Subject(hover_section.hover_jobs, hover_section.judge_hover),
+    "steps": Subject(move_section.jobs, move_section.judge),
+    "upsets": Subject(attitude_sections.upset_jobs, attitude_sections.judge_upsets),
+    "allocation": Subject(attitude_sections.allocation_jobs, attitude_sections.judge_allocation),
+    "estimator": Subject(estimation_section.jobs, estimation_section.judge),
+}
 INTRODUCTION = """Flight performance of a single vehicle: the same autopilot, physics and sensors as in a
 swarm, in one process (`studies.vehicle.solo`). All numbers are produced by
 

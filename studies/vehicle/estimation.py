@@ -127,15 +127,15 @@ def pooled(campaigns: Sequence[Consistency]) -> Consistency:
     )
 
 
-def matched_noise(rng: np.random.Generator, params: EstimatorParams = MATCHED_PARAMS) -> Noise:
+def matched_noise(rng: np.random.Generator) -> Noise:
     """Draw sensor noises and biases with the statistics in `MATCHED_PARAMS`, bias random walks included."""
-    _, _, gyro_walk_psd, accel_walk_psd = params.process_noise_psd
+    _, _, gyro_walk_psd, accel_walk_psd = MATCHED_PARAMS.process_noise_psd
     return Noise(
         gps_bias_m=0.0,
         gps_pos_m=1.5,
         gps_vel_down_ratio=1.5,
         gyro_bias_rad_s=rng.normal(0.0, 0.005, 3),
-        accel_bias_m_s2=rng.normal(0.0, params.accel_bias_init_m_s2, 3),
+        accel_bias_m_s2=rng.normal(0.0, MATCHED_PARAMS.accel_bias_init_m_s2, 3),
         gyro_bias_walk_rad_s=gyro_walk_psd**0.5,
         accel_bias_walk_m_s2=accel_walk_psd**0.5,
     )
@@ -241,12 +241,12 @@ class Whiteness:
     """Its 95 % limit for all lags together (Bonferroni)"""
 
 
-def whiteness(runs: list[Array], lags: int = LAGS) -> Whiteness:
-    """Test normalised innovations, (n, axes) of each run, at lags 1 to ``lags``."""
+def whiteness(runs: list[Array]) -> Whiteness:
+    """Test normalised innovations, (n, axes) of each run, at lags 1 to `LAGS`."""
     correlations, limits = [], []
     for series in runs:
         power = np.mean(series**2, axis=0)
-        for lag in range(1, lags + 1):
+        for lag in range(1, LAGS + 1):
             correlations.append(np.mean(series[lag:] * series[:-lag], axis=0) / power)
             limits.append(np.full(series.shape[1], 1.96 / np.sqrt(len(series))))
     values, bounds = np.array(correlations), np.array(limits)
@@ -254,7 +254,7 @@ def whiteness(runs: list[Array], lags: int = LAGS) -> Whiteness:
     low, high = binom.ppf((0.025, 0.975), tested, 0.95) / tested
     count = sum(series.size for series in runs)
     square_low, square_high = chi2.ppf((0.025, 0.975), count) / count
-    by_lag = values.reshape(len(runs), lags, -1).mean(axis=(0, 2))
+    by_lag = values.reshape(len(runs), LAGS, -1).mean(axis=(0, 2))
     return Whiteness(
         inside=float(np.mean(np.abs(values) < bounds)),
         tested=tested,
@@ -262,7 +262,7 @@ def whiteness(runs: list[Array], lags: int = LAGS) -> Whiteness:
         mean_square=float(np.mean(np.concatenate([series.ravel() for series in runs]) ** 2)),
         mean_square_band=(float(square_low), float(square_high)),
         greatest=float(np.abs(by_lag).max()),
-        greatest_limit=float(norm.isf(0.025 / lags) / np.sqrt(count)),
+        greatest_limit=float(norm.isf(0.025 / LAGS) / np.sqrt(count)),
     )
 
 

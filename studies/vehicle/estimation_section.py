@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from studies.common.report import Check, ReportTable, Section
+from studies.common.runner import Job, Results
 from studies.vehicle.estimation import (
     MEASUREMENTS,
     SETTLED_S,
@@ -18,7 +19,7 @@ from studies.vehicle.estimation import (
     wrong_compass,
 )
 from studies.vehicle.figures import save_nees
-from studies.vehicle.plan import Job, Results, VehiclePlan
+from studies.vehicle.plan import VehiclePlan
 
 REQUIRED = ("position", "velocity")
 CAMPAIGN_SEEDS = (1, 2, 3)

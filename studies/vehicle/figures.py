@@ -4,12 +4,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from foundation.types import Array
+from studies.common.figures import DPI, new_figure, save
 
-DPI = 130
 OURS, OBSERVED, PX4 = "C0", "C2", "0.6"
 
 
@@ -17,7 +15,7 @@ def save_hover_error(
     path: Path, *, period_s: float, without: Array, with_observer: Array, required_m: float
 ) -> None:
     """Plot distances from the setpoint (T,) of two flights in the same wind, without and with observer."""
-    figure = Figure(figsize=(8.0, 3.6), layout="constrained")
+    figure = new_figure(8.0, 3.6)
     axes = figure.subplots()
     for distance_m, colour, label in (
         (without, OURS, "default cascade"),
@@ -36,15 +34,14 @@ def save_hover_error(
     )
     axes.set_ylim(0.0, 1.35 * float(without.max()))
     axes.legend(fontsize="small", ncols=3, loc="upper center")
-    _finish(axes)
-    figure.savefig(path, dpi=DPI)
+    save(figure, path, margin=0.02)
 
 
 def save_against_px4(
     path: Path, *, names: Sequence[str], px4_m: Array, ours_m: Array, observed_m: Array, tolerance: float
 ) -> None:
     """Plot the rms of each row as bars: real PX4 with tolerance, default cascade and observer (n, seeds)."""
-    figure = Figure(figsize=(8.0, 4.0), layout="constrained")
+    figure = new_figure(8.0, 4.0)
     axes = figure.subplots()
     at, width = np.arange(len(names)), 0.27
     axes.bar(
@@ -74,7 +71,7 @@ def save_steps(
     velocities: Sequence[tuple[str, Array]],
 ) -> None:
     """Plot responses (T,) over the commanded step, with labels and, for moves, the allowed time."""
-    figure = Figure(figsize=(9.0, 4.0), layout="constrained")
+    figure = new_figure(9.0, 4.0)
     left, right = figure.subplots(1, 2, sharey=True)
     for i, (label, trace, allowed_s) in enumerate(moves):
         left.plot(period_s * np.arange(len(trace)), trace, color=f"C{i}", linewidth=1.3, label=label)
@@ -89,14 +86,13 @@ def save_steps(
         axes.axhline(1.0, color="black", linewidth=0.6)
         axes.set(xlabel="Time from the step (s)", title=title)
         axes.legend(fontsize="small", loc="lower right")
-        _finish(axes)
     left.set_ylabel("Response over what was asked for")
-    figure.savefig(path, dpi=DPI)
+    save(figure, path, margin=0.02)
 
 
 def save_upsets(path: Path, *, period_s: float, tilts_deg: Array, limit_s: float, upright_deg: float) -> None:
     """Plot the tilt of every recovery (n, T) over time, with the required limit."""
-    figure = Figure(figsize=(8.0, 3.8), layout="constrained")
+    figure = new_figure(8.0, 3.8)
     axes = figure.subplots()
     time_s = period_s * np.arange(tilts_deg.shape[1])
     axes.plot(time_s, tilts_deg.T, color=OURS, linewidth=0.5, alpha=0.25)
@@ -111,13 +107,12 @@ def save_upsets(path: Path, *, period_s: float, tilts_deg: Array, limit_s: float
         title=f"Back upright from {len(tilts_deg)} random attitudes and rates",
     )  # fmt: skip
     axes.legend(fontsize="small", loc="upper right")
-    _finish(axes)
-    figure.savefig(path, dpi=DPI)
+    save(figure, path, margin=0.02)
 
 
 def save_nees(path: Path, *, time_s: Array, means: Mapping[str, Array], band: tuple[float, float]) -> None:
     """Plot NEES per degree of freedom (e,) over time, mean of the runs, with the band of one epoch."""
-    figure = Figure(figsize=(8.0, 3.8), layout="constrained")
+    figure = new_figure(8.0, 3.8)
     axes = figure.subplots()
     axes.axhspan(*band, color="0.88", label="95 % band of one epoch")
     for i, (group, mean) in enumerate(means.items()):
@@ -129,10 +124,4 @@ def save_nees(path: Path, *, time_s: Array, means: Mapping[str, Array], band: tu
     )  # fmt: skip
     axes.set_ylim(0.0, max(2.2, 1.3 * max(float(mean.max()) for mean in means.values())))
     axes.legend(fontsize="small", ncols=3, loc="upper center")
-    _finish(axes)
-    figure.savefig(path, dpi=DPI)
-
-
-def _finish(axes: Axes) -> None:
-    axes.grid(alpha=0.3)
-    axes.margins(x=0.02)
+    save(figure, path, margin=0.02)

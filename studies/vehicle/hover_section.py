@@ -11,9 +11,10 @@ from msgspec.structs import replace
 from autopilot.estimation.atmosphere import GRAVITY_M_S2
 from harness.world.sensors.config import PROFILES
 from studies.common.report import Check, ReportTable, Section
+from studies.common.runner import Job, Results
 from studies.vehicle.figures import save_against_px4, save_hover_error
 from studies.vehicle.hover import TRACE_EVERY, Hover, HoverResult, Sensors, fly_hover
-from studies.vehicle.plan import Job, Results, VehiclePlan
+from studies.vehicle.plan import VehiclePlan
 from studies.vehicle.solo import STEP_S
 
 TOLERANCE = 0.3

@@ -6,6 +6,7 @@ import numpy as np
 
 from autopilot.control import ControlParams
 from studies.common.report import Check, ReportTable, Section
+from studies.common.runner import Job, Results
 from studies.vehicle.figures import save_steps
 from studies.vehicle.moves import (
     TRACE_S,
@@ -19,7 +20,7 @@ from studies.vehicle.moves import (
     minimum_time_s,
     respond,
 )
-from studies.vehicle.plan import Job, Results, VehiclePlan
+from studies.vehicle.plan import VehiclePlan
 
 DISTANCES_M = (1.0, 5.0, 20.0)
 VELOCITIES = (

@@ -2,10 +2,6 @@
 
 from msgspec import Struct
 
-from studies.common.runner import Job, Results
-
-__all__ = ["QUICK", "Job", "Results", "VehiclePlan"]
-
 
 class VehiclePlan(Struct, frozen=True, kw_only=True):
     """Number and length of the flights and cases."""

@@ -116,11 +116,6 @@ class Iris:
         """Whether the vehicle is on the ground."""
         return bool(self._state[2] >= 0.0)
 
-    @property
-    def up_cosine(self) -> float:
-        """Cosine between body -z and up."""
-        return float(1.0 - 2.0 * (self._state[7] ** 2 + self._state[8] ** 2))
-
     def step(self, controls: Array, force_ned_n: Array) -> None:
         """Advance by `DT_S` with constant motor controls (4,) and force (3,) at the centre of mass."""
         _step(self._state, self._speed, controls, force_ned_n, 1.0, self._acc)

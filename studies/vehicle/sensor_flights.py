@@ -29,8 +29,9 @@ Path = Callable[[Array], tuple[Array, Array]]
 """Maps times (n,) to NED positions (n, 3) and yaw (n,); at rest for the first 5 s."""
 
 
-def ramp(time_s: Array, start_s: float = 5.0, rise_s: float = 4.0) -> Array:
+def ramp(time_s: Array) -> Array:
     """Return the path parameter in seconds: 0 before the start, then with a rate that rises smoothly to 1."""
+    start_s, rise_s = 5.0, 4.0
     u = np.clip((time_s - start_s) / rise_s, 0.0, 1.0)
     motion: Array = rise_s * (2.5 * u**4 - 3.0 * u**5 + u**6) + np.maximum(0.0, time_s - start_s - rise_s)
     return motion
@@ -55,12 +56,6 @@ def figure_eight(time_s: Array) -> tuple[Array, Array]:
         (8.0 * np.sin(0.55 * phase), 4.0 * np.sin(1.1 * phase), -3.0 + 3.0 * np.cos(0.4 * phase)), axis=-1
     )
     return pos_m, 0.7 + 1.5 * np.sin(0.3 * phase)
-
-
-def straight(time_s: Array) -> tuple[Array, Array]:
-    """Fly north at 5 m/s."""
-    distance_m = 5.0 * ramp(time_s)
-    return np.stack((distance_m, 0.0 * distance_m, 0.0 * distance_m), axis=-1), np.full(time_s.size, 0.7)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -40,7 +40,6 @@ CALM = WindConfig(mean_n=0.0)
 _NO_GPS = common.MAVLINK_MSG_ID_HIL_GPS
 _YAW_RATE_IGNORED = common.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
 _POSITION_ONLY = 0b0001_1111_1000 | _YAW_RATE_IGNORED
-_ACCELERATION_ONLY = 0b0000_0011_1111 | _YAW_RATE_IGNORED
 _VELOCITY_ONLY = 0b0001_1100_0111 | _YAW_RATE_IGNORED
 _READY_LIMIT_S = 30.0
 _RETRY_S = 0.5
@@ -267,12 +266,6 @@ class Solo:
     def set_velocity(self, north_m_s: float, east_m_s: float, down_m_s: float) -> None:
         """Stream this offboard setpoint from now on, heading north."""
         self._setpoint = _target(_VELOCITY_ONLY, (0.0, 0.0, 0.0), (north_m_s, east_m_s, down_m_s))
-
-    def set_acceleration(self, north_m_s2: float, east_m_s2: float, down_m_s2: float) -> None:
-        """Stream this offboard setpoint from now on, heading north."""
-        self._setpoint = _target(
-            _ACCELERATION_ONLY, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (north_m_s2, east_m_s2, down_m_s2)
-        )
 
     def set_reference(self, setpoint: TrajectorySetpoint) -> None:
         """Stream this offboard setpoint, starting with the next step; all three groups must be set."""

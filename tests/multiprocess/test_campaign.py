@@ -16,9 +16,10 @@ import pytest
 from distributed import LocalCluster
 from paths import ROOT
 
-from harness.campaign import Campaign, ClusterError, flights, running, worker
+from harness.campaign import Campaign, ClusterError, running, worker
 from harness.campaign import run as fly_campaign
 from harness.campaign.store import FAILED, Flown
+from harness.launch import one_process
 from harness.launch.processes import SwarmError
 
 pytestmark = pytest.mark.multiprocess
@@ -111,7 +112,7 @@ def fly_or_die(task):
     return Flown(digest=task.digest, status="completed", summary={"value": seed}), {"gains": bytes([seed])}
 
 
-def out_of_room(_scenario, _folder):
+def out_of_room(_scenario, _folder, **_):
     """Raise OSError as `harness.launch.one_process.fly` does, with a cycle of context and cause."""
     full = OSError(errno.ENOSPC, "No space left on device")
     full.__context__ = SwarmError("of the test")
@@ -148,13 +149,13 @@ def test_workers_of_a_scheduler_fly_and_refuse_other_sources(tmp_path, monkeypat
             patch.setattr(running, "fly_on_worker", fly_or_die)
             table = fly_campaign(campaign, out=tmp_path / "one", scheduler=address)
         assert table.column("value") == [1, 3, 5, 7]
-        monkeypatch.setattr(flights, "fly", out_of_room)
+        monkeypatch.setattr(one_process, "fly", out_of_room)
         with pytest.raises(ClusterError, match=r"the worker at .* cannot fly: OSError: .* No space left"):
             fly_campaign(campaign, out=tmp_path / "full", scheduler=address)
-        monkeypatch.setattr(worker, "sources_bytes", lambda: "others")
+        monkeypatch.setattr(worker, "sources_bytes", lambda _: "others")
         with pytest.raises(ClusterError, match="No space left"):  # comments differ: accepted
             fly_campaign(campaign, out=tmp_path / "full", scheduler=address)
-        monkeypatch.setattr(worker, "sources_state", lambda: "others")
+        monkeypatch.setattr(worker, "sources_state", lambda _: "others")
         with pytest.raises(ClusterError, match=r"the sources of the worker at .* are not the campaign's"):
             fly_campaign(campaign, out=tmp_path / "other", scheduler=address)
     for name in ("full", "other"):

@@ -82,7 +82,7 @@ class Radio:
         return RadioClient(endpoint=self.endpoint, run_id=RUN, station=station)
 
     def advance(self, to_us, **changes):
-        fields = {"release_us": to_us + 4000, "at_us": to_us - 4000} | changes
+        fields = {"release_us": to_us + 4000, "at_us": to_us - 4000, "extra_attenuation_db": 0.0} | changes
         request = Advance(
             to_us=to_us,
             pos_ned_m=pack_rows(np.array(POSES_M)),
@@ -229,7 +229,7 @@ def test_malformed_bytes_are_dropped_and_counted(radio):
 def test_invalid_advance_is_refused(invalid):
     hosted = EmulatorService(ServerConfig(run_id=RUN, stations=3, seed=1))
     still = pack_rows(np.zeros((3, 3)))
-    state = {"pos_ned_m": still, "vel_ned_m_s": still, "q_ned_frd": LEVEL}
+    state = {"pos_ned_m": still, "vel_ned_m_s": still, "q_ned_frd": LEVEL, "extra_attenuation_db": 0.0}
     hosted.advance(Advance(to_us=4000, release_us=8000, at_us=0, **state))
     with pytest.raises(ValueError, match="rejects the request to advance"):
         hosted.advance(Advance(**({"to_us": 8000, "release_us": 12_000, "at_us": 4000} | state | invalid)))

@@ -157,7 +157,7 @@ def test_channel_commands_are_received_in_order(launch: Launch) -> None:
     attenuations = [
         line.partition("attenuation_db=")[2].rstrip(")") for line in log if "SetAttenuation" in line
     ]
-    assert attenuations == ["200.0", "20.0", "None"]
+    assert attenuations == ["200.0", "20.0", "0.0"]
 
 
 def test_failed_physics_ends_the_run_with_its_message(launch: Launch) -> None:

@@ -17,7 +17,7 @@ from autopilot.mavlink.codec import Encoder, Parser
 from autopilot.mavlink.counters import Counters
 from autopilot.mavlink.hil import HilActuatorControls, HilParser, HilSensor
 from autopilot.services.service import COMPANION, GROUND_STATION, Addressed, Partner, is_addressed_to, reply
-from harness.simulator.lockstep import ConnectionState
+from harness.simulator.lockstep import VehicleSlot
 from studies.vehicle.solo import STEP_US, Solo
 
 BYTES_A_STEP = 16_000
@@ -138,7 +138,7 @@ def test_garbage_on_the_simulator_link_gives_no_hot_message(hot):
 
 
 def test_a_simulator_connection_accepts_its_vehicles_answers_after_garbage():
-    connection, encoder = ConnectionState(0), Encoder(system=1, component=1)
+    connection, encoder = VehicleSlot(0), Encoder(system=1, component=1)
     for i, datagram in enumerate(Fuzz(4).datagrams(200_000)):
         time_us = STEP_US * (i + 1)
         answer = common.MAVLink_hil_actuator_controls_message(time_us, [0.5] * 16, 1, 1)

@@ -2,31 +2,22 @@
 
 import csv
 import json
-import os
 import sys
-import time
-from pathlib import Path
 
+import msgspec
 import pytest
 from msgspec.structs import replace
 from typer.testing import CliRunner
 
+from harness.campaign.store import FAILED, CampaignError, Flown, Store
 from harness.launch import one_process
 from harness.launch.processes import SwarmError, SwarmTimeoutError
-from studies.codesign import cli, flights, results
+from studies.codesign import cli, flights
 from studies.codesign.book import Book
 from studies.codesign.cases import BASE, GPS_ALONE, LOSSY, QUICK, CodesignPlan, all_pairs, cut
 from studies.codesign.introduction import command, introduction
 from studies.codesign.measures import Measures
-from studies.codesign.results import (
-    CampaignError,
-    CodesignFlown,
-    CodesignStore,
-    fly_tasks,
-    known,
-    make_tasks,
-    sources_state,
-)
+from studies.codesign.results import CodesignFlown, known, make_runs
 from studies.common.command_line import BAD_INPUT, FINE, MISSED
 
 PLAN = CodesignPlan(seeds=10, duration_s=30.0)
@@ -35,81 +26,67 @@ PLAN = CodesignPlan(seeds=10, duration_s=30.0)
 # ---- a campaign on disk
 
 
-def flown(task, **numbers):
-    measures = Measures(
+def measures(**numbers):
+    return Measures(
         **{
             "formed_s": 20.0, "simulated_s": 50.0, "wall_s": 10.0, "real_time_factor": 5.0, "collisions": 0,
             "first_collision_s": None, "down": 0, "least_distance_m": 2.0,
         } | numbers
     )  # fmt: skip
-    return CodesignFlown(case=task.case, seed=task.seed, digest=task.digest, measures=measures)
 
 
-def fly_recorded(task):
-    """Record each flight in a file; one breaks, one kills its process, all others finish."""
-    marks = Path(task.folder).parents[1] / "marks"
-    with marks.open("a") as file:
-        file.write(f"{task.case} {task.seed}\n")
-    if task.case == LOSSY.name and task.seed == 2:
-        return CodesignFlown(case=task.case, seed=task.seed, digest=task.digest, broken="fell into the sea")
-    if task.case == GPS_ALONE.name and task.seed == 1:
-        deadline_s = time.monotonic() + 20.0
-        while len(marks.read_text().splitlines()) < 3 and time.monotonic() < deadline_s:
-            time.sleep(0.01)  # until another flight has started
-        os._exit(3)
-    return flown(task, shape_m=0.1 * task.seed)
+def flown(run, *, state="", **numbers):
+    """Return a flight as it is read from the store."""
+    return CodesignFlown(
+        case=run.case, seed=run.seed, digest=run.digest, measures=measures(**numbers), state=state
+    )
 
 
-def marks_of(folder):
-    marks = folder / "marks"
-    return marks.read_text().splitlines() if marks.exists() else []
+def put(store, run, state, **numbers):
+    """Store a flight as a worker returns it."""
+    summary = {"scenario": run.case, "seed": run.seed, "status": "completed"}
+    summary["measures"] = msgspec.to_builtins(measures(**numbers))
+    store.put(
+        Flown(digest=run.digest, status="completed", summary=summary, settings=run.settings, state=state), {}
+    )
 
 
-def test_campaign_flies_each_flight_once_and_continues_after_losses(tmp_path, monkeypatch):
-    """A killed worker loses only its own flight; a second run flies nothing; changed sources repeat all."""
-    monkeypatch.setattr(results, "START_METHOD", "fork")  # spawned workers would import this module
-    monkeypatch.setattr(results, "sources_state", lambda: "one")
+def test_stored_flights_are_known_by_state_and_settings(tmp_path):
+    """Flights of other sources are used only on request, and never those of other durations."""
     plan, cases = CodesignPlan(seeds=2), (BASE, GPS_ALONE, LOSSY, BASE)
-    tasks = make_tasks(cases, plan, folder=tmp_path, state="one")
-    assert [(task.case, task.seed) for task in tasks] == [
+    runs = make_runs(cases, plan, of_state="one")
+    assert [(run.case, run.seed) for run in runs] == [
         (case.name, seed) for seed in (1, 2) for case in (BASE, GPS_ALONE, LOSSY)
     ]
-    assert make_tasks((all_pairs(16, 0.25), BASE), plan, folder=tmp_path)[-1].case.startswith("ftm-16")
-    store, finished = CodesignStore(tmp_path), []
-    fly_tasks(tasks, store, fly_recorded, workers=2, done=finished.append)
-    assert sorted((each.case, each.seed) for each in finished) == sorted(
-        (each.case, each.seed) for each in tasks
-    )
-    reasons = {(each.case, each.seed): each.broken for each in store.flights() if each.broken}
-    assert reasons == {(GPS_ALONE.name, 1): "its process died", (LOSSY.name, 2): "fell into the sea"}
-    with store.path.open("ab") as file:
-        file.write(b'{"case": "ftm-8-5n", "seed": 1, "dig')  # killed during a write
-    there = known(tasks, CodesignStore(tmp_path))
-    assert len(there) == len(tasks)
+    assert make_runs((all_pairs(16, 0.25), BASE), plan, of_state="")[-1].case.startswith("ftm-16")
+    store = Store(tmp_path)
+    for run in runs[1:]:
+        put(store, run, "one", shape_m=0.1 * run.seed)
+    store.put(Flown(digest=runs[0].digest, status=FAILED, reason="fell into the sea", state="one"), {})
+    there = known(runs, store)
+    assert len(there) == len(runs)
+    assert there[BASE.name, 1].broken == "fell into the sea"
     assert there[BASE.name, 2].measures.shape_m == pytest.approx(0.2)
-    store.append(flown(tasks[0], shape_m=7.0))
-    assert known(tasks, store)[BASE.name, 1].measures.shape_m == 7.0  # the latest, on a new line
-    assert {each.state for each in known(tasks, store).values()} == {"one"}  # also for lines without a state
-    later = make_tasks(cases, plan, folder=tmp_path, state="another")
+    assert {each.state for each in there.values()} == {"one"}
+    assert known(runs, store, retry=True).keys() == there.keys() - {(BASE.name, 1)}
+    later = make_runs(cases, plan, of_state="another")
     assert known(later, store) == {}
-    assert len(known(later, store, stale=True)) == len(tasks)
-    shorter = make_tasks(cases, replace(plan, duration_s=8.0), folder=tmp_path, state="one")
+    assert known(later, store, stale=True) == {key: there[key] for key in there if key != (BASE.name, 1)}
+    put(store, later[1], "another", shape_m=7.0)
+    assert known(later, store, stale=True)[GPS_ALONE.name, 1].measures.shape_m == 7.0
+    assert known(runs, store, stale=True)[GPS_ALONE.name, 1].measures.shape_m == pytest.approx(0.1)
+    shorter = make_runs(cases, replace(plan, duration_s=8.0), of_state="one")
     assert known(shorter, store) == known(shorter, store, stale=True) == {}  # other fault times
-    with pytest.raises(CampaignError, match="the sources changed"):
-        fly_tasks(later, store, fly_recorded, workers=2, done=finished.append)
-    assert len(finished) == len(tasks)
 
 
 def test_folder_is_locked_for_one_campaign(tmp_path, monkeypatch):
     monkeypatch.setattr(cli, "keep_stdout", lambda: sys.stdout)
-    with CodesignStore(tmp_path).alone():
-        with pytest.raises(CampaignError, match="another campaign"), CodesignStore(tmp_path).alone():
+    with Store(tmp_path).alone():
+        with pytest.raises(CampaignError, match="another campaign"), Store(tmp_path).alone():
             pass
         result = run_cli("--only", "baselines", "--data", tmp_path)
         assert result.exit_code == BAD_INPUT
         assert "another campaign" in " ".join(result.stderr.split())  # the line may be wrapped
-    with CodesignStore(tmp_path).alone():
-        pass
 
 
 def test_pairs_have_the_same_state_of_the_sources():
@@ -117,11 +94,9 @@ def test_pairs_have_the_same_state_of_the_sources():
     states = {(BASE.name, 1): "a", (BASE.name, 2): "a", (BASE.name, 3): "a"}
     states |= {(LOSSY.name, 1): "a", (LOSSY.name, 2): "b"}
     flights = {}
-    for task in make_tasks((BASE, LOSSY), replace(PLAN, seeds=3), folder=Path(), state="a"):
-        if (task.case, task.seed) in states:
-            flights[task.case, task.seed] = replace(
-                flown(task, shape_m=0.1 * task.seed), state=states[task.case, task.seed]
-            )
+    for run in make_runs((BASE, LOSSY), replace(PLAN, seeds=3), of_state="a"):
+        if state := states.get((run.case, run.seed)):
+            flights[run.case, run.seed] = flown(run, state=state, shape_m=0.1 * run.seed)
     book = Book(plan=replace(PLAN, seeds=3), flights=flights)
     assert [(a.shape_m, b.shape_m) for a, b in book.pairs(BASE, LOSSY)] == [(0.1, 0.1)]
     assert book.ratio(LOSSY, BASE, "shape_m").count == 1
@@ -134,14 +109,14 @@ def fly_timed_out(*_, **__):
 
 def test_flight_with_an_infrastructure_failure_is_broken(tmp_path, monkeypatch):
     """A timeout means that the formation was not reached, unless the infrastructure caused it."""
-    (task,) = make_tasks((BASE,), CodesignPlan(seeds=1), folder=tmp_path)
+    (run,) = make_runs((BASE,), CodesignPlan(seeds=1), of_state="")
     for status, reason in (("failed", "the physics server is silent"), ("not_formed", None)):
 
         class Silent:
             summary = staticmethod(
                 lambda *_, status=status, **__: {
-                    "status": status, "reason": "the physics server is silent", "formed_s": None,
-                    "wall_s": 1.0,
+                    "scenario": "article", "seed": 1, "status": status,
+                    "reason": "the physics server is silent", "formed_s": None, "wall_s": 1.0,
                 }
             )  # fmt: skip
             run_until_formed = staticmethod(fly_timed_out)
@@ -155,65 +130,35 @@ def test_flight_with_an_infrastructure_failure_is_broken(tmp_path, monkeypatch):
             def __exit__(self, *_):
                 pass
 
-        monkeypatch.setattr(flights, "OneProcessSwarm", Silent)
         monkeypatch.setattr(one_process, "OneProcessSwarm", Silent)
         monkeypatch.setattr(flights, "read_tables", lambda *_: None)
-        monkeypatch.setattr(flights, "measure", lambda *_, **__: flown(task).measures)
-        result = flights.fly_task(task)
-        assert result.broken == (None if reason is None else f"SwarmError: {reason}")
+        monkeypatch.setattr(flights, "measure", lambda *_, **__: measures())
         if reason is None:
-            assert one_process.fly(task.scenario, tmp_path)["status"] == status
+            summary = flights.fly(run.scenario, tmp_path, **run.options)
+            assert (summary["status"], summary["measures"]["down"]) == (status, 0)
         else:
             with pytest.raises(SwarmError, match=reason):
-                one_process.fly(task.scenario, tmp_path)
-
-
-def test_source_state_ignores_comments_and_layout(tmp_path):
-    """Comments, docstrings and layout do not change the state; a number in flight code does."""
-    for package in ("antenna", "netsim", "autopilot", "harness/cli", "studies/codesign"):
-        (tmp_path / package).mkdir(parents=True)
-    for name in ("flights.py", "measures.py"):
-        (tmp_path / "studies" / "codesign" / name).touch()
-    flying, reporting = tmp_path / "autopilot" / "a.py", tmp_path / "harness" / "cli" / "fly.py"
-    flying.write_text('"""One."""\n\n\ndef f(x):\n    """Two."""\n    return x + 1\n')
-    reporting.write_text("A = 1\n")
-    first = sources_state(tmp_path)
-    sources_state.cache_clear()
-    flying.write_text('"""Three."""\ndef f(x):\n    # four\n    return (x + 1)\n')
-    reporting.write_text("A = 2\n")
-    assert sources_state(tmp_path) == first
-    sources_state.cache_clear()
-    flying.write_text("def f(x):\n    return x + 2\n")
-    assert sources_state(tmp_path) != first
-    sources_state.cache_clear()
+                flights.fly(run.scenario, tmp_path, **run.options)
 
 
 # ---- the command line
 
 
-def fly_made_up(task):
-    return flown(task, shape_m=0.2, busy_fraction=0.05, completed_fraction=1.0)
-
-
 @pytest.fixture
 def no_flying(monkeypatch):
-    """A campaign whose flights finish at once in this process and are counted; one breaks at first."""
+    """A campaign whose flights are stored at once and counted; one breaks at first."""
     flights = []
 
-    def fly_here(tasks, store, _fly, *, done, **_):
-        for task in tasks:
-            result = fly_made_up(task)
-            first = all(task.case != BASE.name or task.seed != 2 for task in flights)
-            if (task.case, task.seed) == (BASE.name, 2) and first:
-                result = CodesignFlown(
-                    case=task.case, seed=task.seed, digest=task.digest, broken="SwarmError: lost"
-                )
-            result = replace(result, state=task.state, plan_s=task.plan_s)
-            flights.append(task)
-            store.append(result)
-            done(result)
+    def fly_here(_campaign, *, out, runs, **_):
+        for run in runs:
+            first = (run.case, run.seed) not in {(each.case, each.seed) for each in flights}
+            flights.append(run)
+            if (run.case, run.seed) == (BASE.name, 2) and first:
+                Store(out).put(Flown(digest=run.digest, status=FAILED, reason="SwarmError: lost"), {})
+            else:
+                put(Store(out), run, "", shape_m=0.2, busy_fraction=0.05, completed_fraction=1.0)
 
-    monkeypatch.setattr(cli, "fly_tasks", fly_here)
+    monkeypatch.setattr(cli, "run", fly_here)
     monkeypatch.setattr(cli.kernel_cache, "prepare", lambda _: None)
     return flights
 
@@ -249,27 +194,27 @@ def test_second_run_flies_nothing_and_writes_the_same_page(tmp_path, no_flying, 
     assert (tmp_path / "docs" / "codesign-results.md").read_text() == page
     retried = run_cli(*arguments, "--retry")
     assert retried.exit_code == FINE
-    assert [(task.case, task.seed) for task in no_flying[40:]] == [(BASE.name, 2)]
+    assert [(run.case, run.seed) for run in no_flying[40:]] == [(BASE.name, 2)]
     longer = run_cli(*arguments, "--duration", 40)
     assert longer.exit_code == FINE
     assert len(no_flying) == 40 + 1 + 40
 
 
-def introduction_text(flights, tasks, **changed):
+def introduction_text(flights, runs, **changed):
     """Return the introduction without line breaks."""
-    text = introduction(Book(plan=PLAN, flights=flights), tasks, made_by=command(PLAN), **changed)
+    text = introduction(Book(plan=PLAN, flights=flights), runs, made_by=command(PLAN), **changed)
     return " ".join(text.split())
 
 
 def test_introduction_states_flights_and_sources():
     """Of four cases one has no flight, one two and the others three; an outage of 10 s takes 40 s."""
     cases = (BASE, cut(PLAN), LOSSY, GPS_ALONE)
-    tasks = make_tasks(cases, PLAN, folder=Path(), state="now")
+    runs = make_runs(cases, PLAN, of_state="now")
     flights = {}
-    for task in tasks:
-        if task.case != GPS_ALONE.name and task.seed <= 3 - (task.case == LOSSY.name):
-            flights[task.case, task.seed] = replace(flown(task), state="now")
-    text = introduction_text(flights, tasks)
+    for run in runs:
+        if run.case != GPS_ALONE.name and run.seed <= 3 - (run.case == LOSSY.name):
+            flights[run.case, run.seed] = flown(run, state="now")
+    text = introduction_text(flights, runs)
     assert "from 8 flights of `scenarios/article.toml`" in text
     assert "30 to 40 s in formation each as planned" in text
     assert "2 to 3 of each of 3 cases, and none of 1 more." in text
@@ -277,13 +222,13 @@ def test_introduction_states_flights_and_sources():
     assert "the same sources give the same numbers" in text
     assert "the current one" not in text
     flights[BASE.name, 1] = replace(flights[BASE.name, 1], digest="other", state="before")
-    text = introduction_text(flights, tasks)
+    text = introduction_text(flights, runs)
     assert "1 of the flights are of other states of the sources than the current one**, 2 states" in text
     assert "same sources" not in text
     assert "same winds" not in text
     assert "cannot be assigned to one state" not in text
-    assert "cannot be assigned to one state" in introduction_text(flights, tasks, changed=True)
-    assert "without a flight of any of the 4 cases" in introduction_text({}, tasks)
+    assert "cannot be assigned to one state" in introduction_text(flights, runs, changed=True)
+    assert "without a flight of any of the 4 cases" in introduction_text({}, runs)
     assert "from simulated measurements, without a flight" in introduction_text({}, [])
 
 

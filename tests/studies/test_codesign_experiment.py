@@ -13,6 +13,7 @@ from antenna.solvers.interface import BackendUnavailable
 from antenna.solvers.selection import make_backend
 from autopilot.onboard.radio.scheduled_ranging import owner
 from harness.launch import swarm
+from harness.records.flight import Flight
 from harness.world.faults import RadioAttenuation, RangingBias
 from studies.codesign.cases import (
     BASE,
@@ -217,11 +218,15 @@ def tables_of(pos_ned_m, *, own_ned_m=None, collisions_us=(), sessions=40):
     instants, vehicles = pos_ned_m.shape[:2]
     time_us = 1_000_000 + 20_000 * np.arange(instants)
     return FlightTables(
-        time_us=time_us,
-        alive=np.ones((instants, vehicles), dtype=bool),
-        pos_ned_m=pos_ned_m,
-        q_ned_frd=np.tile((1.0, 0.0, 0.0, 0.0), (instants, vehicles, 1)),
-        own_pos_ned_m=pos_ned_m.copy() if own_ned_m is None else own_ned_m,
+        flown=Flight(
+            time_us=time_us,
+            alive=np.ones((instants, vehicles), dtype=bool),
+            pos_ned_m=pos_ned_m,
+            q_ned_frd=np.tile((1.0, 0.0, 0.0, 0.0), (instants, vehicles, 1)),
+            desired_pos_ned_m=np.broadcast_to(PLACES_NED_M, pos_ned_m.shape),
+            heading_rad=np.zeros(instants),
+            believed_pos_ned_m=pos_ned_m.copy() if own_ned_m is None else own_ned_m,
+        ),
         air_us=time_us,
         busy_ns=time_us * 100,
         session_us=np.linspace(time_us[0], time_us[-1], sessions).astype(np.int64),

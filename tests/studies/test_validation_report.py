@@ -17,11 +17,11 @@ from autopilot.control.allocation import effectiveness
 from autopilot.control.params import AllocationParams
 from harness.world.sensors.config import PROFILES
 from studies.common.report import Check, ReportTable, Section, figures_folder, figures_link, markdown
-from studies.vehicle import campaign, estimation_section
+from studies.common.runner import run_subjects
+from studies.vehicle import estimation_section
 from studies.vehicle.allocation import RANGE_N, _is_achievable, check_allocation
 from studies.vehicle.bench import _PARTS, _StopWatch, measure, record_flight
-from studies.vehicle.campaign import SUBJECTS
-from studies.vehicle.cli import BAD_INPUT, validate_app
+from studies.vehicle.cli import BAD_INPUT, SUBJECTS, validate_app
 from studies.vehicle.estimation import EPOCH_S, MEASUREMENTS, STATES, Consistency, WrongCompass, pooled
 from studies.vehicle.hover import Hover, fly_hover
 from studies.vehicle.hover_section import unobservable_tilt_deg
@@ -94,9 +94,9 @@ def test_allocation_of_random_demands():
 def test_subjects_are_judged_by_the_results_of_their_jobs(tmp_path):
     """Only allocation is fast; the jobs of the other subjects must be picklable."""
     seen = []
-    (section,) = campaign.run(
+    (section,) = run_subjects(
         replace(QUICK, demands=500),
-        ["allocation"],
+        {"allocation": SUBJECTS["allocation"]},
         images=tmp_path,
         progress=lambda *counts: seen.append(counts),
     )

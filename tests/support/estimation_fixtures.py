@@ -14,10 +14,10 @@ from studies.vehicle.sensor_flights import (
     circle,
     errors,
     figure_eight,
+    ramp,
     replay,
     rest,
     simulate,
-    straight,
 )
 
 __all__ = [
@@ -43,6 +43,12 @@ __all__ = [
 def rms(values: Array) -> float:
     """Return the root mean square of the lengths of rows."""
     return float(np.sqrt(np.mean(np.sum(np.atleast_2d(values) ** 2, axis=-1))))
+
+
+def straight(time_s: Array) -> tuple[Array, Array]:
+    """Fly north at 5 m/s."""
+    distance_m = 5.0 * ramp(time_s)
+    return np.stack((distance_m, 0.0 * distance_m, 0.0 * distance_m), axis=-1), np.full(time_s.size, 0.7)
 
 
 def step(time_s: float) -> int:

@@ -139,7 +139,8 @@ class Real(Loop):
 
     @property
     def tilt_rad(self):
-        return math.acos(max(min(self.iris.up_cosine, 1.0), -1.0))
+        _, x, y, _ = self.iris.q_ned_frd
+        return math.acos(max(1.0 - 2.0 * (x * x + y * y), -1.0))
 
 
 def off_path_m(points, corners):

@@ -19,7 +19,6 @@ from paths import SCENARIOS
 
 from antenna.solvers.interface import BackendUnavailable
 from harness.campaign import Campaign, CampaignError, load, running, sources
-from harness.campaign import flights as flying
 from harness.campaign.definition import expand
 from harness.campaign.display import CampaignPace, duration_text
 from harness.campaign.flights import fly_task
@@ -29,6 +28,7 @@ from harness.campaign.table import make_rows, write_table
 from harness.campaign.task import Task
 from harness.campaign.worker import _MEASURED_BY, sources_state
 from harness.cli import campaign as cli
+from harness.launch import one_process
 from harness.launch.processes import SetupError, SwarmError
 from harness.scenario.scenario import load as load_scenario
 
@@ -277,7 +277,7 @@ def test_the_stored_gains_are_those_of_the_summary(tmp_path):
 def test_missing_gains_fail_a_run_that_must_store_them(tmp_path, monkeypatch):
     """Otherwise the run is valid, and its summary has the note."""
     summary = {"status": "completed", "reason": None, "max_gain_dbi": {"mean": None, "note": "of the test"}}
-    monkeypatch.setattr(flying, "fly", lambda _scenario, _folder: summary)
+    monkeypatch.setattr(one_process, "fly", lambda _scenario, _folder: summary)
     ended, series = fly_task(task(keep=("gains",)), tmp_path)
     assert (ended.status, series) == (FAILED, {})
     assert ended.reason == "NoSeries: no gains to keep: of the test"
@@ -287,7 +287,7 @@ def test_missing_gains_fail_a_run_that_must_store_them(tmp_path, monkeypatch):
 
 def test_without_the_solver_nothing_is_flown(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.setattr(flying, "fly", None)
+    monkeypatch.setattr(one_process, "fly", None)
     with pytest.raises(BackendUnavailable, match="nec2c patterns need"):
         fly_task(task("antenna.backend=nec2c"), tmp_path)
 
@@ -304,7 +304,7 @@ def test_errors_of_the_machine_are_no_result_of_a_run(tmp_path, monkeypatch, err
         (folder / "left").touch()
         raise error
 
-    monkeypatch.setattr(flying, "fly", fail)
+    monkeypatch.setattr(one_process, "fly", fail)
     with pytest.raises(type(error)) as caught:
         fly_task(task(), tmp_path)
     assert caught.value is error
@@ -327,7 +327,7 @@ def test_a_failure_is_a_reproducible_line(tmp_path, monkeypatch):
             f"physics (pid {id(folder)}) ended with status 1: no {folder}/x (log: {log})\nand more"
         )
 
-    monkeypatch.setattr(flying, "fly", fail)
+    monkeypatch.setattr(one_process, "fly", fail)
     ended, series = fly_task(task(), tmp_path)
     assert (ended.status, ended.reason) == (FAILED, "SwarmError: physics ended with status 1: no x")
     assert series == {}
@@ -358,7 +358,7 @@ def test_the_hash_of_the_sources_covers_flights_and_results(tmp_path):
         (tmp_path / name).write_text("A = 2\n")
         assert hashes(tmp_path) == (result, as_bytes), name
     (tmp_path / "antenna" / "a.py").write_text('"""What it is."""\n\nA = (\n    1  # one\n)\n')
-    assert sources.hash_sources(tmp_path, measured_by=MEASURED_BY) == result
+    assert hashes(tmp_path)[0] == result
     assert hashes(tmp_path)[1] != as_bytes
     seen = {hashes(tmp_path)}
     for name in FLOWN_FILES:

@@ -16,7 +16,7 @@ from paths import ROOT
 
 from harness.cli import reference_scenario
 from harness.cli.reference import outdated, write_pages
-from harness.cli.reference_scenario import field_paths, scenario_page, scenario_schema
+from harness.cli.reference_scenario import scenario_page, scenario_schema
 from harness.cli.reference_tables import GAINS, tables_page
 from harness.cli.reference_text import UndocumentedError, paragraphs, table, unit_of
 from harness.records.tables import FLIGHT_RECORD, write_gains
@@ -92,10 +92,8 @@ def test_the_pages_are_current():
 
 
 def test_every_field_of_the_scenario_has_a_row():
-    page, paths = scenario_page(), field_paths()
+    paths = re.findall(r"^\| `([^`]+)` \|", scenario_page(), re.MULTILINE)
     assert len(paths) > 150
-    for path in paths:
-        assert f"| `{path}` |" in page
     assert {"run.seed", "radio.ftm.clock_ppm", "formation.motion.radius_m", "faults[].offset_m"} <= set(paths)
     flat = {name for name, _ in _leaves(msgspec.to_builtins(Scenario(name="x")))}
     assert flat <= set(paths)

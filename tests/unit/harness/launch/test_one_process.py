@@ -44,6 +44,7 @@ from netsim.wire.messages import MAX_PAYLOAD_BYTES, Broadcast, Delivery
 
 ARTICLE = SCENARIOS / "article.toml"
 STEP_US = 4_000
+RADIO = {"extra_attenuation_db": 0.0, "range_offsets_m": {}}
 
 
 def scenario(*settings, agents=2, seed=3):
@@ -366,6 +367,7 @@ class Channel:
             pos_ned_m=pack_rows(np.array([[0.0, 0.0, -10.0], [10.0, 0.0, -10.0]])),
             vel_ned_m_s=pack_rows(np.zeros((2, 3))),
             q_ned_frd=pack_rows(np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))),
+            extra_attenuation_db=0.0,
         )
         self.line.send(msgspec.structs.replace(request, **changes))
         return self.line.receive()
@@ -413,11 +415,11 @@ def test_a_frame_after_minutes_of_silence_is_delivered():
         q_ned_frd=np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)),
     )
     for time_us in range(0, 120 * second_us, second_us):
-        client.begin(time_us, STEP_US, truth)
+        client.begin(time_us, STEP_US, truth, **RADIO)
         client.end()
     now_us = 120 * second_us
     channel.radios[0].send(now_us, [Broadcast(seq=0, at_us=now_us, payload=b"again")])
-    client.begin(now_us, STEP_US, truth, senders=(0,))
+    client.begin(now_us, STEP_US, truth, senders=(0,), **RADIO)
     assert client.end() == ()
     assert client.delivered(now_us + second_us) == (1,)
     assert [item.payload for item in channel.received(1, now_us + second_us)] == [b"again"]

@@ -14,6 +14,7 @@ POS_NED_M = np.arange(6.0).reshape(2, 3)
 VEL_NED_M_S = -0.5 * POS_NED_M
 Q_NED_FRD = np.array([[1.0, 0.0, 0.0, 0.0], [0.6, 0.0, 0.8, 0.0]])
 TRUTH = SimpleNamespace(pos_ned_m=POS_NED_M, vel_ned_m_s=VEL_NED_M_S, q_ned_frd=Q_NED_FRD)
+RADIO = {"extra_attenuation_db": 0.0, "range_offsets_m": {}}
 
 
 class Emulator:
@@ -47,10 +48,10 @@ def advanced(to_us, *, quiet_until_us=0, **changes):
     return Advanced(to_us=to_us, quiet_until_us=quiet_until_us, **changes)
 
 
-def interval(client, emulator, time_us, senders=(), **answer):
+def interval(client, emulator, time_us, senders=(), radio=RADIO, **answer):
     """Simulate the interval that begins at ``time_us``, if it is not skipped."""
     emulator.answers = [advanced(time_us + PERIOD_US, **answer)]
-    client.begin(time_us, STEP_US, TRUTH, senders=senders)
+    client.begin(time_us, STEP_US, TRUTH, senders=senders, **radio)
     return client.end()
 
 
@@ -86,7 +87,7 @@ def test_a_quiet_emulator_never_falls_so_far_behind_that_it_refuses_the_next_bat
         reached_us = emulator.requests[-1].to_us if emulator.requests else 0
         assert time_us + 1_000_000 <= reached_us + LEAD_US
         emulator.answers = [advanced(time_us + period_us, quiet_until_us=10**12)]
-        client.begin(time_us, STEP_US, TRUTH)
+        client.begin(time_us, STEP_US, TRUTH, **RADIO)
         client.end()
     assert len(emulator.requests) == end_us // MAX_QUIET_US
 
@@ -100,7 +101,7 @@ def test_intervals_begin_at_the_multiples_of_their_period(client):
 def test_the_emulator_is_awaited_when_its_interval_ends_and_not_before(client, emulator):
     assert not client.is_pending(20_000)
     emulator.answers = [advanced(40_000)]
-    client.begin(20_000, STEP_US, TRUTH)
+    client.begin(20_000, STEP_US, TRUTH, **RADIO)
     awaited_us = [time_us for time_us in range(24_000, 48_000, STEP_US) if client.is_pending(time_us)]
     assert awaited_us == [40_000, 44_000]
     client.end()
@@ -118,11 +119,10 @@ def test_with_asynchronous_radios_intervals_are_steps_and_none_is_skipped(emulat
 
 
 def test_attenuation_acts_on_the_intervals_that_begin_after_it(client, emulator):
-    for time_us, attenuation_db in ((0, None), (20_000, 30.0), (40_000, 30.0), (60_000, None)):
-        client.extra_attenuation_db = attenuation_db
-        interval(client, emulator, time_us)
+    for time_us, attenuation_db in ((0, 0.0), (20_000, 30.0), (40_000, 30.0), (60_000, 0.0)):
+        interval(client, emulator, time_us, radio=RADIO | {"extra_attenuation_db": attenuation_db})
     requested = {request.at_us: request.extra_attenuation_db for request in emulator.requests}
-    assert requested == {0: None, 20_000: 30.0, 40_000: 30.0, 60_000: None}
+    assert requested == {0: 0.0, 20_000: 30.0, 40_000: 30.0, 60_000: 0.0}
 
 
 def test_a_missing_batch_is_awaited_until_it_arrives_or_its_vehicle_is_lost(client, emulator):
@@ -149,6 +149,6 @@ def test_a_delivery_is_reported_once_at_its_release_however_early_the_emulator_i
 )
 def test_an_emulator_that_does_not_answer_or_is_gone_is_an_error(client, emulator, answer, reason):
     emulator.answers = [answer]
-    client.begin(0, STEP_US, TRUTH)
+    client.begin(0, STEP_US, TRUTH, **RADIO)
     with pytest.raises(RadioSilent, match=reason):
         client.end()

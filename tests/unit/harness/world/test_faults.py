@@ -396,11 +396,11 @@ def test_radio_faults_are_active_in_their_time_and_add_up():
         fault_of("ranging_bias", offset_m=5.0),
         fault_of("ranging_bias", uav="all", offset_m=-2.0, start_s=1.5),
     )
-    assert radio_at(state, BEGIN_US - STEP_US) == (None, {})
+    assert radio_at(state, BEGIN_US - STEP_US) == (0.0, {})
     assert radio_at(state, BEGIN_US) == (20.0, {HIT: 5.0})
     assert radio_at(state, 1_500_000) == (200.0, {0: -2.0, HIT: 3.0, 2: -2.0})
     assert radio_at(state, END_US) == (180.0, dict.fromkeys(range(N), -2.0))
-    assert radio_at(state, 2_500_000) == (None, {})
+    assert radio_at(state, 2_500_000) == (0.0, {})
 
 
 @pytest.mark.parametrize("name", ["radio_attenuation", "ranging_bias"])

@@ -125,7 +125,7 @@ def test_a_cut_channel_delivers_nothing_and_ranging_fails():
     statuses = [item.status for _, item in swarm.received if isinstance(item, FtmResult)]
     assert len(statuses) == len(swarm.received) == 4
     assert set(statuses) <= {"no_response", "timeout"}
-    swarm.emulator.set_extra_attenuation_db(None)
+    swarm.emulator.set_extra_attenuation_db(0.0)
     swarm.broadcast(0, swarm.now_us)
     assert len(swarm.run(swarm.now_us + 8_000)) == 3
 

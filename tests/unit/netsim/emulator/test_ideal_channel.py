@@ -146,7 +146,7 @@ def test_attenuated_channel_is_cut_for_that_time():
     swarm = Swarm(FORMATION, channel="ideal")
     for i in range(75):
         swarm.broadcast(0, 4_000 * i + 1_000)
-    for until_us, extra_db in ((100_000, 200.0), (200_000, None), (300_000, None)):
+    for until_us, extra_db in ((100_000, 200.0), (200_000, 0.0), (300_000, 0.0)):
         swarm.run(until_us)
         swarm.emulator.set_extra_attenuation_db(extra_db)
     heard_us = sorted({item.received_ns // 4_000_000 * 4_000 for _, item in swarm.received})

@@ -89,13 +89,13 @@ def test_received_power_falls_with_the_exponent_and_follows_the_vehicles():
     )
 
 
-def test_extra_attenuation_is_set_and_restored():
+def test_extra_attenuation_is_set():
     budget, trajectories = links(extra_attenuation_db=3.0)
     trajectories.set(0, [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0)], REST)
     configured_mw = budget.row(0, 0).powers_mw[1]
     budget.set_extra_attenuation_db(23.0)
     assert budget.row(0, 0).powers_mw[1] == pytest.approx(configured_mw / 100)
-    budget.set_extra_attenuation_db(None)
+    budget.set_extra_attenuation_db(3.0)
     assert budget.row(0, 0).powers_mw[1] == configured_mw
 
 

@@ -19,8 +19,9 @@ def advance(to_us, stations=2, **changes):
         "pos_ned_m": pack_rows(np.arange(3.0 * stations).reshape(-1, 3)),
         "vel_ned_m_s": pack_rows(np.zeros((stations, 3))),
         "q_ned_frd": pack_rows(np.tile([1.0, 0.0, 0.0, 0.0], (stations, 1))),
+        "extra_attenuation_db": 0.0,
     }
-    return Advance(to_us=to_us, release_us=to_us + 4_000, at_us=to_us - 4_000, **rows, **changes)
+    return Advance(to_us=to_us, release_us=to_us + 4_000, at_us=to_us - 4_000, **rows | changes)
 
 
 @pytest.fixture
