@@ -1,12 +1,12 @@
 """The interface of a channel, and the choice between the emulated and the ideal one."""
 
 from collections.abc import Callable
-from typing import Protocol, cast
+from typing import Protocol
 
 from netsim.emulator.ideal_channel import IdealChannel
 from netsim.mac.access_parameters import DCF, EDCA
 from netsim.mac.jobs import FrameSender, OnGroupFrame, Upper
-from netsim.mac.radios import LinkBudgets, Radios
+from netsim.mac.radios import Radios
 from netsim.model.config import RadioConfig
 from netsim.model.event_queue import EventQueue
 from netsim.model.random_streams import RandomStreams
@@ -64,7 +64,7 @@ def channel_of(
         config=config,
         access=EDCA if config.access == "edca" else dict.fromkeys(EDCA, DCF),
         queue=queue,
-        links=cast("LinkBudgets", links),  # which still names the built-in fading
+        links=links,
         stations=stations,
         streams=streams,
         on_group_frame=on_group_frame,

@@ -24,7 +24,7 @@ from netsim.model.event_queue import NEVER_NS, EventQueue
 from netsim.model.random_streams import Model, RandomStreams, Uniforms
 from netsim.model.records import BUFFERED_DRAWS
 from netsim.model.tables import Integers
-from netsim.phy.fading import RicianFading
+from netsim.phy.interfaces import Fading
 from netsim.phy.path_loss import Doubles
 from netsim.phy.propagation import LinkRow
 from netsim.phy.signals import Transmission
@@ -38,7 +38,7 @@ _AT_END = ["sequence", "attempts", "failures", "sent_ns"]
 class LinkBudgets(Protocol):
     """Link budgets of all signals: `netsim.phy.propagation.Links`."""
 
-    fading: RicianFading | None
+    fading: Fading | None
 
     @property
     def version(self) -> int:

@@ -2,7 +2,7 @@
 
 ``kept``        flights of the article's scenario that are retained with their tracks
 ``explaining``  the same formation with other position sources, controls, sensors and gusts, by named change
-``crowded``     the article's scenario with a nearly full channel and with the normal one, of equal length
+``crowded``     the article's scenario with frequent ranging and with the normal one, of equal length
 ``article``     the article's scenario: every wavelength in every wind
 
 The first is part of the last and flown once. All use the same seeds, hence the same winds.
