@@ -316,7 +316,7 @@ def requirements(name: str, of: Compared, *, by_directivity: bool = False) -> li
         difference(f"{name}: {judged}", worst(values_db), of.limits_db[0], "dB"),
         difference(f"{name}: pattern", worst(of.pattern_db), of.limits_db[1], "dB"),
         *(
-            [Check(name=f"{name}: touch for one alone", value=of.disagreeing, unit="", at_most=0.0)]
+            [Check(name=f"{name}: touch for one alone", value=of.disagreeing, at_most=0.0)]
             if of.disagreeing
             else []
         ),

@@ -285,7 +285,7 @@ def _of_touching(touching: dict[tuple[str, str], LimitAnswer | None]) -> tuple[l
             Check(
                 name=f"solvers, of {len(refused)}, that refuse two dipoles by the same elements: {name}",
                 value=float(sum(pair is not None and pair == refused[0] for pair in refused)),
-                unit="", at_least=float(len(refused)),
+                at_least=float(len(refused)),
             )
         )  # fmt: skip
         rows.append(

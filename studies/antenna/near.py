@@ -142,5 +142,5 @@ def _of_pairs(name: str, of: dict[float, Compared]) -> list[Check]:
             f"{title} {near}: directivity, at worst", worst(whole.directivity_db), whole.limits_db[0], "dB"
         ),
         difference(f"{title} {near}: pattern, at worst", worst(whole.pattern_db), whole.limits_db[1], "dB"),
-        Check(name=f"{title} {near}: refused by one alone", value=whole.disagreeing, unit="", at_most=0.0),
+        Check(name=f"{title} {near}: refused by one alone", value=whole.disagreeing, at_most=0.0),
     ]

@@ -86,7 +86,7 @@ def judge(results: list[Balance | None]) -> tuple[list[Check], ReportTable]:
     if usual:
         gains = [value for one in usual for value in one]
         title = f"batch, {USUAL_SEGMENTS} segments, 10 to 40 m: average gain, greatest less least"
-        checks.append(Check(name=title, value=max(gains) - min(gains), unit="", at_most=STEADY))
+        checks.append(Check(name=title, value=max(gains) - min(gains), at_most=STEADY))
     return checks, _table(found)
 
 

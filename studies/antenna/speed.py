@@ -59,7 +59,7 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section: 
 def requirements(fields: dict[str, Any]) -> tuple[Check, ...]:
     """Return the checks of the required speed-ups; a missing field fails."""
     return tuple(
-        Check(name=name, value=float(fields.get(name, math.nan)), unit="", at_least=least)
+        Check(name=name, value=float(fields.get(name, math.nan)), at_least=least)
         for name, least in LEAST.items()
     )
 

@@ -20,14 +20,12 @@ NO_WORSE_MOST = 1.1
 def formed_check(book: Book, cases: Sequence[CodesignCase]) -> Check:
     """Check that enough flights of each case reached their formation; others have no results of it."""
     fewest = min(map(book.formed, cases))
-    return Check(
-        name="flights that formed, fewest", value=float(fewest), unit="", at_least=float(SEEDS_LEAST)
-    )
+    return Check(name="flights that formed, fewest", value=float(fewest), at_least=float(SEEDS_LEAST))
 
 
 def pairs_check(what: str, count: int) -> Check:
     """Check that enough seeds have both flights."""
-    return Check(name=f"pairs of flights, {what}", value=float(count), unit="", at_least=float(SEEDS_LEAST))
+    return Check(name=f"pairs of flights, {what}", value=float(count), at_least=float(SEEDS_LEAST))
 
 
 def fewest_pairs_check(ratios: Sequence[Interval]) -> Check:
@@ -45,11 +43,11 @@ def sound_checks(book: Book, cases: Sequence[CodesignCase], by: str = "with FTM"
     collided = sum(map(book.collided, cases))
     return (
         Check(
-            name=f"{by}: flights that broke or did not form", unit="", at_most=0.0,
+            name=f"{by}: flights that broke or did not form", at_most=0.0,
             value=float(missed) if flown else math.nan,
         ),
         Check(
-            name=f"{by}: flights with a collision", unit="", at_most=0.0,
+            name=f"{by}: flights with a collision", at_most=0.0,
             value=float(collided) if any(map(book.flown, cases)) else math.nan,
         ),
     )  # fmt: skip

@@ -111,12 +111,12 @@ def judge_estimator(results: dict[Setting, LocalisationResult]) -> Section:
             "requirement applies to the article's geometry; others outside the band are marked.\n"
         ),
         checks=(
-            Check(name="runs", value=float(article.runs), unit="", at_least=float(RUNS_LEAST)),
+            Check(name="runs", value=float(article.runs), at_least=float(RUNS_LEAST)),
             Check(
                 name="relative position error over the Cramer-Rao bound, article's geometry",
-                value=article.filter_over_bound, unit="", at_most=OVER_BOUND_MOST,
+                value=article.filter_over_bound, at_most=OVER_BOUND_MOST,
             ),
-            Check(name="its NEES", value=article.nees, unit="", at_least=low, at_most=high),
+            Check(name="its NEES", value=article.nees, at_least=low, at_most=high),
         ),
         tables=(
             ReportTable(

@@ -68,12 +68,12 @@ def judge_beacon_period(book: Book, images: Path | None) -> Section:
             fewest_pairs_check((sooner, later)),
             largest_shape_check(book, cases, "any period"),
             Check(
-                name=f"shape error at {SELDOM_MS} ms over that at {OFTEN_MS} ms", value=sooner.value, unit="",
+                name=f"shape error at {SELDOM_MS} ms over that at {OFTEN_MS} ms", value=sooner.value,
                 at_most=NO_WORSE_MOST,
             ),
             Check(
                 name=f"error of the estimates at {BEACON_PERIODS_MS[-1]} ms over that at "
-                f"{BASE.beacon_period_ms} ms, lower end", value=later.low, unit="", at_least=1.0,
+                f"{BASE.beacon_period_ms} ms, lower end", value=later.low, at_least=1.0,
             ),
         ),
         tables=(
@@ -173,31 +173,30 @@ def _ranging_checks(book: Book) -> tuple[Check, ...]:
         Check(
             name="share of ranging sessions that complete, any policy within the channel capacity, "
             "smallest mean",
-            unit="",
             value=extreme(book, cases, "completed_fraction", np.min), at_least=COMPLETED_LEAST,
         ),
         Check(
-            name="scheduled: occupancy of the channel over its configured share, largest", unit="",
+            name="scheduled: occupancy of the channel over its configured share, largest",
             value=float(np.max(shares)), at_most=SHARE_MOST,
         ),
         Check(
-            name="8 UAVs: shape error scheduled over all pairs once a second, lower end", unit="",
+            name="8 UAVs: shape error scheduled over all pairs once a second, lower end",
             value=shape_8.low, at_most=1.0,
         ),
         Check(
-            name="16 UAVs: shape error scheduled over all pairs once a second", unit="",
+            name="16 UAVs: shape error scheduled over all pairs once a second",
             value=shape_16.value, at_most=NO_WORSE_MOST,
         ),
         Check(
-            name="16 UAVs: occupancy of the channel scheduled over all pairs once a second", unit="",
+            name="16 UAVs: occupancy of the channel scheduled over all pairs once a second",
             value=busy_16.value, at_most=THRIFT_MOST,
         ),
         Check(
-            name="8 UAVs: occupancy of the channel, all pairs every 0.1 s over every second", unit="",
+            name="8 UAVs: occupancy of the channel, all pairs every 0.1 s over every second",
             value=busy_often.value, at_least=WASTE_LEAST,
         ),
         Check(
-            name="8 UAVs: shape error, all pairs every 0.1 s over every second", unit="",
+            name="8 UAVs: shape error, all pairs every 0.1 s over every second",
             value=shape_often.value, at_least=WASTED_LEAST,
         ),
     )  # fmt: skip
@@ -226,24 +225,20 @@ def judge_baselines(book: Book, images: Path | None) -> Section:  # noqa: ARG001
             Check(
                 name="shape error with true positions over that with FTM, lower end",
                 value=truth.low,
-                unit="",
                 at_most=1.0,
             ),
             Check(
                 name="shape error with true positions over that with FTM",
                 value=truth.value,
-                unit="",
                 at_least=CONTROLS_LEAST,
             ),
             Check(
                 name="shape error over an ideal channel over that over the emulated one, lower end",
                 value=ideal.low,
-                unit="",
                 at_most=1.0,
             ),
             Check(
                 name="shape error over the emulated channel over that over an ideal one",
-                unit="",
                 value=emulated.value,
                 at_most=NO_WORSE_MOST,
             ),

@@ -101,7 +101,7 @@ def judge_wind_agents(book: Book, images: Path | None) -> Section:
                 unit="m", at_most=SHAPE_MOST_M,
             ),
             Check(
-                name="shape error with GPS alone over that with FTM, same case", value=ratio.value, unit="",
+                name="shape error with GPS alone over that with FTM, same case", value=ratio.value,
                 at_least=RATIO_LEAST,
             ),
             largest_shape_check(book, ftm_cases, "all flown winds and numbers of UAVs"),
@@ -179,16 +179,16 @@ def judge_wavelength(book: Book, images: Path | None) -> Section:
             *sound_checks(book, ftm_cases),
             Check(
                 name=f"λ = {TIGHT_M:g} m, {TIGHT_WIND_N:g} N, FTM: flights with a collision",
-                value=_of_any(book, tight, book.collided), unit="", at_most=0.0,
+                value=_of_any(book, tight, book.collided), at_most=0.0,
             ),
             Check(
                 name=f"λ = {TIGHT_M:g} m, {TIGHT_WIND_N:g} N, FTM: flights that did not form",
-                value=_of_any(book, tight, lambda case: len(book.flown(case)) - book.formed(case)), unit="",
+                value=_of_any(book, tight, lambda case: len(book.flown(case)) - book.formed(case)),
                 at_most=0.0,
             ),
             Check(
                 name=f"λ = {TIGHT_M:g} m, {TIGHT_WIND_N:g} N, GPS alone: share of flights with a collision",
-                value=_of_any(book, tight_gps, book.collided) / max(len(book.flown(tight_gps)), 1), unit="",
+                value=_of_any(book, tight_gps, book.collided) / max(len(book.flown(tight_gps)), 1),
                 at_least=TIGHT_COLLIDED_LEAST,
             ),
             Check(
@@ -196,7 +196,7 @@ def judge_wavelength(book: Book, images: Path | None) -> Section:
                 value=float(np.min([
                     _recovered(book, *cases) for cases in zip(gps_cases, ftm_cases, strict=True)
                 ])),
-                unit="", at_least=GAIN_BACK_LEAST,
+                at_least=GAIN_BACK_LEAST,
             ),
         ),
         tables=(

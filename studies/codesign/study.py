@@ -15,9 +15,6 @@ from studies.codesign.simulated import Array, Trouble, simulate
 class LocalisationResult:
     """Result of one setting; horizontal rms over runs and UAVs after the best rigid alignment."""
 
-    count: int
-    loss: float
-    scheduled: bool
     runs: int
     bound_m: float
     """Posterior Cramer-Rao bound."""
@@ -127,9 +124,6 @@ def localisation_study(
     freedom = runs * (2 * len(places_ned_m) - 3)
     low, high = (chi2.ppf((0.025, 0.975), freedom) / runs).tolist()
     return LocalisationResult(
-        count=len(places_ned_m),
-        loss=trouble.loss,
-        scheduled=scheduled,
         runs=runs,
         bound_m=bound_m,
         filter_m=filter_m,

@@ -80,16 +80,16 @@ def judge_trouble(book: Book, images: Path | None) -> Section:
             pairs_check("with and without losses", growth.count),
             *(pairs_check(f"with and without ranging bias {since}", len(of)) for since, of in pulls.items()),
             Check(
-                name="losses: share of the beacons lost at the hosts", unit="", at_least=LOSS_SEEN,
+                name="losses: share of the beacons lost at the hosts", at_least=LOSS_SEEN,
                 value=book.mean(LOSSY, "beacons_lost_fraction").value,
             ),
             Check(
-                name="losses: share of ranging sessions that complete", unit="", at_most=COMPLETED_MOST,
+                name="losses: share of ranging sessions that complete", at_most=COMPLETED_MOST,
                 value=book.mean(LOSSY, "completed_fraction").value,
             ),
             Check(
                 name=f"{DROPPED:.0%} of beacons and distances lost: growth of the shape error",
-                value=growth.value, unit="", at_most=GROWTH_MOST,
+                value=growth.value, at_most=GROWTH_MOST,
             ),
             Check(
                 name="outage: time without any distance, shortest", unit="s", at_least=CUT_SEEN * plan.cut_s,
@@ -97,7 +97,7 @@ def judge_trouble(book: Book, images: Path | None) -> Section:
             ),
             Check(
                 name="outage: flights with a collision",
-                value=float(book.collided(cut_case)) if book.flown(cut_case) else math.nan, unit="",
+                value=float(book.collided(cut_case)) if book.flown(cut_case) else math.nan,
                 at_most=0.0,
             ),
             Check(

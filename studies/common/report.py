@@ -16,7 +16,7 @@ class Check(Struct, frozen=True, kw_only=True):
 
     name: str
     value: float
-    unit: str
+    unit: str = ""
     at_least: float | None = None
     at_most: float | None = None
     px4: str = ""

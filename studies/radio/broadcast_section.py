@@ -65,7 +65,7 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
         spare_ms = SURE * difference_error(delays_ms[key], reference_ms) if _is_drawn(row) else 0.0
         checks.append(
             Check(
-                name=f"{name}: delivered", value=ratios[key].value, unit="",
+                name=f"{name}: delivered", value=ratios[key].value,
                 at_least=max(reference.value - RATIO_TOLERANCE - spare, 0.0),
                 at_most=min(reference.value + RATIO_TOLERANCE + spare, 1.0),
             )

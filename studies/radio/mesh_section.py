@@ -99,18 +99,16 @@ def _checks(period_s: float, row: list[Mesh]) -> list[Check]:
     for mesh in row:
         name = f"n = {mesh.stations} every {period_s:g} s"
         if mesh.requested <= FITS:
-            checks.append(
-                Check(name=f"{name}: completed", value=mesh.completed.value, unit="", at_least=COMPLETED)
-            )
+            checks.append(Check(name=f"{name}: completed", value=mesh.completed.value, at_least=COMPLETED))
         elif mesh.requested >= FULL:
             checks += [
                 Check(
-                    name=f"{name}: share of the requested round trips", value=mesh.round_trips.value, unit="",
+                    name=f"{name}: share of the requested round trips", value=mesh.round_trips.value,
                     at_least=(1.0 - LOST) / mesh.requested, at_most=(1.0 + SHARED) / mesh.requested,
                 ),
                 Check(
                     name=f"{name}: delay over that of two stations",
-                    value=mesh.delay_ms.value / row[0].delay_ms.value, unit="", at_least=DELAYED,
+                    value=mesh.delay_ms.value / row[0].delay_ms.value, at_least=DELAYED,
                 ),
             ]  # fmt: skip
     return checks

@@ -1,9 +1,11 @@
 """Reference results for the same traffic: tables in studies/reference; its README states their origin."""
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import TypeVar
 
+import msgspec
 from msgspec import Struct
 
 from netsim.model.config import BandwidthMhz, Mode
@@ -15,6 +17,9 @@ BIANCHI_PACKET_BYTES = 1500
 BIANCHI_UDP_BYTES = BIANCHI_PACKET_BYTES + 8 - NS3_PAYLOAD_OVERHEAD_BYTES
 """UDP payload with the same MAC payload as the reference's packets, which have LLC/SNAP but neither IP nor
 UDP."""
+
+
+T = TypeVar("T", bound=Struct)
 
 
 class Saturated(Struct, frozen=True, kw_only=True):
@@ -56,43 +61,21 @@ class ErrorCurve(Struct, frozen=True, kw_only=True):
 def ns3_saturation() -> list[Saturated]:
     """Return runs of ns-3 3.37: 802.11a, UDP, control frames at 6 Mbit/s."""
     return [
-        Saturated(
-            stations=int(row["n"]),
-            rts=row["rts"] == "1",
-            rate_mbps=int(row["rate"].removeprefix("OfdmRate").removesuffix("Mbps")),
-            payload_bytes=int(row["payload_bytes"]),
-            throughput_mbps=float(row["throughput_mbps"]),
-        )
+        _read({**row, "rate_mbps": row["rate"].removeprefix("OfdmRate").removesuffix("Mbps")}, Saturated)
         for row in _rows("ns3_saturation.csv")
     ]
 
 
 def bianchi() -> list[Saturated]:
     """Return the values of Bianchi's model in ns-3's own test, for packets of `BIANCHI_PACKET_BYTES`."""
-    return [
-        Saturated(
-            stations=int(row["n"]),
-            rts=False,
-            rate_mbps=int(row["rate_mbps"]),
-            payload_bytes=BIANCHI_PACKET_BYTES,
-            throughput_mbps=float(row["throughput_mbps"]),
-        )
-        for row in _rows("bianchi.csv")
-    ]
+    fixed = {"rts": False, "payload_bytes": BIANCHI_PACKET_BYTES}
+    return [_read({**row, **fixed}, Saturated) for row in _rows("bianchi.csv")]
 
 
 def ns3_broadcasts() -> list[Broadcasts]:
     """Return runs of ns-3 3.37: 802.11a at 6 Mbit/s, UDP."""
     return [
-        Broadcasts(
-            stations=int(row["n"]),
-            payload_bytes=int(row["payload_bytes"]),
-            period_s=float(row["period_s"]),
-            jitter_s=float(row["jitter_s"]),
-            seconds=_broadcast_seconds(float(row["period_s"])),
-            delivery_ratio=float(row["delivery_ratio"]),
-            mean_delay_ms=float(row["mean_delay_ms"]),
-        )
+        _read({**row, "seconds": _broadcast_seconds(float(row["period_s"]))}, Broadcasts)
         for row in _rows("ns3_broadcast.csv")
     ]
 
@@ -132,6 +115,11 @@ def ns3_error_curves() -> list[ErrorCurve]:
         )
         for (mode, width_mhz, frame_bytes), curve in points.items()
     ]
+
+
+def _read(row: Mapping[str, object], kind: type[T]) -> T:
+    """Return a row of a table, whose texts are converted to the types of the fields."""
+    return msgspec.convert({**row, "stations": row["n"]}, kind, strict=False)
 
 
 def _rows(name: str) -> Iterator[dict[str, str]]:

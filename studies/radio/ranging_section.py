@@ -110,7 +110,7 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
             checks.append(
                 Check(
                     name=f"{width} MHz, {frames} frames: error's sigma over round trip's / √{frames - 1}",
-                    value=_known(run.error_std_m) * math.sqrt(frames - 1) / trip_m, unit="",
+                    value=_known(run.error_std_m) * math.sqrt(frames - 1) / trip_m,
                     at_least=1.0 - SIGMA_TOLERANCE, at_most=1.0 + SIGMA_TOLERANCE,
                 )
             )  # fmt: skip
@@ -126,7 +126,7 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
     checks.append(
         Check(
             name=f"sessions that failed, of {sum(run.failed + run.completed for run in all_runs)}",
-            value=sum(run.failed for run in all_runs), unit="", at_most=0.0,
+            value=sum(run.failed for run in all_runs), at_most=0.0,
         )
     )  # fmt: skip
     figures: tuple[tuple[str, str], ...] = ()

@@ -126,8 +126,8 @@ def judge_allocation(plan: VehiclePlan, results: Results, images: Path | None) -
             "keep their direction.\n"
         ),
         checks=(
-            Check(name="lowest control", value=worst.lowest_control, unit="", at_least=0.0),
-            Check(name="highest control", value=worst.highest_control, unit="", at_most=1.0),
+            Check(name="lowest control", value=worst.lowest_control, at_least=0.0),
+            Check(name="highest control", value=worst.highest_control, at_most=1.0),
             Check(
                 name="achievable roll and pitch torque that was not produced", value=worst.lost_torque_n_m,
                 unit="N m", at_most=ROUNDING_N_M,
@@ -141,7 +141,7 @@ def judge_allocation(plan: VehiclePlan, results: Results, images: Path | None) -
                 at_most=ROUNDING_N_M,
             ),
             Check(
-                name="thrust added for torque without airmode", value=worst.added_thrust, unit="",
+                name="thrust added for torque without airmode", value=worst.added_thrust,
                 at_most=1e-12,
             ),
         ),

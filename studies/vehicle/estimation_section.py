@@ -67,7 +67,6 @@ def judge(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
             Check(
                 name=f"innovations of {name}: greatest autocorrelation",
                 value=white.greatest,
-                unit="",
                 at_most=white.greatest_limit,
             )
         )
@@ -160,9 +159,7 @@ def judge(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
 
 def _nees_check(group: str, label: str, found: Consistency) -> Check:
     mean, (low, high) = found.overall(group)
-    return Check(
-        name=f"{group}: NEES per degree of freedom, {label}", value=mean, unit="", at_least=low, at_most=high
-    )
+    return Check(name=f"{group}: NEES per degree of freedom, {label}", value=mean, at_least=low, at_most=high)
 
 
 def _nees_cell(found: Consistency, group: str) -> str:

@@ -99,10 +99,11 @@ def _vertical_frd(q_ned_frd: Array) -> Array:
     return np.stack((2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z), axis=1)
 
 
-_COLUMNS = {
-    "pos_ned_m": 3, "vel_ned_m_s": 3, "q_ned_frd": 4,
-    "estimated_pos_ned_m": 3, "estimated_vel_ned_m_s": 3, "estimated_q_ned_frd": 4,
-}  # fmt: skip
+_STATE = ("pos_ned_m", 3), ("vel_ned_m_s", 3), ("q_ned_frd", 4)
+_RECORD = np.dtype(
+    [("time_s", "f8")]
+    + [(f"{of}{name}", "f8", length) for of in ("", "estimated_") for name, length in _STATE]
+)
 
 
 def solo_config(
@@ -168,7 +169,7 @@ class Solo:
         self._to_send: list[Message] = []
         self._setpoint: Message | None = None
         self._recording = recording
-        self._rows = np.empty((4096, 1 + sum(_COLUMNS.values())))
+        self._rows = np.empty(4096, _RECORD)
         self._taken = 0
 
     def __enter__(self) -> Self:
@@ -304,10 +305,7 @@ class Solo:
     def track(self) -> Track:
         """Recorded flight so far."""
         rows = self._rows[: self._taken]
-        columns, at = {"time_s": rows[:, 0].copy()}, 1
-        for name, width in _COLUMNS.items():
-            columns[name] = rows[:, at : at + width].copy()
-            at += width
+        columns = {name: rows[name].copy() for name in _RECORD.names or ()}
         columns["pos_ned_m"] -= self._start_ned_m
         columns["own_pos_ned_m"] = columns["estimated_pos_ned_m"].copy()
         columns["estimated_pos_ned_m"] += self.vehicle.site.origin_ned_m(self.vehicle.flight.state)
@@ -316,16 +314,12 @@ class Solo:
     def _record(self) -> None:
         if self._taken == len(self._rows):
             self._rows = np.concatenate((self._rows, np.empty_like(self._rows)))
-        row = self._rows[self._taken]
-        self._taken += 1
         truth, state = self._measured, self.vehicle.flight.state
-        row[0] = self.now_us * 1e-6
-        row[1:4] = truth.pos_ned_m[0]
-        row[4:7] = truth.vel_ned_m_s[0]
-        row[7:11] = truth.q_ned_frd[0]
-        row[11:14] = state.pos_ned_m
-        row[14:17] = state.vel_ned_m_s
-        row[17:21] = state.q_ned_frd
+        self._rows[self._taken] = (
+            self.now_us * 1e-6, truth.pos_ned_m[0], truth.vel_ned_m_s[0], truth.q_ned_frd[0],
+            state.pos_ned_m, state.vel_ned_m_s, state.q_ned_frd,
+        )  # fmt: skip
+        self._taken += 1
 
     def _read_sensors(self) -> SensorFrame:
         truth = self._measured = self.world.truth
@@ -361,10 +355,8 @@ class Solo:
                     self.modes.append((self.now_us, *seen))
 
 
-def _target(
-    mask: int, pos_ned_m: Vector, vel_ned_m_s: Vector, acc_ned_m_s2: Vector = (0.0, 0.0, 0.0)
-) -> Message:
-    yaw_rad, yaw_rate_rad_s = 0.0, 0.0
+def _target(mask: int, pos_ned_m: Vector, vel_ned_m_s: Vector) -> Message:
+    acc_ned_m_s2, yaw_rad, yaw_rate_rad_s = (0.0, 0.0, 0.0), 0.0, 0.0
     return common.MAVLink_set_position_target_local_ned_message(
         0, 1, 1, common.MAV_FRAME_LOCAL_NED, mask, *pos_ned_m, *vel_ned_m_s, *acc_ned_m_s2,
         yaw_rad, yaw_rate_rad_s,

@@ -346,7 +346,7 @@ def fake_study(setting, runs):
     """
     nees = 9.9 if setting.agents == 4 else 16.1 if setting.loss else 14.0
     return LocalisationResult(
-        count=setting.agents, loss=setting.loss, scheduled=setting.scheduled, runs=runs, bound_m=0.1,
+        runs=runs, bound_m=0.1,
         filter_m=0.149 if setting.batch else 0.2, batch_m=0.12 if setting.batch else None, predicted_m=0.1,
         nees=nees, nees_band=(10.0, 16.0),
     )  # fmt: skip
