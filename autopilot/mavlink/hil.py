@@ -12,7 +12,9 @@ from collections.abc import Sequence
 from struct import Struct
 from typing import Final, NamedTuple, Self, TypeAlias
 
+import numpy as np
 from fastcrc import crc16
+from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Encoder, Message, Parser
@@ -189,20 +191,21 @@ def pack(message: HilMessage, *, sequence: int, system: int, component: int) -> 
 class HilEncoder(Encoder):
     """`Encoder` for a simulator link: high-rate messages by struct, others by pymavlink, in one sequence."""
 
-    def __init__(self, *, system: int, component: int) -> None:
+    def __init__(self, *, system: int, component: int, sequence: NDArray[np.int64] | None = None) -> None:
+        """``sequence`` (1,) is the memory of the number of the next frame, if other code uses it too."""
         super().__init__(system=system, component=component)
-        self.sequence = 0
-        """Sequence number of the next frame."""
+        self._sequence = (np.zeros(1, np.int64) if sequence is None else sequence).data
 
     def encode(self, message: Message | HilMessage) -> bytes:
         """Pack a message; see `Encoder.encode`."""
+        sequence: int = self._sequence[0]
         if type(message) in _FORMATS:
             system, component = self._own
-            frame = pack(message, sequence=self.sequence, system=system, component=component)
+            frame = pack(message, sequence=sequence, system=system, component=component)
         else:
-            self._mavlink.seq = self.sequence
+            self._mavlink.seq = sequence
             frame = super().encode(message)
-        self.sequence = (self.sequence + 1) % 256
+        self._sequence[0] = (sequence + 1) % 256
         return frame
 
 

@@ -2,14 +2,14 @@
 
 Nine of ten steps are fast: no other measurement is used, nothing is due, and the vehicle continues on the
 same trajectory or is disarmed. `inertial_step` is equivalent to `autopilot.vehicle.vehicle.Vehicle.step`: it
-runs the same kernels on the same blocks of memory, so the flight is identical to the bit. It does not update
-the Python objects; they are synchronised before they are next used (`Vehicle.catch_up`). This saves several
+runs the same kernels on the same blocks of memory, so the flight is identical to the bit. This saves several
 times the time of the arithmetic, because a process that shares its processor with others starts each step
 with cold caches.
-"""
 
-from collections.abc import Sequence
-from struct import Struct
+The table in `autopilot.vehicle.shared_state` has the limits of a run of fast steps. `inertial_step` also
+rejects bytes that are not exactly one valid HIL_SENSOR of the first sensor set, or that have a time that is
+not later, other values than acceleration and body rates, or implausible ones.
+"""
 
 import numpy as np
 from numba import njit
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from autopilot.control.block import Block as Cascade
 from autopilot.control.cascade import follow_trajectory
-from autopilot.estimation.horizon import DELAY_US, NOT_FINITE, WAITING, advance
+from autopilot.estimation.horizon import NOT_FINITE, advance
 from autopilot.estimation.horizon import Block as Horizon
 from autopilot.estimation.sensor_input import BARO_FIELDS, IMU_FIELDS, MAG_FIELDS
 from autopilot.mavlink.frame import CHECKSUM_BYTES, FIRST, HEADER_BYTES, PAYLOAD, Octets, payload_bytes, seal
@@ -46,17 +46,26 @@ _HANDED_OVER, _HANDED_OVER_BIT = ACTUATORS_FLAGS - FIRST + 4, BATCH_HANDED_OVER 
 _ROTORS = 4
 _RECEIVE_BYTES = 4096
 US_PER_S = 1_000_000
+Record = NDArray[np.void]
+Blocks = tuple[Record, Horizon, Horizon, Cascade]
+"""Those of the shared state, the filter, its waiting samples, and the controller."""
 
-FAST_STEP_STATE = np.dtype(
-    [
-        ("now_us", "i8"), ("until_us", "i8"), ("aids_us", "i8"), ("sound_until_us", "i8"), ("sequence", "i8"),
-        ("flies", "i8"),
-    ],
-    align=True,
-)  # fmt: skip
-"""Inputs of `FastSteps.open`; a step updates its time and the sequence number of the next frame."""
-_MOMENT = Struct("=6q")
-"""The same fields for Python, because single writes to a row of an array are slow."""
+
+@njit(cache=True)
+def within_limits(limits: Record, time_us: int, horizon_us: int, aids: int) -> bool:
+    """Return whether a sample of this time reaches none of the limits, a record of `shared_state.LIMITS`.
+
+    ``horizon_us`` is the greatest time of the filter's horizon after the sample; ``aids`` is not 0 if a
+    magnetic field or pressure comes with it.
+    """
+    return bool(
+        time_us < limits["decision_us"]
+        and time_us < limits["application_us"]
+        and time_us < limits["services_us"]
+        and time_us < limits["record_us"]
+        and (aids == 0 or time_us < limits["aiding_us"])
+        and horizon_us < limits["horizon_us"]
+    )
 
 
 @njit(cache=True)
@@ -64,7 +73,7 @@ def inertial_step(
     size: int,
     incoming: Octets,
     answer: Octets,
-    moment: NDArray[np.void],
+    shared: Record,
     horizon: Horizon,
     samples: Horizon,
     cascade: Cascade,
@@ -73,9 +82,10 @@ def inertial_step(
 
     Returns False, with nothing changed, if they are not. ``incoming`` and ``answer`` contain frames starting
     at `frame.FIRST`; ``answer`` has the previous reply, of which sequence number, time, controls and checksum
-    are updated. ``moment`` is (1,) of `FAST_STEP_STATE`.
+    are updated. ``shared`` is (1,) of `shared_state.SHARED_STATE`, the others are as in `Blocks`.
     """
-    m, filtered = moment[0], horizon[0]
+    state, filtered = shared[0], horizon[0]
+    clock = state["clock"]
     length = payload_bytes(incoming, size, SENSOR_KIND, SENSOR_EXTRA)
     if length < _LEAST_BYTES or length > _MOST_BYTES:
         return False
@@ -83,32 +93,32 @@ def inertial_step(
     if length == _MOST_BYTES:
         updated |= np.int64(incoming[SENSOR_UPDATED + 1]) << 8
     time_us = incoming[PAYLOAD:SENSOR_FLOATS].view(np.int64)[0]
-    if updated & ~_AIDS != IMU_FIELDS or (updated & _AIDS and time_us >= m["aids_us"]):
+    if updated & ~_AIDS != IMU_FIELDS or time_us <= clock["now_us"]:
         return False
-    cursor = filtered["cursor"]
-    if not m["now_us"] < time_us < m["until_us"] or time_us - cursor[DELAY_US] >= m["sound_until_us"]:
+    if not within_limits(state["limits"], time_us, time_us - filtered["delay_us"], int(updated & _AIDS)):
         return False
-    if cursor[WAITING] + 1 >= samples.size:  # a full ring buffer would advance the horizon further
+    if filtered["waiting"] + 1 >= samples.size:  # a full ring buffer would advance the horizon further
         return False
     measured = incoming[SENSOR_FLOATS:SENSOR_UPDATED].view(np.float32)
     accel, gyro = np.empty(3), np.empty(3)
     for i in range(3):
         accel[i], gyro[i] = measured[i], measured[3 + i]
-    if advance(horizon, samples, time_us, gyro, accel) == NOT_FINITE:
+    dt_s = (time_us - clock["estimate_us"]) * 1e-6
+    if advance(horizon, samples, time_us, dt_s, gyro, accel) == NOT_FINITE:
         return False
 
-    if m["flies"]:
+    if state["flies"]:
         c = cascade[0]
-        c["dt_s"] = (time_us - m["now_us"]) / US_PER_S  # the other inputs in the block are unchanged
+        c["dt_s"] = (time_us - clock["now_us"]) / US_PER_S  # the other inputs in the block are unchanged
         follow_trajectory(cascade, filtered["estimate"])
         controls, given = c["controls"], answer[ACTUATORS_CONTROLS:ACTUATORS_MODE].view(np.float32)
         for i in range(_ROTORS):
             given[i] = controls[i]
-    m["now_us"] = time_us
+    clock["now_us"] = clock["inertial_us"] = clock["estimate_us"] = time_us
 
     answer[ACTUATORS_TIME:ACTUATORS_FLAGS].view(np.int64)[0] = time_us
-    seal(answer, m["sequence"], ACTUATORS_EXTRA)
-    m["sequence"] = (m["sequence"] + 1) % 256
+    seal(answer, state["sequence"], ACTUATORS_EXTRA)
+    state["sequence"] = (state["sequence"] + 1) % 256
     return True
 
 
@@ -125,50 +135,27 @@ class FastSteps:
         answer = np.zeros(PAYLOAD + ACTUATORS_BYTES + CHECKSUM_BYTES, np.uint8)
         self.incoming = incoming.data[FIRST:]
         self._answer = answer.data[FIRST:]
-        self._moment: NDArray[np.void] = np.zeros(1, FAST_STEP_STATE)
-        self._moment_octets = self._moment.view(np.uint8).data
-        self._octets = (incoming, answer, self._moment)
-        self._blocks: Sequence[Horizon | Cascade] | None = None
-        self._opened_us = 0
+        self._octets = (incoming, answer)
+        self._blocks: Blocks | None = None
+        self._ran = False
 
     def step(self, size: int) -> memoryview | None:
         """Return the reply to ``size`` received bytes; None, with nothing changed, if not a fast step."""
         if self._blocks is not None and inertial_step(size, *self._octets, *self._blocks):
+            self._ran = True
             return self._answer
         return None
 
-    def open(
-        self, answer: bytes, sequence: int, blocks: tuple[Horizon, Horizon, Cascade], *, now_us: int,
-        until_us: int, next_aiding_us: int, valid_until_us: int, flies: bool,
-    ) -> None:  # fmt: skip
-        """Allow fast steps after the full step whose reply is this frame.
-
-        Args:
-            answer: the frame.
-            sequence: sequence number of the next frame.
-            blocks: those of the filter, its waiting samples, and the controller.
-            now_us: time of the last sample.
-            until_us: time of the next full step.
-            next_aiding_us: time from which magnetometer and barometer are used; earlier readings are skipped.
-            valid_until_us: horizon until which nothing is to be fused and the state stays valid.
-            flies: the last trajectory continues; else the controls are constant.
-
-        """
+    def open(self, answer: bytes, blocks: Blocks) -> None:
+        """Allow fast steps after the full step whose reply is the frame ``answer``."""
         self._answer[:] = answer
         self._answer[_HANDED_OVER] &= ~_HANDED_OVER_BIT
-        self._opened_us = now_us
-        _MOMENT.pack_into(
-            self._moment_octets, 0, now_us, until_us, next_aiding_us, valid_until_us, sequence, flies
-        )
-        self._blocks = blocks
+        self._blocks, self._ran = blocks, False
 
-    def close(self) -> tuple[int, int] | None:
-        """End the fast steps; return the last time and the next sequence number, None if none ran."""
-        if self._blocks is None:
-            return None
-        self._blocks = None
-        now_us, _, _, _, sequence, _ = _MOMENT.unpack_from(self._moment_octets)
-        return None if now_us == self._opened_us else (now_us, sequence)
+    def close(self) -> bool:
+        """End the fast steps; return whether there were any."""
+        ran, self._blocks, self._ran = self._ran, None, False
+        return ran
 
     @property
     def last_sensor(self) -> HilSensor:

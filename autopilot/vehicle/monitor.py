@@ -77,8 +77,8 @@ class Monitor:
 
         ``has_mission``: there is a mission that may be flown.
         """
-        now_us, armed = flight.now_us, flight.commander.armed
-        sample = self._pack.update(now_us, flight.motors, armed=armed)
+        now_us, armed, motors = flight.now_us, flight.commander.armed, flight.motors()
+        sample = self._pack.update(now_us, motors, armed=armed)
         if sample is not None:
             self.battery.update(sample, armed=armed)
         sensors = self._sensors
@@ -86,7 +86,7 @@ class Monitor:
             self._esc_us = sensors.motor_currents_us
             if armed:
                 self.failures.on_esc(
-                    self._esc_us, sensors.motor_currents_a, flight.motors, self._thrust_model_factor
+                    self._esc_us, sensors.motor_currents_a, motors, self._thrust_model_factor
                 )
         if now_us >= self._slow_us:
             self._slow_us = now_us + SLOW_PERIOD_US
@@ -98,7 +98,7 @@ class Monitor:
         state, slow = flight.state, self._slow_conditions
         causes = self._slow_causes | _OF_BATTERY[self.battery.warning]
         conditions = self._sensors.conditions(now_us) | slow & _CHARGE
-        if now_us - state.time_us <= _IMU_TIMEOUT_US:  # otherwise the estimate is outdated
+        if now_us - flight.clock.estimate_us <= _IMU_TIMEOUT_US:  # otherwise the estimate is outdated
             if state.attitude_valid:
                 conditions |= _ATTITUDE
             if state.height_valid:

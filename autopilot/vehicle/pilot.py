@@ -49,6 +49,7 @@ class Pilot:
         self.navigator = Navigator(settings.navigation, control.trajectory, control.position)
         flight.course = lambda: self.navigator.course
         flight.attitude_setpoint = lambda: self.controller.attitude_setpoint
+        flight.motors = lambda: self.controller.controls
         self.mission_valid = False
         """Whether there is a mission that may be flown."""
         self.mission_fault: str | None = None
@@ -87,7 +88,7 @@ class Pilot:
     @property
     def controls(self) -> list[float]:
         """Controls (16,) of HIL_ACTUATOR_CONTROLS."""
-        return [*self._flight.motors, *_NO_MOTORS]
+        return [*self.controller.controls, *_NO_MOTORS]
 
     # ---- requests in flight; the result is the reason for refusal or None
 
@@ -270,13 +271,8 @@ class Pilot:
             )
         self._setpoint = setpoint
         flight.setpoint = setpoint if isinstance(setpoint, TrajectorySetpoint) else None
-        flight.motors = controller.update(state, setpoint, dt_s=dt_s, landed=landed)
+        controller.update(state, setpoint, dt_s=dt_s, landed=landed)
         self.flies_on = not landed and setpoint is offboard and controller.flies_on
-
-    def catch_up(self) -> None:
-        """Use the controls that compiled code has computed since `update`, if the vehicle is armed."""
-        if self._flight.commander.armed:
-            self._flight.motors = self.controller.controls
 
     def _apply_changes(self) -> None:
         """Apply a change of mode, arming, estimate or take-off altitude to navigator and controller."""
@@ -296,7 +292,7 @@ class Pilot:
         """Handle a new mode, arming or disarming, or a reset of the estimate."""
         flight = self._flight
         if not flight.commander.armed:
-            flight.motors = self.controller.idle()
+            self.controller.idle()
             self._setpoint = IDLE
             flight.setpoint = None
             return
