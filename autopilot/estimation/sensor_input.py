@@ -16,8 +16,7 @@ from autopilot.commander.arming_requirements import Condition
 from autopilot.estimation.clock import LONG_AGO_US, Clock
 from autopilot.estimation.estimator import Estimator
 from autopilot.mavlink.codec import Message
-from autopilot.mavlink.dialect import ESC_STATUS
-from autopilot.mavlink.hil import HIL_GPS, HIL_SENSOR
+from autopilot.mavlink.hil_schema import ESC_STATUS, HIL_GPS, HIL_SENSOR
 from foundation.types import GpsFix, ImuSample
 
 IMU_FIELDS = 0b11_1111
@@ -30,6 +29,7 @@ _IMU, _BARO, _MAG, _GPS = map(int, (Condition.IMU, Condition.BARO, Condition.MAG
 TIMEOUTS_US = {_IMU: 100_000, _BARO: 1_000_000, _MAG: 1_000_000, _GPS: 2_000_000}
 """Age at which a sensor counts as lost: several periods of the slowest rate that PX4 accepts."""
 
+_SENSOR_ID, _GPS_ID, _ESC_ID = HIL_SENSOR.message_id, HIL_GPS.message_id, ESC_STATUS.message_id
 _US_PER_S = 1_000_000
 _UNKNOWN = 65_535
 
@@ -76,13 +76,13 @@ class SensorInput:
         new_fix = False
         for message in messages:
             kind = message.get_msgId()
-            if kind == HIL_SENSOR:
+            if kind == _SENSOR_ID:
                 if message.id == 0:
                     self._take_sensor(message, now_us)
-            elif kind == HIL_GPS:
+            elif kind == _GPS_ID:
                 self._take_gps(message, now_us)
                 new_fix = True
-            elif kind == ESC_STATUS and message.index == 0:
+            elif kind == _ESC_ID and message.index == 0:
                 self.motor_currents_a, self.motor_currents_us = message.current, now_us
         return new_fix
 

@@ -20,28 +20,22 @@ from autopilot.control.cascade import follow_trajectory
 from autopilot.estimation.horizon import NOT_FINITE, advance
 from autopilot.estimation.horizon import Block as Horizon
 from autopilot.estimation.sensor_input import BARO_FIELDS, IMU_FIELDS, MAG_FIELDS
-from autopilot.mavlink.frame import CHECKSUM_BYTES, FIRST, HEADER_BYTES, PAYLOAD, Octets, payload_bytes, seal
-from autopilot.mavlink.hil import HilSensor
-from autopilot.mavlink.hil_layout import (
-    ACTUATORS_BYTES,
-    ACTUATORS_CONTROLS,
-    ACTUATORS_EXTRA,
-    ACTUATORS_FLAGS,
-    ACTUATORS_MODE,
-    ACTUATORS_TIME,
-    SENSOR_BYTES,
-    SENSOR_EXTRA,
-    SENSOR_FLOATS,
-    SENSOR_KIND,
-    SENSOR_UPDATED,
-)
+from autopilot.mavlink.frame import FIRST, HEADER_BYTES, PAYLOAD, Octets, payload_bytes, seal
+from autopilot.mavlink.hil import HilMessage, HilSensor, unpack
+from autopilot.mavlink.hil_schema import HIL_ACTUATOR_CONTROLS, HIL_SENSOR
 from netsim.wire.lockstep import BATCH_HANDED_OVER
 
-_LEAST_BYTES, _MOST_BYTES = 61, 62
+_SENSOR, _SENSOR_ID, _SENSOR_EXTRA = HIL_SENSOR.dtype, HIL_SENSOR.message_id, HIL_SENSOR.crc_extra
+_SENSOR_END = PAYLOAD + HIL_SENSOR.payload_bytes
+_UPDATED = HIL_SENSOR.offset("fields_updated")
+_LEAST_BYTES, _MOST_BYTES = _UPDATED + 1, _UPDATED + 2
 """Payload lengths of HIL_SENSOR: trailing zeros are truncated; ``fields_updated`` needs one or two bytes,
 ``id`` none."""
+_ANSWER, _ANSWER_EXTRA = HIL_ACTUATOR_CONTROLS.dtype, HIL_ACTUATOR_CONTROLS.crc_extra
+_ANSWER_END = PAYLOAD + HIL_ACTUATOR_CONTROLS.payload_bytes
 _AIDS = MAG_FIELDS | BARO_FIELDS
-_HANDED_OVER, _HANDED_OVER_BIT = ACTUATORS_FLAGS - FIRST + 4, BATCH_HANDED_OVER >> 32
+_HANDED_OVER = HEADER_BYTES + HIL_ACTUATOR_CONTROLS.offset("flags") + 4
+_HANDED_OVER_BIT = BATCH_HANDED_OVER >> 32
 """Offset of a byte of the flags in a frame, and the bit in it."""
 _ROTORS = 4
 _RECEIVE_BYTES = 4096
@@ -86,38 +80,35 @@ def inertial_step(
     """
     state, filtered = shared[0], horizon[0]
     clock = state["clock"]
-    length = payload_bytes(incoming, size, SENSOR_KIND, SENSOR_EXTRA)
+    length = payload_bytes(incoming, size, _SENSOR_ID, _SENSOR_EXTRA)
     if length < _LEAST_BYTES or length > _MOST_BYTES:
         return False
-    updated = np.int64(incoming[SENSOR_UPDATED])
-    if length == _MOST_BYTES:
-        updated |= np.int64(incoming[SENSOR_UPDATED + 1]) << 8
-    time_us = incoming[PAYLOAD:SENSOR_FLOATS].view(np.int64)[0]
+    sensor = incoming[PAYLOAD:_SENSOR_END].view(_SENSOR)[0]
+    updated = np.int64(sensor["fields_updated"]) & ((1 << 8 * (length - _UPDATED)) - 1)
+    time_us = int(np.int64(sensor["time_usec"]))
     if updated & ~_AIDS != IMU_FIELDS or time_us <= clock["now_us"]:
         return False
     if not within_limits(state["limits"], time_us, time_us - filtered["delay_us"], int(updated & _AIDS)):
         return False
     if filtered["waiting"] + 1 >= samples.size:  # a full ring buffer would advance the horizon further
         return False
-    measured = incoming[SENSOR_FLOATS:SENSOR_UPDATED].view(np.float32)
     accel, gyro = np.empty(3), np.empty(3)
-    for i in range(3):
-        accel[i], gyro[i] = measured[i], measured[3 + i]
+    accel[0], accel[1], accel[2] = sensor["xacc"], sensor["yacc"], sensor["zacc"]
+    gyro[0], gyro[1], gyro[2] = sensor["xgyro"], sensor["ygyro"], sensor["zgyro"]
     dt_s = (time_us - clock["estimate_us"]) * 1e-6
     if advance(horizon, samples, time_us, dt_s, gyro, accel) == NOT_FINITE:
         return False
 
+    reply = answer[PAYLOAD:_ANSWER_END].view(_ANSWER)[0]
     if state["flies"]:
         c = cascade[0]
         c["dt_s"] = (time_us - clock["now_us"]) / US_PER_S  # the other inputs in the block are unchanged
         follow_trajectory(cascade, filtered["estimate"])
-        controls, given = c["controls"], answer[ACTUATORS_CONTROLS:ACTUATORS_MODE].view(np.float32)
         for i in range(_ROTORS):
-            given[i] = controls[i]
+            reply["controls"][i] = c["controls"][i]
     clock["now_us"] = clock["inertial_us"] = clock["estimate_us"] = time_us
-
-    answer[ACTUATORS_TIME:ACTUATORS_FLAGS].view(np.int64)[0] = time_us
-    seal(answer, state["sequence"], ACTUATORS_EXTRA)
+    reply["time_usec"] = time_us
+    seal(answer, state["sequence"], _ANSWER_EXTRA)
     state["sequence"] = (state["sequence"] + 1) % 256
     return True
 
@@ -132,7 +123,7 @@ class FastSteps:
 
     def __init__(self) -> None:
         incoming = np.zeros(FIRST + _RECEIVE_BYTES, np.uint8)
-        answer = np.zeros(PAYLOAD + ACTUATORS_BYTES + CHECKSUM_BYTES, np.uint8)
+        answer = np.zeros(FIRST + HIL_ACTUATOR_CONTROLS.frame_bytes, np.uint8)
         self.incoming = incoming.data[FIRST:]
         self._answer = answer.data[FIRST:]
         self._octets = (incoming, answer)
@@ -158,8 +149,7 @@ class FastSteps:
         return ran
 
     @property
-    def last_sensor(self) -> HilSensor:
+    def last_sensor(self) -> HilMessage:
         """HIL_SENSOR of the last fast step, until `incoming` is overwritten."""
         length = self.incoming[1]
-        payload = bytes(self.incoming[HEADER_BYTES : HEADER_BYTES + length])
-        return HilSensor.from_payload(payload.ljust(SENSOR_BYTES, b"\0"))
+        return unpack(HilSensor, bytes(self.incoming[HEADER_BYTES : HEADER_BYTES + length]))
