@@ -15,7 +15,7 @@ from autopilot.navigation.feasibility import distance_warning, fence_violation
 from autopilot.navigation.orbit import Circle, YawBehaviour
 from autopilot.navigation.plan_store import PlanStore, PlanType
 from autopilot.navigation.setpoints import IDLE, ON_GROUND_M, Navigator, down_demand_m_s
-from autopilot.parameters.table import Settings
+from autopilot.parameters.table import ParameterSet
 from autopilot.services.command import TakeoffAltitude
 from autopilot.services.flight_data import FlightData, Home
 from autopilot.services.manual_control import ManualControlService
@@ -36,16 +36,16 @@ class Pilot:
 
     def __init__(
         self,
-        settings: Settings,
+        parameters: ParameterSet,
         flight: FlightData,
         *,
         offboard: OffboardService,
         manual: ManualControlService,
         geofence: Geofence,
     ) -> None:
+        settings, control = parameters.settings, parameters.settings.control
         self.takeoff_altitude = TakeoffAltitude()
-        self.controller = FlightController(settings.control)
-        control = settings.control
+        self.controller = FlightController(control)
         self.navigator = Navigator(settings.navigation, control.trajectory, control.position)
         flight.course = lambda: self.navigator.course
         flight.attitude_setpoint = lambda: self.controller.attitude_setpoint
@@ -57,7 +57,7 @@ class Pilot:
         self.warnings: list[str] = []
         """Messages about the mission; the reader sends and removes them."""
         self._mission_warning: str | None = None
-        self._settings = settings
+        self._parameters = parameters
         self._flight = flight
         self._offboard = offboard
         self._manual = manual
@@ -72,18 +72,12 @@ class Pilot:
         """Mode, arming, estimator resets, take-off altitude and failsafe hold at the last `update`."""
         self._home_is_manual = False
         """Home was set by a command: arming elsewhere does not change it."""
-
-    def set_params(self, settings: Settings) -> None:
-        """Change the settings that differ, immediately and also in flight; states and estimates are kept."""
-        before, self._settings = self._settings, settings
-        control = settings.control
-        if control is not before.control:
-            self.controller.set_params(control)
-        if control is not before.control or settings.navigation is not before.navigation:
-            self.navigator.set_params(settings.navigation, control.trajectory, control.position)
-        if settings.navigation is not before.navigation or settings.geofence is not before.geofence:
-            self._check_mission()
-        self._land_detector.params = settings.land_detector
+        parameters.subscribe(self.controller.set_params, "control")
+        parameters.subscribe(
+            self.navigator.set_params, "navigation", "control.trajectory", "control.position"
+        )
+        parameters.subscribe(lambda *_: self._check_mission(), "navigation", "geofence")
+        parameters.subscribe(self._land_detector.set_params, "land_detector")
 
     @property
     def controls(self) -> list[float]:
@@ -312,7 +306,7 @@ class Pilot:
 
     def _is_allowed(self, place_ned_m: Array) -> bool:
         """Return whether a position (3,) is allowed by the geofence, or its action is at most a warning."""
-        if self._settings.commander.geofence_action <= _FENCE_WARNS:
+        if self._parameters.settings.commander.geofence_action <= _FENCE_WARNS:
             return True
         home = self._flight.home
         home_ned_m = None if home is None else home.pos_ned_m
@@ -334,7 +328,7 @@ class Pilot:
             down_m = self._flight.state.origin_alt_m - amsl_m
             if down_m < home_down_m - ON_GROUND_M:
                 return down_m
-        return home_down_m - self._settings.navigation.takeoff_height_m
+        return home_down_m - self._parameters.settings.navigation.takeoff_height_m
 
     def _enter_in_flight(self, mode: FlightMode) -> Reason | None:
         """Enter a mode that requires the vehicle to be in the air."""
@@ -392,7 +386,7 @@ class Pilot:
                 mission,
                 home_lat_deg=home.lat_deg,
                 home_lon_deg=home.lon_deg,
-                max_m=self._settings.navigation.first_place_max_m,
+                max_m=self._parameters.settings.navigation.first_place_max_m,
             )
         if violation is not None and violation != self.mission_fault:
             self.warnings.append(f"Mission rejected: {violation}")

@@ -118,8 +118,11 @@ class Vehicle:
         self.manual = ManualControlService(self.commander)
         self.site = SiteFrame(config.site)
         self._sensors = SensorInput(self.estimator, settings.sensors, clock)
+        self.parameters.subscribe(self.estimator.set_params, "estimation")
+        self.parameters.subscribe(self._sensors.set_params, "sensors")
+        self.parameters.subscribe(self.commander.set_params, "commander")
         self.monitor = Monitor(
-            settings,
+            self.parameters,
             geofence=Geofence(settings.geofence),
             sensors=self._sensors,
             offboard=self.offboard,
@@ -127,7 +130,7 @@ class Vehicle:
         )
         self.flight.battery = self.monitor.battery
         self.pilot = Pilot(
-            settings,
+            self.parameters,
             self.flight,
             offboard=self.offboard,
             manual=self.manual,
@@ -271,35 +274,19 @@ class Vehicle:
         """Change a parameter, in effect immediately. Raises ParameterError, also if it cannot change now."""
         if name in _ONLY_AT_START:
             raise ParameterError(f"{name} can only be set at the start", ParameterProblem.READ_ONLY)
-        before = self.parameters.settings
         self.parameters.set(name, value)
         self.messaging.on_parameter(name)
-        self._apply_settings(before)
 
     def reset_parameters(self, beginnings: tuple[str, ...]) -> bool:
         """Reset all parameters with these prefixes to their defaults; return False if armed, as in PX4."""
         if self.commander.armed:
             return False
-        before = self.parameters.settings
         names = [
             row.name for row in ROWS if row.name.startswith(beginnings) and row.name not in _ONLY_AT_START
         ]
         for name in self.parameters.reset(names):
             self.messaging.on_parameter(name)
-        self._apply_settings(before)
         return True
-
-    def _apply_settings(self, before: Settings) -> None:
-        """Apply the present settings to all parts, where they differ from those of before."""
-        settings = self.parameters.settings
-        if settings is before:
-            return
-        if settings.estimation is not before.estimation:
-            self.estimator.set_params(settings.estimation)
-        self._sensors.set_params(settings.sensors)
-        self.commander.params = settings.commander
-        self.monitor.set_params(settings)  # includes the geofence, which the pilot checks the mission against
-        self.pilot.set_params(settings)
 
     def troubles(self) -> dict[str, int]:
         """Return counts of errors that were handled."""
