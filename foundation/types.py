@@ -59,13 +59,12 @@ class GpsFix:
 
 @dataclass(slots=True, kw_only=True)
 class EstimatorState:
-    """State estimate at ``time_us``. Positions are relative to ``origin``, the first good fix.
+    """State estimate at the time of `Clock.estimate_us`, relative to ``origin``, the first good fix.
 
     Not frozen, since the estimator updates one in place: see `Estimator.live`. Its vectors are copies of the
     arguments and views of ``estimate``, so that compiled code can use one array.
     """
 
-    time_us: int
     q_ned_frd: Array
     """(4,) wxyz"""
     vel_ned_m_s: Array

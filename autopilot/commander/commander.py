@@ -69,6 +69,10 @@ class Commander:
         self._has_flown = False
         """Whether the vehicle has flown since arming."""
 
+    def set_params(self, params: CommanderParams) -> None:
+        """Change the settings, in effect from the next update."""
+        self.params = params
+
     # ---- requests
 
     def arm(self, now_us: int, *, forced: bool = False) -> Reason | None:

@@ -146,6 +146,10 @@ class Geofence:
         self._local: tuple[_Circle | _Polygon, ...] = ()
         """The shapes in metres from ``_origin``."""
 
+    def set_params(self, params: GeofenceParams) -> None:
+        """Change the settings, in effect from the next check."""
+        self.params = params
+
     def set_shapes(self, shapes: Sequence[FenceShape]) -> None:
         """Replace all shapes."""
         self.shapes = tuple(shapes)

@@ -57,6 +57,10 @@ class LandDetector:
         self._climb_from_down_m: float | None = None
         """Down position at which a climb was first demanded on the ground."""
 
+    def set_params(self, params: LandDetectorParams) -> None:
+        """Change the settings, in effect from the next update."""
+        self.params = params
+
     @property
     def landed(self) -> bool:
         """Whether the vehicle is on the ground, the last of the stages."""

@@ -159,15 +159,15 @@ class FlightController:
             yaw_rad=self._yaw_rad,
         )
 
-    def idle(self) -> list[float]:
-        """Return zeros (4,) for a disarmed vehicle, and reset all controllers and estimates."""
+    def idle(self) -> None:
+        """Stop the motors of a disarmed vehicle, and reset all controllers and estimates."""
         self._leave_position()
         self._yaw_rad = None
         self._disturbance.stop_motors()
         self._hover.reset()
         self._inner.reset()
         self._takeoff.reset()
-        return [0.0] * 4
+        self._controls[:] = 0.0
 
     def update(
         self,

@@ -18,6 +18,7 @@ STEP = np.dtype(
     [
         # the inertial sample
         ("time_us", "i8"),
+        ("dt_s", "f8"),
         ("gyro_frd_rad_s", "f8", 3),
         ("accel_frd_m_s2", "f8", 3),
         # field and pressure of the same time, fused if the horizon reaches it
@@ -46,7 +47,7 @@ STEP = np.dtype(
     ],
     align=True,
 )
-MEASURED = Struct("=q6dqq4d")
+MEASURED = Struct("=q7dqq4d")
 """Sample and pair, packed at once because single writes to a row of an array are slow."""
 CORRECTED = Struct("=3dqq")
 """The first five of the results."""
@@ -82,7 +83,9 @@ def correct(block: Block, samples: Block, step: NDArray[np.void]) -> None:
 def advance_and_correct(block: Block, samples: Block, step: NDArray[np.void]) -> int:
     """Return the result of `horizon.advance` for the sample; call `correct` if the pair is due."""
     at = step[0]
-    horizon_us = advance(block, samples, at["time_us"], at["gyro_frd_rad_s"], at["accel_frd_m_s2"])
+    horizon_us = advance(
+        block, samples, at["time_us"], at["dt_s"], at["gyro_frd_rad_s"], at["accel_frd_m_s2"]
+    )
     if horizon_us != NOT_FINITE and horizon_us >= at["pair_us"]:
         correct(block, samples, step)
     return horizon_us

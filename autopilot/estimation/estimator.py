@@ -15,6 +15,7 @@ import numpy as np
 
 from autopilot.estimation import atmosphere, kernels
 from autopilot.estimation.alignment import Aligned, Alignment
+from autopilot.estimation.clock import Clock
 from autopilot.estimation.diagnostics import Aiding, EstimatorDiagnostics
 from autopilot.estimation.fusion import (
     HEIGHT_RESET_US,
@@ -45,7 +46,9 @@ class Estimator:
     one.
     """
 
-    def __init__(self, params: EstimatorParams) -> None:
+    def __init__(self, params: EstimatorParams, clock: Clock | None = None) -> None:
+        """``clock`` is the vehicle's, whose ``estimate_us`` the estimator owns; None creates one."""
+        self.clock = Clock() if clock is None else clock
         self._params = params
         self._alignment = Alignment(params)
         self.filter: DelayedHorizon | None = None
@@ -57,21 +60,20 @@ class Estimator:
         self._failed = False
         self._fixes: deque[GpsFix] = deque(maxlen=WAITING_MAX)
         self._aids: deque[Aid] = deque(maxlen=WAITING_MAX)
-        self._time_us = -1
         self._due_us = 0
         """Nothing is fused while the horizon is before this time."""
         self._aided_until_us = self._height_until_us = -1
         """Horizon until which velocity and position, and the height, are valid."""
         self.live = _unknown_state()
-        """State at the last inertial sample: one object that every sample overwrites, for readers that do not
+        """State at ``clock.estimate_us``: one object that every sample overwrites, for readers that do not
         store it."""
-        self._state: EstimatorState | None = None
 
     # -- sensors
 
     def on_imu(self, sample: ImuSample) -> None:
         """Process the inertial sample of the interval that ends at its time, and update the state."""
-        if not self._time_us < sample.time_us < NEVER_US:
+        time_us, before_us = sample.time_us, self.clock.estimate_us
+        if not before_us < time_us < NEVER_US:
             return
         if self.filter is None or self._fusion is None:
             self._align(sample)
@@ -79,13 +81,14 @@ class Estimator:
         if self._failed:
             self._coast(sample)
             return
-        time_us, aids, fusion = sample.time_us, self._aids, self._fusion
+        aids, fusion = self._aids, self._fusion
+        dt_s = (time_us - before_us) * 1e-6
         horizon_us = fusion.advance(
-            time_us, sample.gyro_frd_rad_s, sample.accel_frd_m_s2, aids[0] if aids else None
+            time_us, dt_s, sample.gyro_frd_rad_s, sample.accel_frd_m_s2, aids[0] if aids else None
         )
         if horizon_us == NOT_FINITE:
             return
-        self._time_us = time_us
+        self.clock.estimate_us = time_us
         if horizon_us >= self._due_us:
             self._fuse_due(self.filter, fusion, horizon_us)
         self._update_live(horizon_us)
@@ -158,27 +161,23 @@ class Estimator:
             waiting.clear()
         self._aided_until_us = self._height_until_us = -1
         self.live.attitude_valid = self.live.navigation_failed = False
-        self._update_live(self._time_us)
+        self._update_live(self.clock.estimate_us)
 
     def on_landed(self) -> None:
         """Clear the fault of the compass after the vehicle has come to rest on the ground."""
         if self._fusion is not None:
             self._fusion.compass.clear()
 
-    # -- fast steps: inertial samples only, processed by compiled code on the filter's memory
-
     @property
     def valid_until_us(self) -> int:
-        """Horizon until which nothing is to be fused and the whole state stays valid; -1: not valid now."""
+        """Horizon until which nothing is to be fused and the whole state stays valid; -1: not valid now.
+
+        Until then `horizon.advance` on the memory of ``filter`` is equivalent to `on_imu`.
+        """
         live = self.live
         if self._failed or not (live.velocity_valid and live.position_valid and live.height_valid):
             return -1
         return min(self._due_us, self._aided_until_us + 1, self._height_until_us + 1)
-
-    def catch_up(self, time_us: int) -> None:
-        """Record that the filter has processed inertial samples up to this time, within `valid_until_us`."""
-        self._time_us = self.live.time_us = time_us
-        self._state = None
 
     # -- results
 
@@ -190,14 +189,12 @@ class Estimator:
     @property
     def state(self) -> EstimatorState:
         """Copy of the state at the last inertial sample; standard deviations refer to the delayed horizon."""
-        if self._state is None:
-            live = self.live
-            self._state = replace(
-                live,
-                pos_reset_delta_ned_m=live.pos_reset_delta_ned_m.copy(),
-                vel_reset_delta_ned_m_s=live.vel_reset_delta_ned_m_s.copy(),
-            )
-        return self._state
+        live = self.live
+        return replace(
+            live,
+            pos_reset_delta_ned_m=live.pos_reset_delta_ned_m.copy(),
+            vel_reset_delta_ned_m_s=live.vel_reset_delta_ned_m_s.copy(),
+        )
 
     @property
     def diagnostics(self) -> EstimatorDiagnostics | None:
@@ -255,13 +252,13 @@ class Estimator:
         gyro_frd_rad_s = np.array(sample.gyro_frd_rad_s)
         if not kernels.is_plausible(gyro_frd_rad_s, np.array(sample.accel_frd_m_s2)):
             return
-        self._time_us = sample.time_us
+        self.clock.estimate_us = sample.time_us
         self.live.omega_frd_rad_s[:] = gyro_frd_rad_s - self.live.gyro_bias_rad_s
         aligned = self._alignment.add_imu(sample)
         if aligned is not None:
             self._start(aligned)
             self.live.omega_frd_rad_s[:] = gyro_frd_rad_s - self.live.gyro_bias_rad_s
-        self._update_live(self._time_us)
+        self._update_live(sample.time_us)
 
     def _start(self, aligned: Aligned) -> None:
         if self._ground_altitude_m is None:
@@ -270,7 +267,7 @@ class Estimator:
         self.filter = DelayedHorizon(
             aligned.x,
             aligned.cov,
-            time_us=self._time_us,
+            time_us=self.clock.estimate_us,
             delay_us=self._params.gps_delay_us,
             noise_psd=np.array(self._params.process_noise_psd),
         )
@@ -288,12 +285,10 @@ class Estimator:
     def _update_live(self, horizon_us: int) -> None:
         """Update the fields of the live state that kernels do not write."""
         live = self.live
-        live.time_us = self._time_us
         aided = horizon_us <= self._aided_until_us
         live.velocity_valid = aided
         live.position_valid = aided and self._origin is not None
         live.height_valid = horizon_us <= self._height_until_us
-        self._state = None
 
     def _note_validity(self, fusion: Fusion) -> None:
         """Set until when the state is valid, from the last accepted measurements."""
@@ -385,16 +380,15 @@ class Estimator:
         gyro_frd_rad_s = np.array(sample.gyro_frd_rad_s)
         if not kernels.is_plausible(gyro_frd_rad_s, np.array(sample.accel_frd_m_s2)):
             return
-        self._time_us = sample.time_us
+        self.clock.estimate_us = sample.time_us
         self.live.omega_frd_rad_s[:] = gyro_frd_rad_s - self.live.gyro_bias_rad_s
-        self._update_live(self._time_us)
+        self._update_live(sample.time_us)
 
 
 def _unknown_state() -> EstimatorState:
     """Return a state in which nothing is valid, level and at rest."""
     zero = np.zeros(3)
     return EstimatorState(
-        time_us=0,
         q_ned_frd=np.array((1.0, 0.0, 0.0, 0.0)),
         vel_ned_m_s=zero,
         pos_ned_m=zero,

@@ -84,7 +84,7 @@ class Fusion:
         self.velocity, self.position = Aiding.of(3), Aiding.of(2)
         self.height = Aiding(step["height_innovation_m"], step["height_var_m2"])
         self.heading = Aiding(step["heading_innovation_rad"], step["heading_var_rad2"])
-        self.height.accepted_us = self.heading.accepted_us = delayed.time_us
+        self.height.accepted_us = self.heading.accepted_us = delayed.horizon_us
         self.compass = Compass()
         self.barometer = StuckBarometer()
         self.vertical = VerticalConflict()
@@ -132,7 +132,9 @@ class Fusion:
 
     # -- inertial samples, with field and pressure
 
-    def advance(self, time_us: int, gyro_frd_rad_s: Triple, accel_frd_m_s2: Triple, aid: Aid | None) -> int:
+    def advance(
+        self, time_us: int, dt_s: float, gyro_frd_rad_s: Triple, accel_frd_m_s2: Triple, aid: Aid | None
+    ) -> int:
         """Process an inertial sample, (3,) each; return the result of `horizon.advance`.
 
         Field and pressure of the same time, ``aid``, are fused as by `fuse_mag` and `fuse_baro` and
@@ -155,7 +157,7 @@ class Fusion:
         down_m = self._ground_altitude_m - altitude_m
         octets = self._step_octets
         MEASURED.pack_into(
-            octets, 0, time_us, *gyro_frd_rad_s, *accel_frd_m_s2,
+            octets, 0, time_us, dt_s, *gyro_frd_rad_s, *accel_frd_m_s2,
             pair_us, not compass.faulty, *field_frd_gauss, down_m,
         )  # fmt: skip
         horizon_us: int = advance_and_correct(delayed.block, delayed.samples, self._step)

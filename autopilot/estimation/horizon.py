@@ -38,8 +38,6 @@ STDS = 9
 """Standard deviations at the horizon: attitude, velocity, position, (3,) each"""
 ESTIMATE = STD + STDS
 
-# elements of the cursor: indices into the ring buffer, then simulated times
-OLDEST, WAITING, HORIZON_US, NEWEST_US, DELAY_US = range(5)
 NOT_FINITE = -1
 """Returned for a sample that is not finite or not plausible."""
 
@@ -50,7 +48,10 @@ HORIZON = np.dtype(
         ("estimate", "f8", ESTIMATE),
         ("tilt", "f8", TILT),
         ("noise_psd", "f8", 4),
-        ("cursor", "i8", 5),
+        ("oldest", "i8"),  # index of the first waiting sample in the ring buffer
+        ("waiting", "i8"),  # number of waiting samples
+        ("horizon_us", "i8"),
+        ("delay_us", "i8"),
     ],
     align=True,
 )
@@ -72,57 +73,58 @@ def describe(cov: Array, gyro_frd_rad_s: Array, estimate: Array) -> None:
 
 
 @njit(cache=True)
-def advance(block: Block, samples: Block, time_us: int, gyro_frd_rad_s: Array, accel_frd_m_s2: Array) -> int:
+def advance(
+    block: Block, samples: Block, time_us: int, dt_s: float, gyro_frd_rad_s: Array, accel_frd_m_s2: Array
+) -> int:
     """Append a sample to the ring buffer and advance the filter to the newest sample outside the delay.
 
-    The sample's interval ends at ``time_us``, which must be after the last one's. ``block`` (1,) of
-    `HORIZON`, whose estimate is advanced by the new sample; ``samples`` (capacity,) of `SAMPLE`. Returns the
-    horizon's time, or NOT_FINITE for a rejected sample, which changes nothing.
+    The sample's interval of length ``dt_s`` > 0 begins at the time of the last sample and ends at
+    ``time_us``. ``block`` (1,) of `HORIZON`, whose estimate is advanced by the new sample; ``samples``
+    (capacity,) of `SAMPLE`. Returns the horizon's time, or NOT_FINITE for a rejected sample, which changes
+    nothing.
     """
     if not is_plausible(gyro_frd_rad_s, accel_frd_m_s2):
         return NOT_FINITE
     here = block[0]
-    x, cov, estimate, tilt, cursor = here["x"], here["cov"], here["estimate"], here["tilt"], here["cursor"]
+    x, cov, estimate, tilt = here["x"], here["cov"], here["estimate"], here["tilt"]
     capacity = samples.size
-    newest = samples[(cursor[OLDEST] + cursor[WAITING]) % capacity]
-    dt_s = (time_us - cursor[NEWEST_US]) * 1e-6
-    cursor[NEWEST_US] = time_us
+    newest = samples[(here["oldest"] + here["waiting"]) % capacity]
     newest["gyro_frd_rad_s"][:] = gyro_frd_rad_s
     newest["accel_frd_m_s2"][:] = accel_frd_m_s2
     newest["dt_s"] = dt_s
     newest["time_us"] = time_us
-    cursor[WAITING] += 1
-    limit_us = time_us - cursor[DELAY_US]
-    while cursor[WAITING] > 0 and (
-        samples[cursor[OLDEST]]["time_us"] <= limit_us or cursor[WAITING] == capacity
+    here["waiting"] += 1
+    limit_us = time_us - here["delay_us"]
+    while here["waiting"] > 0 and (
+        samples[here["oldest"]]["time_us"] <= limit_us or here["waiting"] == capacity
     ):
-        sample = samples[cursor[OLDEST]]
+        sample = samples[here["oldest"]]
         gyro, accel, over_s = sample["gyro_frd_rad_s"], sample["accel_frd_m_s2"], sample["dt_s"]
         from_bias, vel_from_attitude = error_transition(x, accel, over_s)
         integrate(x, gyro, accel, over_s)
         predict_covariance(cov, from_bias, vel_from_attitude, here["noise_psd"], over_s)
         carry_level(tilt, gyro, accel, over_s)
-        cursor[HORIZON_US] = sample["time_us"]
-        cursor[OLDEST] = (cursor[OLDEST] + 1) % capacity
-        cursor[WAITING] -= 1
+        here["horizon_us"] = sample["time_us"]
+        here["oldest"] = (here["oldest"] + 1) % capacity
+        here["waiting"] -= 1
     acc = integrate(estimate[:STATES], gyro_frd_rad_s, accel_frd_m_s2, dt_s)
     estimate[ACC], estimate[ACC + 1], estimate[ACC + 2] = acc
     describe(cov, gyro_frd_rad_s, estimate)
-    return int(cursor[HORIZON_US])
+    return int(here["horizon_us"])
 
 
 @njit(cache=True)
 def predict_now(block: Block, samples: Block) -> None:
     """Set the estimate to the filter's state advanced by all waiting samples; arguments as in `advance`."""
     here = block[0]
-    estimate, cursor = here["estimate"], here["cursor"]
+    estimate, oldest, count = here["estimate"], here["oldest"], here["waiting"]
     estimate[:STATES] = here["x"]
     capacity = samples.size
-    for waiting in range(cursor[WAITING]):
-        sample = samples[(cursor[OLDEST] + waiting) % capacity]
+    for waiting in range(count):
+        sample = samples[(oldest + waiting) % capacity]
         acc = integrate(estimate[:STATES], sample["gyro_frd_rad_s"], sample["accel_frd_m_s2"], sample["dt_s"])
         estimate[ACC], estimate[ACC + 1], estimate[ACC + 2] = acc
-    newest = samples[(cursor[OLDEST] + cursor[WAITING] - 1) % capacity]
+    newest = samples[(oldest + count - 1) % capacity]
     describe(here["cov"], newest["gyro_frd_rad_s"], estimate)
 
 
@@ -130,6 +132,7 @@ class DelayedHorizon:
     """State and covariance at the horizon, the waiting samples, and the present estimate."""
 
     def __init__(self, x: Array, cov: Array, *, time_us: int, delay_us: int, noise_psd: Array) -> None:
+        """Start at ``time_us``, the time of the last sample before those to be added."""
         self.block: Block = np.zeros(1, HORIZON)
         """Of `HORIZON`; the following attributes except the samples are views of it"""
         self.samples: Block = np.zeros(delay_us // SHORTEST_SAMPLE_US + 2, SAMPLE)
@@ -141,30 +144,25 @@ class DelayedHorizon:
         """(15, 15) its covariance"""
         self.estimate: Array = here["estimate"]
         self.now: Array = self.estimate[:STATES]
-        """(16,) nominal state at ``time_us``"""
+        """(16,) nominal state at the newest sample"""
         self.acc_ned_m_s2: Array = self.estimate[ACC:OMEGA]
         self.noise_psd: Array = here["noise_psd"]
         """(4,) process noise in the order of ``kernels``; may be written at any time"""
         self.tilt: Array = here["tilt"]
         """Complementary filter of ``yaw_gsf`` at the horizon"""
-        self._cursor: NDArray[np.int64] = here["cursor"]
+        self._horizon_us: NDArray[np.int64] = self.block["horizon_us"]
         self.x[:] = x
         self.cov[:] = cov
         self.now[:] = x
         self.noise_psd[:] = noise_psd
         self.tilt[:] = level_start(x[:4], x[GYRO_BIAS : GYRO_BIAS + 3])
-        self._cursor[:] = (0, 0, time_us, time_us, delay_us)
+        self.block["horizon_us"], self.block["delay_us"] = time_us, delay_us
         describe(self.cov, np.zeros(3), self.estimate)
-
-    @property
-    def time_us(self) -> int:
-        """Time of the newest sample."""
-        return int(self._cursor[NEWEST_US])
 
     @property
     def horizon_us(self) -> int:
         """Time that ``x`` and ``cov`` refer to."""
-        return int(self._cursor[HORIZON_US])
+        return self._horizon_us.item()
 
     def corrected(self) -> None:
         """Propagate a change of ``x`` and ``cov`` to the present estimate."""

@@ -13,10 +13,10 @@ from msgspec import Meta, Struct
 from pymavlink.dialects.v20 import common
 
 from autopilot.commander.arming_requirements import Condition
+from autopilot.estimation.clock import LONG_AGO_US, Clock
 from autopilot.estimation.estimator import Estimator
 from autopilot.mavlink.codec import Message
-from autopilot.mavlink.dialect import ESC_STATUS
-from autopilot.mavlink.hil import HIL_GPS, HIL_SENSOR
+from autopilot.mavlink.hil_schema import ESC_STATUS, HIL_GPS, HIL_SENSOR
 from foundation.types import GpsFix, ImuSample
 
 IMU_FIELDS = 0b11_1111
@@ -29,8 +29,8 @@ _IMU, _BARO, _MAG, _GPS = map(int, (Condition.IMU, Condition.BARO, Condition.MAG
 TIMEOUTS_US = {_IMU: 100_000, _BARO: 1_000_000, _MAG: 1_000_000, _GPS: 2_000_000}
 """Age at which a sensor counts as lost: several periods of the slowest rate that PX4 accepts."""
 
+_SENSOR_ID, _GPS_ID, _ESC_ID = HIL_SENSOR.message_id, HIL_GPS.message_id, ESC_STATUS.message_id
 _US_PER_S = 1_000_000
-_LONG_AGO_US = -(1 << 40)
 _UNKNOWN = 65_535
 
 
@@ -46,7 +46,8 @@ class SensorsParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 class SensorInput:
     """Passes messages to the estimator and stores the last ones for telemetry."""
 
-    def __init__(self, estimator: Estimator, params: SensorsParams) -> None:
+    def __init__(self, estimator: Estimator, params: SensorsParams, clock: Clock) -> None:
+        """``clock`` is the vehicle's, whose ``inertial_us`` this object owns."""
         self.sensor: Message | None = None
         """The last HIL_SENSOR of sensor 0."""
         self.baro: Message | None = None
@@ -57,7 +58,8 @@ class SensorInput:
         """(4,) of the last ESC_STATUS; None before the first."""
         self.motor_currents_us = 0
         self._estimator = estimator
-        self._seen_us = dict.fromkeys(TIMEOUTS_US, _LONG_AGO_US)
+        self._clock = clock
+        self._seen_us = dict.fromkeys((_BARO, _MAG, _GPS), LONG_AGO_US)
         self._mag_us = self._baro_us = 0
         """Earliest times of the next samples: multiples of the periods, so that both occur in one step."""
         self.next_aiding_us = 0
@@ -74,23 +76,19 @@ class SensorInput:
         new_fix = False
         for message in messages:
             kind = message.get_msgId()
-            if kind == HIL_SENSOR:
+            if kind == _SENSOR_ID:
                 if message.id == 0:
                     self._take_sensor(message, now_us)
-            elif kind == HIL_GPS:
+            elif kind == _GPS_ID:
                 self._take_gps(message, now_us)
                 new_fix = True
-            elif kind == ESC_STATUS and message.index == 0:
+            elif kind == _ESC_ID and message.index == 0:
                 self.motor_currents_a, self.motor_currents_us = message.current, now_us
         return new_fix
 
-    def catch_up(self, now_us: int) -> None:
-        """Record that inertial samples up to now were passed to the estimator by compiled code."""
-        self._seen_us[_IMU] = now_us
-
     def conditions(self, now_us: int) -> int:
         """Return the `Condition` bits of the sensors whose data are fresh."""
-        bits = 0
+        bits = _IMU if now_us - self._clock.inertial_us <= TIMEOUTS_US[_IMU] else 0
         for condition, seen_us in self._seen_us.items():
             if now_us - seen_us <= TIMEOUTS_US[condition]:
                 bits |= condition
@@ -112,7 +110,7 @@ class SensorInput:
                 self._estimator.on_baro(now_us, message.abs_pressure, message.temperature)
         self.next_aiding_us = min(self._mag_us, self._baro_us)
         if fields & IMU_FIELDS == IMU_FIELDS:
-            self._seen_us[_IMU] = now_us
+            self._clock.inertial_us = now_us
             self._estimator.on_imu(
                 ImuSample(
                     time_us=now_us,

@@ -1,8 +1,10 @@
-"""MAVLink 2 frames in compiled code: field offsets, checksum and validation.
+"""MAVLink 2 frames in compiled code: header, checksum and validation.
 
 For code that packs or parses the same kind of frame at a high rate. Buffers have spare bytes before the
-frame, so that the payload is aligned.
+frame, so that the payload is aligned. `hil_schema` has the payloads.
 """
+
+from struct import Struct
 
 import numpy as np
 from numba import njit
@@ -10,12 +12,23 @@ from numpy.typing import NDArray
 
 Octets = NDArray[np.uint8]
 MAGIC = 0xFD
-HEADER_BYTES, CHECKSUM_BYTES = 10, 2
+HEADER = np.dtype(
+    [
+        ("magic", "u1"),
+        ("length", "u1"),  # of the payload
+        ("incompatible", "u1"),
+        ("compatible", "u1"),
+        ("sequence", "u1"),
+        ("system", "u1"),
+        ("component", "u1"),
+        ("message_id", "<u2"),
+        ("message_id_high", "u1"),
+    ]
+)
+HEADER_BYTES, CHECKSUM_BYTES = HEADER.itemsize, 2
 FIRST = 6
 """Offset of the frame in its buffer."""
 PAYLOAD = FIRST + HEADER_BYTES
-LENGTH, INCOMPATIBLE, SEQUENCE, KIND = FIRST + 1, FIRST + 2, FIRST + 4, FIRST + 7
-"""Offsets of payload length, incompatibility flags, sequence number, and message id (three bytes)."""
 NO_FRAME = -1
 _START = 0xFFFF
 
@@ -29,6 +42,20 @@ def _table() -> NDArray[np.int64]:
 
 
 _TABLE = _table()
+_CODES = {"u1": "B", "u2": "H", "u4": "I", "u8": "Q", "i2": "h", "i4": "i", "f4": "f"}
+
+
+def struct_format(layout: np.dtype[np.void]) -> str:
+    """Return the format for `struct` of a packed record of little-endian numbers and arrays of them."""
+    codes = ["<"]
+    for name in layout.names or ():
+        kind = layout[name]
+        count = kind.itemsize // kind.base.itemsize
+        codes.append(("" if count == 1 else f"{count}") + _CODES[kind.base.str[1:]])
+    return "".join(codes)
+
+
+HEADER_STRUCT = Struct(struct_format(HEADER))
 
 
 @njit(cache=True)
@@ -44,12 +71,13 @@ def checksum(octets: Octets, first: int, end: int, extra: int) -> int:
 def payload_bytes(octets: Octets, size: int, kind: int, extra: int) -> int:
     """Payload length, if ``size`` bytes from `FIRST` on are one valid, unsigned frame of this message id.
 
-    NO_FRAME otherwise. Message ids must be below 256.
+    NO_FRAME otherwise. Message ids must be below 65,536.
     """
-    length = int(octets[LENGTH])
-    if size != HEADER_BYTES + length + CHECKSUM_BYTES or octets[FIRST] != MAGIC:
+    header = octets[FIRST:PAYLOAD].view(HEADER)[0]
+    length = int(header["length"])
+    if size != HEADER_BYTES + length + CHECKSUM_BYTES or header["magic"] != MAGIC:
         return NO_FRAME
-    if octets[INCOMPATIBLE] != 0 or octets[KIND] != kind or octets[KIND + 1] != 0 or octets[KIND + 2] != 0:
+    if header["incompatible"] != 0 or header["message_id"] != kind or header["message_id_high"] != 0:
         return NO_FRAME
     end = PAYLOAD + length
     if np.int64(octets[end]) | np.int64(octets[end + 1]) << 8 != checksum(octets, FIRST + 1, end, extra):
@@ -60,7 +88,8 @@ def payload_bytes(octets: Octets, size: int, kind: int, extra: int) -> int:
 @njit(cache=True)
 def seal(octets: Octets, sequence: int, extra: int) -> None:
     """Write sequence number and checksum of a frame that begins at `FIRST`."""
-    octets[SEQUENCE] = sequence
-    end = PAYLOAD + int(octets[LENGTH])
+    header = octets[FIRST:PAYLOAD].view(HEADER)[0]
+    header["sequence"] = sequence
+    end = PAYLOAD + int(header["length"])
     crc = checksum(octets, FIRST + 1, end, extra)
     octets[end], octets[end + 1] = crc & 0xFF, crc >> 8

@@ -1,35 +1,31 @@
-"""The high-rate messages of the simulator link, packed and unpacked by `struct`.
+"""The high-rate messages of the simulator link as named tuples, packed and unpacked by `struct`.
 
-HIL_SENSOR, HIL_GPS and ESC_STATUS are sent to the vehicle, HIL_ACTUATOR_CONTROLS is its answer. Both
-directions are defined here, so that each can test the other. All other messages pass through the general
-codec, in their order. Fields have pymavlink's names, so these classes can replace pymavlink's messages.
+`hil_schema` has their layouts. HIL_SENSOR, HIL_GPS and ESC_STATUS are sent to the vehicle,
+HIL_ACTUATOR_CONTROLS is its answer. Both directions are defined here, so that each can test the other. All
+other messages pass through the general codec, in their order. Fields have pymavlink's names and order, so
+these classes can replace pymavlink's messages.
 
 Wire format: MAVLink 2 (https://mavlink.io/en/guide/serialization.html): fields sorted by size, trailing zeros
 of the payload cut off, CRC-16/MCRF4XX over all but the magic byte and over the message's CRC_EXTRA byte.
 """
 
-from collections.abc import Sequence
-from struct import Struct
-from typing import Final, NamedTuple, Self, TypeAlias
+from collections.abc import Callable, Sequence
+from operator import itemgetter
+from typing import Any, Final, NamedTuple, TypeAlias
 
+import numpy as np
 from fastcrc import crc16
-from pymavlink.dialects.v20 import common
+from numpy.typing import NDArray
 
 from autopilot.mavlink.codec import Encoder, Message, Parser
-from autopilot.mavlink.dialect import ESC_STATUS
-from autopilot.mavlink.frame import CHECKSUM_BYTES, HEADER_BYTES, MAGIC
+from autopilot.mavlink.frame import CHECKSUM_BYTES, HEADER_BYTES, HEADER_STRUCT, MAGIC
+from autopilot.mavlink.hil_schema import ESC_STATUS, HIL_ACTUATOR_CONTROLS, HIL_GPS, HIL_SENSOR, MessageSchema
 
-_BEGINNING = Struct("<BBB4xHB")
-"""Start of the header: magic, payload length, incompatibility flags, message id (24 bit)."""
-_CHECKED = Struct("<BBBBBBHB")
-"""Header without magic: length, incompatible and compatible flags, sequence, system, component, id."""
-_MAGIC_BYTE = bytes([MAGIC])
+Values = tuple[Any, ...]
 _FIRST_CHECKED = 1
+"""Offset of the first byte in the checksum: all but the magic byte."""
 _made = tuple.__new__
 """Makes a named tuple from a tuple of its fields without a call of a Python function."""
-HIL_SENSOR: Final[int] = common.MAVLINK_MSG_ID_HIL_SENSOR
-HIL_GPS: Final[int] = common.MAVLINK_MSG_ID_HIL_GPS
-HIL_ACTUATOR_CONTROLS: Final[int] = common.MAVLINK_MSG_ID_HIL_ACTUATOR_CONTROLS
 
 
 class HilSensor(NamedTuple):
@@ -53,18 +49,9 @@ class HilSensor(NamedTuple):
     id: int = 0
     """Number of the sensor set; set 0 drives the vehicle's clock."""
 
-    @classmethod
-    def from_payload(cls, payload: bytes) -> Self:
-        """Unpack a payload of full length."""
-        return _made(cls, _SENSOR.fields.unpack(payload))
-
-    def payload(self) -> bytes:
-        """Pack with trailing zeros. Raises struct.error or OverflowError for values out of range."""
-        return _SENSOR.fields.pack(*self)
-
     def get_msgId(self) -> int:  # noqa: N802  as pymavlink's messages have it
         """Return the message id."""
-        return HIL_SENSOR
+        return HIL_SENSOR.message_id
 
 
 class HilGps(NamedTuple):
@@ -86,20 +73,9 @@ class HilGps(NamedTuple):
     id: int = 0
     yaw: int = 0
 
-    @classmethod
-    def from_payload(cls, payload: bytes) -> Self:
-        """Unpack a payload of full length."""
-        time_usec, *fields, fix_type, satellites, id_, yaw = _GPS.fields.unpack(payload)
-        return _made(cls, (time_usec, fix_type, *fields, satellites, id_, yaw))
-
-    def payload(self) -> bytes:
-        """Pack with trailing zeros. Raises struct.error for values out of range."""
-        time_usec, fix_type, *fields, satellites, id_, yaw = self
-        return _GPS.fields.pack(time_usec, *fields, fix_type, satellites, id_, yaw)
-
     def get_msgId(self) -> int:  # noqa: N802  as pymavlink's messages have it
         """Return the message id."""
-        return HIL_GPS
+        return HIL_GPS.message_id
 
 
 class EscReport(NamedTuple):
@@ -111,19 +87,9 @@ class EscReport(NamedTuple):
     voltage: Sequence[float]
     current: Sequence[float]
 
-    @classmethod
-    def from_payload(cls, payload: bytes) -> Self:
-        """Unpack a payload of full length."""
-        values = _ESCS.fields.unpack(payload)
-        return _made(cls, (values[13], values[0], values[1:5], values[5:9], values[9:13]))
-
-    def payload(self) -> bytes:
-        """Pack with trailing zeros. Raises struct.error or OverflowError for values out of range."""
-        return _ESCS.fields.pack(self.time_usec, *self.rpm, *self.voltage, *self.current, self.index)
-
     def get_msgId(self) -> int:  # noqa: N802  as pymavlink's messages have it
         """Return the message id."""
-        return ESC_STATUS
+        return ESC_STATUS.message_id
 
 
 class HilActuatorControls(NamedTuple):
@@ -136,73 +102,100 @@ class HilActuatorControls(NamedTuple):
     """MAV_MODE_FLAG"""
     flags: int
 
-    @classmethod
-    def from_payload(cls, payload: bytes) -> Self:
-        """Unpack a payload of full length."""
-        time_usec, flags, *controls, mode = _ACTUATORS.fields.unpack(payload)
-        return cls(time_usec, controls, mode, flags)
-
-    def payload(self) -> bytes:
-        """Pack with trailing zeros. Raises struct.error or OverflowError for values out of range."""
-        return _ACTUATORS.fields.pack(self.time_usec, self.flags, *self.controls, self.mode)
-
     def get_msgId(self) -> int:  # noqa: N802  as pymavlink's messages have it
         """Return the message id."""
-        return HIL_ACTUATOR_CONTROLS
+        return HIL_ACTUATOR_CONTROLS.message_id
 
 
 HilMessage: TypeAlias = HilSensor | HilGps | EscReport | HilActuatorControls
 TO_VEHICLE: tuple[type[HilMessage], ...] = (HilSensor, HilGps, EscReport)
 
 
-class _Format:
-    """Wire format of one message."""
+class _Codec:
+    """Packs and unpacks one type of message by its schema, whose field order differs from the type's."""
 
-    def __init__(self, kind: int, fields: str) -> None:
-        self.kind: Final = kind
-        self.fields: Final = Struct(fields)
-        self.crc_extra: Final = bytes([common.mavlink_map[kind].crc_extra])
-        self.padding: Final = [bytes(self.fields.size - length) for length in range(self.fields.size + 1)]
+    def __init__(self, kind: type[HilMessage], schema: MessageSchema) -> None:
+        self.message_id: Final = schema.message_id
+        self.crc_extra: Final = bytes([schema.crc_extra])
+        self.padding: Final = [bytes(schema.payload_bytes - n) for n in range(schema.payload_bytes + 1)]
         """Zeros that complete a payload, by its length."""
+        self._struct: Final = schema.struct
+        self._kind: Final = kind
+        names, at, elements = schema.dtype.names or (), 0, dict[str, int | slice]()
+        for name in names:
+            count = int(np.prod(schema.dtype[name].shape))
+            elements[name] = slice(at, at + count) if schema.dtype[name].shape else at
+            at += count
+        picked = itemgetter(*(elements[name] for name in kind._fields))
+        self._fields: Final[Callable[[Values], Values]] = tuple if kind._fields == names else picked
+        """Reorders the values of the schema."""
+        self._wire: Final = [(kind._fields.index(name), isinstance(elements[name], slice)) for name in names]
+        """Index of each field of the schema in the type, and whether it is an array."""
+
+    def unpack(self, payload: bytes) -> HilMessage:
+        """Return the message of a payload without its trailing zeros; not longer than the schema."""
+        values = self._struct.unpack(payload + self.padding[len(payload)])
+        message: HilMessage = _made(self._kind, self._fields(values))
+        return message
+
+    def pack(self, message: HilMessage) -> bytes:
+        """Return the whole payload. Raises struct.error or OverflowError for values out of range."""
+        fields: Values = message
+        values: list[Any] = []
+        for index, is_array in self._wire:
+            if is_array:
+                values += fields[index]
+            else:
+                values.append(fields[index])
+        return self._struct.pack(*values)
 
 
-_SENSOR = _Format(HIL_SENSOR, "<Q13fIB")
-_GPS = _Format(HIL_GPS, "<Q3i3H3hH2BBH")
-_ESCS = _Format(ESC_STATUS, "<Q4i4f4fB")
-_ACTUATORS = _Format(HIL_ACTUATOR_CONTROLS, "<QQ16fB")
-_FORMATS: dict[type[HilMessage], _Format] = {
-    HilSensor: _SENSOR, HilGps: _GPS, EscReport: _ESCS, HilActuatorControls: _ACTUATORS,
-}  # fmt: skip
+_CODECS: dict[type[HilMessage], _Codec] = {
+    kind: _Codec(kind, schema)
+    for kind, schema in (
+        (HilSensor, HIL_SENSOR),
+        (HilGps, HIL_GPS),
+        (EscReport, ESC_STATUS),
+        (HilActuatorControls, HIL_ACTUATOR_CONTROLS),
+    )
+}
 
 
 def pack(message: HilMessage, *, sequence: int, system: int, component: int) -> bytes:
-    """Return the whole frame of a message."""
-    form = _FORMATS[type(message)]
-    payload = message.payload()
+    """Return the whole frame. Raises struct.error or OverflowError for values out of range."""
+    codec = _CODECS[type(message)]
+    payload = codec.pack(message)
     if not payload[-1]:
         payload = payload.rstrip(b"\0") or b"\0"
-    checked = _CHECKED.pack(len(payload), 0, 0, sequence, system, component, form.kind, 0) + payload
-    checksum: int = crc16.mcrf4xx(checked + form.crc_extra)
-    return _MAGIC_BYTE + checked + checksum.to_bytes(2, "little")
+    header = HEADER_STRUCT.pack(MAGIC, len(payload), 0, 0, sequence, system, component, codec.message_id, 0)
+    frame = header + payload
+    checksum: int = crc16.mcrf4xx(frame[_FIRST_CHECKED:] + codec.crc_extra)
+    return frame + checksum.to_bytes(CHECKSUM_BYTES, "little")
+
+
+def unpack(kind: type[HilMessage], payload: bytes) -> HilMessage:
+    """Return the message of a payload without its trailing zeros."""
+    return _CODECS[kind].unpack(payload)
 
 
 class HilEncoder(Encoder):
     """`Encoder` for a simulator link: high-rate messages by struct, others by pymavlink, in one sequence."""
 
-    def __init__(self, *, system: int, component: int) -> None:
+    def __init__(self, *, system: int, component: int, sequence: NDArray[np.int64] | None = None) -> None:
+        """``sequence`` (1,) is the memory of the number of the next frame, if other code uses it too."""
         super().__init__(system=system, component=component)
-        self.sequence = 0
-        """Sequence number of the next frame."""
+        self._sequence = (np.zeros(1, np.int64) if sequence is None else sequence).data
 
     def encode(self, message: Message | HilMessage) -> bytes:
         """Pack a message; see `Encoder.encode`."""
-        if type(message) in _FORMATS:
+        sequence: int = self._sequence[0]
+        if type(message) in _CODECS:
             system, component = self._own
-            frame = pack(message, sequence=self.sequence, system=system, component=component)
+            frame = pack(message, sequence=sequence, system=system, component=component)
         else:
-            self._mavlink.seq = self.sequence
+            self._mavlink.seq = sequence
             frame = super().encode(message)
-        self.sequence = (self.sequence + 1) % 256
+        self._sequence[0] = (sequence + 1) % 256
         return frame
 
 
@@ -211,7 +204,7 @@ class HilParser(Parser):
 
     def __init__(self, *hot: type[HilMessage]) -> None:
         super().__init__()
-        self._hot = {_FORMATS[kind].kind: (kind, _FORMATS[kind]) for kind in hot}
+        self._hot = {_CODECS[kind].message_id: (kind, _CODECS[kind]) for kind in hot}
         self.unfinished = self._buffer
         """Bytes of an incomplete frame."""
 
@@ -222,18 +215,18 @@ class HilParser(Parser):
         if not self.unfinished:
             # as long as complete, valid and unsigned frames of ``hot`` messages follow each other
             while size - at > HEADER_BYTES:
-                magic, length, incompatible, kind, kind_high = _BEGINNING.unpack_from(data, at)
+                magic, length, incompatible, _, _, _, _, kind, kind_high = HEADER_STRUCT.unpack_from(data, at)
                 if magic != MAGIC or incompatible or kind_high or kind not in self._hot:
                     break
-                hot, form = self._hot[kind]
+                _, codec = self._hot[kind]
                 begin = at + HEADER_BYTES
                 end = begin + length
-                if length >= len(form.padding) or size < end + CHECKSUM_BYTES:
+                if length >= len(codec.padding) or size < end + CHECKSUM_BYTES:
                     break
-                checksum = crc16.mcrf4xx(data[at + _FIRST_CHECKED : end] + form.crc_extra)
+                checksum = crc16.mcrf4xx(data[at + _FIRST_CHECKED : end] + codec.crc_extra)
                 if data[end] | data[end + 1] << 8 != checksum:
                     break
-                messages.append(hot.from_payload(data[begin:end] + form.padding[length]))
+                messages.append(codec.unpack(data[begin:end]))
                 at = end + CHECKSUM_BYTES
             if at == size:
                 return messages

@@ -6,7 +6,7 @@ units are defined in this table alone. Defaults are those of the structs. The pa
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from enum import IntEnum
 from operator import attrgetter
 from typing import NamedTuple, TypeVar
@@ -270,8 +270,19 @@ UNDER = (("BAT1_V_EMPTY", "BAT1_V_CHARGED"),)
 """Pairs with equal units of which the first must be at most, or less than, the second."""
 
 
+class _Subscription(NamedTuple):
+    """A part that uses some groups of the settings."""
+
+    apply: Callable[..., None]
+    groups: tuple[Callable[[Settings], Struct], ...]
+
+
 class ParameterSet:
-    """Current values of the parameters and the settings derived from them."""
+    """Current values of the parameters and the settings derived from them.
+
+    Parts `subscribe` to the groups of settings that they use; a change is passed to them before `set` or
+    `reset` returns, in the order of the subscriptions.
+    """
 
     def __init__(
         self, settings: Settings, overrides: Mapping[str, float] | None = None, *, system: int = 1
@@ -286,9 +297,21 @@ class ParameterSet:
         """Values of the parameters without effect."""
         self.version = 0
         """Increases with every change."""
+        self._subscriptions: list[_Subscription] = []
         for name, value in (overrides or {}).items():
             self._change(name, value)
         _check_order(self.settings)
+
+    def subscribe(self, apply: Callable[..., None], *groups: str) -> None:
+        """Call ``apply`` with these groups of the settings when a value in one of them changes.
+
+        A group is a path in `Settings`, such as ``estimation`` or ``control.trajectory``. Raises
+        AttributeError for another path.
+        """
+        getters = tuple(attrgetter(group) for group in groups)
+        for getter in getters:
+            getter(self.settings)
+        self._subscriptions.append(_Subscription(apply, getters))
 
     def get(self, name: str) -> float:
         """Value in PX4's unit. Raises ParameterError for an unknown name."""
@@ -308,6 +331,7 @@ class ParameterSet:
                 self.settings = before
                 raise
         self.version += 1
+        self._publish(before)
 
     def reset(self, names: Iterable[str]) -> list[str]:
         """Reset parameters to their values before any overrides; return those that have changed.
@@ -315,7 +339,8 @@ class ParameterSet:
         Read-only ones are left. Raises ParameterError if the result is inconsistent with the other
         parameters; then nothing is changed.
         """
-        settings, stated, changed = self.settings, dict(self.stated), []
+        before, stated, changed = self.settings, dict(self.stated), []
+        settings = before
         for name in names:
             if name in stated:
                 if not STATED_OF[name].read_only and stated[name] != STATED_OF[name].default:
@@ -330,7 +355,18 @@ class ParameterSet:
         _check_order(settings)
         self.settings, self.stated = settings, stated
         self.version += 1
+        self._publish(before)
         return changed
+
+    def _publish(self, before: Settings) -> None:
+        """Pass the groups that are not those of before to their subscribers."""
+        settings = self.settings
+        if settings is before:
+            return
+        for apply, groups in self._subscriptions:
+            present = [group(settings) for group in groups]
+            if any(new is not group(before) for new, group in zip(present, groups, strict=True)):
+                apply(*present)
 
     def _change(self, name: str, value: float) -> None:
         """Change one value without a check against the others. Raises ParameterError."""

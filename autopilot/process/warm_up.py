@@ -75,7 +75,7 @@ def _warm_up_modes(vehicle: Vehicle) -> None:
     state = vehicle.flight.state
     settings = vehicle.parameters.settings
     navigator = Navigator(settings.navigation, settings.control.trajectory, settings.control.position)
-    sticks = ManualInput(time_us=state.time_us, roll=0.5, pitch=0.5, yaw=0.5, throttle=0.8)
+    sticks = ManualInput(time_us=vehicle.flight.now_us, roll=0.5, pitch=0.5, yaw=0.5, throttle=0.8)
     home_ned_m = (0.0, 0.0, 0.0)
     for mode in (
         FlightMode.POSITION, FlightMode.ALTITUDE, FlightMode.STABILIZED, FlightMode.RETURN, FlightMode.LAND,
@@ -105,7 +105,7 @@ def _warm_up_inertial_step(vehicle: Vehicle, now_us: int) -> bool:
     """Run a fast step as `autopilot.vehicle.host` does; False if not possible now. Raises WarmUpError."""
     steps = FastSteps()
     answer = pack(HilActuatorControls(now_us, [0.0] * 16, 1, 0), sequence=0, system=1, component=1)
-    if not vehicle.begin_fast_steps(steps, answer, 1, NEVER_US):
+    if not vehicle.begin_fast_steps(steps, answer, NEVER_US):
         return False
     nothing = (0.0, 0.0, 0.0)
     accel = (0.0, 0.0, -_GRAVITY_M_S2)

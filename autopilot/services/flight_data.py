@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 from autopilot.commander.battery import BatteryMonitor, BatteryParams
 from autopilot.commander.commander import Commander
+from autopilot.estimation.clock import Clock
 from autopilot.estimation.estimator import Estimator
 from autopilot.mavlink.codec import Message
 from foundation.types import AttitudeSetpoint, Course, EstimatorState, TrajectorySetpoint
@@ -34,7 +35,7 @@ class FlightData:
     commander: Commander
     state: EstimatorState
     """The estimate at this step."""
-    now_us: int = 0
+    clock: Clock = field(default_factory=Clock)
     conditions: int = 0
     """`autopilot.commander.arming_requirements.Condition` bits."""
     causes: int = 0
@@ -61,11 +62,16 @@ class FlightData:
     """Setpoint of the position controller; None when idle."""
     attitude_setpoint: Callable[[], AttitudeSetpoint | None] = lambda: None
     """Setpoint of the attitude controller; evaluated only when it is reported."""
-    motors: Sequence[float] = (0.0, 0.0, 0.0, 0.0)
-    """(4,) controls in 0..1."""
+    motors: Callable[[], Sequence[float]] = lambda: (0.0, 0.0, 0.0, 0.0)
+    """(4,) present controls, 0..1."""
     armed_us: int = 0
     """Time of the last arming; like the next two, 0 before the first."""
     took_off_us: int = 0
     landed_us: int = 0
     flights: int = 0
     """Number of armings."""
+
+    @property
+    def now_us(self) -> int:
+        """Time of the current step."""
+        return self.clock.now_us

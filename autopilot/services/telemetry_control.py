@@ -86,12 +86,12 @@ class Control(Part):
     def servo_output_raw(self) -> Message:
         """SERVO_OUTPUT_RAW: the motors' controls as pulse widths, 1000 to 2000 us; 900 us disarmed."""
         armed = self._flight.commander.armed
-        widths_us = [whole(1000.0 + 1000.0 * u, U16) if armed else 900 for u in self._flight.motors]
+        widths_us = [whole(1000.0 + 1000.0 * u, U16) if armed else 900 for u in self._flight.motors()]
         return common.MAVLink_servo_output_raw_message(self._flight.now_us % 2**32, 0, *widths_us, 0, 0, 0, 0)
 
     def actuator_output_status(self) -> Message:
         """ACTUATOR_OUTPUT_STATUS: number of motors, and their controls in 0..1."""
-        motors = self._flight.motors
+        motors = self._flight.motors()
         return common.MAVLink_actuator_output_status_message(
             self._flight.now_us, len(motors), [*motors, *[0.0] * (_OUTPUTS - len(motors))]
         )

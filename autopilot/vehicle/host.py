@@ -57,7 +57,9 @@ class Host:
         self._radio = radio
         self._parser = HilParser(*TO_VEHICLE)
         system = config.instance + 1
-        self._encoder = HilEncoder(system=system, component=AUTOPILOT_COMPONENT)
+        self._encoder = HilEncoder(
+            system=system, component=AUTOPILOT_COMPONENT, sequence=self.vehicle.shared.sequence
+        )
         self._inertial = FastSteps()
         self.incoming = self._inertial.incoming
         """Buffer for the simulator's bytes, used by `inertial_step` and `push`"""
@@ -88,7 +90,7 @@ class Host:
 
     def push(self, size: int) -> Iterator[list[Message]]:
         """Yield the messages of each step completed by ``size`` bytes in `incoming`, up to its HIL_SENSOR."""
-        self._catch_up()
+        self._inertial.close()
         for message in self._parser.push(self.incoming[:size].tobytes()):
             self._waiting.append(message)
             if type(message) is HilSensor and message.id == 0:  # of the first sensor, which is the clock
@@ -152,7 +154,7 @@ class Host:
         if not self.vehicle.has_begun:
             self._links_waiting = (self._links_waiting + link_messages)[-MOST_WAITING:]
             return []
-        if self._catch_up():
+        if self._inertial.close():
             self.vehicle.flight.sensor = self._inertial.last_sensor
         answers = self.vehicle.serve_while_paused(link_messages)
         messaging = self.vehicle.messaging
@@ -167,16 +169,7 @@ class Host:
             return
         period_us = self._config.record_period_us
         next_record_us = NEVER_US if self._log is None else now_us - now_us % period_us + period_us
-        self.vehicle.begin_fast_steps(self._inertial, answer, self._encoder.sequence, next_record_us)
-
-    def _catch_up(self) -> bool:
-        """End the fast steps and synchronise the vehicle; return whether there were any."""
-        reached = self._inertial.close()
-        if reached is None:
-            return False
-        now_us, self._encoder.sequence = reached
-        self.vehicle.catch_up(now_us)
-        return True
+        self.vehicle.begin_fast_steps(self._inertial, answer, next_record_us)
 
     @property
     def bad_bytes(self) -> int:

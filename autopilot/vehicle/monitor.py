@@ -11,9 +11,10 @@ from autopilot.commander.battery import BatteryMonitor, BatterySimulator, Batter
 from autopilot.commander.failsafe import US_PER_S, Cause
 from autopilot.commander.failure_detector import AttitudeFailure, FailureDetector
 from autopilot.commander.geofence import Breach, Geofence, Origin
+from autopilot.commander.params import CommanderParams
 from autopilot.estimation.sensor_input import TIMEOUTS_US, SensorInput
 from autopilot.mavlink.codec import Message
-from autopilot.parameters.table import Settings
+from autopilot.parameters.table import ParameterSet
 from autopilot.services.flight_data import FlightData
 from autopilot.services.manual_control import ManualControlService
 from autopilot.services.offboard import OffboardService
@@ -28,13 +29,14 @@ class Monitor:
 
     def __init__(
         self,
-        settings: Settings,
+        parameters: ParameterSet,
         *,
         geofence: Geofence,
         sensors: SensorInput,
         offboard: OffboardService,
         manual: ManualControlService,
     ) -> None:
+        settings = parameters.settings
         self.battery = BatteryMonitor(settings.battery)
         self.geofence = geofence
         self.breach: Breach | None = None
@@ -53,19 +55,18 @@ class Monitor:
         self._breached_before = False
         self._aligned = False
         """Whether the attitude was valid once; a later loss is an estimator failure."""
-        self.set_params(settings)
+        self._parameters = parameters
+        self._set_params(settings.commander)
+        parameters.subscribe(self._set_params, "commander")
+        parameters.subscribe(self.battery.set_params, "battery")
+        parameters.subscribe(self._pack.set_params, "battery_sim", "battery")
+        parameters.subscribe(self.geofence.set_params, "geofence")
+        parameters.subscribe(self.failures.set_params, "failure_detector")
 
-    def set_params(self, settings: Settings) -> None:
-        """Change the settings immediately; states and estimates are kept."""
-        self._commander_params = settings.commander
-        self._thrust_model_factor = settings.control.allocation.thrust_model_factor
-        self._deceleration_m_s2 = settings.control.trajectory.acc_xy_m_s2
-        self._offboard_loss_us = round(settings.commander.offboard_loss_s * US_PER_S)
-        self._manual_loss_us = round(settings.commander.manual_loss_s * US_PER_S)
-        self.battery.set_params(settings.battery)
-        self._pack.set_params(settings.battery_sim, settings.battery)
-        self.geofence.params = settings.geofence
-        self.failures.set_params(settings.failure_detector)
+    def _set_params(self, params: CommanderParams) -> None:
+        self._commander_params = params
+        self._offboard_loss_us = round(params.offboard_loss_s * US_PER_S)
+        self._manual_loss_us = round(params.manual_loss_s * US_PER_S)
 
     def on_message(self, message: Message, now_us: int) -> None:
         """Record the heartbeat of a ground station."""
@@ -77,17 +78,16 @@ class Monitor:
 
         ``has_mission``: there is a mission that may be flown.
         """
-        now_us, armed = flight.now_us, flight.commander.armed
-        sample = self._pack.update(now_us, flight.motors, armed=armed)
+        now_us, armed, motors = flight.now_us, flight.commander.armed, flight.motors()
+        sample = self._pack.update(now_us, motors, armed=armed)
         if sample is not None:
             self.battery.update(sample, armed=armed)
         sensors = self._sensors
         if sensors.motor_currents_us > self._esc_us and sensors.motor_currents_a is not None:
             self._esc_us = sensors.motor_currents_us
             if armed:
-                self.failures.on_esc(
-                    self._esc_us, sensors.motor_currents_a, flight.motors, self._thrust_model_factor
-                )
+                thrust_model_factor = self._parameters.settings.control.allocation.thrust_model_factor
+                self.failures.on_esc(self._esc_us, sensors.motor_currents_a, motors, thrust_model_factor)
         if now_us >= self._slow_us:
             self._slow_us = now_us + SLOW_PERIOD_US
             self._update_slow(flight)
@@ -98,7 +98,7 @@ class Monitor:
         state, slow = flight.state, self._slow_conditions
         causes = self._slow_causes | _OF_BATTERY[self.battery.warning]
         conditions = self._sensors.conditions(now_us) | slow & _CHARGE
-        if now_us - state.time_us <= _IMU_TIMEOUT_US:  # otherwise the estimate is outdated
+        if now_us - flight.clock.estimate_us <= _IMU_TIMEOUT_US:  # otherwise the estimate is outdated
             if state.attitude_valid:
                 conditions |= _ATTITUDE
             if state.height_valid:
@@ -166,7 +166,8 @@ class Monitor:
             return self.geofence.check(state.pos_ned_m, home_ned_m, origin)
         return self.geofence.check_braking(
             state.pos_ned_m, state.vel_ned_m_s, home_ned_m, origin,
-            deceleration_m_s2=self._deceleration_m_s2, reaction_s=SLOW_PERIOD_US / US_PER_S,
+            deceleration_m_s2=self._parameters.settings.control.trajectory.acc_xy_m_s2,
+            reaction_s=SLOW_PERIOD_US / US_PER_S,
         )  # fmt: skip
 
 

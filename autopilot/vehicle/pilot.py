@@ -15,7 +15,7 @@ from autopilot.navigation.feasibility import distance_warning, fence_violation
 from autopilot.navigation.orbit import Circle, YawBehaviour
 from autopilot.navigation.plan_store import PlanStore, PlanType
 from autopilot.navigation.setpoints import IDLE, ON_GROUND_M, Navigator, down_demand_m_s
-from autopilot.parameters.table import Settings
+from autopilot.parameters.table import ParameterSet
 from autopilot.services.command import TakeoffAltitude
 from autopilot.services.flight_data import FlightData, Home
 from autopilot.services.manual_control import ManualControlService
@@ -36,19 +36,20 @@ class Pilot:
 
     def __init__(
         self,
-        settings: Settings,
+        parameters: ParameterSet,
         flight: FlightData,
         *,
         offboard: OffboardService,
         manual: ManualControlService,
         geofence: Geofence,
     ) -> None:
+        settings, control = parameters.settings, parameters.settings.control
         self.takeoff_altitude = TakeoffAltitude()
-        self.controller = FlightController(settings.control)
-        control = settings.control
+        self.controller = FlightController(control)
         self.navigator = Navigator(settings.navigation, control.trajectory, control.position)
         flight.course = lambda: self.navigator.course
         flight.attitude_setpoint = lambda: self.controller.attitude_setpoint
+        flight.motors = lambda: self.controller.controls
         self.mission_valid = False
         """Whether there is a mission that may be flown."""
         self.mission_fault: str | None = None
@@ -56,7 +57,7 @@ class Pilot:
         self.warnings: list[str] = []
         """Messages about the mission; the reader sends and removes them."""
         self._mission_warning: str | None = None
-        self._settings = settings
+        self._parameters = parameters
         self._flight = flight
         self._offboard = offboard
         self._manual = manual
@@ -71,23 +72,17 @@ class Pilot:
         """Mode, arming, estimator resets, take-off altitude and failsafe hold at the last `update`."""
         self._home_is_manual = False
         """Home was set by a command: arming elsewhere does not change it."""
-
-    def set_params(self, settings: Settings) -> None:
-        """Change the settings that differ, immediately and also in flight; states and estimates are kept."""
-        before, self._settings = self._settings, settings
-        control = settings.control
-        if control is not before.control:
-            self.controller.set_params(control)
-        if control is not before.control or settings.navigation is not before.navigation:
-            self.navigator.set_params(settings.navigation, control.trajectory, control.position)
-        if settings.navigation is not before.navigation or settings.geofence is not before.geofence:
-            self._check_mission()
-        self._land_detector.params = settings.land_detector
+        parameters.subscribe(self.controller.set_params, "control")
+        parameters.subscribe(
+            self.navigator.set_params, "navigation", "control.trajectory", "control.position"
+        )
+        parameters.subscribe(lambda *_: self._check_mission(), "navigation", "geofence")
+        parameters.subscribe(self._land_detector.set_params, "land_detector")
 
     @property
     def controls(self) -> list[float]:
         """Controls (16,) of HIL_ACTUATOR_CONTROLS."""
-        return [*self._flight.motors, *_NO_MOTORS]
+        return [*self.controller.controls, *_NO_MOTORS]
 
     # ---- requests in flight; the result is the reason for refusal or None
 
@@ -270,13 +265,8 @@ class Pilot:
             )
         self._setpoint = setpoint
         flight.setpoint = setpoint if isinstance(setpoint, TrajectorySetpoint) else None
-        flight.motors = controller.update(state, setpoint, dt_s=dt_s, landed=landed)
+        controller.update(state, setpoint, dt_s=dt_s, landed=landed)
         self.flies_on = not landed and setpoint is offboard and controller.flies_on
-
-    def catch_up(self) -> None:
-        """Use the controls that compiled code has computed since `update`, if the vehicle is armed."""
-        if self._flight.commander.armed:
-            self._flight.motors = self.controller.controls
 
     def _apply_changes(self) -> None:
         """Apply a change of mode, arming, estimate or take-off altitude to navigator and controller."""
@@ -296,7 +286,7 @@ class Pilot:
         """Handle a new mode, arming or disarming, or a reset of the estimate."""
         flight = self._flight
         if not flight.commander.armed:
-            flight.motors = self.controller.idle()
+            self.controller.idle()
             self._setpoint = IDLE
             flight.setpoint = None
             return
@@ -316,7 +306,7 @@ class Pilot:
 
     def _is_allowed(self, place_ned_m: Array) -> bool:
         """Return whether a position (3,) is allowed by the geofence, or its action is at most a warning."""
-        if self._settings.commander.geofence_action <= _FENCE_WARNS:
+        if self._parameters.settings.commander.geofence_action <= _FENCE_WARNS:
             return True
         home = self._flight.home
         home_ned_m = None if home is None else home.pos_ned_m
@@ -338,7 +328,7 @@ class Pilot:
             down_m = self._flight.state.origin_alt_m - amsl_m
             if down_m < home_down_m - ON_GROUND_M:
                 return down_m
-        return home_down_m - self._settings.navigation.takeoff_height_m
+        return home_down_m - self._parameters.settings.navigation.takeoff_height_m
 
     def _enter_in_flight(self, mode: FlightMode) -> Reason | None:
         """Enter a mode that requires the vehicle to be in the air."""
@@ -396,7 +386,7 @@ class Pilot:
                 mission,
                 home_lat_deg=home.lat_deg,
                 home_lon_deg=home.lon_deg,
-                max_m=self._settings.navigation.first_place_max_m,
+                max_m=self._parameters.settings.navigation.first_place_max_m,
             )
         if violation is not None and violation != self.mission_fault:
             self.warnings.append(f"Mission rejected: {violation}")

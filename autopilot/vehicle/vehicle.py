@@ -52,6 +52,7 @@ from autopilot.vehicle.fast_step import FastSteps
 from autopilot.vehicle.messaging import Messaging
 from autopilot.vehicle.monitor import Monitor
 from autopilot.vehicle.pilot import Pilot
+from autopilot.vehicle.shared_state import FastStepLimits, SharedState
 from netsim.wire.messages import RxItem, TxItem
 
 DECISION_PERIOD_US = 40_000
@@ -105,17 +106,23 @@ class Vehicle:
         defaults = replace(defaults, estimation=estimation)
         self.parameters = ParameterSet(defaults, config.autopilot.params, system=self._system)
         settings = self.parameters.settings
-        self.estimator = Estimator(settings.estimation)
+        self.shared = SharedState()
+        """What full and fast steps both update"""
+        self._clock = clock = self.shared.clock
+        self.estimator = Estimator(settings.estimation, clock)
         self.commander = Commander(settings.commander)
         self.flight = FlightData(
-            estimator=self.estimator, commander=self.commander, state=self.estimator.state
+            estimator=self.estimator, commander=self.commander, state=self.estimator.state, clock=clock
         )
         self.offboard = OffboardService(self.flight)
         self.manual = ManualControlService(self.commander)
         self.site = SiteFrame(config.site)
-        self._sensors = SensorInput(self.estimator, settings.sensors)
+        self._sensors = SensorInput(self.estimator, settings.sensors, clock)
+        self.parameters.subscribe(self.estimator.set_params, "estimation")
+        self.parameters.subscribe(self._sensors.set_params, "sensors")
+        self.parameters.subscribe(self.commander.set_params, "commander")
         self.monitor = Monitor(
-            settings,
+            self.parameters,
             geofence=Geofence(settings.geofence),
             sensors=self._sensors,
             offboard=self.offboard,
@@ -123,7 +130,7 @@ class Vehicle:
         )
         self.flight.battery = self.monitor.battery
         self.pilot = Pilot(
-            settings,
+            self.parameters,
             self.flight,
             offboard=self.offboard,
             manual=self.manual,
@@ -149,7 +156,8 @@ class Vehicle:
         self.app: Application | None = make_application(config) if config.onboard.enabled else None
         if self.app is not None:
             self.messaging.send_to_application = self.app.on_mavlink
-        self._last_us: int | None = None
+        self.has_begun = False
+        """Whether there was a step."""
         self._announced: tuple[FlightMode, bool, bool] | None = None
         self._announce_us = 0
         self._decide_us = 0
@@ -170,15 +178,15 @@ class Vehicle:
         the previous one is answered with the previous controls.
         """
         now_us: int = sim_messages[-1].time_usec
-        last_us = self._last_us
-        if last_us is not None and now_us <= last_us:
+        last_us, begins = self._clock.now_us, not self.has_begun
+        if self.has_been_at(now_us):
             return StepOutput(
                 now_us=now_us, actuators=self._actuators(now_us), simulator=[], links=[], radio=()
             )
-        self._last_us = now_us
+        self.has_begun = True
         self._sense(sim_messages, now_us)
         simulator: list[Message] = []
-        if last_us is None:
+        if begins:
             simulator.append(_interval_request())
             if self.app is not None:
                 self._loop_us = _next(now_us - 1, self._loop_period_us)
@@ -196,7 +204,7 @@ class Vehicle:
         if self.app is not None and radio_items:
             self.app.on_radio(radio_items, now_us)
         radio = self._run_app(simulator, now_us) if loops else ()
-        self.pilot.update((self.config.step_us if last_us is None else now_us - last_us) / US_PER_S)
+        self.pilot.update((self.config.step_us if begins else now_us - last_us) / US_PER_S)
         messaging = self.messaging
         links: list[Addressed] = []
         if decides or messaging.is_due(now_us) or any(link_active):
@@ -218,9 +226,9 @@ class Vehicle:
         Commands are executed and the newest setpoints stored. No time passes, so nothing is due and nothing
         times out.
         """
-        if self._last_us is None:
+        if not self.has_begun:
             return []
-        now_us = self._last_us
+        now_us = self._clock.now_us
         self.flight.time_stands = True
         to_answer = self._take_in(link_messages, now_us)
         # a mode may be requested just after its conditions are met
@@ -231,40 +239,28 @@ class Vehicle:
         self.flight.time_stands = False
         return self.messaging.take_outgoing()
 
-    @property
-    def next_look_us(self) -> int:
-        """Time of the next step that is due for more than its messages, unless a link sends earlier."""
-        return min(self._decide_us, self._loop_us, self.messaging.next_deadline_us())
+    def fast_step_limits(self, record_us: int) -> FastStepLimits:
+        """Return the limits of fast steps after this step; ``record_us`` is the host's."""
+        return FastStepLimits(
+            decision_us=self._decide_us,
+            application_us=self._loop_us,
+            services_us=self.messaging.next_deadline_us(),
+            record_us=record_us,
+            aiding_us=self._sensors.next_aiding_us,
+            horizon_us=self.estimator.valid_until_us,
+        )
 
-    def begin_fast_steps(self, steps: FastSteps, answer: bytes, sequence: int, limit_us: int) -> bool:
-        """Allow fast steps after this reply until a full step is due; return whether the next can be fast.
-
-        ``sequence`` is that of the next reply; ``limit_us`` is the time of a full step for other reasons.
-        """
-        filtered, now_us, flies = self.estimator.filter, self.flight.now_us, self.pilot.flies_on
+    def begin_fast_steps(self, steps: FastSteps, answer: bytes, record_us: int) -> bool:
+        """Allow fast steps after this reply until a full step is due; return whether the next can be fast."""
+        filtered, flies = self.estimator.filter, self.pilot.flies_on
         if filtered is None or (self.commander.armed and not flies):
             return False
-        until_us = min(self.next_look_us, limit_us)
-        if until_us <= now_us + self.config.step_us:
+        limits = self.fast_step_limits(record_us)
+        if limits.full_step_us <= self._clock.now_us + self.config.step_us:
             return False
-        steps.open(
-            answer, sequence, (filtered.block, filtered.samples, self.pilot.controller.block), now_us=now_us,
-            until_us=until_us, next_aiding_us=self._sensors.next_aiding_us,
-            valid_until_us=self.estimator.valid_until_us, flies=flies,
-        )  # fmt: skip
+        self.shared.begin_run(limits, flies=flies)
+        steps.open(answer, (self.shared.block, filtered.block, filtered.samples, self.pilot.controller.block))
         return True
-
-    def catch_up(self, now_us: int) -> None:
-        """Synchronise with filter and controller after fast steps, the last of which was at this time."""
-        self._last_us = self.flight.now_us = now_us
-        self._sensors.catch_up(now_us)
-        self.estimator.catch_up(now_us)
-        self.pilot.catch_up()
-
-    @property
-    def has_begun(self) -> bool:
-        """Whether there was a step."""
-        return self._last_us is not None
 
     def heartbeat(self) -> Message:
         """Return the present HEARTBEAT."""
@@ -272,41 +268,25 @@ class Vehicle:
 
     def has_been_at(self, now_us: int) -> bool:
         """Return whether there was a step at that time or later; a step at that time is a repetition."""
-        return self._last_us is not None and now_us <= self._last_us
+        return self.has_begun and now_us <= self._clock.now_us
 
     def set_parameter(self, name: str, value: float) -> None:
         """Change a parameter, in effect immediately. Raises ParameterError, also if it cannot change now."""
         if name in _ONLY_AT_START:
             raise ParameterError(f"{name} can only be set at the start", ParameterProblem.READ_ONLY)
-        before = self.parameters.settings
         self.parameters.set(name, value)
         self.messaging.on_parameter(name)
-        self._apply_settings(before)
 
     def reset_parameters(self, beginnings: tuple[str, ...]) -> bool:
         """Reset all parameters with these prefixes to their defaults; return False if armed, as in PX4."""
         if self.commander.armed:
             return False
-        before = self.parameters.settings
         names = [
             row.name for row in ROWS if row.name.startswith(beginnings) and row.name not in _ONLY_AT_START
         ]
         for name in self.parameters.reset(names):
             self.messaging.on_parameter(name)
-        self._apply_settings(before)
         return True
-
-    def _apply_settings(self, before: Settings) -> None:
-        """Apply the present settings to all parts, where they differ from those of before."""
-        settings = self.parameters.settings
-        if settings is before:
-            return
-        if settings.estimation is not before.estimation:
-            self.estimator.set_params(settings.estimation)
-        self._sensors.set_params(settings.sensors)
-        self.commander.params = settings.commander
-        self.monitor.set_params(settings)  # includes the geofence, which the pilot checks the mission against
-        self.pilot.set_params(settings)
 
     def troubles(self) -> dict[str, int]:
         """Return counts of errors that were handled."""
@@ -320,7 +300,7 @@ class Vehicle:
     def _sense(self, sim_messages: Sequence[Message], now_us: int) -> None:
         """Update sensors and estimate."""
         flight, sensors = self.flight, self._sensors
-        flight.now_us = now_us
+        self._clock.now_us = now_us
         if sensors.take(sim_messages, now_us):
             flight.gps, flight.gps_us = sensors.gps, sensors.gps_us
             self.messaging.on_new_fix()

@@ -9,25 +9,19 @@ from numba import njit
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common
 
-from autopilot.mavlink.frame import CHECKSUM_BYTES, FIRST, HEADER_BYTES, Octets, payload_bytes
+from autopilot.mavlink.frame import FIRST, PAYLOAD, Octets, payload_bytes
 from autopilot.mavlink.hil import HilActuatorControls
-from autopilot.mavlink.hil_layout import (
-    ACTUATORS_BYTES,
-    ACTUATORS_CONTROLS,
-    ACTUATORS_EXTRA,
-    ACTUATORS_FLAGS,
-    ACTUATORS_KIND,
-    ACTUATORS_MODE,
-    ACTUATORS_TIME,
-)
+from autopilot.mavlink.hil_schema import HIL_ACTUATOR_CONTROLS
 from foundation.types import Array
 from netsim.wire.lockstep import BATCH_HANDED_OVER
 
 ROTORS = 4
 BUFFER_BYTES = 250
 """Buffer of one vehicle; longer input is received in parts."""
-ANSWER_BYTES = HEADER_BYTES + ACTUATORS_BYTES + CHECKSUM_BYTES
+ANSWER_BYTES = HIL_ACTUATOR_CONTROLS.frame_bytes
 """Length of a whole frame."""
+_ANSWER, _ANSWER_ID = HIL_ACTUATOR_CONTROLS.dtype, HIL_ACTUATOR_CONTROLS.message_id
+_ANSWER_EXTRA, _PAYLOAD_BYTES = HIL_ACTUATOR_CONTROLS.crc_extra, HIL_ACTUATOR_CONTROLS.payload_bytes
 _ARMED = common.MAV_MODE_FLAG_SAFETY_ARMED
 
 CONNECTION_STATE = np.dtype(
@@ -120,17 +114,16 @@ def unpack(
         received_bytes = state["received_bytes"]
         if received_bytes != ANSWER_BYTES or state["needs_parser"]:
             continue
-        if payload_bytes(row, received_bytes, ACTUATORS_KIND, ACTUATORS_EXTRA) != ACTUATORS_BYTES:
+        if payload_bytes(row, received_bytes, _ANSWER_ID, _ANSWER_EXTRA) != _PAYLOAD_BYTES:
             continue
-        if row[ACTUATORS_TIME:ACTUATORS_FLAGS].view(np.int64)[0] != time_us:
+        answer = row[PAYLOAD : PAYLOAD + _PAYLOAD_BYTES].view(_ANSWER)[0]
+        if np.int64(answer["time_usec"]) != time_us:
             continue
-        commanded = row[ACTUATORS_CONTROLS:ACTUATORS_MODE].view(np.float32)
         for rotor in range(ROTORS):
-            controls[i, rotor] = commanded[rotor]
-        armed[i] = row[ACTUATORS_MODE] & _ARMED != 0
+            controls[i, rotor] = answer["controls"][rotor]
+        armed[i] = answer["mode"] & _ARMED != 0
         state["answered_us"] = time_us
-        flags = row[ACTUATORS_FLAGS:ACTUATORS_CONTROLS].view(np.int64)[0]
-        state["handed_over"] = flags & BATCH_HANDED_OVER != 0
+        state["handed_over"] = np.int64(answer["flags"]) & BATCH_HANDED_OVER != 0
         state["received_bytes"] = 0
         state["ever_answered"] = True
         unpacked += 1

@@ -16,17 +16,18 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from autopilot.estimation.atmosphere import altitude_m
 from autopilot.estimation.sensor_input import BARO_FIELDS, IMU_FIELDS, MAG_FIELDS
-from autopilot.parameters.config import Site
-from foundation.geometry.geodesy import ned_to_geodetic
-from foundation.types import Array
-from harness.simulator.hil_frames import (
+from autopilot.mavlink.hil_schema import (
     ESC_STATUS,
     HIL_GPS,
     HIL_SENSOR,
     HIL_STATE_QUATERNION,
     RC_CHANNELS,
-    InertialFrames,
+    MessageSchema,
 )
+from autopilot.parameters.config import Site
+from foundation.geometry.geodesy import ned_to_geodetic
+from foundation.types import Array
+from harness.simulator.hil_frames import InertialFrames, encode_rows, write_samples
 from harness.world.esc import EscReadings, statuses
 from harness.world.physics.truth import Truth
 from harness.world.sensors.suite import GpsFixes, SensorFrame
@@ -41,7 +42,7 @@ TRUTH_PERIOD_US = 20_000
 RC_PERIOD_US = 100_000
 """Period of RC_CHANNELS, where a radio control is simulated."""
 _RC_CENTRE_US = 1_500
-_RC_STICKS = 4
+_RC_STICKS, _RC_CHANNELS = 4, 18
 _RC_UNUSED = 65_535
 _RC_STRENGTH = 254
 _US_PER_MS = 1_000
@@ -82,15 +83,15 @@ class SensorEncoder:
         """
         others: list[list[bytes]] = []
         if escs is not None:
-            others.append(self._but(self._px4, ESC_STATUS.frames(statuses(time_us, escs), self._next())))
+            others.append(self._but(self._px4, self._encode(ESC_STATUS, statuses(time_us, escs))))
         if self._px4_rc and time_us % RC_PERIOD_US == 0:
             vehicles = len(frame.accel_frd_m_s2)
             own = frozenset(range(vehicles)) - self._px4
-            others.append(self._but(own, RC_CHANNELS.frames(_rc(time_us, vehicles), self._next())))
+            others.append(self._but(own, self._encode(RC_CHANNELS, _rc(time_us, vehicles))))
         if frame.gps is not None:
-            others.append(HIL_GPS.frames(self._fixes(time_us, frame.gps), self._next()))
+            others.append(self._encode(HIL_GPS, self._fixes(time_us, frame.gps)))
         if truth is not None:
-            others.append(HIL_STATE_QUATERNION.frames(_states(time_us, truth, self._site), self._next()))
+            others.append(self._encode(HIL_STATE_QUATERNION, _states(time_us, truth, self._site)))
         sensors = self._sensors(time_us, frame, delivered)
         return [b"".join(parts) for parts in zip(*others, sensors, strict=True)] if others else sensors
 
@@ -99,11 +100,15 @@ class SensorEncoder:
     ) -> Sequence[bytes | memoryview]:
         """Return the frames of HIL_SENSOR."""
         if frame.mag_frd_gauss is not None or frame.baro is not None or delivered:
-            return HIL_SENSOR.frames(_sensors(time_us, frame, delivered), self._next())
+            return self._encode(HIL_SENSOR, _sensors(time_us, frame, delivered))
         accel_frd_m_s2, gyro_frd_rad_s = frame.accel_frd_m_s2, frame.gyro_frd_rad_s
         if self._inertial.vehicles != len(accel_frd_m_s2):
             self._inertial = InertialFrames(len(accel_frd_m_s2), IMU_FIELDS)
         return self._inertial.at(time_us, accel_frd_m_s2, gyro_frd_rad_s, self._next())
+
+    def _encode(self, schema: MessageSchema, rows: NDArray[np.void]) -> list[bytes]:
+        """Return the frames of rows (n,)."""
+        return encode_rows(schema, rows, self._next())
 
     def _next(self) -> int:
         """Return the next sequence number, one per kind of frame."""
@@ -129,7 +134,7 @@ class SensorEncoder:
         speeds_m_s = np.array([math.hypot(north, east) for north, east in north_east_m_s])
         courses_deg = np.array([math.degrees(math.atan2(east, north)) for north, east in north_east_m_s])
         rows["vel"] = _integers(speeds_m_s * 100, np.uint16)
-        rows["vel_ned"] = _integers(fixes.vel_ned_m_s * 100, np.int16)
+        rows["vn"], rows["ve"], rows["vd"] = _integers(fixes.vel_ned_m_s.T * 100, np.int16)
         courses_cdeg = np.rint(courses_deg * 100) % 36_000
         rows["cog"] = np.where(speeds_m_s > _COURSE_LEAST_SPEED_M_S, courses_cdeg, _UNKNOWN)
         rows["satellites_visible"] = _SATELLITES
@@ -180,10 +185,8 @@ def fill_sensors(
         row = rows[i]
         row["time_usec"] = time_us
         row["fields_updated"] = fields_updated
-        for axis in range(3):
-            row["acc"][axis] = accel_frd_m_s2[i, axis]
-            row["gyro"][axis] = gyro_frd_rad_s[i, axis]
-            row["mag"][axis] = mag_frd_gauss[i, axis]
+        write_samples(row, accel_frd_m_s2[i], gyro_frd_rad_s[i])
+        row["xmag"], row["ymag"], row["zmag"] = mag_frd_gauss[i, 0], mag_frd_gauss[i, 1], mag_frd_gauss[i, 2]
         if fields_updated & BARO_FIELDS:
             row["abs_pressure"] = pressure_hpa[i]
             row["pressure_alt"] = altitude_m(pressure_hpa[i] * 100.0)
@@ -206,8 +209,8 @@ def _rc(time_us: int, vehicles: int) -> NDArray[np.void]:
     """Return RC_CHANNELS (n,) of radio controls with centred sticks."""
     rows = np.zeros(vehicles, RC_CHANNELS.dtype)
     rows["time_boot_ms"] = time_us // _US_PER_MS
-    rows["channels"] = _RC_UNUSED
-    rows["channels"][:, :_RC_STICKS] = _RC_CENTRE_US
+    for number in range(1, _RC_CHANNELS + 1):
+        rows[f"chan{number}_raw"] = _RC_CENTRE_US if number <= _RC_STICKS else _RC_UNUSED
     rows["chancount"] = _RC_STICKS
     rows["rssi"] = _RC_STRENGTH
     return rows
@@ -224,11 +227,11 @@ def _states(time_us: int, truth: Truth, site: Site) -> NDArray[np.void]:
     rows = np.zeros(len(truth.pos_ned_m), HIL_STATE_QUATERNION.dtype)
     rows["time_usec"] = time_us
     rows["attitude_quaternion"] = truth.q_ned_frd
-    rows["omega"] = truth.omega_frd_rad_s
+    rows["rollspeed"], rows["pitchspeed"], rows["yawspeed"] = truth.omega_frd_rad_s.T
     rows["lat"] = _integers(lat_deg * 1e7, np.int32)
     rows["lon"] = _integers(lon_deg * 1e7, np.int32)
     rows["alt"] = _integers(alt_m * 1e3, np.int32)
-    rows["vel_ned"] = _integers(truth.vel_ned_m_s * 100, np.int16)
+    rows["vx"], rows["vy"], rows["vz"] = _integers(truth.vel_ned_m_s.T * 100, np.int16)
     return rows
 
 

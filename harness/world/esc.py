@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from autopilot.mavlink.hil_schema import ESC_STATUS
 from foundation.types import Array
-from harness.simulator.hil_frames import ESC_STATUS
 
 PERIOD_US = 40_000
 """25 Hz"""

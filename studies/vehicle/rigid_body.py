@@ -128,7 +128,7 @@ class Iris:
             gyro_noise = GYRO_NOISE_RAD_S * self._noise.standard_normal(3)
             acc_noise = ACC_NOISE_M_S2 * self._noise.standard_normal(3)
         return estimate(
-            time_us=self.time_us, pos_ned_m=self.pos_ned_m.copy(), vel_ned_m_s=self.vel_ned_m_s.copy(),
+            pos_ned_m=self.pos_ned_m.copy(), vel_ned_m_s=self.vel_ned_m_s.copy(),
             q_ned_frd=self.q_ned_frd.copy(), omega_frd_rad_s=self.omega_frd_rad_s + gyro_noise,
             acc_ned_m_s2=self._acc + acc_noise,
         )  # fmt: skip
@@ -138,7 +138,7 @@ def estimate(**given: object) -> EstimatorState:
     """Return a valid estimate, by default level and at rest at the origin; arguments replace its fields."""
     zero = np.zeros(3)
     values: dict[str, object] = {
-        "time_us": 0, "q_ned_frd": np.array((1.0, 0.0, 0.0, 0.0)), "vel_ned_m_s": zero, "pos_ned_m": zero,
+        "q_ned_frd": np.array((1.0, 0.0, 0.0, 0.0)), "vel_ned_m_s": zero, "pos_ned_m": zero,
         "omega_frd_rad_s": zero, "acc_ned_m_s2": zero, "gyro_bias_rad_s": zero, "accel_bias_m_s2": zero,
         "pos_std_m": zero, "vel_std_m_s": zero, "attitude_std_rad": zero,
         "origin_lat_deg": 47.0, "origin_lon_deg": 8.0, "origin_alt_m": 488.0,

@@ -26,7 +26,7 @@ def test_timesync_requests_are_answered_and_answers_ignored():
 
 def test_an_answer_to_timesync_or_ping_is_not_answered():
     flight = make_flight()
-    flight.now_us = 4_000
+    flight.clock.now_us = 4_000
     a, b = TimesyncService(flight), TimesyncService(flight)
     ((_, answer),) = b.on_message(a.question(), 4_000, CLIENT)
     assert not a.on_message(answer, 8_000, CLIENT)

@@ -222,7 +222,7 @@ def test_garbage_at_the_sockets_of_a_running_vehicle_is_counted_and_has_no_effec
                     messages = parsers[name].push_datagram(data)
                     received[name] += sum(not is_addressed_to(m, system=1, component=1) for m in messages)
             for _ in range(6):
-                assert vehicle.step().controls == [0.0] * 16
+                assert list(vehicle.step().controls) == [0.0] * 16
         assert not select.select([stranger], [], [], 0.0)[0]
         details = vehicle.finish()
     for name, parser in parsers.items():

@@ -165,7 +165,7 @@ def test_a_value_beyond_float32_raises_in_the_sender_and_infinity_does_not(value
     message = HilActuatorControls(0, [value] * 16, 1, 1)
     if math.isinf(value):
         (got,) = HilParser(HilActuatorControls).push(pack(message, sequence=0, system=1, component=1))
-        assert got.controls == [value] * 16
+        assert list(got.controls) == [value] * 16
     else:
         with pytest.raises(OverflowError):
             pack(message, sequence=0, system=1, component=1)

@@ -167,7 +167,7 @@ def test_versions_and_ids():
 
 def test_system_time_starts_at_the_scenarios_date():
     flight = make_flight()
-    flight.now_us = 12_345_678
+    flight.clock.now_us = 12_345_678
     time = over_the_wire(make_telemetry(flight, epoch_unix_us=EPOCH_US).system.system_time())
     assert (time.time_unix_usec, time.time_boot_ms) == (EPOCH_US + 12_345_678, 12_345)
 
@@ -217,7 +217,7 @@ def test_vibration_is_the_mean_step_between_samples():
 
 def test_outputs_are_the_motor_controls():
     flight = make_flight()
-    flight.motors = (0.1, 0.2, 0.3, 0.4)
+    flight.motors = lambda: (0.1, 0.2, 0.3, 0.4)
     status = over_the_wire(make_telemetry(flight).control.actuator_output_status())
     assert status.active == 4
     assert status.actuator[:5] == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.0])

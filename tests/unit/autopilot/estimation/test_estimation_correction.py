@@ -12,7 +12,7 @@ from foundation.geometry.rotations import quat_rotate_inverse
 
 PARAMS = EstimatorParams()
 FIELD_NED_GAUSS = np.array(PARAMS.magnetic_field_ned_gauss)
-PERIOD_US = 20_000
+PERIOD_US, STEP_S = 20_000, 4_000 * 1e-6
 DELAY_US = 120_000
 LEVEL = ((0.0, 0.0, 0.0), (0.0, 0.0, -9.80665))
 
@@ -34,13 +34,13 @@ def one_after_the_other(delayed, fusion, time_us, field, altitude_m):
 
 
 def apart(delayed, fusion, time_us, field, altitude_m):
-    fusion.advance(time_us, *LEVEL, None)
+    fusion.advance(time_us, STEP_S, *LEVEL, None)
     one_after_the_other(delayed, fusion, time_us - DELAY_US, field, altitude_m)
 
 
 def at_once(delayed, fusion, time_us, field, altitude_m):
     measured_us = time_us - DELAY_US
-    fusion.advance(time_us, *LEVEL, (measured_us, field.tolist(), altitude_m))
+    fusion.advance(time_us, STEP_S, *LEVEL, (measured_us, field.tolist(), altitude_m))
     if fusion.done is None:
         one_after_the_other(delayed, fusion, measured_us, field, altitude_m)
     elif fusion.jumps:
@@ -78,7 +78,7 @@ def test_one_call_is_equal_to_the_sequence(seed):
         for (delayed, fusion), fuse in ((one, apart), (other, at_once)):
             fusion.jumps = Jump.NONE
             for back in range(4, 0, -1):
-                fusion.advance(time_us - 4_000 * back, *LEVEL, None)
+                fusion.advance(time_us - 4_000 * back, STEP_S, *LEVEL, None)
             taken_at_once += bool(fuse(delayed, fusion, time_us, field, altitude_m))
         assert known(*one) == known(*other), k
         jumps |= other[1].jumps
@@ -94,7 +94,7 @@ def test_the_interpreter_and_the_compiler_give_the_same_bits():
         delayed, fusion = aligned()
         for k in range(40):
             gyro, accel = rng.normal(0.0, 0.3, 3), rng.normal(0.0, 1.0, 3) - (0.0, 0.0, 9.8)
-            fusion.advance(4_000 * (k + 1), gyro, accel, None)
+            fusion.advance(4_000 * (k + 1), STEP_S, gyro, accel, None)
         step = fusion._step
         step["field_frd_gauss"] = FIELD_NED_GAUSS + 0.02 * rng.standard_normal(3)
         step["down_m"], step["believed"] = -0.2, believed

@@ -199,21 +199,19 @@ def test_broken_samples_change_nothing():
         (now_us + 4_000, fine, np.array([0.0, np.inf, 0.0])),
     ):
         estimator.on_imu(ImuSample(time_us=time_us, accel_frd_m_s2=accel, gyro_frd_rad_s=gyro))
-        assert estimator.state is state
+        assert repr((estimator.state, estimator.clock.estimate_us)) == repr((state, now_us))
     estimator.on_mag(now_us, np.full(3, np.nan))
     estimator.on_baro(now_us, 0.0, 15.0)
     estimator.on_baro(now_us, np.inf, 15.0)
     estimator.on_imu(ImuSample(time_us=now_us + 4_000, accel_frd_m_s2=fine, gyro_frd_rad_s=np.zeros(3)))
-    after = estimator.state
-    assert after.time_us == now_us + 4_000
-    np.testing.assert_allclose(after.pos_ned_m, state.pos_ned_m, atol=0.01)
+    assert estimator.clock.estimate_us == now_us + 4_000
+    np.testing.assert_allclose(estimator.state.pos_ned_m, state.pos_ned_m, atol=0.01)
 
 
 def test_a_copied_state_does_not_change():
     flight = simulate(figure_eight, 12.0, np.random.default_rng(13))
     states = replay(Estimator(EstimatorParams()), flight)
     early = states[step(8.0)]
-    assert early.time_us == 8_000_000
     again = replay(Estimator(EstimatorParams()), flight)[step(8.0)]
     for name in ("q_ned_frd", "vel_ned_m_s", "pos_ned_m", "acc_ned_m_s2", "omega_frd_rad_s", "pos_std_m"):
         np.testing.assert_array_equal(getattr(early, name), getattr(again, name))
@@ -228,9 +226,10 @@ def test_the_live_state_is_overwritten_and_equals_the_copy():
     for name in EstimatorState.__dataclass_fields__:
         np.testing.assert_array_equal(getattr(live, name), getattr(kept, name))
     earlier = states[step(3.0)].pos_ned_m.copy()
-    on = ImuSample(time_us=kept.time_us + 4_000, accel_frd_m_s2=np.zeros(3), gyro_frd_rad_s=np.zeros(3))
+    next_us = estimator.clock.estimate_us + 4_000
+    on = ImuSample(time_us=next_us, accel_frd_m_s2=np.zeros(3), gyro_frd_rad_s=np.zeros(3))
     estimator.on_imu(on)
     assert estimator.live is live
-    assert live.time_us == on.time_us
+    assert estimator.clock.estimate_us == next_us
     assert live.pos_ned_m.tolist() != kept.pos_ned_m.tolist()
     np.testing.assert_array_equal(states[step(3.0)].pos_ned_m, earlier)

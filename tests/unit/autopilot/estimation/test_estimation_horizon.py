@@ -19,8 +19,9 @@ def start(delay_us, time_us=0):
     return DelayedHorizon(x, 0.01 * np.eye(kernels.ERRORS), time_us=time_us, delay_us=delay_us, noise_psd=PSD)
 
 
-def add(delayed, time_us, gyro_frd_rad_s, accel_frd_m_s2):
-    return advance(delayed.block, delayed.samples, time_us, gyro_frd_rad_s, accel_frd_m_s2)
+def add(delayed, time_us, gyro_frd_rad_s, accel_frd_m_s2, step_us=4000):
+    dt_s = step_us * 1e-6
+    return advance(delayed.block, delayed.samples, time_us, dt_s, gyro_frd_rad_s, accel_frd_m_s2)
 
 
 def samples(count, step_us=4000):
@@ -73,8 +74,8 @@ def test_samples_faster_than_the_ring_buffer_shorten_the_delay_and_lose_nothing(
     delayed, taken = start(20_000), samples(300, step_us=250)
     first = delayed.x.copy()
     for sample in taken:
-        add(delayed, *sample)
-    assert 0 < delayed.time_us - delayed.horizon_us < 20_000
+        add(delayed, *sample, step_us=250)
+    assert 0 < taken[-1][0] - delayed.horizon_us < 20_000
     np.testing.assert_allclose(delayed.now, integrated(first, taken, step_us=250), atol=1e-12)
     delayed.corrected()
     np.testing.assert_allclose(delayed.now, integrated(first, taken, step_us=250), atol=1e-12)
@@ -84,8 +85,8 @@ def test_a_gap_is_bridged_by_one_long_sample():
     delayed = start(0)
     delayed.x[10:] = 0.0
     delayed.now[10:] = 0.0
-    for time_us in (4_000, 104_000):
-        add(delayed, time_us, np.zeros(3), np.array([1.0, 0.0, -9.80665]))
+    for time_us, step_us in ((4_000, 4_000), (104_000, 100_000)):
+        add(delayed, time_us, np.zeros(3), np.array([1.0, 0.0, -9.80665]), step_us)
     np.testing.assert_allclose(delayed.now[4:7], [0.104, 0.0, 0.0], atol=1e-12)
 
 

@@ -198,3 +198,31 @@ def test_the_metadata_message_can_be_requested():
         assert flight.command(common.MAV_CMD_REQUEST_MESSAGE, message_id) == common.MAV_RESULT_ACCEPTED
         (message,) = [m for _, m in flight.received if m.get_msgId() == COMPONENT_METADATA]
         assert flight.vehicle.messaging.files.open(message.uri.removeprefix("mftp://")) is not None
+
+
+def test_a_change_reaches_the_subscribers_of_its_group_in_their_order():
+    parameters, received = ParameterSet(Settings()), []
+
+    def subscribe(name, *groups):
+        parameters.subscribe(lambda *values: received.append((name, *values)), *groups)
+
+    subscribe("control", "control")
+    subscribe("rate", "control.rate")
+    subscribe("navigator", "navigation", "control.trajectory")
+    parameters.set("MPC_XY_CRUISE", 4.0)
+    settings = parameters.settings
+    assert received == [
+        ("control", settings.control), ("navigator", settings.navigation, settings.control.trajectory)
+    ]  # fmt: skip
+    received.clear()
+    with pytest.raises(ParameterError):
+        parameters.set("MPC_THR_MIN", 0.5 + parameters.get("MPC_THR_MAX"))
+    parameters.set("COM_RC_IN_MODE", 4.0)  # without effect
+    assert received == []
+    parameters.reset(["MPC_XY_CRUISE", "MC_ROLLRATE_P"])
+    assert [name for name, *_ in received] == ["control", "navigator"]
+
+
+def test_a_subscription_to_an_unknown_group_is_an_error():
+    with pytest.raises(AttributeError):
+        ParameterSet(Settings()).subscribe(print, "control.speed")

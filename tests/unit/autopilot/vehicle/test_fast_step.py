@@ -6,8 +6,9 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.hil import TO_VEHICLE, HilParser, HilSensor, pack
 from autopilot.parameters.config import OnboardConfig, VehicleConfig
-from autopilot.services.service import GROUND_STATION, Addressed, Partner
+from autopilot.services.service import GROUND_STATION, NEVER_US, Addressed, Partner
 from autopilot.vehicle.host import Host
+from autopilot.vehicle.shared_state import FastStepLimits
 from autopilot.vehicle.vehicle import DECISION_PERIOD_US
 from studies.vehicle.bench import record_flight
 
@@ -51,9 +52,9 @@ class Player:
 def memory(host):
     """Return all memory that a fast step may write."""
     estimator, controller = host.vehicle.estimator, host.vehicle.pilot.controller
-    steps = host._inertial
-    blocks = (estimator.filter.block, estimator.filter.samples, controller.block, steps._moment)
-    return b"".join(block.tobytes() for block in blocks) + bytes(steps._answer)
+    shared = host.vehicle.shared
+    blocks = (estimator.filter.block, estimator.filter.samples, controller.block, shared.block)
+    return b"".join(block.tobytes() for block in blocks) + bytes(host._inertial._answer)
 
 
 def until_inertial(player, stream):
@@ -78,15 +79,14 @@ def test_fast_steps_give_the_same_flight_to_the_bit(stream):
         assert compiled.play(data) == plain.play(data)
     assert plain.inertial == 0
     assert compiled.inertial > 0.25 * len(stream)
-    compiled.host._catch_up()
     for of in (
         lambda host: host.vehicle.estimator.state,
         lambda host: host.vehicle.estimator.diagnostics,
-        lambda host: list(host.vehicle.flight.motors),
-        lambda host: host.vehicle.flight.now_us,
+        lambda host: host.vehicle.flight.motors(),
+        lambda host: host.vehicle.shared.block["clock"],
         lambda host: host.vehicle.pilot.controls,
         lambda host: host.vehicle.pilot.controller.block.tobytes(),
-        lambda host: host._encoder.sequence,
+        lambda host: host.vehicle.shared.sequence,
     ):
         assert repr(of(compiled.host)) == repr(of(plain.host))
 
@@ -164,14 +164,33 @@ def test_an_inertial_sample_is_a_fast_step(flying):
     assert memory(player.host) != before
 
 
+@pytest.mark.parametrize("limit", FastStepLimits._fields)
+def test_each_limit_ends_the_fast_steps(stream, limit):
+    """Horizon limits are compared with the time of the filter, which is late by the delay."""
+    player = Player(compiled=True)
+    host, data = player.host, until_inertial(player, stream)
+    limited_us = _time_us(data)
+    if limit == "horizon_us":
+        limited_us -= int(host.vehicle.estimator.filter.block["delay_us"][0])
+    sample = sensor_like(data, fields_updated=0x3F | 0x1C0)
+    limits = host.vehicle.shared.block["limits"]
+    for name in FastStepLimits._fields:
+        limits[name] = NEVER_US
+    limits[limit] = limited_us
+    assert host.inertial_step(host.put(sample)) is None
+    limits[limit] = limited_us + 1
+    assert host.inertial_step(host.put(sample)) is not None
+
+
 @pytest.mark.parametrize("fields", [0x1C0, 0x1A00, 0x1C0 | 0x1A00])
 def test_compass_and_barometer_are_skipped_until_a_reading_is_due(stream, fields):
     player = Player(compiled=True)
     host, data = player.host, until_inertial(player, stream)
     reading = sensor_like(data, fields_updated=0x3F | fields, abs_pressure=1000.0)
-    host._inertial._moment["aids_us"] = _time_us(data)
+    limits = host.vehicle.shared.block["limits"]
+    limits["aiding_us"] = _time_us(data)
     assert host.inertial_step(host.put(reading)) is None
-    host._inertial._moment["aids_us"] = _time_us(data) + 1
+    limits["aiding_us"] = _time_us(data) + 1
     assert host.inertial_step(host.put(reading)) is not None
 
 
@@ -180,11 +199,10 @@ def test_while_the_simulator_is_silent_the_state_is_that_of_the_last_step(stream
     data = until_inertial(player, stream)
     player.play(data)
     host = player.host
-    assert host.vehicle.flight.now_us < _time_us(data)
     beat = common.MAVLink_heartbeat_message(common.MAV_TYPE_GCS, 8, 0, 0, 4, 3)
     host.serve_while_paused([Addressed(Partner(GROUND_STATION, 0), beat)])
     flight = host.vehicle.flight
-    assert flight.now_us == flight.state.time_us == _time_us(data)
+    assert flight.now_us == flight.clock.estimate_us == _time_us(data)
     assert flight.sensor == HilParser(*TO_VEHICLE).push(data)[0]
     assert isinstance(flight.sensor, HilSensor)
 

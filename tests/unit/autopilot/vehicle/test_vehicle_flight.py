@@ -149,7 +149,7 @@ def test_motors_wait_for_the_spool_up(flight):
     while flight.now_us < armed_us + 1_000_000 - STEP_US:
         assert flight.step().actuators.controls == [0.0] * 16
     flight.run(0.5)
-    assert min(flight.vehicle.flight.motors) > 0.0
+    assert min(flight.vehicle.flight.motors()) > 0.0
 
 
 def test_armed_without_further_commands_it_stays_on_the_ground_and_disarms(flight):

@@ -85,7 +85,7 @@ def test_steps_before_the_next_deadline_only_process_the_sample():
             setattr(owner, name, watched(getattr(owner, name)))
         due_us = []
         for _ in range(500):
-            if vehicle.next_look_us <= flight.now_us + STEP_US:
+            if vehicle.fast_step_limits(NEVER_US).full_step_us <= flight.now_us + STEP_US:
                 due_us.append(flight.now_us + STEP_US)
             flight.step()
         assert sorted(set(looked_us)) == due_us
@@ -96,4 +96,4 @@ def test_without_an_application_only_decisions_are_due():
     vehicle = Vehicle(vehicle_config())
     vehicle.step(sim_messages=[sensor(STEP_US)], link_active=NO_LINKS)
     assert vehicle._loop_us == NEVER_US
-    assert vehicle.next_look_us <= DECISION_PERIOD_US
+    assert vehicle.fast_step_limits(NEVER_US).full_step_us <= DECISION_PERIOD_US

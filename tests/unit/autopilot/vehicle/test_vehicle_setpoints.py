@@ -106,7 +106,7 @@ def test_a_take_off_by_thrust_alone():
         flight.offboard(attitude(0b111, euler_rad=(0.0, 0.0, flight.yaw_rad), thrust=0.0))
         flight.run(2.0)
         assert commander.landed
-        assert not any(flight.vehicle.flight.motors)
+        assert not any(flight.vehicle.flight.motors())
         flight.streams[STATION] = attitude(0b111, euler_rad=(0.0, 0.0, flight.yaw_rad), thrust=1.15 * hover)
         flight.run(2.0)
         assert not commander.landed

@@ -8,8 +8,9 @@ from fastcrc import crc16
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.hil import HilParser, HilSensor
+from autopilot.mavlink.hil_schema import ESC_STATUS
 from harness.simulator.hil import SensorEncoder
-from harness.simulator.hil_frames import ESC_STATUS
+from harness.simulator.hil_frames import encode_rows
 from harness.world import esc
 from harness.world.sensors.suite import GpsFixes, SensorFrame
 
@@ -88,6 +89,6 @@ def test_it_is_sent_first_with_consecutive_sequence_numbers(fix):
 
 
 def test_a_stopped_motor_shortens_the_frame_but_not_its_content():
-    (frame,) = ESC_STATUS.frames(esc.statuses(1, esc.readings(np.zeros((1, 4)))), 255)
+    (frame,) = encode_rows(ESC_STATUS, esc.statuses(1, esc.readings(np.zeros((1, 4)))), 255)
     assert frame[1] == 1  # the payload is only the low byte of the time
     assert payload_of(frame)[2] == (1, *[0] * 4, *[0.0] * 8, 0)
