@@ -14,7 +14,7 @@ from rich.progress import track
 
 from antenna.analysis.dataset import to_dataset, write_dataset
 from antenna.analysis.features import features, has_one_maximum
-from antenna.analysis.figures import cuts_figure, envelope_figure, gain_density_figure, patterns_figure
+from antenna.analysis.gain_figures import cuts_figure, envelope_figure, gain_density_figure, patterns_figure
 from antenna.analysis.patterns import Pattern, directions_deg
 from antenna.analysis.statistics import (
     HISTOGRAM_BYTES,

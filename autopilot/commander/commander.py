@@ -1,4 +1,4 @@
-"""Arming, modes and failsafes of one vehicle, from the tables in `conditions` and `failsafe`.
+"""Arming, modes and failsafes of one vehicle, from the tables in `arming_checks` and `failsafe`.
 
 The commander decides and reports reasons; it does not control. `autopilot.navigation` turns the mode into
 setpoints, `autopilot.services` carries requests and replies. A request returns None if it is granted, else
@@ -9,14 +9,12 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common
 
-from autopilot.commander.arming_requirements import (
+from autopilot.commander.arming_checks import (
     AFTER_DISARMING,
     MODE_NEEDS,
-    MODES_TO_ARM_IN,
     Condition,
     Reason,
-    all_missing,
-    arming_needs,
+    arming_refusals,
     first_missing,
 )
 from autopilot.commander.failsafe import (
@@ -92,11 +90,7 @@ class Commander:
 
     def arming_refusals(self) -> list[Reason]:
         """Return all reasons for which arming in the present mode would be refused, the most basic first."""
-        reasons = [] if self.params.armable else [Reason.NOT_ARMABLE]
-        if self.mode not in MODES_TO_ARM_IN:
-            reasons.append(Reason.MODE_CANNOT_ARM)
-        if self.mode in MODE_NEEDS:
-            reasons += all_missing(arming_needs(self.mode), self._conditions)
+        reasons = arming_refusals(self.mode, self._conditions, armable=self.params.armable != 0)
         for cause, reason in ARMING_CAUSES:
             if self._causes & cause and reason not in reasons and self._prevents_arming(cause):
                 reasons.append(reason)

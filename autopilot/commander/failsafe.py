@@ -11,7 +11,7 @@ from enum import Enum, IntEnum, IntFlag
 from types import MappingProxyType
 from typing import NamedTuple
 
-from autopilot.commander.arming_requirements import (
+from autopilot.commander.arming_checks import (
     MANUAL_MODES,
     MODE_NEED_BITS,
     Condition,

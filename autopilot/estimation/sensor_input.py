@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import Meta, Struct
 from pymavlink.dialects.v20 import common
 
-from autopilot.commander.arming_requirements import Condition
+from autopilot.commander.arming_checks import Condition
 from autopilot.estimation.clock import LONG_AGO_US, Clock
 from autopilot.estimation.estimator import Estimator
 from autopilot.mavlink.codec import Message

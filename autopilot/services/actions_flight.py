@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import common
 
-from autopilot.commander.arming_requirements import Condition, Reason
+from autopilot.commander.arming_checks import Condition, Reason
 from autopilot.mavlink.modes import FlightMode, mode_from_custom, mode_from_main_sub
 from autopilot.services.available_modes import STANDARD_MODES
 from autopilot.services.command import (

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from pymavlink.dialects.v20 import common
 
-from autopilot.commander.arming_requirements import MODE_NEEDS
+from autopilot.commander.arming_checks import MODE_NEEDS
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.dialect import AvailableModes, CurrentMode
 from autopilot.mavlink.modes import FlightMode

@@ -13,7 +13,7 @@ from typing import NamedTuple, TypeVar
 
 from pymavlink.dialects.v20 import common
 
-from autopilot.commander.arming_requirements import Reason
+from autopilot.commander.arming_checks import Reason
 from autopilot.mavlink.codec import Message
 from autopilot.services.service import ALL, Addressed, Listener, Partner, reply
 from autopilot.services.status import status_text

@@ -37,7 +37,7 @@ class FlightData:
     """The estimate at this step."""
     clock: Clock = field(default_factory=Clock)
     conditions: int = 0
-    """`autopilot.commander.arming_requirements.Condition` bits."""
+    """`autopilot.commander.arming_checks.Condition` bits."""
     causes: int = 0
     """`autopilot.commander.failsafe.Cause` bits."""
     battery: BatteryMonitor = field(default_factory=lambda: BatteryMonitor(BatteryParams()))

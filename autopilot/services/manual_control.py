@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common
 
-from autopilot.commander.arming_requirements import MANUAL_MODES
+from autopilot.commander.arming_checks import MANUAL_MODES
 from autopilot.commander.commander import Commander
 from autopilot.commander.failsafe import US_PER_S
 from autopilot.mavlink.codec import Message

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 from pymavlink.dialects.v20 import common
 
-from autopilot.commander.arming_requirements import Reason
+from autopilot.commander.arming_checks import Reason
 from autopilot.mavlink.codec import Message
 from autopilot.services.command import refusal_text
 from autopilot.services.service import ALL, Addressed, Listener, Partner, reply

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from pymavlink.dialects.v20 import common
 
-from autopilot.commander.arming_requirements import Condition
+from autopilot.commander.arming_checks import Condition
 from autopilot.commander.commander import Commander
 from autopilot.mavlink.codec import Message
 from foundation.types import Course

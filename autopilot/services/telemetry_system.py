@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from pymavlink.dialects.v20 import common
 
-from autopilot.commander.arming_requirements import Condition
+from autopilot.commander.arming_checks import Condition
 from autopilot.commander.failsafe import Cause
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.dialect import AvailableModesMonitor, CurrentMode, ProtocolVersion

@@ -6,7 +6,7 @@ delay are evaluated at 10 Hz. The monitor does not decide anything.
 
 from pymavlink.dialects.v20 import common
 
-from autopilot.commander.arming_requirements import Condition
+from autopilot.commander.arming_checks import Condition
 from autopilot.commander.battery import BatteryMonitor, BatterySimulator, BatteryWarning
 from autopilot.commander.failsafe import US_PER_S, Cause
 from autopilot.commander.failure_detector import AttitudeFailure, FailureDetector

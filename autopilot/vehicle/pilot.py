@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from autopilot.commander.arming_requirements import Reason
+from autopilot.commander.arming_checks import Reason
 from autopilot.commander.geofence import Geofence, Origin
 from autopilot.commander.land_detector import LandDetector, LandStage
 from autopilot.control import FlightController

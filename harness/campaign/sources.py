@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 _FLOWN_PACKAGES = ("foundation", "antenna", "netsim", "autopilot", "harness")
 _NOT_FLOWN = ("antenna/lab/", "netsim/lab/", "harness/campaign/", "harness/cli/")
 """Folders that do not affect a flight, except modules that compute its results."""
-_SHOWN = {"antenna/analysis/figures.py", "harness/report/figures.py", "harness/launch/pytest_plugin.py"}
+_SHOWN = {"antenna/analysis/gain_figures.py", "harness/report/figures.py", "harness/launch/pytest_plugin.py"}
 """Modules for drawing and tests, which do not affect a flight."""
 
 

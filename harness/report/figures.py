@@ -13,7 +13,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from antenna.analysis.figures import gain_density_figure, patterns_figure
+from antenna.analysis.gain_figures import gain_density_figure, patterns_figure
 from antenna.analysis.patterns import Pattern
 from harness.records.flight import Array, Flight
 from harness.report.formation_error import ErrorSeries, FormationError
@@ -89,7 +89,7 @@ def save_formation_error(path: Path, time_us: NDArray[np.int64], error: Formatio
 
 
 def save_gain_density(path: Path, series: Mapping[str, Array], ideal_dbi: float) -> None:
-    """Draw densities of gains: see `antenna.analysis.figures.gain_density_figure`."""
+    """Draw densities of gains: see `antenna.analysis.gain_figures.gain_density_figure`."""
     gain_density_figure(series, ideal_dbi).savefig(path, dpi=DPI)
 
 

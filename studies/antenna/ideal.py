@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import Struct
 
 from antenna.analysis.features import features
-from antenna.analysis.figures import patterns_figure
+from antenna.analysis.gain_figures import patterns_figure
 from antenna.analysis.patterns import Pattern
 from antenna.lab.formations import ideal
 from antenna.lab.hertzian import hertzian_pattern

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 
-from antenna.analysis.figures import patterns_figure
+from antenna.analysis.gain_figures import patterns_figure
 from antenna.analysis.statistics import gain_density
 from studies.article.campaign_data import Cell, Key
 from studies.article.monte_carlo import Drawn

@@ -11,7 +11,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from antenna.analysis.features import main_lobe
-from antenna.analysis.figures import GAIN_RANGE_DBI
+from antenna.analysis.gain_figures import GAIN_RANGE_DBI
 from antenna.analysis.patterns import FLOOR_DBI, HALF_POWER_DB, Pattern, from_dbi, to_dbi
 from harness.records.flight import Array
 

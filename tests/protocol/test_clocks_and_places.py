@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from protocol_bench import CLIENT, make_flight, over_the_wire
 from pymavlink.dialects.v20 import common
 
-from autopilot.commander.arming_requirements import Reason
+from autopilot.commander.arming_checks import Reason
 from autopilot.services.clocks import PingService, TimesyncService
 from autopilot.services.places import PlacesService
 from autopilot.services.service import Partner

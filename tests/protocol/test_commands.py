@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from protocol_bench import CLIENT, EVERYTHING, HOME, NAN, Commanded
 from pymavlink.dialects.v20 import common
 
-from autopilot.commander.arming_requirements import Condition, Reason
+from autopilot.commander.arming_checks import Condition, Reason
 from autopilot.mavlink.modes import FlightMode
 from autopilot.services.command import REMEMBERED_MAX, REMEMBERED_US
 from autopilot.services.service import ALL, Partner, is_addressed_to

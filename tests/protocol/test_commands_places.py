@@ -4,7 +4,7 @@ import pytest
 from protocol_bench import HOME, NAN, TAKEOFF_HEIGHT_M, Commanded
 from pymavlink.dialects.v20 import common
 
-from autopilot.commander.arming_requirements import Reason
+from autopilot.commander.arming_checks import Reason
 from autopilot.mavlink.modes import FlightMode
 
 ACCEPTED, DENIED = common.MAV_RESULT_ACCEPTED, common.MAV_RESULT_DENIED

@@ -3,7 +3,7 @@
 import pytest
 from pymavlink.dialects.v20 import common
 
-from autopilot.commander.arming_requirements import Condition
+from autopilot.commander.arming_checks import Condition
 from autopilot.commander.commander import Commander
 from autopilot.commander.params import CommanderParams
 from autopilot.mavlink.modes import FlightMode

@@ -7,7 +7,7 @@ import pytest
 from protocol_bench import EVERYTHING, make_flight, make_telemetry, over_the_wire
 from pymavlink.dialects.v20 import common
 
-from autopilot.commander.arming_requirements import Condition
+from autopilot.commander.arming_checks import Condition
 from autopilot.commander.failsafe import Cause
 from autopilot.mavlink.codec import Encoder, Parser
 from autopilot.mavlink.modes import FlightMode

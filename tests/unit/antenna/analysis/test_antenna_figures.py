@@ -4,7 +4,7 @@ from antenna_arrays import ideal, perturbed
 from antenna_hertzian import exact_patterns
 from matplotlib.contour import QuadContourSet
 
-from antenna.analysis.figures import (
+from antenna.analysis.gain_figures import (
     CUT_FLOOR_DBI,
     cuts_figure,
     envelope_figure,

@@ -5,7 +5,7 @@ import itertools
 import pytest
 from msgspec.structs import replace
 
-from autopilot.commander.arming_requirements import MODE_NEEDS, Condition, Reason
+from autopilot.commander.arming_checks import MODE_NEEDS, Condition, Reason
 from autopilot.commander.commander import Commander
 from autopilot.commander.failsafe import ROWS, Action, Cause, Failsafe, feasible
 from autopilot.commander.params import CommanderParams

@@ -3,7 +3,7 @@
 import pytest
 from pymavlink.dialects.v20 import common
 
-from autopilot.commander.arming_requirements import (
+from autopilot.commander.arming_checks import (
     MODE_NEEDS,
     MODES_TO_ARM_IN,
     Condition,

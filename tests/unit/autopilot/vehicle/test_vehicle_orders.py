@@ -7,7 +7,7 @@ import pytest
 from pymavlink.dialects.v20 import common
 from setpoint_world import Streamed
 
-from autopilot.commander.arming_requirements import Reason
+from autopilot.commander.arming_checks import Reason
 from autopilot.mavlink.modes import FlightMode
 
 NAN = math.nan

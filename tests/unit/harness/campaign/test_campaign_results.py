@@ -336,7 +336,7 @@ def test_a_failure_is_a_reproducible_line(tmp_path, monkeypatch):
 
 FLOWN_FILES = ("antenna/a.py", "autopilot/b.py", "harness/campaign/flights.py", "harness/report/report.py")
 OTHER_FILES = (
-    "antenna/lab/cli.py", "antenna/analysis/figures.py", "harness/cli/campaign.py", "harness/cli/fly.py",
+    "antenna/lab/cli.py", "antenna/analysis/gain_figures.py", "harness/cli/campaign.py", "harness/cli/fly.py",
     "harness/cli/export_deck.py", "harness/report/figures.py", "harness/cli/progress.py",
     "harness/launch/pytest_plugin.py", "studies/vehicle/page.py",
 )  # fmt: skip
@@ -394,7 +394,7 @@ def test_every_module_that_a_flight_loads_is_hashed_except_drawing():
     flown = sources.read_sources(sources.ROOT, measured_by=_MEASURED_BY).keys()
     assert len(loaded & flown) > 100
     kept_by = {f"harness/campaign/{name}.py" for name in KEEPING}
-    assert loaded - flown == {"antenna/analysis/figures.py", "harness/report/figures.py", *kept_by}
+    assert loaded - flown == {"antenna/analysis/gain_figures.py", "harness/report/figures.py", *kept_by}
 
 
 # ---- the remaining time

@@ -1,4 +1,4 @@
-"""Needs of the flight modes and of arming, and the reasons for which a request is refused. Data only."""
+"""Arming checks: needs of the flight modes and of arming, and the reasons for which a request is refused."""
 
 from enum import Enum, IntFlag
 
@@ -117,6 +117,20 @@ def arming_needs(mode: FlightMode) -> int:
     """Return the `Condition` bits that arming in this mode requires."""
     needs = int(ARMING_NEEDS) | MODE_NEED_BITS[mode]
     return needs | int(Condition.GPS) if needs & Condition.POSITION else needs
+
+
+def arming_refusals(mode: FlightMode, conditions: int, *, armable: bool) -> list[Reason]:
+    """Return the reasons for which arming in this mode is refused, the most basic first.
+
+    ``conditions`` are the `Condition` bits that are met, ``armable`` is COM_ARMABLE. The causes of failsafes
+    that prevent arming as well are checked by `Commander.arming_refusals`.
+    """
+    reasons = [] if armable else [Reason.NOT_ARMABLE]
+    if mode not in MODES_TO_ARM_IN:
+        reasons.append(Reason.MODE_CANNOT_ARM)
+    if mode in MODE_NEEDS:
+        reasons += all_missing(arming_needs(mode), conditions)
+    return reasons
 
 
 def first_missing(needs: int, conditions: int) -> Reason | None:
