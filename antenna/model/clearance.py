@@ -110,9 +110,13 @@ def measure(
     nearest[0], nearest[1], nearest_m[0] = 0, GROUND, np.inf
     if grounded:
         for i in range(n):
-            ends_image_m[i] = ends_m[i]
-            ends_image_m[i, :, :, 2] *= -1.0
-            lowest_m = ends_m[i, :, :, 2].min()
+            lowest_m = np.inf
+            for wire in range(ends_m.shape[1]):
+                for end in range(2):
+                    ends_image_m[i, wire, end, 0] = ends_m[i, wire, end, 0]
+                    ends_image_m[i, wire, end, 1] = ends_m[i, wire, end, 1]
+                    ends_image_m[i, wire, end, 2] = -ends_m[i, wire, end, 2]
+                    lowest_m = min(lowest_m, ends_m[i, wire, end, 2])
             if lowest_m < nearest_m[0] - ALIKE_M:
                 nearest[0], nearest_m[0] = i, lowest_m
     for i in range(n):

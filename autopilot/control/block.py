@@ -19,6 +19,7 @@ CASCADE = np.dtype(
         ("idles", "u1"),  # in the ground phase of the take-off
         ("landed", "u1"),
         ("flies", "u1"),  # in the flying phase of the take-off
+        ("by_tilt", "u1"),  # see `inner_loop.InnerLoop.update`
         # setpoint: `PositionController.take` writes that of a trajectory
         ("setpoint", "f8", (3, 3)),
         ("mask", "u1", (3, 3)),

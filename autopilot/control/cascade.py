@@ -29,8 +29,6 @@ from foundation.types import Array
 
 ABOVE_LEAST = 1.001
 """Tolerance for rounding: a thrust up to this multiple of the least thrust counts as the least thrust"""
-BY_TILT = True
-"""Apply only the thrust along the present axis; see `InnerLoop.update`."""
 YAW, YAW_RATE, CLIMB_MAX = range(3)
 """Elements of the block's ``turn``: heading, rad; its rate, rad/s; greatest climb rate, m/s"""
 _HOVER_LEARN_UP = 0.5
@@ -63,11 +61,12 @@ def follow_trajectory(block: Block, estimate: Array) -> None:
         position_dt_s = c["since_position_s"]
         c["since_position_s"] = 0.0
     c["updates"] += 1
-    observer, hover, decided = c["observer"], c["hover"], c["decided"]
-    limits, turn = c["position_limits"], c["turn"]
+    # whole slices have the type of the arrays that Python passes, so one compilation serves both
+    observer, observer_settings = c["observer"][:], c["observer_settings"][:]
+    hover, decided, limits, turn = c["hover"], c["decided"], c["position_limits"], c["turn"]
     yaw_rad, yaw_rate_rad_s = turn[YAW], turn[YAW_RATE]
     observe_disturbance(
-        observer, c["observer_settings"], acc, q_ned_frd, c["thrust"], hover[HOVER], dt_s,
+        observer, observer_settings, acc, q_ned_frd, c["thrust"], hover[HOVER], dt_s,
         velocity_valid and not landed,
     )  # fmt: skip
     if position_dt_s > 0.0:
@@ -85,10 +84,13 @@ def follow_trajectory(block: Block, estimate: Array) -> None:
             decided,
         )  # fmt: skip
     if c["idles"]:
-        decided[ATTITUDE] = quat_from_euler(0.0, 0.0, yaw_rad)
+        level = quat_from_euler(0.0, 0.0, yaw_rad)
+        for i in range(4):
+            decided[ATTITUDE, i] = level[i]
         decided[THRUST_VECTOR, COLLECTIVE] = 0.0
         yaw_rate_rad_s = 0.0
+    c["by_tilt"] = 1
     follow_attitude(
         block, q_ned_frd, omega, decided[ATTITUDE], yaw_rate_rad_s, decided[THRUST_VECTOR, COLLECTIVE],
-        dt_s, BY_TILT, not landed, airmode_above(landed, limits[THR_MIN]),
+        dt_s, not landed, airmode_above(landed, limits[THR_MIN]),
     )  # fmt: skip

@@ -21,7 +21,7 @@ RATE_SETPOINT, TORQUE = range(2)
 def follow_attitude(
     block: Block, q_ned_frd: Array, omega_frd_rad_s: Array, q_setpoint: Array, yaw_rate_rad_s: float,
     thrust: float, dt_s: float,
-    by_tilt: bool, integrate: bool, airmode_above: float,  # noqa: FBT001 - kernels take positions
+    integrate: bool, airmode_above: float,  # noqa: FBT001 - kernels take positions
 ) -> None:  # fmt: skip
     """Compute the block's ``controls`` and intermediate results from an attitude and a collective thrust."""
     c = block[0]
@@ -30,7 +30,7 @@ def follow_attitude(
     )
     c["tilt_cosine"] = cosine
     highest = 1.0 if thrust > airmode_above else 0.0
-    if by_tilt:
+    if c["by_tilt"]:
         thrust *= max(cosine, 0.0)
     _follow_rate(block, omega_frd_rad_s, rate, thrust, highest, dt_s, integrate)
 
@@ -66,8 +66,8 @@ def _follow_rate(
         c["rate_gains"], c["integral_max"], c["rate_cutoff_hz"], c["rate_state"], integrate,
     )  # fmt: skip
     stages = c["stages"]
-    stages[RATE_SETPOINT] = rate_frd_rad_s
-    stages[TORQUE] = torque
+    for axis in range(3):
+        stages[RATE_SETPOINT, axis], stages[TORQUE, axis] = rate_frd_rad_s[axis], torque[axis]
     c["thrust"] = allocate(
         thrust, torque, c["mix"], c["yaw_thrust_margin"], highest, c["thrust_model_factor"],
         c["controls"], c["unallocated"],
@@ -111,9 +111,10 @@ class InnerLoop:
 
         """
         self._rates.start(omega_frd_rad_s)
+        self._block["by_tilt"] = by_tilt
         follow_attitude(
             self._block, q_ned_frd, omega_frd_rad_s, setpoint.q_ned_frd, setpoint.yaw_rate_rad_s,
-            setpoint.thrust, dt_s, by_tilt, integrate, airmode_above,
+            setpoint.thrust, dt_s, integrate, airmode_above,
         )  # fmt: skip
         return self._controls.copy()
 

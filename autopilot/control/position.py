@@ -69,8 +69,8 @@ def _velocity_setpoint(
 @njit(cache=True)
 def _limited_thrust(
     acc: Array, hover: float, tilt_max: float, thr_min: float, thr_max: float, xy_margin: float
-) -> tuple[Array, bool]:
-    """Return the NED thrust vector (3,), and whether its horizontal part is limited.
+) -> tuple[tuple[float, float, float], bool]:
+    """Return the NED thrust vector, and whether its horizontal part is limited.
 
     ``acc`` is the acceleration over ground. The tilt follows from the horizontal acceleration as if the
     vertical thrust were equal to the weight (MPC_ACC_DECOUPLE), so a climb does not change it. The horizontal
@@ -91,28 +91,27 @@ def _limited_thrust(
     if demanded_tan > 0.0:
         north = horizontal * acc[0] / (GRAVITY_M_S2 * demanded_tan)
         east = horizontal * acc[1] / (GRAVITY_M_S2 * demanded_tan)
-    return np.array([north, east, -up]), horizontal < unlimited * (1.0 - 1e-9)
+    return (north, east, -up), horizontal < unlimited * (1.0 - 1e-9)
 
 
 @njit(cache=True)
-def _attitude(thrust_ned: Array, yaw_rad: float) -> Array:
+def _attitude(thrust_ned: tuple[float, float, float], yaw_rad: float) -> Array:
     """Return q_ned_frd (4,) with -z along the thrust and x along the heading; level if no thrust."""
     norm = math.sqrt(
         thrust_ned[0] * thrust_ned[0] + thrust_ned[1] * thrust_ned[1] + thrust_ned[2] * thrust_ned[2]
     )
-    z = np.array([0.0, 0.0, 1.0])
+    z0, z1, z2 = 0.0, 0.0, 1.0
     if norm > LEAST_THRUST:
-        z = -thrust_ned / norm
-    # x = (horizontal, right of the heading) x z: perpendicular to both; the tilt limit keeps z[2] > 0
-    x = np.array([math.cos(yaw_rad) * z[2], math.sin(yaw_rad) * z[2], 0.0])
-    x[2] = -math.sin(yaw_rad) * z[1] - math.cos(yaw_rad) * z[0]
-    x /= math.sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
+        z0, z1, z2 = -thrust_ned[0] / norm, -thrust_ned[1] / norm, -thrust_ned[2] / norm
+    # x = (horizontal, right of the heading) x z: perpendicular to both; the tilt limit keeps z2 > 0
+    x0, x1 = math.cos(yaw_rad) * z2, math.sin(yaw_rad) * z2
+    x2 = -math.sin(yaw_rad) * z1 - math.cos(yaw_rad) * z0
+    length = math.sqrt(x0 * x0 + x1 * x1 + x2 * x2)
+    x0, x1, x2 = x0 / length, x1 / length, x2 / length
     dcm = np.empty((3, 3))
-    dcm[:, 0] = x
-    dcm[0, 1] = z[1] * x[2] - z[2] * x[1]
-    dcm[1, 1] = z[2] * x[0] - z[0] * x[2]
-    dcm[2, 1] = z[0] * x[1] - z[1] * x[0]
-    dcm[:, 2] = z
+    dcm[0, 0], dcm[1, 0], dcm[2, 0] = x0, x1, x2
+    dcm[0, 1], dcm[1, 1], dcm[2, 1] = z1 * x2 - z2 * x1, z2 * x0 - z0 * x2, z0 * x1 - z1 * x0
+    dcm[0, 2], dcm[1, 2], dcm[2, 2] = z0, z1, z2
     return quat_from_dcm(dcm)
 
 
@@ -152,7 +151,9 @@ def control_position(
         if mask[0, i] or mask[1, i]:
             error[i] = vel_sp[i] - vel[i]
             acc_sp[i] += gains[1, i] * error[i] + integral[i] + gains[3, i] * (acc_sp[i] - acc_filtered[i])
-    demand = acc_sp - disturbance
+    demand = np.empty(3)
+    for i in range(3):
+        demand[i] = acc_sp[i] - disturbance[i]
     thr_min, thr_max = limits[THR_MIN], limits[THR_MAX]
     thrust, cut = _limited_thrust(demand, hover, limits[TILT_MAX], thr_min, thr_max, limits[THR_XY_MARGIN])
 
@@ -172,11 +173,12 @@ def control_position(
         if mask[0, i] or mask[1, i]:
             integral[i] += error[i] * gains[2, i] * dt_s
             integral[i] = min(max(integral[i], -GRAVITY_M_S2), GRAVITY_M_S2)
-    decided[VELOCITY, :3] = vel_sp
-    decided[ACCELERATION, :3] = acc_sp
-    decided[THRUST, :3] = thrust
+    for i in range(3):
+        decided[VELOCITY, i], decided[ACCELERATION, i], decided[THRUST, i] = vel_sp[i], acc_sp[i], thrust[i]
     decided[THRUST, COLLECTIVE] = collective
-    decided[ATTITUDE] = _attitude(thrust, yaw_rad)
+    attitude = _attitude(thrust, yaw_rad)
+    for i in range(4):
+        decided[ATTITUDE, i] = attitude[i]
 
 
 _NO_AXES = (False, False, False)

@@ -51,7 +51,7 @@ def stopping_distance(vel: float, acc: float, acc_min: float, acc_max: float, je
     return sign * distance
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _speed_after(vel: float, acc: float, jerk: float) -> float:
     """Return the speed after the acceleration has returned to 0 at full jerk."""
     return vel + acc * abs(acc) / (2.0 * jerk)

@@ -151,5 +151,6 @@ def align_at_rest(
     np.fill_diagonal(cov[6:9, 6:9], INIT_POS_STD_M**2)
     np.fill_diagonal(cov[9:12, 9:12], gyro_psd / window_s)
     # the heading is from the mean field, so its innovation is zero; the update correlates it with tilt
-    kernels.fuse_heading(x, cov, 0.0, field_ned, params.heading_noise_rad**2, 1.0, np.full(2, np.inf))
+    variance_rad2 = params.heading_noise_rad**2
+    kernels.fuse_heading(x, cov, 0.0, field_ned, variance_rad2, 1.0, np.full(2, np.inf), take=True)
     return x, cov

@@ -25,7 +25,6 @@ from foundation.geometry.rotations import (
     from_rotation_vector,
     multiply,
     normalise,
-    quat_rotate,
     quat_to_dcm,
     rotate,
 )
@@ -96,7 +95,7 @@ def integrate(x: Array, gyro_frd_rad_s: Array, accel_frd_m_s2: Array, dt_s: floa
     return acc_ned_m_s2
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def error_transition(x: Array, accel_frd_m_s2: Array, dt_s: float) -> tuple[Array, Array]:
     """Return the two nonzero blocks of the error's transition matrix F, apart from identity and dt velocity.
 
@@ -104,10 +103,20 @@ def error_transition(x: Array, accel_frd_m_s2: Array, dt_s: float) -> tuple[Arra
     bias, velocity from accelerometer bias). The second, (3, 3), is minus dt times the cross matrix of the
     specific force in NED (velocity from attitude). ``x`` is the state at the start of the interval.
     """
-    dcm_ned_frd = quat_to_dcm(x[:4])
-    force_ned_m_s2 = quat_rotate(x[:4], accel_frd_m_s2 - x[ACCEL_BIAS:STATES])
-    from_bias = -dt_s * dcm_ned_frd
-    vel_from_attitude = np.zeros((3, 3))
+    from_bias = quat_to_dcm(x[:4])
+    vel_from_attitude = np.empty((3, 3))
+    for i in range(3):
+        vel_from_attitude[i, i] = 0.0
+        for j in range(3):
+            from_bias[i, j] *= -dt_s
+    force_ned_m_s2 = rotate(
+        (x[0], x[1], x[2], x[3]),
+        (
+            accel_frd_m_s2[0] - x[ACCEL_BIAS],
+            accel_frd_m_s2[1] - x[ACCEL_BIAS + 1],
+            accel_frd_m_s2[2] - x[ACCEL_BIAS + 2],
+        ),
+    )
     vel_from_attitude[0, 1] = dt_s * force_ned_m_s2[2]
     vel_from_attitude[0, 2] = -dt_s * force_ned_m_s2[1]
     vel_from_attitude[1, 0] = -dt_s * force_ned_m_s2[2]
@@ -117,7 +126,7 @@ def error_transition(x: Array, accel_frd_m_s2: Array, dt_s: float) -> tuple[Arra
     return from_bias, vel_from_attitude
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def predict_covariance(
     cov: Array, from_bias: Array, vel_from_attitude: Array, noise_psd: Array, dt_s: float
 ) -> None:
@@ -187,13 +196,15 @@ def update(
 
     With the optimal gain, Joseph's form reduces to cov - (cov H')(cov H')' / s, which is exactly symmetric.
     """
-    gain = cross_cov / innovation_var
+    error = np.empty(ERRORS)
     for i in range(ERRORS):
+        gain = cross_cov[i] / innovation_var
+        error[i] = gain * innovation
         for j in range(i + 1):
-            value = cov[i, j] - gain[i] * cross_cov[j]
+            value = cov[i, j] - gain * cross_cov[j]
             cov[i, j] = value
             cov[j, i] = value
-    inject_error(x, gain * innovation, bias_limits)
+    inject_error(x, error, bias_limits)
 
 
 @njit(cache=True)
@@ -219,33 +230,35 @@ def fuse_direct(
         innovation_var[i] = cov[first - 1 + i, first - 1 + i] + variance[i]
         ratio = max(ratio, abs(innovation[i]) / (gate * math.sqrt(innovation_var[i])))
     if ratio < 1.0:
+        cross_cov = np.empty(ERRORS)
         for i in range(measured.size):
-            cross_cov = cov[:, first - 1 + i].copy()
+            for j in range(ERRORS):
+                cross_cov[j] = cov[j, first - 1 + i]
             # relative to the state after the previous axes: sequential updates equal a joint one
             residual = measured[i] - x[first + i]
             update(x, cov, cross_cov, residual, cross_cov[first - 1 + i] + variance[i], bias_limits)
     return ratio
 
 
-@njit(cache=True)
-def heading_jacobian(field_ned: Array) -> Array:
-    """Return the derivative (3,) of the heading innovation by the attitude error (field in any unit).
+@njit(cache=True, inline="always")
+def heading_jacobian(field_ned: Array) -> Vector:
+    """Return the derivative of the heading innovation by the attitude error (field (3,) in any unit).
 
     A tilt error rotates the field's vertical part into the horizontal, which has the effect of a heading
     error.
     """
     horizontal_squared = field_ned[0] * field_ned[0] + field_ned[1] * field_ned[1]
-    jacobian = np.empty(3)
-    jacobian[0] = -field_ned[0] * field_ned[2] / horizontal_squared
-    jacobian[1] = -field_ned[1] * field_ned[2] / horizontal_squared
-    jacobian[2] = 1.0
-    return jacobian
+    return (
+        -field_ned[0] * field_ned[2] / horizontal_squared,
+        -field_ned[1] * field_ned[2] / horizontal_squared,
+        1.0,
+    )
 
 
 @njit(cache=True)
 def heading_innovation(x: Array, field_frd: Array, field_ned: Array) -> float:
     """Return the angle about down, in [-pi, pi], from the measured field's horizontal part to the site's."""
-    seen_ned = quat_rotate(x[:4], field_frd)
+    seen_ned = rotate((x[0], x[1], x[2], x[3]), (field_frd[0], field_frd[1], field_frd[2]))
     return math.atan2(
         seen_ned[0] * field_ned[1] - seen_ned[1] * field_ned[0],
         seen_ned[0] * field_ned[0] + seen_ned[1] * field_ned[1],
@@ -261,15 +274,16 @@ def fuse_heading(
     variance: float,
     gate: float,
     bias_limits: Array,
-    take: bool = True,  # noqa: FBT001, FBT002 - compiled code takes no keyword-only arguments
+    take: bool,  # noqa: FBT001 - compiled code takes no keyword-only arguments
 ) -> tuple[float, float]:
     """Fuse an angle of ``heading_innovation`` unless its test ratio is 1 or more or ``take`` is false.
 
     Return the ratio and the innovation's variance.
     """
     jacobian = heading_jacobian(field_ned)
-    cross_cov = jacobian[0] * cov[:, 0] + jacobian[1] * cov[:, 1] + jacobian[2] * cov[:, 2]
-    innovation_var = variance
+    cross_cov, innovation_var = np.empty(ERRORS), variance
+    for i in range(ERRORS):
+        cross_cov[i] = jacobian[0] * cov[i, 0] + jacobian[1] * cov[i, 1] + jacobian[2] * cov[i, 2]
     for i in range(3):
         innovation_var += jacobian[i] * cross_cov[i]
     ratio: float = abs(innovation) / (gate * math.sqrt(innovation_var))

@@ -20,6 +20,7 @@ from numba import njit
 
 from autopilot.estimation.atmosphere import GRAVITY_M_S2
 from foundation.geometry.rotations import (
+    conjugate,
     from_rotation_vector,
     multiply,
     normalise,
@@ -84,7 +85,7 @@ def level_start(q_ned_frd: Array, gyro_bias_rad_s: Array) -> Array:
     return tilt
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def carry_level(tilt: Array, gyro_frd_rad_s: Array, accel_frd_m_s2: Array, dt_s: float) -> None:
     """Advance the complementary filter (TILT,) by one inertial sample, in place (Mahony et al., 2008)."""
     share = min(1.0, ACCEL_LOW_PASS * TILT_GAIN_1_S * dt_s)
@@ -133,7 +134,8 @@ def carry_level(tilt: Array, gyro_frd_rad_s: Array, accel_frd_m_s2: Array, dt_s:
 @njit(cache=True)
 def azimuth_of(q_ned_frd: Array, tilt: Array) -> float:
     """Return the azimuth of the level frame implied by an attitude: the rotation about down between them."""
-    between = quat_multiply(q_ned_frd, quat_conjugate(tilt[Q : Q + 4]))
+    q_frd_level = conjugate((tilt[Q], tilt[Q + 1], tilt[Q + 2], tilt[Q + 3]))
+    between = multiply((q_ned_frd[0], q_ned_frd[1], q_ned_frd[2], q_ned_frd[3]), q_frd_level)
     return 2.0 * math.atan2(between[3], between[0])
 
 
@@ -152,13 +154,13 @@ def start_models(models: Array, covs: Array, weights: Array, vel_ne_m_s: Array, 
         weights[i] = 1.0 / MODELS
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def predict_model(model: Array, cov: Array, dvel_x: float, dvel_y: float, dt_s: float) -> None:
     """Predict one model (3,) and its covariance (3, 3) over the time between two fixes, in place."""
     cos, sin = math.cos(model[2]), math.sin(model[2])
     model[0] += cos * dvel_x - sin * dvel_y
     model[1] += sin * dvel_x + cos * dvel_y
-    by_azimuth = np.array([-sin * dvel_x - cos * dvel_y, cos * dvel_x - sin * dvel_y, 0.0])
+    by_azimuth = (-sin * dvel_x - cos * dvel_y, cos * dvel_x - sin * dvel_y)
     for j in range(3):
         for i in range(2):
             cov[i, j] += by_azimuth[i] * cov[2, j]
@@ -170,7 +172,7 @@ def predict_model(model: Array, cov: Array, dvel_x: float, dvel_y: float, dt_s: 
     cov[2, 2] += AZIMUTH_PSD_RAD2_S * dt_s
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def update_model(model: Array, cov: Array, vel_ne_m_s: Array, vel_var: float) -> float:
     """Fuse a velocity (2,) into one model, in place; return the measurement's likelihood.
 
@@ -222,7 +224,7 @@ def fuse_velocity(
             covs[i, :, :2] = 0.0
             covs[i, 0, 0] = covs[i, 1, 1] = vel_var
             covs[i, 2, 2] = min(covs[i, 2, 2] + AZIMUTH_PSD_RAD2_S * dt_s, AZIMUTH_VAR_MAX_RAD2)
-            models[i, :2] = vel_ne_m_s
+            models[i, 0], models[i, 1] = vel_ne_m_s[0], vel_ne_m_s[1]
         else:
             predict_model(models[i], covs[i], significant * dvel_x, significant * dvel_y, dt_s)
             weights[i] *= update_model(models[i], covs[i], vel_ne_m_s, vel_var)

@@ -62,7 +62,7 @@ def in_circle(right: float, forward: float) -> tuple[float, float]:
     return right / length, forward / length
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _acc_towards(missing: float, acc_max: float, jerk: float, dt_s: float) -> float:
     """Return the greatest acceleration (>= 0) that reaches zero at full jerk when ``missing`` (>= 0) does."""
     half = 0.5 * dt_s

@@ -72,10 +72,11 @@ def _advance(
             for i in range(3):
                 for row in range(4):
                     moved[row, i] += axes[k, i] * line[row]
-        motion[:] = moved
-        if rests:
-            motion[:] = 0.0
-            motion[POS] = target
+        for i in range(3):
+            for row in range(4):
+                motion[row, i] = 0.0 if rests else moved[row, i]
+            if rests:
+                motion[POS, i] = target[i]
     return _move(yaw, yaw_goal, yaw_limits, dt_s) and rests
 
 

@@ -45,7 +45,7 @@ def place_ned_m(
     )
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _ecef_m(lat_rad: float, lon_rad: float, alt_m: float) -> tuple[float, float, float]:
     sin_lat, cos_lat = math.sin(lat_rad), math.cos(lat_rad)
     prime_vertical_m = SEMI_MAJOR_AXIS_M / math.sqrt(1.0 - _ECCENTRICITY_SQUARED * sin_lat * sin_lat)

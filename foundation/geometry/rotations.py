@@ -161,7 +161,8 @@ def quat_from_dcm(dcm_ab: Array) -> Array:
         q[1 + j] = (dcm_ab[j, i] + dcm_ab[i, j]) / scale
         q[1 + k] = (dcm_ab[k, i] + dcm_ab[i, k]) / scale
         if q[0] < 0.0:
-            q = -q
+            for n in range(4):
+                q[n] = -q[n]
     return q
 
 

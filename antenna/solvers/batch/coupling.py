@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from antenna.model.clearance import measure
 from antenna.model.geometry import Array, Complex
 from antenna.solvers.batch.kind import ElementKind
-from antenna.solvers.batch.moments import ETA_OHM, turn
+from antenna.solvers.batch.moments import ETA_OHM, mirror, turn
 from antenna.solvers.batch.near import find_near, respond_together
 from antenna.solvers.batch.response import NODES
 
@@ -53,7 +53,7 @@ def reactions(
     fields: Complex,
     found: Complex,
 ) -> None:
-    """Write into ``found`` (K, K) the reactions of the first element's moments with the second's fields.
+    """Add to ``found`` (K, K) the reactions of the first element's moments with the second's fields.
 
     ``fields`` (M, K) is a work array.
     """  # fmt: skip
@@ -89,7 +89,7 @@ def reactions(
             total = 0.0j
             for p in range(len(first_m)):
                 total += moments_am[p, b] * fields[p, c]
-            found[b, c] = total
+            found[b, c] += total
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -116,15 +116,14 @@ def solve_arrays(
     ends_m = np.empty((n, len(kind.wires_m), 2, 3))
     ends_image_m = np.empty((n, len(kind.wires_m), 2, 3))
     nodes_m, nodes_axes = np.empty((n, kind.firsts[-1], 3)), np.empty((n, kind.firsts[-1], 3))
-    ready = np.zeros((n, levels), np.bool_)
-    apart_m, image_apart_m = np.full((n, n), np.inf), np.full((n, n), np.inf)
+    ready = np.empty((n, levels), np.bool_)
+    apart_m, image_apart_m = np.empty((n, n)), np.empty((n, n))
     image_m, image_axes = np.empty((most, 3)), np.empty((most, 3))
     fields = np.empty((most, kept), np.complex128)
-    found = np.empty((kept, kept), np.complex128)
-    reaction = np.zeros((n, n, kept, kept), np.complex128)
+    reaction = np.empty((n, n, kept, kept), np.complex128)
     system = np.empty((n * kept, n * kept), np.complex128)
     source, answer = np.empty(n * kept, np.complex128), np.empty(n * kept, np.complex128)
-    members, is_near = np.empty(n, np.int64), np.zeros(n, np.bool_)
+    members, is_near = np.empty(n, np.int64), np.empty(n, np.bool_)
     for s in range(arrays):
         for i in range(n):
             for w in range(len(kind.wires_m)):
@@ -134,7 +133,8 @@ def solve_arrays(
             continue
         near = members[: find_near(kind, apart_m, image_apart_m, members)]
         is_near[:] = False
-        is_near[near] = True
+        for i in near:
+            is_near[i] = True
         ready[:] = False
         for i in range(n):
             for j in range(i, n):
@@ -153,15 +153,12 @@ def solve_arrays(
                             ready[e, level] = True
                     other_m, other_axes = nodes_m[j, a:b], nodes_axes[j, a:b]
                     if mirrored:
-                        image_m[: b - a], image_axes[: b - a] = other_m, -other_axes
-                        image_m[: b - a, 2] *= -1.0
-                        image_axes[: b - a, 2] *= -1.0
+                        mirror(other_m, other_axes, image_m, image_axes)
                         other_m, other_axes = image_m[: b - a], image_axes[: b - a]
                     reactions(
                         nodes_m[i, a:b], nodes_axes[i, a:b], other_m, other_axes,
-                        kind.moments_am[a:b], kind.k_rad_m, fields, found,
+                        kind.moments_am[a:b], kind.k_rad_m, fields, reaction[i, j],
                     )  # fmt: skip
-                    reaction[i, j] += found
         # the response of each is S times the reactions with all others' currents: (1 - S Z) a = V
         for i in range(n):
             for j in range(n):
@@ -173,7 +170,8 @@ def solve_arrays(
                             total += kind.scattering[b, d] * z
                         system[i * kept + b, j * kept + c] = total
         source[:] = 0.0
-        source[::kept] = voltages[s]
+        for i in range(n):
+            source[i * kept] = voltages[s, i]
         if len(near):
             power_w[s] = solve_near(kind, centres_m[s], rotations[s], near, system, source, answer)
         else:
@@ -189,7 +187,7 @@ def solve_arrays(
                 currents[s, i, c] = answer[i * kept + c]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, inline="always", nogil=True, error_model="numpy")
 def solve_near(
     kind: ElementKind,
     centres_m: Array,
@@ -207,16 +205,28 @@ def solve_near(
     together = np.empty((m * kept, m * kept), np.complex128)
     feeds_a = np.empty((m, m * kept), np.complex128)
     respond_together(kind, centres_m, rotations, near, together, feeds_a)
-    rows = np.empty(m * kept, np.int64)
-    for i in range(m):
-        for c in range(kept):
-            rows[i * kept + c] = near[i] * kept + c
-    alone, driven = system[rows], source[rows]
-    system[rows] = together @ alone
+    size, joint = len(source), m * kept
+    rows = np.empty(joint, np.int64)
+    alone, answered = np.empty((joint, size), np.complex128), np.empty((joint, size), np.complex128)
+    driven, driving = np.empty(joint, np.complex128), np.empty(joint, np.complex128)
+    for r in range(joint):
+        row = rows[r] = near[r // kept] * kept + r % kept
+        driven[r] = source[row]
+        for c in range(size):
+            alone[r, c] = system[row, c]
+    np.dot(together, alone, answered)
+    np.dot(together, driven, driving)
     own = source.copy()
-    own[rows] = together @ driven
+    for r in range(joint):
+        own[rows[r]] = driving[r]
+        for c in range(size):
+            system[rows[r], c] = answered[r, c]
     repeat(system, own, answer)
-    fed_a = feeds_a @ (driven + alone @ answer)
+    np.dot(alone, answer, driving)
+    for r in range(joint):
+        driven[r] += driving[r]
+    fed_a = np.empty(m, np.complex128)
+    np.dot(feeds_a, driven, fed_a)
     watts, k = 0.0, 0
     for i in range(len(centres_m)):
         at_feed = 0.0j
@@ -235,7 +245,8 @@ def repeat(coupling: Complex, source: Complex, answer: Complex) -> None:
     """Solve a = V + C a for the answer (n K,), by iteration if it converges, or else by elimination."""
     size = len(source)
     following = np.empty(size, np.complex128)
-    answer[:] = source
+    for i in range(size):
+        answer[i] = source[i]
     settled = False
     for _ in range(REPETITIONS):
         change, whole = 0.0, 0.0
@@ -254,5 +265,13 @@ def repeat(coupling: Complex, source: Complex, answer: Complex) -> None:
             break
         if change > 0.1 * whole:
             break
-    if not settled:
-        answer[:] = np.linalg.solve(np.eye(size) - coupling, source)
+    if settled:
+        return
+    matrix, right = np.empty((size, size), np.complex128), np.empty((size, 1), np.complex128)
+    for i in range(size):
+        right[i, 0] = source[i]
+        for j in range(size):
+            matrix[i, j] = (1.0 if i == j else 0.0) - coupling[i, j]
+    solved = np.linalg.solve(matrix, right)
+    for i in range(size):
+        answer[i] = solved[i, 0]

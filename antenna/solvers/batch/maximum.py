@@ -38,7 +38,7 @@ def survey_arrays(
     Partial gains (S, T, P) are linear, on a grid of `directions_deg`; the average is that of the rows' means
     with ``row_weights`` (T,). A pattern that is zero or not finite has the maximum -inf.
     """
-    rows, columns = gain_theta.shape[1:]
+    rows, columns = gain_theta.shape[1], gain_theta.shape[2]
     step_rad = math.pi / (rows - 1)
     k_rad_m = 2.0 * math.pi / wavelength_m
     total = np.empty((rows, columns), np.float32)
@@ -67,7 +67,7 @@ def survey_arrays(
                 sums, found,
             )  # fmt: skip
             if found[0] > maximum[s, 0]:
-                maximum[s] = found
+                maximum[s, 0], maximum[s, 1], maximum[s, 2] = found[0], found[1], found[2]
         maximum[s, 0] = 10.0 * math.log10(maximum[s, 0])
         maximum[s, 1], maximum[s, 2] = math.degrees(maximum[s, 1]), math.degrees(maximum[s, 2]) % 360.0
 
@@ -152,7 +152,7 @@ def local_gain(
             sums[3, i] += u * faa
             sums[4, i] += u * fab
             sums[5, i] += u * fbb
-    n0, n1, n2 = sums[0]
+    n0, n1, n2 = sums[0, 0], sums[0, 1], sums[0, 2]
     on_r = n0 * r0 + n1 * r1 + n2 * r2
     on_a = n0 * a0 + n1 * a1 + n2 * a2
     on_b = n0 * b0 + n1 * b1
@@ -181,7 +181,7 @@ def local_gain(
     return gain, slope_a, slope_b, bend_aa, bend_ab, bend_bb
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, inline="always", nogil=True)
 def _product(first: complex, second: complex) -> float:
     """Return the real part of the product of the first number's conjugate with the second."""
     return first.real * second.real + first.imag * second.imag

@@ -129,6 +129,14 @@ def turn(rotation: Array, offset_m: Array, vectors: Array, turned: Array) -> Non
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def mirror(points_m: Array, axes: Array, below_m: Array, below_axes: Array) -> None:
+    """Write the images of points (M, 3), and of the axes of currents there, in the ground at height 0."""
+    for m in range(len(points_m)):
+        below_m[m, 0], below_m[m, 1], below_m[m, 2] = points_m[m, 0], points_m[m, 1], -points_m[m, 2]
+        below_axes[m, 0], below_axes[m, 1], below_axes[m, 2] = -axes[m, 0], -axes[m, 1], axes[m, 2]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def write_fields(
     centres_m: Array,
     axes: Array,

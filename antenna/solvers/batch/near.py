@@ -12,7 +12,7 @@ from numba import njit
 from antenna.analysis.maxima import Index
 from antenna.model.geometry import Array, Complex
 from antenna.solvers.batch.kind import ElementKind
-from antenna.solvers.batch.moments import turn, write_fields
+from antenna.solvers.batch.moments import mirror, turn, write_fields
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -31,25 +31,27 @@ def find_near(kind: ElementKind, apart_m: Array, image_apart_m: Array, members: 
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, inline="always", nogil=True, error_model="numpy")
 def respond_together(
     kind: ElementKind, places_m: Array, rotations: Array, members: Index, together: Complex, feeds_a: Complex
 ) -> None:
     """Write T (m K, m K), and the currents through the sources for y, (m, m K), of m near elements."""
     m, count, kept = len(members), len(kind.lengths_m), len(kind.feed_a)
-    matrix = np.eye(m * count).astype(np.complex128)
+    matrix = np.zeros((m * count, m * count), np.complex128)
     right = np.zeros((m * count, m * kept), np.complex128)
     centres_m, axes, none = np.empty((m, count, 3)), np.empty((m, count, 3)), np.zeros(3)
+    below_m, below_axes = np.empty((count, 3)), np.empty((count, 3))
     for i in range(m):
         turn(rotations[members[i]], places_m[members[i]], kind.centres_m, centres_m[i])
         turn(rotations[members[i]], none, kind.segment_axes, axes[i])
-        right[i * count : (i + 1) * count, i * kept : (i + 1) * kept] = kind.currents_a
+        for p in range(count):
+            matrix[i * count + p, i * count + p] = 1.0
+            for c in range(kept):
+                right[i * count + p, i * kept + c] = kind.currents_a[p, c]
     fields = np.empty((count, count, 3), np.complex128)
-    made = np.empty((count, count), np.complex128)
+    made, driven = np.empty((count, count), np.complex128), np.empty((count, count), np.complex128)
     for j in range(m):
-        below_m, below_axes = centres_m[j].copy(), -axes[j]
-        below_m[:, 2] *= -1.0
-        below_axes[:, 2] *= -1.0
+        mirror(centres_m[j], axes[j], below_m, below_axes)
         for i in range(m):
             made[:] = 0.0
             if i != j:
@@ -65,11 +67,19 @@ def respond_together(
                 )  # fmt: skip
                 add_spread(fields, kind.spread, -1.0, made)
             if i != j or kind.image:
-                matrix[i * count : (i + 1) * count, j * count : (j + 1) * count] -= kind.admittance_s_m @ made
-    currents = np.ascontiguousarray(np.linalg.solve(matrix, right))
+                np.dot(kind.admittance_s_m, made, driven)
+                for p in range(count):
+                    for q in range(count):
+                        matrix[i * count + p, j * count + q] -= driven[p, q]
+    solved = np.linalg.solve(matrix, right)
+    currents = np.empty((count, m * kept), np.complex128)
     for i in range(m):
-        together[i * kept : (i + 1) * kept] = kind.projection @ currents[i * count : (i + 1) * count]
-        feeds_a[i] = currents[i * count + kind.fed]
+        for p in range(count):
+            for c in range(m * kept):
+                currents[p, c] = solved[i * count + p, c]
+        np.dot(kind.projection, currents, together[i * kept : (i + 1) * kept])
+        for c in range(m * kept):
+            feeds_a[i, c] = currents[kind.fed, c]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

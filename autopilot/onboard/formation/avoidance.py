@@ -74,17 +74,17 @@ Kept = NDArray[np.void]
 
 
 @njit(cache=True)
-def _nearest(normals: Array, bounds: Array, count: int, desired_ne: Array, out_ne: Array) -> None:
+def _nearest(normals: Array, bounds: Array, desired_ne: Array, out_ne: Array) -> None:
     """Fill out_ne (2,) with the velocity nearest to ``desired_ne`` that satisfies normals . v >= bounds.
 
-    Hildreth's dual ascent over the first ``count`` rows. The multiplier of a row is limited to
+    Hildreth's dual ascent over the rows (n, 2) and (n,). The multiplier of a row is limited to
     `GIVE_MAX_M_S`: contradicting rows are violated as little as this permits.
     """
-    multipliers = np.zeros(count)
-    out_ne[:] = desired_ne
+    multipliers = np.zeros(bounds.size)
+    out_ne[0], out_ne[1] = desired_ne[0], desired_ne[1]
     for _ in range(PASSES):
         largest = 0.0
-        for k in range(count):
+        for k in range(bounds.size):
             missing = bounds[k] - normals[k, 0] * out_ne[0] - normals[k, 1] * out_ne[1]
             step = min(max(multipliers[k] + missing, 0.0), GIVE_MAX_M_S) - multipliers[k]
             multipliers[k] += step
@@ -157,7 +157,7 @@ def keep_clear(
     if worst < 0:
         return
     found_ne = np.empty(2)
-    _nearest(normals, bounds, count, desired_ne_m_s, found_ne)
+    _nearest(normals[:count], bounds[:count], desired_ne_m_s, found_ne)
     ahead_n, ahead_e = desired_ne_m_s[0] - frame_ned_m_s[0], desired_ne_m_s[1] - frame_ned_m_s[1]
     speed_m_s = np.hypot(ahead_n, ahead_e)
     if speed_m_s > 1e-6:
@@ -171,7 +171,7 @@ def keep_clear(
             turned_ne = np.empty(2)
             turned_ne[0] = desired_ne_m_s[0] - aside * (ahead_n + ahead_e)
             turned_ne[1] = desired_ne_m_s[1] - aside * (ahead_e - ahead_n)
-            _nearest(normals, bounds, count, turned_ne, found_ne)
+            _nearest(normals[:count], bounds[:count], turned_ne, found_ne)
     change_ne_m_s[0] = found_ne[0] - desired_ne_m_s[0]
     change_ne_m_s[1] = found_ne[1] - desired_ne_m_s[1]
 

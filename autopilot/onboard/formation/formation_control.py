@@ -132,11 +132,8 @@ def join(
     distance_m = math.sqrt(distance_m2)
     near_m_s2 = PLAN_SWING_M_S2 if joined else ACCELERATION_M_S2
     if distance_m <= 0.5 * near_m_s2 * (dt_s * dt_s) and math.sqrt(speed_m2_s2) <= near_m_s2 * dt_s:
-        pos[first:end], vel[first:end], acc[first:end] = (
-            target[0, first:end],
-            target[1, first:end],
-            target[2, first:end],
-        )
+        for a in range(first, end):
+            pos[a], vel[a], acc[a] = target[0, a], target[1, a], target[2, a]
         return True
     # Braking on v^2 = 2 a s; the last step ends at the target.
     braking_m_s = math.sqrt(2.0 * BRAKING * ACCELERATION_M_S2 * distance_m)
@@ -173,8 +170,9 @@ def follow(
             motion[0, 0] -= (1.0 - LAG_MAX_M / away_m) * north_m
             motion[0, 1] -= (1.0 - LAG_MAX_M / away_m) * east_m
     pos, vel, acc = motion[0], motion[1], motion[2]
-    joined[0] = join(pos, vel, acc, target, 0, 2, JOIN_SPEED_M_S, dt_s, joined[0])
-    joined[1] = join(pos, vel, acc, target, 2, 3, climb_speed_m_s, dt_s, joined[1])
+    for part in range(2):
+        first, end, speed_m_s = (0, 2, JOIN_SPEED_M_S) if part == 0 else (2, 3, climb_speed_m_s)
+        joined[part] = join(pos, vel, acc, target, first, end, speed_m_s, dt_s, joined[part])
 
 
 class FormationReference:

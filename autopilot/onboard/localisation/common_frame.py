@@ -143,14 +143,14 @@ def run_round(
     return shift_n_m + part * towards_n_m, shift_e_m + part * towards_e_m
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _has_position(station: np.void, now_us: int) -> bool:
     """Return whether a station has reported its estimated position within `SILENCE_US`."""
     reported_us: int = station["located_us"]
     return reported_us >= 0 and now_us - reported_us <= SILENCE_US
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def towards_mean_gps(now_us: int, stations: Stations, own_n_m: float, own_e_m: float) -> Level:
     """Return the displacement from the own position to that given by the GPS of all reporting stations.
 
@@ -176,7 +176,7 @@ def towards_mean_gps(now_us: int, stations: Stations, own_n_m: float, own_e_m: f
     return moved(*rigid_motion(pos_ne_m[:count], error_ne_m[:count], weights[:count]), own_n_m, own_e_m)
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def laid_onto(pos_ne_m: Array, apart_ne_m: Array) -> Level:
     """Return the displacement of the last position under the rigid motion that fits ``apart_ne_m``.
 
@@ -241,7 +241,13 @@ def moved(
 
 @njit(cache=True)
 def _median(values: Array) -> float:
-    ordered = np.sort(values)
+    ordered = np.empty(values.size)
+    for k in range(values.size):  # insertion sort: np.sort takes 2 s to compile
+        place = k
+        while place > 0 and ordered[place - 1] > values[k]:
+            ordered[place] = ordered[place - 1]
+            place -= 1
+        ordered[place] = values[k]
     middle = ordered.size // 2
     if ordered.size % 2:
         return float(ordered[middle])

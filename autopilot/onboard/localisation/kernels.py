@@ -64,8 +64,9 @@ def predict(
         return
     height_decay = math.exp(-decay_s / height_tau_s)
     bias_decay = math.exp(-decay_s / bias_tau_s)
-    factor = np.ones(size)
+    factor = np.empty(size)
     for j in range(members.size):
+        factor[STATES * j] = factor[STATES * j + 1] = 1.0
         factor[STATES * j + 2] = height_decay
         factor[STATES * j + BIAS] = bias_decay
         factor[STATES * j + BIAS + 1] = bias_decay
@@ -81,13 +82,13 @@ def predict(
             cov[base + 2, base + 2] += height_var_m2 * (1.0 - height_decay * height_decay)
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def student_weight(normalised_squared: float) -> float:
     """Return the weight 0..1 of a measurement with this squared normalised innovation."""
     return min(1.0, (STUDENT_NU + 1.0) / (STUDENT_NU + normalised_squared))
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _scalar_update(state: Array, cov: Array, gain_row: Array, variance: float, innovation: float) -> None:
     """Fuse a scalar measurement; ``gain_row`` is P h' and is overwritten."""
     scale = innovation / variance
@@ -125,7 +126,8 @@ def fuse_fix(
         prior = row[off]
         if a < 2:
             bias = STATES * j + BIAS + a
-            row += cov[bias]
+            for k in range(row.size):
+                row[k] += cov[bias, k]
             innovation -= state[bias]
             noise = variance_m2
             prior = row[off] + row[bias]

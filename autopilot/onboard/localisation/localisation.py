@@ -327,7 +327,8 @@ class CooperativeLocalisation:
 
     def _advance(self, time_us: int, *, decay: bool = False) -> None:
         """Propagate the filter to ``time_us``; see `measurement_update.advance`."""
-        advance(self._filter, self.members, self.state, self.cov, time_us, decay)
+        stride_us = 0 if decay else int(self._filter["decay_stride_us"].item())
+        advance(self._filter, self.members, self.state, self.cov, time_us, stride_us)
 
     @property
     def _time_us(self) -> int:

@@ -44,20 +44,19 @@ NOT_LOCATED, ELSEWHERE = 7, 8
 
 @njit(cache=True)
 def advance(
-    filter_row: Filter, members: Members, state: Array, cov: Array, time_us: int,
-    decay: bool,  # noqa: FBT001  # numba has no keyword-only arguments
-) -> float:  # fmt: skip
+    filter_row: Filter, members: Members, state: Array, cov: Array, time_us: int, stride_us: int
+) -> float:
     """Propagate the filter to ``time_us``; returns by how many seconds the filter was ahead of it, else 0.
 
-    Slow errors are propagated in strides, or up to now if ``decay``.
+    Slow errors are propagated in strides of at least ``stride_us``; 0: up to now.
     """
     own = filter_row[0]
     ahead_us = own["time_us"] - time_us
-    if ahead_us >= 0 and not decay:
+    if ahead_us >= 0 and stride_us > 0:
         return float(ahead_us * 1e-6)
     step_us = max(-ahead_us, 0) if own["time_us"] else 0
     own["decay_owed_us"] += step_us
-    decay_us = own["decay_owed_us"] if decay or own["decay_owed_us"] >= own["decay_stride_us"] else 0
+    decay_us = own["decay_owed_us"] if own["decay_owed_us"] >= stride_us else 0
     own["decay_owed_us"] -= decay_us
     predict(
         state, cov, members, own["drift_m2_s"] * step_us * 1e-6, decay_us * 1e-6,
@@ -110,7 +109,7 @@ def take_fix(
         return DONE
     if not active:
         return FIRST_MEAN
-    advance(filter_row, members, state, cov, time_us, decay=False)
+    advance(filter_row, members, state, cov, time_us, own["decay_stride_us"])
     own["gps_var_m2"] = fuse_mean(members, row, state, cov, own["time_us"], filter_row)
     return GPS_STEPPED if own["gps_var_m2"] > 0.0 else DONE
 
@@ -204,7 +203,7 @@ def use_pending(
     NOT_LOCATED or ELSEWHERE. reference_ne_m, bend_m and bend_var_m2 are those of `reference_geometry`.
     """
     own = filter_row[0]
-    between_ned_m = own["between_ned_m"]
+    between_ned_m = own["between_ned_m"][:]  # of the type of the arrays that Python passes
     while own["done"] < own["pending"]:
         at = own["done"]
         item = pending[at]
@@ -239,8 +238,8 @@ def _use(
     """Fuse a distance between two located UAVs, or only count it if its initiator is distrusted."""
     own = filter_row[0]
     i, j = item["initiator"], item["responder"]
-    pair, between_ned_m = pairs[i, j], own["between_ned_m"]
-    lag_s = advance(filter_row, members, state, cov, item["time_us"], decay=False)
+    pair, between_ned_m = pairs[i, j], own["between_ned_m"][:]
+    lag_s = advance(filter_row, members, state, cov, item["time_us"], own["decay_stride_us"])
     # Late distances of one UAV share the error that its odometry has gathered since, and hold no more
     # information than one of them.
     late_m2 = own["drift_m2_s"] * lag_s * (1.0 + own["distances_hz"] * lag_s)

@@ -26,7 +26,7 @@ BIAS_SIGMAS = 2.0
 """A GPS bias beyond this many stated standard deviations raises its variance."""
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def add_fix(
     members: Members, row: int, time_us: int, pos_ned_m: Array, odometry_ned_m: Array,
     at_once: bool,  # noqa: FBT001  # numba has no keyword-only arguments
@@ -56,7 +56,7 @@ def add_fix(
     return True
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def take_stated(
     members: Members, row: int, std_h_m: float, std_v_m: float, cov: Array, filter_row: Filter
 ) -> None:

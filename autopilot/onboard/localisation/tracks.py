@@ -96,7 +96,7 @@ def odometry_at(rings: Rings, row: int, time_us: int, out_ned_m: Array) -> int:
     return KNOWN
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def odometry_between(rings: Rings, i: int, j: int, time_us: int, out_ned_m: Array) -> int:
     """Fill out_ned_m (3,) with the odometry of UAV i minus that of j at a time; returns as `odometry_at`."""
     far_ned_m = np.empty(3)

@@ -92,7 +92,7 @@ def seen_from(
         other["std_m"], other["fresh"] = std_m[j], fresh[j]
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def relative_stds(
     cov: Array, own: int, pos_ned_m: Array, whose: Flags, added_m2: float, out_m: Array
 ) -> None:

@@ -77,7 +77,7 @@ MOST_PAGES = 32
 """Pages per processing run; of 64 UAVs with five beacons per second, 13 beacons arrive in a loop of 40 ms."""
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def row_of(page: np.void, rows: Rows) -> int:
     """Return the row of the sender of a page, or -1."""
     source = page["source"]

@@ -46,19 +46,21 @@ def observe(
             seen["pos_ned_m"][axis] = after[i]["pos_ned_m"][axis] - 0.5 * step_s * vel_ned[axis]
             seen["acc_ned_m_s2"][axis] = (vel_ned[axis] - before[i]["vel_ned_m_s"][axis]) / step_s
         half_step_back_s = -0.5 * step_s
-        seen["q_ned_frd"][:] = turned(
+        q = seen["q_ned_frd"]
+        q[0], q[1], q[2], q[3] = turned(
             half_step_back_s * omega_ned[0],
             half_step_back_s * omega_ned[1],
             half_step_back_s * omega_ned[2],
             q_ahead,
         )
-        seen["omega_frd_rad_s"][:] = in_frd(q_ahead, omega_ned[0], omega_ned[1], omega_ned[2])
-        acc_ned = seen["acc_ned_m_s2"]
-        seen["specific_force_frd_m_s2"][:] = in_frd(
+        omega_frd = seen["omega_frd_rad_s"]
+        omega_frd[0], omega_frd[1], omega_frd[2] = in_frd(q_ahead, omega_ned[0], omega_ned[1], omega_ned[2])
+        acc_ned, force_frd = seen["acc_ned_m_s2"], seen["specific_force_frd_m_s2"]
+        force_frd[0], force_frd[1], force_frd[2] = in_frd(
             q_mid_step, acc_ned[0], acc_ned[1], acc_ned[2] - gravity_m_s2
         )
-        omega_before_ned = before[i]["omega_ned_rad_s"]
-        seen["mean_omega_frd_rad_s"][:] = in_frd(
+        omega_before_ned, mean_frd = before[i]["omega_ned_rad_s"], seen["mean_omega_frd_rad_s"]
+        mean_frd[0], mean_frd[1], mean_frd[2] = in_frd(
             q_mid_step,
             0.5 * (omega_before_ned[0] + omega_ned[0]),
             0.5 * (omega_before_ned[1] + omega_ned[1]),
@@ -98,11 +100,12 @@ def near_something(
 
 
 @njit(cache=True)
-def in_body_axes(q_ned_frd: Array, vector_ned: Array) -> Array:
-    """Transform one vector (3,) from NED to the FRD axes of n bodies at ``q_ned_frd`` (n, 4): (n, 3)."""
-    vectors_frd = np.empty((q_ned_frd.shape[0], 3))
-    for vehicle in range(q_ned_frd.shape[0]):
-        vectors_frd[vehicle] = in_frd(q_ned_frd[vehicle], vector_ned[0], vector_ned[1], vector_ned[2])
+def in_body_axes(truth: NDArray[np.void], vector_ned: Array) -> Array:
+    """Transform one vector (3,) from NED to the FRD axes of vehicles with the state `TRUTH` (n,): (n, 3)."""
+    vectors_frd = np.empty((len(truth), 3))
+    for i in range(len(truth)):
+        x, y, z = in_frd(truth[i]["q_ned_frd"], vector_ned[0], vector_ned[1], vector_ned[2])
+        vectors_frd[i, 0], vectors_frd[i, 1], vectors_frd[i, 2] = x, y, z
     return vectors_frd
 
 

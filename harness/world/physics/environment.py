@@ -44,7 +44,5 @@ class Surroundings(NamedTuple):
     """(n, 3) relative to the ground"""
     density_ratio: Array
     """(n,) over `SEA_LEVEL_DENSITY_KG_M3`"""
-    height_m: Array
-    """(n,) of the centres of mass above the ground"""
     effectiveness: Array
     """(n, 4) remaining fraction of each rotor's thrust and torques"""

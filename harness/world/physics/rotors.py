@@ -73,18 +73,22 @@ def kernel_model(model: VehicleModel, *, step_s: float, ground_effect: bool = Fa
 
 @njit(cache=True)
 def rotor_speeds(
-    model: RotorKernelModel, speed_rad_s: Array, controls: Array, powered: NDArray[np.bool_]
+    model: RotorKernelModel,
+    speed_rad_s: Array,
+    controls: Array,
+    armed: NDArray[np.bool_],
+    stopped: NDArray[np.bool_],
 ) -> Array:
     """Return the rotor speeds (n, 4) after a step: a first-order lag towards those of ``controls`` (n, 4).
 
-    Controls are limited to 0..1, NaN counts as 0; rotors whose ``powered`` (n, 4) is False spin
-    down.
+    Controls are limited to 0..1, NaN counts as 0; rotors that are ``stopped`` (n, 4), or not ``armed`` (n,),
+    spin down.
     """
     after_rad_s = np.empty_like(speed_rad_s)
     for vehicle in range(speed_rad_s.shape[0]):
         for rotor in range(4):
             target_rad_s = 0.0
-            if powered[vehicle, rotor]:
+            if armed[vehicle] and not stopped[vehicle, rotor]:
                 control = controls[vehicle, rotor]
                 if not control > 0.0:  # also NaN
                     control = 0.0
@@ -116,35 +120,36 @@ def ground_effect(height_m: float, radius_m: float) -> float:
 @njit(cache=True)
 def wrenches(
     model: RotorKernelModel,
-    q_ned_frd: Array,
-    vel_ned_m_s: Array,
-    omega_ned_rad_s: Array,
+    bodies: NDArray[np.void],
     rotor_speed_rad_s: Array,
     surroundings: Surroundings,
 ) -> tuple[Array, Array]:
     """Return force (n, 3) in N and torque (n, 3) in N m on each vehicle, NED.
 
-    The torque is about the centre of mass; the velocities are those of the centre of mass relative to the
-    ground. The wind is the same at all rotors and the body of a vehicle.
+    ``bodies`` (n,) are rows of `harness.world.physics.bodies.BODY`. The torque is about the centre of mass;
+    the velocities are those of the centre of mass relative to the ground. The wind is the same at all rotors
+    and the body of a vehicle.
     """
-    vehicles = q_ned_frd.shape[0]
+    vehicles = len(bodies)
     force_ned_n = np.empty((vehicles, 3))
     torque_ned_n_m = np.empty((vehicles, 3))
     force = np.empty(3)
     torque = np.empty(3)
     for vehicle in range(vehicles):
         density = surroundings.density_ratio[vehicle]
-        q, air_vel, turn = q_ned_frd[vehicle], surroundings.air_vel_ned_m_s[vehicle], omega_ned_rad_s[vehicle]
-        north_m_s = vel_ned_m_s[vehicle, 0] - air_vel[0]
-        east_m_s = vel_ned_m_s[vehicle, 1] - air_vel[1]
-        down_m_s = vel_ned_m_s[vehicle, 2] - air_vel[2]
+        body, air_vel = bodies[vehicle], surroundings.air_vel_ned_m_s[vehicle]
+        q, ground_vel, turn = body["q_ned_frd"], body["vel_ned_m_s"], body["omega_ned_rad_s"]
+        north_m_s = ground_vel[0] - air_vel[0]
+        east_m_s = ground_vel[1] - air_vel[1]
+        down_m_s = ground_vel[2] - air_vel[2]
         vel = in_frd(q, north_m_s, east_m_s, down_m_s)
         omega = in_frd(q, turn[0], turn[1], turn[2])
         down = in_frd(q, 0.0, 0.0, 1.0)
         force[:] = 0.0
         torque[:] = 0.0
         for rotor in range(4):
-            x, y, z = model.hubs_frd_m[rotor]
+            hub_m = model.hubs_frd_m[rotor]
+            x, y, z = hub_m[0], hub_m[1], hub_m[2]
             turning = model.turning[rotor]
             speed = rotor_speed_rad_s[vehicle, rotor]
             air_x = vel[0] + omega[1] * z - omega[2] * y
@@ -154,7 +159,7 @@ def wrenches(
             static_thrust = blades * (model.thrust_n_s2 * speed * speed)
             up = static_thrust * axial_factor(air_z, model.axial_speed_limit_m_s)
             if model.ground_effect_radius_m > 0.0 and down[2] > 0.0:  # not upside down
-                height_m = surroundings.height_m[vehicle] - (down[0] * x + down[1] * y + down[2] * z)
+                height_m = -body["pos_ned_m"][2] - (down[0] * x + down[1] * y + down[2] * z)
                 more = ground_effect(height_m, model.ground_effect_radius_m) - 1.0
                 up *= 1.0 + down[2] * more  # full effect when level, none at 90 degrees
             drag_x = blades * (-model.drag_n_s2_m * speed * air_x)
@@ -169,11 +174,14 @@ def wrenches(
             torque[0] += -y * up - z * drag_y - rolling_x
             torque[1] += z * drag_x + x * up - rolling_y
             torque[2] += x * drag_y - y * drag_x + turning * model.moment_m * static_thrust
-        force_ned_n[vehicle] = in_ned(q, force[0], force[1], force[2])
+        north_n, east_n, down_n = in_ned(q, force[0], force[1], force[2])
         if model.body_drag_n_s_m > 0.0:
             body_drag_n_s_m = density * model.body_drag_n_s_m
-            force_ned_n[vehicle, 0] -= body_drag_n_s_m * north_m_s
-            force_ned_n[vehicle, 1] -= body_drag_n_s_m * east_m_s
-            force_ned_n[vehicle, 2] -= body_drag_n_s_m * down_m_s
-        torque_ned_n_m[vehicle] = in_ned(q, torque[0], torque[1], torque[2])
+            north_n -= body_drag_n_s_m * north_m_s
+            east_n -= body_drag_n_s_m * east_m_s
+            down_n -= body_drag_n_s_m * down_m_s
+        force_ned_n[vehicle, 0], force_ned_n[vehicle, 1], force_ned_n[vehicle, 2] = north_n, east_n, down_n
+        north_n_m, east_n_m, down_n_m = in_ned(q, torque[0], torque[1], torque[2])
+        torque_ned_n_m[vehicle, 0], torque_ned_n_m[vehicle, 1] = north_n_m, east_n_m
+        torque_ned_n_m[vehicle, 2] = down_n_m
     return force_ned_n, torque_ned_n_m

@@ -56,34 +56,30 @@ def fly(
     force and torque ``applied`` (n, 2, 3), NED, and `finish_step` must be called afterwards.
     """
     n = len(before)
-    powered = np.empty((n, 4), dtype=np.bool_)
-    height_m = np.empty(n)
     any_near = False
     for i in range(n):
-        height_m[i] = -before[i]["pos_ned_m"][2]
         any_near |= near[i]
-        for rotor in range(4):
-            powered[i, rotor] = armed[i] and not stopped[i, rotor]
-    rotor_speed_rad_s = rotor_speeds(model.rotors, truth_before["rotor_speed_rad_s"], controls, powered)
+    rotor_speed_rad_s = rotor_speeds(
+        model.rotors, truth_before["rotor_speed_rad_s"], controls, armed, stopped
+    )
     force_ned_n, torque_ned_n_m = wrenches(
         model.rotors,
-        before["q_ned_frd"],
-        before["vel_ned_m_s"],
-        before["omega_ned_rad_s"],
+        before,
         rotor_speed_rad_s,
-        Surroundings(air_vel_ned_m_s, density_ratio, height_m, effectiveness),
+        Surroundings(air_vel_ned_m_s, density_ratio, effectiveness),
     )
     for i in range(n):
         for axis in range(3):
             applied[i, 0, axis] = force_ned_n[i, axis] + wind_force_ned_n[i, axis]
-        applied[i, 1] = integrable_torque(
+        applied[i, 1, 0], applied[i, 1, 1], applied[i, 1, 2] = integrable_torque(
             model.inertia_kg_m2,
             before[i]["q_ned_frd"],
             before[i]["omega_ned_rad_s"],
             torque_ned_n_m[i],
             model.step_s,
         )
-        truth[i]["rotor_speed_rad_s"][:] = rotor_speed_rad_s[i]
+        for rotor in range(4):
+            truth[i]["rotor_speed_rad_s"][rotor] = rotor_speed_rad_s[i, rotor]
     coast(model.mass_kg, model.inertia_kg_m2, model.gravity_m_s2, model.step_s, before, applied, after)
     return not any_near and finish_step(model, before, after, near, truth)
 

@@ -182,12 +182,12 @@ class SensorSuite:
         return time_us // period_us != (time_us - self._step_us) // period_us
 
     def _magnetometers(self, truth: Truth, faults: Faults) -> Array:
-        field_frd_gauss = in_body_axes(truth.q_ned_frd, self._field_ned_gauss)
+        field_frd_gauss = in_body_axes(truth.rows, self._field_ned_gauss)
         if faults.heading_error_rad is not None:
             for vehicle in np.flatnonzero(faults.heading_error_rad):
                 field_ned_gauss = _turned(self._field_ned_gauss, -faults.heading_error_rad[vehicle])
                 own = slice(vehicle, vehicle + 1)
-                field_frd_gauss[own] = in_body_axes(truth.q_ned_frd[own], field_ned_gauss)
+                field_frd_gauss[own] = in_body_axes(truth.rows[own], field_ned_gauss)
         field_frd_gauss += self._mag_error.next()
         if faults.mag_offset_frd_gauss is not None:
             field_frd_gauss += faults.mag_offset_frd_gauss

@@ -198,7 +198,7 @@ def test_heading_update_is_the_textbook_one():
     gain, expected_cov = textbook_update(cov, jacobian, np.array([[0.01]]))
     expected_x = moved(x, gain[:, 0] * 0.02)
     innovation_var = float((jacobian @ cov @ jacobian.T)[0, 0] + 0.01)
-    ratio, seen_var = kernels.fuse_heading(x, cov, 0.02, FIELD_NED_GAUSS, 0.01, 2.6, NO_LIMITS)
+    ratio, seen_var = kernels.fuse_heading(x, cov, 0.02, FIELD_NED_GAUSS, 0.01, 2.6, NO_LIMITS, take=True)
     assert seen_var == pytest.approx(innovation_var, rel=1e-12)
     assert ratio == pytest.approx(0.02 / (2.6 * np.sqrt(innovation_var)), rel=1e-12)
     np.testing.assert_allclose(x, expected_x, atol=1e-12)

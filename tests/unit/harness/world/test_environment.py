@@ -9,6 +9,7 @@ import pytest
 
 from autopilot.parameters.config import Site
 from foundation.geometry.rotations import quat_from_rotation_vector
+from harness.world.physics.bodies import BODY
 from harness.world.physics.environment import EnvironmentConfig, Surroundings
 from harness.world.physics.model import IRIS
 from harness.world.physics.rotors import ground_effect, kernel_model, wrenches
@@ -35,15 +36,14 @@ def wrench(
     density=1.0, height_m=100.0, effectiveness=(1.0, 1.0, 1.0, 1.0), q=LEVEL, ground=False,
 ):  # fmt: skip
     """Return force and torque (3,) NED on one vehicle."""
+    bodies = np.zeros(1, BODY)
+    bodies["q_ned_frd"], bodies["vel_ned_m_s"], bodies["omega_ned_rad_s"] = q, vel, omega
+    bodies["pos_ned_m"] = 0.0, 0.0, -height_m
     force, torque = wrenches(
         kernel_model(model, step_s=STEP_S, ground_effect=ground),
-        np.array(q),
-        np.array([vel], dtype=float),
-        np.array([omega], dtype=float),
+        bodies,
         np.full((1, 4), speed),
-        Surroundings(
-            np.array([air], dtype=float), np.array([density]), np.array([height_m]), np.array([effectiveness])
-        ),
+        Surroundings(np.array([air], dtype=float), np.array([density]), np.array([effectiveness])),
     )
     return force[0], torque[0]
 
@@ -85,23 +85,16 @@ def test_vertical_turbulence_whose_mean_is_zero_pushes_neither_up_nor_down():
     rng = np.random.default_rng(5)
     scales = TurbulenceScales(std_m_s=(1.2,) * 3, length_m=(10.0,) * 3)
     air = Turbulence("dryden", scales, passing_speed_m_s=5.0, series=vehicles, rng=rng)
-    model, still = kernel_model(IRIS, step_s=STEP_S), np.zeros((vehicles, 3))
+    model, bodies = kernel_model(IRIS, step_s=STEP_S), np.zeros(vehicles, BODY)
+    bodies["q_ned_frd"] = LEVEL
     lift_n = []
     for _ in range(20):
         surroundings = Surroundings(
             air.step(1.0) * (0.0, 0.0, 1.0),
             np.ones(vehicles),
-            np.full(vehicles, 100.0),
             np.ones((vehicles, 4)),
         )
-        force, _ = wrenches(
-            model,
-            np.tile(LEVEL, (vehicles, 1)),
-            still,
-            still,
-            np.full((vehicles, 4), HOVER_RAD_S),
-            surroundings,
-        )
+        force, _ = wrenches(model, bodies, np.full((vehicles, 4), HOVER_RAD_S), surroundings)
         lift_n.append(-force[:, 2].mean())
     assert np.mean(lift_n) == pytest.approx(WEIGHT_N, rel=4.0 * 0.0007)
 

@@ -158,7 +158,7 @@ def test_the_velocity_is_the_nearest_one_that_keeps_all_bounds(seed, count):
     bounds = rng.uniform(-1.0, -0.05, count)  # zero velocity keeps them all
     desired = rng.uniform(-1.5, 1.5, 2)
     found = np.empty(2)
-    _nearest(normals, bounds, count, desired, found)
+    _nearest(normals, bounds, desired, found)
     assert (normals @ found >= bounds - 0.03).all()
     least_m_s, best_m_s = (_least_change(normals, each, desired) for each in (bounds - 0.03, bounds))
     assert least_m_s - 1e-9 <= np.linalg.norm(found - desired) <= best_m_s + 0.03

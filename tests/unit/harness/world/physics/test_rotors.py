@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from foundation.geometry.rotations import quat_rotate, quat_rotate_inverse
+from harness.world.physics.bodies import BODY
 from harness.world.physics.environment import Surroundings
 from harness.world.physics.model import IRIS
 from harness.world.physics.rotors import kernel_model, rotor_speeds, wrenches
@@ -21,16 +22,22 @@ HOVER_RAD_S = math.sqrt(WEIGHT_N / 4.0 / 5.84e-6)
 
 def calm(vehicles=1):
     """Return surroundings: calm air with sea level's density, far above the ground, whole rotors."""
-    return Surroundings(
-        np.zeros((vehicles, 3)), np.ones(vehicles), np.full(vehicles, 100.0), np.ones((vehicles, 4))
-    )
+    return Surroundings(np.zeros((vehicles, 3)), np.ones(vehicles), np.ones((vehicles, 4)))
+
+
+def bodies(q_ned_frd, vel_ned_m_s, omega_ned_rad_s, height_m=100.0):
+    """Return rows (n,) of `BODY` at these heights."""
+    rows = np.zeros(len(q_ned_frd), BODY)
+    rows["q_ned_frd"], rows["vel_ned_m_s"], rows["omega_ned_rad_s"] = q_ned_frd, vel_ned_m_s, omega_ned_rad_s
+    rows["pos_ned_m"][:, 2] = -height_m
+    return rows
 
 
 def level_wrench(rotor_speed_rad_s, vel_frd_m_s=(0.0, 0.0, 0.0), omega_frd_rad_s=(0.0, 0.0, 0.0)):
     """Return force and torque on a level vehicle heading north, for which NED equals FRD."""
     speeds = np.broadcast_to(np.asarray(rotor_speed_rad_s, dtype=float), (1, 4)).copy()
     force, torque = wrenches(
-        MODEL, LEVEL, np.array([vel_frd_m_s]), np.array([omega_frd_rad_s]), speeds, calm()
+        MODEL, bodies(LEVEL, np.array([vel_frd_m_s]), np.array([omega_frd_rad_s])), speeds, calm()
     )
     return force[0], torque[0]
 
@@ -38,7 +45,9 @@ def level_wrench(rotor_speed_rad_s, vel_frd_m_s=(0.0, 0.0, 0.0), omega_frd_rad_s
 def run_motors(speed_rad_s, control, steps, *, powered=True):
     speed = np.full((1, 4), float(speed_rad_s))
     for _ in range(steps):
-        speed = rotor_speeds(MODEL, speed, np.full((1, 4), control), np.full((1, 4), powered))
+        speed = rotor_speeds(
+            MODEL, speed, np.full((1, 4), control), np.array([powered]), np.zeros((1, 4), bool)
+        )
     return speed[0]
 
 
@@ -153,7 +162,9 @@ def test_the_wrench_rotates_with_the_vehicle():
     vel_frd, omega_frd, speeds = (3.0, -1.0, 0.5), (0.3, 2.0, -1.0), (700.0, 800.0, 900.0, 650.0)
     vel_ned = np.array([quat_rotate(row, np.array(vel_frd)) for row in q])
     omega_ned = np.array([quat_rotate(row, np.array(omega_frd)) for row in q])
-    force, torque = wrenches(MODEL, q, vel_ned, omega_ned, np.tile(speeds, (vehicles, 1)), calm(vehicles))
+    force, torque = wrenches(
+        MODEL, bodies(q, vel_ned, omega_ned), np.tile(speeds, (vehicles, 1)), calm(vehicles)
+    )
     expected_force, expected_torque = level_wrench(speeds, vel_frd, omega_frd)
     for row in range(vehicles):
         np.testing.assert_allclose(quat_rotate_inverse(q[row], force[row]), expected_force, atol=1e-12)
@@ -166,21 +177,21 @@ def test_compiled_and_interpreted_kernels_agree():
     q /= np.linalg.norm(q, axis=1, keepdims=True)
     vel, omega = rng.standard_normal((2, 3, 3))
     speeds = rng.uniform(0.0, 1100.0, (3, 4))
-    controls, powered = rng.uniform(-0.5, 1.5, (3, 4)), rng.random((3, 4)) < 0.5
-    around = Surroundings(
-        rng.standard_normal((3, 3)), rng.uniform(0.7, 1.0, 3), rng.uniform(0.0, 1.0, 3), rng.random((3, 4))
-    )
+    controls, stopped = rng.uniform(-0.5, 1.5, (3, 4)), rng.random((3, 4)) < 0.5
+    armed = np.array((True, False, True))
+    near_ground = bodies(q, vel, omega, height_m=rng.uniform(0.0, 1.0, 3))
+    around = Surroundings(rng.standard_normal((3, 3)), rng.uniform(0.7, 1.0, 3), rng.random((3, 4)))
     model = kernel_model(replace(IRIS, drag_n_s_m=0.2), step_s=STEP_S, ground_effect=True)
     interpreted = getattr(wrenches, "py_func", wrenches)
     np.testing.assert_allclose(
-        wrenches(model, q, vel, omega, speeds, around),
-        interpreted(model, q, vel, omega, speeds, around),
+        wrenches(model, near_ground, speeds, around),
+        interpreted(model, near_ground, speeds, around),
         rtol=1e-12,
         atol=1e-12,
     )
     interpreted = getattr(rotor_speeds, "py_func", rotor_speeds)
     np.testing.assert_allclose(
-        rotor_speeds(MODEL, speeds, controls, powered),
-        interpreted(MODEL, speeds, controls, powered),
+        rotor_speeds(MODEL, speeds, controls, armed, stopped),
+        interpreted(MODEL, speeds, controls, armed, stopped),
         rtol=1e-12,
     )
