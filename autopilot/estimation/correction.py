@@ -61,15 +61,15 @@ def correct(block: Block, samples: Block, step: NDArray[np.void]) -> None:
     ``block`` and ``samples`` are those of `horizon.advance`, ``step`` is (1,) of `STEP`.
     """
     here, at = block[0], step[0]
-    x, cov, bias_limits = here["x"], here["cov"], at["bias_limits"]
+    x, cov, bias_limits = here["x"][:], here["cov"][:], at["bias_limits"][:]
     compass_used = at["believed"] != 0
     turn_rad, turn_var, heading_ratio, disturbed = fuse_field(
-        x, cov, at["field_frd_gauss"], at["field_ned_gauss"], at["field_off_max"],
+        x, cov, at["field_frd_gauss"][:], at["field_ned_gauss"][:], at["field_off_max"][:],
         at["heading_noise_var_rad2"], at["heading_gate"], bias_limits, compass_used,
     )  # fmt: skip
     height_ratio = fuse_direct(
-        x, cov, POS + 2, at["down_m"], at["height_noise_var_m2"], at["height_gate"], bias_limits,
-        at["height_innovation_m"], at["height_var_m2"],
+        x, cov, POS + 2, at["down_m"][:], at["height_noise_var_m2"][:], at["height_gate"], bias_limits,
+        at["height_innovation_m"][:], at["height_var_m2"][:],
     )  # fmt: skip
     if height_ratio < 1.0 or (heading_ratio < 1.0 and compass_used and not disturbed):
         predict_now(block, samples)
@@ -84,7 +84,7 @@ def advance_and_correct(block: Block, samples: Block, step: NDArray[np.void]) ->
     """Return the result of `horizon.advance` for the sample; call `correct` if the pair is due."""
     at = step[0]
     horizon_us = advance(
-        block, samples, at["time_us"], at["dt_s"], at["gyro_frd_rad_s"], at["accel_frd_m_s2"]
+        block, samples, at["time_us"], at["dt_s"], at["gyro_frd_rad_s"][:], at["accel_frd_m_s2"][:]
     )
     if horizon_us != NOT_FINITE and horizon_us >= at["pair_us"]:
         correct(block, samples, step)

@@ -55,7 +55,11 @@ HORIZON = np.dtype(
     ],
     align=True,
 )
-"""State of the filter except the waiting samples, as one array for compiled code."""
+"""State of the filter except the waiting samples, as one array for compiled code.
+
+Kernels pass its vectors on as whole slices (``here["x"][:]``), which have the type of the arrays that Python
+passes: each kernel is compiled once.
+"""
 SAMPLE = np.dtype(
     [("gyro_frd_rad_s", "f8", 3), ("accel_frd_m_s2", "f8", 3), ("dt_s", "f8"), ("time_us", "i8")], align=True
 )
@@ -86,11 +90,12 @@ def advance(
     if not is_plausible(gyro_frd_rad_s, accel_frd_m_s2):
         return NOT_FINITE
     here = block[0]
-    x, cov, estimate, tilt = here["x"], here["cov"], here["estimate"], here["tilt"]
+    x, cov, estimate, tilt = here["x"][:], here["cov"][:], here["estimate"][:], here["tilt"][:]
     capacity = samples.size
     newest = samples[(here["oldest"] + here["waiting"]) % capacity]
-    newest["gyro_frd_rad_s"][:] = gyro_frd_rad_s
-    newest["accel_frd_m_s2"][:] = accel_frd_m_s2
+    for i in range(3):
+        newest["gyro_frd_rad_s"][i] = gyro_frd_rad_s[i]
+        newest["accel_frd_m_s2"][i] = accel_frd_m_s2[i]
     newest["dt_s"] = dt_s
     newest["time_us"] = time_us
     here["waiting"] += 1
@@ -99,10 +104,10 @@ def advance(
         samples[here["oldest"]]["time_us"] <= limit_us or here["waiting"] == capacity
     ):
         sample = samples[here["oldest"]]
-        gyro, accel, over_s = sample["gyro_frd_rad_s"], sample["accel_frd_m_s2"], sample["dt_s"]
+        gyro, accel, over_s = sample["gyro_frd_rad_s"][:], sample["accel_frd_m_s2"][:], sample["dt_s"]
         from_bias, vel_from_attitude = error_transition(x, accel, over_s)
         integrate(x, gyro, accel, over_s)
-        predict_covariance(cov, from_bias, vel_from_attitude, here["noise_psd"], over_s)
+        predict_covariance(cov, from_bias, vel_from_attitude, here["noise_psd"][:], over_s)
         carry_level(tilt, gyro, accel, over_s)
         here["horizon_us"] = sample["time_us"]
         here["oldest"] = (here["oldest"] + 1) % capacity
@@ -117,15 +122,17 @@ def advance(
 def predict_now(block: Block, samples: Block) -> None:
     """Set the estimate to the filter's state advanced by all waiting samples; arguments as in `advance`."""
     here = block[0]
-    estimate, oldest, count = here["estimate"], here["oldest"], here["waiting"]
-    estimate[:STATES] = here["x"]
+    estimate, oldest, count = here["estimate"][:], here["oldest"], here["waiting"]
+    for i in range(STATES):
+        estimate[i] = here["x"][i]
     capacity = samples.size
     for waiting in range(count):
         sample = samples[(oldest + waiting) % capacity]
-        acc = integrate(estimate[:STATES], sample["gyro_frd_rad_s"], sample["accel_frd_m_s2"], sample["dt_s"])
+        gyro, accel = sample["gyro_frd_rad_s"][:], sample["accel_frd_m_s2"][:]
+        acc = integrate(estimate[:STATES], gyro, accel, sample["dt_s"])
         estimate[ACC], estimate[ACC + 1], estimate[ACC + 2] = acc
     newest = samples[(oldest + count - 1) % capacity]
-    describe(here["cov"], newest["gyro_frd_rad_s"], estimate)
+    describe(here["cov"][:], newest["gyro_frd_rad_s"][:], estimate)
 
 
 class DelayedHorizon:

@@ -103,7 +103,7 @@ def inertial_step(
     if state["flies"]:
         c = cascade[0]
         c["dt_s"] = (time_us - clock["now_us"]) / US_PER_S  # the other inputs in the block are unchanged
-        follow_trajectory(cascade, filtered["estimate"])
+        follow_trajectory(cascade, filtered["estimate"][:])
         for i in range(_ROTORS):
             reply["controls"][i] = c["controls"][i]
     clock["now_us"] = clock["inertial_us"] = clock["estimate_us"] = time_us

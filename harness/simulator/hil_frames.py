@@ -64,9 +64,11 @@ def make_frames(
         while length > 1 and payloads[row, length - 1] == 0:
             length -= 1
         end = HEADER_BYTES + length
-        frame[:HEADER_BYTES] = header
+        for at in range(HEADER_BYTES):
+            frame[at] = header[at]
         frame[:HEADER_BYTES].view(HEADER)[0]["length"] = length
-        frame[HEADER_BYTES:end] = payloads[row, :length]
+        for at in range(length):
+            frame[HEADER_BYTES + at] = payloads[row, at]
         crc = checksum(frame, 1, end, crc_extra)  # all but the magic byte
         frame[end] = crc & 0xFF
         frame[end + 1] = crc >> 8
