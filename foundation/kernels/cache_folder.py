@@ -54,14 +54,15 @@ def environment() -> dict[str, str]:
 def digest(root: Path) -> str:
     """Return the hash of everything that compiled code of the packages below ``root`` depends on.
 
-    These are the modules with kernels, the coflight modules they import, their location and the compiler.
+    These are the modules with kernels, the warm-ups, the coflight modules that they import, their location
+    and the compiler.
     """
     root = root.resolve()
     pending = {
         path
         for package in PACKAGES
         for path in (root / package).rglob("*.py")
-        if b"@njit" in path.read_bytes()
+        if path.name == "warm_up.py" or b"@njit" in path.read_bytes()
     }
     seen: set[Path] = set()
     while pending:

@@ -169,7 +169,7 @@ class Run(Struct, frozen=True, kw_only=True):
     """Overrides of the campaign's scenario, without the seed"""
     scenario: Scenario
     digest: str
-    """Hash of scenario and sources: runs with equal digests are one flight"""
+    """Hash of scenario, options and sources: runs with equal digests are one flight"""
     options: dict[str, Any] = {}
     """Further arguments of the function that flies it: `harness.campaign.task.Flying`"""
 

@@ -16,7 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from foundation.processes.child_protocol import Warned
-from harness.launch.kernel_cache import Compiled
+from harness.launch.kernel_cache import CompileProgress
 from harness.launch.processes import Compiling, Message, ProcessNotice, uav
 from harness.launch.supervisor import Exited
 from harness.simulator.messages import (
@@ -56,7 +56,7 @@ def display_for(console: Console) -> FlightDisplay:
     return LiveDisplay(console) if console.is_terminal else LineDisplay(console)
 
 
-def compiled(packages: Mapping[str, Compiled]) -> str:
+def compiled(packages: Mapping[str, CompileProgress]) -> str:
     """Return the numbers of compiled and loaded kernels by package."""
     counts = (
         f"{name} {each.done} of {each.total}" if each.total else f"{name} loading"
@@ -65,7 +65,7 @@ def compiled(packages: Mapping[str, Compiled]) -> str:
     return ", ".join(counts)
 
 
-def _compile_bars(packages: Mapping[str, Compiled]) -> Table:
+def _compile_bars(packages: Mapping[str, CompileProgress]) -> Table:
     table = Table.grid(padding=(0, 1))
     for name, each in packages.items():
         bar = ProgressBar(total=each.total or 1, completed=each.done, width=40)

@@ -72,7 +72,10 @@ def usable_processors() -> list[int]:
 
 
 def measure(processors: Sequence[int], pids: Iterable[int]) -> Times:
-    """Return the busy time of the processors and the time of these processes; skips processes that ended."""
+    """Return the busy time of the processors and the time of these processes; skips processes that ended.
+
+    Time of processes of low priority is not counted, since they leave the processor to others.
+    """
     machine = psutil.cpu_times(percpu=True)
     busy = [machine[processor] for processor in processors if processor < len(machine)]
     own_cpu_s = 0.0
@@ -80,7 +83,7 @@ def measure(processors: Sequence[int], pids: Iterable[int]) -> Times:
         with contextlib.suppress(psutil.Error):
             own = psutil.Process(pid).cpu_times()
             own_cpu_s += own.user + own.system
-    return Times(time.monotonic(), sum(cpu.user + cpu.nice + cpu.system for cpu in busy), own_cpu_s)
+    return Times(time.monotonic(), sum(cpu.user + cpu.system for cpu in busy), own_cpu_s)
 
 
 class CpuAffinity:

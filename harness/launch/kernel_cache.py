@@ -7,16 +7,17 @@ antenna's kernels are only needed after the flight, so `prepare_flight` leaves t
 priority beside it.
 """
 
-import atexit
 import contextlib
 import os
 import re
 import selectors
 import shutil
+import signal
 import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Self
 
@@ -28,7 +29,7 @@ __all__ = [
     "PACKAGES",
     "VARIABLE",
     "CompileError",
-    "Compiled",
+    "CompileProgress",
     "Compilers",
     "digest",
     "environment",
@@ -38,11 +39,13 @@ __all__ = [
 ]  # fmt: skip
 
 COMPILE_LIMIT_S = 600.0
+"""Longest wall time without a compiled kernel."""
 KEPT_STATES = 8
 """Enough for work that alternates between branches."""
 KEPT_S = 86_400.0
 """A state that was used within a day is kept as well: a process may be running on it."""
 _FOLDER = re.compile(r"[0-9a-f]{16}")
+_COUNTS = re.compile(r"^(\d+) (\d+)$", re.MULTILINE)
 _WARM_UPS = {
     "vehicles": "autopilot.process.warm_up",
     "radio": "netsim.emulator.warm_up",
@@ -57,15 +60,15 @@ class CompileError(RuntimeError):
     """The kernels cannot be compiled or kept; the text is one line."""
 
 
-class Compiled(Struct, frozen=True):
-    """Kernels of a package that are compiled."""
+class CompileProgress(Struct, frozen=True):
+    """Kernels of a package that is being compiled."""
 
     done: int
     total: int
     """Number of loaded kernels; 0 before the package is loaded."""
 
 
-OnProgress = Callable[[Mapping[str, Compiled]], object]
+OnProgress = Callable[[Mapping[str, CompileProgress]], object]
 """Called with the state of each package that is being compiled, whenever it changes."""
 
 
@@ -74,42 +77,45 @@ def prepare(note: Callable[[str], None], on_progress: OnProgress | None = None) 
 
     ``note`` is called with a line before it takes long. Raises CompileError.
     """
-    with _start(note, _WARM_UPS) as compilers:
-        compilers.wait(on_progress)
+    _prepare(_WARM_UPS, note, on_progress)
 
 
 def prepare_flight(note: Callable[[str], None], on_progress: OnProgress | None = None) -> "Compilers":
-    """Compile the kernels of a flight as `prepare`, and start to compile the others.
+    """Compile the kernels of a flight as `prepare`, and start to compile the others beside it.
 
-    Wait for the returned processes before the others are used, or close them. Raises CompileError.
+    Close the returned processes at the end of the flight; `prepare` compiles what they have not. Raises
+    CompileError.
     """
-    with _start(note, [name for name in _WARM_UPS if name not in _AFTER_FLIGHT]) as compilers:
-        compilers.wait(on_progress)
-    beside = _start(lambda _: None, _AFTER_FLIGHT, beside=True)
-    atexit.register(beside.close)
-    return beside
+    _prepare([name for name in _WARM_UPS if name not in _AFTER_FLIGHT], note, on_progress)
+    return Compilers(_missing(_AFTER_FLIGHT), in_background=True)
 
 
-def _start(note: Callable[[str], None], names: Iterable[str], *, beside: bool = False) -> "Compilers":
-    """Start a process for each of the packages that is not complete; ``beside``: beside a flight.
+def _prepare(names: Iterable[str], note: Callable[[str], None], on_progress: OnProgress | None) -> None:
+    missing = _missing(names)
+    if missing:
+        listed = " and ".join(filter(None, (", ".join(missing[:-1]), missing[-1])))
+        note(f"compiling the numerical kernels of {listed}; this is done once")
+        with Compilers(missing) as compilers:
+            compilers.wait(on_progress)
 
-    Raises CompileError.
-    """
+
+def _missing(names: Iterable[str]) -> list[str]:
+    """Return the packages that are not complete, with a folder to compile them to. Raises CompileError."""
     if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
-        return Compilers({})
+        return []
     environment()  # marks the folder as used
     missing = [name for name in names if not _complete(name).exists()]
     if missing:
+        lock = _complete(missing[0]).with_suffix(".lock")
         try:
             folder().mkdir(parents=True, exist_ok=True)
-            _complete(missing[0]).with_suffix(".lock").touch()
+            lock.touch()
+            remove_old(lock.stat().st_mtime)
         except OSError as error:
             raise CompileError(
                 f"compiled kernels cannot be kept in {folder()}: {error.strerror} (XDG_CACHE_HOME says where)"
             ) from None
-        note(f"compiling the numerical kernels of {_listed(missing)}; this is done once")
-        forget_old(_complete(missing[0]).with_suffix(".lock").stat().st_mtime)
-    return Compilers({name: _compiler(name, beside=beside) for name in missing})
+    return missing
 
 
 def _complete(name: str) -> Path:
@@ -117,31 +123,69 @@ def _complete(name: str) -> Path:
     return folder() / f"{name}.complete"
 
 
-def _listed(names: Sequence[str]) -> str:
-    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+class _Compiler:
+    """Process that compiles one package; its errors are kept in a temporary file."""
 
+    def __init__(self, name: str, *, in_background: bool) -> None:
+        self.name = name
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115  closed by `end`
+        arguments = [_WARM_UPS[name], str(_complete(name))]
+        command = [sys.executable, "-P", "-m", "foundation.kernels.compiling", *arguments]
+        if in_background and shutil.which("nice"):
+            command = ["nice", "-n", str(_LOWEST_PRIORITY), *command]
+        self._process = subprocess.Popen(
+            command,
+            env=os.environ | environment(),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=self._errors,
+            process_group=0 if in_background else None,  # Ctrl-C ends the flight, not yet this process
+        )
+        self.pipe = self._process.stdout
+        self._text = ""
 
-def _compiler(name: str, *, beside: bool) -> "subprocess.Popen[str]":
-    arguments = [_WARM_UPS[name], str(_complete(name))]
-    command = [sys.executable, "-P", "-m", "foundation.kernels.compiling", *arguments]
-    if beside and shutil.which("nice"):
-        command = ["nice", "-n", str(_LOWEST_PRIORITY), *command]
-    return subprocess.Popen(
-        command,
-        process_group=0 if beside else None,  # Ctrl-C ends the flight, whose report needs the kernels
-        env=os.environ | environment(),
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    def read(self) -> CompileProgress | None:
+        """Return the newest progress of the output that has arrived; None at its end.
+
+        Raises CompileError at the end of a process that failed.
+        """
+        data = os.read(self.pipe.fileno(), 65_536) if self.pipe is not None else b""
+        if not data:
+            self._check()
+            return None
+        self._text = (self._text + data.decode(errors="replace"))[-1_000:]
+        counts = _COUNTS.findall(self._text)
+        done, total = counts[-1] if counts else (0, 0)
+        return CompileProgress(int(done), int(total))
+
+    def _check(self) -> None:
+        code = self._process.wait()
+        if code:
+            self._errors.seek(0)
+            last_line = self._errors.read().decode(errors="replace").rstrip().rpartition("\n")[2]
+            reason = f"ended by {signal.Signals(-code).name}" if code < 0 else last_line
+            raise CompileError(f"the {self.name} kernels do not compile: {reason}")
+
+    def end(self) -> None:
+        """End the process if it still runs."""
+        self._process.kill()
+        self._process.communicate()
+        self._errors.close()
 
 
 class Compilers:
-    """Processes that compile one package each; a context manager that ends them."""
+    """Processes that compile one package each; a context manager that ends them.
 
-    def __init__(self, processes: Mapping[str, "subprocess.Popen[str]"]) -> None:
-        self._processes = processes
+    ``in_background``: at the lowest priority, and not ended by Ctrl-C.
+    """
+
+    def __init__(self, names: Iterable[str] = (), *, in_background: bool = False) -> None:
+        self._compilers: list[_Compiler] = []
+        with contextlib.ExitStack() as stack:
+            for name in names:
+                self._compilers.append(_Compiler(name, in_background=in_background))
+                stack.callback(self._compilers[-1].end)
+            self._close = stack.pop_all().close
 
     def __enter__(self) -> Self:
         return self
@@ -150,43 +194,34 @@ class Compilers:
         self.close()
 
     def wait(self, on_progress: OnProgress | None = None) -> None:
-        """Wait until all have compiled their package. Raises CompileError, after the end of all."""
-        state = {name: Compiled(0, 0) for name in self._processes}
-        limit_s = time.monotonic() + COMPILE_LIMIT_S
-        try:
-            with selectors.DefaultSelector() as selector:
-                for name, process in self._processes.items():
-                    selector.register(process.stdout, selectors.EVENT_READ, name)  # type: ignore[arg-type]
-                while selector.get_map():
-                    if time.monotonic() > limit_s:
-                        raise CompileError(f"the kernels did not compile within {COMPILE_LIMIT_S:g} s")
-                    for key, _ in selector.select(1.0):
-                        line = key.fileobj.readline()  # type: ignore[union-attr]
-                        if not line:
-                            selector.unregister(key.fileobj)
-                            self._end(key.data)
-                        elif on_progress is not None:
-                            done, total = line.split()
-                            state[key.data] = Compiled(int(done), int(total))
-                            on_progress(state)
-        finally:
-            self.close()
-
-    def _end(self, name: str) -> None:
-        _, errors = self._processes[name].communicate()
-        if self._processes[name].returncode:
-            last_line = errors.rstrip().rpartition("\n")[2]
-            raise CompileError(f"the {name} kernels do not compile: {last_line}")
+        """Wait until all have compiled their package. Raises CompileError."""
+        state = {compiler.name: CompileProgress(0, 0) for compiler in self._compilers}
+        wall_limit_s = time.monotonic() + COMPILE_LIMIT_S
+        with selectors.DefaultSelector() as selector:
+            for compiler in self._compilers:
+                if compiler.pipe is not None:
+                    selector.register(compiler.pipe, selectors.EVENT_READ, compiler)
+            while selector.get_map():
+                ready = selector.select(1.0)
+                if ready:
+                    wall_limit_s = time.monotonic() + COMPILE_LIMIT_S
+                elif time.monotonic() > wall_limit_s:
+                    raise CompileError(f"no kernel was compiled within {COMPILE_LIMIT_S:g} s")
+                for key, _ in ready:
+                    progress = key.data.read()
+                    if progress is None:
+                        selector.unregister(key.fileobj)
+                        continue
+                    state[key.data.name] = progress
+                    if on_progress is not None:
+                        on_progress(state)
 
     def close(self) -> None:
         """End processes that still run; harmless when repeated."""
-        for process in self._processes.values():
-            process.kill()
-            process.communicate()
-        self._processes = {}
+        self._close()
 
 
-def forget_old(now_s: float) -> None:
+def remove_old(now_s: float) -> None:
     """Remove the caches of states of the sources that were not used for long before ``now_s``, a file's time.
 
     Not those in a folder that the user has named, which may be others' as well.
@@ -197,7 +232,7 @@ def forget_old(now_s: float) -> None:
     used_s: dict[Path, float] = {}
     for path in base.iterdir():
         if _FOLDER.fullmatch(path.name):
-            with contextlib.suppress(FileNotFoundError):  # another process tidies as well
+            with contextlib.suppress(FileNotFoundError):  # another process may remove it as well
                 used_s[path] = path.stat().st_mtime
     for path in sorted(used_s, key=used_s.__getitem__)[:-KEPT_STATES]:
         if used_s[path] < now_s - KEPT_S:

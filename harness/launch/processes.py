@@ -50,7 +50,7 @@ class ProcessNotice(Struct, frozen=True, kw_only=True):
 class Compiling(Struct, frozen=True, kw_only=True):
     """Kernels that are being compiled before the flight, by package."""
 
-    packages: Mapping[str, kernel_cache.Compiled]
+    packages: Mapping[str, kernel_cache.CompileProgress]
 
 
 Message = ChildMessage | Exited | ProcessNotice | Compiling
@@ -120,7 +120,7 @@ class Processes:
         self._px4 = px4.instances(scenario)
         self._has_prefork = len(self._px4) < scenario.agents
         self._running = False
-        self._kernels = kernel_cache.Compilers({})
+        self._kernels = kernel_cache.Compilers()
         self._affinity: CpuAffinity | None = None
         self._connected = False
         """Whether every vehicle has connected to the physics server."""
@@ -200,16 +200,19 @@ class Processes:
         if self._on_message is not None:
             self._on_message(ProcessNotice(text=text))
 
-    def _on_compiled(self, packages: Mapping[str, kernel_cache.Compiled]) -> None:
+    def _on_compiled(self, packages: Mapping[str, kernel_cache.CompileProgress]) -> None:
         if self._on_message is not None:
             self._on_message(Compiling(packages=dict(packages)))
 
-    def await_kernels(self) -> None:
-        """Wait for the kernels that the flight does not need. Raises SwarmError."""
+    def prepare_report(self) -> None:
+        """Compile the kernels that the flight did not need.
+
+        If they do not compile together, the report compiles each that it needs.
+        """
         try:
-            self._kernels.wait()
+            kernel_cache.prepare(self._note, self._on_compiled)
         except kernel_cache.CompileError as error:
-            raise SwarmError(str(error)) from None
+            self._note(str(error))
 
     def _start(self) -> None:
         scenario, host, run_id = self._scenario, self._scenario.ports.host, uuid.uuid4().hex[:16]
@@ -337,6 +340,7 @@ class Processes:
             self._running = False
             if self._affinity is not None:
                 self._affinity.end()
+            self._kernels.close()
             forced: list[str] = []
             # a vehicle ends when its simulator disconnects; the radio ends after its users
             vehicles = [*map(uav, range(self._scenario.agents)), *map(application, self._px4)]

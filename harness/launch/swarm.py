@@ -396,7 +396,8 @@ class Swarm:
         from harness.report import report  # noqa: PLC0415  the analysis is slow to import: not before the flight
 
         processes = self._processes
-        processes.await_kernels()
+        if not interrupted:
+            processes.prepare_report()
         lost = processes.records_lost
         if interrupted and lost is None:
             status = "interrupted"

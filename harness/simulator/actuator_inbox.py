@@ -70,11 +70,6 @@ class ActuatorInbox:
         """Vehicles that have handed over a batch to the radio in this step."""
         return tuple(np.flatnonzero(self.states["handed_over"]).tolist())
 
-    def put_bytes(self, instance: int, data: bytes) -> None:
-        """Store bytes from a vehicle, at most `BUFFER_BYTES`."""
-        self.buffers[instance][: len(data)] = data
-        self.states["received_bytes"][instance] = len(data)
-
     def unpack(self, time_us: int) -> int:
         """Begin a step: unpack all answers that are exactly one frame; returns how many.
 

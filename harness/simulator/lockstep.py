@@ -8,6 +8,7 @@ a silent vehicle is given up, `harness.simulator.handshake` which connection bel
 """
 
 import contextlib
+import errno
 import socket
 import struct
 import time
@@ -29,9 +30,14 @@ on, but starts up in wall time, and drops messages that arrive faster."""
 BREAK_S = 2.0
 """A longer wall time between two steps counts as a pause of the simulation, which resets silences."""
 _RECEIVE_BYTES = 4096
-CONNECTION_LOST = (ConnectionError, TimeoutError)
-"""Errors of a link to a vehicle that has ended or cannot be reached; others end the run."""
+_UNREACHABLE = {errno.EHOSTUNREACH, errno.EHOSTDOWN, errno.ENETUNREACH, errno.ENETDOWN, errno.ENOBUFS}
 _POLL_TIMEVAL = struct.pack("ll", 0, round(POLL_S * 1e6))
+
+
+def _check_lost(error: OSError) -> None:
+    """Raise the error of a link again unless its vehicle has ended or cannot be reached: it ends the run."""
+    if not (isinstance(error, ConnectionError | TimeoutError) or error.errno in _UNREACHABLE):
+        raise error
 
 
 CLOSED = "its connection closed"
@@ -58,7 +64,7 @@ a lost answer it sends the next one only if it receives further sensors."""
 class Link(Protocol):
     """Connection to one vehicle: a socket, or `harness.simulator.in_process_links.InProcessLink`.
 
-    All methods raise ConnectionError or TimeoutError if the connection is lost, and BlockingIOError if they
+    All methods raise OSError if the connection is lost, and BlockingIOError if they
     cannot go on within the link's time limit.
     """
 
@@ -233,7 +239,8 @@ class Lockstep:
                 continue
             except (BrokenPipeError, ConnectionResetError):
                 pass  # closed by the vehicle: `receive` reads its last messages and reports it
-            except CONNECTION_LOST:
+            except OSError as error:
+                _check_lost(error)
                 self.lose(slot.instance, "its connection broke")
                 continue
             (self._starting if self.is_starting(slot) else self._pending).append(slot)
@@ -271,7 +278,8 @@ class Lockstep:
                 size = slot.link.recv_into(inbox.buffers[slot.instance]) if slot.link else 0
             except BlockingIOError:
                 break  # a vehicle is silent: all are polled below
-            except CONNECTION_LOST:
+            except OSError as error:
+                _check_lost(error)
                 size = 0
             if size == 0:
                 self.lose(slot.instance, CLOSED)
@@ -318,14 +326,14 @@ class Lockstep:
     def close(self) -> None:
         """Close every connection and listener; the vehicles end when their connection closes."""
         with contextlib.ExitStack() as stack:  # closes all, even if one cannot be closed
+            for listener in self._listeners:
+                stack.callback(listener.close)
+            stack.callback(self._handshake.close)
             for slot in self.slots:
                 if slot.link is not None:
                     stack.callback(slot.link.close)
                     slot.link = None
         self.living = 0
-        self._handshake.close()
-        for listener in self._listeners:
-            listener.close()
 
     def _receive(self, slot: VehicleSlot, time_us: int, flags: int = 0) -> bool:
         """Receive and parse bytes of a vehicle, waiting `POLL_S` at most; False if there were none."""
@@ -335,7 +343,8 @@ class Lockstep:
             data = slot.link.recv(_RECEIVE_BYTES, flags)
         except BlockingIOError:
             return False
-        except CONNECTION_LOST:
+        except OSError as error:
+            _check_lost(error)
             data = b""
         if not data:
             self.lose(slot.instance, CLOSED)

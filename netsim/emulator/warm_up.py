@@ -1,7 +1,7 @@
 """A short simulation that runs every compiled kernel of the emulator, so that all are in the cache on disk.
 
 Three stations in range of each other and one out of range send at the same time, beside an interferer. The
-results are not used.
+results are only checked roughly.
 """
 
 import numpy as np

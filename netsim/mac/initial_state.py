@@ -31,7 +31,7 @@ class ModeRows(dict[PhyMode, int]):
         row = self[mode] = MODE_NAMES.index(mode.name)
         errors, phy = error_model(mode), self.tables.modes[row]
         phy.preamble_ns, phy.bits_per_symbol, phy.vht = mode.preamble_ns, mode.bits_per_symbol, mode.vht
-        phy.hazards, phy.clean_linear = len(errors.log_hazards), errors.clean_linear
+        phy.hazard_count, phy.clean_linear = len(errors.log_hazards), errors.clean_linear
         phy.log_hazards[: len(errors.log_hazards)] = errors.log_hazards
         phy.response_mode = self[response_mode(mode)]
         return row

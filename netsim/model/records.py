@@ -20,10 +20,11 @@ class Air:
     """Header of the block: single numbers of the medium, settings, and the offsets of the tables in bytes."""
 
     stations: int
-    """Number of stations n; this and the next four are numbers of rows."""
+    """Number of stations n."""
     categories: int
     """Number of queues per station."""
     event_rows: int
+    """Number of rows of a table, like the next two."""
     job_rows: int
     signal_rows: int
     now_ns: int
@@ -215,7 +216,7 @@ class PhyModeRow:
     bits_per_symbol: int
     vht: bool
     response_mode: int
-    hazards: int
+    hazard_count: int
     """Number of valid entries of ``log_hazards``."""
     clean_linear: float
     """SINR from which the hazard is 0."""

@@ -30,7 +30,7 @@ def clean_mw(air: Air, mode: int) -> float:
 
 @njit(cache=True)
 def _hazard_per_bit(mode: PhyModeRow, sinr: float) -> float:
-    return hazard_per_bit(mode.log_hazards[: mode.hazards], mode.clean_linear, sinr)
+    return hazard_per_bit(mode.log_hazards[: mode.hazard_count], mode.clean_linear, sinr)
 
 
 @njit(cache=True)

@@ -262,11 +262,6 @@ class CooperativeLocalisation:
             north_m2, east_m2, down_m2 = max(north_m2, 0.0), max(east_m2, 0.0), max(down_m2, 0.0)
         return math.sqrt(north_m2), math.sqrt(east_m2), math.sqrt(down_m2)
 
-    @property
-    def offsets_ned_m(self) -> Array:
-        """(N, 3) estimated true positions minus odometry of all UAVs; a view."""
-        return self.state.reshape(-1, STATES)[:, :3]
-
     def odometry_at(self, station: int, time_us: int) -> Array | None:
         """Return (3,) odometry of a UAV, NED, at a time of the last seconds; None if not available."""
         odometry_ned_m = np.empty(3)

@@ -22,7 +22,6 @@ BODY = np.dtype(
     ]
 )
 """Row of one vehicle in Bullet's scheme, wxyz; the pose is half a step ahead of the velocities."""
-BODY_NUMBERS = BODY.itemsize // 8
 
 
 @njit(cache=True)

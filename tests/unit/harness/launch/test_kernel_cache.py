@@ -21,7 +21,7 @@ from antenna.solvers.selection import make_backend
 from antenna.solvers.warm_up import warm_up
 from foundation.kernels import cache_folder
 from harness.launch import kernel_cache
-from harness.launch.kernel_cache import KEPT_S, KEPT_STATES, VARIABLE, CompileError, digest, forget_old
+from harness.launch.kernel_cache import KEPT_S, KEPT_STATES, VARIABLE, CompileError, digest, remove_old
 from harness.launch.one_process import OneProcessSwarm
 
 ARTICLE = SCENARIOS / "article.toml"
@@ -150,7 +150,7 @@ def test_old_states_go_but_for_the_latest_also_where_our_scripts_have_set_the_fo
     """Those that never came to be complete as well; what is none of ours stays."""
     notes = states[0].parent / "notes"
     notes.mkdir()
-    forget_old(NOW_S)
+    remove_old(NOW_S)
     assert [path.exists() for path in states] == [k >= 10 - KEPT_STATES for k in range(10)]
     assert notes.exists()
 
@@ -158,12 +158,12 @@ def test_old_states_go_but_for_the_latest_also_where_our_scripts_have_set_the_fo
 def test_what_was_used_within_a_day_stays_however_many_there_are(states):
     for path in states[:2]:
         os.utime(path, (NOW_S - KEPT_S + 1.0,) * 2)
-    forget_old(NOW_S)  # the latest eight are 0, 1 and 4 to 9
+    remove_old(NOW_S)  # the latest eight are 0, 1 and 4 to 9
     assert [k for k, path in enumerate(states) if not path.exists()] == [2, 3]
     for path in states:
         path.mkdir(exist_ok=True)
         os.utime(path, (NOW_S - KEPT_S + 1.0,) * 2)
-    forget_old(NOW_S)
+    remove_old(NOW_S)
     assert all(path.exists() for path in states)
 
 
@@ -173,7 +173,7 @@ def test_a_folder_that_the_user_names_is_not_tidied(states, monkeypatch, tmp_pat
     for path in states:
         shutil.move(path, theirs / path.name)
     monkeypatch.setattr(kernel_cache, "folder", lambda: theirs / states[9].name)
-    forget_old(NOW_S)
+    remove_old(NOW_S)
     assert len(list(theirs.iterdir())) == 10
 
 

@@ -19,6 +19,12 @@ NOW_US = 4_000
 CRC_EXTRA = bytes([mavlink.mavlink_map[mavlink.MAVLINK_MSG_ID_HIL_ACTUATOR_CONTROLS].crc_extra])
 
 
+def put_bytes(inbox, instance, data):
+    """Store bytes as if they had been received from a vehicle."""
+    inbox.buffers[instance][: len(data)] = data
+    inbox.states["received_bytes"][instance] = len(data)
+
+
 def answer(i, time_us=NOW_US, *, mode=129, flags=1, controls=(0.25, 0.5, 0.75, 1.0)):
     values = HilActuatorControls(time_us, [*controls, *(0.125,) * 12], mode, flags)
     return pack(values, sequence=i, system=i + 1, component=1)
@@ -36,8 +42,8 @@ def test_an_answer_is_unpacked_as_it_was_packed():
         modes, hands_over = rng.choice([1, 129], 3), rng.random(3) < 0.5
         for i in range(3):
             flags = 1 | BATCH_HANDED_OVER if hands_over[i] else 1
-            inbox.put_bytes(
-                i, answer(i, time_us, mode=int(modes[i]), flags=flags, controls=controls[i].tolist())
+            put_bytes(
+                inbox, i, answer(i, time_us, mode=int(modes[i]), flags=flags, controls=controls[i].tolist())
             )
         assert inbox.unpack(time_us) == 3
         np.testing.assert_array_equal(inbox.controls, controls)
@@ -50,7 +56,7 @@ def test_an_answer_encoded_by_pymavlink_is_unpacked():
     """Pymavlink is an independent implementation of the frame."""
     message = mavlink.MAVLink_hil_actuator_controls_message(NOW_US, [0.5] * 16, 129, 1)
     inbox = ActuatorInbox(1)
-    inbox.put_bytes(0, Encoder(system=1, component=1).encode(message))
+    put_bytes(inbox, 0, Encoder(system=1, component=1).encode(message))
     assert inbox.unpack(NOW_US) == 1
     assert inbox.controls.tolist() == [[0.5] * 4]
 
@@ -66,7 +72,7 @@ def resealed(frame, at, byte):
 def test_a_resealed_frame_is_valid():
     """So the frames below are not refused because of their checksums."""
     inbox = ActuatorInbox(1)
-    inbox.put_bytes(0, resealed(answer(0), 4, 200))  # another sequence number
+    put_bytes(inbox, 0, resealed(answer(0), 4, 200))  # another sequence number
     assert inbox.unpack(NOW_US) == 1
 
 
@@ -94,10 +100,10 @@ def not_one_answer():
 )
 def test_input_that_is_not_one_answer_is_left_unchanged(data):
     inbox = ActuatorInbox(2)
-    inbox.put_bytes(0, answer(0, controls=(0.5,) * 4))
+    put_bytes(inbox, 0, answer(0, controls=(0.5,) * 4))
     assert inbox.unpack(NOW_US) == 1
-    inbox.put_bytes(0, data)
-    inbox.put_bytes(1, answer(1))
+    put_bytes(inbox, 0, data)
+    put_bytes(inbox, 1, answer(1))
     assert inbox.unpack(NOW_US) == 1
     assert inbox.answered_us.tolist() == [0, NOW_US]
     assert inbox.controls[0].tolist() == [0.5] * 4  # of the step before
