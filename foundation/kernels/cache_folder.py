@@ -21,6 +21,7 @@ from pathlib import Path
 
 PACKAGES = ("foundation", "antenna", "netsim", "autopilot", "harness", "coflight", "studies")
 VARIABLE = "NUMBA_CACHE_DIR"
+_DECORATED = re.compile(rb"^@(njit|inner)\b", re.MULTILINE)
 _IMPORT = re.compile(rf"^\s*from ((?:{'|'.join(PACKAGES)})(?:\.\w+)*) import\b", re.MULTILINE)
 
 
@@ -62,7 +63,7 @@ def digest(root: Path) -> str:
         path
         for package in PACKAGES
         for path in (root / package).rglob("*.py")
-        if path.name == "warm_up.py" or b"@njit" in path.read_bytes()
+        if path.name == "warm_up.py" or _DECORATED.search(path.read_bytes())
     }
     seen: set[Path] = set()
     while pending:

@@ -15,8 +15,7 @@ The functions are compiled and work on the tables of `netsim.model.tables`. Fram
 `netsim.mac.station`.
 """
 
-from numba import njit
-
+from foundation.kernels.inner import inner
 from netsim.mac.access_parameters import CCA_NS, EIFS_EXTRA_NS, SLOT_NS
 from netsim.model import codes as c
 from netsim.model import tables as t
@@ -28,7 +27,7 @@ from netsim.model.tables import add_call, draw_backoff
 # --- queues
 
 
-@njit(cache=True)
+@inner
 def push(air: Air, q: int, job: int) -> None:
     """Append a job to a queue."""
     queue = t.queue(air, q)
@@ -41,7 +40,7 @@ def push(air: Air, q: int, job: int) -> None:
     t.station(air, q // air.categories).queued_frames += 1
 
 
-@njit(cache=True)
+@inner
 def give_up(air: Air, q: int, outcome: int) -> None:
     """Remove the first job of a queue and report its outcome."""
     queue = t.queue(air, q)
@@ -53,13 +52,13 @@ def give_up(air: Air, q: int, outcome: int) -> None:
     _report_done(air, q, job, outcome)
 
 
-@njit(cache=True)
+@inner
 def _report_done(air: Air, q: int, job: int, outcome: int) -> None:
     call = add_call(air, c.DONE, q // air.categories, job)
     call.detail, call.source = outcome, c.NOTHING
 
 
-@njit(cache=True)
+@inner
 def drop_expired(air: Air, q: int) -> None:
     """Remove expired and cancelled jobs from the head of a queue."""
     queue = t.queue(air, q)
@@ -70,7 +69,7 @@ def drop_expired(air: Air, q: int) -> None:
         give_up(air, q, c.EXPIRED)
 
 
-@njit(cache=True)
+@inner
 def is_full(air: Air, station: int) -> bool:
     """Whether a station's queues are full after removing expired frames."""
     if t.station(air, station).queued_frames >= air.queue_frames:
@@ -81,7 +80,7 @@ def is_full(air: Air, station: int) -> bool:
     return t.station(air, station).queued_frames >= air.queue_frames
 
 
-@njit(cache=True)
+@inner
 def watch(air: Air, q: int, expires_ns: int) -> None:
     """Schedule the check for expired frames at ``expires_ns``, earlier than the scheduled one."""
     queue = t.queue(air, q)
@@ -89,14 +88,14 @@ def watch(air: Air, q: int, expires_ns: int) -> None:
     queue.deadline_event = schedule(air, max(expires_ns, air.now_ns), c.ON_DEADLINE, q)
 
 
-@njit(cache=True)
+@inner
 def unwatch(air: Air, q: int) -> None:
     """Cancel the check for expired frames."""
     queue = t.queue(air, q)
     queue.deadline_event, queue.deadline_ns = 0, NEVER_NS
 
 
-@njit(cache=True)
+@inner
 def on_deadline(air: Air, q: int) -> None:
     """Remove all expired frames of a queue except one whose exchange is under way."""
     unwatch(air, q)
@@ -126,7 +125,7 @@ def on_deadline(air: Air, q: int) -> None:
 # --- backoff
 
 
-@njit(cache=True)
+@inner
 def _back_off(air: Air, q: int) -> None:
     """Draw a new backoff, uniform in 0..CW slots."""
     queue = t.queue(air, q)
@@ -135,7 +134,7 @@ def _back_off(air: Air, q: int) -> None:
     queue.found_idle = False
 
 
-@njit(cache=True)
+@inner
 def succeeded(air: Air, q: int) -> None:
     """Reset the contention window and back off, after a success or at the retry limit (10.3.3)."""
     queue = t.queue(air, q)
@@ -143,7 +142,7 @@ def succeeded(air: Air, q: int) -> None:
     _back_off(air, q)
 
 
-@njit(cache=True)
+@inner
 def fail(air: Air, q: int) -> None:
     """Double the contention window and back off after a failed exchange.
 
@@ -162,7 +161,7 @@ def fail(air: Air, q: int) -> None:
         give_up(air, q, c.EXPIRED)
 
 
-@njit(cache=True)
+@inner
 def freeze(air: Air, station: int, from_ns: int) -> None:
     """Freeze all backoffs: the medium is busy from ``from_ns``; accesses until then still take place."""
     t.station(air, station).planned = False
@@ -172,7 +171,7 @@ def freeze(air: Air, station: int, from_ns: int) -> None:
             _freeze_queue(air, q, from_ns)
 
 
-@njit(cache=True)
+@inner
 def _freeze_queue(air: Air, q: int, from_ns: int) -> None:
     """Subtract the elapsed slots from a queue's backoff."""
     queue = t.queue(air, q)
@@ -193,7 +192,7 @@ def _freeze_queue(air: Air, q: int, from_ns: int) -> None:
 # --- accesses
 
 
-@njit(cache=True)
+@inner
 def contend(air: Air, station: int, q: int, job: int) -> None:
     """Enqueue a frame, and plan its access if it is the first."""
     queue, now = t.queue(air, q), air.now_ns
@@ -214,7 +213,7 @@ def contend(air: Air, station: int, q: int, job: int) -> None:
     resume(air, station)
 
 
-@njit(cache=True)
+@inner
 def _is_busy(air: Air, station: int) -> bool:
     now, row = air.now_ns, t.station(air, station)
     return (
@@ -225,7 +224,7 @@ def _is_busy(air: Air, station: int) -> bool:
     )
 
 
-@njit(cache=True)
+@inner
 def resume(air: Air, station: int) -> None:
     """Plan each queue's next access from the state of the medium; to be called after each change of it."""
     now, row = air.now_ns, t.station(air, station)
@@ -255,7 +254,7 @@ def resume(air: Air, station: int) -> None:
         freeze(air, station, row.busy_from_ns + CCA_NS)
 
 
-@njit(cache=True)
+@inner
 def _plan(air: Air, q: int, base_ns: int) -> None:
     """Plan one queue's access to a medium that is idle, AIFS included, from ``base_ns``."""
     queue = t.queue(air, q)
@@ -268,7 +267,7 @@ def _plan(air: Air, q: int, base_ns: int) -> None:
         queue.access_event = schedule(air, access_ns, c.ON_ACCESS, q)
 
 
-@njit(cache=True)
+@inner
 def win(air: Air, q: int) -> int:
     """Return the queue that gets the access planned by ``q``, or `codes.NOTHING`.
 
@@ -293,7 +292,7 @@ def win(air: Air, q: int) -> int:
     return winner
 
 
-@njit(cache=True)
+@inner
 def _collide_inside(air: Air, station: int, q: int) -> int:
     """Resolve an internal collision: the queue of highest priority wins, the access of the others fails."""
     k = air.categories

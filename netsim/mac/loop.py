@@ -7,6 +7,7 @@ the event that causes them, so that reactions of the upper layers follow all eff
 import numpy as np
 from numba import njit
 
+from foundation.kernels.inner import inner
 from foundation.kernels.records import Block
 from netsim.mac import station as mac
 from netsim.mac.contention import contend, is_full, on_deadline
@@ -45,7 +46,7 @@ def run(
     return reason, air.now_ns, air.scheduled, needed_by
 
 
-@njit(cache=True)
+@inner
 def _run_until(air: Air, fading: Doubles, until_ns: int, until_order: int) -> int:
     """Run events; return the reason for stopping."""
     while True:
@@ -61,7 +62,7 @@ def _run_until(air: Air, fading: Doubles, until_ns: int, until_order: int) -> in
             return HAS_CALLS
 
 
-@njit(cache=True)
+@inner
 def _next_is_due(air: Air, until_ns: int, until_order: int) -> bool:
     """Whether there is an event before a time and an order; drops cancelled events."""
     while air.events and is_off(air):
@@ -72,7 +73,7 @@ def _next_is_due(air: Air, until_ns: int, until_order: int) -> bool:
     return event.at_ns < until_ns or (event.at_ns == until_ns and event.order <= until_order)
 
 
-@njit(cache=True)
+@inner
 def _run_next(air: Air, fading: Doubles) -> int:
     """Run the next event; return `REACHED`, or what it needs first."""
     event = t.event(air, 0)
@@ -101,7 +102,7 @@ def _run_next(air: Air, fading: Doubles) -> int:
     return REACHED
 
 
-@njit(cache=True)
+@inner
 def _begin_due(air: Air, fading: Doubles) -> int:
     """Begin the exchange that is due; return `REACHED`, or what it needs first."""
     q = air.due_queue
@@ -117,7 +118,7 @@ def _begin_due(air: Air, fading: Doubles) -> int:
     return REACHED
 
 
-@njit(cache=True)
+@inner
 def _lacks_budget(air: Air, sender: int) -> bool:
     """Whether the link budget of a station that sends now has to be computed.
 
@@ -127,7 +128,7 @@ def _lacks_budget(air: Air, sender: int) -> bool:
     return air.now_ns > t.station(air, sender).budget_until_ns
 
 
-@njit(cache=True)
+@inner
 def has_room(air: Air) -> bool:
     """Whether there are enough draws and free rows for any one event."""
     return (
@@ -138,7 +139,7 @@ def has_room(air: Air) -> bool:
     )
 
 
-@njit(cache=True)
+@inner
 def _act(air: Air, what: int, about: int) -> None:
     """Run one event that sends nothing."""
     if what == c.END_FRAME:
@@ -161,7 +162,7 @@ def _act(air: Air, what: int, about: int) -> None:
             mac.on_air_changed(air, r)
 
 
-@njit(cache=True)
+@inner
 def _end_frame(air: Air, frame: int) -> None:
     sent = t.signal(air, frame)
     medium.settle(air, frame)

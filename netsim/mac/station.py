@@ -18,8 +18,7 @@ Not modelled: fragmentation, power save, aggregation, block acknowledgement, CF-
 The functions are compiled and work on the tables of `netsim.model.tables`.
 """
 
-from numba import njit
-
+from foundation.kernels.inner import inner
 from netsim.mac.access_parameters import CCA_NS, SIFS_NS, SLOT_NS
 from netsim.mac.airtime import cts_ns, data_ns, duration_ns, exchange_ns, response_ns
 from netsim.mac.contention import drop_expired, fail, freeze, give_up, resume, succeeded, unwatch, win
@@ -44,7 +43,7 @@ IDLE, AWAITING_CTS, SENDING, AWAITING_ACK = range(4)
 # --- the station's own exchange
 
 
-@njit(cache=True)
+@inner
 def sender(air: Air, what: int, about: int) -> int:
     """Return the station that sends at an event now; `netsim.model.codes.NOTHING` if it no longer can.
 
@@ -57,7 +56,7 @@ def sender(air: Air, what: int, about: int) -> int:
     return c.NOTHING if row.radio_off or row.sending_until_ns > air.now_ns else about
 
 
-@njit(cache=True)
+@inner
 def on_access(air: Air, q: int) -> None:
     """Resolve the access planned by ``q`` and make the exchange of the winning queue due."""
     winner = win(air, q)
@@ -66,26 +65,26 @@ def on_access(air: Air, q: int) -> None:
         schedule_access(air, winner)
 
 
-@njit(cache=True)
+@inner
 def schedule_access(air: Air, q: int) -> None:
     """Make the exchange of a queue's first job due now, if the queue may still send and has one."""
     if _may_send(air, q):
         air.due_queue, air.mode_chosen = q, False
 
 
-@njit(cache=True)
+@inner
 def _may_send(air: Air, q: int) -> bool:
     may = t.station(air, q // air.categories).current_queue == q
     return may and t.queue(air, q).first_job != c.NOTHING
 
 
-@njit(cache=True)
+@inner
 def lacks_mode(air: Air, q: int) -> bool:
     """Whether the mode of a queue's next frame has to be chosen before its exchange begins."""
     return t.job(air, t.queue(air, q).first_job).adapts != 0 and air.mode_chosen == 0
 
 
-@njit(cache=True)
+@inner
 def has_time(air: Air, q: int) -> bool:
     """Whether the exchange of a queue's first job fits into the current TXOP.
 
@@ -97,7 +96,7 @@ def has_time(air: Air, q: int) -> bool:
     return not late
 
 
-@njit(cache=True)
+@inner
 def begin(air: Air, fading: Doubles, q: int) -> None:
     """Begin the exchange of a queue's first job: see `lacks_mode` and `has_time`."""
     station, job = q // air.categories, t.queue(air, q).first_job
@@ -114,7 +113,7 @@ def begin(air: Air, fading: Doubles, q: int) -> None:
     _await_response(air, station, rts)
 
 
-@njit(cache=True)
+@inner
 def _rts_target(air: Air, station: int, job: int) -> int:
     data = t.job(air, job)
     if data.to != GROUP:
@@ -122,7 +121,7 @@ def _rts_target(air: Air, station: int, job: int) -> int:
     return medium.loudest(air, station, air.now_ns - NEIGHBOUR_LIFETIME_NS, data.failures)
 
 
-@njit(cache=True)
+@inner
 def send_job(air: Air, fading: Doubles, q: int) -> None:
     """Send the data frame of a queue's exchange; requires that the queue may send: see `sender`."""
     station = q // air.categories
@@ -149,7 +148,7 @@ def send_job(air: Air, fading: Doubles, q: int) -> None:
         _await_response(air, station, frame)
 
 
-@njit(cache=True)
+@inner
 def _frame(air: Air, kind: int, source: int, to: int, mode: int, frame_bytes: int) -> int:
     """Allocate a row of signals for a frame that begins now, and fill the common fields."""
     row = take_signal(air)
@@ -163,13 +162,13 @@ def _frame(air: Air, kind: int, source: int, to: int, mode: int, frame_bytes: in
     return row
 
 
-@njit(cache=True)
+@inner
 def _send(air: Air, fading: Doubles, frame: int) -> None:
     freeze(air, t.signal(air, frame).source, air.now_ns)
     on_busy(air, frame, medium.start(air, fading, frame))
 
 
-@njit(cache=True)
+@inner
 def on_busy(air: Air, signal: int, count: int) -> None:
     """Freeze the backoffs of the first ``count`` stations of `records.End.newly_busy`."""
     for k in range(count):
@@ -178,7 +177,7 @@ def on_busy(air: Air, signal: int, count: int) -> None:
             freeze(air, r, t.signal(air, signal).start_ns + t.path(air, signal, r).delay_ns + CCA_NS)
 
 
-@njit(cache=True)
+@inner
 def _await_response(air: Air, station: int, frame: int) -> None:
     row = t.station(air, station)
     row.timed_out = False
@@ -186,13 +185,13 @@ def _await_response(air: Air, station: int, frame: int) -> None:
     row.timeout_event = schedule(air, at_ns, c.ON_TIMEOUT, station)
 
 
-@njit(cache=True)
+@inner
 def _stop_waiting(air: Air, station: int) -> None:
     row = t.station(air, station)
     row.timed_out, row.timeout_event = False, 0
 
 
-@njit(cache=True)
+@inner
 def _succeed(air: Air, station: int, outcome: int, end_ns: int) -> None:
     """End the exchange with success at ``end_ns``, and begin the next one of the TXOP if it fits."""
     q = t.station(air, station).current_queue
@@ -204,7 +203,7 @@ def _succeed(air: Air, station: int, outcome: int, end_ns: int) -> None:
         leave(air, q)
 
 
-@njit(cache=True)
+@inner
 def leave(air: Air, q: int) -> None:
     """Release the medium after a success and back off."""
     station = q // air.categories
@@ -214,7 +213,7 @@ def leave(air: Air, q: int) -> None:
     resume(air, station)
 
 
-@njit(cache=True)
+@inner
 def _goes_on(air: Air, station: int, q: int, start_ns: int) -> bool:
     """Schedule the next exchange of a TXOP at ``start_ns`` if there is one that ends within the limit."""
     queue = t.queue(air, q)
@@ -231,7 +230,7 @@ def _goes_on(air: Air, station: int, q: int, start_ns: int) -> bool:
     return True
 
 
-@njit(cache=True)
+@inner
 def _fail_exchange(air: Air, station: int) -> None:
     row = t.station(air, station)
     q = row.current_queue
@@ -248,7 +247,7 @@ def _fail_exchange(air: Air, station: int) -> None:
     resume(air, station)
 
 
-@njit(cache=True)
+@inner
 def on_timeout(air: Air, station: int) -> None:
     """Handle the time-out of a response: the exchange fails unless a frame is being received."""
     row = t.station(air, station)
@@ -263,7 +262,7 @@ def on_timeout(air: Air, station: int) -> None:
 # --- reports of the receiver
 
 
-@njit(cache=True)
+@inner
 def on_end(air: Air, frame: int, station: int) -> None:
     """Process the end of a frame at a station, after the medium has determined its outcome."""
     row, end = t.station(air, station), t.end(air, station)
@@ -276,14 +275,14 @@ def on_end(air: Air, frame: int, station: int) -> None:
     on_air_changed(air, station)
 
 
-@njit(cache=True)
+@inner
 def on_air_changed(air: Air, station: int) -> None:
     """Plan accesses of a station that has no plan."""
     if not t.station(air, station).planned:
         resume(air, station)
 
 
-@njit(cache=True)
+@inner
 def on_unused(air: Air, station: int) -> None:
     """Plan accesses of a station again after its NAV has been reset."""
     if t.station(air, station).planned:
@@ -291,7 +290,7 @@ def on_unused(air: Air, station: int) -> None:
     resume(air, station)
 
 
-@njit(cache=True)
+@inner
 def on_sent(air: Air, frame: int) -> None:
     """Continue after the own frame of a station has ended at all receivers."""
     sent = t.signal(air, frame)
@@ -306,7 +305,7 @@ def on_sent(air: Air, frame: int) -> None:
         resume(air, station)
 
 
-@njit(cache=True)
+@inner
 def _receive_own(air: Air, frame: int, station: int) -> None:
     row, sent, path = t.station(air, station), t.signal(air, frame), t.path(air, frame, station)
     kind, source = sent.kind, sent.source
@@ -335,7 +334,7 @@ def _receive_own(air: Air, frame: int, station: int) -> None:
         _report_frame(air, frame, station, again)
 
 
-@njit(cache=True)
+@inner
 def report_group_frame(air: Air, frame: int) -> None:
     """Report a group frame that has ended to the upper layer if any station has received it."""
     for station in range(air.stations):
@@ -346,7 +345,7 @@ def report_group_frame(air: Air, frame: int) -> None:
             return
 
 
-@njit(cache=True)
+@inner
 def _report_frame(air: Air, frame: int, station: int, again: bool) -> None:  # noqa: FBT001 - kernels take positions
     """Report a frame to the upper layer of a station; ``again``: it is a duplicate."""
     sent, path = t.signal(air, frame), t.path(air, frame, station)
@@ -359,7 +358,7 @@ def _report_frame(air: Air, frame: int, station: int, again: bool) -> None:  # n
 # --- responses
 
 
-@njit(cache=True)
+@inner
 def _respond(air: Air, frame: int, end_ns: int, station: int) -> None:
     """Schedule the CTS or ACK of a frame that has ended at this station at ``end_ns``."""
     received = t.signal(air, frame)
@@ -373,7 +372,7 @@ def _respond(air: Air, frame: int, end_ns: int, station: int) -> None:
     schedule_frame(air, end_ns + SIFS_NS, station, received.source, what, frame_bytes, nav_ns)
 
 
-@njit(cache=True)
+@inner
 def schedule_frame(
     air: Air, at_ns: int, station: int, to: int, what: int, frame_bytes: int, nav_ns: int
 ) -> None:
@@ -383,7 +382,7 @@ def schedule_frame(
     end_event(air)
 
 
-@njit(cache=True)
+@inner
 def send_frame(
     air: Air, fading: Doubles, station: int, to: int, what: int, frame_bytes: int, nav_ns: int
 ) -> None:
@@ -399,7 +398,7 @@ def send_frame(
 # --- switching off
 
 
-@njit(cache=True)
+@inner
 def silence(air: Air, station: int) -> None:
     """Switch a station's radio off for good: it no longer sends, responds or receives."""
     row = t.station(air, station)

@@ -1,13 +1,12 @@
 """Event heap of the tables, ordered by time and order of scheduling."""
 
-from numba import njit
-
+from foundation.kernels.inner import inner
 from netsim.model import codes as c
 from netsim.model import tables as t
 from netsim.model.records import Air, ScheduledEvent
 
 
-@njit(cache=True)
+@inner
 def _comes_before(air: Air, i: int, j: int) -> bool:
     one, other = t.event(air, i), t.event(air, j)
     if one.at_ns != other.at_ns:
@@ -15,7 +14,7 @@ def _comes_before(air: Air, i: int, j: int) -> bool:
     return one.order < other.order
 
 
-@njit(cache=True)
+@inner
 def _swap(air: Air, i: int, j: int) -> None:
     one, other = t.event(air, i), t.event(air, j)
     one.at_ns, other.at_ns = other.at_ns, one.at_ns
@@ -28,7 +27,7 @@ def _swap(air: Air, i: int, j: int) -> None:
     one.fourth, other.fourth = other.fourth, one.fourth
 
 
-@njit(cache=True)
+@inner
 def begin_event(air: Air, at_ns: int, what: int, about: int) -> ScheduledEvent:
     """Write an event behind the heap; return it for its further numbers, then call `end_event`."""
     event = t.event(air, air.events)
@@ -36,7 +35,7 @@ def begin_event(air: Air, at_ns: int, what: int, about: int) -> ScheduledEvent:
     return event
 
 
-@njit(cache=True)
+@inner
 def end_event(air: Air) -> int:
     """Add the event of `begin_event` to the heap; return its order, which is unique."""
     i = air.events
@@ -48,14 +47,14 @@ def end_event(air: Air) -> int:
     return air.scheduled
 
 
-@njit(cache=True)
+@inner
 def schedule(air: Air, at_ns: int, what: int, about: int) -> int:
     """Schedule an event without further numbers; return its order."""
     begin_event(air, at_ns, what, about)
     return end_event(air)
 
 
-@njit(cache=True)
+@inner
 def drop_next(air: Air) -> None:
     """Remove the next event."""
     count = air.events - 1
@@ -72,7 +71,7 @@ def drop_next(air: Air) -> None:
         i = child
 
 
-@njit(cache=True)
+@inner
 def is_off(air: Air) -> bool:
     """Whether the next event is cancelled: its station or queue no longer refers to its order."""
     event = t.event(air, 0)

@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from foundation.kernels.inner import inner
 from foundation.kernels.records import Block, opener, record_dtype, table
 from netsim.model import codes as c
 from netsim.model.records import (
@@ -187,7 +188,7 @@ def spare_events(of_stations: int, categories: int) -> int:
     return of_stations * (2 * categories + 2) + 8
 
 
-@njit(cache=True)
+@inner
 def add_call(air: Air, what: int, station: int, job: int) -> UpperCall:
     """Add a call to Python and return its record, which the caller completes."""
     added = call(air, air.calls)
@@ -196,7 +197,7 @@ def add_call(air: Air, what: int, station: int, job: int) -> UpperCall:
     return added
 
 
-@njit(cache=True)
+@inner
 def draw_backoff(air: Air, of_station: int) -> float:
     """Return the next uniform draw in [0, 1) for a station's backoff."""
     drawer = station(air, of_station)
@@ -207,7 +208,7 @@ def draw_backoff(air: Air, of_station: int) -> float:
     return float(draws(air, of_station).backoffs[used])
 
 
-@njit(cache=True)
+@inner
 def draw_reception(air: Air, of_station: int) -> float:
     """Return the next uniform draw in [0, 1) for a station's reception."""
     drawer = station(air, of_station)
@@ -218,7 +219,7 @@ def draw_reception(air: Air, of_station: int) -> float:
     return float(draws(air, of_station).receptions[used])
 
 
-@njit(cache=True)
+@inner
 def take_signal(air: Air) -> int:
     """Allocate a row of signals; the caller ensures that one is free."""
     row = air.free_signal
@@ -229,7 +230,7 @@ def take_signal(air: Air) -> int:
     return row
 
 
-@njit(cache=True)
+@inner
 def end_signal(air: Air, row: int) -> None:
     """End a signal and release its overlapping signals; free rows that are no longer referenced."""
     ended = signal(air, row)
@@ -240,14 +241,14 @@ def end_signal(air: Air, row: int) -> None:
     _free_if_unused(air, row)
 
 
-@njit(cache=True)
+@inner
 def release(air: Air, row: int) -> None:
     """Remove one reference to a signal; free its row if it is over and unreferenced."""
     signal(air, row).references -= 1
     _free_if_unused(air, row)
 
 
-@njit(cache=True)
+@inner
 def _free_if_unused(air: Air, row: int) -> None:
     unused = signal(air, row)
     if unused.over and unused.references == 0:

@@ -19,8 +19,7 @@ which MACs are affected: ``newly_busy`` at the begin of a signal, ``fate`` and `
 
 from math import inf
 
-from numba import njit
-
+from foundation.kernels.inner import inner
 from netsim.model import codes as c
 from netsim.model import tables as t
 from netsim.model.events import begin_event, end_event, schedule
@@ -40,7 +39,7 @@ CAPTURE_RATIO = 10.0**0.5
 CAPTURE_WINDOW_NS = 16_000
 
 
-@njit(cache=True)
+@inner
 def start(air: Air, fading: Doubles, frame: int) -> int:
     """Start a frame now, a row of signals without powers; return the number of `newly_busy` stations.
 
@@ -70,7 +69,7 @@ def start(air: Air, fading: Doubles, frame: int) -> int:
     return newly_busy
 
 
-@njit(cache=True)
+@inner
 def start_burst(air: Air, burst: int) -> int:
     """Start an interferer's burst now, a row of signals with powers; return as `start`."""
     signal = t.signal(air, burst)
@@ -90,7 +89,7 @@ def start_burst(air: Air, burst: int) -> int:
     return newly_busy
 
 
-@njit(cache=True)
+@inner
 def end_burst(air: Air, burst: int) -> None:
     """End an interferer's burst."""
     kept = 0
@@ -103,7 +102,7 @@ def end_burst(air: Air, burst: int) -> None:
     end_signal(air, burst)
 
 
-@njit(cache=True)
+@inner
 def _overlap(air: Air, signal: int) -> None:
     """Record the overlaps of a signal that begins now with the frames on the air, in both directions."""
     for k in range(air.frames_on_air):
@@ -114,7 +113,7 @@ def _overlap(air: Air, signal: int) -> None:
             _add_overlap(air, other, signal)
 
 
-@njit(cache=True)
+@inner
 def _add_overlap(air: Air, signal: int, other: int) -> None:
     overlapped = t.signal(air, signal)
     t.overlap(air, signal, overlapped.overlap_count).signal = other
@@ -122,7 +121,7 @@ def _add_overlap(air: Air, signal: int, other: int) -> None:
     t.signal(air, other).references += 1
 
 
-@njit(cache=True)
+@inner
 def _radiate(air: Air, which: int, sensed_mw: float) -> int:
     """Update the carrier sense of all stations for a signal that begins now.
 
@@ -152,7 +151,7 @@ def _radiate(air: Air, which: int, sensed_mw: float) -> int:
     return count
 
 
-@njit(cache=True)
+@inner
 def find(air: Air, frame: int) -> None:
     """Detect a frame's preamble at all receivers, now.
 
@@ -185,7 +184,7 @@ def find(air: Air, frame: int) -> None:
         row.lock_mw = path.power_mw
 
 
-@njit(cache=True)
+@inner
 def _floor_mw(air: Air, frame: int, r: int, arrival_ns: int) -> float:
     """Return the total power at ``r`` of all other signals present since a frame's arrival."""
     sent = t.signal(air, frame)
@@ -202,7 +201,7 @@ def _floor_mw(air: Air, frame: int, r: int, arrival_ns: int) -> float:
     return floor_mw
 
 
-@njit(cache=True)
+@inner
 def settle(air: Air, frame: int) -> None:
     """Determine the outcomes of a frame that has ended at all stations, and update the stations.
 
@@ -237,7 +236,7 @@ def settle(air: Air, frame: int) -> None:
             end.note = _judge(air, frame, r, end.fate, draw)
 
 
-@njit(cache=True)
+@inner
 def _take_off_air(air: Air, frame: int) -> None:
     """Remove a frame from those on the air, keeping their order."""
     kept = 0
@@ -249,7 +248,7 @@ def _take_off_air(air: Air, frame: int) -> None:
     air.frames_on_air = kept
 
 
-@njit(cache=True)
+@inner
 def _take_note(air: Air, frame: int, r: int, fate: int) -> bool:
     """Update a station that was locked on to a frame at its end; return whether its plan must change."""
     row, sent, path = t.station(air, r), t.signal(air, frame), t.path(air, frame, r)
@@ -272,7 +271,7 @@ def _take_note(air: Air, frame: int, r: int, fate: int) -> bool:
     return upset
 
 
-@njit(cache=True)
+@inner
 def _judge(air: Air, frame: int, r: int, fate: int, draw: float) -> int:
     """Return the outcome at an intended receiver: `DELIVERED`, `COLLIDED` or `LOST`."""
     if fate == c.RECEIVED:
@@ -286,7 +285,7 @@ def _judge(air: Air, frame: int, r: int, fate: int, draw: float) -> int:
     return c.LOST
 
 
-@njit(cache=True)
+@inner
 def conclude(air: Air, frame: int) -> None:
     """Count and record a frame that has ended, and end its transmission at the sender.
 
@@ -316,7 +315,7 @@ def conclude(air: Air, frame: int) -> None:
 # --- unused reservations
 
 
-@njit(cache=True)
+@inner
 def look_for_unused(air: Air, frame: int) -> None:
     """Schedule a NAV reset at stations that detected no frame after the one that set it (10.3.2.4)."""
     sent = t.signal(air, frame)
@@ -330,7 +329,7 @@ def look_for_unused(air: Air, frame: int) -> None:
     release(air, frame)
 
 
-@njit(cache=True)
+@inner
 def drop_reservation(air: Air, r: int, end_here_ns: int, until_ns: int) -> bool:
     """Reset the NAV if it is unchanged and still unused; return whether it was reset."""
     row = t.station(air, r)
@@ -340,7 +339,7 @@ def drop_reservation(air: Air, r: int, end_here_ns: int, until_ns: int) -> bool:
     return False
 
 
-@njit(cache=True)
+@inner
 def loudest(air: Air, station: int, oldest_ns: int, turn: int) -> int:
     """Return a neighbour received since ``oldest_ns``; `codes.NOTHING` without any.
 

@@ -9,14 +9,14 @@ channel, which is more sensitive than the standard requires for wide channels.
 """
 
 import numpy as np
-from numba import njit
 
+from foundation.kernels.inner import inner
 from netsim.model import codes as c
 from netsim.model import tables as t
 from netsim.model.records import Air, Station
 
 
-@njit(cache=True)
+@inner
 def occupy(row: Station, from_ns: int, until_ns: int) -> bool:
     """Extend a station's busy period; return False if it already covers the time."""
     if from_ns > row.busy_until_ns:
@@ -31,7 +31,7 @@ def occupy(row: Station, from_ns: int, until_ns: int) -> bool:
     return True
 
 
-@njit(cache=True)
+@inner
 def energy_until_ns(air: Air, signal: int, r: int, arrival_ns: int, last_ns: int) -> int:
     """Return the time until which the total power at ``r`` exceeds the energy threshold; 0 if it does not.
 
@@ -70,7 +70,7 @@ def energy_until_ns(air: Air, signal: int, r: int, arrival_ns: int, last_ns: int
     return 0
 
 
-@njit(cache=True)
+@inner
 def begin_sending(row: Station, from_ns: int, until_ns: int) -> None:
     """Record the begin of a station's transmission; a reception under way is aborted."""
     row.locked_frame = c.NOTHING
@@ -79,20 +79,20 @@ def begin_sending(row: Station, from_ns: int, until_ns: int) -> None:
     row.sensed_at_start_ns = _sensed_ns(row, from_ns)
 
 
-@njit(cache=True)
+@inner
 def end_sending(row: Station) -> None:
     """Record the end of a station's transmission, after it has ended at all stations."""
     row.sent_alone_ns += _sending_alone_ns(row, row.sending_until_ns)
     row.sending_from_ns = row.sending_until_ns
 
 
-@njit(cache=True)
+@inner
 def surveyed_ns(row: Station, at_ns: int) -> int:
     """Return the time up to now, ``at_ns``, for which the medium was sensed busy or the station sent."""
     return _sensed_ns(row, at_ns) + row.sent_alone_ns + _sending_alone_ns(row, at_ns)
 
 
-@njit(cache=True)
+@inner
 def _sensed_ns(row: Station, at_ns: int) -> int:
     """Return the time up to ``at_ns`` for which the medium was sensed busy.
 
@@ -105,7 +105,7 @@ def _sensed_ns(row: Station, at_ns: int) -> int:
     return row.ended_busy_ns - max(0, row.idle_before_ns - at_ns)
 
 
-@njit(cache=True)
+@inner
 def _sending_alone_ns(row: Station, at_ns: int) -> int:
     """Return the time up to ``at_ns`` of the current own transmission in which no signal was sensed."""
     until_ns, from_ns = min(at_ns, row.sending_until_ns), row.sending_from_ns

@@ -7,8 +7,8 @@ rate, mode 0.
 from math import exp
 
 import numpy as np
-from numba import njit
 
+from foundation.kernels.inner import inner
 from netsim.model import tables as t
 from netsim.model.records import Air, PhyModeRow
 from netsim.phy.errors import hazard_per_bit
@@ -22,18 +22,18 @@ VHT_SIGNAL_BITS = 72
 """Bits of L-SIG and VHT-SIG-A."""
 
 
-@njit(cache=True)
+@inner
 def clean_mw(air: Air, mode: int) -> float:
     """Return the power from which a frame without interference is received with certainty."""
     return max(t.mode(air, SIGNAL_MODE).clean_linear, t.mode(air, mode).clean_linear) * air.noise_mw
 
 
-@njit(cache=True)
+@inner
 def _hazard_per_bit(mode: PhyModeRow, sinr: float) -> float:
     return hazard_per_bit(mode.log_hazards[: mode.hazard_count], mode.clean_linear, sinr)
 
 
-@njit(cache=True)
+@inner
 def alone(air: Air, frame: int, power_mw: float) -> float:
     """Return the probability that a frame is received without interference, signal field included."""
     sent = t.signal(air, frame)
@@ -45,7 +45,7 @@ def alone(air: Air, frame: int, power_mw: float) -> float:
     return exp(-hazard) if hazard > 0.0 else 1.0
 
 
-@njit(cache=True)
+@inner
 def among_others(air: Air, frame: int, r: int) -> float:
     """Return the probability that a frame is received with interference at receiver ``r``."""
     power_mw = t.path(air, frame, r).power_mw
@@ -55,7 +55,7 @@ def among_others(air: Air, frame: int, r: int) -> float:
     return exp(-hazard) if hazard > 0.0 else 1.0
 
 
-@njit(cache=True)
+@inner
 def _hazard(air: Air, frame: int, r: int, power_mw: float) -> float:
     sent, delay_ns = t.signal(air, frame), t.path(air, frame, r).delay_ns
     signal_mode, mode = t.mode(air, SIGNAL_MODE), t.mode(air, sent.mode)
