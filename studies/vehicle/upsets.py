@@ -140,7 +140,6 @@ def _true_state(solo: Solo) -> EstimatorState:
     """Return the truth as an estimate, for the controller that causes the upset."""
     truth = solo.world.truth
     return estimate(
-        time_us=solo.now_us,
         pos_ned_m=truth.pos_ned_m[0],
         vel_ned_m_s=truth.vel_ned_m_s[0],
         q_ned_frd=truth.q_ned_frd[0],

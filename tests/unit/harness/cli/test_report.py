@@ -6,7 +6,7 @@ import pytest
 from paths import SCENARIOS
 
 from harness.cli import report
-from harness.launch.one_process import fly
+from harness.launch.one_process import OneProcessSwarm
 from harness.scenario.scenario import load
 
 
@@ -14,7 +14,10 @@ from harness.scenario.scenario import load
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run") / "flown"
     overrides = ["run.duration_s=2", "antenna.snapshot_rate_hz=2", "antenna.grid_deg=6"]
-    fly(load(SCENARIOS / "article.toml", overrides), folder, draw=True)
+    with OneProcessSwarm(load(SCENARIOS / "article.toml", overrides), out=folder) as swarm:
+        swarm.run_until_formed(timeout_s=60.0)
+        swarm.run_for(2.0)
+        swarm.summary(draw=True)
     return folder
 
 

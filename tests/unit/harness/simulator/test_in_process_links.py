@@ -73,7 +73,7 @@ def test_another_emulator_serves_the_radios_and_the_time_master():
     radios = [InProcessRadio(emulator, station) for station in range(2)]
     client = EmulatorClient(InProcessEmulatorLine(emulator, radios), period_us=PERIOD_US)
     radios[0].send(PERIOD_US, [Broadcast(seq=5, at_us=PERIOD_US, payload=b"abc")])
-    client.begin(PERIOD_US, STEP_US, TRUTH, senders=(0,))
+    client.begin(PERIOD_US, STEP_US, TRUTH, senders=(0,), extra_attenuation_db=0.0, range_offsets_m={})
     assert client.end() == ()
     assert client.delivered(2 * PERIOD_US) == (1,)
     (item,) = radios[1].receive(2 * PERIOD_US)
