@@ -118,9 +118,10 @@ def _pointer(context: Any, builder: ir.IRBuilder, place: ir.Value, record: types
 
 
 def _uncompiled(begin: str, dtype: np.dtype[np.void], columns: str | None) -> Callable[..., Any]:
-    def record_at(header: Any, row: int, column: int = 0) -> object:  # noqa: ANN401 - a record's base
+    def record_at(header: np.record, row: int, column: int = 0) -> object:
+        view: Any = header.base
         if columns is not None:
             row = row * header[columns] + column
-        return np.ndarray(1, dtype, header.base.base, header[begin] + row * dtype.itemsize)[0]
+        return np.ndarray(1, dtype, view.base, header[begin] + row * dtype.itemsize)[0]
 
     return record_at

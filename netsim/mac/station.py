@@ -346,7 +346,7 @@ def report_group_frame(air: Air, frame: int) -> None:
 
 
 @inner
-def _report_frame(air: Air, frame: int, station: int, again: bool) -> None:  # noqa: FBT001 - kernels take positions
+def _report_frame(air: Air, frame: int, station: int, again: int) -> None:
     """Report a frame to the upper layer of a station; ``again``: it is a duplicate."""
     sent, path = t.signal(air, frame), t.path(air, frame, station)
     call = add_call(air, c.FRAME, station, sent.job)
