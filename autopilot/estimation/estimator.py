@@ -47,7 +47,7 @@ class Estimator:
     """
 
     def __init__(self, params: EstimatorParams, clock: Clock | None = None) -> None:
-        """``clock`` is the vehicle's, whose ``estimate_us`` the estimator owns; None creates one."""
+        """``clock`` is that of the vehicle; the estimator writes its ``estimate_us``. None creates one."""
         self.clock = Clock() if clock is None else clock
         self._params = params
         self._alignment = Alignment(params)

@@ -83,7 +83,7 @@ def advance(
     """Append a sample to the ring buffer and advance the filter to the newest sample outside the delay.
 
     The sample's interval of length ``dt_s`` > 0 begins at the time of the last sample and ends at
-    ``time_us``. ``block`` (1,) of `HORIZON`, whose estimate is advanced by the new sample; ``samples``
+    ``time_us``. ``block`` (1,) of `HORIZON`; its estimate is advanced by the new sample; ``samples``
     (capacity,) of `SAMPLE`. Returns the horizon's time, or NOT_FINITE for a rejected sample, which changes
     nothing.
     """

@@ -47,7 +47,7 @@ class SensorInput:
     """Passes messages to the estimator and stores the last ones for telemetry."""
 
     def __init__(self, estimator: Estimator, params: SensorsParams, clock: Clock) -> None:
-        """``clock`` is the vehicle's, whose ``inertial_us`` this object owns."""
+        """``clock`` is that of the vehicle; this object writes its ``inertial_us``."""
         self.sensor: Message | None = None
         """The last HIL_SENSOR of sensor 0."""
         self.baro: Message | None = None

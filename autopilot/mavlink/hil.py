@@ -112,7 +112,7 @@ TO_VEHICLE: tuple[type[HilMessage], ...] = (HilSensor, HilGps, EscReport)
 
 
 class _Codec:
-    """Packs and unpacks one type of message by its schema, whose field order differs from the type's."""
+    """Packs and unpacks one type of message by its schema, in which the fields have another order."""
 
     def __init__(self, kind: type[HilMessage], schema: MessageSchema) -> None:
         self.message_id: Final = schema.message_id

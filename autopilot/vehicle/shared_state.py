@@ -32,7 +32,7 @@ class FastStepLimits(NamedTuple):
     services_us: int
     record_us: int
     aiding_us: int
-    """Only limits steps whose HIL_SENSOR has a magnetic field or a pressure; earlier ones are skipped."""
+    """Only limits steps with a magnetic field or a pressure in HIL_SENSOR; earlier ones are skipped."""
     horizon_us: int
     """Limits the filter's delayed horizon, not the time of the sample; -1: the estimate is not valid."""
 
@@ -46,9 +46,9 @@ LIMITS = np.dtype([(name, "i8") for name in FastStepLimits._fields])
 SHARED_STATE = np.dtype([("clock", CLOCK), ("sequence", "i8"), ("flies", "i8"), ("limits", LIMITS)])
 """``sequence``: number of the next frame to the simulator. ``flies``: whether a fast step continues the last
 trajectory; else the controls are constant."""
-_RUN = Struct("=7q")
-"""``flies`` and the limits, packed at once because single writes to a record are slow."""
-_RUN_AT = CLOCK.itemsize + 8
+_RUN = Struct(f"={1 + len(FastStepLimits._fields)}q")
+"""``flies`` and the limits, the last fields, packed at once because single writes to a record are slow."""
+_RUN_AT = SHARED_STATE.itemsize - _RUN.size
 
 
 class SharedState:

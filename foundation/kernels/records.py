@@ -1,10 +1,10 @@
 """Records and tables of records in memory that compiled and plain Python code share, with named fields.
 
-A record type is declared as a class whose annotations are its fields. `record_dtype` makes the structured
+A record type is declared as a class with its fields as annotations. `record_dtype` makes the structured
 dtype of it, so that kernels, Python code and type checkers use the same names. An array of such records is a
 kernel's argument; ``array[0]`` is a record, in compiled code a plain pointer.
 
-Tables whose lengths are only known at run time lie behind each other in one block of int64, which begins with
+Tables with lengths that are only known at run time follow each other in one block of int64, which begins with
 a header record. `opener` returns a function that opens the header of a block, `table` one that returns the
 records of a table. In compiled code both are a few instructions, without any reference counting: the caller
 of a compiled function holds the block until it returns, so a record must not outlive the call.

@@ -26,16 +26,8 @@ from msgspec import Struct
 from foundation.kernels.cache_folder import PACKAGES, VARIABLE, digest, environment, folder, own_base
 
 __all__ = [
-    "PACKAGES",
-    "VARIABLE",
-    "CompileError",
-    "CompileProgress",
-    "Compilers",
-    "digest",
-    "environment",
-    "folder",
-    "prepare",
-    "prepare_flight",
+    "PACKAGES", "VARIABLE", "CompileError", "CompileProgress", "Compilers", "digest", "environment", "folder",
+    "prepare", "prepare_flight",
 ]  # fmt: skip
 
 COMPILE_LIMIT_S = 600.0

@@ -97,7 +97,7 @@ class _Flight:
             for config, radio in zip(vehicles, radios, strict=True)
         ]
 
-        def meet(simulation: Simulation) -> Lockstep:
+        def make_lockstep(simulation: Simulation) -> Lockstep:
             return Lockstep(
                 links=self.links,
                 watchdog=ResponseWatchdog(physics.scenario.run.silence_limit_s),
@@ -107,7 +107,9 @@ class _Flight:
             )
 
         self._simulation = stack.enter_context(
-            contextlib.closing(Simulation(physics, meet=meet, emulator=emulator, emit=self._emit_event))
+            contextlib.closing(
+                Simulation(physics, make_lockstep=make_lockstep, emulator=emulator, emit=self._emit_event)
+            )
         )
 
     def kill(self, name: str) -> None:

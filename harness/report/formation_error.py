@@ -74,12 +74,21 @@ def formation_error(flight: Flight) -> FormationError:
     )
 
 
+def rotation_rad(flown: NDArray[np.complex128], desired: NDArray[np.complex128]) -> Array:
+    """Return the clockwise rotations (T,) that align the desired with the flown places best.
+
+    Both are (T, N) or, if constant, (N,), in metres relative to their mean, as complex numbers north + j
+    east. This is the closed form of Kabsch's problem in the plane: the angle of sum_i a_i^* b_i, with a_i
+    desired and b_i flown.
+    """
+    angle_rad: Array = np.angle((desired.conj() * flown).sum(axis=1))
+    return angle_rad
+
+
 def _align(flight: Flight) -> tuple[Array, Array]:
     """Return the desired places (T, N, 3) aligned with the flown ones, and the rotation angle (T,).
 
-    Kabsch's problem in the plane has a closed form: the angle of sum_i a_i^* b_i, with the places a_i and
-    positions b_i relative to their means as complex numbers north + j east. The best translation
-    maps mean to mean.
+    The best translation maps mean to mean.
     """
     counted = flight.alive[..., np.newaxis]
     living = np.maximum(counted.sum(axis=1, keepdims=True), 1)
@@ -90,7 +99,7 @@ def _align(flight: Flight) -> tuple[Array, Array]:
 
     flown = pos_ned_m[..., 0] + 1j * pos_ned_m[..., 1]
     desired = desired_ned_m[..., 0] + 1j * desired_ned_m[..., 1]
-    yaw_rad = np.angle((desired.conj() * flown).sum(axis=1))
+    yaw_rad = rotation_rad(flown, desired)
     turned = desired * np.exp(1j * yaw_rad)[:, np.newaxis]
     return np.stack([turned.real, turned.imag, desired_ned_m[..., 2]], axis=-1) + pos_mean_ned_m, yaw_rad
 

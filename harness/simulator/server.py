@@ -265,7 +265,7 @@ def serve(
 
     met: list[Lockstep] = []
 
-    def meet(simulation: Simulation) -> Lockstep:
+    def make_lockstep(simulation: Simulation) -> Lockstep:
         lockstep = Lockstep(
             listeners,
             own_listener=own_listener,
@@ -288,7 +288,7 @@ def serve(
                 line, period_us=scenario.onboard.loop_period_us, asynchronous=asynchronous
             )
         simulation = stack.enter_context(
-            contextlib.closing(Simulation(config, meet=meet, emulator=emulator, emit=emit))
+            contextlib.closing(Simulation(config, make_lockstep=make_lockstep, emulator=emulator, emit=emit))
         )
         if has_px4 and radio_endpoint is not None:
             from harness.simulator.application_reports import relayed  # noqa: PLC0415  imports Zenoh

@@ -55,7 +55,7 @@ _RECORDED_OF_TRUTH = ("pos_ned_m", "vel_ned_m_s", "q_ned_frd", "omega_frd_rad_s"
 class Simulation:
     """World, wind, sensors, vehicles and radio channel, stepped together.
 
-    ``meet`` returns the vehicles' lockstep, which calls this object's `on_message`, `on_silent` and
+    ``make_lockstep`` returns the vehicles' lockstep, which calls this object's `on_message`, `on_silent` and
     `on_lost`. ``emit`` receives the events. Raises OSError if a log cannot be written.
     """
 
@@ -63,7 +63,7 @@ class Simulation:
         self,
         config: PhysicsConfig,
         *,
-        meet: Callable[["Simulation"], Lockstep],
+        make_lockstep: Callable[["Simulation"], Lockstep],
         emulator: EmulatorClient | None,
         emit: Callable[[AnyEvent], None],
         physics: PhysicsFactory = World,
@@ -130,7 +130,7 @@ class Simulation:
             self._truth_log = keep(contextlib.closing(RecordLog(config.truth_log_path, TRUTH_RECORD)))
             self._air_log = keep(contextlib.closing(RecordLog(config.air_log_path, AIR_RECORD)))
             self._event_log = keep(Path(config.event_log_path).open("wb", buffering=0))  # noqa: SIM115
-            self.lockstep = keep(contextlib.closing(meet(self)))
+            self.lockstep = keep(contextlib.closing(make_lockstep(self)))
             self._open = stack.pop_all()
 
     @property

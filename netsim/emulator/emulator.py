@@ -30,7 +30,7 @@ from netsim.model.tables import Integers
 from netsim.phy.fading import make_fading
 from netsim.phy.frames import DATA_OVERHEAD_BYTES, GROUP, UDP_OVERHEAD_BYTES, FrameKind
 from netsim.phy.interfaces import FadingFactory, PropagationFactory
-from netsim.phy.path_gain import make_propagation
+from netsim.phy.path_gain import PathGain
 from netsim.phy.propagation import Links, Trajectories, is_possible
 from netsim.phy.signals import Transmission
 from netsim.wire.messages import (
@@ -65,7 +65,7 @@ class Emulator:
         stations: int,
         seed: np.random.SeedSequence,
         on_transmission: Callable[[Transmission], None] | None = None,
-        propagation: PropagationFactory = make_propagation,
+        propagation: PropagationFactory = PathGain,
         fading: FadingFactory = make_fading,
     ) -> None:
         self._vehicles = stations - len(config.guests)

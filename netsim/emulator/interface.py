@@ -51,7 +51,7 @@ class NetworkEmulator(Protocol):
         """
 
     def missing(self, request: Advance) -> set[Station]:
-        """Return the senders of an interval, silent ones excepted, whose batches have not been submitted."""
+        """Return the senders of an interval, silent ones excepted, that have not submitted their batches."""
 
     def advance(self, request: Advance) -> dict[Station, RxBatch]:
         """Simulate up to ``request.to_us`` and return the deliveries by station, none for silent stations.

@@ -6,13 +6,13 @@ The functions are compiled and work on the tables of `netsim.model.tables`.
 from foundation.kernels.inner import inner
 from netsim.mac.access_parameters import SIFS_NS
 from netsim.model import tables as t
-from netsim.model.records import Air
+from netsim.model.records import MediumHeader
 from netsim.phy.frames import ACK_BYTES, CTS_BYTES, GROUP, RTS_BYTES
 from netsim.phy.modes import SERVICE_AND_TAIL_BITS, SYMBOL_NS, VHT_DELIMITER_BYTES
 
 
 @inner
-def duration_ns(air: Air, mode: int, frame_bytes: int) -> int:
+def duration_ns(air: MediumHeader, mode: int, frame_bytes: int) -> int:
     """Return the air time of a frame: see `netsim.phy.modes.PhyMode.duration_ns`."""
     phy = t.mode(air, mode)
     length = frame_bytes + VHT_DELIMITER_BYTES * phy.vht
@@ -21,7 +21,7 @@ def duration_ns(air: Air, mode: int, frame_bytes: int) -> int:
 
 
 @inner
-def response_ns(air: Air, job: int) -> int:
+def response_ns(air: MediumHeader, job: int) -> int:
     """Return the time from the end of a job's frame to the end of its ACK; 0 for a group frame."""
     if t.job(air, job).to == GROUP:
         return 0
@@ -30,21 +30,21 @@ def response_ns(air: Air, job: int) -> int:
 
 
 @inner
-def data_ns(air: Air, job: int) -> int:
+def data_ns(air: MediumHeader, job: int) -> int:
     """Return the time from the beginning of a job's frame to the end of its ACK."""
     mode, frame_bytes = t.job(air, job).mode, t.job(air, job).frame_bytes
     return duration_ns(air, mode, frame_bytes) + response_ns(air, job)
 
 
 @inner
-def cts_ns(air: Air) -> int:
+def cts_ns(air: MediumHeader) -> int:
     """Return the air time of a CTS."""
     mode = t.mode(air, air.control_mode).response_mode
     return duration_ns(air, mode, CTS_BYTES)
 
 
 @inner
-def exchange_ns(air: Air, job: int) -> int:
+def exchange_ns(air: MediumHeader, job: int) -> int:
     """Return the duration of a job's exchange, RTS and CTS included."""
     if not t.job(air, job).rts:
         return data_ns(air, job)

@@ -21,14 +21,14 @@ from netsim.model import codes as c
 from netsim.model import tables as t
 from netsim.model.event_queue import NEVER_NS
 from netsim.model.events import schedule
-from netsim.model.records import Air
+from netsim.model.records import MediumHeader
 from netsim.model.tables import add_call, draw_backoff
 
 # --- queues
 
 
 @inner
-def push(air: Air, q: int, job: int) -> None:
+def push(air: MediumHeader, q: int, job: int) -> None:
     """Append a job to a queue."""
     queue = t.queue(air, q)
     t.job(air, job).next_job = c.NOTHING
@@ -41,7 +41,7 @@ def push(air: Air, q: int, job: int) -> None:
 
 
 @inner
-def give_up(air: Air, q: int, outcome: int) -> None:
+def give_up(air: MediumHeader, q: int, outcome: int) -> None:
     """Remove the first job of a queue and report its outcome."""
     queue = t.queue(air, q)
     job = queue.first_job
@@ -53,13 +53,13 @@ def give_up(air: Air, q: int, outcome: int) -> None:
 
 
 @inner
-def _report_done(air: Air, q: int, job: int, outcome: int) -> None:
+def _report_done(air: MediumHeader, q: int, job: int, outcome: int) -> None:
     call = add_call(air, c.DONE, q // air.categories, job)
     call.detail, call.source = outcome, c.NOTHING
 
 
 @inner
-def drop_expired(air: Air, q: int) -> None:
+def drop_expired(air: MediumHeader, q: int) -> None:
     """Remove expired and cancelled jobs from the head of a queue."""
     queue = t.queue(air, q)
     while queue.first_job != c.NOTHING:
@@ -70,7 +70,7 @@ def drop_expired(air: Air, q: int) -> None:
 
 
 @inner
-def is_full(air: Air, station: int) -> bool:
+def is_full(air: MediumHeader, station: int) -> bool:
     """Whether a station's queues are full after removing expired frames."""
     if t.station(air, station).queued_frames >= air.queue_frames:
         k = air.categories
@@ -81,7 +81,7 @@ def is_full(air: Air, station: int) -> bool:
 
 
 @inner
-def watch(air: Air, q: int, expires_ns: int) -> None:
+def watch(air: MediumHeader, q: int, expires_ns: int) -> None:
     """Schedule the check for expired frames at ``expires_ns``, earlier than the scheduled one."""
     queue = t.queue(air, q)
     queue.deadline_ns = expires_ns
@@ -89,14 +89,14 @@ def watch(air: Air, q: int, expires_ns: int) -> None:
 
 
 @inner
-def unwatch(air: Air, q: int) -> None:
+def unwatch(air: MediumHeader, q: int) -> None:
     """Cancel the check for expired frames."""
     queue = t.queue(air, q)
     queue.deadline_event, queue.deadline_ns = 0, NEVER_NS
 
 
 @inner
-def on_deadline(air: Air, q: int) -> None:
+def on_deadline(air: MediumHeader, q: int) -> None:
     """Remove all expired frames of a queue except one whose exchange is under way."""
     unwatch(air, q)
     queue, station = t.queue(air, q), t.station(air, q // air.categories)
@@ -126,7 +126,7 @@ def on_deadline(air: Air, q: int) -> None:
 
 
 @inner
-def _back_off(air: Air, q: int) -> None:
+def _back_off(air: MediumHeader, q: int) -> None:
     """Draw a new backoff, uniform in 0..CW slots."""
     queue = t.queue(air, q)
     draw = draw_backoff(air, q // air.categories)
@@ -135,7 +135,7 @@ def _back_off(air: Air, q: int) -> None:
 
 
 @inner
-def succeeded(air: Air, q: int) -> None:
+def succeeded(air: MediumHeader, q: int) -> None:
     """Reset the contention window and back off, after a success or at the retry limit (10.3.3)."""
     queue = t.queue(air, q)
     queue.window = queue.window_min
@@ -143,7 +143,7 @@ def succeeded(air: Air, q: int) -> None:
 
 
 @inner
-def fail(air: Air, q: int) -> None:
+def fail(air: MediumHeader, q: int) -> None:
     """Double the contention window and back off after a failed exchange.
 
     The frame is dropped if its retry limit is exceeded or its lifetime is over.
@@ -162,7 +162,7 @@ def fail(air: Air, q: int) -> None:
 
 
 @inner
-def freeze(air: Air, station: int, from_ns: int) -> None:
+def freeze(air: MediumHeader, station: int, from_ns: int) -> None:
     """Freeze all backoffs: the medium is busy from ``from_ns``; accesses until then still take place."""
     t.station(air, station).planned = False
     k = air.categories
@@ -172,7 +172,7 @@ def freeze(air: Air, station: int, from_ns: int) -> None:
 
 
 @inner
-def _freeze_queue(air: Air, q: int, from_ns: int) -> None:
+def _freeze_queue(air: MediumHeader, q: int, from_ns: int) -> None:
     """Subtract the elapsed slots from a queue's backoff."""
     queue = t.queue(air, q)
     if queue.access_event:
@@ -193,7 +193,7 @@ def _freeze_queue(air: Air, q: int, from_ns: int) -> None:
 
 
 @inner
-def contend(air: Air, station: int, q: int, job: int) -> None:
+def contend(air: MediumHeader, station: int, q: int, job: int) -> None:
     """Enqueue a frame, and plan its access if it is the first."""
     queue, now = t.queue(air, q), air.now_ns
     queue.in_use = True
@@ -214,7 +214,7 @@ def contend(air: Air, station: int, q: int, job: int) -> None:
 
 
 @inner
-def _is_busy(air: Air, station: int) -> bool:
+def _is_busy(air: MediumHeader, station: int) -> bool:
     now, row = air.now_ns, t.station(air, station)
     return (
         row.current_queue != c.NOTHING
@@ -225,7 +225,7 @@ def _is_busy(air: Air, station: int) -> bool:
 
 
 @inner
-def resume(air: Air, station: int) -> None:
+def resume(air: MediumHeader, station: int) -> None:
     """Plan each queue's next access from the state of the medium; to be called after each change of it."""
     now, row = air.now_ns, t.station(air, station)
     if row.current_queue != c.NOTHING or row.sending_until_ns > now or row.radio_off:
@@ -255,7 +255,7 @@ def resume(air: Air, station: int) -> None:
 
 
 @inner
-def _plan(air: Air, q: int, base_ns: int) -> None:
+def _plan(air: MediumHeader, q: int, base_ns: int) -> None:
     """Plan one queue's access to a medium that is idle, AIFS included, from ``base_ns``."""
     queue = t.queue(air, q)
     queue.slots_from_ns = base_ns
@@ -268,7 +268,7 @@ def _plan(air: Air, q: int, base_ns: int) -> None:
 
 
 @inner
-def win(air: Air, q: int) -> int:
+def win(air: MediumHeader, q: int) -> int:
     """Return the queue that gets the access planned by ``q``, or `codes.NOTHING`.
 
     It may be a queue of higher priority of the same station.
@@ -293,7 +293,7 @@ def win(air: Air, q: int) -> int:
 
 
 @inner
-def _collide_inside(air: Air, station: int, q: int) -> int:
+def _collide_inside(air: MediumHeader, station: int, q: int) -> int:
     """Resolve an internal collision: the queue of highest priority wins, the access of the others fails."""
     k = air.categories
     winner = c.NOTHING

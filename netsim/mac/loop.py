@@ -14,7 +14,7 @@ from netsim.mac.contention import contend, is_full, on_deadline
 from netsim.model import codes as c
 from netsim.model import tables as t
 from netsim.model.events import drop_next, is_off
-from netsim.model.records import Air
+from netsim.model.records import MediumHeader
 from netsim.model.tables import Integers, add_call, end_signal, take_signal
 from netsim.phy import medium, sensing
 from netsim.phy.frames import GROUP
@@ -47,7 +47,7 @@ def run(
 
 
 @inner
-def _run_until(air: Air, fading: Doubles, until_ns: int, until_order: int) -> int:
+def _run_until(air: MediumHeader, fading: Doubles, until_ns: int, until_order: int) -> int:
     """Run events; return the reason for stopping."""
     while True:
         if air.due_queue != c.NOTHING:
@@ -63,7 +63,7 @@ def _run_until(air: Air, fading: Doubles, until_ns: int, until_order: int) -> in
 
 
 @inner
-def _next_is_due(air: Air, until_ns: int, until_order: int) -> bool:
+def _next_is_due(air: MediumHeader, until_ns: int, until_order: int) -> bool:
     """Whether there is an event before a time and an order; drops cancelled events."""
     while air.events and is_off(air):
         drop_next(air)
@@ -74,7 +74,7 @@ def _next_is_due(air: Air, until_ns: int, until_order: int) -> bool:
 
 
 @inner
-def _run_next(air: Air, fading: Doubles) -> int:
+def _run_next(air: MediumHeader, fading: Doubles) -> int:
     """Run the next event; return `REACHED`, or what it needs first."""
     event = t.event(air, 0)
     what, about = event.what, event.about
@@ -103,7 +103,7 @@ def _run_next(air: Air, fading: Doubles) -> int:
 
 
 @inner
-def _begin_due(air: Air, fading: Doubles) -> int:
+def _begin_due(air: MediumHeader, fading: Doubles) -> int:
     """Begin the exchange that is due; return `REACHED`, or what it needs first."""
     q = air.due_queue
     if mac.lacks_mode(air, q):
@@ -119,7 +119,7 @@ def _begin_due(air: Air, fading: Doubles) -> int:
 
 
 @inner
-def _lacks_budget(air: Air, sender: int) -> bool:
+def _lacks_budget(air: MediumHeader, sender: int) -> bool:
     """Whether the link budget of a station that sends now has to be computed.
 
     It is valid for a limited time, so it is requested only when a transmission begins.
@@ -129,7 +129,7 @@ def _lacks_budget(air: Air, sender: int) -> bool:
 
 
 @inner
-def has_room(air: Air) -> bool:
+def has_room(air: MediumHeader) -> bool:
     """Whether there are enough draws and free rows for any one event."""
     return (
         not air.draws_low
@@ -140,12 +140,12 @@ def has_room(air: Air) -> bool:
 
 
 @inner
-def _act(air: Air, what: int, about: int) -> None:
+def _act(air: MediumHeader, what: int, about: int) -> None:
     """Run one event that sends nothing."""
     if what == c.END_FRAME:
         _end_frame(air, about)
     elif what == c.DETECT:
-        medium.find(air, about)
+        medium.detect_preambles(air, about)
     elif what == c.ON_ACCESS:
         mac.on_access(air, about)
     elif what == c.START_EXCHANGE:
@@ -163,13 +163,13 @@ def _act(air: Air, what: int, about: int) -> None:
 
 
 @inner
-def _end_frame(air: Air, frame: int) -> None:
+def _end_frame(air: MediumHeader, frame: int) -> None:
     sent = t.signal(air, frame)
     medium.settle(air, frame)
     if sent.to == GROUP:
         mac.report_group_frame(air, frame)
     for r in range(air.stations):
-        if t.end(air, r).fate != c.ABSENT:
+        if t.end(air, r).outcome != c.ABSENT:
             mac.on_end(air, frame, r)
     medium.conclude(air, frame)
     mac.on_sent(air, frame)

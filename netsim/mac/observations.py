@@ -30,8 +30,8 @@ def transmission_of(tables: Tables, row: int, bandwidth_mhz: BandwidthMhz, body:
     powers_mw = tables.budgets["power_mw"][frame.source].copy()
     budget = LinkRow(powers_mw, paths["delay_ns"].copy(), int(signal.longest_delay_ns))
     transmission = Transmission(frame, int(signal.start_ns), budget, paths["power_mw"].copy())
-    notes = tables.ends["note"]
-    transmission.delivered = (notes == c.DELIVERED).nonzero()[0].tolist()
-    transmission.collided = (notes == c.COLLIDED).nonzero()[0].tolist()
-    transmission.lost_to_noise = (notes == c.LOST).nonzero()[0].tolist()
+    outcomes = tables.ends["receiver_outcome"]
+    transmission.delivered = (outcomes == c.DELIVERED).nonzero()[0].tolist()
+    transmission.collided = (outcomes == c.COLLIDED).nonzero()[0].tolist()
+    transmission.lost_to_noise = (outcomes == c.LOST).nonzero()[0].tolist()
     return transmission

@@ -256,7 +256,7 @@ class Radios:
         self._block, self._tables, self._modes.tables = block, tables, tables
         self._call_count: Integers = tables.air["calls"]
         self._jobs_at_end = tables.jobs[_AT_END]
-        self._fates: Integers = tables.ends["fate"]
+        self._outcomes: Integers = tables.ends["outcome"]
         self._delays_ns: Integers = tables.paths["delay_ns"]
         self._powers_mw: Doubles = tables.paths["power_mw"]
 
@@ -335,7 +335,9 @@ class Radios:
     def _report_group_frame(self, job: Job | None, frame: int, source: int, end_ns: int) -> None:
         """Report a group frame that has just ended to its receivers."""
         seq, body = (0, None) if job is None else (job.seq, job.body)
-        stations = [station for station, fate in enumerate(self._fates.tolist()) if fate == c.RECEIVED]
+        stations = [
+            station for station, outcome in enumerate(self._outcomes.tolist()) if outcome == c.RECEIVED
+        ]
         delays_ns, powers_mw = self._delays_ns[frame].tolist(), self._powers_mw[frame].tolist()
         self._on_group_frame(
             GroupReception(

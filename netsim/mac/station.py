@@ -25,7 +25,7 @@ from netsim.mac.contention import drop_expired, fail, freeze, give_up, resume, s
 from netsim.model import codes as c
 from netsim.model import tables as t
 from netsim.model.events import begin_event, end_event, schedule
-from netsim.model.records import Air
+from netsim.model.records import MediumHeader
 from netsim.model.tables import add_call, take_signal
 from netsim.phy import medium
 from netsim.phy.frames import ACK_BYTES, CTS_BYTES, GROUP, RTS_BYTES
@@ -44,7 +44,7 @@ IDLE, AWAITING_CTS, SENDING, AWAITING_ACK = range(4)
 
 
 @inner
-def sender(air: Air, what: int, about: int) -> int:
+def sender(air: MediumHeader, what: int, about: int) -> int:
     """Return the station that sends at an event now; `netsim.model.codes.NOTHING` if it no longer can.
 
     The event is the frame of a job (`SEND_JOB`), whose exchange may have ended meanwhile, or a control frame
@@ -57,7 +57,7 @@ def sender(air: Air, what: int, about: int) -> int:
 
 
 @inner
-def on_access(air: Air, q: int) -> None:
+def on_access(air: MediumHeader, q: int) -> None:
     """Resolve the access planned by ``q`` and make the exchange of the winning queue due."""
     winner = win(air, q)
     if winner != c.NOTHING:
@@ -66,26 +66,26 @@ def on_access(air: Air, q: int) -> None:
 
 
 @inner
-def schedule_access(air: Air, q: int) -> None:
+def schedule_access(air: MediumHeader, q: int) -> None:
     """Make the exchange of a queue's first job due now, if the queue may still send and has one."""
     if _may_send(air, q):
         air.due_queue, air.mode_chosen = q, False
 
 
 @inner
-def _may_send(air: Air, q: int) -> bool:
+def _may_send(air: MediumHeader, q: int) -> bool:
     may = t.station(air, q // air.categories).current_queue == q
     return may and t.queue(air, q).first_job != c.NOTHING
 
 
 @inner
-def lacks_mode(air: Air, q: int) -> bool:
+def lacks_mode(air: MediumHeader, q: int) -> bool:
     """Whether the mode of a queue's next frame has to be chosen before its exchange begins."""
     return t.job(air, t.queue(air, q).first_job).adapts != 0 and air.mode_chosen == 0
 
 
 @inner
-def has_time(air: Air, q: int) -> bool:
+def has_time(air: MediumHeader, q: int) -> bool:
     """Whether the exchange of a queue's first job fits into the current TXOP.
 
     It may not fit in a mode that has just been selected; then it needs a new access.
@@ -97,7 +97,7 @@ def has_time(air: Air, q: int) -> bool:
 
 
 @inner
-def begin(air: Air, fading: Doubles, q: int) -> None:
+def begin(air: MediumHeader, fading: Doubles, q: int) -> None:
     """Begin the exchange of a queue's first job: see `lacks_mode` and `has_time`."""
     station, job = q // air.categories, t.queue(air, q).first_job
     target = _rts_target(air, station, job) if t.job(air, job).rts else c.NOTHING
@@ -114,15 +114,15 @@ def begin(air: Air, fading: Doubles, q: int) -> None:
 
 
 @inner
-def _rts_target(air: Air, station: int, job: int) -> int:
+def _rts_target(air: MediumHeader, station: int, job: int) -> int:
     data = t.job(air, job)
     if data.to != GROUP:
         return data.to
-    return medium.loudest(air, station, air.now_ns - NEIGHBOUR_LIFETIME_NS, data.failures)
+    return medium.neighbour_by_power(air, station, air.now_ns - NEIGHBOUR_LIFETIME_NS, data.failures)
 
 
 @inner
-def send_job(air: Air, fading: Doubles, q: int) -> None:
+def send_job(air: MediumHeader, fading: Doubles, q: int) -> None:
     """Send the data frame of a queue's exchange; requires that the queue may send: see `sender`."""
     station = q // air.categories
     row, queue = t.station(air, station), t.queue(air, q)
@@ -149,7 +149,7 @@ def send_job(air: Air, fading: Doubles, q: int) -> None:
 
 
 @inner
-def _frame(air: Air, kind: int, source: int, to: int, mode: int, frame_bytes: int) -> int:
+def _frame(air: MediumHeader, kind: int, source: int, to: int, mode: int, frame_bytes: int) -> int:
     """Allocate a row of signals for a frame that begins now, and fill the common fields."""
     row = take_signal(air)
     frame = t.signal(air, row)
@@ -163,13 +163,13 @@ def _frame(air: Air, kind: int, source: int, to: int, mode: int, frame_bytes: in
 
 
 @inner
-def _send(air: Air, fading: Doubles, frame: int) -> None:
+def _send(air: MediumHeader, fading: Doubles, frame: int) -> None:
     freeze(air, t.signal(air, frame).source, air.now_ns)
     on_busy(air, frame, medium.start(air, fading, frame))
 
 
 @inner
-def on_busy(air: Air, signal: int, count: int) -> None:
+def on_busy(air: MediumHeader, signal: int, count: int) -> None:
     """Freeze the backoffs of the first ``count`` stations of `records.End.newly_busy`."""
     for k in range(count):
         r = t.end(air, k).newly_busy
@@ -178,7 +178,7 @@ def on_busy(air: Air, signal: int, count: int) -> None:
 
 
 @inner
-def _await_response(air: Air, station: int, frame: int) -> None:
+def _await_response(air: MediumHeader, station: int, frame: int) -> None:
     row = t.station(air, station)
     row.timed_out = False
     at_ns = t.signal(air, frame).end_ns + RESPONSE_TIMEOUT_NS
@@ -186,13 +186,13 @@ def _await_response(air: Air, station: int, frame: int) -> None:
 
 
 @inner
-def _stop_waiting(air: Air, station: int) -> None:
+def _stop_waiting(air: MediumHeader, station: int) -> None:
     row = t.station(air, station)
     row.timed_out, row.timeout_event = False, 0
 
 
 @inner
-def _succeed(air: Air, station: int, outcome: int, end_ns: int) -> None:
+def _succeed(air: MediumHeader, station: int, outcome: int, end_ns: int) -> None:
     """End the exchange with success at ``end_ns``, and begin the next one of the TXOP if it fits."""
     q = t.station(air, station).current_queue
     if q == c.NOTHING:
@@ -204,7 +204,7 @@ def _succeed(air: Air, station: int, outcome: int, end_ns: int) -> None:
 
 
 @inner
-def leave(air: Air, q: int) -> None:
+def leave(air: MediumHeader, q: int) -> None:
     """Release the medium after a success and back off."""
     station = q // air.categories
     row = t.station(air, station)
@@ -214,7 +214,7 @@ def leave(air: Air, q: int) -> None:
 
 
 @inner
-def _goes_on(air: Air, station: int, q: int, start_ns: int) -> bool:
+def _goes_on(air: MediumHeader, station: int, q: int, start_ns: int) -> bool:
     """Schedule the next exchange of a TXOP at ``start_ns`` if there is one that ends within the limit."""
     queue = t.queue(air, q)
     queue.window = queue.window_min
@@ -231,7 +231,7 @@ def _goes_on(air: Air, station: int, q: int, start_ns: int) -> bool:
 
 
 @inner
-def _fail_exchange(air: Air, station: int) -> None:
+def _fail_exchange(air: MediumHeader, station: int) -> None:
     row = t.station(air, station)
     q = row.current_queue
     if q == c.NOTHING:
@@ -248,7 +248,7 @@ def _fail_exchange(air: Air, station: int) -> None:
 
 
 @inner
-def on_timeout(air: Air, station: int) -> None:
+def on_timeout(air: MediumHeader, station: int) -> None:
     """Handle the time-out of a response: the exchange fails unless a frame is being received."""
     row = t.station(air, station)
     row.timeout_event = 0
@@ -263,27 +263,27 @@ def on_timeout(air: Air, station: int) -> None:
 
 
 @inner
-def on_end(air: Air, frame: int, station: int) -> None:
+def on_end(air: MediumHeader, frame: int, station: int) -> None:
     """Process the end of a frame at a station, after the medium has determined its outcome."""
     row, end = t.station(air, station), t.end(air, station)
-    if end.upset and row.planned:
+    if end.replan and row.planned:
         freeze(air, station, air.now_ns)
-    if end.fate == c.RECEIVED and t.signal(air, frame).to == station:
+    if end.outcome == c.RECEIVED and t.signal(air, frame).to == station:
         _receive_own(air, frame, station)
-    if end.fate != c.MISSED and row.timed_out:
+    if end.outcome != c.MISSED and row.timed_out:
         _fail_exchange(air, station)
     on_air_changed(air, station)
 
 
 @inner
-def on_air_changed(air: Air, station: int) -> None:
+def on_air_changed(air: MediumHeader, station: int) -> None:
     """Plan accesses of a station that has no plan."""
     if not t.station(air, station).planned:
         resume(air, station)
 
 
 @inner
-def on_unused(air: Air, station: int) -> None:
+def on_unused(air: MediumHeader, station: int) -> None:
     """Plan accesses of a station again after its NAV has been reset."""
     if t.station(air, station).planned:
         freeze(air, station, air.now_ns)
@@ -291,7 +291,7 @@ def on_unused(air: Air, station: int) -> None:
 
 
 @inner
-def on_sent(air: Air, frame: int) -> None:
+def on_sent(air: MediumHeader, frame: int) -> None:
     """Continue after the own frame of a station has ended at all receivers."""
     sent = t.signal(air, frame)
     station = sent.source
@@ -306,7 +306,7 @@ def on_sent(air: Air, frame: int) -> None:
 
 
 @inner
-def _receive_own(air: Air, frame: int, station: int) -> None:
+def _receive_own(air: MediumHeader, frame: int, station: int) -> None:
     row, sent, path = t.station(air, station), t.signal(air, frame), t.path(air, frame, station)
     kind, source = sent.kind, sent.source
     end_ns = sent.end_ns + path.delay_ns
@@ -335,10 +335,10 @@ def _receive_own(air: Air, frame: int, station: int) -> None:
 
 
 @inner
-def report_group_frame(air: Air, frame: int) -> None:
+def report_group_frame(air: MediumHeader, frame: int) -> None:
     """Report a group frame that has ended to the upper layer if any station has received it."""
     for station in range(air.stations):
-        if t.end(air, station).fate == c.RECEIVED:
+        if t.end(air, station).outcome == c.RECEIVED:
             sent = t.signal(air, frame)
             call = add_call(air, c.GROUP_FRAME, c.NOTHING, sent.job)
             call.detail, call.source, call.end_ns = frame, sent.source, sent.end_ns
@@ -346,7 +346,7 @@ def report_group_frame(air: Air, frame: int) -> None:
 
 
 @inner
-def _report_frame(air: Air, frame: int, station: int, again: int) -> None:
+def _report_frame(air: MediumHeader, frame: int, station: int, again: int) -> None:
     """Report a frame to the upper layer of a station; ``again``: it is a duplicate."""
     sent, path = t.signal(air, frame), t.path(air, frame, station)
     call = add_call(air, c.FRAME, station, sent.job)
@@ -359,7 +359,7 @@ def _report_frame(air: Air, frame: int, station: int, again: int) -> None:
 
 
 @inner
-def _respond(air: Air, frame: int, end_ns: int, station: int) -> None:
+def _respond(air: MediumHeader, frame: int, end_ns: int, station: int) -> None:
     """Schedule the CTS or ACK of a frame that has ended at this station at ``end_ns``."""
     received = t.signal(air, frame)
     mode = t.mode(air, received.mode).response_mode
@@ -374,7 +374,7 @@ def _respond(air: Air, frame: int, end_ns: int, station: int) -> None:
 
 @inner
 def schedule_frame(
-    air: Air, at_ns: int, station: int, to: int, what: int, frame_bytes: int, nav_ns: int
+    air: MediumHeader, at_ns: int, station: int, to: int, what: int, frame_bytes: int, nav_ns: int
 ) -> None:
     """Schedule `send_frame`."""
     event = begin_event(air, at_ns, c.SEND_FRAME, station)
@@ -384,7 +384,7 @@ def schedule_frame(
 
 @inner
 def send_frame(
-    air: Air, fading: Doubles, station: int, to: int, what: int, frame_bytes: int, nav_ns: int
+    air: MediumHeader, fading: Doubles, station: int, to: int, what: int, frame_bytes: int, nav_ns: int
 ) -> None:
     """Send a control frame, which belongs to no job: see `sender`.
 
@@ -399,7 +399,7 @@ def send_frame(
 
 
 @inner
-def silence(air: Air, station: int) -> None:
+def silence(air: MediumHeader, station: int) -> None:
     """Switch a station's radio off for good: it no longer sends, responds or receives."""
     row = t.station(air, station)
     row.radio_off = True

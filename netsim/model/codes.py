@@ -16,7 +16,7 @@ DETECT, END_FRAME, LOOK_FOR_UNUSED, ON_UNUSED, END_BURST = range(6, 11)
 
 FRAME, GROUP_FRAME, DONE, FAILED, FRAME_ENDED = range(5)
 """FRAME: a unicast data or action frame was received (detail: 1 if a duplicate). GROUP_FRAME: a group frame
-has ended; its receivers are in `records.End.fate` (detail: its row of signals). DONE: a job has ended
+has ended; its receivers are in `records.End.outcome` (detail: its row of signals). DONE: a job has ended
 (detail: its outcome, in the order of `netsim.mac.jobs.JobOutcome`). FAILED: an attempt with rate control was
 not acknowledged. FRAME_ENDED: a frame has ended at all stations."""
 SENT, ACKNOWLEDGED, RETRY_LIMIT, EXPIRED = range(4)
@@ -26,6 +26,10 @@ SENT, ACKNOWLEDGED, RETRY_LIMIT, EXPIRED = range(4)
 ABSENT, MISSED, RECEIVED, BROKE = range(-1, 3)
 """The station is the sender or its radio is off; not locked on to; received; received with errors."""
 NOT_MEANT, DELIVERED, COLLIDED, LOST = range(4)
+
+# --- rows of `netsim.model.tables.on_air`
+
+FRAMES, BURSTS = range(2)
 
 # --- sizes
 

@@ -3,11 +3,11 @@
 from foundation.kernels.inner import inner
 from netsim.model import codes as c
 from netsim.model import tables as t
-from netsim.model.records import Air, ScheduledEvent
+from netsim.model.records import MediumHeader, ScheduledEvent
 
 
 @inner
-def _comes_before(air: Air, i: int, j: int) -> bool:
+def _comes_before(air: MediumHeader, i: int, j: int) -> bool:
     one, other = t.event(air, i), t.event(air, j)
     if one.at_ns != other.at_ns:
         return one.at_ns < other.at_ns
@@ -15,7 +15,7 @@ def _comes_before(air: Air, i: int, j: int) -> bool:
 
 
 @inner
-def _swap(air: Air, i: int, j: int) -> None:
+def _swap(air: MediumHeader, i: int, j: int) -> None:
     one, other = t.event(air, i), t.event(air, j)
     one.at_ns, other.at_ns = other.at_ns, one.at_ns
     one.order, other.order = other.order, one.order
@@ -28,7 +28,7 @@ def _swap(air: Air, i: int, j: int) -> None:
 
 
 @inner
-def begin_event(air: Air, at_ns: int, what: int, about: int) -> ScheduledEvent:
+def begin_event(air: MediumHeader, at_ns: int, what: int, about: int) -> ScheduledEvent:
     """Write an event behind the heap; return it for its further numbers, then call `end_event`."""
     event = t.event(air, air.events)
     event.at_ns, event.order, event.what, event.about = at_ns, air.scheduled + 1, what, about
@@ -36,7 +36,7 @@ def begin_event(air: Air, at_ns: int, what: int, about: int) -> ScheduledEvent:
 
 
 @inner
-def end_event(air: Air) -> int:
+def end_event(air: MediumHeader) -> int:
     """Add the event of `begin_event` to the heap; return its order, which is unique."""
     i = air.events
     air.events += 1
@@ -48,14 +48,14 @@ def end_event(air: Air) -> int:
 
 
 @inner
-def schedule(air: Air, at_ns: int, what: int, about: int) -> int:
+def schedule(air: MediumHeader, at_ns: int, what: int, about: int) -> int:
     """Schedule an event without further numbers; return its order."""
     begin_event(air, at_ns, what, about)
     return end_event(air)
 
 
 @inner
-def drop_next(air: Air) -> None:
+def drop_next(air: MediumHeader) -> None:
     """Remove the next event."""
     count = air.events - 1
     air.events = count
@@ -72,7 +72,7 @@ def drop_next(air: Air) -> None:
 
 
 @inner
-def is_off(air: Air) -> bool:
+def is_off(air: MediumHeader) -> bool:
     """Whether the next event is cancelled: its station or queue no longer refers to its order."""
     event = t.event(air, 0)
     what, about, order = event.what, event.about, event.order

@@ -16,7 +16,7 @@ BUFFERED_DRAWS, LEAST_DRAWS = 64, 16
 """Random draws buffered per station, and the most that one event uses."""
 
 
-class Air:
+class MediumHeader:
     """Header of the block: single numbers of the medium, settings, and the offsets of the tables in bytes."""
 
     stations: int
@@ -80,8 +80,7 @@ class Air:
     call_at: int
     signal_at: int
     overlap_at: int
-    frame_on_air_at: int
-    burst_on_air_at: int
+    on_air_at: int
     path_at: int
 
 
@@ -182,11 +181,11 @@ class Queue:
 class End:
     """Data of one event by station: the effects of a frame's end, or of a signal's begin."""
 
-    fate: int
+    outcome: int
     """Outcome of a frame at this station: `codes.ABSENT` to `codes.BROKE`."""
-    upset: bool
+    replan: bool
     """The end of the frame changes the access plan."""
-    note: int
+    receiver_outcome: int
     """Outcome at an intended receiver: `codes.NOT_MEANT` to `codes.LOST`."""
     newly_busy: int
     """k-th station at which the medium becomes busy, in row k."""

@@ -21,12 +21,12 @@ from netsim.model import codes as c
 from netsim.model.records import (
     BUFFERED_DRAWS,
     LEAST_DRAWS,
-    Air,
     Draws,
     End,
     EndedFrame,
     JobRow,
     Link,
+    MediumHeader,
     Path,
     PhyModeRow,
     Queue,
@@ -42,7 +42,7 @@ Records = NDArray[np.void]
 
 # --- records of the tables, for compiled code
 
-open_air = opener(Air)
+open_air = opener(MediumHeader)
 """``open_air(block)``: the header of a block, which the other functions take."""
 station = table("station_at", Station)
 draws = table("draws_at", Draws)
@@ -62,16 +62,14 @@ signal = table("signal_at", Signal)
 """Signals that are or were on the air."""
 overlap = table("overlap_at", SignalReference, columns="signal_rows")
 """``overlap(air, signal, k)``: the k-th signal that overlaps it, in order of their begin."""
-frame_on_air = table("frame_on_air_at", SignalReference)
-"""Frames on the air now, in order of their begin."""
-burst_on_air = table("burst_on_air_at", SignalReference)
-"""Bursts on the air now, in order of their begin."""
+on_air = table("on_air_at", SignalReference, columns="signal_rows")
+"""``on_air(air, FRAMES or BURSTS of codes, k)``: the frames or bursts on the air, in order of their begin."""
 path = table("path_at", Path, columns="stations")
 """``path(air, signal, station)``"""
 
 # --- whole tables, for Python code
 
-AIR = record_dtype(Air)
+AIR = record_dtype(MediumHeader)
 _SIZES = ("stations", "categories", "event_rows", "job_rows", "signal_rows")
 
 
@@ -79,7 +77,7 @@ class Tables(NamedTuple):
     """Arrays of records, in their order in memory; the header first."""
 
     air: Records
-    """(1,) of `Air`"""
+    """(1,) of `MediumHeader`"""
     stations: Records
     """(n,)"""
     draws: Records
@@ -100,8 +98,8 @@ class Tables(NamedTuple):
     signals: Records
     overlaps: Records
     """(signals, signals)"""
-    frames_on_air: Records
-    bursts_on_air: Records
+    on_air: Records
+    """(2, signals)"""
     paths: Records
     """(signals, n)"""
 
@@ -115,7 +113,7 @@ def _shapes(stations: int, categories: int, events: int, jobs: int, signals: int
         (Station, n), (Draws, n), (Queue, n * categories), (End, n), (Link, (n, n)), (Path, (n, n)),
         (PhyModeRow, c.MODES), (EndedFrame, c.RECORD_ROWS), (ScheduledEvent, events), (JobRow, jobs),
         (UpperCall, calls), (Signal, signals), (SignalReference, (signals, signals)),
-        (SignalReference, signals), (SignalReference, signals), (Path, (signals, n)),
+        (SignalReference, (2, signals)), (Path, (signals, n)),
     ]  # fmt: skip
 
 
@@ -189,7 +187,7 @@ def spare_events(of_stations: int, categories: int) -> int:
 
 
 @inner
-def add_call(air: Air, what: int, station: int, job: int) -> UpperCall:
+def add_call(air: MediumHeader, what: int, station: int, job: int) -> UpperCall:
     """Add a call to Python and return its record, which the caller completes."""
     added = call(air, air.calls)
     air.calls += 1
@@ -198,7 +196,7 @@ def add_call(air: Air, what: int, station: int, job: int) -> UpperCall:
 
 
 @inner
-def draw_backoff(air: Air, of_station: int) -> float:
+def draw_backoff(air: MediumHeader, of_station: int) -> float:
     """Return the next uniform draw in [0, 1) for a station's backoff."""
     drawer = station(air, of_station)
     used = drawer.backoffs_used
@@ -209,7 +207,7 @@ def draw_backoff(air: Air, of_station: int) -> float:
 
 
 @inner
-def draw_reception(air: Air, of_station: int) -> float:
+def draw_reception(air: MediumHeader, of_station: int) -> float:
     """Return the next uniform draw in [0, 1) for a station's reception."""
     drawer = station(air, of_station)
     used = drawer.receptions_used
@@ -220,7 +218,7 @@ def draw_reception(air: Air, of_station: int) -> float:
 
 
 @inner
-def take_signal(air: Air) -> int:
+def take_signal(air: MediumHeader) -> int:
     """Allocate a row of signals; the caller ensures that one is free."""
     row = air.free_signal
     taken = signal(air, row)
@@ -231,7 +229,7 @@ def take_signal(air: Air) -> int:
 
 
 @inner
-def end_signal(air: Air, row: int) -> None:
+def end_signal(air: MediumHeader, row: int) -> None:
     """End a signal and release its overlapping signals; free rows that are no longer referenced."""
     ended = signal(air, row)
     for k in range(ended.overlap_count):
@@ -242,14 +240,14 @@ def end_signal(air: Air, row: int) -> None:
 
 
 @inner
-def release(air: Air, row: int) -> None:
+def release(air: MediumHeader, row: int) -> None:
     """Remove one reference to a signal; free its row if it is over and unreferenced."""
     signal(air, row).references -= 1
     _free_if_unused(air, row)
 
 
 @inner
-def _free_if_unused(air: Air, row: int) -> None:
+def _free_if_unused(air: MediumHeader, row: int) -> None:
     unused = signal(air, row)
     if unused.over and unused.references == 0:
         unused.next_signal = air.free_signal

@@ -14,7 +14,7 @@ delays above SIFS (4.8 km), for which the timing of 802.11 fails and no signal i
 reception after a failed signal field: the receiver stays locked until the frame ends with errors.
 
 The functions are compiled and work on the tables of `netsim.model.tables`. Records of `tables.end` report
-which MACs are affected: ``newly_busy`` at the begin of a signal, ``fate`` and ``upset`` at its end.
+which MACs are affected: ``newly_busy`` at the begin of a signal, ``outcome`` and ``replan`` at its end.
 """
 
 from math import inf
@@ -23,7 +23,7 @@ from foundation.kernels.inner import inner
 from netsim.model import codes as c
 from netsim.model import tables as t
 from netsim.model.events import begin_event, end_event, schedule
-from netsim.model.records import Air
+from netsim.model.records import MediumHeader
 from netsim.model.tables import draw_reception, end_signal, release
 from netsim.phy.fading import gain
 from netsim.phy.frames import GROUP
@@ -40,7 +40,7 @@ CAPTURE_WINDOW_NS = 16_000
 
 
 @inner
-def start(air: Air, fading: Doubles, frame: int) -> int:
+def start(air: MediumHeader, fading: Doubles, frame: int) -> int:
     """Start a frame now, a row of signals without powers; return the number of `newly_busy` stations.
 
     The sender's link budget must be valid.
@@ -59,8 +59,8 @@ def start(air: Air, fading: Doubles, frame: int) -> int:
     sent.longest_delay_ns = sender.budget_longest_delay_ns
     _overlap(air, frame)
     for k in range(air.bursts_on_air):
-        _add_overlap(air, frame, t.burst_on_air(air, k).signal)
-    t.frame_on_air(air, air.frames_on_air).signal = frame
+        _add_overlap(air, frame, t.on_air(air, c.BURSTS, k).signal)
+    t.on_air(air, c.FRAMES, air.frames_on_air).signal = frame
     air.frames_on_air += 1
     begin_sending(sender, now, sent.end_ns)
     newly_busy = _radiate(air, frame, air.sensed_mw)
@@ -70,15 +70,15 @@ def start(air: Air, fading: Doubles, frame: int) -> int:
 
 
 @inner
-def start_burst(air: Air, burst: int) -> int:
+def start_burst(air: MediumHeader, burst: int) -> int:
     """Start an interferer's burst now, a row of signals with powers; return as `start`."""
     signal = t.signal(air, burst)
     _overlap(air, burst)
     for k in range(air.bursts_on_air):
-        other = t.burst_on_air(air, k).signal
+        other = t.on_air(air, c.BURSTS, k).signal
         if t.signal(air, other).source != signal.source:
             _add_overlap(air, burst, other)
-    t.burst_on_air(air, air.bursts_on_air).signal = burst
+    t.on_air(air, c.BURSTS, air.bursts_on_air).signal = burst
     air.bursts_on_air += 1
     newly_busy = _radiate(air, burst, inf)
     # its overlaps are needed only now; if kept, each burst would keep all previous ones
@@ -90,23 +90,32 @@ def start_burst(air: Air, burst: int) -> int:
 
 
 @inner
-def end_burst(air: Air, burst: int) -> None:
+def end_burst(air: MediumHeader, burst: int) -> None:
     """End an interferer's burst."""
-    kept = 0
-    for k in range(air.bursts_on_air):
-        other = t.burst_on_air(air, k).signal
-        if other != burst:
-            t.burst_on_air(air, kept).signal = other
-            kept += 1
-    air.bursts_on_air = kept
+    air.bursts_on_air = _remove(air, c.BURSTS, air.bursts_on_air, burst)
     end_signal(air, burst)
 
 
 @inner
-def _overlap(air: Air, signal: int) -> None:
+def _remove(air: MediumHeader, row: int, count: int, signal: int) -> int:
+    """Remove a signal from the first ``count`` of a row of `tables.on_air`, keeping their order.
+
+    Returns the new count.
+    """
+    kept = 0
+    for k in range(count):
+        other = t.on_air(air, row, k).signal
+        if other != signal:
+            t.on_air(air, row, kept).signal = other
+            kept += 1
+    return kept
+
+
+@inner
+def _overlap(air: MediumHeader, signal: int) -> None:
     """Record the overlaps of a signal that begins now with the frames on the air, in both directions."""
     for k in range(air.frames_on_air):
-        other = t.frame_on_air(air, k).signal
+        other = t.on_air(air, c.FRAMES, k).signal
         frame = t.signal(air, other)
         if frame.end_ns + frame.longest_delay_ns > air.now_ns:
             _add_overlap(air, signal, other)
@@ -114,7 +123,7 @@ def _overlap(air: Air, signal: int) -> None:
 
 
 @inner
-def _add_overlap(air: Air, signal: int, other: int) -> None:
+def _add_overlap(air: MediumHeader, signal: int, other: int) -> None:
     overlapped = t.signal(air, signal)
     t.overlap(air, signal, overlapped.overlap_count).signal = other
     overlapped.overlap_count += 1
@@ -122,7 +131,7 @@ def _add_overlap(air: Air, signal: int, other: int) -> None:
 
 
 @inner
-def _radiate(air: Air, which: int, sensed_mw: float) -> int:
+def _radiate(air: MediumHeader, which: int, sensed_mw: float) -> int:
     """Update the carrier sense of all stations for a signal that begins now.
 
     The signal is sensed by itself from ``sensed_mw``. Returns the number of `newly_busy` stations: those
@@ -152,7 +161,7 @@ def _radiate(air: Air, which: int, sensed_mw: float) -> int:
 
 
 @inner
-def find(air: Air, frame: int) -> None:
+def detect_preambles(air: MediumHeader, frame: int) -> None:
     """Detect a frame's preamble at all receivers, now.
 
     Detection requires the least power, and 4 dB above the noise and all other signals since the arrival. A
@@ -185,7 +194,7 @@ def find(air: Air, frame: int) -> None:
 
 
 @inner
-def _floor_mw(air: Air, frame: int, r: int, arrival_ns: int) -> float:
+def _floor_mw(air: MediumHeader, frame: int, r: int, arrival_ns: int) -> float:
     """Return the total power at ``r`` of all other signals present since a frame's arrival."""
     sent = t.signal(air, frame)
     floor_mw = 0.0
@@ -202,83 +211,71 @@ def _floor_mw(air: Air, frame: int, r: int, arrival_ns: int) -> float:
 
 
 @inner
-def settle(air: Air, frame: int) -> None:
+def settle(air: MediumHeader, frame: int) -> None:
     """Determine the outcomes of a frame that has ended at all stations, and update the stations.
 
-    In `records.End`, ``fate`` becomes the outcome at each station, ``note`` that at intended receivers:
+    In `records.End`, ``outcome`` is that at each station, ``receiver_outcome`` that at intended receivers:
     delivered, collided (it would have been received without other signals) or lost. One draw decides whether
     it is received, and whether it would have been without the others; there is no draw if reception is
-    certain. ``upset`` marks stations that must plan their accesses again: after an error, at the end of EIFS,
-    with a longer NAV.
+    certain. ``replan`` marks stations that must plan their accesses again: after an error, at the end of
+    EIFS, with a longer NAV.
     """
-    _take_off_air(air, frame)
+    air.frames_on_air = _remove(air, c.FRAMES, air.frames_on_air, frame)
     sent = t.signal(air, frame)
     doubtful_mw = inf if sent.overlap_count else clean_mw(air, sent.mode)
     for r in range(air.stations):
         row, end, power_mw = t.station(air, r), t.end(air, r), t.path(air, frame, r).power_mw
-        end.note, end.upset = c.NOT_MEANT, False
+        end.receiver_outcome, end.replan = c.NOT_MEANT, False
         if r == sent.source or row.radio_off:
-            end.fate = c.ABSENT
+            end.outcome = c.ABSENT
             continue
         draw = -1.0
         if row.locked_frame != sent.number:
-            end.fate = c.MISSED
+            end.outcome = c.MISSED
         else:
-            end.fate = c.RECEIVED
+            end.outcome = c.RECEIVED
             if power_mw < doubtful_mw:
                 survival = among_others(air, frame, r)
                 if survival < 1.0:
                     draw = draw_reception(air, r)
                     if draw >= survival:
-                        end.fate = c.BROKE
-            end.upset = _take_note(air, frame, r, end.fate)
+                        end.outcome = c.BROKE
+            end.replan = _update_receiver(air, frame, r, end.outcome)
         if sent.to in (r, GROUP):
-            end.note = _judge(air, frame, r, end.fate, draw)
+            end.receiver_outcome = _receiver_outcome(air, frame, r, end.outcome, draw)
 
 
 @inner
-def _take_off_air(air: Air, frame: int) -> None:
-    """Remove a frame from those on the air, keeping their order."""
-    kept = 0
-    for k in range(air.frames_on_air):
-        other = t.frame_on_air(air, k).signal
-        if other != frame:
-            t.frame_on_air(air, kept).signal = other
-            kept += 1
-    air.frames_on_air = kept
-
-
-@inner
-def _take_note(air: Air, frame: int, r: int, fate: int) -> bool:
+def _update_receiver(air: MediumHeader, frame: int, r: int, outcome: int) -> bool:
     """Update a station that was locked on to a frame at its end; return whether its plan must change."""
     row, sent, path = t.station(air, r), t.signal(air, frame), t.path(air, frame, r)
     end_here_ns = sent.end_ns + path.delay_ns
     row.locked_frame = c.NOTHING
-    if fate == c.BROKE:
+    if outcome == c.BROKE:
         row.last_error_ns = end_here_ns
         return True
-    upset = row.last_error_ns != 0
+    replan = row.last_error_ns != 0
     row.last_error_ns = 0
     is_answer = sent.kind in (c.CTS, c.ACK)
     # other stations than the addressed one set their NAV
     if r != sent.to and sent.nav_ns and end_here_ns + sent.nav_ns > row.nav_until_ns:
         row.nav_until_ns = end_here_ns + sent.nav_ns
         row.nav_set_by = sent.to if is_answer else sent.source
-        upset = True
+        replan = True
     if not is_answer:
         link = t.link(air, r, sent.source)
         link.last_received_ns, link.last_received_mw = end_here_ns, path.power_mw
-    return upset
+    return replan
 
 
 @inner
-def _judge(air: Air, frame: int, r: int, fate: int, draw: float) -> int:
+def _receiver_outcome(air: MediumHeader, frame: int, r: int, outcome: int, draw: float) -> int:
     """Return the outcome at an intended receiver: `DELIVERED`, `COLLIDED` or `LOST`."""
-    if fate == c.RECEIVED:
+    if outcome == c.RECEIVED:
         return c.DELIVERED
     power_mw = t.path(air, frame, r).power_mw
     if t.signal(air, frame).overlap_count and power_mw >= air.preamble_mw:
-        if fate != c.BROKE:
+        if outcome != c.BROKE:
             draw = draw_reception(air, r)
         if draw < alone(air, frame, power_mw):
             return c.COLLIDED
@@ -286,7 +283,7 @@ def _judge(air: Air, frame: int, r: int, fate: int, draw: float) -> int:
 
 
 @inner
-def conclude(air: Air, frame: int) -> None:
+def conclude(air: MediumHeader, frame: int) -> None:
     """Count and record a frame that has ended, and end its transmission at the sender.
 
     Schedules the check for an unused reservation.
@@ -304,11 +301,11 @@ def conclude(air: Air, frame: int) -> None:
     outcomes = record.outcomes
     outcomes[0] = outcomes[1] = outcomes[2] = 0
     for r in range(air.stations):
-        note = t.end(air, r).note
-        if note != c.NOT_MEANT:
-            outcomes[note - 1] += 1
+        outcome = t.end(air, r).receiver_outcome
+        if outcome != c.NOT_MEANT:
+            outcomes[outcome - 1] += 1
             if sent.kind == c.DATA and sent.to == GROUP:
-                t.station(air, r).broadcasts[note - 1] += 1
+                t.station(air, r).broadcasts[outcome - 1] += 1
     end_sending(t.station(air, sent.source))
 
 
@@ -316,7 +313,7 @@ def conclude(air: Air, frame: int) -> None:
 
 
 @inner
-def look_for_unused(air: Air, frame: int) -> None:
+def look_for_unused(air: MediumHeader, frame: int) -> None:
     """Schedule a NAV reset at stations that detected no frame after the one that set it (10.3.2.4)."""
     sent = t.signal(air, frame)
     for r in range(air.stations):
@@ -330,7 +327,7 @@ def look_for_unused(air: Air, frame: int) -> None:
 
 
 @inner
-def drop_reservation(air: Air, r: int, end_here_ns: int, until_ns: int) -> bool:
+def drop_reservation(air: MediumHeader, r: int, end_here_ns: int, until_ns: int) -> bool:
     """Reset the NAV if it is unchanged and still unused; return whether it was reset."""
     row = t.station(air, r)
     if row.nav_until_ns == until_ns and row.last_detection_ns <= end_here_ns:
@@ -340,7 +337,7 @@ def drop_reservation(air: Air, r: int, end_here_ns: int, until_ns: int) -> bool:
 
 
 @inner
-def loudest(air: Air, station: int, oldest_ns: int, turn: int) -> int:
+def neighbour_by_power(air: MediumHeader, station: int, oldest_ns: int, turn: int) -> int:
     """Return a neighbour received since ``oldest_ns``; `codes.NOTHING` without any.
 
     ``turn`` selects cyclically among them, in order of falling received power and then of their numbers.

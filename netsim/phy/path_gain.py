@@ -8,7 +8,6 @@ import numpy as np
 from netsim.model.config import RadioConfig
 from netsim.model.random_streams import RandomStreams
 from netsim.phy.antenna import direct_coupling, reflected_coupling, unpolarised_source_coupling
-from netsim.phy.interfaces import Propagation
 from netsim.phy.path_loss import (
     REFERENCE_DISTANCE_M,
     Complexes,
@@ -23,11 +22,6 @@ from netsim.phy.shadowing import Shadowing
 
 ALL = slice(None)
 """Selects all stations as sources."""
-
-
-def make_propagation(config: RadioConfig, streams: RandomStreams) -> Propagation:
-    """Return the propagation model that the settings select."""
-    return PathGain(config, streams)
 
 
 class PathGain:

@@ -20,7 +20,7 @@ from netsim.phy.antenna import body_z_ned
 from netsim.phy.fading import make_fading
 from netsim.phy.interfaces import Fading, FadingFactory, Propagation, PropagationFactory
 from netsim.phy.obstruction import Obstruction
-from netsim.phy.path_gain import ALL, make_propagation
+from netsim.phy.path_gain import ALL, PathGain
 from netsim.phy.path_loss import REFERENCE_DISTANCE_M, SPEED_OF_LIGHT_M_S, Doubles, Vector, friis_loss_db
 
 __all__ = [
@@ -236,7 +236,7 @@ class Links:
         stations: int,
         streams: RandomStreams,
         *,
-        propagation: PropagationFactory = make_propagation,
+        propagation: PropagationFactory = PathGain,
         fading: FadingFactory = make_fading,
     ) -> None:
         self._config = config

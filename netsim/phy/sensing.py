@@ -13,7 +13,7 @@ import numpy as np
 from foundation.kernels.inner import inner
 from netsim.model import codes as c
 from netsim.model import tables as t
-from netsim.model.records import Air, Station
+from netsim.model.records import MediumHeader, Station
 
 
 @inner
@@ -32,7 +32,7 @@ def occupy(row: Station, from_ns: int, until_ns: int) -> bool:
 
 
 @inner
-def energy_until_ns(air: Air, signal: int, r: int, arrival_ns: int, last_ns: int) -> int:
+def energy_until_ns(air: MediumHeader, signal: int, r: int, arrival_ns: int, last_ns: int) -> int:
     """Return the time until which the total power at ``r`` exceeds the energy threshold; 0 if it does not.
 
     To be called for a signal that arrives now, lasts until ``last_ns`` and is not sensed by itself. The

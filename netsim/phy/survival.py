@@ -10,7 +10,7 @@ import numpy as np
 
 from foundation.kernels.inner import inner
 from netsim.model import tables as t
-from netsim.model.records import Air, PhyModeRow
+from netsim.model.records import MediumHeader, PhyModeRow
 from netsim.phy.errors import hazard_per_bit
 from netsim.phy.modes import NON_HT_PREAMBLE_NS
 
@@ -23,7 +23,7 @@ VHT_SIGNAL_BITS = 72
 
 
 @inner
-def clean_mw(air: Air, mode: int) -> float:
+def clean_mw(air: MediumHeader, mode: int) -> float:
     """Return the power from which a frame without interference is received with certainty."""
     return max(t.mode(air, SIGNAL_MODE).clean_linear, t.mode(air, mode).clean_linear) * air.noise_mw
 
@@ -34,7 +34,7 @@ def _hazard_per_bit(mode: PhyModeRow, sinr: float) -> float:
 
 
 @inner
-def alone(air: Air, frame: int, power_mw: float) -> float:
+def alone(air: MediumHeader, frame: int, power_mw: float) -> float:
     """Return the probability that a frame is received without interference, signal field included."""
     sent = t.signal(air, frame)
     mode = t.mode(air, sent.mode)
@@ -46,7 +46,7 @@ def alone(air: Air, frame: int, power_mw: float) -> float:
 
 
 @inner
-def among_others(air: Air, frame: int, r: int) -> float:
+def among_others(air: MediumHeader, frame: int, r: int) -> float:
     """Return the probability that a frame is received with interference at receiver ``r``."""
     power_mw = t.path(air, frame, r).power_mw
     if t.signal(air, frame).overlap_count == 0:
@@ -56,7 +56,7 @@ def among_others(air: Air, frame: int, r: int) -> float:
 
 
 @inner
-def _hazard(air: Air, frame: int, r: int, power_mw: float) -> float:
+def _hazard(air: MediumHeader, frame: int, r: int, power_mw: float) -> float:
     sent, delay_ns = t.signal(air, frame), t.path(air, frame, r).delay_ns
     signal_mode, mode = t.mode(air, SIGNAL_MODE), t.mode(air, sent.mode)
     start_ns, end_ns = sent.start_ns + delay_ns, sent.end_ns + delay_ns

@@ -6,6 +6,7 @@ import numpy as np
 from msgspec import Struct
 
 from harness.records.flight import Array
+from harness.report.formation_error import rotation_rad
 from studies.codesign.measures import TRACK_PERIOD_S
 
 SMOOTHED_S = 1.0
@@ -62,15 +63,12 @@ def shape_errors_ne_m(track_ne_m: Array, places_ned_m: Array) -> Array:
 
 
 def _aligned(track_ne_m: Array, places_ned_m: Array) -> tuple[Array, Array]:
-    """Return the errors of `shape_errors_ne_m` and the removed rotations (T,) as unit complex numbers.
-
-    The best rotation of `harness.report.formation_error`, with north + j east as complex numbers.
-    """
+    """Return the errors of `shape_errors_ne_m` and the removed rotations (T,) as unit complex numbers."""
     places = places_ned_m[:, 0] + 1j * places_ned_m[:, 1]
     flown = places + track_ne_m[..., 0] + 1j * track_ne_m[..., 1]
     flown -= flown.mean(axis=1, keepdims=True)
     desired = places - places.mean()
-    turn = np.exp(1j * np.angle((desired.conj() * flown).sum(axis=1)))
+    turn = np.exp(1j * rotation_rad(flown, desired))
     left = flown * turn[:, None].conj() - desired
     return np.stack((left.real, left.imag), axis=-1), turn
 

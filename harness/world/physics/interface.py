@@ -66,7 +66,7 @@ class PhysicsFactory(Protocol):
         environment: EnvironmentConfig,
         ground_altitude_m: float,
     ) -> Physics:
-        """Return an engine whose vehicles of one ``model`` are at rest and level.
+        """Return an engine with vehicles of one ``model``, at rest and level.
 
         ``spawn_pos_ned_m`` (n, 3): centres of mass; ``spawn_yaw_rad``: heading, clockwise from north;
         ``step_us``: length of a step in us; ``ground_altitude_m``: ground above mean sea level. Raises

@@ -101,7 +101,7 @@ def simulated(tmp_path):
         folder.write_physics_config(SCENARIO, run_id="test").read_bytes(), type=PhysicsConfig
     )
     events = []
-    simulation = Simulation(config, meet=lambda _: _Idle(3), emulator=None, emit=events.append)
+    simulation = Simulation(config, make_lockstep=lambda _: _Idle(3), emulator=None, emit=events.append)
     yield simulation, events, folder
     simulation.close()
 

@@ -59,10 +59,10 @@ def folder(tmp_path):
     return RunFolder.create(tmp_path / "run")
 
 
-def simulation_of(folder, meet, **parts):
+def simulation_of(folder, make_lockstep, **parts):
     path = folder.write_physics_config(SCENARIO, run_id="test")
     config = msgspec.json.decode(path.read_bytes(), type=PhysicsConfig)
-    return Simulation(config, meet=meet, emulator=None, emit=lambda _: None, **parts)
+    return Simulation(config, make_lockstep=make_lockstep, emulator=None, emit=lambda _: None, **parts)
 
 
 def open_files(folder):
@@ -90,13 +90,13 @@ def test_the_lost_are_disarmed_from_their_last_step_on(folder):
 def test_a_failing_handshake_leaves_nothing_open(folder):
     met = []
 
-    def meet(simulation):
+    def make_lockstep(simulation):
         met.append(simulation)
         assert len(open_files(folder)) == 3
         raise OSError("of the test")
 
     with pytest.raises(OSError, match="of the test"):
-        simulation_of(folder, meet)
+        simulation_of(folder, make_lockstep)
     assert open_files(folder) == []
     assert met[0]._world._bullet._client is None
 
