@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from antenna.model.clearance import measure
 from antenna.model.geometry import Array, Complex
 from antenna.solvers.batch.kind import ElementKind
+from antenna.solvers.batch.linear_algebra import eliminate
 from antenna.solvers.batch.moments import ETA_OHM, mirror, turn
 from antenna.solvers.batch.near import find_near, respond_together
 from antenna.solvers.batch.response import NODES
@@ -272,6 +273,6 @@ def repeat(coupling: Complex, source: Complex, answer: Complex) -> None:
         right[i, 0] = source[i]
         for j in range(size):
             matrix[i, j] = (1.0 if i == j else 0.0) - coupling[i, j]
-    solved = np.linalg.solve(matrix, right)
+    eliminate(matrix, right)
     for i in range(size):
-        answer[i] = solved[i, 0]
+        answer[i] = right[i, 0]

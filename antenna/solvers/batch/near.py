@@ -12,6 +12,7 @@ from numba import njit
 from antenna.analysis.maxima import Index
 from antenna.model.geometry import Array, Complex
 from antenna.solvers.batch.kind import ElementKind
+from antenna.solvers.batch.linear_algebra import eliminate
 from antenna.solvers.batch.moments import mirror, turn, write_fields
 
 
@@ -71,12 +72,12 @@ def respond_together(
                 for p in range(count):
                     for q in range(count):
                         matrix[i * count + p, j * count + q] -= driven[p, q]
-    solved = np.linalg.solve(matrix, right)
+    eliminate(matrix, right)
     currents = np.empty((count, m * kept), np.complex128)
     for i in range(m):
         for p in range(count):
             for c in range(m * kept):
-                currents[p, c] = solved[i * count + p, c]
+                currents[p, c] = right[i * count + p, c]
         np.dot(kind.projection, currents, together[i * kept : (i + 1) * kept])
         for c in range(m * kept):
             feeds_a[i, c] = currents[kind.fed, c]
