@@ -8,16 +8,33 @@ torque on a balanced frame.
 """
 
 from math import sqrt
+from typing import Annotated
 
 import numpy as np
 from numba import njit
 
-from autopilot.control.block import Block, new_block
 from autopilot.control.params import AllocationParams
+from foundation.kernels.inner import inner
+from foundation.kernels.records import new_record
 from foundation.types import Array
 
 
-@njit(cache=True)
+class Allocation:
+    """Record: settings and results of control allocation."""
+
+    mix: Annotated[Array, (4, 3)]
+    """Relative thrust of each rotor per normalised roll, pitch and yaw torque."""
+    yaw_thrust_margin: float
+    thrust_model_factor: float
+    thrust: float
+    """Collective thrust of the last allocation, 0..1."""
+    unallocated: Annotated[Array, 3]
+    """Normalised roll, pitch and yaw torque of the last demand that was not achieved."""
+    controls: Annotated[Array, 4]
+    """Motor controls, 0..1."""
+
+
+@inner
 def _yaw_bounds(fixed: Array, yaw: Array, low: float, high: float) -> tuple[float, float]:
     """Return the interval of feasible yaw demands.
 
@@ -43,7 +60,7 @@ def _yaw_bounds(fixed: Array, yaw: Array, low: float, high: float) -> tuple[floa
     return lower, upper
 
 
-@njit(cache=True)
+@inner
 def _extremes(fixed: Array, yaw: Array, y: float) -> tuple[float, float]:
     """Return the least and the greatest element of ``fixed + y * yaw``, (4,) each."""
     least = most = fixed[0] + y * yaw[0]
@@ -54,20 +71,14 @@ def _extremes(fixed: Array, yaw: Array, y: float) -> tuple[float, float]:
 
 
 @njit(cache=True)
-def allocate(
-    thrust: float,
-    torque: Array,
-    mix: Array,
-    yaw_margin: float,
-    highest: float,
-    factor: float,
-    controls: Array,
-    unallocated: Array,
-) -> float:
-    """Compute ``controls`` (4,) and ``unallocated`` (3,); returns the achieved collective.
+def allocate(allocation: Allocation, thrust: float, torque: Array, highest: float) -> None:
+    """Compute the controls, the unallocated torque and the achieved collective.
 
-    Torque may raise the collective up to ``highest``.
+    ``thrust`` 0..1 is collective, ``torque`` (3,) normalised, FRD. Torque may raise the collective up to
+    ``highest``, which must be 0 on the ground.
     """
+    mix, controls, yaw_margin = allocation.mix, allocation.controls, allocation.yaw_thrust_margin
+    factor = allocation.thrust_model_factor
     fixed, yaw = np.empty(4), mix[:, 2]
     for i in range(4):
         fixed[i] = mix[i, 0] * torque[0] + mix[i, 1] * torque[1]
@@ -108,10 +119,10 @@ def allocate(
         else:
             root = sqrt(linear * linear + 4.0 * factor * relative_thrust)
             controls[i] = min((root - linear) / (2.0 * factor), 1.0)
-    unallocated[0] = torque[0] * (1.0 - scale)
-    unallocated[1] = torque[1] * (1.0 - scale)
-    unallocated[2] = torque[2] - y
-    return float(collective)
+    allocation.unallocated[0] = torque[0] * (1.0 - scale)
+    allocation.unallocated[1] = torque[1] * (1.0 - scale)
+    allocation.unallocated[2] = torque[2] - y
+    allocation.thrust = collective
 
 
 def effectiveness(params: AllocationParams) -> Array:
@@ -138,46 +149,28 @@ def mixer(params: AllocationParams) -> Array:
 
 
 class Allocator:
-    """Computes motor controls for a demand, and the part of the demand that they do not achieve."""
+    """Settings and resets of the record; computes motor controls from it."""
 
-    def __init__(self, params: AllocationParams, block: Block | None = None) -> None:
-        block = new_block() if block is None else block
-        self.mix: Array = block["mix"][0]
-        """(4, 3)"""
-        self.unallocated: Array = block["unallocated"][0]
-        """(3,) normalised roll, pitch and yaw torque of the last demand that was not achieved"""
-        self._thrust: Array = block["thrust"]
-        self._yaw_margin: Array = block["yaw_thrust_margin"]
-        self._model_factor: Array = block["thrust_model_factor"]
+    def __init__(self, params: AllocationParams, record: Allocation | None = None) -> None:
+        """None creates a record. Raises ValueError for an infeasible airframe."""
+        self.record = new_record(Allocation) if record is None else record
         self.set_params(params)
-
-    @property
-    def thrust(self) -> float:
-        """Collective thrust of the last allocation, 0..1."""
-        return self._thrust.item()
 
     def set_params(self, params: AllocationParams) -> None:
         """Change the settings, in effect from the next demand.
 
         Raises ValueError for an infeasible airframe.
         """
-        self.mix[:] = mixer(params)
-        self._yaw_margin[0] = params.yaw_thrust_margin
-        self._model_factor[0] = params.thrust_model_factor
+        self.record.mix[:] = mixer(params)
+        self.record.yaw_thrust_margin = params.yaw_thrust_margin
+        self.record.thrust_model_factor = params.thrust_model_factor
 
     def reset(self) -> None:
         """Reset the collective and the unallocated torque to zero."""
-        self._thrust[0] = 0.0
-        self.unallocated[:] = 0.0
+        self.record.thrust = 0.0
+        self.record.unallocated[:] = 0.0
 
     def allocate(self, thrust: float, torque: Array, *, airmode: bool) -> Array:
-        """Return the motor controls (4,), 0..1, for ``thrust`` 0..1 and normalised ``torque`` (3,), FRD.
-
-        ``thrust`` is collective. With ``airmode`` torque may raise it; it must be off on the ground.
-        """
-        controls = np.empty(4)
-        self._thrust[0] = allocate(
-            thrust, torque, self.mix, float(self._yaw_margin[0]), 1.0 if airmode else 0.0,
-            float(self._model_factor[0]), controls, self.unallocated,
-        )  # fmt: skip
-        return controls
+        """Return the motor controls (4,) of `allocate`; with ``airmode`` torque may raise the thrust."""
+        allocate(self.record, thrust, torque, 1.0 if airmode else 0.0)
+        return self.record.controls.copy()

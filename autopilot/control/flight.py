@@ -4,27 +4,20 @@ import math
 from struct import Struct
 
 import numpy as np
-from msgspec.structs import replace
 
 from autopilot.control.allocation import Allocator
-from autopilot.control.attitude import AttitudeController
-from autopilot.control.block import new_block
+from autopilot.control.attitude import set_attitude
 from autopilot.control.cascade import airmode_above, follow_trajectory
-from autopilot.control.disturbance import DisturbanceObserver
-from autopilot.control.hover_thrust import HOVER, HoverThrustEstimator
-from autopilot.control.inner_loop import InnerLoop
+from autopilot.control.disturbance import DisturbanceObserver, observe_disturbance
+from autopilot.control.hover_thrust import HoverThrustEstimator
+from autopilot.control.inner_loop import follow_attitude, follow_rates
 from autopilot.control.params import ControlParams
-from autopilot.control.position import (
-    ACCELERATION,
-    ATTITUDE,
-    COLLECTIVE,
-    THRUST,
-    VELOCITY,
-    PositionController,
-)
+from autopilot.control.position import PositionController
 from autopilot.control.rates import RateController
+from autopilot.control.state import CascadeState
 from autopilot.control.takeoff import TakeoffPhase, TakeoffRamp, demands_climb
 from foundation.geometry.rotations import quat_to_euler
+from foundation.kernels.records import new_records
 from foundation.types import (
     Array,
     AttitudeSetpoint,
@@ -34,9 +27,8 @@ from foundation.types import (
     TrajectorySetpoint,
 )
 
-_ALL = (True, True, True)
-_SAMPLE = Struct("=3dd4?")
-"""Fields of the block up to ``flies``, packed at once because single writes to an array are slow"""
+_SAMPLE = Struct("=4d4q")
+"""Fields of the record up to ``flies``, packed at once because single writes to a record are slow."""
 
 
 class FlightController:
@@ -44,27 +36,31 @@ class FlightController:
 
     def __init__(self, params: ControlParams) -> None:
         self.params = params
-        self.block = block = new_block()
-        """Settings and states of all controllers, for compiled code"""
-        self._controls: Array = block["controls"][0]
-        self._thrust: Array = block["thrust"]
-        self._learned: Array = block["hover"][0]
-        self._updates: Array = block["updates"]
+        self.block = block = new_records(CascadeState)
+        """(1,) settings and states of all controllers, for compiled code"""
+        self._state: CascadeState = block[0]
         self._octets = block.view(np.uint8).data
+        # views, because an attribute of a record takes longer
+        self._updates: Array = block["updates"]
+        self._hover_thrust: Array = block["hover"]["thrust"]
+        self._thrust: Array = block["allocation"]["thrust"]
+        self._controls: Array = block["allocation"]["controls"][0]
+        self._rate_setpoint_frd_rad_s: Array = block["rate_setpoint_frd_rad_s"][0]
+        self._torque: Array = block["torque"][0]
+        self._output = self._state.position.output
         self._position = PositionController(
-            params.position, integral_share=_integral_share(params), block=block
+            params.position, integral_share=_integral_share(params), records=block["position"]
         )
-        self._disturbance = DisturbanceObserver(params.disturbance, block)
-        self._hover = HoverThrustEstimator(params.hover_thrust, start=params.position.thr_hover, block=block)
-        self._rates = RateController(params.rate, block)
-        self._allocator = Allocator(params.allocation, block)
-        self._attitude = AttitudeController(params.attitude, block)
-        self._inner = InnerLoop(block, self._rates, self._allocator)
+        self._disturbance = DisturbanceObserver(params.disturbance, self._state.disturbance)
+        self._hover = HoverThrustEstimator(
+            params.hover_thrust, start=params.position.thr_hover, record=self._state.hover
+        )
+        self._rates = RateController(params.rate, self._state.rates)
+        self._allocator = Allocator(params.allocation, self._state.allocation)
+        set_attitude(self._state.attitude, params.attitude)
         self._takeoff = TakeoffRamp(params.position)
         self._setpoint: TrajectorySetpoint | AttitudeSetpoint | None = None
         """Setpoint in use; None while the motors idle or a rate setpoint is used"""
-        self._decided: Array = block["decided"][0]
-        """Results of the last trajectory setpoint, with the layout of `control_position`"""
         self._yaw_rad: float | None = None
         self._reset_counter = 0
         block["position_divider"] = params.position_divider
@@ -81,7 +77,7 @@ class FlightController:
         self._position.set_params(params.position, integral_share=_integral_share(params))
         self._disturbance.set_params(params.disturbance)
         self._hover.set_params(params.hover_thrust, start=params.position.thr_hover)
-        self._attitude.set_params(params.attitude)
+        set_attitude(self._state.attitude, params.attitude)
         self._rates.set_params(params.rate)
         self._takeoff.set_params(params.position)
         self.block["position_divider"] = params.position_divider
@@ -96,12 +92,12 @@ class FlightController:
     @property
     def rate_setpoint_frd_rad_s(self) -> Array:
         """Rate setpoint (3,), FRD."""
-        return self._inner.rate_setpoint_frd_rad_s.copy()
+        return self._rate_setpoint_frd_rad_s.copy()
 
     @property
     def torque(self) -> Array:
         """Normalised torque demand (3,), FRD."""
-        return self._inner.torque.copy()
+        return self._torque.copy()
 
     @property
     def controls(self) -> list[float]:
@@ -125,7 +121,7 @@ class FlightController:
     @property
     def hover_thrust(self) -> float:
         """Hover thrust estimate, 0..1 of full thrust."""
-        return self._learned.item(HOVER)
+        return self._hover_thrust.item()
 
     @property
     def disturbance_ned_m_s2(self) -> Array:
@@ -140,23 +136,9 @@ class FlightController:
             return setpoint
         idles = self._takeoff.phase is TakeoffPhase.GROUND
         return AttitudeSetpoint(
-            q_ned_frd=self._decided[ATTITUDE].copy(),
+            q_ned_frd=self._output.q_ned_frd.copy(),
             yaw_rate_rad_s=0.0 if idles else setpoint.yaw_rate_rad_s,
-            thrust=float(self._decided[THRUST, COLLECTIVE]),
-        )
-
-    @property
-    def trajectory_setpoint(self) -> TrajectorySetpoint | None:
-        """Trajectory setpoint in use, with the position controller's velocity and acceleration; or None."""
-        if not isinstance(self._setpoint, TrajectorySetpoint):
-            return None
-        return replace(
-            self._setpoint,
-            vel_ned_m_s=self._decided[VELOCITY, :3].copy(),
-            vel_axes=_ALL,
-            acc_ned_m_s2=self._decided[ACCELERATION, :3].copy(),
-            acc_axes=_ALL,
-            yaw_rad=self._yaw_rad,
+            thrust=float(self._output.thrust),
         )
 
     def idle(self) -> None:
@@ -165,7 +147,9 @@ class FlightController:
         self._yaw_rad = None
         self._disturbance.stop_motors()
         self._hover.reset()
-        self._inner.reset()
+        self._rate_setpoint_frd_rad_s[:] = self._torque[:] = 0.0
+        self._rates.reset()
+        self._allocator.reset()
         self._takeoff.reset()
         self._controls[:] = 0.0
 
@@ -189,27 +173,30 @@ class FlightController:
             takeoff.update(landed=landed, demands_climb=climb, dt_s=dt_s)
         if landed:
             self._position.reset()
-            self._rates.reset_integral()
+            self._rates.integral[:] = 0.0
             self._disturbance.reset()
         if isinstance(setpoint, TrajectorySetpoint):
             self._follow(state, setpoint, dt_s=dt_s, landed=landed)
             return self.controls
         self._leave_position()
         self._yaw_rad = None
-        self._disturbance.update(
-            state.acc_ned_m_s2, state.q_ned_frd, thrust=self.thrust,
-            hover_thrust=self.hover_thrust, dt_s=dt_s, observe=not landed and state.velocity_valid,
+        observe_disturbance(
+            self._disturbance.record, state.acc_ned_m_s2, state.q_ned_frd, self.thrust, self.hover_thrust,
+            dt_s, not landed and state.velocity_valid,
         )  # fmt: skip
+        self._rates.start(state.omega_frd_rad_s)
         above = airmode_above(landed, self.params.position.thr_min)
         if isinstance(setpoint, RateSetpoint):
-            self._inner.follow_rates(
-                state.omega_frd_rad_s, setpoint, dt_s=dt_s, integrate=not landed, airmode_above=above
-            )
+            follow_rates(
+                self.block, state.omega_frd_rad_s, setpoint.rate_frd_rad_s, setpoint.thrust, dt_s,
+                not landed, above,
+            )  # fmt: skip
         else:
             self._setpoint = setpoint
-            self._inner.update(
-                state.q_ned_frd, state.omega_frd_rad_s, setpoint, dt_s=dt_s, by_tilt=False,
-                integrate=not landed, airmode_above=above,
+            self.block["by_tilt"] = False
+            follow_attitude(
+                self.block, state.q_ned_frd, state.omega_frd_rad_s, setpoint.q_ned_frd,
+                setpoint.yaw_rate_rad_s, setpoint.thrust, dt_s, not landed, above,
             )  # fmt: skip
         return self.controls
 
@@ -242,11 +229,11 @@ class FlightController:
         """Move the disturbance between observer and integrals, so that the demand stays the same."""
         held_ned_m_s2 = self._disturbance.acc_ned_m_s2.copy()
         if to_observer:
-            held_ned_m_s2 = self._position.integral
+            held_ned_m_s2 = self._position.integral_ned_m_s2.copy()
             norm_m_s2 = math.sqrt(held_ned_m_s2 @ held_ned_m_s2)
             held_ned_m_s2 *= min(self.params.disturbance.acc_max_m_s2 / max(norm_m_s2, 1e-12), 1.0)
         if self._updates[0] > 0:  # else the integrals are not in use and stay zero
-            self._position.add_to_integral(-held_ned_m_s2)
+            self._position.integral_ned_m_s2[:] -= held_ned_m_s2
         self._disturbance.acc_ned_m_s2[:] = -held_ned_m_s2 if to_observer else 0.0
 
     def _leave_position(self) -> None:

@@ -6,49 +6,90 @@ acceleration to thrust by the hover thrust, and limits with priority of the vert
 
 import math
 from struct import Struct
+from typing import Annotated
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from autopilot.control.block import Block, new_block
 from autopilot.control.hover_thrust import GRAVITY_M_S2
 from autopilot.control.params import PositionParams
 from foundation.geometry.rotations import quat_from_dcm
-from foundation.types import Array, AttitudeSetpoint, EstimatorState, TrajectorySetpoint
+from foundation.kernels.inner import inner
+from foundation.kernels.records import Records
+from foundation.types import Array, EstimatorState, TrajectorySetpoint
 
-# rows of the results of `control_position`, and the column of the thrust's magnitude
-VELOCITY, ACCELERATION, THRUST, ATTITUDE = range(4)
-COLLECTIVE = 3
-# rows of its memory
-INTEGRAL, ACC_FILTERED = range(2)
-# its limits
-TILT_MAX, THR_MIN, THR_MAX, THR_XY_MARGIN, VEL_XY_MAX, VEL_UP_MAX, VEL_DOWN_MAX, ACC_CUTOFF = range(8)
 LEAST_THRUST = 1e-6
 """As a fraction of full thrust; a smaller thrust vector has no defined direction."""
 
 
-@njit(cache=True)
-def _velocity_setpoint(
-    setpoint: Array,
-    mask: NDArray[np.bool_],
-    pos: Array,
-    gain: Array,
-    xy_max: float,
-    up_max: float,
-    down_max: float,
-) -> Array:
-    """Return the velocity setpoint (3,), NED: position error times gain, plus feed-forward within the limits.
+_Axes = Annotated[NDArray[np.uint8], 3]
+"""1 on the axes with a setpoint."""
 
-    ``setpoint`` and ``mask`` (3, 3): rows position, velocity, acceleration.
-    """
+
+class PositionSetpoint:
+    """Record: a trajectory setpoint without the axes for which the estimate is invalid."""
+
+    pos_ned_m: Annotated[Array, 3]
+    vel_ned_m_s: Annotated[Array, 3]
+    acc_ned_m_s2: Annotated[Array, 3]
+    pos_axes: _Axes
+    vel_axes: _Axes
+    acc_axes: _Axes
+
+
+class PositionSettings:
+    """Record: gains per axis, NED, and limits of the parameters' names."""
+
+    pos_p: Annotated[Array, 3]
+    vel_p: Annotated[Array, 3]
+    vel_i: Annotated[Array, 3]
+    vel_d: Annotated[Array, 3]
+    tilt_max_rad: float
+    thr_min: float
+    thr_max: float
+    thr_xy_margin: float
+    vel_xy_max_m_s: float
+    vel_up_max_m_s: float
+    vel_down_max_m_s: float
+    acc_cutoff_hz: float
+
+
+class PositionOutput:
+    """Record: results of the last update."""
+
+    vel_ned_m_s: Annotated[Array, 3]
+    """Velocity setpoint; 0 on axes without velocity control."""
+    acc_ned_m_s2: Annotated[Array, 3]
+    """Acceleration setpoint over ground, before the disturbance is subtracted."""
+    thrust_ned: Annotated[Array, 3]
+    """Fraction of full thrust, like the collective thrust."""
+    thrust: float
+    q_ned_frd: Annotated[Array, 4]
+    """Attitude setpoint."""
+
+
+class Position:
+    """Record: all of position and velocity control."""
+
+    settings: PositionSettings
+    setpoint: PositionSetpoint
+    integral_ned_m_s2: Annotated[Array, 3]
+    acc_filtered_ned_m_s2: Annotated[Array, 3]
+    output: PositionOutput
+
+
+@inner
+def _velocity_setpoint(position: Position, pos: Array, up_max: float) -> Array:
+    """Return the velocity setpoint (3,), NED: position error times gain, plus limited feed-forward."""
+    setpoint, settings = position.setpoint, position.settings
+    xy_max, down_max = settings.vel_xy_max_m_s, settings.vel_down_max_m_s
     vel = np.zeros(3)
     feed = np.zeros(3)
     for i in range(3):
-        if mask[0, i]:
-            vel[i] = (setpoint[0, i] - pos[i]) * gain[i]
-        if mask[1, i]:
-            feed[i] = setpoint[1, i]
+        if setpoint.pos_axes[i]:
+            vel[i] = (setpoint.pos_ned_m[i] - pos[i]) * settings.pos_p[i]
+        if setpoint.vel_axes[i]:
+            feed[i] = setpoint.vel_ned_m_s[i]
     speed = math.hypot(vel[0], vel[1])
     if speed >= xy_max:
         vel[0] *= xy_max / speed
@@ -66,9 +107,9 @@ def _velocity_setpoint(
     return vel
 
 
-@njit(cache=True)
+@inner
 def _limited_thrust(
-    acc: Array, hover: float, tilt_max: float, thr_min: float, thr_max: float, xy_margin: float
+    settings: PositionSettings, acc: Array, hover: float
 ) -> tuple[tuple[float, float, float], bool]:
     """Return the NED thrust vector, and whether its horizontal part is limited.
 
@@ -77,6 +118,7 @@ def _limited_thrust(
     margin is limited to the horizontal part of full thrust at the greatest tilt: a greater one would reduce
     vertical thrust without effect.
     """
+    thr_min, thr_max, tilt_max = settings.thr_min, settings.thr_max, settings.tilt_max_rad
     steepest = math.tan(tilt_max)
     demanded_tan = math.hypot(acc[0], acc[1]) / GRAVITY_M_S2
     tilt_tan = min(demanded_tan, steepest)
@@ -84,7 +126,7 @@ def _limited_thrust(
     up = max(hover * (1.0 - acc[2] / GRAVITY_M_S2), thr_min * cosine)
     unlimited = up * demanded_tan
     horizontal = up * tilt_tan
-    kept = min(horizontal, xy_margin, thr_max * math.sin(tilt_max))
+    kept = min(horizontal, settings.thr_xy_margin, thr_max * math.sin(tilt_max))
     up = min(up, math.sqrt(thr_max * thr_max - kept * kept))
     horizontal = min(horizontal, math.sqrt(max(thr_max * thr_max - up * up, 0.0)), up * steepest)
     north, east = 0.0, 0.0
@@ -94,7 +136,7 @@ def _limited_thrust(
     return (north, east, -up), horizontal < unlimited * (1.0 - 1e-9)
 
 
-@njit(cache=True)
+@inner
 def _attitude(thrust_ned: tuple[float, float, float], yaw_rad: float) -> Array:
     """Return q_ned_frd (4,) with -z along the thrust and x along the heading; level if no thrust."""
     norm = math.sqrt(
@@ -115,7 +157,7 @@ def _attitude(thrust_ned: tuple[float, float, float], yaw_rad: float) -> Array:
     return quat_from_dcm(dcm)
 
 
-@njit(cache=True)
+@inner
 def integral_shift_m_s2(old_hover: float, new_hover: float, acc_down_m_s2: float) -> float:
     """Return the change of the vertical integral that keeps thrust constant for a new hover thrust.
 
@@ -124,43 +166,40 @@ def integral_shift_m_s2(old_hover: float, new_hover: float, acc_down_m_s2: float
     return (GRAVITY_M_S2 - acc_down_m_s2) * (1.0 - old_hover / new_hover)
 
 
-@njit(cache=True)
+@inner
 def control_position(
-    setpoint: Array, mask: NDArray[np.bool_], pos: Array, vel: Array, acc: Array, disturbance: Array,
-    hover: float, yaw_rad: float, climb_max: float, dt_s: float,
-    gains: Array, limits: Array, memory: Array, decided: Array,
+    position: Position, pos: Array, vel: Array, acc: Array, disturbance: Array, hover: float, yaw_rad: float,
+    climb_max: float, dt_s: float,
 ) -> None:  # fmt: skip
-    """Compute ``decided`` (4, 4): velocity, acceleration, thrust (3,) with its magnitude, attitude (4,).
+    """Compute the output from the setpoint, the estimate and the disturbance, (3,) each, NED.
 
-    ``gains`` (4, 3): position P, velocity P, I, D; ``limits``: elements `TILT_MAX` and the following;
-    ``memory`` (2, 3), updated in place: integrals and filtered acceleration.
+    An axis without setpoint keeps its velocity (acceleration 0). ``climb_max`` limits the climb in m/s in
+    addition to the settings; it is negative early in the take-off ramp.
     """
-    integral, acc_filtered = memory[INTEGRAL], memory[ACC_FILTERED]
-    alpha = 1.0 - math.exp(-2.0 * math.pi * limits[ACC_CUTOFF] * dt_s)
+    setpoint, settings, output = position.setpoint, position.settings, position.output
+    integral, acc_filtered = position.integral_ned_m_s2, position.acc_filtered_ned_m_s2
+    alpha = 1.0 - math.exp(-2.0 * math.pi * settings.acc_cutoff_hz * dt_s)
     for i in range(3):
         acc_filtered[i] += alpha * (acc[i] - acc_filtered[i])
-    up_max = min(limits[VEL_UP_MAX], climb_max)
-    vel_sp = _velocity_setpoint(
-        setpoint, mask, pos, gains[0], limits[VEL_XY_MAX], up_max, limits[VEL_DOWN_MAX]
-    )
+    vel_sp = _velocity_setpoint(position, pos, min(settings.vel_up_max_m_s, climb_max))
     acc_sp = np.zeros(3)
     error = np.zeros(3)
     for i in range(3):
-        if mask[2, i]:
-            acc_sp[i] = setpoint[2, i]
-        if mask[0, i] or mask[1, i]:
+        if setpoint.acc_axes[i]:
+            acc_sp[i] = setpoint.acc_ned_m_s2[i]
+        if setpoint.pos_axes[i] or setpoint.vel_axes[i]:
             error[i] = vel_sp[i] - vel[i]
-            acc_sp[i] += gains[1, i] * error[i] + integral[i] + gains[3, i] * (acc_sp[i] - acc_filtered[i])
+            damped = settings.vel_d[i] * (acc_sp[i] - acc_filtered[i])
+            acc_sp[i] += settings.vel_p[i] * error[i] + integral[i] + damped
     demand = np.empty(3)
     for i in range(3):
         demand[i] = acc_sp[i] - disturbance[i]
-    thr_min, thr_max = limits[THR_MIN], limits[THR_MAX]
-    thrust, cut = _limited_thrust(demand, hover, limits[TILT_MAX], thr_min, thr_max, limits[THR_XY_MARGIN])
+    thrust, cut = _limited_thrust(settings, demand, hover)
 
     # anti-windup: while thrust is limited, the integral does not follow an error that demands more
     collective = math.sqrt(thrust[0] * thrust[0] + thrust[1] * thrust[1] + thrust[2] * thrust[2])
-    at_least = collective <= thr_min * (1.0 + 1e-9)
-    at_most = collective >= thr_max * (1.0 - 1e-9)
+    at_least = collective <= settings.thr_min * (1.0 + 1e-9)
+    at_most = collective >= settings.thr_max * (1.0 - 1e-9)
     if (at_least and error[2] > 0.0) or (at_most and error[2] < 0.0):
         error[2] = 0.0
     squared = demand[0] * demand[0] + demand[1] * demand[1]
@@ -170,131 +209,61 @@ def control_position(
         error[0] -= more * demand[0]
         error[1] -= more * demand[1]
     for i in range(3):
-        if mask[0, i] or mask[1, i]:
-            integral[i] += error[i] * gains[2, i] * dt_s
+        if setpoint.pos_axes[i] or setpoint.vel_axes[i]:
+            integral[i] += error[i] * settings.vel_i[i] * dt_s
             integral[i] = min(max(integral[i], -GRAVITY_M_S2), GRAVITY_M_S2)
-    for i in range(3):
-        decided[VELOCITY, i], decided[ACCELERATION, i], decided[THRUST, i] = vel_sp[i], acc_sp[i], thrust[i]
-    decided[THRUST, COLLECTIVE] = collective
+        output.vel_ned_m_s[i], output.acc_ned_m_s2[i], output.thrust_ned[i] = vel_sp[i], acc_sp[i], thrust[i]
+    output.thrust = collective
     attitude = _attitude(thrust, yaw_rad)
     for i in range(4):
-        decided[ATTITUDE, i] = attitude[i]
+        output.q_ned_frd[i] = attitude[i]
 
 
 _NO_AXES = (False, False, False)
 _ZERO = (0.0, 0.0, 0.0)
-_ROWS = Struct("=9d")
-"""The block's setpoint, packed at once because single writes to an array are slow"""
-
-
-class PositionOutput:
-    """Results of the position controller, for telemetry."""
-
-    def __init__(self, decided: Array, yaw_rate_rad_s: float) -> None:
-        """Use the results (4, 4) of `control_position`."""
-        self._decided = decided
-        self._yaw_rate_rad_s = yaw_rate_rad_s
-
-    @property
-    def attitude(self) -> AttitudeSetpoint:
-        """Setpoint of the attitude controller."""
-        return AttitudeSetpoint(
-            q_ned_frd=self._decided[ATTITUDE],
-            yaw_rate_rad_s=self._yaw_rate_rad_s,
-            thrust=float(self._decided[THRUST, COLLECTIVE]),
-        )
-
-    @property
-    def vel_ned_m_s(self) -> Array:
-        """Velocity setpoint (3,); 0 on axes whose velocity is not controlled."""
-        return self._decided[VELOCITY, :3]
-
-    @property
-    def acc_ned_m_s2(self) -> Array:
-        """Acceleration setpoint (3,) over ground, before the disturbance is subtracted."""
-        return self._decided[ACCELERATION, :3]
-
-    @property
-    def thrust_ned(self) -> Array:
-        """Thrust vector (3,), NED, as a fraction of full thrust."""
-        return self._decided[THRUST, :3]
+_SETPOINT = Struct("=9d9?")
+"""`PositionSetpoint`, packed at once because single writes to a record are slow."""
 
 
 class PositionController:
-    """Position P and velocity PID with limits and anti-windup; ``integral_share`` scales the I gains."""
+    """Settings, setpoint and resets of the record; ``integral_share`` scales the I gains."""
 
-    def __init__(
-        self, params: PositionParams, *, integral_share: float = 1.0, block: Block | None = None
-    ) -> None:
-        block = new_block() if block is None else block
-        self.gains: Array = block["position_gains"][0]
-        """Layout as in `control_position`, like limits and memory"""
-        self.limits: Array = block["position_limits"][0]
-        self.memory: Array = block["position"][0]
-        self.setpoint: Array = block["setpoint"][0]
-        """Rows position, velocity, acceleration; ``mask`` has the axes in use"""
-        self.mask: NDArray[np.bool_] = block["mask"][0].view(np.bool_)
-        self._setpoint_octets = self.setpoint.reshape(9).data
-        self._mask_octets = block["mask"][0].reshape(9).data
+    def __init__(self, params: PositionParams, *, integral_share: float = 1.0, records: Records) -> None:
+        """``records`` is (1,) of `Position`."""
+        record: Position = records[0]
+        self._record = record
+        self.integral_ned_m_s2 = record.integral_ned_m_s2
+        """(3,) view"""
+        self._setpoint = record.setpoint
+        self._setpoint_octets = records["setpoint"].view(np.uint8).data
         self.set_params(params, integral_share=integral_share)
         self._taken: tuple[TrajectorySetpoint, bool, bool, bool] | None = None
-        """Setpoint and validity flags that ``setpoint`` and ``mask`` were written from."""
+        """Setpoint and validity flags that the record was written from."""
 
     def set_params(self, params: PositionParams, *, integral_share: float = 1.0) -> None:
         """Change the settings, in effect from the next update; integrals and acceleration filter are kept."""
-        p = params
-        self.gains[:] = (
-            (p.xy_p, p.xy_p, p.z_p),
-            (p.xy_vel_p_acc, p.xy_vel_p_acc, p.z_vel_p_acc),
-            (p.xy_vel_i_acc, p.xy_vel_i_acc, p.z_vel_i_acc),
-            (p.xy_vel_d_acc, p.xy_vel_d_acc, p.z_vel_d_acc),
-        )
-        self.gains[2] *= integral_share
-        self.limits[:] = (
-            p.tilt_max_rad, p.thr_min, p.thr_max, p.thr_xy_margin,
-            p.xy_vel_max_m_s, p.z_vel_max_up_m_s, p.z_vel_max_dn_m_s, p.acc_cutoff_hz,
-        )  # fmt: skip
-
-    @property
-    def integral(self) -> Array:
-        """Acceleration (3,) of the integrators, NED, m/s^2."""
-        integral: Array = self.memory[INTEGRAL].copy()
-        return integral
+        p, settings = params, self._record.settings
+        settings.pos_p[:] = (p.xy_p, p.xy_p, p.z_p)
+        settings.vel_p[:] = (p.xy_vel_p_acc, p.xy_vel_p_acc, p.z_vel_p_acc)
+        settings.vel_i[:] = (p.xy_vel_i_acc, p.xy_vel_i_acc, p.z_vel_i_acc)
+        settings.vel_i *= integral_share
+        settings.vel_d[:] = (p.xy_vel_d_acc, p.xy_vel_d_acc, p.z_vel_d_acc)
+        settings.tilt_max_rad, settings.acc_cutoff_hz = p.tilt_max_rad, p.acc_cutoff_hz
+        settings.thr_min, settings.thr_max, settings.thr_xy_margin = p.thr_min, p.thr_max, p.thr_xy_margin
+        settings.vel_xy_max_m_s = p.xy_vel_max_m_s
+        settings.vel_up_max_m_s, settings.vel_down_max_m_s = p.z_vel_max_up_m_s, p.z_vel_max_dn_m_s
 
     def reset(self) -> None:
         """Reset the integrators and the acceleration filter."""
-        self.memory[:] = 0.0
-
-    def add_to_integral(self, acc_ned_m_s2: Array) -> None:
-        """Add an acceleration (3,), m/s^2, NED, to the integrators."""
-        self.memory[INTEGRAL] += acc_ned_m_s2
-
-    def hover_thrust_changed(self, *, old: float, new: float, acc_down_m_s2: float) -> None:
-        """Change the vertical integral so that a new hover thrust does not change the present thrust."""
-        self.memory[INTEGRAL, 2] += integral_shift_m_s2(old, new, acc_down_m_s2)
-
-    def update(
-        self, state: EstimatorState, setpoint: TrajectorySetpoint, *, yaw_rad: float, hover_thrust: float,
-        disturbance_ned_m_s2: Array, climb_max_m_s: float, dt_s: float,
-    ) -> PositionOutput:  # fmt: skip
-        """Compute attitude and thrust for ``setpoint``.
-
-        An axis without setpoint keeps its velocity (acceleration 0). Without a valid position estimate the
-        position axes follow the velocity setpoint, or stop; without a valid velocity estimate only the
-        acceleration is used. A valid height implies a valid vertical velocity. ``climb_max_m_s`` limits the
-        climb in addition to the parameters; it is negative early in the take-off ramp.
-        """
-        self.take(state, setpoint)
-        decided = np.zeros((4, 4))
-        control_position(
-            self.setpoint, self.mask, state.pos_ned_m, state.vel_ned_m_s, state.acc_ned_m_s2,
-            disturbance_ned_m_s2, hover_thrust, yaw_rad, climb_max_m_s, dt_s,
-            self.gains, self.limits, self.memory, decided,
-        )  # fmt: skip
-        return PositionOutput(decided, setpoint.yaw_rate_rad_s)
+        self.integral_ned_m_s2[:] = 0.0
+        self._record.acc_filtered_ned_m_s2[:] = 0.0
 
     def take(self, state: EstimatorState, setpoint: TrajectorySetpoint) -> None:
-        """Write a changed setpoint to the kernel's arrays, without the axes whose estimate is invalid."""
+        """Write a changed setpoint to the record, without the axes for which the estimate is invalid.
+
+        Without a valid position the position axes follow the velocity setpoint, or stop; without a valid
+        velocity only the acceleration is used. A valid height implies a valid vertical velocity.
+        """
         taken = self._taken
         if (
             taken is not None
@@ -304,24 +273,24 @@ class PositionController:
             return
         self._taken = (setpoint, state.position_valid, state.height_valid, state.velocity_valid)
         pos, vel, acc = setpoint.pos_ned_m, setpoint.vel_ned_m_s, setpoint.acc_ned_m_s2
-        _ROWS.pack_into(
+        _SETPOINT.pack_into(
             self._setpoint_octets, 0,
             *(_ZERO if pos is None else pos),
             *(_ZERO if vel is None else vel),
             *(_ZERO if acc is None else acc),
-        )  # fmt: skip
-        self._mask_octets[:] = bytes((
             *(_NO_AXES if pos is None else setpoint.pos_axes),
             *(_NO_AXES if vel is None else setpoint.vel_axes),
             *(_NO_AXES if acc is None else setpoint.acc_axes),
-        ))  # fmt: skip
+        )  # fmt: skip
+        written = self._setpoint
         if not (state.position_valid and state.height_valid):
-            known = np.array((state.position_valid, state.position_valid, state.height_valid))
-            lost = self.mask[0] & ~known
-            self.setpoint[1, lost & ~self.mask[1]] = 0.0
-            self.mask[1] |= lost
-            self.mask[0] &= known
+            for i, valid in enumerate((state.position_valid, state.position_valid, state.height_valid)):
+                if written.pos_axes[i] and not valid:
+                    if not written.vel_axes[i]:
+                        written.vel_ned_m_s[i] = 0.0
+                    written.vel_axes[i], written.pos_axes[i] = True, False
         if not state.velocity_valid:
             # the vertical one comes from barometer and accelerometer and is valid as long as the height is
-            self.mask[:2, :2] = False
-            self.mask[:2, 2] &= state.height_valid
+            written.pos_axes[:2] = written.vel_axes[:2] = False
+            written.pos_axes[2] &= state.height_valid
+            written.vel_axes[2] &= state.height_valid

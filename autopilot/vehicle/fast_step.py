@@ -13,16 +13,16 @@ not later, other values than acceleration and body rates, or implausible ones.
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from autopilot.control.block import Block as Cascade
 from autopilot.control.cascade import follow_trajectory
+from autopilot.control.state import CascadeState
 from autopilot.estimation.horizon import NOT_FINITE, advance
 from autopilot.estimation.horizon import Block as Horizon
 from autopilot.estimation.sensor_input import BARO_FIELDS, IMU_FIELDS, MAG_FIELDS
 from autopilot.mavlink.frame import FIRST, HEADER_BYTES, PAYLOAD, Octets, payload_bytes, seal
 from autopilot.mavlink.hil import HilMessage, HilSensor, unpack
 from autopilot.mavlink.hil_schema import HIL_ACTUATOR_CONTROLS, HIL_SENSOR
+from foundation.kernels.records import Records
 from netsim.wire.lockstep import BATCH_HANDED_OVER
 
 _SENSOR, _SENSOR_ID, _SENSOR_EXTRA = HIL_SENSOR.dtype, HIL_SENSOR.message_id, HIL_SENSOR.crc_extra
@@ -40,13 +40,12 @@ _HANDED_OVER_BIT = BATCH_HANDED_OVER >> 32
 _ROTORS = 4
 _RECEIVE_BYTES = 4096
 US_PER_S = 1_000_000
-Record = NDArray[np.void]
-Blocks = tuple[Record, Horizon, Horizon, Cascade]
+Blocks = tuple[Records, Horizon, Horizon, Records]
 """Those of the shared state, the filter, its waiting samples, and the controller."""
 
 
 @njit(cache=True)
-def within_limits(limits: Record, time_us: int, horizon_us: int, aids: int) -> bool:
+def within_limits(limits: np.void, time_us: int, horizon_us: int, aids: int) -> bool:
     """Return whether a sample of this time reaches none of the limits, a record of `shared_state.LIMITS`.
 
     ``horizon_us`` is the greatest time of the filter's horizon after the sample; ``aids`` is not 0 if a
@@ -67,10 +66,10 @@ def inertial_step(
     size: int,
     incoming: Octets,
     answer: Octets,
-    shared: Record,
+    shared: Records,
     horizon: Horizon,
     samples: Horizon,
-    cascade: Cascade,
+    cascade: Records,
 ) -> bool:
     """Process ``size`` received bytes if they are a fast step, and write the reply.
 
@@ -101,11 +100,11 @@ def inertial_step(
 
     reply = answer[PAYLOAD:_ANSWER_END].view(_ANSWER)[0]
     if state["flies"]:
-        c = cascade[0]
-        c["dt_s"] = (time_us - clock["now_us"]) / US_PER_S  # the other inputs in the block are unchanged
+        c: CascadeState = cascade[0]
+        c.dt_s = (time_us - clock["now_us"]) / US_PER_S  # the other inputs are unchanged
         follow_trajectory(cascade, filtered["estimate"][:])
         for i in range(_ROTORS):
-            reply["controls"][i] = c["controls"][i]
+            reply["controls"][i] = c.allocation.controls[i]
     clock["now_us"] = clock["inertial_us"] = clock["estimate_us"] = time_us
     reply["time_usec"] = time_us
     seal(answer, state["sequence"], _ANSWER_EXTRA)

@@ -95,14 +95,6 @@ def quat_conjugate(q: Array) -> Array:
 
 
 @njit(cache=True)
-def quat_normalise(q: Array) -> Array:
-    """Return the quaternion (4,) normalised to length 1; NaN for the zero quaternion."""
-    unit = np.empty(4)
-    unit[0], unit[1], unit[2], unit[3] = normalise((q[0], q[1], q[2], q[3]))
-    return unit
-
-
-@njit(cache=True)
 def quat_rotate(q_ab: Array, v_b: Array) -> Array:
     """Return the components (3,) in frame a of a vector in frame b."""
     v_a = np.empty(3)

@@ -25,6 +25,7 @@ from numba.np.numpy_support import from_dtype
 from numpy.typing import NDArray
 
 Block = NDArray[np.int64]
+Records = NDArray[np.void]
 R = TypeVar("R")
 Generate = Callable[..., ir.Value]
 """Generates the code of an intrinsic: (context, builder, signature, values)"""
@@ -36,16 +37,28 @@ def record_dtype(record: type) -> np.dtype[np.void]:
     """Return the dtype of a record class: int and bool fields become int64, float fields float64.
 
     A field with several elements is annotated with ``Annotated[NDArray[...], shape]``, where the array's
-    type is that of the elements.
+    type is that of the elements; a field that is a record, with its class.
     """
     fields: list[tuple[Any, ...]] = []
     for name, hint in get_type_hints(record, include_extras=True).items():
         if hint in _WORDS:
             fields.append((name, _WORDS[hint]))
+        elif isinstance(hint, type):
+            fields.append((name, record_dtype(hint)))
         else:
             array, shape = get_args(hint)
             fields.append((name, get_args(get_args(array)[1])[0], shape))
     return np.dtype((np.record, np.dtype(fields, align=True)))
+
+
+def new_records(record: type) -> Records:
+    """Return a (1,) array of a record class, of zeros; its element 0 is the record."""
+    return np.zeros(1, record_dtype(record))
+
+
+def new_record(record: type[R]) -> R:
+    """Return a record of zeros."""
+    return cast("R", new_records(record)[0])
 
 
 def opener(record: type[R]) -> Callable[[Block], R]:

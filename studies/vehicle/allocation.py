@@ -50,8 +50,8 @@ def check_allocation(demands: int, seed: int) -> AllocationResult:
     controls, unallocated, collective = np.empty((demands, 4)), np.empty((demands, 3)), np.empty(demands)
     for k in range(demands):
         controls[k] = allocator.allocate(float(thrusts[k]), torques[k], airmode=bool(airmode[k]))
-        unallocated[k] = allocator.unallocated
-        collective[k] = allocator.thrust
+        unallocated[k] = allocator.record.unallocated
+        collective[k] = allocator.record.thrust
 
     levers = effectiveness(params)[1:]  # (3, 4) N m per N
     scale = levers @ mixer(params) * RANGE_N  # (3, 3) N m per normalised torque

@@ -72,7 +72,7 @@ def test_roll_and_pitch_are_kept_whenever_achievable(thrust, roll, pitch, yaw):
     given_nm = body_torque_nm(allocator.allocate(thrust, torque, airmode=True))[:2]
     if achievable:
         np.testing.assert_allclose(given_nm, wanted_nm, atol=1e-9)
-        assert not allocator.unallocated[:2].any()
+        assert not allocator.record.unallocated[:2].any()
     else:  # less, but in the same direction
         assert given_nm[0] * wanted_nm[1] == pytest.approx(given_nm[1] * wanted_nm[0], abs=1e-9)
         assert np.linalg.norm(given_nm) <= np.linalg.norm(wanted_nm) + 1e-9
@@ -85,12 +85,11 @@ def test_reports_the_achieved_thrust_and_torque(thrust, roll, pitch, yaw, airmod
     torque = np.array((roll, pitch, yaw))
     allocator = Allocator(PARAMS)
     controls = allocator.allocate(thrust, torque, airmode=airmode)
-    given_nm = demanded_torque_nm(torque - allocator.unallocated)
+    given_nm = demanded_torque_nm(torque - allocator.record.unallocated)
     np.testing.assert_allclose(body_torque_nm(controls), given_nm, atol=1e-9)
-    assert np.mean(rotor_thrust_n(controls)) == pytest.approx(
-        IDLE_N + RANGE_N * (allocator.thrust + (mixer(PARAMS) @ (torque - allocator.unallocated)).mean()),
-        abs=1e-9,
-    )
+    achieved = allocator.record
+    relative_thrust = achieved.thrust + (mixer(PARAMS) @ (torque - achieved.unallocated)).mean()
+    assert np.mean(rotor_thrust_n(controls)) == pytest.approx(IDLE_N + RANGE_N * relative_thrust, abs=1e-9)
 
 
 @settings(max_examples=200, deadline=None)
@@ -98,8 +97,8 @@ def test_reports_the_achieved_thrust_and_torque(thrust, roll, pitch, yaw, airmod
 def test_small_demands_are_achieved_completely(thrust, roll, pitch, yaw):
     allocator = Allocator(PARAMS)
     allocator.allocate(thrust, np.array((roll, pitch, yaw)), airmode=False)
-    assert allocator.thrust == pytest.approx(thrust, abs=1e-12)
-    assert not allocator.unallocated.any()
+    assert allocator.record.thrust == pytest.approx(thrust, abs=1e-12)
+    assert not allocator.record.unallocated.any()
 
 
 @settings(max_examples=200, deadline=None)
@@ -107,19 +106,19 @@ def test_small_demands_are_achieved_completely(thrust, roll, pitch, yaw):
 def test_without_airmode_torque_never_adds_thrust(thrust, roll, pitch, yaw):
     allocator = Allocator(PARAMS)
     allocator.allocate(thrust, np.array((roll, pitch, yaw)), airmode=False)
-    assert allocator.thrust <= thrust + 1e-12
+    assert allocator.record.thrust <= thrust + 1e-12
 
 
 def test_yaw_is_reduced_before_roll_and_thrust_by_at_most_its_margin():
     allocator = Allocator(PARAMS)
     allocator.allocate(1.0, np.array((0.0, 0.0, 1.0)), airmode=True)
-    assert allocator.thrust == pytest.approx(1.0 - PARAMS.yaw_thrust_margin)
+    assert allocator.record.thrust == pytest.approx(1.0 - PARAMS.yaw_thrust_margin)
     # the rotors that yaw increases reach 1 when yaw has used the margin: the most used one changes by 1 per
     # unit
-    assert allocator.unallocated[2] == pytest.approx(1.0 - PARAMS.yaw_thrust_margin)
+    assert allocator.record.unallocated[2] == pytest.approx(1.0 - PARAMS.yaw_thrust_margin)
     allocator.allocate(0.5, np.array((0.7, 0.0, 1.0)), airmode=True)
-    assert allocator.unallocated[0] == 0.0
-    assert allocator.unallocated[2] > 0.9
+    assert allocator.record.unallocated[0] == 0.0
+    assert allocator.record.unallocated[2] > 0.9
 
 
 def test_infeasible_airframes_are_rejected():

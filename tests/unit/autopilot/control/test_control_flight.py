@@ -197,8 +197,9 @@ def test_yaw_follows_setpoint_rate_and_holds():
     assert yaw_rad() == pytest.approx(math.remainder(2.0 + 0.5 * 2.0, math.tau), abs=0.1)
     for _ in range(500):
         iris.step(fly(controller, iris, TrajectorySetpoint(pos_ned_m=np.array((0.0, 0.0, -5.0)))), CALM)
-    assert controller.trajectory_setpoint.yaw_rad == pytest.approx(math.remainder(3.0, math.tau), abs=0.01)
-    assert yaw_rad() == pytest.approx(controller.trajectory_setpoint.yaw_rad, abs=0.02)
+    setpoint_rad = controller.block[0].yaw_rad
+    assert setpoint_rad == pytest.approx(math.remainder(3.0, math.tau), abs=0.01)
+    assert yaw_rad() == pytest.approx(setpoint_rad, abs=0.02)
 
 
 def test_a_heading_after_a_reset_of_the_estimate_is_held():
@@ -208,7 +209,7 @@ def test_a_heading_after_a_reset_of_the_estimate_is_held():
     half = math.sqrt(0.5)
     turned = estimate(q_ned_frd=np.array((half, 0.0, 0.0, half)), reset_counter=1)
     controller.update(turned, keep, dt_s=DT_S, landed=False)
-    assert controller.trajectory_setpoint.yaw_rad == pytest.approx(math.pi / 2.0)
+    assert controller.block[0].yaw_rad == pytest.approx(math.pi / 2.0)
 
 
 @pytest.mark.parametrize("divider", [1, 2, 4])
@@ -236,7 +237,6 @@ def test_idle_resets_everything():
     used.idle()
     assert used.controls == [0.0] * 4
     assert used.attitude_setpoint is None
-    assert used.trajectory_setpoint is None
     assert used.thrust == 0.0
     state = iris.estimate()
     for _ in range(5):
@@ -247,14 +247,9 @@ def test_idle_resets_everything():
 def test_telemetry_reports_the_setpoints_in_use():
     controller = FlightController(PARAMS)
     controller.update(estimate(), hold(2.0, yaw_rad=0.5), dt_s=DT_S, landed=False)
-    setpoint = controller.trajectory_setpoint
-    np.testing.assert_array_equal(setpoint.pos_ned_m, (0.0, 0.0, -2.0))
-    assert setpoint.vel_ned_m_s[2] == pytest.approx(-2.0)
-    assert setpoint.yaw_rad == 0.5
     assert controller.attitude_setpoint.thrust > 0.5
     level = AttitudeSetpoint(q_ned_frd=np.array((1.0, 0.0, 0.0, 0.0)), yaw_rate_rad_s=0.0, thrust=0.4)
     controller.update(estimate(), level, dt_s=DT_S, landed=False)
-    assert controller.trajectory_setpoint is None
     assert controller.attitude_setpoint is level
 
 

@@ -4,26 +4,25 @@ import math
 
 import numpy as np
 import pytest
+from control_stages import AttitudeStage, RateStage
 
+from autopilot.control import ControlParams, FlightController
 from autopilot.control.allocation import Allocator
-from autopilot.control.attitude import AttitudeController
-from autopilot.control.block import new_block
-from autopilot.control.inner_loop import InnerLoop
+from autopilot.control.inner_loop import follow_attitude, follow_rates
 from autopilot.control.params import AllocationParams, AttitudeParams, RateParams
-from autopilot.control.rates import RateController
-from foundation.types import AttitudeSetpoint, RateSetpoint
+from autopilot.control.state import CascadeState
+from foundation.types import AttitudeSetpoint
 
 DT_S = 0.004
 
 
 def stages():
-    return AttitudeController(AttitudeParams()), RateController(RateParams()), Allocator(AllocationParams())
+    return AttitudeStage(AttitudeParams()), RateStage(RateParams()), Allocator(AllocationParams())
 
 
-def inner_loop():
-    block = new_block()
-    AttitudeController(AttitudeParams(), block)
-    return InnerLoop(block, RateController(RateParams(), block), Allocator(AllocationParams(), block))
+def cascade():
+    """Return (1,) of `CascadeState` with the default settings."""
+    return FlightController(ControlParams()).block
 
 
 @pytest.mark.parametrize("airmode_above", [math.inf, 0.2])
@@ -32,22 +31,22 @@ def inner_loop():
 def test_equals_the_stages_in_sequence(airmode_above, by_tilt, integrate):
     rng = np.random.default_rng(1)
     attitude, rates, allocator = stages()
-    inner = inner_loop()
+    block = cascade()
+    rates.start(np.zeros(3))
+    inner: CascadeState = block[0]
+    inner.by_tilt = by_tilt
     for _ in range(200):
         q, q_setpoint = rng.normal(size=(2, 4))
         q, q_setpoint = q / np.linalg.norm(q), q_setpoint / np.linalg.norm(q_setpoint)
         omega = rng.normal(size=3)
-        setpoint = AttitudeSetpoint(
-            q_ned_frd=q_setpoint, yaw_rate_rad_s=float(rng.normal()), thrust=float(rng.uniform())
-        )
-        controls = inner.update(
-            q, omega, setpoint, dt_s=DT_S, by_tilt=by_tilt, integrate=integrate, airmode_above=airmode_above
-        )
+        yaw_rate_rad_s, thrust = float(rng.normal()), float(rng.uniform())
+        follow_attitude(block, q, omega, q_setpoint, yaw_rate_rad_s, thrust, DT_S, integrate, airmode_above)
+        setpoint = AttitudeSetpoint(q_ned_frd=q_setpoint, yaw_rate_rad_s=yaw_rate_rad_s, thrust=thrust)
         rate = attitude.update(q, setpoint)
-        torque = rates.update(omega, rate, allocator.unallocated, dt_s=DT_S, integrate=integrate)
-        thrust = setpoint.thrust * (max(attitude.tilt_cosine, 0.0) if by_tilt else 1.0)
-        expected = allocator.allocate(thrust, torque, airmode=setpoint.thrust > airmode_above)
-        np.testing.assert_array_equal(controls, expected)
+        torque = rates.update(omega, rate, allocator.record.unallocated, dt_s=DT_S, integrate=integrate)
+        applied = thrust * (max(attitude.record.tilt_cosine, 0.0) if by_tilt else 1.0)
+        expected = allocator.allocate(applied, torque, airmode=thrust > airmode_above)
+        np.testing.assert_array_equal(inner.allocation.controls, expected)
         np.testing.assert_array_equal(inner.rate_setpoint_frd_rad_s, rate)
         np.testing.assert_array_equal(inner.torque, torque)
 
@@ -57,31 +56,16 @@ def test_equals_the_stages_in_sequence(airmode_above, by_tilt, integrate):
 def test_rate_setpoints_are_limited_like_those_of_the_attitude(airmode_above, integrate):
     rng = np.random.default_rng(2)
     attitude, rates, allocator = stages()
-    inner = inner_loop()
-    limit = attitude.rate_max_rad_s
+    block = cascade()
+    rates.start(np.zeros(3))
+    inner: CascadeState = block[0]
+    limit = attitude.record.rate_max_rad_s
     for _ in range(200):
         omega, demand = rng.normal(size=(2, 3)) * 3.0
-        setpoint = RateSetpoint(rate_frd_rad_s=demand, thrust=float(rng.uniform()))
-        controls = inner.follow_rates(
-            omega, setpoint, dt_s=DT_S, integrate=integrate, airmode_above=airmode_above
-        )
+        thrust = float(rng.uniform())
+        follow_rates(block, omega, demand, thrust, DT_S, integrate, airmode_above)
         rate = np.clip(demand, -limit, limit)
-        torque = rates.update(omega, rate, allocator.unallocated, dt_s=DT_S, integrate=integrate)
-        expected = allocator.allocate(setpoint.thrust, torque, airmode=setpoint.thrust > airmode_above)
-        np.testing.assert_array_equal(controls, expected)
+        torque = rates.update(omega, rate, allocator.record.unallocated, dt_s=DT_S, integrate=integrate)
+        expected = allocator.allocate(thrust, torque, airmode=thrust > airmode_above)
+        np.testing.assert_array_equal(inner.allocation.controls, expected)
         np.testing.assert_array_equal(inner.rate_setpoint_frd_rad_s, rate)
-
-
-def test_a_reset_clears_the_state():
-    inner, fresh = inner_loop(), inner_loop()
-    level = np.array((1.0, 0.0, 0.0, 0.0))
-    setpoint = AttitudeSetpoint(q_ned_frd=level, yaw_rate_rad_s=0.5, thrust=0.5)
-
-    def controls(loop, omega):
-        return loop.update(level, omega, setpoint, dt_s=DT_S, by_tilt=True, integrate=True, airmode_above=0.1)
-
-    for _ in range(50):
-        controls(inner, np.array((1.0, -0.5, 0.3)))
-    inner.reset()
-    assert not inner.torque.any()
-    np.testing.assert_array_equal(controls(inner, np.zeros(3)), controls(fresh, np.zeros(3)))

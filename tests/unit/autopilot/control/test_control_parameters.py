@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 from control_fixtures import DT_S, estimate
+from control_stages import PositionStage, attitude_of
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from autopilot.control import FlightController
 from autopilot.control.params import PositionParams
-from autopilot.control.position import PositionController, _attitude
 from autopilot.parameters.table import NOT_OVER, TABLE, ParameterError, ParameterSet, Settings
 from foundation.geometry.rotations import quat_rotate
 from foundation.types import TrajectorySetpoint
@@ -74,16 +74,11 @@ def test_controls_are_finite_for_all_accepted_parameters_and_wild_setpoints(over
 def test_thrust_and_tilt_keep_their_limits_for_all_accepted_parameters(overrides, setpoint, vel_m_s, hover):
     """Thrust is at least the least thrust, also with a margin of all of it: vertical thrust is not wasted."""
     params = accepted(overrides).position
-    attitude = (
-        PositionController(params)
-        .update(
-            estimate(vel_ned_m_s=np.array(vel_m_s)), setpoint, yaw_rad=0.3, hover_thrust=hover,
-            disturbance_ned_m_s2=np.zeros(3), climb_max_m_s=math.inf, dt_s=DT_S,
-        )
-        .attitude
-    )  # fmt: skip
-    assert params.thr_min * (1.0 - 1e-9) <= attitude.thrust <= params.thr_max * (1.0 + 1e-9)
-    up = quat_rotate(attitude.q_ned_frd, np.array((0.0, 0.0, -1.0)))
+    output = PositionStage(params).update(
+        estimate(vel_ned_m_s=np.array(vel_m_s)), setpoint, yaw_rad=0.3, hover_thrust=hover, dt_s=DT_S
+    )
+    assert params.thr_min * (1.0 - 1e-9) <= output.thrust <= params.thr_max * (1.0 + 1e-9)
+    up = quat_rotate(output.q_ned_frd, np.array((0.0, 0.0, -1.0)))
     assert -up[2] >= math.cos(params.tilt_max_rad) - 1e-7
 
 
@@ -91,17 +86,14 @@ def test_the_margin_reduces_a_climb_only_by_what_the_steepest_tilt_can_use():
     """200 m away and 200 m up at 20 degrees: all of the 0.5 is along the steepest tilt."""
     params = PositionParams(thr_max=0.5, thr_xy_margin=0.5, tilt_max_rad=math.radians(20.0))
     setpoint = TrajectorySetpoint(acc_ned_m_s2=np.array((100.0, 0.0, -100.0)))
-    thrust = PositionController(params).update(
-        estimate(), setpoint, yaw_rad=0.0, hover_thrust=0.5, disturbance_ned_m_s2=np.zeros(3),
-        climb_max_m_s=math.inf, dt_s=DT_S,
-    ).thrust_ned  # fmt: skip
+    thrust = PositionStage(params).update(estimate(), setpoint, dt_s=DT_S).thrust_ned
     expected = 0.5 * np.array((math.sin(params.tilt_max_rad), 0.0, -math.cos(params.tilt_max_rad)))
     np.testing.assert_allclose(thrust, expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("yaw_rad", [0.0, 2.0])
 def test_no_thrust_is_level(yaw_rad):
-    q_ned_frd = _attitude(np.zeros(3), yaw_rad)
+    q_ned_frd = attitude_of((0.0, 0.0, 0.0), yaw_rad)
     np.testing.assert_allclose(
         q_ned_frd, (math.cos(yaw_rad / 2.0), 0.0, 0.0, math.sin(yaw_rad / 2.0)), atol=1e-12
     )

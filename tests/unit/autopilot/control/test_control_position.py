@@ -7,11 +7,10 @@ import math
 import numpy as np
 import pytest
 from control_fixtures import estimate
+from control_stages import DisturbanceStage, HoverThrustStage, PositionStage, integral_shift_m_s2
 
-from autopilot.control.disturbance import THRUST, DisturbanceObserver
-from autopilot.control.hover_thrust import GRAVITY_M_S2, HoverThrustEstimator
+from autopilot.control.hover_thrust import GRAVITY_M_S2
 from autopilot.control.params import DisturbanceParams, HoverThrustParams, PositionParams
-from autopilot.control.position import PositionController
 from autopilot.control.takeoff import TakeoffPhase, TakeoffRamp, demands_climb
 from foundation.geometry.rotations import quat_from_euler, quat_rotate, quat_to_euler
 from foundation.types import TrajectorySetpoint
@@ -23,11 +22,7 @@ AXES = list(itertools.product((False, True), repeat=3))
 
 
 def update(controller, setpoint, state=None, **kwargs):
-    given = {
-        "yaw_rad": 0.0, "hover_thrust": 0.5, "disturbance_ned_m_s2": np.zeros(3),
-        "climb_max_m_s": math.inf, "dt_s": DT_S,
-    }  # fmt: skip
-    return controller.update(estimate() if state is None else state, setpoint, **(given | kwargs))
+    return controller.update(estimate() if state is None else state, setpoint, dt_s=DT_S, **kwargs)
 
 
 def test_limits_hold_for_all_512_setpoints_and_wild_values():
@@ -44,7 +39,7 @@ def test_limits_hold_for_all_512_setpoints_and_wild_values():
             )
             yaw = rng.uniform(-math.pi, math.pi)
             out = update(
-                PositionController(params),
+                PositionStage(params),
                 setpoint,
                 state,
                 yaw_rad=yaw,
@@ -52,27 +47,27 @@ def test_limits_hold_for_all_512_setpoints_and_wild_values():
             )
             assert math.hypot(*out.vel_ned_m_s[:2]) <= params.xy_vel_max_m_s * (1.0 + 1e-12)
             assert -params.z_vel_max_up_m_s <= out.vel_ned_m_s[2] <= params.z_vel_max_dn_m_s
-            assert params.thr_min * (1.0 - 1e-9) <= out.attitude.thrust <= params.thr_max * (1.0 + 1e-9)
-            up = quat_rotate(out.attitude.q_ned_frd, np.array((0.0, 0.0, -1.0)))
+            assert params.thr_min * (1.0 - 1e-9) <= out.thrust <= params.thr_max * (1.0 + 1e-9)
+            up = quat_rotate(out.q_ned_frd, np.array((0.0, 0.0, -1.0)))
             assert math.acos(min(-up[2], 1.0)) <= params.tilt_max_rad + 1e-7
-            np.testing.assert_allclose(up * out.attitude.thrust, out.thrust_ned, atol=1e-9)
-            nose = quat_rotate(out.attitude.q_ned_frd, np.array((1.0, 0.0, 0.0)))
+            np.testing.assert_allclose(up * out.thrust, out.thrust_ned, atol=1e-9)
+            nose = quat_rotate(out.q_ned_frd, np.array((1.0, 0.0, 0.0)))
             assert math.remainder(math.atan2(nose[1], nose[0]) - yaw, math.tau) == pytest.approx(
                 0.0, abs=1e-9
             )
 
 
 def test_nothing_controlled_hovers_level():
-    out = update(PositionController(P), TrajectorySetpoint())
-    assert out.attitude.thrust == pytest.approx(0.5)
-    np.testing.assert_allclose(out.attitude.q_ned_frd, (1.0, 0.0, 0.0, 0.0), atol=1e-12)
+    out = update(PositionStage(P), TrajectorySetpoint())
+    assert out.thrust == pytest.approx(0.5)
+    np.testing.assert_allclose(out.q_ned_frd, (1.0, 0.0, 0.0, 0.0), atol=1e-12)
 
 
 def test_position_and_feed_forward_add():
     setpoint = TrajectorySetpoint(
         pos_ned_m=np.array((2.0, 0.0, -1.0)), vel_ned_m_s=np.array((1.0, -0.5, 0.0))
     )
-    out = update(PositionController(P), setpoint)
+    out = update(PositionStage(P), setpoint)
     np.testing.assert_allclose(out.vel_ned_m_s, (2.0 * P.xy_p + 1.0, -0.5, -P.z_p))
     np.testing.assert_allclose(
         out.acc_ned_m_s2, out.vel_ned_m_s * (P.xy_vel_p_acc, P.xy_vel_p_acc, P.z_vel_p_acc)
@@ -81,14 +76,14 @@ def test_position_and_feed_forward_add():
 
 def test_position_has_priority_over_feed_forward_at_the_speed_limit():
     setpoint = TrajectorySetpoint(pos_ned_m=np.array((8.0, 0.0, 0.0)), vel_ned_m_s=np.array((0.0, 20.0, 0.0)))
-    vel = update(PositionController(P), setpoint).vel_ned_m_s
+    vel = update(PositionStage(P), setpoint).vel_ned_m_s
     assert vel[0] == pytest.approx(8.0 * P.xy_p)
     assert math.hypot(vel[0], vel[1]) == pytest.approx(P.xy_vel_max_m_s)
 
 
 def test_acceleration_becomes_tilt_and_thrust():
-    out = update(PositionController(P), TrajectorySetpoint(acc_ned_m_s2=np.array((2.0, 0.0, -1.0))))
-    roll, pitch, yaw = quat_to_euler(out.attitude.q_ned_frd)
+    out = update(PositionStage(P), TrajectorySetpoint(acc_ned_m_s2=np.array((2.0, 0.0, -1.0))))
+    roll, pitch, yaw = quat_to_euler(out.q_ned_frd)
     assert (roll, yaw) == pytest.approx((0.0, 0.0), abs=1e-12)
     assert pitch == pytest.approx(-math.atan(2.0 / GRAVITY_M_S2))  # forward is nose down
     assert -out.thrust_ned[2] == pytest.approx(0.5 * (1.0 + 1.0 / GRAVITY_M_S2))
@@ -96,14 +91,14 @@ def test_acceleration_becomes_tilt_and_thrust():
 
 def test_disturbance_is_subtracted():
     wind = np.array((1.0, -2.0, 0.5))
-    against = update(PositionController(P), TrajectorySetpoint(), disturbance_ned_m_s2=wind)
-    demanded = update(PositionController(P), TrajectorySetpoint(acc_ned_m_s2=-wind))
+    against = update(PositionStage(P), TrajectorySetpoint(), disturbance_ned_m_s2=wind)
+    demanded = update(PositionStage(P), TrajectorySetpoint(acc_ned_m_s2=-wind))
     np.testing.assert_allclose(against.thrust_ned, demanded.thrust_ned)
 
 
 def test_vertical_thrust_has_priority_over_horizontal_except_for_the_margin():
     setpoint = TrajectorySetpoint(acc_ned_m_s2=np.array((9.0, 0.0, -30.0)))
-    thrust = update(PositionController(P), setpoint).thrust_ned
+    thrust = update(PositionStage(P), setpoint).thrust_ned
     assert thrust[0] == pytest.approx(P.thr_xy_margin)
     assert -thrust[2] == pytest.approx(math.sqrt(1.0 - P.thr_xy_margin**2))
 
@@ -112,51 +107,51 @@ def test_vertical_thrust_has_priority_over_horizontal_except_for_the_margin():
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_integral_does_not_wind_up_while_limits_hold(axis, sign):
     """A demand beyond the limits for 20 s does not change it; one below the limit does."""
-    controller = PositionController(P)
+    controller = PositionStage(P)
     demand = np.zeros(3)
     demand[axis] = sign * 1000.0
     state = estimate(vel_ned_m_s=-demand / 50.0)
     for _ in range(2500):
         update(controller, TrajectorySetpoint(vel_ned_m_s=demand), state)
-    assert abs(controller.integral[axis]) < 1e-9
+    assert abs(controller.integral_ned_m_s2[axis]) < 1e-9
     beyond = TrajectorySetpoint(vel_ned_m_s=np.zeros(3), acc_ned_m_s2=demand)
     update(controller, beyond, estimate(vel_ned_m_s=0.001 * demand))
-    assert controller.integral[axis] * sign < 0.0
+    assert controller.integral_ned_m_s2[axis] * sign < 0.0
 
 
 def test_integral_grows_with_the_error_and_resets():
-    controller = PositionController(P)
+    controller = PositionStage(P)
     for _ in range(10):
         update(controller, TrajectorySetpoint(vel_ned_m_s=np.array((0.1, 0.0, 0.0))))
-    assert controller.integral[0] == pytest.approx(10 * DT_S * 0.1 * P.xy_vel_i_acc)
+    assert controller.integral_ned_m_s2[0] == pytest.approx(10 * DT_S * 0.1 * P.xy_vel_i_acc)
     controller.reset()
-    assert not controller.integral.any()
+    assert not controller.integral_ned_m_s2.any()
 
 
 def test_a_new_hover_thrust_causes_no_jump():
-    controller = PositionController(P)
+    controller = PositionStage(P)
     setpoint = TrajectorySetpoint(pos_ned_m=np.array((0.0, 0.0, -0.3)))
     before = update(controller, setpoint)
-    controller.hover_thrust_changed(old=0.5, new=0.56, acc_down_m_s2=float(before.acc_ned_m_s2[2]))
-    held = controller.integral[2]
+    controller.integral_ned_m_s2[2] += integral_shift_m_s2(0.5, 0.56, before.acc_ned_m_s2[2])
+    held = float(controller.integral_ned_m_s2[2])
     after = update(controller, setpoint, hover_thrust=0.56)
     # except for the integration of one step
     step = 0.56 / GRAVITY_M_S2 * P.z_vel_i_acc * DT_S * 0.3
     assert held != 0.0
-    assert after.attitude.thrust == pytest.approx(before.attitude.thrust, abs=1.01 * step)
+    assert after.thrust == pytest.approx(before.thrust, abs=1.01 * step)
 
 
 def test_without_position_it_stops_and_without_velocity_it_levels():
     setpoint = TrajectorySetpoint(pos_ned_m=np.array((5.0, 0.0, -5.0)))
     moving = estimate(vel_ned_m_s=np.array((1.0, 0.0, 0.0)), position_valid=False)
-    out = update(PositionController(P), setpoint, moving)
+    out = update(PositionStage(P), setpoint, moving)
     assert out.acc_ned_m_s2[0] == pytest.approx(-P.xy_vel_p_acc)
     assert out.vel_ned_m_s[2] == -P.z_vel_max_up_m_s  # the height is still valid
     blind = dataclasses.replace(moving, velocity_valid=False)
-    out = update(PositionController(P), setpoint, blind)
+    out = update(PositionStage(P), setpoint, blind)
     np.testing.assert_allclose(out.thrust_ned[:2], 0.0)
     assert out.vel_ned_m_s[2] == -P.z_vel_max_up_m_s  # a valid height implies a valid climb rate
-    out = update(PositionController(P), setpoint, dataclasses.replace(blind, height_valid=False))
+    out = update(PositionStage(P), setpoint, dataclasses.replace(blind, height_valid=False))
     np.testing.assert_allclose(out.thrust_ned, (0.0, 0.0, -0.5))
 
 
@@ -165,34 +160,34 @@ def test_axes_can_have_position_and_velocity_setpoints():
         pos_ned_m=np.array((1.0, 1.0, math.nan)), pos_axes=(True, True, False),
         vel_ned_m_s=np.array((math.nan, math.nan, 0.7)), vel_axes=(False, False, True),
     )  # fmt: skip
-    np.testing.assert_allclose(update(PositionController(P), setpoint).vel_ned_m_s, (P.xy_p, P.xy_p, 0.7))
+    np.testing.assert_allclose(update(PositionStage(P), setpoint).vel_ned_m_s, (P.xy_p, P.xy_p, 0.7))
 
 
 def test_hover_thrust_converges_under_noise():
     rng = np.random.default_rng(2)
-    estimator = HoverThrustEstimator(HoverThrustParams(), start=0.5)
+    estimator = HoverThrustStage(HoverThrustParams(), start=0.5)
     truth = 0.62
     for _ in range(500):
         thrust = 0.6 + 0.05 * rng.standard_normal()
         acc = GRAVITY_M_S2 * (thrust / truth - 1.0) + 0.3 * rng.standard_normal()
         estimator.update(acc_up_m_s2=acc, thrust_up=thrust, dt_s=DT_S)
-    assert estimator.hover_thrust == pytest.approx(truth, abs=0.01)
+    assert estimator.thrust == pytest.approx(truth, abs=0.01)
 
 
 def test_hover_thrust_rejects_an_impact_and_stays_in_its_range():
-    estimator = HoverThrustEstimator(HoverThrustParams(range=0.1), start=0.5)
+    estimator = HoverThrustStage(HoverThrustParams(range=0.1), start=0.5)
     for _ in range(200):
         estimator.update(acc_up_m_s2=0.0, thrust_up=0.5, dt_s=DT_S)
     estimator.update(acc_up_m_s2=60.0, thrust_up=0.5, dt_s=DT_S)
-    assert estimator.hover_thrust == pytest.approx(0.5, abs=1e-6)
+    assert estimator.thrust == pytest.approx(0.5, abs=1e-6)
     for _ in range(20_000):
         estimator.update(acc_up_m_s2=-GRAVITY_M_S2, thrust_up=0.5, dt_s=DT_S)
-    assert estimator.hover_thrust <= 0.6
+    assert estimator.thrust <= 0.6
 
 
 def observed(seconds, *, q, thrust, acc, enabled=True, **kwargs):
-    observer = DisturbanceObserver(DisturbanceParams(enabled=enabled, **kwargs))
-    observer.memory[THRUST] = thrust
+    observer = DisturbanceStage(DisturbanceParams(enabled=enabled, **kwargs))
+    observer.record.thrust = thrust
     for _ in range(round(seconds / 0.004)):
         observer.update(acc, q, thrust=thrust, hover_thrust=0.5, dt_s=0.004, observe=True)
     return observer.acc_ned_m_s2
@@ -217,11 +212,11 @@ def test_an_attitude_error_does_not_change_the_observers_magnitude():
 
 
 def test_observer_models_the_motors_lag_and_limits_an_impact():
-    observer = DisturbanceObserver(DisturbanceParams(thrust_lag_s=0.02))
+    observer = DisturbanceStage(DisturbanceParams(thrust_lag_s=0.02))
     observer.update(
         np.zeros(3), np.array((1.0, 0, 0, 0)), thrust=0.5, hover_thrust=0.5, dt_s=0.02, observe=False
     )
-    assert observer.thrust == pytest.approx(0.5 * (1.0 - math.exp(-1.0)))
+    assert observer.record.thrust == pytest.approx(0.5 * (1.0 - math.exp(-1.0)))
     bump = observed(
         10.0, q=np.array((1.0, 0.0, 0.0, 0.0)), thrust=0.5, acc=np.array((300.0, 0.0, 0.0)), acc_max_m_s2=8.0
     )

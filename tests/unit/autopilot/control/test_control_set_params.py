@@ -5,10 +5,11 @@ import math
 import numpy as np
 import pytest
 from control_fixtures import DT_S, Gusts, Iris, estimate, fly
+from control_stages import HoverThrustStage
 from msgspec.structs import replace
 
 from autopilot.control import ControlParams, FlightController, PositionTrajectory
-from autopilot.control.hover_thrust import GRAVITY_M_S2, HoverThrustEstimator
+from autopilot.control.hover_thrust import GRAVITY_M_S2
 from autopilot.control.params import DisturbanceParams, HoverThrustParams, PositionParams, RateParams, Rotor
 from autopilot.control.takeoff import TakeoffPhase, TakeoffRamp
 from foundation.types import AttitudeSetpoint, TrajectorySetpoint
@@ -31,7 +32,7 @@ def in_wind(params, seconds=12.0, seed=2):
 
 def demand_ned_m_s2(controller):
     """Return the acceleration that the thrust has to cause: over ground, minus the disturbance."""
-    return controller.trajectory_setpoint.acc_ned_m_s2 - controller.disturbance_ned_m_s2
+    return controller.block[0].position.output.acc_ned_m_s2 - controller.disturbance_ned_m_s2
 
 
 def equal_copy(params):
@@ -90,18 +91,18 @@ def test_attitude_and_position_gains_and_limits_act_in_the_next_update():
         for _ in range(PARAMS.position_divider):
             away = TrajectorySetpoint(pos_ned_m=np.array((2.0, 0.0, 0.0)))
             controller.update(estimate(), away, dt_s=DT_S, landed=False)
-        assert controller.trajectory_setpoint.vel_ned_m_s[0] == pytest.approx(speed_m_s)
+        assert controller.block[0].position.output.vel_ned_m_s[0] == pytest.approx(speed_m_s)
 
 
 def test_integrals_filters_and_hover_thrust_stay():
     """All gains of the position loop change: the integral keeps compensating the wind, without a jump."""
     iris, gusts, controller = in_wind(WITHOUT_OBSERVER)
-    held_before = controller._position.integral
-    hover_before, rate_integral = controller.hover_thrust, controller._rates.integral
+    held_before = controller._position.integral_ned_m_s2.copy()
+    hover_before, rate_integral = controller.hover_thrust, controller._rates.integral.copy()
     assert np.linalg.norm(held_before[:2]) > 1.0
     position = PositionParams(xy_vel_i_acc=0.8, xy_p=0.7, z_p=0.8, thr_hover=0.45)
     controller.set_params(replace(WITHOUT_OBSERVER, position=position))
-    np.testing.assert_array_equal(controller._position.integral, held_before)
+    np.testing.assert_array_equal(controller._position.integral_ned_m_s2, held_before)
     np.testing.assert_array_equal(controller._rates.integral, rate_integral)
     assert controller.hover_thrust == hover_before
     start = iris.pos_ned_m.copy()
@@ -117,10 +118,12 @@ def test_switching_the_observer_transfers_the_estimated_wind(before, after):
     demand = demand_ned_m_s2(controller)
     assert np.linalg.norm(demand[:2]) == pytest.approx(3.0 / 1.55, rel=0.1)
     observed = controller.disturbance_ned_m_s2
-    integral = controller._position.integral
+    integral = controller._position.integral_ned_m_s2.copy()
     controller.set_params(after)
     np.testing.assert_allclose(
-        controller._position.integral - controller.disturbance_ned_m_s2, integral - observed, atol=1e-12
+        controller._position.integral_ned_m_s2 - controller.disturbance_ned_m_s2,
+        integral - observed,
+        atol=1e-12,
     )
     assert controller.disturbance_ned_m_s2.any() == after.disturbance.enabled
     farthest_m = 0.0
@@ -138,31 +141,31 @@ def test_switching_the_observer_off_with_attitude_setpoints_leaves_no_integral()
     assert controller.disturbance_ned_m_s2.any()
     controller.set_params(WITHOUT_OBSERVER)
     assert not controller.disturbance_ned_m_s2.any()
-    assert not controller._position.integral.any()
+    assert not controller._position.integral_ned_m_s2.any()
 
 
 def test_the_transfer_to_the_observer_is_limited():
     controller = FlightController(WITHOUT_OBSERVER)
     controller.update(estimate(), HERE, dt_s=DT_S, landed=False)
     controller._position.reset()
-    controller._position.add_to_integral(np.array((3.0, 4.0, 0.0)))
+    controller._position.integral_ned_m_s2[:] = (3.0, 4.0, 0.0)
     controller.set_params(replace(PARAMS, disturbance=DisturbanceParams(acc_max_m_s2=1.0)))
     np.testing.assert_allclose(controller.disturbance_ned_m_s2, (-0.6, -0.8, 0.0))
-    np.testing.assert_allclose(controller._position.integral, (2.4, 3.2, 0.0))
+    np.testing.assert_allclose(controller._position.integral_ned_m_s2, (2.4, 3.2, 0.0))
 
 
 def test_hover_thrust_uses_a_new_initial_value_until_its_first_update():
-    estimator = HoverThrustEstimator(HoverThrustParams(), start=0.5)
+    estimator = HoverThrustStage(HoverThrustParams(), start=0.5)
     estimator.set_params(HoverThrustParams(), start=0.4)
-    assert estimator.hover_thrust == 0.4
+    assert estimator.thrust == 0.4
     for _ in range(300):
         estimator.update(acc_up_m_s2=0.0, thrust_up=0.45, dt_s=0.008)
-    learned = estimator.hover_thrust
+    learned = estimator.thrust
     assert learned == pytest.approx(0.45, abs=0.005)
     estimator.set_params(HoverThrustParams(process_noise_1_s=0.01), start=0.5)
-    assert estimator.hover_thrust == learned
+    assert estimator.thrust == learned
     estimator.reset()
-    assert estimator.hover_thrust == 0.5
+    assert estimator.thrust == 0.5
 
 
 def test_the_take_off_ramp_continues():

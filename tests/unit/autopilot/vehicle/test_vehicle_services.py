@@ -312,13 +312,15 @@ def test_parameters_act_in_flight_and_are_saved_on_request():
         flight.take_off(5.0)
         vehicle = flight.vehicle
         flight.run(3.0)
-        integral_m_s2 = vehicle.pilot.controller._position.integral
+        integral_m_s2 = vehicle.pilot.controller._position.integral_ned_m_s2.copy()
         hover = vehicle.pilot.controller.hover_thrust
         set_parameter(flight, "MPC_XY_P", 1.1)
         set_parameter(flight, "EKF2_GPS_V_NOISE", 0.3)
         assert vehicle.parameters.get("MPC_XY_P") == pytest.approx(1.1)
         assert vehicle.pilot.controller.hover_thrust == pytest.approx(hover, abs=1e-3)
-        np.testing.assert_allclose(vehicle.pilot.controller._position.integral, integral_m_s2, atol=0.02)
+        np.testing.assert_allclose(
+            vehicle.pilot.controller._position.integral_ned_m_s2, integral_m_s2, atol=0.02
+        )
         with pytest.raises(ParameterError, match="at the start"):
             vehicle.set_parameter("EKF2_GPS_DELAY", 100.0)
         before = vehicle.flight.state.pos_ned_m.copy()

@@ -74,8 +74,3 @@ def test_exponential_map_agrees_with_scipy_at_any_length(angle_rad):
     q = rot.quat_from_rotation_vector(rotation_rad)
     np.testing.assert_allclose(rot.quat_to_dcm(q), Rotation.from_rotvec(rotation_rad).as_matrix(), atol=1e-15)
     assert np.dot(q, q) == pytest.approx(1.0, abs=4e-16)
-
-
-def test_normalise_gives_length_one():
-    q = rot.quat_normalise(np.array([3.0, -4.0, 12.0, 84.0]))
-    np.testing.assert_allclose(q, np.array([3.0, -4.0, 12.0, 84.0]) / 85.0, rtol=1e-15)
