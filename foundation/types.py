@@ -107,9 +107,9 @@ class EstimatorState:
 
     def __post_init__(self) -> None:
         """Copy the vectors into a new ``estimate``."""
-        self.lie_over(np.concatenate([getattr(self, name) for name, _ in _LAID_OUT]))
+        self.use_memory(np.concatenate([getattr(self, name) for name, _ in _LAID_OUT]))
 
-    def lie_over(self, estimate: Array) -> None:
+    def use_memory(self, estimate: Array) -> None:
         """Make the vectors views of another estimate (31,)."""
         self.estimate, at = estimate, 0
         for name, size in _LAID_OUT:

@@ -46,8 +46,6 @@ class Alignment:
 
     def __init__(self, params: EstimatorParams) -> None:
         self._params = params
-        self.field_rejected = False
-        """Whether the last window's magnetic field differed from the site's."""
         self._start_us: int | None = None
         self._accels_m_s2: list[Array] = []
         self._gyros_rad_s: list[Array] = []
@@ -102,8 +100,7 @@ class Alignment:
             return None
         field_frd = np.mean(self._fields_gauss, axis=0)
         x, cov = align_at_rest(self._params, accel_m_s2, gyro_rad_s, field_frd, window_s)
-        self.field_rejected = field_disturbed(self._params, x[:4], field_frd)
-        if self.field_rejected:
+        if field_disturbed(self._params, x[:4], field_frd):
             return None
         return Aligned(x, cov, float(np.mean(self._altitudes_m)))
 

@@ -16,7 +16,6 @@ import numpy as np
 from autopilot.estimation import atmosphere, kernels
 from autopilot.estimation.alignment import Aligned, Alignment
 from autopilot.estimation.clock import Clock
-from autopilot.estimation.diagnostics import Aiding, EstimatorDiagnostics
 from autopilot.estimation.fusion import (
     HEIGHT_RESET_US,
     HOLD_PERIOD_US,
@@ -31,7 +30,6 @@ from autopilot.estimation.params import EstimatorParams
 from foundation.geometry.rotations import quat_conjugate, quat_multiply
 from foundation.types import EstimatorState, GpsFix, ImuSample
 
-DEAD_RECKONING_US = 1_000_000
 WAITING_MAX = 256
 """Waiting measurements of each kind; more can only wait if the inertial sensor has failed."""
 TILT_STD_MAX_RAD = math.radians(20.0)
@@ -53,7 +51,8 @@ class Estimator:
         self._alignment = Alignment(params)
         self.filter: DelayedHorizon | None = None
         """The filter, once it is aligned"""
-        self._fusion: Fusion | None = None
+        self.fusion: Fusion | None = None
+        """What is fused and rejected, with the diagnostics of each kind of measurement; likewise"""
         self._ground_altitude_m: float | None = None
         """Pressure altitude of the first alignment."""
         self._origin: Origin | None = None
@@ -75,13 +74,13 @@ class Estimator:
         time_us, before_us = sample.time_us, self.clock.estimate_us
         if not before_us < time_us < NEVER_US:
             return
-        if self.filter is None or self._fusion is None:
+        if self.filter is None or self.fusion is None:
             self._align(sample)
             return
         if self._failed:
             self._coast(sample)
             return
-        aids, fusion = self._aids, self._fusion
+        aids, fusion = self._aids, self.fusion
         dt_s = (time_us - before_us) * 1e-6
         horizon_us = fusion.advance(
             time_us, dt_s, sample.gyro_frd_rad_s, sample.accel_frd_m_s2, aids[0] if aids else None
@@ -145,8 +144,8 @@ class Estimator:
             raise ValueError("the GPS delay cannot change while the estimator runs")
         self._params = params
         self._alignment.set_params(params)
-        if self.filter is not None and self._fusion is not None:
-            self._fusion.set_params(params)
+        if self.filter is not None and self.fusion is not None:
+            self.fusion.set_params(params)
 
     def restart(self, params: EstimatorParams | None = None) -> None:
         """Restart with an alignment, for a disarmed vehicle at rest on the ground.
@@ -155,7 +154,7 @@ class Estimator:
         """
         self._params = params or self._params
         self._alignment = Alignment(self._params)
-        self.filter = self._fusion = None
+        self.filter = self.fusion = None
         self._failed = False
         for waiting in (self._fixes, self._aids):
             waiting.clear()
@@ -165,8 +164,8 @@ class Estimator:
 
     def on_landed(self) -> None:
         """Clear the fault of the compass after the vehicle has come to rest on the ground."""
-        if self._fusion is not None:
-            self._fusion.compass.clear()
+        if self.fusion is not None:
+            self.fusion.compass.clear()
 
     @property
     def valid_until_us(self) -> int:
@@ -196,56 +195,6 @@ class Estimator:
             vel_reset_delta_ned_m_s=live.vel_reset_delta_ned_m_s.copy(),
         )
 
-    @property
-    def diagnostics(self) -> EstimatorDiagnostics | None:
-        """Diagnostics of an aligned filter. The `Aiding` objects are live, the arrays are copies."""
-        if self.filter is None or self._fusion is None:
-            return None
-        fusion = self._fusion
-        return EstimatorDiagnostics(
-            horizon_us=self.filter.horizon_us,
-            velocity=fusion.velocity,
-            position=fusion.position,
-            height=fusion.height,
-            heading=fusion.heading,
-            dead_reckoning=fusion.unaided(self.filter.horizon_us, DEAD_RECKONING_US),
-            position_held=fusion.held_pos_m is not None,
-            navigation_failed=fusion.navigation.failed,
-            numerical_failure=self._failed,
-            compass_disturbed=fusion.compass.disturbed,
-            compass_faulty=fusion.compass.faulty,
-            barometer_stuck=fusion.barometer.stuck,
-            accelerometer_bad=fusion.vertical.bad,
-            gsf_turn_rad=fusion.bank_turn_rad,
-            gsf_std_rad=fusion.bank.std_rad,
-            x=self.filter.x.copy(),
-            covariance=self.filter.cov.copy(),
-        )
-
-    @property
-    def aidings(self) -> dict[str, Aiding]:
-        """Live `Aiding` objects by name, as in `EstimatorDiagnostics`; empty before the alignment."""
-        fusion = self._fusion
-        if fusion is None:
-            return {}
-        return {
-            "velocity": fusion.velocity,
-            "position": fusion.position,
-            "height": fusion.height,
-            "heading": fusion.heading,
-        }
-
-    @property
-    def compass_usable(self) -> bool:
-        """Whether the magnetometer is used: neither disturbed nor contradicted by GPS."""
-        compass = self._fusion.compass if self._fusion is not None else None
-        return compass is not None and not (compass.disturbed or compass.faulty)
-
-    @property
-    def compass_rejected(self) -> bool:
-        """Whether the alignment waits because the magnetic field differs from the site's."""
-        return self.filter is None and self._alignment.field_rejected
-
     # -- parts of a step
 
     def _align(self, sample: ImuSample) -> None:
@@ -271,16 +220,16 @@ class Estimator:
             delay_us=self._params.gps_delay_us,
             noise_psd=np.array(self._params.process_noise_psd),
         )
-        self._fusion = Fusion(
+        self.fusion = Fusion(
             self._params, self.filter, ground_altitude_m=self._ground_altitude_m, origin=self._origin
         )
         before = self.live
         self.live = replace(before)
-        self.live.lie_over(self.filter.estimate)
+        self.live.use_memory(self.filter.estimate)
         self.live.attitude_valid = True
         if self._origin is not None:
             self._note_jump(before, Jump.POSITION | Jump.HEIGHT | Jump.VELOCITY | Jump.YAW)
-        self._note_validity(self._fusion)
+        self._note_validity(self.fusion)
 
     def _update_live(self, horizon_us: int) -> None:
         """Update the fields of the live state that kernels do not write."""

@@ -11,8 +11,8 @@ from enum import IntFlag
 import numpy as np
 
 from autopilot.estimation import kernels
+from autopilot.estimation.aiding import Aiding
 from autopilot.estimation.correction import CORRECTED, CORRECTED_AT, MEASURED, STEP, advance_and_correct
-from autopilot.estimation.diagnostics import Aiding
 from autopilot.estimation.health import (
     COMPASS_ERROR_RAD,
     HEADING_KNOWN_RAD,
@@ -82,8 +82,11 @@ class Fusion:
         self._step_octets = self._step.view(np.uint8).data
         step = self._step[0]
         self.velocity, self.position = Aiding.of(3), Aiding.of(2)
+        """GPS velocity, innovation (3,) NED m/s; GPS position, innovation (2,) north and east m"""
         self.height = Aiding(step["height_innovation_m"], step["height_var_m2"])
+        """Barometer, innovation (1,) down m"""
         self.heading = Aiding(step["heading_innovation_rad"], step["heading_var_rad2"])
+        """Magnetometer, innovation (1,) rad; also recorded while the compass is not used"""
         self.height.accepted_us = self.heading.accepted_us = delayed.horizon_us
         self.compass = Compass()
         self.barometer = StuckBarometer()

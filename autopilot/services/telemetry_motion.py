@@ -142,9 +142,10 @@ class MotionTelemetry(Part):
 
     def estimator_status(self) -> Message | None:
         """ESTIMATOR_STATUS: validity flags, innovation test ratios and standard deviations."""
-        state, fit = self._flight.state, self._flight.estimator.diagnostics
-        if fit is None:
+        state, fusion = self._flight.state, self._flight.estimator.fusion
+        if fusion is None:
             return None
+        glitch = max(fusion.velocity.test_ratio, fusion.position.test_ratio) >= 1.0
         flags = sum(
             bit
             for valid, bit in (
@@ -152,14 +153,14 @@ class MotionTelemetry(Part):
                 (state.velocity_valid, common.ESTIMATOR_VELOCITY_HORIZ | common.ESTIMATOR_VELOCITY_VERT),
                 (state.position_valid, common.ESTIMATOR_POS_HORIZ_REL | common.ESTIMATOR_POS_HORIZ_ABS),
                 (state.height_valid, common.ESTIMATOR_POS_VERT_ABS),
-                (fit.position_held, common.ESTIMATOR_CONST_POS_MODE),
-                (max(fit.velocity.test_ratio, fit.position.test_ratio) >= 1.0, common.ESTIMATOR_GPS_GLITCH),
-                (fit.accelerometer_bad, common.ESTIMATOR_ACCEL_ERROR),
+                (fusion.held_pos_m is not None, common.ESTIMATOR_CONST_POS_MODE),
+                (glitch, common.ESTIMATOR_GPS_GLITCH),
+                (fusion.vertical.bad, common.ESTIMATOR_ACCEL_ERROR),
             )
             if valid
         )
         north_m, east_m, down_m = state.pos_std_m.tolist()
-        ratios = [of.test_ratio for of in (fit.velocity, fit.position, fit.height, fit.heading)]
+        ratios = [of.test_ratio for of in (fusion.velocity, fusion.position, fusion.height, fusion.heading)]
         return common.MAVLink_estimator_status_message(
             self._flight.now_us, flags, *singles(ratios), math.nan, math.nan,
             *singles((math.hypot(north_m, east_m), down_m)),

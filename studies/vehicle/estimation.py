@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import binom, chi2, norm
 
 from autopilot.estimation import atmosphere
+from autopilot.estimation.aiding import Aiding
 from autopilot.estimation.estimator import Estimator
 from autopilot.estimation.params import EstimatorParams
 from foundation.geometry.geodesy import geodetic_to_ned
@@ -176,16 +177,16 @@ def _evaluate(flight: SimulatedFlight) -> tuple[Array, Array, dict[str, Array], 
     every = round(EPOCH_S / STEP_S)
 
     def sample(k: int, estimator: Estimator) -> None:
-        if k * STEP_S < SETTLED_S:
+        fusion, delayed = estimator.fusion, estimator.filter
+        if k * STEP_S < SETTLED_S or fusion is None or delayed is None:
             return
-        aidings = estimator.aidings
         for name in MEASUREMENTS:
-            aiding = aidings[name]
+            aiding: Aiding = getattr(fusion, name)
             if aiding.measured_us is not None and aiding.measured_us > last_us[name]:
                 last_us[name] = aiding.measured_us
                 series[name].append(aiding.innovation / np.sqrt(aiding.innovation_var))
-        if k % every == 0 and (diagnostics := estimator.diagnostics) is not None:
-            seen.append((diagnostics.horizon_us, diagnostics.x, diagnostics.covariance))
+        if k % every == 0:
+            seen.append((delayed.horizon_us, delayed.x.copy(), delayed.cov.copy()))
 
     feed(estimator, flight, sample)
     state = estimator.state
@@ -199,7 +200,7 @@ def _evaluate(flight: SimulatedFlight) -> tuple[Array, Array, dict[str, Array], 
     )
     origin_m[2] = -ground_m
     nees = np.array([_nees(flight, horizon_us, x, cov, origin_m) for horizon_us, x, cov in seen])
-    refused = sum(aiding.refused for aiding in estimator.aidings.values())
+    refused = sum(getattr(estimator.fusion, name).refused for name in MEASUREMENTS)
     time_s = np.array([horizon_us * 1e-6 for horizon_us, _, _ in seen])
     return time_s, nees, {name: np.array(values) for name, values in series.items()}, refused
 

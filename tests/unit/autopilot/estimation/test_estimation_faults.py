@@ -37,7 +37,7 @@ def north(fix, metres):
 
 def test_validity_comes_in_order():
     estimator = Estimator(EstimatorParams())
-    assert estimator.diagnostics is None
+    assert estimator.filter is None
     assert not estimator.state.attitude_valid
     states = replay(estimator, simulate(rest, 3.0, np.random.default_rng(0)))
     first = {
@@ -55,8 +55,8 @@ def test_one_outlier_fix_is_rejected_and_changes_nothing():
     wild = with_fixes(flight, lambda t, fix: north(fix, 30.0) if abs(t - 15.0) < 0.1 else fix)
     clean_estimator, estimator = Estimator(EstimatorParams()), Estimator(EstimatorParams())
     clean, states = replay(clean_estimator, flight), replay(estimator, wild)
-    assert estimator.diagnostics.position.refused == 1
-    assert clean_estimator.diagnostics.position.refused == 0
+    assert estimator.fusion.position.refused == 1
+    assert clean_estimator.fusion.position.refused == 0
     apart_m = np.array([a.pos_ned_m - b.pos_ned_m for a, b in zip(clean, states, strict=True)])
     assert np.abs(apart_m[: step(15.0)]).max() == 0.0
     # one fix of a hundred is missing; the outlier would have moved it by metres
@@ -115,8 +115,8 @@ def test_attitude_holds_on_the_ground_without_any_gps():
     states = replay(estimator, flight)
     assert np.degrees(rms(errors(flight, states).attitude_ned_rad[step(2.0) :])) < 1.0
     assert not any(state.position_valid or state.velocity_valid for state in states)
-    assert estimator.diagnostics.position_held
-    assert estimator.diagnostics.dead_reckoning
+    assert estimator.fusion.held_pos_m is not None
+    assert estimator.fusion.unaided(estimator.filter.horizon_us, timeout_us=1_000_000)
 
 
 def test_a_start_with_reversed_heading_is_corrected_when_the_compass_recovers():

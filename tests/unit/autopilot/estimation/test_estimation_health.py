@@ -166,7 +166,7 @@ def test_a_vertical_accelerometer_jump_is_detected_by_gps_and_barometer(path, ju
     states = replay(
         Estimator(EstimatorParams()),
         flight,
-        on_step=lambda _, e: bad.append(bool((d := e.diagnostics) and d.accelerometer_bad)),
+        on_step=lambda _, e: bad.append(bool((f := e.fusion) and f.vertical.bad)),
     )
     assert not any(bad[: step(15.0)])
     reset_s = first(states, lambda s: s.height_reset_counter > 0)
@@ -255,7 +255,7 @@ def test_a_frozen_barometer_is_detected_by_the_climb_and_height_becomes_invalid(
     states = replay(
         Estimator(EstimatorParams()),
         flight,
-        on_step=lambda _, e: stuck.append(bool((d := e.diagnostics) and d.barometer_stuck)),
+        on_step=lambda _, e: stuck.append(bool((f := e.fusion) and f.barometer.stuck)),
     )
     found_s = (stuck.index(True) + 1) * STEP_S
     assert 12.5 < found_s < 14.0
@@ -284,9 +284,9 @@ def test_invalid_numbers_stop_the_filter_until_a_restart(broken, value):
             array = estimator.filter.cov if broken == "cov" else estimator.filter.x
             array[(4, 4) if broken == "cov" else 8] = value
         if k == step(10.0):
-            assert estimator.diagnostics.numerical_failure
+            assert estimator.numerical_failure
             estimator.restart()
-            assert estimator.diagnostics is None
+            assert estimator.filter is None
 
     estimator = Estimator(EstimatorParams())
     states = replay(estimator, flight, on_step=sabotage)
@@ -307,7 +307,7 @@ def test_invalid_numbers_stop_the_filter_until_a_restart(broken, value):
     assert rms(end.pos_ned_m - states[step(7.9)].pos_ned_m) < 0.5
     assert end.height_valid
     assert end.reset_counter > states[step(9.0)].reset_counter
-    assert not estimator.diagnostics.numerical_failure
+    assert not estimator.numerical_failure
 
 
 def test_an_uncertain_tilt_invalidates_the_attitude():
@@ -341,18 +341,16 @@ def test_parameters_act_immediately():
     flight = simulate(rest, 14.0, np.random.default_rng(12), GOOD_GPS)
     estimator = Estimator(EstimatorParams())
     wild = EstimatorParams(gps_pos_gate=100.0, baro_noise_m=5.0, accel_noise_m_s2=1.0)
-    ratios, stds = {}, {}
+    stds = {}
 
     def change(k, estimator):
         if k == step(10.0):
             estimator.set_params(wild)
-        ratios[k], stds[k] = estimator.aidings.get("position"), estimator.live.pos_std_m[2]
-        if ratios[k] is not None:
-            ratios[k] = ratios[k].test_ratio * (100.0 if k > step(10.05) else 5.0)
+        stds[k] = estimator.live.pos_std_m[2]
 
     replay(estimator, flight, on_step=change)
     # in sigmas the noise is the same; in gates it is a twentieth
-    assert estimator.aidings["position"].test_ratio < 0.03
+    assert estimator.fusion.position.test_ratio < 0.03
     # the barometer has a hundredth of the weight, and the prediction forty times the noise
     assert stds[step(13.9)] > 3.0 * stds[step(9.9)]
     # the limit also applies to the present bias

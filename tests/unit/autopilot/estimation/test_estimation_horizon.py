@@ -107,7 +107,7 @@ def test_reset_sets_the_state_and_removes_its_correlations():
 def test_a_states_vectors_are_views_of_the_filters_estimate():
     estimate = np.arange(float(ESTIMATE))
     state = Estimator(EstimatorParams()).state
-    state.lie_over(estimate)
+    state.use_memory(estimate)
     begins = {
         "q_ned_frd": 0, "vel_ned_m_s": VEL, "pos_ned_m": POS, "gyro_bias_rad_s": GYRO_BIAS,
         "accel_bias_m_s2": ACCEL_BIAS, "acc_ned_m_s2": ACC, "omega_frd_rad_s": OMEGA,

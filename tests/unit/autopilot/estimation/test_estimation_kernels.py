@@ -218,8 +218,7 @@ def final_state():
     estimator = Estimator(EstimatorParams())
     replay(estimator, simulate(figure_eight, 2.4, np.random.default_rng(9)))
     assert estimator.state.position_valid
-    diagnostics = estimator.diagnostics
-    return [*diagnostics.x.tolist(), *diagnostics.covariance.diagonal().tolist()]
+    return [*estimator.filter.x.tolist(), *estimator.filter.cov.diagonal().tolist()]
 
 
 def test_the_same_code_gives_the_same_numbers_without_the_compiler():

@@ -11,6 +11,7 @@ from autopilot.vehicle.host import Host
 from autopilot.vehicle.shared_state import FastStepLimits
 from autopilot.vehicle.vehicle import DECISION_PERIOD_US
 from studies.vehicle.bench import record_flight
+from studies.vehicle.estimation import MEASUREMENTS
 
 FLIGHT_S = 24.0
 STEP_US = 4_000
@@ -81,7 +82,8 @@ def test_fast_steps_give_the_same_flight_to_the_bit(stream):
     assert compiled.inertial > 0.25 * len(stream)
     for of in (
         lambda host: host.vehicle.estimator.state,
-        lambda host: host.vehicle.estimator.diagnostics,
+        lambda host: host.vehicle.estimator.filter.block.tobytes(),
+        lambda host: [getattr(host.vehicle.estimator.fusion, name) for name in MEASUREMENTS],
         lambda host: host.vehicle.flight.motors(),
         lambda host: host.vehicle.shared.block["clock"],
         lambda host: host.vehicle.pilot.controls,

@@ -1,4 +1,4 @@
-"""Diagnostics of the filter: innovations, test ratios, rejected measurements, covariance."""
+"""Innovations, test ratios and rejections of one kind of measurement."""
 
 import math
 from dataclasses import dataclass
@@ -49,43 +49,3 @@ class Aiding:
     def absent(self, horizon_us: int, timeout_us: int) -> bool:
         """Return whether no measurement was accepted within the time-out before the horizon."""
         return self.accepted_us is None or horizon_us - self.accepted_us > timeout_us
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EstimatorDiagnostics:
-    """Diagnostics for ESTIMATOR_STATUS, logs and tests; all values refer to the filter's delayed horizon."""
-
-    horizon_us: int
-    velocity: Aiding
-    """GPS velocity, innovation (3,) NED m/s"""
-    position: Aiding
-    """GPS position, innovation (2,) north and east m"""
-    height: Aiding
-    """Barometer, innovation (1,) down m"""
-    heading: Aiding
-    """Magnetometer, innovation (1,) rad; also recorded while it is not used"""
-    dead_reckoning: bool
-    """No horizontal measurement was accepted for one second."""
-    position_held: bool
-    """After long dead reckoning: the last position is fused with large noise, to bound the attitude error."""
-    navigation_failed: bool
-    """See `EstimatorState`."""
-    numerical_failure: bool
-    """The filter state is no longer finite; requires `Estimator.restart`."""
-    compass_disturbed: bool
-    """The last magnetic field differs from the site's."""
-    compass_faulty: bool
-    """GPS contradicted the compass: it is not used until landing or until it has been consistent for a
-    while."""
-    barometer_stuck: bool
-    """The same reading repeats while the vehicle climbs or descends."""
-    accelerometer_bad: bool
-    """GPS and barometer contradict it vertically; its process noise is increased."""
-    gsf_turn_rad: float
-    """Heading of the yaw emergency estimator minus the filter's, at the last fix"""
-    gsf_std_rad: float
-    """One standard deviation of the former; infinite before the second fix."""
-    x: Array
-    """(16,) nominal state, with the layout of ``kernels``"""
-    covariance: Array
-    """(15, 15) of the error state, with the layout of ``kernels``"""
