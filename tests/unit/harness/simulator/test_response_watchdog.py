@@ -1,0 +1,40 @@
+"""When a silent vehicle is given up, by the state of its process."""
+
+import psutil
+import pytest
+
+from harness.simulator.response_watchdog import (
+    COMPUTING_LIMIT_S,
+    LOOK_AFTER_S,
+    ResponseWatchdog,
+)
+
+
+def given_up_s(watchdog, observations, *, every_s=0.1, starting=False):
+    """Check every 0.1 s of wall time; returns when the vehicle was given up, or None.
+
+    ``observations`` are psutil's values for the vehicle at each check: (status, cpu seconds).
+    """
+    script = iter(observations)
+    watchdog._process_state = lambda _instance: next(script)
+    watchdog.begin(100.0)
+    for k in range(1, len(observations) + 1):
+        if watchdog.check(0, 100.0 + k * every_s, starting=starting).give_up is not None:
+            return k * every_s
+    return None
+
+
+def test_a_starved_process_is_awaited_and_a_sleeping_or_spinning_one_is_not():
+    checks = 100
+    starved = [(psutil.STATUS_RUNNING, 0.001 * k) for k in range(checks)]
+    assert given_up_s(ResponseWatchdog(2.0), starved) is None
+    sleeping = [(psutil.STATUS_SLEEPING, 0.0)] * checks
+    assert given_up_s(ResponseWatchdog(2.0), sleeping) == pytest.approx(2.4, abs=0.25)
+    spinning = [(psutil.STATUS_RUNNING, 0.1 * k) for k in range(checks)]
+    assert given_up_s(ResponseWatchdog(2.0), spinning) is None  # within these 10 s
+    spinning = [(psutil.STATUS_RUNNING, 0.1 * k) for k in range(10 * checks)]
+    assert given_up_s(ResponseWatchdog(2.0), spinning) == pytest.approx(COMPUTING_LIMIT_S + 0.3, abs=0.3)
+    assert given_up_s(ResponseWatchdog(2.0), sleeping, starting=True) is None
+    assert given_up_s(ResponseWatchdog(2.0), [(psutil.STATUS_ZOMBIE, 0.0)] * checks) == pytest.approx(
+        LOOK_AFTER_S, abs=0.11
+    )
