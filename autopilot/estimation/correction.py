@@ -9,10 +9,10 @@ from struct import Struct
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from autopilot.estimation.horizon import NOT_FINITE, Block, advance, predict_now
+from autopilot.estimation.horizon import NOT_FINITE, Horizon, advance, predict_now
 from autopilot.estimation.kernels import POS, fuse_direct, fuse_field, is_sound
+from foundation.kernels.records import Records
 
 STEP = np.dtype(
     [
@@ -55,13 +55,14 @@ CORRECTED_AT = MEASURED.size
 
 
 @njit(cache=True)
-def correct(block: Block, samples: Block, step: NDArray[np.void]) -> None:
+def correct(block: Records, samples: Records, step: Records) -> None:
     """Fuse heading and height of the pair, the heading if the compass is used; update the present estimate.
 
     ``block`` and ``samples`` are those of `horizon.advance`, ``step`` is (1,) of `STEP`.
     """
-    here, at = block[0], step[0]
-    x, cov, bias_limits = here["x"][:], here["cov"][:], at["bias_limits"][:]
+    here: Horizon = block[0]
+    at = step[0]
+    x, cov, bias_limits = here.x[:], here.cov[:], at["bias_limits"][:]
     compass_used = at["believed"] != 0
     turn_rad, turn_var, heading_ratio, disturbed = fuse_field(
         x, cov, at["field_frd_gauss"][:], at["field_ned_gauss"][:], at["field_off_max"][:],
@@ -80,7 +81,7 @@ def correct(block: Block, samples: Block, step: NDArray[np.void]) -> None:
 
 
 @njit(cache=True)
-def advance_and_correct(block: Block, samples: Block, step: NDArray[np.void]) -> int:
+def advance_and_correct(block: Records, samples: Records, step: Records) -> int:
     """Return the result of `horizon.advance` for the sample; call `correct` if the pair is due."""
     at = step[0]
     horizon_us = advance(

@@ -218,7 +218,6 @@ class Estimator:
             aligned.cov,
             time_us=self.clock.estimate_us,
             delay_us=self._params.gps_delay_us,
-            noise_psd=np.array(self._params.process_noise_psd),
         )
         self.fusion = Fusion(
             self._params, self.filter, ground_altitude_m=self._ground_altitude_m, origin=self._origin

@@ -92,7 +92,7 @@ class Fusion:
         self.barometer = StuckBarometer()
         self.vertical = VerticalConflict()
         self.navigation = NavigationTest()
-        self.bank = YawBank(delayed.tilt)
+        self.bank = YawBank(delayed.level)
         self.bank_turn_rad = 0.0
         """Heading of the bank minus the filter's, at the last fix"""
         self.held_pos_m: Array | None = None
@@ -346,11 +346,12 @@ class Fusion:
         return velocity_taken
 
     def _set_noise(self) -> None:
-        noise_psd = np.array(self._params.process_noise_psd)
+        noise = self._delayed.noise
+        noise.gyro_psd, noise.accel_psd, noise.gyro_bias_psd, noise.accel_bias_psd = (
+            self._params.process_noise_psd
+        )
         if self.vertical.bad:
-            bad_psd = BAD_ACCEL_NOISE_M_S2**2 * PX4_FILTER_PERIOD_S
-            noise_psd[kernels.ACCEL_PSD] = max(noise_psd[kernels.ACCEL_PSD], bad_psd)
-        self._delayed.noise_psd[:] = noise_psd
+            noise.accel_psd = max(noise.accel_psd, BAD_ACCEL_NOISE_M_S2**2 * PX4_FILTER_PERIOD_S)
 
     def _yaw_emergency(self) -> bool:
         """Reset to the heading that GPS velocity implies, if it is accurate and differs from the filter's.

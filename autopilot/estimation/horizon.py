@@ -8,6 +8,7 @@ time constant to tune and no special case for resets.
 """
 
 import math
+from typing import Annotated
 
 import numpy as np
 from numba import njit
@@ -17,12 +18,14 @@ from autopilot.estimation.kernels import (
     ERRORS,
     GYRO_BIAS,
     STATES,
+    ProcessNoise,
     error_transition,
     integrate,
     is_plausible,
     predict_covariance,
 )
-from autopilot.estimation.yaw_gsf import TILT, carry_level, level_start
+from autopilot.estimation.yaw_gsf import LevelFilter, carry_level, start_level
+from foundation.kernels.records import Records, new_records
 from foundation.types import Array
 
 SHORTEST_SAMPLE_US = 1_000
@@ -41,30 +44,36 @@ ESTIMATE = STD + STDS
 NOT_FINITE = -1
 """Returned for a sample that is not finite or not plausible."""
 
-HORIZON = np.dtype(
-    [
-        ("x", "f8", STATES),
-        ("cov", "f8", (ERRORS, ERRORS)),
-        ("estimate", "f8", ESTIMATE),
-        ("tilt", "f8", TILT),
-        ("noise_psd", "f8", 4),
-        ("oldest", "i8"),  # index of the first waiting sample in the ring buffer
-        ("waiting", "i8"),  # number of waiting samples
-        ("horizon_us", "i8"),
-        ("delay_us", "i8"),
-    ],
-    align=True,
-)
-"""State of the filter except the waiting samples, as one array for compiled code.
 
-Kernels pass its vectors on as whole slices (``here["x"][:]``), which have the type of the arrays that Python
-passes: each kernel is compiled once.
-"""
-SAMPLE = np.dtype(
-    [("gyro_frd_rad_s", "f8", 3), ("accel_frd_m_s2", "f8", 3), ("dt_s", "f8"), ("time_us", "i8")], align=True
-)
-"""A waiting sample and the length of its interval."""
-Block = NDArray[np.void]
+class Horizon:
+    """Record: state of the filter except the waiting samples.
+
+    Kernels pass its vectors on as whole slices (``here.x[:]``), which have the type of the arrays that Python
+    passes: each kernel is compiled once.
+    """
+
+    x: Annotated[Array, STATES]
+    cov: Annotated[Array, (ERRORS, ERRORS)]
+    estimate: Annotated[Array, ESTIMATE]
+    level: LevelFilter
+    noise: ProcessNoise
+    oldest: int
+    """Index of the first waiting sample in the ring buffer."""
+    waiting: int
+    """Number of waiting samples."""
+    horizon_us: int
+    delay_us: int
+
+
+class Sample:
+    """Record: a waiting sample."""
+
+    gyro_frd_rad_s: Annotated[Array, 3]
+    accel_frd_m_s2: Annotated[Array, 3]
+    dt_s: float
+    """Length of its interval."""
+    time_us: int
+    """End of its interval."""
 
 
 @njit(cache=True)
@@ -78,91 +87,88 @@ def describe(cov: Array, gyro_frd_rad_s: Array, estimate: Array) -> None:
 
 @njit(cache=True)
 def advance(
-    block: Block, samples: Block, time_us: int, dt_s: float, gyro_frd_rad_s: Array, accel_frd_m_s2: Array
+    block: Records, samples: Records, time_us: int, dt_s: float, gyro_frd_rad_s: Array, accel_frd_m_s2: Array
 ) -> int:
     """Append a sample to the ring buffer and advance the filter to the newest sample outside the delay.
 
     The sample's interval of length ``dt_s`` > 0 begins at the time of the last sample and ends at
-    ``time_us``. ``block`` (1,) of `HORIZON`; its estimate is advanced by the new sample; ``samples``
-    (capacity,) of `SAMPLE`. Returns the horizon's time, or NOT_FINITE for a rejected sample, which changes
+    ``time_us``. ``block`` (1,) of `Horizon`; its estimate is advanced by the new sample; ``samples``
+    (capacity,) of `Sample`. Returns the horizon's time, or NOT_FINITE for a rejected sample, which changes
     nothing.
     """
     if not is_plausible(gyro_frd_rad_s, accel_frd_m_s2):
         return NOT_FINITE
-    here = block[0]
-    x, cov, estimate, tilt = here["x"][:], here["cov"][:], here["estimate"][:], here["tilt"][:]
+    here: Horizon = block[0]
+    x, cov, estimate = here.x[:], here.cov[:], here.estimate[:]
     capacity = samples.size
-    newest = samples[(here["oldest"] + here["waiting"]) % capacity]
+    newest: Sample = samples[(here.oldest + here.waiting) % capacity]
     for i in range(3):
-        newest["gyro_frd_rad_s"][i] = gyro_frd_rad_s[i]
-        newest["accel_frd_m_s2"][i] = accel_frd_m_s2[i]
-    newest["dt_s"] = dt_s
-    newest["time_us"] = time_us
-    here["waiting"] += 1
-    limit_us = time_us - here["delay_us"]
-    while here["waiting"] > 0 and (
-        samples[here["oldest"]]["time_us"] <= limit_us or here["waiting"] == capacity
-    ):
-        sample = samples[here["oldest"]]
-        gyro, accel, over_s = sample["gyro_frd_rad_s"][:], sample["accel_frd_m_s2"][:], sample["dt_s"]
+        newest.gyro_frd_rad_s[i] = gyro_frd_rad_s[i]
+        newest.accel_frd_m_s2[i] = accel_frd_m_s2[i]
+    newest.dt_s = dt_s
+    newest.time_us = time_us
+    here.waiting += 1
+    limit_us = time_us - here.delay_us
+    while here.waiting > 0 and (samples[here.oldest].time_us <= limit_us or here.waiting == capacity):
+        sample: Sample = samples[here.oldest]
+        gyro, accel, over_s = sample.gyro_frd_rad_s[:], sample.accel_frd_m_s2[:], sample.dt_s
         from_bias, vel_from_attitude = error_transition(x, accel, over_s)
         integrate(x, gyro, accel, over_s)
-        predict_covariance(cov, from_bias, vel_from_attitude, here["noise_psd"][:], over_s)
-        carry_level(tilt, gyro, accel, over_s)
-        here["horizon_us"] = sample["time_us"]
-        here["oldest"] = (here["oldest"] + 1) % capacity
-        here["waiting"] -= 1
+        predict_covariance(cov, from_bias, vel_from_attitude, here.noise, over_s)
+        carry_level(here.level, gyro, accel, over_s)
+        here.horizon_us = sample.time_us
+        here.oldest = (here.oldest + 1) % capacity
+        here.waiting -= 1
     acc = integrate(estimate[:STATES], gyro_frd_rad_s, accel_frd_m_s2, dt_s)
     estimate[ACC], estimate[ACC + 1], estimate[ACC + 2] = acc
     describe(cov, gyro_frd_rad_s, estimate)
-    return int(here["horizon_us"])
+    return int(here.horizon_us)
 
 
 @njit(cache=True)
-def predict_now(block: Block, samples: Block) -> None:
+def predict_now(block: Records, samples: Records) -> None:
     """Set the estimate to the filter's state advanced by all waiting samples; arguments as in `advance`."""
-    here = block[0]
-    estimate, oldest, count = here["estimate"][:], here["oldest"], here["waiting"]
+    here: Horizon = block[0]
+    estimate, oldest, count = here.estimate[:], here.oldest, here.waiting
     for i in range(STATES):
-        estimate[i] = here["x"][i]
+        estimate[i] = here.x[i]
     capacity = samples.size
     for waiting in range(count):
-        sample = samples[(oldest + waiting) % capacity]
-        gyro, accel = sample["gyro_frd_rad_s"][:], sample["accel_frd_m_s2"][:]
-        acc = integrate(estimate[:STATES], gyro, accel, sample["dt_s"])
+        sample: Sample = samples[(oldest + waiting) % capacity]
+        gyro, accel = sample.gyro_frd_rad_s[:], sample.accel_frd_m_s2[:]
+        acc = integrate(estimate[:STATES], gyro, accel, sample.dt_s)
         estimate[ACC], estimate[ACC + 1], estimate[ACC + 2] = acc
-    newest = samples[(oldest + count - 1) % capacity]
-    describe(here["cov"][:], newest["gyro_frd_rad_s"][:], estimate)
+    newest: Sample = samples[(oldest + count - 1) % capacity]
+    describe(here.cov[:], newest.gyro_frd_rad_s[:], estimate)
 
 
 class DelayedHorizon:
     """State and covariance at the horizon, the waiting samples, and the present estimate."""
 
-    def __init__(self, x: Array, cov: Array, *, time_us: int, delay_us: int, noise_psd: Array) -> None:
+    def __init__(self, x: Array, cov: Array, *, time_us: int, delay_us: int) -> None:
         """Start at ``time_us``, the time of the last sample before those to be added."""
-        self.block: Block = np.zeros(1, HORIZON)
-        """Of `HORIZON`; the following attributes except the samples are views of it"""
-        self.samples: Block = np.zeros(delay_us // SHORTEST_SAMPLE_US + 2, SAMPLE)
-        """Ring buffer of `SAMPLE`"""
-        here = self.block[0]
-        self.x: Array = here["x"]
+        self.block = new_records(Horizon)
+        """Of `Horizon`; the following attributes except the samples are views of it"""
+        self.samples = new_records(Sample, delay_us // SHORTEST_SAMPLE_US + 2)
+        """Ring buffer of `Sample`"""
+        here: Horizon = self.block[0]
+        self.x = here.x
         """(16,) nominal state at the horizon"""
-        self.cov: Array = here["cov"]
+        self.cov = here.cov
         """(15, 15) its covariance"""
-        self.estimate: Array = here["estimate"]
+        self.estimate = here.estimate
         self.now: Array = self.estimate[:STATES]
         """(16,) nominal state at the newest sample"""
         self.acc_ned_m_s2: Array = self.estimate[ACC:OMEGA]
-        self.noise_psd: Array = here["noise_psd"]
-        """(4,) process noise in the order of ``kernels``; may be written at any time"""
-        self.tilt: Array = here["tilt"]
+        self.noise = here.noise
+        """Process noise; may be written at any time"""
+        self.level = here.level
         """Complementary filter of ``yaw_gsf`` at the horizon"""
         self._horizon_us: NDArray[np.int64] = self.block["horizon_us"]
         self.x[:] = x
         self.cov[:] = cov
         self.now[:] = x
-        self.noise_psd[:] = noise_psd
-        self.tilt[:] = level_start(x[:4], x[GYRO_BIAS : GYRO_BIAS + 3])
+        start_level(self.level, x[:4], x[GYRO_BIAS : GYRO_BIAS + 3])
         self.block["horizon_us"], self.block["delay_us"] = time_us, delay_us
         describe(self.cov, np.zeros(3), self.estimate)
 

@@ -37,14 +37,25 @@ VEL = 4
 POS = 7
 GYRO_BIAS = 10
 ACCEL_BIAS = 13
-# process noise vector: power spectral densities
-GYRO_PSD, ACCEL_PSD, GYRO_BIAS_PSD, ACCEL_BIAS_PSD = range(4)
 GYRO_MAX_RAD_S = 100.0
 """Greater readings are faults: 1.4 times the range of the widest gyro (TDK ICM-45686, 4000 deg/s)."""
 ACCEL_MAX_M_S2 = 1000.0
 """Likewise, 2.5 times that of the widest accelerometer (Analog Devices ADIS16497, 40 g). Simulated sensors
 have no range, and a touch-down at 3 m/s, the maximum of MPC_LAND_SPEED, that ends within a step of 4 ms is
 750 m/s^2."""
+
+
+class ProcessNoise:
+    """Record: power spectral densities per axis, and those of the biases' random walks."""
+
+    gyro_psd: float
+    """rad^2/s"""
+    accel_psd: float
+    """m^2/s^3"""
+    gyro_bias_psd: float
+    """rad^2/s^3"""
+    accel_bias_psd: float
+    """m^2/s^5"""
 
 
 @njit(cache=True)
@@ -128,7 +139,7 @@ def error_transition(x: Array, accel_frd_m_s2: Array, dt_s: float) -> tuple[Arra
 
 @njit(cache=True, inline="always")
 def predict_covariance(
-    cov: Array, from_bias: Array, vel_from_attitude: Array, noise_psd: Array, dt_s: float
+    cov: Array, from_bias: Array, vel_from_attitude: Array, noise: ProcessNoise, dt_s: float
 ) -> None:
     """Replace ``cov`` (15, 15) by F cov F' + Q dt in place, keeping it symmetric.
 
@@ -162,10 +173,10 @@ def predict_covariance(
                 attitude += from_bias[i, k] * cov[j, 9 + k]
             cov[j, i] = attitude
     for i in range(3):
-        cov[i, i] += noise_psd[GYRO_PSD] * dt_s
-        cov[3 + i, 3 + i] += noise_psd[ACCEL_PSD] * dt_s
-        cov[9 + i, 9 + i] += noise_psd[GYRO_BIAS_PSD] * dt_s
-        cov[12 + i, 12 + i] += noise_psd[ACCEL_BIAS_PSD] * dt_s
+        cov[i, i] += noise.gyro_psd * dt_s
+        cov[3 + i, 3 + i] += noise.accel_psd * dt_s
+        cov[9 + i, 9 + i] += noise.gyro_bias_psd * dt_s
+        cov[12 + i, 12 + i] += noise.accel_bias_psd * dt_s
     for i in range(ERRORS):
         for j in range(i):
             mean = 0.5 * (cov[i, j] + cov[j, i])

@@ -14,6 +14,7 @@ Equations of the models: a state (north, east velocity; azimuth), predicted by v
 """
 
 import math
+from typing import Annotated
 
 import numpy as np
 from numba import njit
@@ -61,44 +62,47 @@ VELOCITY_VAR_MAX_M2_S2 = 1e12
 AZIMUTH_VAR_MAX_RAD2 = math.pi**2
 """The greatest meaningful variance of a heading; a greater one would only cost precision."""
 
-# the complementary filter
-Q = 0
-"""(4,) attitude in the level frame, wxyz"""
-FORCE = 4
-"""(3,) low-passed specific force, FRD"""
-BIAS = 7
-"""(3,) initial gyro bias, FRD"""
-BIAS_CHANGE = 10
-"""(3,) change of the bias since then"""
-DELTA_VEL = 13
-"""(2,) velocity change in the level frame since the last update of the models"""
-ELAPSED = 15
-TILT = 16
+
+class LevelFilter:
+    """Record: the complementary filter."""
+
+    q_level_frd: Annotated[Array, 4]
+    """Attitude in the level frame, wxyz."""
+    force_frd_m_s2: Annotated[Array, 3]
+    """Low-passed specific force."""
+    bias_frd_rad_s: Annotated[Array, 3]
+    """Initial gyro bias."""
+    bias_change_frd_rad_s: Annotated[Array, 3]
+    """Change of the bias since then."""
+    vel_change_m_s: Annotated[Array, 2]
+    """Velocity change in the level frame since the last update of the models."""
+    elapsed_s: float
+    """Time since then."""
 
 
-def level_start(q_ned_frd: Array, gyro_bias_rad_s: Array) -> Array:
-    """Return the complementary filter (TILT,) of a vehicle at rest with known attitude and gyro bias."""
-    tilt = np.zeros(TILT)
-    tilt[Q : Q + 4] = q_ned_frd
-    tilt[FORCE : FORCE + 3] = quat_rotate(quat_conjugate(q_ned_frd), np.array([0.0, 0.0, -GRAVITY_M_S2]))
-    tilt[BIAS : BIAS + 3] = gyro_bias_rad_s
-    return tilt
+def start_level(level: LevelFilter, q_ned_frd: Array, gyro_bias_rad_s: Array) -> None:
+    """Initialise a filter of zeros for a vehicle at rest with known attitude (4,) and gyro bias (3,)."""
+    level.q_level_frd[:] = q_ned_frd
+    level.force_frd_m_s2[:] = quat_rotate(quat_conjugate(q_ned_frd), np.array([0.0, 0.0, -GRAVITY_M_S2]))
+    level.bias_frd_rad_s[:] = gyro_bias_rad_s
 
 
 @njit(cache=True, inline="always")
-def carry_level(tilt: Array, gyro_frd_rad_s: Array, accel_frd_m_s2: Array, dt_s: float) -> None:
-    """Advance the complementary filter (TILT,) by one inertial sample, in place (Mahony et al., 2008)."""
+def carry_level(level: LevelFilter, gyro_frd_rad_s: Array, accel_frd_m_s2: Array, dt_s: float) -> None:
+    """Advance the complementary filter by one inertial sample (Mahony et al., 2008)."""
+    q, force = level.q_level_frd, level.force_frd_m_s2
+    bias, change = level.bias_frd_rad_s, level.bias_change_frd_rad_s
     share = min(1.0, ACCEL_LOW_PASS * TILT_GAIN_1_S * dt_s)
     force_squared = 0.0
     rate_squared = 0.0
     for i in range(3):
-        tilt[FORCE + i] += share * (accel_frd_m_s2[i] - tilt[FORCE + i])
-        force_squared += tilt[FORCE + i] * tilt[FORCE + i]
-        rate_rad_s = gyro_frd_rad_s[i] - tilt[BIAS + i] - tilt[BIAS_CHANGE + i]
+        force[i] += share * (accel_frd_m_s2[i] - force[i])
+        force_squared += force[i] * force[i]
+        rate_rad_s = gyro_frd_rad_s[i] - bias[i] - change[i]
         rate_squared += rate_rad_s * rate_rad_s
     force_m_s2 = math.sqrt(force_squared)
     deviation = abs(force_m_s2 / GRAVITY_M_S2 - 1.0) / GRAVITY_TOLERANCE
-    w, x, y, z = tilt[Q], tilt[Q + 1], tilt[Q + 2], tilt[Q + 3]
+    w, x, y, z = q[0], q[1], q[2], q[3]
     down_x = 2.0 * (x * z - w * y)
     down_y = 2.0 * (y * z + w * x)
     down_z = 1.0 - 2.0 * (x * x + y * y)
@@ -107,34 +111,34 @@ def carry_level(tilt: Array, gyro_frd_rad_s: Array, accel_frd_m_s2: Array, dt_s:
         agreement = 1.0 - deviation
         gain = TILT_GAIN_1_S * agreement * agreement / force_m_s2
     correction = (
-        gain * (down_y * tilt[FORCE + 2] - down_z * tilt[FORCE + 1]),
-        gain * (down_z * tilt[FORCE] - down_x * tilt[FORCE + 2]),
-        gain * (down_x * tilt[FORCE + 1] - down_y * tilt[FORCE]),
+        gain * (down_y * force[2] - down_z * force[1]),
+        gain * (down_z * force[0] - down_x * force[2]),
+        gain * (down_x * force[1] - down_y * force[0]),
     )
     if rate_squared < STILL_RATE_RAD_S**2:
         for i in range(3):
-            change = tilt[BIAS_CHANGE + i] - GYRO_BIAS_GAIN_1_S * dt_s * correction[i]
-            tilt[BIAS_CHANGE + i] = min(GYRO_BIAS_LIMIT_RAD_S, max(-GYRO_BIAS_LIMIT_RAD_S, change))
+            changed = change[i] - GYRO_BIAS_GAIN_1_S * dt_s * correction[i]
+            change[i] = min(GYRO_BIAS_LIMIT_RAD_S, max(-GYRO_BIAS_LIMIT_RAD_S, changed))
     half_s = 0.5 * dt_s
     half_turn = from_rotation_vector(
         (
-            half_s * (gyro_frd_rad_s[0] - tilt[BIAS] - tilt[BIAS_CHANGE] + correction[0]),
-            half_s * (gyro_frd_rad_s[1] - tilt[BIAS + 1] - tilt[BIAS_CHANGE + 1] + correction[1]),
-            half_s * (gyro_frd_rad_s[2] - tilt[BIAS + 2] - tilt[BIAS_CHANGE + 2] + correction[2]),
+            half_s * (gyro_frd_rad_s[0] - bias[0] - change[0] + correction[0]),
+            half_s * (gyro_frd_rad_s[1] - bias[1] - change[1] + correction[1]),
+            half_s * (gyro_frd_rad_s[2] - bias[2] - change[2] + correction[2]),
         )
     )
-    q_mid = multiply((tilt[Q], tilt[Q + 1], tilt[Q + 2], tilt[Q + 3]), half_turn)
+    q_mid = multiply((q[0], q[1], q[2], q[3]), half_turn)
     force_level_m_s2 = rotate(q_mid, (accel_frd_m_s2[0], accel_frd_m_s2[1], accel_frd_m_s2[2]))
-    tilt[Q], tilt[Q + 1], tilt[Q + 2], tilt[Q + 3] = normalise(multiply(q_mid, half_turn))
-    tilt[DELTA_VEL] += dt_s * force_level_m_s2[0]
-    tilt[DELTA_VEL + 1] += dt_s * force_level_m_s2[1]
-    tilt[ELAPSED] += dt_s
+    q[0], q[1], q[2], q[3] = normalise(multiply(q_mid, half_turn))
+    level.vel_change_m_s[0] += dt_s * force_level_m_s2[0]
+    level.vel_change_m_s[1] += dt_s * force_level_m_s2[1]
+    level.elapsed_s += dt_s
 
 
 @njit(cache=True)
-def azimuth_of(q_ned_frd: Array, tilt: Array) -> float:
+def azimuth_of(q_ned_frd: Array, q_level_frd: Array) -> float:
     """Return the azimuth of the level frame implied by an attitude: the rotation about down between them."""
-    q_frd_level = conjugate((tilt[Q], tilt[Q + 1], tilt[Q + 2], tilt[Q + 3]))
+    q_frd_level = conjugate((q_level_frd[0], q_level_frd[1], q_level_frd[2], q_level_frd[3]))
     between = multiply((q_ned_frd[0], q_ned_frd[1], q_ned_frd[2], q_ned_frd[3]), q_frd_level)
     return 2.0 * math.atan2(between[3], between[0])
 
@@ -209,12 +213,12 @@ def update_model(model: Array, cov: Array, vel_ne_m_s: Array, vel_var: float) ->
 
 @njit(cache=True)
 def fuse_velocity(
-    tilt: Array, models: Array, covs: Array, weights: Array, vel_ne_m_s: Array, vel_var: float
+    level: LevelFilter, models: Array, covs: Array, weights: Array, vel_ne_m_s: Array, vel_var: float
 ) -> tuple[float, float]:
     """Update all models with a GPS velocity (2,); return azimuth and variance of the Gaussian sum."""
-    dt_s = tilt[ELAPSED]
-    dvel_x, dvel_y = tilt[DELTA_VEL], tilt[DELTA_VEL + 1]
-    tilt[DELTA_VEL] = tilt[DELTA_VEL + 1] = tilt[ELAPSED] = 0.0
+    dt_s = level.elapsed_s
+    dvel_x, dvel_y = level.vel_change_m_s[0], level.vel_change_m_s[1]
+    level.vel_change_m_s[0] = level.vel_change_m_s[1] = level.elapsed_s = 0.0
     dvel_m_s = math.hypot(dvel_x, dvel_y)
     significant = max(0.0, 1.0 - LEAST_ACCELERATION_M_S2 * dt_s / dvel_m_s) if dvel_m_s > 0.0 else 0.0
     total = 0.0
@@ -251,13 +255,13 @@ def fuse_velocity(
 
 
 class YawBank:
-    """The five models over a complementary filter (TILT,) that `horizon.advance` updates."""
+    """The five models over a complementary filter that `horizon.advance` updates."""
 
-    def __init__(self, tilt: Array) -> None:
+    def __init__(self, level: LevelFilter) -> None:
         self.std_rad = math.inf
         """Standard deviation of the heading."""
         self.weights = np.zeros(MODELS)
-        self._tilt = tilt
+        self._level = level
         self._models = np.zeros((MODELS, 3))
         self._covs = np.zeros((MODELS, 3, 3))
         self._azimuth_rad = 0.0
@@ -268,30 +272,33 @@ class YawBank:
         vel_var = vel_std_m_s**2
         if not self._started:
             start_models(self._models, self._covs, self.weights, vel_ne_m_s, vel_var)
-            self._tilt[DELTA_VEL:TILT] = 0.0
+            self._level.vel_change_m_s[:] = 0.0
+            self._level.elapsed_s = 0.0
             self._started = True
             return
         self._azimuth_rad, variance = fuse_velocity(
-            self._tilt, self._models, self._covs, self.weights, vel_ne_m_s, vel_var
+            self._level, self._models, self._covs, self.weights, vel_ne_m_s, vel_var
         )
         self.std_rad = math.sqrt(variance)
 
     def learn_gyro_bias(self, gyro_bias_rad_s: Array) -> None:
         """Track the filter's gyro bias (3,), slowly enough that a wrong one has no effect within seconds."""
-        bias = self._tilt[BIAS : BIAS + 3]
-        bias += BIAS_SHARE * (gyro_bias_rad_s - bias - self._tilt[BIAS_CHANGE : BIAS_CHANGE + 3])
+        bias = self._level.bias_frd_rad_s
+        bias += BIAS_SHARE * (gyro_bias_rad_s - bias - self._level.bias_change_frd_rad_s)
 
     @property
     def gyro_bias_rad_s(self) -> Array:
         """Gyro bias (3,) of the complementary filter, FRD."""
-        bias: Array = self._tilt[BIAS : BIAS + 3] + self._tilt[BIAS_CHANGE : BIAS_CHANGE + 3]
+        bias: Array = self._level.bias_frd_rad_s + self._level.bias_change_frd_rad_s
         return bias
 
     def turn_rad(self, q_ned_frd: Array) -> float:
         """Return the rotation about down, in [-pi, pi], from an attitude's heading to the bank's."""
-        return math.remainder(self._azimuth_rad - azimuth_of(q_ned_frd, self._tilt), 2.0 * math.pi)
+        return math.remainder(
+            self._azimuth_rad - azimuth_of(q_ned_frd, self._level.q_level_frd), 2.0 * math.pi
+        )
 
     def q_ned_frd(self) -> Array:
         """Return the attitude (4,): tilt of the complementary filter with the heading of the bank."""
         turn = quat_from_rotation_vector(np.array([0.0, 0.0, self._azimuth_rad]))
-        return quat_multiply(turn, self._tilt[Q : Q + 4])
+        return quat_multiply(turn, self._level.q_level_frd)

@@ -16,8 +16,7 @@ from numba import njit
 
 from autopilot.control.cascade import follow_trajectory
 from autopilot.control.state import CascadeState
-from autopilot.estimation.horizon import NOT_FINITE, advance
-from autopilot.estimation.horizon import Block as Horizon
+from autopilot.estimation.horizon import NOT_FINITE, Horizon, advance
 from autopilot.estimation.sensor_input import BARO_FIELDS, IMU_FIELDS, MAG_FIELDS
 from autopilot.mavlink.frame import FIRST, HEADER_BYTES, PAYLOAD, Octets, payload_bytes, seal
 from autopilot.mavlink.hil import HilMessage, HilSensor, unpack
@@ -40,7 +39,7 @@ _HANDED_OVER_BIT = BATCH_HANDED_OVER >> 32
 _ROTORS = 4
 _RECEIVE_BYTES = 4096
 US_PER_S = 1_000_000
-Blocks = tuple[Records, Horizon, Horizon, Records]
+Blocks = tuple[Records, Records, Records, Records]
 """Those of the shared state, the filter, its waiting samples, and the controller."""
 
 
@@ -67,8 +66,8 @@ def inertial_step(
     incoming: Octets,
     answer: Octets,
     shared: Records,
-    horizon: Horizon,
-    samples: Horizon,
+    horizon: Records,
+    samples: Records,
     cascade: Records,
 ) -> bool:
     """Process ``size`` received bytes if they are a fast step, and write the reply.
@@ -77,7 +76,8 @@ def inertial_step(
     at `frame.FIRST`; ``answer`` has the previous reply, of which sequence number, time, controls and checksum
     are updated. ``shared`` is (1,) of `shared_state.SHARED_STATE`, the others are as in `Blocks`.
     """
-    state, filtered = shared[0], horizon[0]
+    state = shared[0]
+    filtered: Horizon = horizon[0]
     clock = state["clock"]
     length = payload_bytes(incoming, size, _SENSOR_ID, _SENSOR_EXTRA)
     if length < _LEAST_BYTES or length > _MOST_BYTES:
@@ -87,9 +87,9 @@ def inertial_step(
     time_us = int(np.int64(sensor["time_usec"]))
     if updated & ~_AIDS != IMU_FIELDS or time_us <= clock["now_us"]:
         return False
-    if not within_limits(state["limits"], time_us, time_us - filtered["delay_us"], int(updated & _AIDS)):
+    if not within_limits(state["limits"], time_us, time_us - filtered.delay_us, int(updated & _AIDS)):
         return False
-    if filtered["waiting"] + 1 >= samples.size:  # a full ring buffer would advance the horizon further
+    if filtered.waiting + 1 >= samples.size:  # a full ring buffer would advance the horizon further
         return False
     accel, gyro = np.empty(3), np.empty(3)
     accel[0], accel[1], accel[2] = sensor["xacc"], sensor["yacc"], sensor["zacc"]
@@ -102,7 +102,7 @@ def inertial_step(
     if state["flies"]:
         c: CascadeState = cascade[0]
         c.dt_s = (time_us - clock["now_us"]) / US_PER_S  # the other inputs are unchanged
-        follow_trajectory(cascade, filtered["estimate"][:])
+        follow_trajectory(cascade, filtered.estimate[:])
         for i in range(_ROTORS):
             reply["controls"][i] = c.allocation.controls[i]
     clock["now_us"] = clock["inertial_us"] = clock["estimate_us"] = time_us

@@ -51,9 +51,9 @@ def record_dtype(record: type) -> np.dtype[np.void]:
     return np.dtype((np.record, np.dtype(fields, align=True)))
 
 
-def new_records(record: type) -> Records:
-    """Return a (1,) array of a record class, of zeros; its element 0 is the record."""
-    return np.zeros(1, record_dtype(record))
+def new_records(record: type, count: int = 1) -> Records:
+    """Return an array (count,) of records, of zeros."""
+    return np.zeros(count, record_dtype(record))
 
 
 def new_record(record: type[R]) -> R:

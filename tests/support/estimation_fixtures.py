@@ -3,6 +3,8 @@
 import numpy as np
 
 from autopilot.estimation.params import EstimatorParams
+from autopilot.estimation.yaw_gsf import LevelFilter, start_level
+from foundation.kernels.records import new_record
 from foundation.types import Array
 from studies.vehicle.estimation import MATCHED_PARAMS
 from studies.vehicle.sensor_flights import (
@@ -31,6 +33,7 @@ __all__ = [
     "circle",
     "errors",
     "figure_eight",
+    "level_start",
     "replay",
     "rest",
     "rms",
@@ -54,3 +57,10 @@ def straight(time_s: Array) -> tuple[Array, Array]:
 def step(time_s: float) -> int:
     """Return the index of the step that ends at a time."""
     return round(time_s / STEP_S) - 1
+
+
+def level_start(q_ned_frd: Array, gyro_bias_rad_s: Array) -> LevelFilter:
+    """Return the complementary filter of a vehicle at rest."""
+    level = new_record(LevelFilter)
+    start_level(level, q_ned_frd, gyro_bias_rad_s)
+    return level

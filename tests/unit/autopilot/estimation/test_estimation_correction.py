@@ -20,10 +20,7 @@ LEVEL = ((0.0, 0.0, 0.0), (0.0, 0.0, -9.80665))
 def aligned():
     x = np.zeros(kernels.STATES)
     x[0] = 1.0
-    delayed = DelayedHorizon(
-        x, 0.01 * np.eye(kernels.ERRORS), time_us=0, delay_us=DELAY_US,
-        noise_psd=np.array(PARAMS.process_noise_psd),
-    )  # fmt: skip
+    delayed = DelayedHorizon(x, 0.01 * np.eye(kernels.ERRORS), time_us=0, delay_us=DELAY_US)
     return delayed, Fusion(PARAMS, delayed, ground_altitude_m=488.0, origin=None)
 
 

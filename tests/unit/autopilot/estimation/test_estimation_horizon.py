@@ -9,14 +9,16 @@ from autopilot.estimation.horizon import ACC, ESTIMATE, OMEGA, STD, DelayedHoriz
 from autopilot.estimation.kernels import ACCEL_BIAS, GYRO_BIAS, POS, VEL
 from autopilot.estimation.params import EstimatorParams
 
-PSD = np.array([1e-6, 1e-4, 1e-8, 1e-6])
+PSD = (1e-6, 1e-4, 1e-8, 1e-6)
 
 
 def start(delay_us, time_us=0):
     x = np.zeros(kernels.STATES)
     x[0] = 1.0
     x[10:] = [0.01, -0.02, 0.03, 0.1, -0.1, 0.05]
-    return DelayedHorizon(x, 0.01 * np.eye(kernels.ERRORS), time_us=time_us, delay_us=delay_us, noise_psd=PSD)
+    delayed = DelayedHorizon(x, 0.01 * np.eye(kernels.ERRORS), time_us=time_us, delay_us=delay_us)
+    delayed.block["noise"] = PSD
+    return delayed
 
 
 def add(delayed, time_us, gyro_frd_rad_s, accel_frd_m_s2, step_us=4000):

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from autopilot.estimation import kernels
 from autopilot.estimation.estimator import Estimator
 from autopilot.estimation.params import EstimatorParams
+from foundation.kernels.records import new_records
 
 NO_LIMITS = np.full(2, np.inf)
 
@@ -116,12 +117,14 @@ def test_integration_over_one_step_follows_a_steady_turn():
 def test_covariance_prediction_is_the_dense_product():
     rng = np.random.default_rng(3)
     cov, dt_s = some_covariance(rng), 0.004
-    psd = np.array([1e-6, 1e-4, 1e-8, 1e-6])
+    psd = (1e-6, 1e-4, 1e-8, 1e-6)
+    process_noise = new_records(kernels.ProcessNoise)
+    process_noise[0] = psd
     blocks = kernels.error_transition(some_state(rng), rng.normal(0.0, 10.0, 3), dt_s)
     transition = dense_transition(*blocks, dt_s)
     noise = dt_s * np.diag(np.repeat([psd[0], psd[1], 0.0, psd[2], psd[3]], 3))
     expected = transition @ cov @ transition.T + noise
-    kernels.predict_covariance(cov, *blocks, psd, dt_s)
+    kernels.predict_covariance(cov, *blocks, process_noise[0], dt_s)
     np.testing.assert_allclose(cov, expected, rtol=1e-12, atol=1e-15)
     np.testing.assert_array_equal(cov, cov.T)
 
