@@ -1,4 +1,4 @@
-"""Write arrays to, and read an element from, NEC decks, the text files of nec2c, xnec2c and 4nec2.
+"""Read an element from a NEC deck, the text file of nec2c, xnec2c and 4nec2.
 
 The reader supports CM, CE, GW, GM, GS, GE, EX 0, and EN, after which it stops. It skips cards that only
 request results (FR, RP, XQ, PT, PQ, NE, NH) and rejects all others, with their line number. Numbers are
@@ -6,19 +6,16 @@ separated by blanks or commas; an empty field between two commas is 0, as in NEC
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antenna.analysis.patterns import directions_deg
-from antenna.model.clearance import SEGMENT_MATCH, placed_wires_m, segment_distance_m
+from antenna.model.clearance import SEGMENT_MATCH, segment_distance_m
 from antenna.model.elements import WIRE_LENGTH_M, WIRE_RADIUS_M, Element, Wire
-from antenna.model.geometry import Array, Snapshot
+from antenna.model.geometry import Array
 
-SPEED_OF_LIGHT_M_S = 299_792_458.0
 _PASSED_OVER = {"CM", "CE", "FR", "RP", "XQ", "PT", "PQ", "NE", "NH"}
 _INTEGERS = {"GW": 2, "GM": 2, "GS": 2, "EX": 4, "GE": 1}
 _MOST_WIRES = 1_000
@@ -28,14 +25,6 @@ _GREATEST = 1e15
 
 class DeckError(ValueError):
     """The deck cannot be read; the text is one line with the deck's line number."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Ground:
-    """Ground of a deck's GN card; ``permittivity`` None is a perfect conductor."""
-
-    permittivity: float | None = None
-    conductivity_s_m: float = 0.0
 
 
 class _Placed(NamedTuple):
@@ -93,53 +82,6 @@ def read_element(text: str) -> Element:
         return Element(wires=tuple(placed.wire for placed in wires), feed_segment=_segment(wires, *source))
     except ValueError as error:
         raise DeckError(f"line {number}: {error}") from None
-
-
-def write_deck(
-    snapshot: Snapshot,
-    element: Element,
-    wavelength_m: float,
-    *,
-    ground: Ground | None = None,
-    step_deg: float = 5.0,
-    comments: Sequence[str] = (),
-) -> str:
-    """Return the deck of an array at one instant, with a request for the gain on a grid of the sphere.
-
-    Element k has the tags k W + 1 to (k + 1) W, where W is its number of wires.
-    """  # fmt: skip
-    cards = [f"CM {comment}" for comment in comments] + ["CE"]
-    for k, wires in enumerate(placed_wires_m(snapshot, element)):
-        for w, (wire, ends_m) in enumerate(zip(element.wires, wires, strict=True)):
-            numbers = (*ends_m[0].tolist(), *ends_m[1].tolist(), wire.radius_m)
-            tag = k * len(element.wires) + w + 1
-            cards.append(f"GW {tag} {wire.segments} " + " ".join(f"{value:.9g}" for value in numbers))
-    cards.append(f"GE {0 if ground is None else 1}")
-    if ground is not None and ground.permittivity is None:
-        cards.append("GN 1")
-    elif ground is not None:
-        cards.append(f"GN 2 0 0 0 {ground.permittivity:.9g} {ground.conductivity_s_m:.9g}")
-    cards.append(f"FR 0 1 0 0 {SPEED_OF_LIGHT_M_S / wavelength_m / 1e6:.12g} 0")
-    fed, segment = feed(element)
-    for k, voltage in enumerate(snapshot.voltages.tolist()):
-        if voltage != 0.0:  # NEC2 treats a source of 0 V as 1 V
-            tag = k * len(element.wires) + fed + 1
-            cards.append(f"EX 0 {tag} {segment + 1} 0 {voltage.real:.9g} {voltage.imag:.9g}")
-    theta_deg, phi_deg = directions_deg(step_deg)
-    rows = len(theta_deg) if ground is None else len(theta_deg) // 2 + 1
-    step = f"{theta_deg[1]:.9g}"
-    cards += [f"RP 0 {rows} {len(phi_deg)} 1000 0 0 {step} {step} 0 0", "EN"]
-    return "\n".join(cards) + "\n"
-
-
-def feed(element: Element) -> tuple[int, int]:
-    """Return the wire and its segment at which an element is fed, both from 0."""
-    segment = element.feed_segment
-    for number, wire in enumerate(element.wires):
-        if segment < wire.segments:
-            return number, segment
-        segment -= wire.segments
-    raise AssertionError("feed_segment is not a segment of the element")
 
 
 def _fields(card: str, text: str) -> tuple[list[int], list[float]]:

@@ -4,17 +4,18 @@ Only this module imports PyNEC, which is optional. PyNEC holds the interpreter l
 several cores need several processes, see `antenna.solvers.parallel`.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from antenna.analysis.patterns import directions_deg, from_dbi
+from antenna.analysis.patterns import from_dbi
+from antenna.model.array_deck import SPEED_OF_LIGHT_M_S, feed
 from antenna.model.clearance import placed_wires_m
 from antenna.model.config import AntennaConfig
-from antenna.model.deck import SPEED_OF_LIGHT_M_S, feed
 from antenna.model.geometry import Array, Snapshot
 from antenna.solvers.interface import BackendUnavailable
-from antenna.solvers.nec2_common import Nec2Solver
+from antenna.solvers.nec2_common import FarField, Nec2Solver
 
 
 class Nec2Unavailable(BackendUnavailable):
@@ -27,24 +28,14 @@ except ImportError as error:
     raise Nec2Unavailable("NEC2 patterns need PyNEC: pip install 'coflight[nec2]'") from error
 
 
-class Nec2(Nec2Solver):
-    """Patterns by PyNEC."""
-
-    name = "nec2"
-
-    def far_field(self, snapshot: Snapshot) -> "PynecFarField":
-        """Build an array in NEC2."""
-        return PynecFarField(snapshot, self._config)
-
-
-class PynecFarField:
+class PynecFarField(FarField):
     """One array in NEC2: built on construction, solved by the first request for gains."""
 
     def __init__(self, snapshot: Snapshot, config: AntennaConfig) -> None:
+        super().__init__(snapshot, config)
         element = config.element()
         self._context = PyNEC.nec_context()
         self._requests = 0
-        self._grounded = config.ground != "none"
         geometry = self._context.get_geometry()
         tag = 0
         for placed in placed_wires_m(snapshot, element).tolist():
@@ -65,30 +56,26 @@ class PynecFarField:
                 tag = k * len(element.wires) + fed_wire + 1
                 self._context.ex_card(0, tag, segment + 1, 0, voltage.real, voltage.imag, 0.0, 0.0, 0.0, 0.0)
 
-    def partial_gains(self, step_deg: float) -> Array:
-        """Return linear gains (2, T, P) in theta and phi polarisation on the grid of `directions_deg`."""
-        theta_deg, phi_deg = directions_deg(step_deg)
-        columns = len(phi_deg)
-        rows = len(theta_deg) // 2 + 1 if self._grounded else len(theta_deg)
-        pattern = self._request(rows, columns, 0.0, 0.0, float(theta_deg[1]))
+    def _grid(self, rows: int, columns: int, step_deg: float) -> Array:
+        pattern = self._request(rows, columns, 0.0, 0.0, step_deg)
         # get_gain_vert and get_gain_horiz refer to the polarisation ellipse; the fields are phi-major
         powers = np.array([np.abs(f) ** 2 for f in (pattern.get_e_theta(), pattern.get_e_phi())])
         powers = powers.reshape(2, columns, rows).transpose(0, 2, 1)
         share = powers / np.maximum(powers.sum(axis=0), np.finfo(float).tiny)
-        gains = np.zeros((2, len(theta_deg), columns))
-        gains[:, :rows] = share * from_dbi(pattern.get_gain())
-        return gains
+        return np.asarray(share * from_dbi(pattern.get_gain()))
 
-    def gains_dbi(self, theta_deg: Array, phi_deg: Array) -> Array:
-        """Return total gains in directions; below a ground those of the mirror image, see `make_pattern`."""
-        if self._grounded:
-            theta_deg = np.minimum(theta_deg, 180.0 - theta_deg)
-        pairs = zip(theta_deg.ravel().tolist(), phi_deg.ravel().tolist(), strict=True)
-        gains_dbi = [self._request(1, 1, *pair, 0.0).get_gain()[0, 0] for pair in pairs]
-        return np.array(gains_dbi).reshape(theta_deg.shape)
+    def _towards_dbi(self, directions_deg: Sequence[tuple[float, float]]) -> list[float]:
+        return [self._request(1, 1, *pair, 0.0).get_gain()[0, 0] for pair in directions_deg]
 
     def _request(self, rows: int, columns: int, theta_deg: float, phi_deg: float, step_deg: float) -> Any:  # noqa: ANN401  PyNEC has no types
         """Compute one RP card in normal mode and return its pattern."""
         self._context.rp_card(0, rows, columns, 0, 0, 0, 0, theta_deg, phi_deg, step_deg, step_deg, 0.0, 0.0)
         self._requests += 1
         return self._context.get_radiation_pattern(self._requests - 1)
+
+
+class Nec2(Nec2Solver):
+    """Patterns by PyNEC."""
+
+    name = "nec2"
+    far_field = PynecFarField

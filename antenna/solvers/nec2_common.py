@@ -3,7 +3,8 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Protocol
+
+import numpy as np
 
 from antenna.analysis.patterns import FLOOR_DBI, Pattern, decimated, directions_deg, make_pattern, times_finer
 from antenna.model.clearance import GROUND, Nearest, check_apart, credible, near_m, placed_wires_m, reach_m
@@ -26,35 +27,52 @@ class NoPower(Exception):
     """The input power of the sources is not positive."""
 
 
-class FarField(Protocol):
+class FarField(ABC):
     """One array solved by a NEC2 program."""
+
+    def __init__(self, snapshot: Snapshot, config: AntennaConfig) -> None:
+        self._snapshot = snapshot
+        self._config = config
+        self._grounded = config.ground != "none"
 
     def partial_gains(self, step_deg: float) -> Array:
         """Return linear gains (2, T, P) in the theta and phi polarisations on the grid of `directions_deg`.
 
         Raises NoPower.
         """
-        ...
+        theta_deg, phi_deg = directions_deg(step_deg)
+        rows = len(theta_deg) // 2 + 1 if self._grounded else len(theta_deg)
+        gains = np.zeros((2, len(theta_deg), len(phi_deg)))
+        gains[:, :rows] = self._grid(rows, len(phi_deg), float(theta_deg[1]))
+        return gains
 
     def gains_dbi(self, theta_deg: Array, phi_deg: Array) -> Array:
         """Return total gains in directions, all of one shape; below a ground those of the mirror image."""
-        ...
+        if self._grounded:
+            theta_deg = np.minimum(theta_deg, 180.0 - theta_deg)
+        pairs = zip(theta_deg.ravel().tolist(), phi_deg.ravel().tolist(), strict=True)
+        return np.array(self._towards_dbi(list(pairs))).reshape(theta_deg.shape)
+
+    @abstractmethod
+    def _grid(self, rows: int, columns: int, step_deg: float) -> Array:
+        """Return partial gains (2, rows, columns) on a grid that begins at the zenith."""
+
+    @abstractmethod
+    def _towards_dbi(self, directions_deg: Sequence[tuple[float, float]]) -> Sequence[float] | Array:
+        """Return the total gain in each direction (theta, phi)."""
 
 
-class Nec2Solver(ABC):
+class Nec2Solver:
     """Patterns of arrays of equal elements, solved one by one."""
 
     name: str
     accuracy = Accuracy.REFERENCE
+    far_field: type[FarField]
 
     def __init__(self, config: AntennaConfig) -> None:
         self._config = config
         self._element = config.element()
         self._grounded = config.ground != "none"
-
-    @abstractmethod
-    def far_field(self, snapshot: Snapshot) -> FarField:
-        """Return the far field of an array, to be solved by the program."""
 
     def patterns(self, snapshots: Sequence[Snapshot]) -> list[Pattern | ElementsTouch]:
         """See `antenna.solvers.interface.Backend`."""
@@ -75,7 +93,7 @@ class Nec2Solver(ABC):
         step_deg = float(theta_deg[1])
         reach, wavelength_m = reach_m(self._element), config.wavelength_m
         times = times_finer(snapshot.centres_m, reach, wavelength_m, step_deg, self._grounded)
-        far_field = self.far_field(snapshot)
+        far_field = self.far_field(snapshot, config)
         try:
             theta_gain, phi_gain = far_field.partial_gains(step_deg / times)
             pattern = make_pattern(

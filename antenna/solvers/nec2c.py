@@ -7,17 +7,17 @@ more digits than the printed decibels.
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from antenna.analysis.patterns import directions_deg, to_dbi
-from antenna.model.array_deck import ground_of
+from antenna.analysis.patterns import to_dbi
+from antenna.model.array_deck import write_deck
 from antenna.model.config import AntennaConfig
-from antenna.model.deck import write_deck
-from antenna.model.geometry import Array, Snapshot
+from antenna.model.geometry import Array
 from antenna.solvers.interface import BackendUnavailable
-from antenna.solvers.nec2_common import Nec2Solver, NoPower
+from antenna.solvers.nec2_common import FarField, Nec2Solver, NoPower
 
 ETA_NEC_OHM = 376.73
 TIMEOUT_S = 120.0
@@ -31,59 +31,23 @@ class Nec2cFailed(RuntimeError):
     """The program returned no pattern; the text is one line."""
 
 
-class Nec2c(Nec2Solver):
-    """Patterns by nec2c."""
-
-    name = "nec2c"
-
-    def __init__(self, config: AntennaConfig) -> None:
-        super().__init__(config)
-        program = shutil.which("nec2c")
-        if program is None:
-            raise Nec2cUnavailable("nec2c patterns need the program nec2c, available as a Debian package")
-        self._program = program
-
-    def far_field(self, snapshot: Snapshot) -> "Nec2cFarField":
-        """Return the far field of an array, solved at each request."""
-        return Nec2cFarField(snapshot, self._config, self._program)
-
-
-class Nec2cFarField:
+class Nec2cFarField(FarField):
     """One array, solved again at every request; raises Nec2cFailed."""
 
-    def __init__(self, snapshot: Snapshot, config: AntennaConfig, program: str) -> None:
-        self._snapshot = snapshot
-        self._config = config
-        self._program = program
-        self._ground = ground_of(config)
-
-    def partial_gains(self, step_deg: float) -> Array:
-        """See `antenna.solvers.nec2_common.FarField`; raises Nec2cFailed for a wrong number of gains."""
-        theta_deg, phi_deg = directions_deg(step_deg)
-        rows = len(theta_deg) if self._ground is None else len(theta_deg) // 2 + 1
+    def _grid(self, rows: int, columns: int, step_deg: float) -> Array:
         found = self._run(self._cards(step_deg))
-        if len(found) != rows * len(phi_deg):
-            raise Nec2cFailed(f"nec2c returned {len(found)} directions; expected {rows} by {len(phi_deg)}")
-        gains = np.zeros((2, len(theta_deg), len(phi_deg)))
-        gains[:, :rows] = found.reshape(len(phi_deg), rows, 2).transpose(2, 1, 0)
-        return gains
+        if len(found) != rows * columns:
+            raise Nec2cFailed(f"nec2c returned {len(found)} directions; expected {rows} by {columns}")
+        return found.reshape(columns, rows, 2).transpose(2, 1, 0)
 
-    def gains_dbi(self, theta_deg: Array, phi_deg: Array) -> Array:
-        """See `antenna.solvers.nec2_common.FarField`."""
-        if self._ground is not None:
-            theta_deg = np.minimum(theta_deg, 180.0 - theta_deg)
-        requests = [
-            f"RP 0 1 1 1000 {theta:.9g} {phi:.9g} 0 0 0 0"
-            for theta, phi in zip(theta_deg.ravel().tolist(), phi_deg.ravel().tolist(), strict=True)
-        ]
+    def _towards_dbi(self, directions_deg: Sequence[tuple[float, float]]) -> Array:
+        requests = [f"RP 0 1 1 1000 {theta:.9g} {phi:.9g} 0 0 0 0" for theta, phi in directions_deg]
         *array, _, _ = self._cards(self._config.grid_deg)
-        return to_dbi(self._run([*array, *requests, "EN"]).sum(axis=1)).reshape(theta_deg.shape)
+        return to_dbi(self._run([*array, *requests, "EN"]).sum(axis=1))
 
     def _cards(self, step_deg: float) -> list[str]:
         """Return the deck of the array; its last two cards request the grid and end the deck."""
-        element, wavelength_m = self._config.element(), self._config.wavelength_m
-        deck = write_deck(self._snapshot, element, wavelength_m, ground=self._ground, step_deg=step_deg)
-        return deck.splitlines()
+        return write_deck(self._snapshot, self._config, step_deg=step_deg).splitlines()
 
     def _run(self, cards: list[str]) -> Array:
         """Return linear gains (D, 2), theta and phi polarisation, of all directions that a deck requests."""
@@ -91,11 +55,29 @@ class Nec2cFarField:
             deck, output = Path(folder) / "deck.nec", Path(folder) / "deck.out"
             deck.write_text("\n".join(cards) + "\n", encoding="ascii")
             ended = subprocess.run(
-                [self._program, "-i", str(deck), "-o", str(output)],
+                [_program(), "-i", str(deck), "-o", str(output)],
                 capture_output=True, text=True, timeout=TIMEOUT_S, check=False,
             )  # fmt: skip
             text = output.read_text(encoding="latin-1") if output.exists() else ""
         return _read_gains(text, (ended.stderr or ended.stdout).strip().splitlines())
+
+
+class Nec2c(Nec2Solver):
+    """Patterns by nec2c."""
+
+    name = "nec2c"
+    far_field = Nec2cFarField
+
+    def __init__(self, config: AntennaConfig) -> None:
+        super().__init__(config)
+        _program()  # raises here if unavailable
+
+
+def _program() -> str:
+    program = shutil.which("nec2c")
+    if program is None:
+        raise Nec2cUnavailable("nec2c patterns need the program nec2c, available as a Debian package")
+    return program
 
 
 def _read_gains(text: str, messages: list[str]) -> Array:

@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 from antenna.analysis.patterns import Pattern, from_dbi
 from antenna.analysis.statistics import GainStatistics, gain_density, gain_statistics
 from antenna.lab.formations import Disorder, draws
+from antenna.model.array_deck import write_deck
 from antenna.model.config import AntennaConfig
-from antenna.model.deck import write_deck
 from antenna.model.geometry import Snapshot
 from antenna.solvers.interface import BackendUnavailable
 from antenna.solvers.parallel import compute_patterns
@@ -62,7 +62,7 @@ def array_of(wavelength_m: float, scenario: Path = SCENARIO) -> tuple[Snapshot, 
 def frequency_mhz(wavelength_m: float, scenario: Path = SCENARIO) -> float:
     """Return the frequency in the array's deck at a wavelength, MHz."""
     snapshot, config = array_of(wavelength_m, scenario)
-    deck = write_deck(snapshot, config.element(), config.wavelength_m)
+    deck = write_deck(snapshot, config)
     card = next(line.split() for line in deck.splitlines() if line.startswith("FR "))
     return float(card[5])
 

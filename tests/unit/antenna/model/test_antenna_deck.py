@@ -5,8 +5,10 @@ import pytest
 from antenna_arrays import vertical_snapshot
 
 from antenna.analysis.patterns import directions_deg
-from antenna.model.deck import DeckError, Ground, read_element, write_deck
-from antenna.model.elements import Wire, dipole, loop
+from antenna.model.array_deck import write_deck
+from antenna.model.config import AntennaConfig
+from antenna.model.deck import DeckError, read_element
+from antenna.model.elements import Wire
 
 ONE = "GW 1 9 0 0 -0.5 0 0 0.5 0.001"
 REST = "GE 0\nEX 0 1 5 0 1 0\nEN\n"
@@ -16,25 +18,28 @@ def _read(*cards):
     return read_element("\n".join(cards) + "\n" + REST)
 
 
-@pytest.mark.parametrize("ground", [None, Ground()], ids=["free", "ground"])
+@pytest.mark.parametrize("ground", ["none", "perfect"])
 @pytest.mark.parametrize("step_deg", [0.1, 0.8, 1.0, 2.0, 4.0, 5.0, 7.0, 7.2, 10.0, 12.0, 15.0, 20.0, 30.0])
 def test_deck_requests_the_directions_of_a_pattern(ground, step_deg):
     """From the pole on, over ground to the horizon alone; 4, 7.2, 12 and 20 have an odd ceil(180 / step)."""
     snapshot = vertical_snapshot(np.array([[0.0, 0.0, 5.0]]), 10.0)
-    text = write_deck(snapshot, dipole(0.05, 0.0002, 9), 10.0, ground=ground, step_deg=step_deg)
+    text = write_deck(snapshot, AntennaConfig(ground=ground), step_deg=step_deg)
     (card,) = [line.split() for line in text.splitlines() if line.startswith("RP")]
     theta_deg, phi_deg = directions_deg(step_deg)
-    seen_deg = theta_deg if ground is None else theta_deg[theta_deg < 90.0 + 1e-6]
+    seen_deg = theta_deg if ground == "none" else theta_deg[theta_deg < 90.0 + 1e-6]
     assert card[1:4] == ["0", str(len(seen_deg)), str(len(phi_deg))]
     assert card[5:7] == card[9:] == ["0", "0"]
     assert float(card[7]) * np.arange(len(seen_deg)) == pytest.approx(seen_deg, abs=1e-5)
     assert float(card[8]) * np.arange(len(phi_deg)) == pytest.approx(phi_deg, abs=1e-5)
 
 
-@pytest.mark.parametrize("element", [dipole(5.0, 0.001, 11), loop(0.3, 0.001, 12)], ids=["dipole", "loop"])
-def test_element_round_trips_through_a_deck(element):
-    text = write_deck(vertical_snapshot(np.zeros((1, 3)), 10.0), element, 10.0)
-    found = read_element(text)
+@pytest.mark.parametrize(("kind", "length_m", "segments"), [("dipole", 5.0, 11), ("loop", 1.9, 12)])
+def test_element_round_trips_through_a_deck(kind, length_m, segments):
+    config = AntennaConfig(
+        element_kind=kind, element_length_m=length_m, element_radius_m=0.001, segments=segments
+    )
+    element = config.element()
+    found = read_element(write_deck(vertical_snapshot(np.zeros((1, 3)), 10.0), config))
     assert found.feed_segment == element.feed_segment
     for mine, its in zip(found.wires, element.wires, strict=True):
         assert (mine.segments, mine.radius_m) == (its.segments, its.radius_m)
