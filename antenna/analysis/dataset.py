@@ -1,4 +1,4 @@
-"""Convert patterns to one labelled dataset, and write and read it as a NetCDF-4 file.
+"""Convert patterns to one labelled dataset, and write it as a NetCDF-4 file.
 
 A row is one instant of a flight (``time``) or one draw (``sample``). A row whose elements touch, or are too
 near for a solution, has gains of NaN and the indices of these elements. Attributes describe the solver, its
@@ -34,10 +34,6 @@ _GRIDS = {
 }
 
 
-class NotPatterns(ValueError):
-    """The file is not a dataset of patterns; the text is one line with the path."""
-
-
 def to_dataset(
     results: Sequence[Pattern | ElementsTouch],
     config: AntennaConfig,
@@ -68,81 +64,41 @@ def to_dataset(
         else:
             touching[:, k], distance_m[k] = (result.first, result.second), result.distance_m
             too_near[k] = isinstance(result, ElementsTooNear)
-    about_touching = "of the two elements that touch, from 0; -1: none"
-    return xr.Dataset(
-        {
-            **{
-                name: ((row, "theta", "phi"), grids[i], _about(*_GRIDS[name]))
-                for i, name in enumerate(_GRIDS)
-            },
-            **{name: (row, maxima[i], _about(*_MAXIMUM[name])) for i, name in enumerate(_MAXIMUM)},
-            "touching_first": (row, touching[0], {"long_name": f"first {about_touching}"}),
-            "touching_second": (row, touching[1], {"long_name": f"second {about_touching}, or the ground"}),
-            "touching_distance_m": (row, distance_m, _about("m", "between the axes of what touches")),
-            "too_near": (
-                row,
-                too_near,
-                {"long_name": "1: the two do not touch, but are too near for a solution; 0: else"},
-            ),
-            "settings": (
-                (),
-                msgspec.json.encode(config).decode(),
-                {"long_name": "the [antenna] table, as JSON"},
-            ),
-        },
-        coords={
-            "theta": ("theta", first.theta_deg, _about("degree", "from +z (up)")),
-            "phi": (
-                "phi",
-                first.phi_deg,
-                _about("degree", "from +x (broadside axis) towards +y (end-fire axis)"),
-            ),
-            row: (row, *_rows(len(results), time_us)),
-        },
-        attrs={
-            "format": FORMAT,
-            "Conventions": "CF-1.11",
-            "title": "Power gain of a swarm's synthetic aperture",
-            "backend": first.backend,
-            "accuracy": str(accuracy),
-            "wavelength_m": config.wavelength_m,
-            "element": describe_element(config),
-            "ground": describe_ground(config),
-            "excitation": config.excitation,
-            "feeds_for": config.feeds_for,
-            "frame": "x broadside, y end-fire, z up; theta from +z, phi from +x towards +y",
-            "gain": f"over input power, dBi; {FLOOR_DBI} where nothing is radiated, NaN where elements touch",
-        },
-    )
-
-
-def from_dataset(dataset: xr.Dataset) -> list[Pattern | ElementsTouch]:
-    """Return the results by row: the inverse of `to_dataset`, with grids in single precision."""
-    theta_deg, phi_deg = (np.asarray(dataset[name].values, float) for name in ("theta", "phi"))
-    grids = [np.asarray(dataset[name].values) for name in _GRIDS]
-    maxima = np.stack([np.asarray(dataset[name].values) for name in _MAXIMUM], axis=1).tolist()
-    first, second = (dataset[f"touching_{which}"].values.tolist() for which in ("first", "second"))
-    distance_m = dataset["touching_distance_m"].values.tolist()
-    too_near = dataset["too_near"].values.tolist()
-    results: list[Pattern | ElementsTouch] = []
-    for k, (gain_dbi, max_theta_deg, max_phi_deg, average) in enumerate(maxima):
-        if first[k] != NO_ELEMENT:
-            kind = ElementsTooNear if too_near[k] else ElementsTouch
-            results.append(kind(first[k], second[k], distance_m[k]))
-            continue
-        results.append(
-            Pattern(
-                theta_deg=theta_deg, phi_deg=phi_deg, theta_gain_dbi=grids[0][k], phi_gain_dbi=grids[1][k],
-                max_gain_dbi=gain_dbi, max_theta_deg=max_theta_deg, max_phi_deg=max_phi_deg,
-                average_gain=average, backend=str(dataset.attrs["backend"]),
-            )
-        )  # fmt: skip
-    return results
-
-
-def settings_of(dataset: xr.Dataset) -> AntennaConfig:
-    """Return the settings stored in a dataset."""
-    return msgspec.json.decode(str(dataset["settings"].item()), type=AntennaConfig)
+    of_two = "of the two elements that touch, from 0; -1: none"
+    variables = {
+        **{name: ((row, "theta", "phi"), grids[i], _about(*_GRIDS[name])) for i, name in enumerate(_GRIDS)},
+        **{name: (row, maxima[i], _about(*_MAXIMUM[name])) for i, name in enumerate(_MAXIMUM)},
+        "touching_first": (row, touching[0], {"long_name": f"first {of_two}"}),
+        "touching_second": (row, touching[1], {"long_name": f"second {of_two}, or the ground"}),
+        "touching_distance_m": (row, distance_m, _about("m", "between the axes of what touches")),
+        "too_near": (
+            row, too_near, {"long_name": "1: the two do not touch, but are too near for a solution; 0: else"},
+        ),
+        "settings": (
+            (), msgspec.json.encode(config).decode(), {"long_name": "the [antenna] table, as JSON"},
+        ),
+    }  # fmt: skip
+    about_phi = _about("degree", "from +x (broadside axis) towards +y (end-fire axis)")
+    coordinates = {
+        "theta": ("theta", first.theta_deg, _about("degree", "from +z (up)")),
+        "phi": ("phi", first.phi_deg, about_phi),
+        row: (row, *_rows(len(results), time_us)),
+    }
+    attributes = {
+        "format": FORMAT,
+        "Conventions": "CF-1.11",
+        "title": "Power gain of a swarm's synthetic aperture",
+        "backend": first.backend,
+        "accuracy": str(accuracy),
+        "wavelength_m": config.wavelength_m,
+        "element": describe_element(config),
+        "ground": describe_ground(config),
+        "excitation": config.excitation,
+        "feeds_for": config.feeds_for,
+        "frame": "x broadside, y end-fire, z up; theta from +z, phi from +x towards +y",
+        "gain": f"over input power, dBi; {FLOOR_DBI} where nothing is radiated, NaN where elements touch",
+    }
+    return xr.Dataset(variables, coords=coordinates, attrs=attributes)
 
 
 def write_dataset(dataset: xr.Dataset, path: Path) -> None:
@@ -160,20 +116,6 @@ def write_dataset(dataset: xr.Dataset, path: Path) -> None:
     except BaseException:
         Path(name).unlink()
         raise
-
-
-def read_dataset(path: Path) -> xr.Dataset:
-    """Read a file of `write_dataset` into memory; raises OSError and NotPatterns."""
-    path.open("rb").close()  # raises OSError if the file is missing or not readable
-    try:
-        dataset = xr.load_dataset(path, engine="h5netcdf")
-    except (OSError, ValueError, KeyError) as error:
-        raise NotPatterns(f"{path}: not a NetCDF-4 file ({error.__class__.__name__})") from None
-    about_touching = {"touching_first", "touching_second", "touching_distance_m", "too_near"}
-    expected = {*_GRIDS, *_MAXIMUM, *about_touching, "settings"}
-    if dataset.attrs.get("format") != FORMAT or not expected <= set(dataset.variables):
-        raise NotPatterns(f"{path}: not a dataset of patterns; expected the attribute format = {FORMAT!r}")
-    return dataset
 
 
 def describe_element(config: AntennaConfig) -> str:

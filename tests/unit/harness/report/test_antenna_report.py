@@ -9,9 +9,9 @@ import msgspec
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+import xarray as xr
 from paths import SCENARIOS
 
-from antenna.analysis.dataset import read_dataset, settings_of
 from antenna.model.config import AntennaConfig
 from harness.cli import export_deck
 from harness.cli.export_deck import DeckRefused, deck_at
@@ -74,11 +74,11 @@ def test_manifest_and_summary_name_the_solver_and_its_accuracy(run):
 
 
 def test_patterns_are_stored_on_request(run):
-    kept = read_dataset(run.patterns)
+    kept = xr.load_dataset(run.patterns, engine="h5netcdf")
     gains = pq.read_table(run.gains).to_pydict()
     assert kept["time"].values.tolist() == gains["time_us"]
     np.testing.assert_array_equal(kept["max_gain_dbi"].values, gains["max_gain_dbi"])
-    assert settings_of(kept) == load(ARTICLE, SMALL).antenna
+    assert msgspec.json.decode(kept["settings"].item(), type=AntennaConfig) == load(ARTICLE, SMALL).antenna
 
 
 def test_a_deck_has_the_vehicles_true_positions(run):
