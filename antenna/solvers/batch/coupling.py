@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 
 from antenna.model.clearance import measure
 from antenna.model.geometry import Array, Complex
-from antenna.solvers.batch.kind import ElementKind
+from antenna.solvers.batch.kind import NODES, ElementKind
 from antenna.solvers.batch.linear_algebra import eliminate
 from antenna.solvers.batch.moments import ETA_OHM, mirror, turn
 from antenna.solvers.batch.near import find_near, respond_together
-from antenna.solvers.batch.response import NODES
 
 COUPLING_ACCURACY = 1e-4
 """Target relative error of the coupling of two elements."""
@@ -45,15 +44,9 @@ def level_for(distance_m: float, half_m: float) -> int:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def reactions(
-    first_m: Array,
-    first_axes: Array,
-    second_m: Array,
-    second_axes: Array,
-    moments_am: Complex,
-    k_rad_m: float,
-    fields: Complex,
-    found: Complex,
-) -> None:
+    first_m: Array, first_axes: Array, second_m: Array, second_axes: Array, moments_am: Complex,
+    k_rad_m: float, fields: Complex, found: Complex,
+) -> None:  # fmt: skip
     """Add to ``found`` (K, K) the reactions of the first element's moments with the second's fields.
 
     ``fields`` (M, K) is a work array.
@@ -95,15 +88,9 @@ def reactions(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def solve_arrays(
-    kind: ElementKind,
-    centres_m: Array,
-    rotations: Array,
-    voltages: Complex,
-    currents: Complex,
-    power_w: Array,
-    nearest: NDArray[np.int64],
-    nearest_m: Array,
-) -> None:
+    kind: ElementKind, centres_m: Array, rotations: Array, voltages: Complex, currents: Complex,
+    power_w: Array, nearest: NDArray[np.int64], nearest_m: Array,
+) -> None:  # fmt: skip
     """Solve S arrays of n elements: centres (S, n, 3), rotations (S, n, 3, 3), voltages (S, n).
 
     Writes the currents (S, n, K), the power supplied by the sources (S,), and the two nearest elements of
@@ -190,14 +177,9 @@ def solve_arrays(
 
 @njit(cache=True, inline="always", nogil=True, error_model="numpy")
 def solve_near(
-    kind: ElementKind,
-    centres_m: Array,
-    rotations: Array,
-    near: NDArray[np.int64],
-    system: Complex,
-    source: Complex,
-    answer: Complex,
-) -> float:
+    kind: ElementKind, centres_m: Array, rotations: Array, near: NDArray[np.int64], system: Complex,
+    source: Complex, answer: Complex,
+) -> float:  # fmt: skip
     """Solve a = V + C a as `repeat`, with a joint response of the near elements; return the power in watts.
 
     C (n K, n K), which is modified, excludes couplings among the near elements.

@@ -39,16 +39,9 @@ _HALF = np.float32(0.5)
 
 @njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy", nogil=True)
 def radiate(
-    places: Single,
-    axes: Single,
-    moments: SingleComplex,
-    cos_theta: Single,
-    sin_theta: Single,
-    cos_phi: Single,
-    sin_phi: Single,
-    power_theta: Single,
-    power_phi: Single,
-) -> None:
+    places: Single, axes: Single, moments: SingleComplex, cos_theta: Single, sin_theta: Single,
+    cos_phi: Single, sin_phi: Single, power_theta: Single, power_phi: Single,
+) -> None:  # fmt: skip
     """Write |N_theta|^2 and |N_phi|^2 on a grid (T, 2H) of one array of n points.
 
     Places (n, 3) are in wavelengths; the angles are those of the grid's first quarter, theta up to pi/2 and

@@ -22,17 +22,9 @@ STEPS = 40
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def survey_arrays(
-    centres_m: Array,
-    points_m: Array,
-    axes: Array,
-    moments: Complex,
-    wavelength_m: float,
-    gain_theta: Single,
-    gain_phi: Single,
-    row_weights: Array,
-    maximum: Array,
-    average: Array,
-) -> None:
+    centres_m: Array, points_m: Array, axes: Array, moments: Complex, wavelength_m: float, gain_theta: Single,
+    gain_phi: Single, row_weights: Array, maximum: Array, average: Array,
+) -> None:  # fmt: skip
     """Write maxima (S, 3), gain_dbi, theta_deg and phi_deg, and average gains (S,) of S arrays.
 
     Partial gains (S, T, P) are linear, on a grid of `directions_deg`; the average is that of the rows' means
@@ -74,16 +66,9 @@ def survey_arrays(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def ascend(
-    points_m: Array,
-    axes: Array,
-    moments: Complex,
-    k_rad_m: float,
-    theta_rad: float,
-    phi_rad: float,
-    reach_rad: float,
-    sums: Complex,
-    found: Array,
-) -> None:
+    points_m: Array, axes: Array, moments: Complex, k_rad_m: float, theta_rad: float, phi_rad: float,
+    reach_rad: float, sums: Complex, found: Array,
+) -> None:  # fmt: skip
     """Write the maximum next to a direction: linear gain, theta_rad, phi_rad.
 
     Steps are limited to ``reach_rad``, and shortened if the gain would decrease. ``sums`` (6, 3) is a work

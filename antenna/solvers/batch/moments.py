@@ -13,12 +13,11 @@ import numpy as np
 from numba import njit
 from scipy.special import j0, j1
 
+from antenna.model.clearance import SEGMENT_MATCH
 from antenna.model.geometry import Array, Complex
 
 ETA_OHM = 376.730313668
 """Impedance of free space."""
-SEGMENT_MATCH = 1e-3
-"""Ends closer than this part of a segment are connected (NEC-2 User's Guide, structure geometry)."""
 _GAUSS_X, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(16)
 _FEW_X, _FEW_WEIGHTS = np.polynomial.legendre.leggauss(2)
 FAR_HALVES = 8.0
@@ -138,15 +137,9 @@ def mirror(points_m: Array, axes: Array, below_m: Array, below_axes: Array) -> N
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def write_fields(
-    centres_m: Array,
-    axes: Array,
-    radii_m: Array,
-    driving_centres_m: Array,
-    driving_axes: Array,
-    driving_lengths_m: Array,
-    k_rad_m: float,
-    fields: Complex,
-) -> None:
+    centres_m: Array, axes: Array, radii_m: Array, driving_centres_m: Array, driving_axes: Array,
+    driving_lengths_m: Array, k_rad_m: float, fields: Complex,
+) -> None:  # fmt: skip
     """Write `fields_of_expansion` (N, M, 3).
 
     As in NEC2, the radii are those of the wires on which the field is matched.

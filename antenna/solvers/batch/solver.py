@@ -16,10 +16,9 @@ from antenna.model.geometry import Array, Complex, ElementsTooNear, ElementsTouc
 from antenna.solvers.batch.accuracy import batch_accuracy
 from antenna.solvers.batch.coupling import solve_arrays
 from antenna.solvers.batch.far_field import VECTOR, Single, radiate
-from antenna.solvers.batch.kind import ElementKind, make_kind
+from antenna.solvers.batch.kind import NODES, ElementKind, make_kind
 from antenna.solvers.batch.maximum import survey_arrays
 from antenna.solvers.batch.moments import ETA_OHM, turn
-from antenna.solvers.batch.response import NODES
 
 FAR_FIELD_NODES = ((0.03, 1), (0.15, 2), (0.5, 4), (1.0, 6), (1.8, 8), (3.3, 12), (8.0, 20), (np.inf, 40))
 """Points per wire for the far field, by upper limits of k times half-length."""
@@ -38,16 +37,9 @@ class Grid(NamedTuple):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def place_points(
-    kind: ElementKind,
-    first: int,
-    last: int,
-    centres_m: Array,
-    rotations: Array,
-    currents: Complex,
-    points_m: Array,
-    axes: Array,
-    moments: Complex,
-) -> None:
+    kind: ElementKind, first: int, last: int, centres_m: Array, rotations: Array, currents: Complex,
+    points_m: Array, axes: Array, moments: Complex,
+) -> None:  # fmt: skip
     """Write the radiating points (S, N, 3) of S arrays: the kind's from ``first`` on, with images."""
     n, m = centres_m.shape[1], last - first
     none = np.zeros(3)
@@ -72,14 +64,9 @@ def place_points(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def radiate_arrays(
-    points_m: Array,
-    axes: Array,
-    moments: Complex,
-    wavelength_m: float,
-    grid: Grid,
-    gain_theta: Single,
+    points_m: Array, axes: Array, moments: Complex, wavelength_m: float, grid: Grid, gain_theta: Single,
     gain_phi: Single,
-) -> None:
+) -> None:  # fmt: skip
     """Write the partial gains (S, T, P) of S arrays of N points, whose moments are scaled for gains."""
     count = moments.shape[1]
     middle_m = np.empty(3)

@@ -104,13 +104,9 @@ def _scalar_update(state: Array, cov: Array, gain_row: Array, variance: float, i
 
 @njit(cache=True)
 def fuse_fix(
-    state: Array,
-    cov: Array,
-    j: int,
-    fix_less_odometry_m: Array,
-    variance_m2: float,
+    state: Array, cov: Array, j: int, fix_less_odometry_m: Array, variance_m2: float,
     height_variance_m2: float,
-) -> float:
+) -> float:  # fmt: skip
     """Fuse a GPS position of UAV j: z_a = odometry_a + offset_a + bias_a + noise; no bias state vertically.
 
     fix_less_odometry_m (3,) is the fix minus the odometry of the fix's own time. variance_m2 is that of the
@@ -154,18 +150,9 @@ def relearn_bias(state: Array, cov: Array, j: int, fix_less_odometry_m: Array, v
 
 @njit(cache=True)
 def fuse_range(
-    state: Array,
-    cov: Array,
-    linearised_at: Array,
-    reference_ne_m: Array,
-    i: int,
-    j: int,
-    odometry_between_m: Array,
-    distance_m: float,
-    variance_m2: float,
-    weight_width_m2: float,
-    trust: float,
-) -> float:
+    state: Array, cov: Array, linearised_at: Array, reference_ne_m: Array, i: int, j: int,
+    odometry_between_m: Array, distance_m: float, variance_m2: float, weight_width_m2: float, trust: float,
+) -> float:  # fmt: skip
     """Fuse a distance between UAVs i and j: z = |odometry_i - odometry_j + offset_i - offset_j| + noise.
 
     Distances do not observe the heading of the formation as a whole. In a filter that linearises at its
