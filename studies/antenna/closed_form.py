@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.special import spherical_jn
 
-from antenna.analysis.radiated_power import mean_intensity
+from antenna.lab.hertzian import mean_intensity
 from antenna.model.excitation import end_fire, hansen_woodyard, optimum
 from antenna.model.geometry import Array, Voltages
 
