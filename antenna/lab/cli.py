@@ -3,12 +3,14 @@
 Exit status: 0 success, 2 invalid input (one line on stderr), 130 interrupted by Ctrl-C.
 """
 
+import functools
+import inspect
 import os
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_type_hints
 
 import msgspec
 import numpy as np
@@ -19,7 +21,7 @@ from rich.table import Table
 from antenna.lab.formations import Disorder, formation
 from antenna.model.config import AntennaConfig
 from antenna.model.deck import DeckError, read_element
-from antenna.model.geometry import ElementsTouch
+from antenna.model.geometry import Array, ElementsTouch
 from antenna.solvers.interface import BackendUnavailable
 from antenna.solvers.parallel import WorkerError
 
@@ -29,113 +31,138 @@ DECK_LIMIT_BYTES = 1_000_000
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, no_args_is_help=True)
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object to stdout.")]
-Formation = Annotated[
-    str,
-    typer.Option(
-        "--formation", help="Broadside columns x end-fire rows, such as 4x2.", metavar="COLUMNSxROWS"
-    ),
-]
-Wavelength = Annotated[float, typer.Option(help="Wavelength, metres.", metavar="L")]
-Broadside = Annotated[
-    float, typer.Option(help="Spacing of columns, wavelengths.", min=0.0, max=1_000.0, metavar="LAMBDAS")
-]
-Endfire = Annotated[
-    float, typer.Option(help="Spacing of rows, wavelengths.", min=0.0, max=1_000.0, metavar="LAMBDAS")
-]
-BackendName = Annotated[Literal["batch", "nec2", "nec2c"], typer.Option(help="Solver.")]
-Sigma = Annotated[
-    float,
-    typer.Option(
-        help="Standard deviation of positions along each axis, metres.", min=0.0, max=1e6, metavar="M"
-    ),
-]
-Tilt = Annotated[
-    float,
-    typer.Option(
-        help="Standard deviation of the tilt about each horizontal axis, degrees.",
-        min=0.0,
-        max=180.0,
-        metavar="DEG",
-    ),
-]
-Seed = Annotated[int, typer.Option(help="Seed of all random numbers.", min=0, max=2**63 - 1)]
-ElementKind = Annotated[
-    Literal["dipole", "loop", "deck"] | None,
-    typer.Option("--element", help="Kind of element; default dipole, with --deck deck."),
-]
-Length = Annotated[
-    float | None, typer.Option(help="Dipole length or loop circumference, metres; default 0.05.", metavar="M")
-]
-Radius = Annotated[float | None, typer.Option(help="Wire radius, metres; default 0.0002.", metavar="M")]
-Segments = Annotated[int | None, typer.Option(help="Segments of dipole or loop; default 9.", metavar="N")]
-Deck = Annotated[
-    Path | None, typer.Option(help="NEC deck with the wires of one element and its source.", metavar="FILE")
-]
-GroundKind = Annotated[
-    Literal["none", "perfect", "real"], typer.Option(help="Kind of ground, level at height 0.")
-]
-Permittivity = Annotated[
-    float | None, typer.Option(help="Relative permittivity of real ground; default 13.", metavar="EPS")
-]
-Conductivity = Annotated[
-    float | None, typer.Option(help="Conductivity of real ground, S/m; default 0.005.", metavar="S")
-]
-Height = Annotated[
-    float, typer.Option(help="Height of the formation above ground, metres.", min=0.0, max=1e6, metavar="M")
-]
-ExcitationKind = Annotated[
-    Literal["end_fire", "hansen_woodyard", "optimum"], typer.Option(help="Feeding of the elements.")
-]
-FeedsFor = Annotated[
-    Literal["places", "truth"],
-    typer.Option("--feeds", help="Positions used for the feeds: nominal places, or those drawn."),
-]
-Grid = Annotated[float, typer.Option(help="Step of the pattern, degrees.", metavar="DEG")]
-Cores = Annotated[int | None, typer.Option(help="Most cores to use; default all.", min=1, max=1_024)]
 Netcdf = Annotated[Path | None, typer.Option(help="Write the patterns to a NetCDF-4 file.", metavar="FILE")]
+_FIELDS = {
+    "wavelength": "wavelength_m", "backend": "backend", "element": "element_kind",
+    "length": "element_length_m", "radius": "element_radius_m", "segments": "segments",
+    "deck": "element_deck", "ground": "ground", "permittivity": "ground_permittivity",
+    "conductivity": "ground_conductivity_s_m", "excitation": "excitation", "feeds": "feeds_for",
+    "grid": "grid_deg",
+}  # fmt: skip
+"""Fields of `AntennaConfig` by the options that set them."""
 
 
-def _option_of(field: str) -> str:
-    """Return the name of the option that sets a field of `AntennaConfig`."""
-    special = {"element_kind": "element", "grid_deg": "grid", "element_deck": "deck"}
-    if field in special:
-        return special[field]
-    return field.removeprefix("element_").removeprefix("ground_").removesuffix("_s_m").removesuffix("_m")
+class ArrayOptions(msgspec.Struct, frozen=True, kw_only=True):
+    """Options of all commands that solve arrays; None means the default of `AntennaConfig`."""
+
+    formation_text: Annotated[str, typer.Option(
+        "--formation", help="Broadside columns x end-fire rows, such as 4x2.", metavar="COLUMNSxROWS"
+    )] = "4x2"  # fmt: skip
+    wavelength: Annotated[float, typer.Option(help="Wavelength, metres.", metavar="L")] = 10.0
+    broadside: Annotated[float, typer.Option(
+        help="Spacing of columns, wavelengths.", min=0.0, max=1_000.0, metavar="LAMBDAS"
+    )] = 0.85  # fmt: skip
+    endfire: Annotated[float, typer.Option(
+        help="Spacing of rows, wavelengths.", min=0.0, max=1_000.0, metavar="LAMBDAS"
+    )] = 0.25  # fmt: skip
+    backend: Annotated[Literal["batch", "nec2", "nec2c"], typer.Option(help="Solver.")] = "batch"
+    sigma: Annotated[float, typer.Option(
+        help="Standard deviation of positions along each axis, metres.", min=0.0, max=1e6, metavar="M"
+    )] = 0.0  # fmt: skip
+    tilt: Annotated[float, typer.Option(
+        help="Standard deviation of the tilt about each horizontal axis, degrees.", min=0.0, max=180.0,
+        metavar="DEG",
+    )] = 0.0  # fmt: skip
+    seed: Annotated[int, typer.Option(help="Seed of all random numbers.", min=0, max=2**63 - 1)] = 1
+    element: Annotated[Literal["dipole", "loop", "deck"] | None, typer.Option(
+        help="Kind of element; default dipole, with --deck deck."
+    )] = None  # fmt: skip
+    length: Annotated[float | None, typer.Option(
+        help="Dipole length or loop circumference, metres; default 0.05.", metavar="M"
+    )] = None  # fmt: skip
+    radius: Annotated[float | None, typer.Option(
+        help="Wire radius, metres; default 0.0002.", metavar="M"
+    )] = None  # fmt: skip
+    segments: Annotated[int | None, typer.Option(
+        help="Segments of dipole or loop; default 9.", metavar="N"
+    )] = None  # fmt: skip
+    deck: Annotated[Path | None, typer.Option(
+        help="NEC deck with the wires of one element and its source.", metavar="FILE"
+    )] = None  # fmt: skip
+    ground: Annotated[Literal["none", "perfect", "real"], typer.Option(
+        help="Kind of ground, level at height 0."
+    )] = "none"  # fmt: skip
+    permittivity: Annotated[float | None, typer.Option(
+        help="Relative permittivity of real ground; default 13.", metavar="EPS"
+    )] = None  # fmt: skip
+    conductivity: Annotated[float | None, typer.Option(
+        help="Conductivity of real ground, S/m; default 0.005.", metavar="S"
+    )] = None  # fmt: skip
+    height: Annotated[float, typer.Option(
+        help="Height of the formation above ground, metres.", min=0.0, max=1e6, metavar="M"
+    )] = 0.0  # fmt: skip
+    excitation: Annotated[Literal["end_fire", "hansen_woodyard", "optimum"], typer.Option(
+        help="Feeding of the elements."
+    )] = "end_fire"  # fmt: skip
+    feeds: Annotated[Literal["places", "truth"], typer.Option(
+        help="Positions used for the feeds: nominal places, or those drawn."
+    )] = "places"  # fmt: skip
+    grid: Annotated[float, typer.Option(help="Step of the pattern, degrees.", metavar="DEG")] = 5.0
+
+    def config(self) -> AntennaConfig:
+        """Return checked settings; raises ValueError with the name of the option."""
+        given = {name: value for name in _FIELDS if (value := getattr(self, name)) is not None}
+        _reject_without_effect(given, self.deck)
+        if self.deck is not None:
+            if given.setdefault("element", "deck") != "deck":
+                raise ValueError(f"--deck: {self.deck} needs --element deck, not {self.element}")
+            given["deck"] = _deck_text(self.deck)
+        elif self.element == "deck":
+            raise ValueError("--element: deck requires a deck file, --deck FILE")
+        try:
+            return msgspec.convert({_FIELDS[name]: value for name, value in given.items()}, AntennaConfig)
+        except msgspec.ValidationError as error:
+            options = {field: name for name, field in _FIELDS.items()}
+            reason, _, path = str(error).partition(" - at `$.")
+            name, _, rest = reason.partition(": ")
+            if path:
+                option = options[path.rstrip("`")]
+                raise ValueError(f"--{option}: {reason}, not {given[option]}") from None
+            if name in options:
+                raise ValueError(f"--{options[name]}: {rest}") from None
+            raise
+
+    def places_m(self) -> Array:
+        """Return the places (n, 3); raises ValueError."""
+        return formation(
+            self.formation_text, broadside_m=self.broadside * self.wavelength,
+            endfire_m=self.endfire * self.wavelength, height_m=self.height,
+        )  # fmt: skip
+
+    def disorder(self) -> Disorder:
+        """Return the random errors of places and attitudes."""
+        return Disorder(sigma_m=self.sigma, tilt_rad=float(np.radians(self.tilt)), seed=self.seed)
 
 
-def _config(*, deck: Path | None, **fields: object) -> AntennaConfig:
-    """Return checked settings; None means the default. Raises ValueError with the name of the option."""
-    given = {name: value for name, value in fields.items() if value is not None}
-    _reject_without_effect(given, deck)
-    if deck is not None:
-        if given.setdefault("element_kind", "deck") != "deck":
-            raise ValueError(f"--deck: {deck} needs --element deck, not {given['element_kind']}")
-        given["element_deck"] = _deck_text(deck)
-    elif given.get("element_kind") == "deck":
-        raise ValueError("--element: deck requires a deck file, --deck FILE")
-    try:
-        return msgspec.convert(given, AntennaConfig)
-    except msgspec.ValidationError as error:
-        reason, _, path = str(error).partition(" - at `$.")
-        name, colon, rest = reason.partition(": ")
-        if path:
-            name = path.rstrip("`")
-            raise ValueError(f"--{_option_of(name)}: {reason}, not {given[name]}") from None
-        if colon and name in AntennaConfig.__struct_fields__:
-            raise ValueError(f"--{_option_of(name)}: {rest}") from None
-        raise
+def _command(command: Callable[..., None]) -> None:
+    """Add a command whose first parameter has all `ArrayOptions`, which precede its own options."""
+    _, *own = inspect.signature(command).parameters.values()
+    defaults = {field.name: field.default for field in msgspec.structs.fields(ArrayOptions)}
+    types = get_type_hints(ArrayOptions, include_extras=True)
+    shared = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=types[name])
+        for name, default in defaults.items()
+    ]
+
+    @functools.wraps(command)
+    def run(**options: object) -> None:
+        array = msgspec.convert({name: options.pop(name) for name in defaults}, ArrayOptions)
+        command(array, **options)
+
+    vars(run)["__signature__"] = inspect.Signature([*shared, *own])
+    app.command()(run)
 
 
 def _reject_without_effect(given: Mapping[str, object], deck: Path | None) -> None:
     """Raise ValueError for the first given option that has no effect."""
-    if given.get("ground") != "real":
-        for name in ("ground_permittivity", "ground_conductivity_s_m"):
+    if given["ground"] != "real":
+        for name in ("permittivity", "conductivity"):
             if name in given:
-                raise ValueError(f"--{_option_of(name)}: only for real ground; expected --ground real")
+                raise ValueError(f"--{name}: only for real ground; expected --ground real")
     if deck is not None:
-        for name in ("element_length_m", "element_radius_m", "segments"):
+        for name in ("length", "radius", "segments"):
             if name in given:
-                raise ValueError(f"--{_option_of(name)}: not allowed with --deck {deck}, which defines it")
+                raise ValueError(f"--{name}: not allowed with --deck {deck}, which defines it")
 
 
 def _deck_text(path: Path) -> str:
@@ -151,29 +178,10 @@ def _deck_text(path: Path) -> str:
     return text
 
 
-@app.command()
+@_command
 def pattern(
+    array: ArrayOptions,
     *,
-    formation_text: Formation = "4x2",
-    wavelength: Wavelength = 10.0,
-    broadside: Broadside = 0.85,
-    endfire: Endfire = 0.25,
-    backend: BackendName = "batch",
-    sigma: Sigma = 0.0,
-    tilt: Tilt = 0.0,
-    seed: Seed = 1,
-    element: ElementKind = None,
-    length: Length = None,
-    radius: Radius = None,
-    segments: Segments = None,
-    deck: Deck = None,
-    ground: GroundKind = "none",
-    permittivity: Permittivity = None,
-    conductivity: Conductivity = None,
-    height: Height = 0.0,
-    excitation: ExcitationKind = "end_fire",
-    feeds: FeedsFor = "places",
-    grid: Grid = 5.0,
     figure: Annotated[Path | None, typer.Option(help="Plot the pattern.", metavar="PNG")] = None,
     cuts: Annotated[Path | None, typer.Option(help="Plot its polar cuts.", metavar="PNG")] = None,
     deck_out: Annotated[
@@ -185,46 +193,20 @@ def pattern(
     """Pattern of one formation: ideal, or random with --sigma or --tilt."""
     from antenna.lab.runs import Files, one_pattern  # noqa: PLC0415  compiles
 
-    config = _config(
-        deck=deck, wavelength_m=wavelength, element_kind=element, element_length_m=length,
-        element_radius_m=radius, segments=segments, excitation=excitation, feeds_for=feeds, ground=ground,
-        ground_permittivity=permittivity, ground_conductivity_s_m=conductivity, backend=backend,
-        grid_deg=grid,
-    )  # fmt: skip
-    places_m = formation(
-        formation_text, broadside_m=broadside * wavelength, endfire_m=endfire * wavelength, height_m=height
-    )
-    disorder = Disorder(sigma_m=sigma, tilt_rad=float(np.radians(tilt)), seed=seed)
-    files = Files(figure=figure, cuts=cuts, deck=deck_out, netcdf=netcdf)
-    result = one_pattern(places_m, config, disorder, files)
-    _show(result, as_json=json, title=f"{formation_text}, wavelength {wavelength:g} m, {backend}")
+    config, files = array.config(), Files(figure=figure, cuts=cuts, deck=deck_out, netcdf=netcdf)
+    result = one_pattern(array.places_m(), config, array.disorder(), files)
+    title = f"{array.formation_text}, wavelength {array.wavelength:g} m, {array.backend}"
+    _show(result, as_json=json, title=title)
 
 
-@app.command()
+@_command
 def statistics(
+    array: ArrayOptions,
     *,
-    formation_text: Formation = "4x2",
-    wavelength: Wavelength = 10.0,
-    broadside: Broadside = 0.85,
-    endfire: Endfire = 0.25,
-    backend: BackendName = "batch",
-    sigma: Sigma = 0.0,
-    tilt: Tilt = 0.0,
     samples: Annotated[int, typer.Option(help="Number of random formations.", min=1, max=10_000_000)] = 1000,
-    seed: Seed = 1,
-    element: ElementKind = None,
-    length: Length = None,
-    radius: Radius = None,
-    segments: Segments = None,
-    deck: Deck = None,
-    ground: GroundKind = "none",
-    permittivity: Permittivity = None,
-    conductivity: Conductivity = None,
-    height: Height = 0.0,
-    excitation: ExcitationKind = "end_fire",
-    feeds: FeedsFor = "places",
-    grid: Grid = 5.0,
-    cores: Cores = None,
+    cores: Annotated[
+        int | None, typer.Option(help="Most cores to use; default all.", min=1, max=1_024)
+    ] = None,
     figure: Annotated[
         Path | None, typer.Option(help="Plot the density of the maximum gain.", metavar="PNG")
     ] = None,
@@ -237,20 +219,15 @@ def statistics(
     """Gain statistics of many formations, displaced and tilted at random."""
     from antenna.lab.runs import Files, many_patterns  # noqa: PLC0415  compiles
 
-    config = _config(
-        deck=deck, wavelength_m=wavelength, element_kind=element, element_length_m=length,
-        element_radius_m=radius, segments=segments, excitation=excitation, feeds_for=feeds, ground=ground,
-        ground_permittivity=permittivity, ground_conductivity_s_m=conductivity, backend=backend,
-        grid_deg=grid,
-    )  # fmt: skip
-    places_m = formation(
-        formation_text, broadside_m=broadside * wavelength, endfire_m=endfire * wavelength, height_m=height
-    )
-    disorder = Disorder(sigma_m=sigma, tilt_rad=float(np.radians(tilt)), seed=seed)
-    files = Files(figure=figure, envelope=envelope, netcdf=netcdf)
+    config, files = array.config(), Files(figure=figure, envelope=envelope, netcdf=netcdf)
     cores = cores or len(os.sched_getaffinity(0))
-    result = many_patterns(places_m, config, disorder, samples=samples, cores=cores, files=files)
-    title = f"{samples} x {formation_text}, wavelength {wavelength:g} m, sigma {sigma:g} m, tilt {tilt:g}°"
+    result = many_patterns(
+        array.places_m(), config, array.disorder(), samples=samples, cores=cores, files=files
+    )
+    title = (
+        f"{samples} x {array.formation_text}, wavelength {array.wavelength:g} m, sigma {array.sigma:g} m,"
+        f" tilt {array.tilt:g}°"
+    )
     _show(result, as_json=json, title=title)
 
 
