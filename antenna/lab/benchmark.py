@@ -70,17 +70,15 @@ def benchmark(seconds: float) -> Benchmark:
     short, rounds = compare(SHORT_DIPOLE, seconds * 0.4)
     long, _ = compare(LONG_DIPOLE, seconds * 0.4)
     return Benchmark(
-        speedup_short_dipole=short.speedup,
-        speedup_5m_dipole=long.speedup,
+        speedup_short_dipole=short.speedup, speedup_5m_dipole=long.speedup,
         speedup_two_cores=two_cores(SHORT_DIPOLE, seconds * 0.2),
         speedup_short_dipole_grid_only=short.speedup_grid_only,
         speedup_5m_dipole_grid_only=long.speedup_grid_only,
-        short_dipole=short,
-        dipole_5m=long,
+        short_dipole=short, dipole_5m=long,
         elements=len(_places(SHORT_DIPOLE)),
         directions=int(np.prod([len(angles) for angles in directions_deg(SHORT_DIPOLE.grid_deg)])),
         rounds=rounds,
-    )
+    )  # fmt: skip
 
 
 def compare(config: AntennaConfig, seconds: float) -> tuple[Speed, int]:
@@ -127,16 +125,12 @@ def compare(config: AntennaConfig, seconds: float) -> tuple[Speed, int]:
     us = {name: statistics.median(measured) for name, measured in times.items()}
     grid_only_us = us["solve"] + us["far_field"]
     speed = Speed(
-        speedup=us["nec2"] / us["batch"],
-        speedup_grid_only=us["nec2_grid_only"] / grid_only_us,
-        nec2_us=us["nec2"],
-        nec2_grid_only_us=us["nec2_grid_only"],
-        batch_us=us["batch"],
-        batch_grid_only_us=grid_only_us,
-        batch_solve_us=us["solve"],
-        batch_far_field_us=us["far_field"],
+        speedup=us["nec2"] / us["batch"], speedup_grid_only=us["nec2_grid_only"] / grid_only_us,
+        nec2_us=us["nec2"], nec2_grid_only_us=us["nec2_grid_only"],
+        batch_us=us["batch"], batch_grid_only_us=grid_only_us,
+        batch_solve_us=us["solve"], batch_far_field_us=us["far_field"],
         batch_maximum_us=us["batch"] - grid_only_us,
-    )
+    )  # fmt: skip
     return speed, rounds
 
 
@@ -162,16 +156,16 @@ def two_cores(config: AntennaConfig, seconds: float) -> float:
 
 def formations(config: AntennaConfig, count: int) -> list[Snapshot]:
     """Return random formations without elements that touch."""
-    element, found = config.element(), []
-    for snapshot in draws(_places(config), config, DISORDER):
+    element = config.element()
+
+    def is_apart(snapshot: Snapshot) -> bool:
         try:
             check_apart(snapshot, element, grounded=False)
         except ElementsTouch:
-            continue
-        found.append(snapshot)
-        if len(found) == count:
-            break
-    return found
+            return False
+        return True
+
+    return list(islice(filter(is_apart, draws(_places(config), config, DISORDER)), count))
 
 
 def _places(config: AntennaConfig) -> Array:

@@ -132,7 +132,7 @@ def one_pattern(places_m: Array, config: AntennaConfig, disorder: Disorder, file
     pattern = _solved(backend, snapshot)
     found = features(pattern)
     if files.deck is not None:
-        _write_text(files.deck, deck_of(snapshot, config, pattern))
+        _in_folder(files.deck).write_text(deck_of(snapshot, config, pattern), encoding="ascii")
     if files.netcdf is not None:
         write_dataset(to_dataset([pattern], config, accuracy=backend.accuracy), _in_folder(files.netcdf))
     if files.figure is not None or files.cuts is not None:
@@ -141,26 +141,17 @@ def one_pattern(places_m: Array, config: AntennaConfig, disorder: Disorder, file
             panels = {"Ideal": perfect, **panels}
         _save(files.figure, lambda: patterns_figure(panels))
         _save(files.cuts, lambda: cuts_figure(panels))
+    error_deg = float(pointing_errors_deg([pattern], *MAIN_LOBE_DEG)[0])
     return PatternReport(
-        max_gain_dbi=pattern.max_gain_dbi,
-        theta_deg=pattern.max_theta_deg,
-        phi_deg=pattern.max_phi_deg,
-        backend=backend.name,
-        accuracy=str(backend.accuracy),
-        average_gain=pattern.average_gain,
-        azimuth_width_deg=found.azimuth_width_deg,
-        elevation_width_deg=found.elevation_width_deg,
-        side_lobe_dbi=found.side_lobe_dbi,
-        back_dbi=found.back_dbi,
-        null_dbi=found.null_dbi,
+        max_gain_dbi=pattern.max_gain_dbi, theta_deg=pattern.max_theta_deg, phi_deg=pattern.max_phi_deg,
+        backend=backend.name, accuracy=str(backend.accuracy), average_gain=pattern.average_gain,
+        azimuth_width_deg=found.azimuth_width_deg, elevation_width_deg=found.elevation_width_deg,
+        side_lobe_dbi=found.side_lobe_dbi, back_dbi=found.back_dbi, null_dbi=found.null_dbi,
         towards_dbi=float(gain_towards_dbi([pattern], *MAIN_LOBE_DEG)[0]),
-        pointing_error_deg=float(pointing_errors_deg([pattern], *MAIN_LOBE_DEG)[0])
-        if has_one_maximum(pattern)
-        else None,
+        pointing_error_deg=error_deg if has_one_maximum(pattern) else None,
         exact_directivity_dbi=exact_directivity_dbi(snapshot, config),
-        elements=len(places_m),
-        grid_deg=float(pattern.theta_deg[1]),
-    )
+        elements=len(places_m), grid_deg=float(pattern.theta_deg[1]),
+    )  # fmt: skip
 
 
 def many_patterns(
@@ -213,29 +204,19 @@ def many_patterns(
     maximum, towards = gain_statistics(gains_dbi), gain_statistics(np.concatenate(towards_dbi))
     pointing = pointing_statistics(np.concatenate(errors_deg))
     return StatisticsReport(
-        mean_dbi=maximum.mean_dbi,
-        std_db=maximum.std_db,
-        min_dbi=maximum.min_dbi,
-        max_dbi=maximum.max_dbi,
-        quantiles=_named(maximum.quantiles_dbi),
-        ideal_dbi=ideal_dbi,
-        samples=samples,
-        missing=missing,
-        first_missing=first_missing,
+        mean_dbi=maximum.mean_dbi, std_db=maximum.std_db, min_dbi=maximum.min_dbi, max_dbi=maximum.max_dbi,
+        quantiles=_named(maximum.quantiles_dbi), ideal_dbi=ideal_dbi,
+        samples=samples, missing=missing, first_missing=first_missing,
         towards=Spread(
             mean_dbi=towards.mean_dbi, std_db=towards.std_db, quantiles=_named(towards.quantiles_dbi)
         ),
         pointing=Pointing(
-            mean_deg=pointing.mean_deg,
-            rms_deg=pointing.rms_deg,
-            max_deg=pointing.max_deg,
+            mean_deg=pointing.mean_deg, rms_deg=pointing.rms_deg, max_deg=pointing.max_deg,
             quantiles=_named(pointing.quantiles_deg),
         ),
         mean_pattern_max_dbi=float(envelope.mean_dbi.max()),
-        backend=solver.name,
-        accuracy=str(solver.accuracy),
-        elements=len(places_m),
-    )
+        backend=solver.name, accuracy=str(solver.accuracy), elements=len(places_m),
+    )  # fmt: skip
 
 
 def exact_directivity_dbi(snapshot: Snapshot, config: AntennaConfig) -> float | None:
@@ -304,10 +285,6 @@ def _named(quantiles: dict[float, float]) -> dict[str, float]:
 def _save(path: Path | None, draw: Callable[[], Figure]) -> None:
     if path is not None:
         draw().savefig(_in_folder(path), format="png", dpi=120)
-
-
-def _write_text(path: Path, text: str) -> None:
-    _in_folder(path).write_text(text, encoding="ascii")
 
 
 def _in_folder(path: Path) -> Path:
