@@ -3,14 +3,8 @@
 A beacon carries the sender's newest GPS position with the accuracy that the receiver states, the estimated
 error of that receiver, the sender's odometry, and the newest distance that it measured to each neighbour. The
 newest values are repeated in every beacon, so that a lost beacon costs latency only: receivers skip values
-that they have already used by their time stamps.
-
-Odometry is the integral of the autopilot's velocity since the sender started, so the difference of any two
-beacons of a sender is its displacement between them, regardless of lost beacons. Its down component is the
-autopilot's barometric height.
-
-The application reads beacons in place from a `BeaconBuffer`, as it receives them by the hundred; `decode` is
-for other uses.
+that they have already used by their time stamps. Odometry is the integral of the autopilot's velocity since
+the sender started; its down component is the autopilot's barometric height.
 
 Layout, little-endian, `HEADER_BYTES` + `RANGE_BYTES` per distance (79 + 11 n):
 
@@ -96,12 +90,10 @@ class Fix(Struct, frozen=True):
 class GpsError(Struct, frozen=True):
     """Estimated error of a UAV's GPS receiver: the fix minus the true position.
 
-    It is sent only while distances support the sender's position. Its presence matters in every formation: a
-    UAV that stops sending it may drift, and UAVs near it move to their height layers (`height_layers`). Its
-    values are used in a formation of several neighbourhoods only. There they give the sender's estimated
-    position, and the horizontal error is that of the newest fix itself (`common_frame`). In a formation of a
-    single neighbourhood each UAV estimates the errors of all receivers itself, and using the values of others
-    would count the same distances twice.
+    It is sent only while distances support the sender's position: near a UAV that stops sending it, UAVs move
+    to their height layers (`height_layers`). Its values are used in a formation of several neighbourhoods
+    only, where they give the sender's estimated position and the horizontal error is that of the newest fix
+    itself (`common_frame`). In a single neighbourhood using them would count the same distances twice.
     """
 
     ned_m: Vector
@@ -119,39 +111,8 @@ class Distance(Struct, frozen=True):
     """Standard deviation of ``distance_m``, 0..65.535."""
 
 
-class Beacon(Struct, frozen=True, kw_only=True):
-    """One beacon; ``time_us`` is that of the odometry and the velocity."""
-
-    station: int
-    seq: int
-    """Sequence number: increases by one per beacon of the sender, modulo `SEQ_MODULUS`."""
-    time_us: int
-    phase: FlightPhase
-    odometry_ned_m: Vector
-    vel_ned_m_s: Vector
-    motion_start_ms: int | None = None
-    """Start of the formation's motion that the sender holds; None: none yet."""
-    fix: Fix | None = None
-    gps_error: GpsError | None = None
-    """None: no distances support the sender's position."""
-    distances: tuple[Distance, ...] = ()
-
-
 _NO_FIX = Fix(0, (0.0, 0.0, 0.0))
 _NO_ERROR = GpsError((0.0, 0.0, 0.0), 0.0)
-
-
-def encode(beacon: Beacon) -> bytes:
-    """Return the bytes of a beacon.
-
-    Raises struct.error for a number that its field cannot hold, ValueError for a standard deviation that is
-    NaN and for more than `MAX_RANGES` distances.
-    """
-    return encode_with(
-        [encode_distance(item) for item in beacon.distances],
-        beacon.station, beacon.seq, beacon.time_us, beacon.phase, beacon.odometry_ned_m, beacon.vel_ned_m_s,
-        beacon.motion_start_ms, beacon.fix, beacon.gps_error,
-    )  # fmt: skip
 
 
 def encode_with(
@@ -159,7 +120,11 @@ def encode_with(
     odometry_ned_m: Vector, vel_ned_m_s: Vector,
     motion_start_ms: int | None, fix: Fix | None, gps_error: GpsError | None,
 ) -> bytes:  # fmt: skip
-    """Return the bytes as `encode`, from encoded distances, which a sender reuses in many beacons."""
+    """Return the bytes of a beacon, from encoded distances, which a sender reuses in many beacons.
+
+    Raises struct.error for a number that its field cannot hold, ValueError for a standard deviation that is
+    NaN and for more than `MAX_RANGES` distances.
+    """
     if len(distances) > MAX_RANGES:
         raise ValueError(f"{len(distances)} distances do not fit a beacon")
     flags, start_ms = 0, 0
@@ -182,18 +147,12 @@ def encode_with(
 
 
 def encode_distance(distance: Distance) -> bytes:
-    """Return the bytes of a distance in a beacon; raises as `encode` does."""
+    """Return the bytes of a distance in a beacon; raises as `encode_with`."""
     return _RANGE.pack(distance.peer, distance.time_ms, distance.distance_m, _mm(distance.std_m))
 
 
 class BeaconBuffer:
-    """Buffer of received datagrams that compiled code reads in place.
-
-    Attributes:
-        rows: (P,) of `PAGE`.
-        count: number of pages in use.
-
-    """
+    """Buffer of received datagrams that compiled code reads in place: the first ``count`` of ``rows``."""
 
     def __init__(self, most: int) -> None:
         self.rows: PageRows = np.zeros(most, PAGE)
@@ -220,11 +179,10 @@ class BeaconBuffer:
 
 @njit(cache=True)
 def is_credible(page: np.void, with_ranges: bool) -> bool:  # noqa: FBT001
-    """Return whether the bytes on a page are a valid beacon.
+    """Return whether the bytes on a page are a valid beacon, with defined fields and possible numbers.
 
-    A beacon is invalid with another version or a wrong length, with an impossible number, or with an
-    undefined phase or flag. The distances are checked if ``with_ranges``: one to the sender itself and two to
-    the same peer are invalid.
+    The distances are checked if ``with_ranges``: one to the sender itself and two to the same peer are
+    invalid.
     """
     size, header, ranges = page["size"], page["header"], page["ranges"]
     if size < HEADER_BYTES or header["version"] != VERSION:
@@ -257,34 +215,6 @@ def is_credible(page: np.void, with_ranges: bool) -> bool:  # noqa: FBT001
             if ranges[before]["peer"] == peer:
                 return False
     return True
-
-
-def decode(buffer: bytes) -> Beacon | None:
-    """Return the beacon in these bytes; None if they are not valid (`is_credible`)."""
-    pages = BeaconBuffer(1)
-    pages.put(0, buffer)
-    page = pages.rows[0]
-    if not is_credible(page, with_ranges=True):
-        return None
-    (
-        _, station, phase, flags, count, seq, time_us,
-        odo_n, odo_e, odo_d, vel_n, vel_e, vel_d, start_ms,
-        fix_ms, fix_n, fix_e, fix_d, std_h_mm, std_v_mm, err_n, err_e, err_d, err_mm,
-    ) = page["header"].tolist()  # fmt: skip
-    fix = None
-    if flags & HAS_FIX:
-        fix = Fix(fix_ms, (fix_n, fix_e, fix_d), std_h_mm * 1e-3 or None, std_v_mm * 1e-3 or None)
-    return Beacon(
-        station=station, seq=seq, time_us=time_us, phase=FlightPhase(phase),
-        odometry_ned_m=(odo_n, odo_e, odo_d), vel_ned_m_s=(vel_n, vel_e, vel_d),
-        motion_start_ms=start_ms if flags & HAS_START else None,
-        fix=fix,
-        gps_error=GpsError((err_n, err_e, err_d), err_mm * 1e-3) if flags & HAS_GPS_ERROR else None,
-        distances=tuple(
-            Distance(peer, time_ms, distance_m, std_mm * 1e-3)
-            for peer, time_ms, distance_m, std_mm in page["ranges"][:count].tolist()
-        ),
-    )  # fmt: skip
 
 
 def _mm(std_m: float) -> int:

@@ -53,20 +53,17 @@ Stations = NDArray[np.void]
 LISTENER = np.dtype(
     [
         ("station", "i8"),
-        ("period_us", "i8"),
-        ("periods_off", "f8"),
-        ("gps_var_m2", "f8"),
+        ("period_us", "i8"),  # beacon period of the formation
+        ("periods_off", "f8"),  # tolerance of sequence numbers
+        ("gps_var_m2", "f8"),  # least variance of GPS errors
         ("bad", "i8"),
-        ("received", "i8"),
         ("missed", "i8"),
-        ("at", "i8"),
-        ("is_open", "i8"),
+        ("at", "i8"),  # page being processed
+        ("is_open", "i8"),  # that page has been received, but its content has not been used completely
     ],
     align=True,
 )
-"""The receiving station: its number, the formation's beacon period, the tolerance of sequence numbers in
-periods, the least variance of GPS errors, and counts; then the index of the page being processed, and whether
-that page has been received but its content not been used completely."""
+"""Record of the receiving station."""
 Listener = NDArray[np.void]
 """(1,) array of `LISTENER`."""
 Rows = NDArray[np.int64]
@@ -86,11 +83,10 @@ def row_of(page: np.void, rows: Rows) -> int:
 
 @njit(cache=True)
 def receive_beacon(page: np.void, now_us: int, listener: Listener, stations: Stations, rows: Rows) -> int:
-    """Update the table by a page, if it is a valid beacon of its sender.
+    """Update the table by a page, if it is a valid beacon of its sender; otherwise returns REFUSED.
 
-    Returns REFUSED if it is not valid. Returns RESTARTED if the sender, and thus its odometry, has restarted
-    since its last beacon: the sequence number does not match the number of periods in between. Otherwise
-    returns RECEIVED. Distances are checked only for senders with a row.
+    Returns RESTARTED if the sender, and thus its odometry, has restarted since its last beacon: the sequence
+    number does not match the number of periods in between. Distances are checked only for senders with a row.
     """
     me, header, source = listener[0], page["header"], page["source"]
     if source >= stations.size or source == me["station"]:
@@ -104,7 +100,6 @@ def receive_beacon(page: np.void, now_us: int, listener: Listener, stations: Sta
     if time_us > now_us + CLOCK_TOLERANCE_US:
         me["bad"] += 1
         return REFUSED
-    me["received"] += 1
     outcome, newest = RECEIVED, True
     if sender["heard_us"] >= 0:
         gap = (seq - sender["seq"]) % SEQ_MODULUS
@@ -156,33 +151,23 @@ def all_held(stations: Stations, whose: NDArray[np.int64], since_us: int) -> boo
 
 
 class NeighbourTable:
-    """Newest beacons of all stations, as received by one station.
+    """Newest beacons of all N stations, as received by one station.
 
     Args:
         station: this station.
         stations: number of stations.
         period_us: beacon period of all stations.
         gps_std_m: least standard deviation of GPS errors, per horizontal axis.
-        near: neighbourhood whose reported distances are used; None: all stations.
-
-    Attributes:
-        pages: received beacons that have not been processed.
-        stations: (N,) of `STATION`.
-        listener: (1,) of `LISTENER`.
-        rows: (N,) row of every station in the neighbourhood, -1: not a member.
+        near: UAVs from which reported distances are used; None: all stations.
 
     """
 
     def __init__(
-        self,
-        *,
-        station: int,
-        stations: int,
-        period_us: int,
-        gps_std_m: float,
+        self, *, station: int, stations: int, period_us: int, gps_std_m: float,
         near: Neighbourhood | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.pages = BeaconBuffer(MOST_PAGES)
+        """Received beacons that have not been processed."""
         self.stations: Stations = np.zeros(stations, STATION)
         for name in ("heard_us", "start_us", "located_us"):
             self.stations[name] = -1
@@ -234,11 +219,6 @@ class NeighbourTable:
     def bad_beacons(self) -> int:
         """Number of datagrams that were not a valid beacon."""
         return int(self.listener["bad"].item())
-
-    @property
-    def beacons_heard(self) -> int:
-        """Number of valid beacons received."""
-        return int(self.listener["received"].item())
 
     @property
     def beacons_missed(self) -> int:

@@ -35,34 +35,26 @@ def linked(places_ned_m: Array, nearest: int) -> Flags:
 
 
 class Neighbourhood:
-    """One UAV and its neighbours.
-
-    Args:
-        station: this UAV.
-        places_ned_m: (N, 3) the formation's places.
-        nearest: see `linked`.
+    """One UAV and its neighbours by `linked`.
 
     Attributes:
-        stations: number of all UAVs.
         members: (M,) the UAV and its neighbours in the order of their numbers: the rows of all arrays of the
             neighbourhood.
         rows: row of every station; None: not a member.
         row_numbers: (N,) the same for compiled code; -1: not a member.
         own: row of the UAV itself.
         whole: all UAVs are members.
-        linked: (N, N), the result of `linked`.
 
     """
 
     def __init__(self, station: int, places_ned_m: Array, nearest: int) -> None:
-        self.stations = len(places_ned_m)
         self.linked = linked(places_ned_m, nearest)
         taken = self.linked[station].copy()
         taken[station] = True
         self.members = np.flatnonzero(taken)
-        self.rows: list[int | None] = [None] * self.stations
+        self.rows: list[int | None] = [None] * len(places_ned_m)
         for row, member in enumerate(self.members.tolist()):
             self.rows[member] = row
         self.row_numbers = np.array([-1 if row is None else row for row in self.rows], np.int64)
         self.own = int(np.searchsorted(self.members, station))
-        self.whole = len(self.members) == self.stations
+        self.whole = len(self.members) == len(places_ned_m)

@@ -60,33 +60,19 @@ class RangingPolicy(Protocol):
         ...
 
 
-class Outstanding:
-    """Requests without a result yet."""
-
-    def __init__(self) -> None:
-        self._since_us: dict[int, int] = {}
+class Outstanding(dict[int, int]):
+    """Times of the requests without a result yet, by peer."""
 
     def forget_old(self, now_us: int) -> None:
         """Drop the requests without a result for `GIVE_UP_US`."""
-        for peer, since_us in list(self._since_us.items()):
+        for peer, since_us in list(self.items()):
             if now_us - since_us > GIVE_UP_US:
-                del self._since_us[peer]
-
-    def add(self, peer: int, at_us: int) -> None:
-        """Add a request."""
-        self._since_us[peer] = at_us
-
-    def discard(self, peer: int) -> None:
-        """Remove a request that has a result."""
-        self._since_us.pop(peer, None)
-
-    def __contains__(self, peer: int) -> bool:
-        return peer in self._since_us
+                del self[peer]
 
     @property
     def full(self) -> bool:
         """Whether the limit of outstanding requests is reached."""
-        return len(self._since_us) >= MAX_OUTSTANDING
+        return len(self) >= MAX_OUTSTANDING
 
 
 class RangingSchedule:
@@ -97,14 +83,9 @@ class RangingSchedule:
     """
 
     def __init__(
-        self,
-        *,
-        station: int,
-        stations: int,
-        period_us: int,
-        rng: np.random.Generator,
+        self, *, station: int, stations: int, period_us: int, rng: np.random.Generator,
         peers: Collection[int] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         others = [(station + k) % stations for k in range(1, stations)]
         self._peers = [peer for peer in others if peers is None or peer in peers]
         self._slot_us = period_us / max(len(self._peers), 1)
@@ -117,13 +98,10 @@ class RangingSchedule:
         self._outstanding = Outstanding()
 
     def due(
-        self,
-        now_us: int,
-        until_us: int,
-        reachable: Reachable,
+        self, now_us: int, until_us: int, reachable: Reachable,
         variance_m2: VarianceOf | None = None,  # noqa: ARG002  # all pairs are measured
-    ) -> list[tuple[int, int]]:
-        """List the requests to hand over in [now, until): (at_us, peer), of peers that are ``reachable``."""
+    ) -> list[tuple[int, int]]:  # fmt: skip
+        """See `RangingPolicy`."""
         if not self._peers:
             return []
         if not self._begun:
@@ -141,22 +119,17 @@ class RangingSchedule:
                     self.next_us = max(self.next_us, float(until_us))
                     break
                 at_us = max(int(self.next_us), now_us)
-                self._outstanding.add(peer, at_us)
+                self._outstanding[peer] = at_us
                 requests.append((at_us, peer))
             self._next = (self._next + 1) % len(self._peers)
             self.next_us += self._slot_us
         return requests
 
     def on_result(
-        self,
-        peer: int,
-        *,
-        ended_us: int = 0,  # noqa: ARG002
-        variance_m2: float | None = None,  # noqa: ARG002
-        retry_after_us: int = 0,  # noqa: ARG002
-    ) -> None:
+        self, peer: int, *, ended_us: int = 0, variance_m2: float | None = None, retry_after_us: int = 0,  # noqa: ARG002
+    ) -> None:  # fmt: skip
         """Record that the session with this peer has ended, with any status."""
-        self._outstanding.discard(peer)
+        self._outstanding.pop(peer, None)
 
     def on_survey(self, ended_ns: int, busy_ns: int) -> None:
         """Ignore the survey: the period is fixed."""

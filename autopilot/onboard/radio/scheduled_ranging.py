@@ -26,10 +26,9 @@ exp(`PRICE_GAIN` (occupancy / target occupancy - 1)). If p grows at a rate q bet
 (1 + x) after one to r x before the next, the airtime is proportional to q (1 + x) / (r x^2). Its elasticity
 is 1 to 2, so the loop gain is 0.5 to 1, and less with other load. The error is linear in the occupancy, so
 that the mean occupancy reaches the target even if sessions come in bunches. All stations on the same channel
-arrive at the same price, so the most valuable distances of the whole formation are measured. The price is at
-least `LEAST_PRICE_NATS`: a distance that adds hardly any information is not measured on an empty channel
-either. Above `MOST_PRICE_NATS` it would exclude distances known from GPS alone. The slots are a further
-limit: one session each, at any target occupancy.
+arrive at the same price, so the most valuable distances of the whole formation are measured. A distance below
+`LEAST_PRICE_NATS` is not measured on an empty channel either; above `MOST_PRICE_NATS` the price would exclude
+distances known from GPS alone. The slots are a further limit: one session each, at any target occupancy.
 
 A station without recent beacons may be gone and is not ranged to. The other end of a pair does not replace a
 silent owner, as it could not measure to it. Failed sessions are repeated in the next slot, then after pauses
@@ -61,8 +60,8 @@ CHECK_US = 3_000_000
 CHECK_LATEST_US = 5_000_000
 """Time after which a distance is measured again at the highest price; at the lowest it is `CHECK_US`."""
 CHECK_SPREAD = 0.25
-"""Each pair is checked earlier by its own share of `CHECK_US` up to this one; otherwise pairs that were
-measured together at the beginning would stay synchronised."""
+"""Each pair is checked earlier by its own share of `CHECK_US` up to this one, so that pairs measured together
+at the beginning do not stay synchronised."""
 UNKNOWN_PERIOD_US = 500_000
 _CHECK_NATS_US = MOST_PRICE_NATS / (CHECK_LATEST_US - CHECK_US)
 _LONG_AGO_US = -(1 << 62)
@@ -104,21 +103,12 @@ class ScheduledRanging:
         measurement_var_m2: expected variance of a distance, until one to the peer has been measured.
         linked: (N, N), symmetric, whether a pair is measured at all; None: all pairs.
 
-    Attributes:
-        price_nats: least worth of a distance that is measured.
-
     """
 
     def __init__(
-        self,
-        *,
-        station: int,
-        stations: int,
-        slot_us: int,
-        airtime: float,
-        measurement_var_m2: float,
+        self, *, station: int, stations: int, slot_us: int, airtime: float, measurement_var_m2: float,
         linked: NDArray[np.bool_] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         pairs = [(i, j) for j in range(stations) for i in range(j) if linked is None or linked[i, j]]
         pairs.sort(key=lambda pair: pair_number(pair[0], pair[1], stations))
         self._slots = [
@@ -139,6 +129,7 @@ class ScheduledRanging:
         # Unknown distances are requested in every slot, but peers that do not answer delay the others.
         self.gather_s = 2e-6 * (UNKNOWN_PERIOD_US + self._cycle_us) + SESSION_S
         self.price_nats = FIRST_PRICE_NATS
+        """Least worth of a distance that is measured."""
         self._airtime = airtime
         self._survey: tuple[int, int] | None = None
         self._outstanding = Outstanding()
@@ -150,7 +141,7 @@ class ScheduledRanging:
     def due(
         self, now_us: int, until_us: int, reachable: Reachable, variance_m2: VarianceOf | None = None
     ) -> list[tuple[int, int]]:
-        """List the requests to hand over in [now, until): (at_us, peer), of peers that are ``reachable``."""
+        """See `RangingPolicy`."""
         if not self._slots:
             return []
         if self.next_us < now_us:  # a missed slot is skipped, as its time may be another pair's slot
@@ -167,7 +158,7 @@ class ScheduledRanging:
                 and self.worth_nats(peer, at_us, variance_m2(peer) if variance_m2 is not None else None)
                 >= self.price_nats
             ):
-                self._outstanding.add(peer, at_us)
+                self._outstanding[peer] = at_us
                 requests.append((at_us, peer))
             self._slot += 1
             if self._slot == len(self._slots):
@@ -188,7 +179,7 @@ class ScheduledRanging:
         self, peer: int, *, ended_us: int = 0, variance_m2: float | None = None, retry_after_us: int = 0
     ) -> None:
         """Record that the session with this peer has ended; ``variance_m2`` None: it failed."""
-        self._outstanding.discard(peer)
+        self._outstanding.pop(peer, None)
         if not 0 <= peer < len(self._failures):
             return
         if variance_m2 is not None and variance_m2 > 0.0:

@@ -31,41 +31,25 @@ PRIOR_TRIPS = 8
 class Traffic:
     """One station's beacons and ranging sessions.
 
-    Args:
-        station: this station.
-        stations: number of stations.
-        config: settings.
-        devices: properties of the UAV's radio.
-        rng: random generator for phases and jitters.
-        near: neighbourhood to range to, and whose reported distances are used; None: all stations.
-
-    Attributes:
-        table: table of the other stations' beacons.
-        range_silence_us: distances older than this are not sent any more.
-        gather_s: time within which each station has ranged to all reachable peers, one loss included.
-
+    ``rng`` gives phases and jitters. ``near`` is the neighbourhood to range to, and from which reported
+    distances are used; None: all stations.
     """
 
     def __init__(
-        self,
-        *,
-        station: int,
-        stations: int,
-        config: OnboardConfig,
-        devices: Devices,
-        rng: np.random.Generator,
-        near: Neighbourhood | None = None,
-    ) -> None:
+        self, *, station: int, stations: int, config: OnboardConfig, devices: Devices,
+        rng: np.random.Generator, near: Neighbourhood | None = None,
+    ) -> None:  # fmt: skip
         self._station, self._stations = station, stations
         self._trip_std_m = devices.ftm_trip_std_m
         self._range_floor_var_m2 = config.range_floor_std_m**2
         self._ranging = self._policy(config, near, rng)
-        # Drawn in blocks, because a single draw costs far more than a list access; after the draws of the
-        # policy.
+        # Drawn in blocks, because a single draw costs far more than a list access.
         self._draws = chain.from_iterable(rng.random(size).tolist() for size in repeat(_DRAWS))
         """Random numbers 0..1 of the beacon phase and jitters."""
         self.range_silence_us = self._ranging.silence_us
+        """Distances older than this are not sent any more."""
         self.gather_s = self._ranging.gather_s
+        """Time within which each station has ranged to all reachable peers, one loss included."""
         self._encoded: dict[int, tuple[int, bytes]] = {}
         """Newest distance to each peer, encoded for beacons: its measurement time, ms, and its bytes."""
         self._seq = 0
@@ -108,21 +92,13 @@ class Traffic:
         self._ranging.on_survey(item.ended_ns, item.busy_ns)
 
     def due(
-        self,
-        own: OwnState,
-        now_us: int,
-        until_us: int,
-        *,
-        ranging: bool,
-        variance_m2: VarianceOf | None = None,
-        phase: FlightPhase = FlightPhase.WAITING,
-        motion_start_ms: int | None = None,
-        gps_error: Callable[[], wire.GpsError | None] | None = None,
-    ) -> tuple[TxItem, ...]:
+        self, own: OwnState, now_us: int, until_us: int, *, ranging: bool,
+        variance_m2: VarianceOf | None = None, phase: FlightPhase = FlightPhase.WAITING,
+        motion_start_ms: int | None = None, gps_error: Callable[[], wire.GpsError | None] | None = None,
+    ) -> tuple[TxItem, ...]:  # fmt: skip
         """Return the items for the radio in [now, until): beacons, and ranging requests if ``ranging``.
 
-        ``variance_m2`` returns the variance of the distance to a peer and is called for possible requests.
-        ``gps_error`` returns the GPS error of the own receiver and is called once per beacon. ``phase`` and
+        ``variance_m2`` is called for possible requests, ``gps_error`` once per beacon. ``phase`` and
         ``motion_start_ms`` are copied into beacons.
         """
         items: list[TxItem] = []

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from beacons import Beacon, encode
 
 from autopilot.onboard.formation import avoidance, formation_control
 from autopilot.onboard.formation.phases import FlightPhase
@@ -84,7 +85,7 @@ def pages(count=3):
     buffer = wire.BeaconBuffer(count)
     for _ in range(count):
         station = int(RNG.integers(2, 4))
-        beacon = wire.Beacon(
+        beacon = Beacon(
             station=station, seq=int(RNG.integers(20)), time_us=int(RNG.integers(9_500_000, 10_500_000)),
             phase=FlightPhase(RNG.integers(9)), odometry_ned_m=tuple(some(3)), vel_ned_m_s=tuple(some(3)),
             motion_start_ms=None if RNG.integers(2) else 9_000,
@@ -95,7 +96,7 @@ def pages(count=3):
                 wire.Distance(peer, int(RNG.integers(9_000, 10_500)), 9.0 + peer, 0.1)
                 for peer in (0, 1, 5)),
         )  # fmt: skip
-        buffer.put(station, wire.encode(beacon))
+        buffer.put(station, encode(beacon))
     return buffer.rows
 
 
@@ -118,7 +119,7 @@ def waiting():
 
 def listener():
     """Return the row of station 0, with a beacon period of 100 ms."""
-    return np.array([(0, 100_000, 12.0, 2.25, 0, 0, 0, 0, 0)], neighbour_table.LISTENER)
+    return np.array([(0, 100_000, 12.0, 2.25, 0, 0, 0, 0)], neighbour_table.LISTENER)
 
 
 CASES = {

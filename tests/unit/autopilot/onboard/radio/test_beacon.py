@@ -6,6 +6,7 @@ Run time: 3 s.
 import struct
 
 import pytest
+from beacons import Beacon, decode, encode
 from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import ValidationError, convert
@@ -24,14 +25,14 @@ stated = st.none() | st.integers(1, 65_535).map(lambda std_mm: std_mm * 1e-3)
 milliseconds = st.integers(0, 2**32 - 1)
 fixes = st.builds(wire.Fix, milliseconds, vectors, stated, stated)
 STATION = 7
-wire.decode(b"")  # compiles the decoder before Hypothesis measures its deadline
+decode(b"")  # compiles the decoder before Hypothesis measures its deadline
 
 
 @st.composite
 def beacons_(draw):
     station = draw(st.integers(0, 255))
     peers = draw(st.lists(st.integers(0, 255).filter(lambda peer: peer != station), max_size=20, unique=True))
-    return wire.Beacon(
+    return Beacon(
         station=station,
         seq=draw(st.integers(0, wire.SEQ_MODULUS - 1)),
         time_us=draw(st.integers(0, 2**63 - 1)),
@@ -50,7 +51,7 @@ beacons = beacons_()
 
 def full_beacon(peers=(1,)):
     """Return a beacon with all fields."""
-    return wire.Beacon(
+    return Beacon(
         station=STATION, seq=3, time_us=5_000_000, phase=FlightPhase.ON_STATION,
         odometry_ned_m=(1.0, 2.0, 3.0), vel_ned_m_s=(4.0, 5.0, 6.0), motion_start_ms=9_000,
         fix=wire.Fix(4_900, (7.0, 8.0, 9.0), 1.5, 2.5), gps_error=wire.GpsError((0.5, -0.5, 1.0), 0.25),
@@ -60,7 +61,7 @@ def full_beacon(peers=(1,)):
 
 @given(beacons)
 def test_a_decoded_beacon_equals_the_encoded_one(beacon):
-    assert wire.decode(wire.encode(beacon)) == beacon
+    assert decode(encode(beacon)) == beacon
 
 
 @pytest.mark.parametrize(
@@ -69,39 +70,39 @@ def test_a_decoded_beacon_equals_the_encoded_one(beacon):
 def test_beacons_have_the_documented_size(stations, distances, size):
     # All others, or N / 2 of them where each pair is measured by one of its ends.
     assert distances in {stations - 1, stations // 2}
-    assert len(wire.encode(full_beacon(range(100, 100 + distances)))) == size
+    assert len(encode(full_beacon(range(100, 100 + distances)))) == size
     assert (wire.HEADER_BYTES, wire.RANGE_BYTES) == (79, 11)
 
 
 def test_the_largest_beacon_fits_a_datagram_and_one_distance_more_does_not():
-    size = len(wire.encode(full_beacon(range(100, 100 + wire.MAX_RANGES))))
+    size = len(encode(full_beacon(range(100, 100 + wire.MAX_RANGES))))
     assert size <= MAX_PAYLOAD_BYTES < size + wire.RANGE_BYTES
     with pytest.raises(ValueError, match="127 distances"):
-        wire.encode(full_beacon(range(100, 101 + wire.MAX_RANGES)))
+        encode(full_beacon(range(100, 101 + wire.MAX_RANGES)))
 
 
 @given(st.binary(max_size=300))
 def test_the_decoder_raises_for_no_bytes(buffer):
-    wire.decode(buffer)
-    wire.decode(bytes((wire.VERSION,)) + buffer)
+    decode(buffer)
+    decode(bytes((wire.VERSION,)) + buffer)
 
 
 @given(beacons, st.data())
 def test_a_corrupted_beacon_that_decodes_is_a_valid_beacon(beacon, data):
     # Any bytes that decode do so to a beacon that survives encoding and decoding.
-    buffer = bytearray(wire.encode(beacon))
+    buffer = bytearray(encode(beacon))
     for _ in range(data.draw(st.integers(1, 3))):
         buffer[data.draw(st.integers(0, len(buffer) - 1))] = data.draw(st.integers(0, 255))
-    decoded = wire.decode(bytes(buffer))
+    decoded = decode(bytes(buffer))
     if decoded is not None:
-        assert wire.decode(wire.encode(decoded)) == decoded
+        assert decode(encode(decoded)) == decoded
 
 
 @given(beacons, st.data())
 def test_a_beacon_of_wrong_length_is_rejected(beacon, data):
-    buffer = wire.encode(beacon)
-    assert wire.decode(buffer[: data.draw(st.integers(0, len(buffer) - 1))]) is None
-    assert wire.decode(buffer + b"\0") is None
+    buffer = encode(beacon)
+    assert decode(buffer[: data.draw(st.integers(0, len(buffer) - 1))]) is None
+    assert decode(buffer + b"\0") is None
 
 
 # Header: u8 x 5, u32, u64, then f32 of odometry and velocity (17), start, fix_ms, fix (49), stds, error (65).
@@ -111,17 +112,17 @@ FLOATS = [17, 21, 25, 29, 33, 37, 49, 53, 57, 65, 69, 73, 79 + 5]
 @pytest.mark.parametrize("number", [float("nan"), float("inf"), -float("inf"), 1e30])
 @pytest.mark.parametrize("offset", FLOATS)
 def test_a_beacon_with_impossible_numbers_is_rejected(number, offset):
-    buffer = bytearray(wire.encode(full_beacon()))
-    assert wire.decode(bytes(buffer)) is not None
+    buffer = bytearray(encode(full_beacon()))
+    assert decode(bytes(buffer)) is not None
     struct.pack_into("<f", buffer, offset, number)
-    assert wire.decode(bytes(buffer)) is None
+    assert decode(bytes(buffer)) is None
 
 
 @pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, -0.6, 0.8), (0.48, 0.6, -0.64)])
 def test_a_speed_above_30_m_s_is_rejected(direction):
     for speed_m_s, accepted in ((29.9, True), (30.1, False), (3e5, False)):
         beacon = replace(full_beacon(), vel_ned_m_s=tuple(speed_m_s * part for part in direction))
-        assert (wire.decode(wire.encode(beacon)) is not None) is accepted
+        assert (decode(encode(beacon)) is not None) is accepted
 
 
 def test_the_beacon_period_is_at_most_one_second():
@@ -146,10 +147,10 @@ def test_the_beacon_period_is_at_most_one_second():
     ],
 )
 def test_undefined_or_contradictory_fields_are_rejected(offset, value):
-    buffer = bytearray(wire.encode(full_beacon(peers=(1, 2))))
-    assert wire.decode(bytes(buffer)) is not None
+    buffer = bytearray(encode(full_beacon(peers=(1, 2))))
+    assert decode(bytes(buffer)) is not None
     buffer[offset] = value
-    assert wire.decode(bytes(buffer)) is None
+    assert decode(bytes(buffer)) is None
 
 
 def test_standard_deviations_saturate_and_a_stated_one_is_at_least_1_mm():
@@ -158,7 +159,7 @@ def test_standard_deviations_saturate_and_a_stated_one_is_at_least_1_mm():
         fix=wire.Fix(4_900, (7.0, 8.0, 9.0), float("inf"), 1e-6),
         gps_error=wire.GpsError((0.0, 0.0, 0.0), 100.0),
     )
-    decoded = wire.decode(wire.encode(beacon))
+    decoded = decode(encode(beacon))
     assert decoded.fix.std_h_m == decoded.gps_error.std_m == 65.535
     assert decoded.fix.std_v_m == 0.001
 
@@ -166,4 +167,4 @@ def test_standard_deviations_saturate_and_a_stated_one_is_at_least_1_mm():
 def test_an_invalid_standard_deviation_is_not_encoded():
     for std_m, error in ((float("nan"), ValueError), (-0.1, struct.error)):
         with pytest.raises(error):
-            wire.encode(replace(full_beacon(), gps_error=wire.GpsError((0.0, 0.0, 0.0), std_m)))
+            encode(replace(full_beacon(), gps_error=wire.GpsError((0.0, 0.0, 0.0), std_m)))
