@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from autopilot.onboard.localisation.localisation import CooperativeLocalisation, LocalisationModel
+from autopilot.onboard.localisation.localisation import CooperativeLocalisation
+from autopilot.onboard.localisation.model import LocalisationModel
 from autopilot.onboard.radio.scheduled_ranging import owner
 from harness.world.gauss_markov import gauss_markov_path
 

@@ -8,7 +8,8 @@ from onboard_world import article_places_ned_m
 from scipy.stats import chi2
 
 from autopilot.onboard.localisation.kernels import STATES
-from autopilot.onboard.localisation.localisation import CooperativeLocalisation, LocalisationModel
+from autopilot.onboard.localisation.localisation import CooperativeLocalisation
+from autopilot.onboard.localisation.model import LocalisationModel
 from studies.codesign.bounds import aligned_error_m, posterior_bound, shape_basis
 from studies.codesign.simulated import GRID_US, Trouble, simulate
 from studies.codesign.study import localisation_study

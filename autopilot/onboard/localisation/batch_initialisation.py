@@ -23,8 +23,7 @@ SETTLED_M = 0.01
 """The iteration ends when a pass without extra standard deviation moves every UAV by less than this."""
 AGREE_WEIGHT, AGREE_LIMIT = 0.5, 0.3
 """A UAV does not join if more than 0.3 of its distances have a weight below 0.5 (beyond 2.4 sigma, which 1.4
-% of correct ones exceed). A mere majority would not do: even for wrong distances there is a position that a
-bare majority of them fits."""
+% of correct ones exceed); even for wrong distances there is a position that a bare majority of them fits."""
 FAULTY_SHARE = 0.7
 """A UAV is found to measure wrongly if at least this share of its distances disagrees with the rest."""
 ARMIJO, LEAST_SHARE, BACKTRACKS = 1e-4, 0.1, 6
@@ -57,7 +56,7 @@ class Range:
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """Result of fusing distances: the filter's state and covariance, and the weight of each distance."""
+    """The filter's state and covariance after fusing distances, and the weight of each distance."""
 
     state: Array
     cov: Array
@@ -66,15 +65,14 @@ class Solution:
 
 @dataclass(frozen=True, slots=True)
 class Joined:
-    """Result of a batch initialisation."""
+    """Result of a batch initialisation: its distances and their solution."""
 
     joining: Flags
     """(N,) UAVs that have joined."""
     batch: list[Range]
-    """Distances of the solution."""
     solution: Solution
     faulty: set[int]
-    """UAVs that measure wrongly, whose own distances were excluded."""
+    """UAVs that measure wrongly; their own distances were excluded."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,19 +88,15 @@ class InitialisationProblem:
     located: Flags
     """(N,) the active UAVs that have joined before; the prior of the others is their GPS alone."""
     places_ned_m: Array
-    """(N, 3) places of the formation."""
     odometry_ned_m: Array
-    """(N, 3) newest odometry."""
+    """(N, 3) newest odometry, like the places."""
     drift_m2_s: float
     """Variance rate of each horizontal axis of odometry."""
     bias_var_m2: Array
     """(N,) bias variance of each UAV's GPS, per axis."""
 
     def join(self, held: Sequence[Range]) -> Joined | None:
-        """Return the solution for all UAVs that the held distances allow to join; None if none can.
-
-        A UAV that measures wrongly is identified by solving without its own distances.
-        """
+        """Return the solution for all UAVs that the held distances allow to join; None if none can."""
         faulty: set[int] = set()
         joining = self.active & ~self.located
         enough = max(min(LEAST_LINKS, int(self.active.sum()) - 1), 1)
@@ -160,13 +154,10 @@ class InitialisationProblem:
     def _weight(self, item: Range, solution: Solution) -> float:
         """Return the weight of a distance relative to a solution that does not include it."""
         no_reference = np.zeros((len(self.active), 2))
-        variance_m2 = self._variance_m2(item)
-        return float(
-            fuse_range(
-                solution.state, solution.cov, solution.state, no_reference, item.initiator, item.responder,
-                item.odometry_between_m, item.distance_m, variance_m2, -1.0, 0.0,
-            )
-        )  # fmt: skip
+        return float(fuse_range(
+            solution.state, solution.cov, solution.state, no_reference, item.initiator, item.responder,
+            item.odometry_between_m, item.distance_m, self._variance_m2(item), -1.0, 0.0,
+        ))  # fmt: skip
 
     def _solve(self, usable: list[Range], joining: Flags) -> tuple[list[Range], Solution]:
         """Solve from the layout of the places; if that does not fit and UAVs are located, also from GPS."""
@@ -252,14 +243,9 @@ class InitialisationProblem:
         return cov
 
     def _share(
-        self,
-        at: Array,
-        step: Array,
-        prior_cov: Array,
-        batch: Sequence[Range],
-        weights: Sequence[float],
+        self, at: Array, step: Array, prior_cov: Array, batch: Sequence[Range], weights: Sequence[float],
         joining: Flags,
-    ) -> float:
+    ) -> float:  # fmt: skip
         """Return the share of a step that decreases the weighted sum of squares: backtracking by parabolas.
 
         A full step follows a tangent. It overshoots the heading of GPS if GPS shows two UAVs more than twice

@@ -21,10 +21,11 @@ import numpy as np
 from numba import njit
 
 from autopilot.onboard.localisation.kernels import STATES, Array, Times
-from autopilot.onboard.localisation.localisation import SILENCE_US, CooperativeLocalisation
+from autopilot.onboard.localisation.localisation import CooperativeLocalisation
 from autopilot.onboard.localisation.members import Members
+from autopilot.onboard.localisation.model import SILENCE_US
 from autopilot.onboard.localisation.receivers import BIAS_SIGMAS
-from autopilot.onboard.localisation.tracks import EXTRAPOLATED_S, KNOWN, Rings, odometry_at
+from autopilot.onboard.localisation.tracks import EXTRAPOLATED_S, Rings, odometry_at
 from autopilot.onboard.radio.beacon import Fix, GpsError
 from autopilot.onboard.radio.neighbour_table import NeighbourTable, Stations
 
@@ -40,19 +41,11 @@ Level = tuple[float, float]
 
 
 class CommonFrame:
-    """One UAV's part in the common frame; positions are site NED.
-
-    Args:
-        members: (N,) the stations of its neighbourhood.
-        table: the newest fixes and GPS errors that all stations have reported.
-
-    Attributes:
-        shift_ne_m: shift from the local solution to the common frame, valid near the own position.
-
-    """
+    """One UAV's part in the common frame of the ``members`` (N,) of its neighbourhood; site NED."""
 
     def __init__(self, members: Times, table: NeighbourTable) -> None:
         self.shift_ne_m: Level = (0.0, 0.0)
+        """Shift from the local solution to the common frame, valid near the own position."""
         self._members = members
         self._table = table
         self._due_us = 0
@@ -60,16 +53,10 @@ class CommonFrame:
     def report_error(
         self, station: int, fix: Fix, localisation: CooperativeLocalisation, now_us: int
     ) -> GpsError:
-        """Return the error of the newest fix for the beacon, and store it as the receiving UAVs do."""
-        error = self.error(fix, localisation)
-        self._table.note_fix(station, fix, error, now_us)
-        return error
-
-    def error(self, fix: Fix, localisation: CooperativeLocalisation) -> GpsError:
-        """Return the error of a fix of the own receiver in the common frame.
+        """Return the error of the own newest fix for the beacon, and store it as the receiving UAVs do.
 
         The horizontal error is that of this fix itself, not the bias: fix and error yield the UAV's estimated
-        position.
+        position in the common frame.
         """
         (error_n_m, error_e_m, down_m), std_m = localisation.gps_error(localisation.own)
         odometry_ned_m = localisation.odometry_at(localisation.own, fix.time_ms * 1_000)
@@ -79,7 +66,9 @@ class CommonFrame:
             offset_n_m, offset_e_m = localisation.offset_ne_m()
             error_n_m = fix_n_m - (odometry_n_m + offset_n_m + shift_n_m)
             error_e_m = fix_e_m - (odometry_e_m + offset_e_m + shift_e_m)
-        return GpsError((error_n_m, error_e_m, down_m), std_m)
+        error = GpsError((error_n_m, error_e_m, down_m), std_m)
+        self._table.note_fix(station, fix, error, now_us)
+        return error
 
     def update(self, now_us: int, localisation: CooperativeLocalisation) -> None:
         """Run a round if one is due: align the local solution to the neighbours and to the GPS of all."""
@@ -99,17 +88,8 @@ def run_round(
 ) -> Level:  # fmt: skip
     """Return the shift after a round; unchanged if no neighbour has reported its position.
 
-    Args:
-        own: row of the own UAV in the filter.
-        now_us: time of the round.
-        numbers: (N,) station of each row.
-        stations: (F,) of `STATION`, newest reports of all stations.
-        members: (N,) of `MEMBER`, and ``rings`` (N,) of `RING`.
-        rings: see there.
-        state: (5N,) of the filter.
-        shift_n_m: shift before the round, north, and ``shift_e_m`` east.
-        shift_e_m: see there.
-
+    ``own`` is the row of the own UAV in the filter, ``numbers`` (N,) are the stations of the rows, and
+    ``stations`` (F,) the newest reports of all.
     """
     count = members.size
     pos_ne_m, apart_ne_m, then_ned_m = np.empty((count, 2)), np.empty((count, 2)), np.empty(3)
@@ -124,7 +104,7 @@ def run_round(
                 report = stations[numbers[row]]
                 if not _has_position(report, now_us) or members[row]["located"] == 0:
                     continue
-                if odometry_at(rings, row, report["fix_us"], then_ned_m) != KNOWN:
+                if not odometry_at(rings, row, report["fix_us"], then_ned_m):
                     continue
                 for a in range(2):
                     reported_m = report["fix_ne_m"][a] - report["error_ne_m"][a]
@@ -178,11 +158,10 @@ def towards_mean_gps(now_us: int, stations: Stations, own_n_m: float, own_e_m: f
 
 @njit(cache=True, inline="always")
 def laid_onto(pos_ne_m: Array, apart_ne_m: Array) -> Level:
-    """Return the displacement of the last position under the rigid motion that fits ``apart_ne_m``.
+    """Return the displacement of the last position under the rigid motion that fits displacements (n, 2).
 
-    pos_ne_m (n, 2) are positions, apart_ne_m (n, 2) their displacements to fit. Turns are small, so the
-    motion is linear in them. The last position has weight 1; the weights of the others fall with their
-    misfit.
+    Turns are small, so the motion is linear in them. The last position has weight 1; the weights of the
+    others fall with their misfit.
     """
     count = pos_ne_m.shape[0]
     weights = np.empty(count)
@@ -206,10 +185,7 @@ def laid_onto(pos_ne_m: Array, apart_ne_m: Array) -> Level:
 def rigid_motion(
     pos_ne_m: Array, apart_ne_m: Array, weights: Array
 ) -> tuple[float, float, float, float, float]:
-    """Return the rigid motion that fits the displacements apart_ne_m of positions (n, 2) best.
-
-    Returns its shift, its turn and the centre of the turn: the arguments of `moved`.
-    """
+    """Return the rigid motion, arguments of `moved`, that fits displacements of positions (n, 2) best."""
     count = pos_ne_m.shape[0]
     total, centre_n_m, centre_e_m, shift_n_m, shift_e_m = 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(count):

@@ -54,13 +54,7 @@ def add_distance(
 
 
 class Distances:
-    """Distances between N UAVs; filter_row (1,) is that of the filter.
-
-    Attributes:
-        pairs, pending: (N, N) and (P,), used by compiled code.
-        held: newest distance of each pair with an end that is not located; the first since ``held_since_us``.
-
-    """
+    """Distances between N UAVs: those that compiled code uses, and those held for a batch initialisation."""
 
     def __init__(self, count: int, filter_row: Filter) -> None:
         self.pairs: Pairs = np.zeros((count, count), PAIR)
@@ -68,24 +62,8 @@ class Distances:
         self.pending: Pending = np.zeros(4 * MAX_RANGES, PENDING)
         self._filter = filter_row
         self.held: dict[tuple[int, int], Range] = {}
+        """Newest distance of each pair with an end that is not located; the first since ``held_since_us``."""
         self.held_since_us = 0
-
-    def add(
-        self,
-        initiator: int,
-        responder: int,
-        time_us: int,
-        distance_m: float,
-        variance_m2: float,
-        *,
-        now_us: int,
-    ) -> None:
-        """Add a distance; see `add_distance`."""
-        self.make_room()
-        add_distance(
-            self.pairs, self.pending, self._filter, initiator, responder, time_us, distance_m, variance_m2,
-            now_us,
-        )  # fmt: skip
 
     def make_room(self) -> None:
         """Ensure room for all the distances of another beacon."""

@@ -17,8 +17,6 @@ squared normalised innovation d2 is fused with variance r / w, w = min(1, (nu + 
 a Student-t likelihood (Lange, Little and Taylor, "Robust statistical modeling using the t distribution",
 1989). Its influence falls with its size, so the effect of a wrong measurement is bounded.
 
-Arrays are changed in place. The per-measurement path allocates one row only.
-
 Compiled and interpreted kernels give bitwise equal results (tested). They therefore use products for squares,
 `math.exp` for exponentials and `np.hypot` for lengths: the interpreter's powers, NumPy's exponentials and
 `math.hypot` round differently.
@@ -109,9 +107,8 @@ def fuse_fix(
 ) -> float:  # fmt: skip
     """Fuse a GPS position of UAV j: z_a = odometry_a + offset_a + bias_a + noise; no bias state vertically.
 
-    fix_less_odometry_m (3,) is the fix minus the odometry of the fix's own time. variance_m2 is that of the
-    white part of each horizontal axis, height_variance_m2 that of the whole vertical error. Returns the
-    smaller weight of the two horizontal axes.
+    variance_m2 is that of the white part of each horizontal axis, height_variance_m2 that of the whole
+    vertical error. Returns the smaller weight of the two horizontal axes.
     """
     least = 1.0
     for a in range(3):
@@ -134,20 +131,6 @@ def fuse_fix(
     return least
 
 
-def relearn_bias(state: Array, cov: Array, j: int, fix_less_odometry_m: Array, variance_m2: float) -> None:
-    """Reset the GPS bias of UAV j to the fix minus odometry and offset; the offset and its covariance stay.
-
-    Not compiled, because it is needed at most about once per flight.
-    """
-    for a in range(2):
-        off = STATES * j + a
-        bias = STATES * j + BIAS + a
-        state[bias] = fix_less_odometry_m[a] - state[off]
-        cov[bias, :] = -cov[off, :]
-        cov[:, bias] = -cov[:, off]
-        cov[bias, bias] = cov[off, off] + variance_m2
-
-
 @njit(cache=True)
 def fuse_range(
     state: Array, cov: Array, linearised_at: Array, reference_ne_m: Array, i: int, j: int,
@@ -163,22 +146,13 @@ def fuse_range(
     between the reference positions, if it is near the estimated one; its elevation and the expected distance
     are those of the estimate.
 
-    Args:
-        state: (5N,) and ``cov`` (5N, 5N), changed in place.
-        linearised_at: (5N,) linearisation point: the state itself in the running filter, another point in the
-            passes of a Gauss-Newton iteration.
-        reference_ne_m: (N, 2) the fixed geometry; all zero: none.
-        i: one end, and ``j`` the other.
-        odometry_between_m: (3,) odometry of i minus that of j at the measurement's time.
-        distance_m: measured distance.
-        variance_m2: of the measurement.
-        weight_width_m2: below 0 the weight follows from the innovation; otherwise from the residual at
-            ``linearised_at``, with this variance added to that of the measurement.
-        trust: 1 to fuse; 0 to return the weight only and change nothing.
+    The fixed geometry is reference_ne_m (N, 2); all zero: none. The linearisation point (5N,) is the state
+    itself in the running filter, another point in the passes of a Gauss-Newton iteration. odometry_between_m
+    (3,) is the odometry of i minus that of j at the measurement's time. With weight_width_m2 below 0 the
+    weight follows from the innovation; otherwise from the residual at the linearisation point, with this
+    variance added to that of the measurement. A ``trust`` of 0 changes nothing.
 
-    Returns:
-        Weight of the measurement, 0..1; 0 if the two are nearer than 0.1 m, where the direction is undefined.
-
+    Returns the weight, 0..1; 0 if the two are nearer than 0.1 m, where the direction is undefined.
     """
     bi, bj = STATES * i, STATES * j
     direction = np.empty(3)

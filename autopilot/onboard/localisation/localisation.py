@@ -19,7 +19,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from autopilot.onboard.localisation.batch_initialisation import Flags, InitialisationProblem, Joined, links
-from autopilot.onboard.localisation.distances import Distances
+from autopilot.onboard.localisation.distances import Distances, add_distance
 from autopilot.onboard.localisation.kernels import BIAS, STATES, Array
 from autopilot.onboard.localisation.measurement_update import (
     DONE,
@@ -38,16 +38,14 @@ from autopilot.onboard.localisation.measurement_update import (
     use_pending,
 )
 from autopilot.onboard.localisation.members import new_filter, new_members
-from autopilot.onboard.localisation.model import CLOCK_TOLERANCE_US, SILENCE_US, LocalisationModel
-from autopilot.onboard.localisation.receivers import Receivers, clear
+from autopilot.onboard.localisation.model import SILENCE_US, LocalisationModel
+from autopilot.onboard.localisation.receivers import Receivers, clear, rate
 from autopilot.onboard.localisation.reference_geometry import ReferenceGeometry, shape_std_m
-from autopilot.onboard.localisation.tracks import EXTRAPOLATED_S, KNOWN, Tracks, odometry_at
-from autopilot.onboard.localisation.trust import Trust
+from autopilot.onboard.localisation.tracks import EXTRAPOLATED_S, Tracks, odometry_at
+from autopilot.onboard.localisation.trust import ELSEWHERE_LIMIT, Trust, distrust
 from autopilot.onboard.localisation.uncertainty import SEEN, Others, seen_from, variance_between
 from autopilot.onboard.radio.neighbour_table import NeighbourTable
 from foundation.types import Vector
-
-__all__ = ["CLOCK_TOLERANCE_US", "SILENCE_US", "CooperativeLocalisation", "LocalisationModel", "Others"]
 
 JUMP_SHARE = 0.1
 """Standard deviation of an odometry jump, as a share of its size."""
@@ -65,9 +63,7 @@ class CooperativeLocalisation:
 
     Attributes:
         state: (5N,) and ``cov`` (5N, 5N), with the layout of `kernels`.
-        located: (N,) bool, whether a UAV's distances are fused.
-        members: (N,) of `MEMBER`, a row per UAV.
-        tracks: odometry history of all UAVs.
+        members: (N,) of `MEMBER`, a row per UAV; ``located`` and ``active`` are its columns.
         restarts: number of times that a UAV's estimate was found to be wrong.
         odometry_jumps: number of odometry restarts, detected by a step or reported by `restart`.
         gps_steps: number of detected steps of a GPS error.
@@ -132,17 +128,13 @@ class CooperativeLocalisation:
             self._do(action, station)
 
     def on_fix(
-        self,
-        station: int,
-        time_us: int,
-        pos_ned_m: Sequence[float],
-        std_h_m: float | None = None,
+        self, station: int, time_us: int, pos_ned_m: Sequence[float], std_h_m: float | None = None,
         std_v_m: float | None = None,
-    ) -> bool:
-        """Process a GPS position (site NED) at ``time_us``; used once, and only with odometry of that time.
+    ) -> bool:  # fmt: skip
+        """Process a GPS position (site NED) and the accuracies that the receiver states; None: not stated.
 
-        ``std_h_m`` (per axis) and ``std_v_m`` are the accuracies that the receiver states; None: not stated.
-        Returns whether the fix has been used; otherwise it may be passed again when there is odometry.
+        Returns whether the fix has been used; otherwise it may be passed again when there is odometry of its
+        time.
         """
         north_m, east_m, down_m = pos_ned_m
         action = take_fix(
@@ -156,14 +148,14 @@ class CooperativeLocalisation:
     def on_range(
         self, initiator: int, responder: int, time_us: int, distance_m: float, std_m: float, *, now_us: int
     ) -> None:
-        """Add a distance measured by ``initiator``; identified by (initiator, responder, time) and used once.
-
-        It is ignored if it is not newer than the last one of the pair, if its time is in the future (it would
-        suppress the valid ones that follow), or if the responder is not a UAV of the filter.
-        """
+        """Add a distance measured by ``initiator``, as `add_distance`, if the responder is in the filter."""
         if responder < self.count:
-            variance_m2 = std_m**2 + self._model.range_floor_std_m**2
-            self._distances.add(initiator, responder, time_us, distance_m, variance_m2, now_us=now_us)
+            distances, variance_m2 = self._distances, std_m**2 + self._model.range_floor_std_m**2
+            distances.make_room()
+            add_distance(
+                distances.pairs, distances.pending, self._filter, initiator, responder, time_us, distance_m,
+                variance_m2, now_us,
+            )  # fmt: skip
 
     def _do(self, action: int, row: int) -> None:
         """Perform an action that a kernel of `measurement_update` requires for a UAV."""
@@ -184,7 +176,7 @@ class CooperativeLocalisation:
     def _compensate_jump(self, row: int) -> None:
         """Compensate a jump of a UAV's odometry in its offset, so that its position estimate stays."""
         self.odometry_jumps += 1
-        self._receivers.drop_fixes(row)
+        self.members["fixes"][row] = 0
         self._distances.drop(row)
         for a, jump_m in enumerate(self._filter["step_ne_m"][0].tolist()):
             self._receivers.less_odometry_ned_m[row, a] -= jump_m
@@ -192,10 +184,7 @@ class CooperativeLocalisation:
             self.cov[STATES * row + a, STATES * row + a] += (JUMP_SHARE * jump_m) ** 2
 
     def restart(self, station: int) -> None:
-        """Remove a UAV whose application has restarted, because its odometry has a new origin.
-
-        Must be called before that odometry is processed. The UAV joins again when it has GPS and distances.
-        """
+        """Remove a UAV, before odometry with a new origin is processed, until it has GPS and distances."""
         self.odometry_jumps += 1
         self._lose(station)
 
@@ -210,31 +199,25 @@ class CooperativeLocalisation:
             self._locate(now_us)
         if due:
             self._geometry_due_us = now_us + GEOMETRY_PERIOD_US
-            used = self.ranges_used
+            used = self.count_of("ranges_used")
             self._filter["distances_hz"] = 2e6 * (used - self._counted) / (self.count * GEOMETRY_PERIOD_US)
             self._counted = used
             suspects = self._trust.suspects(now_us, np.flatnonzero(self._members(now_us)))
             if suspects:
                 self._try_afresh(suspects, now_us)
 
-    def advance(self, now_us: int) -> None:
-        """Propagate the filter to now, so that its covariance can be read."""
-        self._advance(now_us, decay=True)
+    def advance(self, time_us: int, *, decay: bool = True) -> None:
+        """Propagate the filter, slow errors only with ``decay`` or if a stride of theirs has passed."""
+        stride_us = 0 if decay else int(self._filter["decay_stride_us"].item())
+        advance(self._filter, self.members, self.state, self.cov, time_us, stride_us)
 
-    @property
-    def ranges_used(self) -> int:
-        """Number of distances that were compared with the estimate."""
-        return int(self._filter["ranges_used"].item())
+    def count_of(self, name: str) -> int:
+        """Return the number of distances compared with the estimate (ranges_used), or of other ones.
 
-    @property
-    def ranges_downweighted(self) -> int:
-        """Number of those that misfitted."""
-        return int(self._filter["ranges_downweighted"].item())
-
-    @property
-    def ranges_too_late(self) -> int:
-        """Number of distances dropped because odometry of their time was not available."""
-        return int(self._filter["ranges_too_late"].item())
+        ranges_downweighted: those of them that misfitted; ranges_too_late: those dropped because odometry of
+        their time was not available.
+        """
+        return int(self._filter[name].item())
 
     @property
     def own_range_us(self) -> int:
@@ -245,11 +228,6 @@ class CooperativeLocalisation:
         """Return the estimated true position minus odometry of the own UAV, north and east, m."""
         north_m, east_m = self._own_offset_ne_m.tolist()
         return north_m, east_m
-
-    def offset_ned_m(self) -> Array:
-        """Return the same as (3,) NED, down relative to the barometer; a view."""
-        base = STATES * self.own
-        return self.state[base : base + 3]
 
     def positions_ned_m(self, now_us: int) -> Array:
         """Return (N, 3) estimated positions, site NED, extrapolated by velocity for 1 s at most."""
@@ -265,8 +243,7 @@ class CooperativeLocalisation:
     def odometry_at(self, station: int, time_us: int) -> Array | None:
         """Return (3,) odometry of a UAV, NED, at a time of the last seconds; None if not available."""
         odometry_ned_m = np.empty(3)
-        known = odometry_at(self.tracks.rings, station, time_us, odometry_ned_m) == KNOWN
-        return odometry_ned_m if known else None
+        return odometry_ned_m if odometry_at(self.tracks.rings, station, time_us, odometry_ned_m) else None
 
     def gps_error(self, station: int) -> tuple[Vector, float]:
         """Return the estimated GPS error of a UAV, NED, m, and its standard deviation per horizontal axis.
@@ -290,7 +267,7 @@ class CooperativeLocalisation:
         return relative_m2 + self._walked_m2(now_us)
 
     def others(self, now_us: int, *, fresh_us: int, shift_ne_m: tuple[float, float] = (0.0, 0.0)) -> Others:
-        """Return the estimates of all UAVs, shifted, for `avoidance`; the next call overwrites the array.
+        """Return the estimates of all UAVs, shifted; the next call overwrites the array.
 
         A UAV is fresh if it is located and its newest odometry is at most ``fresh_us`` old.
         """
@@ -302,10 +279,7 @@ class CooperativeLocalisation:
         return others
 
     def shape_std_m(self, now_us: int) -> float:
-        """Return the expected rms shape error, m, of the located UAVs present; inf for fewer than two.
-
-        It is horizontal, after the best rigid alignment.
-        """
+        """Return the expected rms shape error, m, of the located UAVs present; see `reference_geometry`."""
         return shape_std_m(self.positions_ned_m(now_us), self.cov, self._members(now_us))
 
     def _present(self, now_us: int) -> Flags:
@@ -320,11 +294,6 @@ class CooperativeLocalisation:
         """Return the variance, per axis, of two UAVs' odometry difference since the filter's time."""
         return 2.0e-6 * self._drift_m2_s * max(now_us - self._time_us, 0)
 
-    def _advance(self, time_us: int, *, decay: bool = False) -> None:
-        """Propagate the filter to ``time_us``; see `measurement_update.advance`."""
-        stride_us = 0 if decay else int(self._filter["decay_stride_us"].item())
-        advance(self._filter, self.members, self.state, self.cov, time_us, stride_us)
-
     @property
     def _time_us(self) -> int:
         return int(self._time.item())
@@ -332,7 +301,7 @@ class CooperativeLocalisation:
     def _lose(self, station: int) -> None:
         """Remove a UAV until it has new odometry, GPS and distances."""
         self.tracks.forget(station)
-        self._receivers.forget(station)
+        self.members["fixes"][station] = self.members["misfits"][station] = 0
         self._trust.forget(station)
         self.located[station] = self.active[station] = False
         clear(station, self.state, self.cov)
@@ -345,8 +314,8 @@ class CooperativeLocalisation:
             self._activate(self.own)
 
     def _activate(self, station: int) -> None:
-        """Initialise a UAV with its GPS alone."""
-        self._receivers.unrate(station)
+        """Initialise a UAV with its GPS alone, of the stated accuracy, regardless of its estimated bias."""
+        self.members["bias_var_m2"][station] = self.members["stated_var_m2"][station]
         self._receivers.begin(station, self.state, self.cov)
         self.active[station] = True
 
@@ -366,7 +335,7 @@ class CooperativeLocalisation:
                 distances.hold(item, now_us)
             elif action == ELSEWHERE:
                 for row in (item.initiator, item.responder):
-                    if self._trust.elsewhere(row):
+                    if self.members["as_end"].item(row) > ELSEWHERE_LIMIT:
                         self._restart(row)
 
     def _locate(self, now_us: int) -> None:
@@ -378,7 +347,7 @@ class CooperativeLocalisation:
         if not complete and now_us - self._distances.held_since_us < self._model.gather_s * 1e6:
             return
         held = self._distances.release()
-        self._advance(max(item.time_us for item in held))
+        self.advance(max(item.time_us for item in held), decay=False)
         problem = self._problem(self.state, self.cov, self.active & present, self.located & present)
         joined = problem.join(held)
         if joined is None:
@@ -395,7 +364,7 @@ class CooperativeLocalisation:
         if not held:
             return
         present = self._present(now_us)
-        self._advance(max(item.time_us for item in held))
+        self.advance(max(item.time_us for item in held), decay=False)
         state, cov, rest = self.state.copy(), self.cov.copy(), self.located & present
         for station in suspects:
             self._receivers.begin(station, state, cov)
@@ -421,9 +390,9 @@ class CooperativeLocalisation:
         self._geometry.keep(members, pos_ned_m, self.cov)
         for station in np.flatnonzero(joined.joining).tolist():
             self._trust.forget(station)
-            self._receivers.rate(station, self.state)
+            rate(self.members, station, self.state)
         for station in joined.faulty:
-            self._trust.distrust(station)
+            distrust(self.members, station)
 
     def _restart(self, station: int) -> None:
         """Reset a UAV, whose estimate is wrong, to its GPS."""

@@ -12,7 +12,7 @@ from autopilot.onboard.localisation.kernels import STATES, Array, fuse_range, pr
 from autopilot.onboard.localisation.members import Filter, Members
 from autopilot.onboard.localisation.model import SILENCE_US
 from autopilot.onboard.localisation.receivers import MISFIT_WEIGHT, add_fix, fuse_mean, take_stated
-from autopilot.onboard.localisation.tracks import JUMPED, KNOWN, Rings, odometry_at, odometry_between, push
+from autopilot.onboard.localisation.tracks import Rings, odometry_at, odometry_between, push
 from autopilot.onboard.localisation.trust import ELSEWHERE_LIMIT, note
 from autopilot.onboard.radio.beacon import HAS_FIX, PageRows
 from autopilot.onboard.radio.neighbour_table import (
@@ -81,7 +81,7 @@ def take_odometry(
     sample = np.empty(6)
     sample[0], sample[1], sample[2] = north_m, east_m, down_m
     sample[3], sample[4], sample[5] = vel_n_m_s, vel_e_m_s, vel_d_m_s
-    jumped = push(members, rings, row, time_us, sample, own["step_ne_m"]) == JUMPED
+    jumped = push(members, rings, row, time_us, sample, own["step_ne_m"])
     return ODOMETRY_JUMPED if jumped and member["active"] else DONE
 
 
@@ -90,16 +90,16 @@ def take_fix(
     filter_row: Filter, members: Members, rings: Rings, state: Array, cov: Array, row: int,
     time_us: int, north_m: float, east_m: float, down_m: float, std_h_m: float, std_v_m: float,
 ) -> int:  # fmt: skip
-    """Process a GPS position of a UAV and the accuracy that its receiver states; 0: none stated.
+    """Process a GPS position, once there is odometry of its time, and the stated accuracy; 0: none stated.
 
-    Returns DONE, FIRST_MEAN or GPS_STEPPED. A fix is used once, and only with odometry of its time.
+    Returns DONE, FIRST_MEAN or GPS_STEPPED.
     """
     own, member = filter_row[0], members[row]
     if time_us <= member["fix_us"]:
         return DONE
     pos_ned_m, odometry_ned_m = np.empty(3), np.empty(3)
     pos_ned_m[0], pos_ned_m[1], pos_ned_m[2] = north_m, east_m, down_m
-    if odometry_at(rings, row, time_us, odometry_ned_m) != KNOWN:
+    if not odometry_at(rings, row, time_us, odometry_ned_m):
         return DONE
     member["fix_us"] = time_us
     if std_h_m > 0.0 or std_v_m > 0.0:
@@ -121,8 +121,7 @@ def take_beacon(
 ) -> int:  # fmt: skip
     """Process the content of a UAV's valid beacon; entries that are already known are skipped.
 
-    Returns DONE, or the action required before the beacon is processed again: LOST, ODOMETRY_JUMPED,
-    FIRST_MEAN, GPS_STEPPED or FULL.
+    Returns DONE, or the action required before the beacon is processed again.
     """
     header, ranges = page["header"], page["ranges"]
     action = take_odometry(
@@ -167,8 +166,7 @@ def read_beacons(
 ) -> int:  # fmt: skip
     """Process the beacons on ``count`` pages; the content of beacons from localised UAVs updates the filter.
 
-    Returns DONE, or the action required before processing continues at the open page: SENDER_RESTARTED or one
-    of `take_beacon`.
+    Returns DONE, or the action required before processing continues.
     """
     me = listener[0]
     while me["at"] < count:
@@ -210,7 +208,7 @@ def use_pending(
         i, j, time_us = item["initiator"], item["responder"], item["time_us"]
         own["done"] = at + 1
         covered = time_us <= members[i]["newest_us"] and time_us <= members[j]["newest_us"]
-        if covered and odometry_between(rings, i, j, time_us, between_ned_m) != KNOWN:
+        if covered and not odometry_between(rings, i, j, time_us, between_ned_m):
             own["ranges_too_late"] += 1
         elif not (covered and members[i]["active"] and members[j]["active"]):
             if now_us - time_us > PENDING_LIMIT_US:

@@ -13,30 +13,18 @@ MISSED_BEACONS = 5
 
 
 class Support:
-    """Support of one UAV's position by distances.
+    """Support of one UAV's position by distances; without localisation it does not use any.
 
-    Args:
-        localisation: localisation of the UAV; None: it does not use distances.
-        table: reports of the other stations.
-        watched: stations that this UAV must avoid by its height layer if they lose support.
-        range_silence_us: distances older than this give no support.
-        beacon_period_us: beacon period of all stations.
-
-    Attributes:
-        holds: distances support the own position, which is then better than GPS alone.
-
+    ``watched`` are the stations that this UAV must avoid by its height layer if they lose support. Distances
+    older than ``range_silence_us`` give no support.
     """
 
     def __init__(
-        self,
-        localisation: CooperativeLocalisation | None,
-        table: NeighbourTable,
-        *,
-        watched: Sequence[int],
-        range_silence_us: int,
-        beacon_period_us: int,
-    ) -> None:
+        self, localisation: CooperativeLocalisation | None, table: NeighbourTable, *,
+        watched: Sequence[int], range_silence_us: int, beacon_period_us: int,
+    ) -> None:  # fmt: skip
         self.holds = False
+        """Distances support the own position, which is then better than GPS alone."""
         self._localisation = localisation
         self._table = table
         self._watched = np.array(watched, np.int64)

@@ -1,9 +1,7 @@
 """GPS receivers of all UAVs: averaging and fusing of their fixes, and the variance of their biases.
 
 Fixes are averaged over `GROUP_US` before they are fused: their errors are slow, so that single fixes hold no
-more information than their mean. If a receiver states a worse accuracy than the model's, that is used. If its
-estimated error exceeds the stated accuracy, its bias variance is raised to that size. After a step of the
-estimated error the bias is reset.
+more information than their mean.
 """
 
 import math
@@ -12,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from autopilot.onboard.localisation.kernels import BIAS, STATES, Array, fuse_fix, relearn_bias
+from autopilot.onboard.localisation.kernels import BIAS, STATES, Array, fuse_fix
 from autopilot.onboard.localisation.members import Filter, Members
 from autopilot.onboard.localisation.model import LocalisationModel
 
@@ -100,8 +98,8 @@ def fuse_mean(
 ) -> float:
     """Fuse the newest mean into the filter, which is at ``time_us``.
 
-    Returns 0, or the variance used for each horizontal axis if the GPS has made a step: the UAV is located,
-    and the last `STEP_FIXES` means were misfits. The caller must then reset the bias.
+    Returns 0, or the variance used for each horizontal axis if the UAV is located and the last `STEP_FIXES`
+    means were misfits, so that the bias must be reset.
     """
     member, own = members[row], filter_row[0]
     # The mean has the age of its mean time; odometry and bias have drifted since.
@@ -117,40 +115,35 @@ def fuse_mean(
 
 
 class Receivers:
-    """GPS receivers of N UAVs; state (5N,) and cov (5N, 5N) are the filter's, with the layout of `kernels`.
-
-    Attributes:
-        newest_us: (N,) time of the newest fix used of each receiver; -1 before the first.
-        less_odometry_ned_m: (N, 3) newest mean of fixes of each, minus the odometry of their times.
-        stated_var_m2: (N,) variance of the bias, per horizontal axis: as stated, but not below the model's.
-        bias_var_m2: (N,) the variance in use, not below the stated one.
-
-    """
+    """GPS receivers of N UAVs; state (5N,) and cov (5N, 5N) have the layout of `kernels`."""
 
     def __init__(self, members: Members, model: LocalisationModel) -> None:
         for name in ("stated_var_m2", "worst_var_m2", "bias_var_m2"):
             members[name] = model.gps_bias_std_m**2
         members["vertical_var_m2"] = model.gps_bias_vertical_std_m**2
         self.newest_us: NDArray[np.int64] = members["fix_us"]
+        """(N,) time of the newest fix used of each receiver; -1 before the first."""
         self.less_odometry_ned_m: Array = members["less_odometry_ned_m"]
+        """(N, 3) newest mean of fixes of each, minus the odometry of their times."""
         self.stated_var_m2: Array = members["stated_var_m2"]
-        self.bias_var_m2: Array = members["bias_var_m2"]
+        """(N,) variance of the bias, per horizontal axis: as stated, but not below the model's."""
         self._members = members
         self._model = model
 
     def reset_bias(self, row: int, state: Array, cov: Array, variance_m2: float) -> None:
-        """Reset the bias of a receiver that has made a step; ``variance_m2`` is the result of `fuse_mean`."""
+        """Reset the bias of a receiver that has made a step to the newest mean minus the offset, which stays.
+
+        ``variance_m2`` is the result of `fuse_mean`.
+        """
         self._members["misfits"][row] = 0
-        relearn_bias(state, cov, row, self.less_odometry_ned_m[row], variance_m2)
+        for a in range(2):
+            off = STATES * row + a
+            bias = off + BIAS
+            state[bias] = self.less_odometry_ned_m[row, a] - state[off]
+            cov[bias, :] = -cov[off, :]
+            cov[:, bias] = -cov[:, off]
+            cov[bias, bias] = cov[off, off] + variance_m2
         rate(self._members, row, state)
-
-    def rate(self, row: int, state: Array) -> None:
-        """Raise the variance of a GPS bias to its estimate if that exceeds the stated accuracy."""
-        rate(self._members, row, state)
-
-    def unrate(self, row: int) -> None:
-        """Reset the bias variance to the stated one, regardless of the estimated bias."""
-        self.bias_var_m2[row] = self.stated_var_m2[row]
 
     def begin(self, row: int, state: Array, cov: Array) -> None:
         """Initialise a UAV by its GPS: offset = fix - bias - noise, the bias with its stationary variance."""
@@ -163,15 +156,6 @@ class Receivers:
             cov[base + BIAS + a, base + BIAS + a] = bias_var_m2
             cov[base + a, base + BIAS + a] = cov[base + BIAS + a, base + a] = -bias_var_m2
         cov[base + 2, base + 2] = self._model.height_std_m**2
-
-    def drop_fixes(self, row: int) -> None:
-        """Drop the fixes that are not yet part of a mean, after a jump of odometry."""
-        self._members["fixes"][row] = 0
-
-    def forget(self, row: int) -> None:
-        """Drop the fixes and the misfit count of a UAV that is removed."""
-        self.drop_fixes(row)
-        self._members["misfits"][row] = 0
 
 
 def clear(row: int, state: Array, cov: Array) -> None:

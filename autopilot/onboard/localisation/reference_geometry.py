@@ -16,26 +16,18 @@ TURN_LIMIT_RAD = 0.2
 
 
 class ReferenceGeometry:
-    """Reference of N UAVs.
+    """Reference of N UAVs with places (N, 3), site NED.
 
     ``members`` (N,) are the located UAVs that are present, pos_ned_m (N, 3) all estimated positions, and
     cov (5N, 5N) their covariance with the layout of `kernels`.
-
-    Args:
-        places_ned_m: (N, 3) the formation's places, site NED.
-
-    Attributes:
-        ne_m: (N, 2) positions at which the derivatives are taken.
-        bend_m: (N, N) mean lengthening of distances by an unknown bending of the shape.
-        bend_var_m2: (N, N) variance of the lengthening.
-
     """
 
     def __init__(self, places_ned_m: Array) -> None:
         count = len(places_ned_m)
         self.ne_m = np.zeros((count, 2))
-        self.bend_m = np.zeros((count, count))
-        self.bend_var_m2 = np.zeros((count, count))
+        """Positions at which the derivatives are taken."""
+        self.bend_m, self.bend_var_m2 = np.zeros((2, count, count))
+        """Mean lengthening of distances by an unknown bending of the shape, and its variance."""
         self._places_ned_m = places_ned_m
 
     def fix(self, joining: Flags, members: Flags, pos_ned_m: Array, cov: Array) -> None:

@@ -9,9 +9,7 @@ by a share of misfits that stays high.
 
 from collections.abc import Iterable
 
-import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from autopilot.onboard.localisation.members import Members
 
@@ -60,37 +58,18 @@ def note(members: Members, initiator: int, responder: int, badly: bool) -> None:
 
 
 class Trust:
-    """Running shares of misfitting distances, per UAV.
-
-    Attributes:
-        distrusted: (N,) bool, whether the distances that a UAV measures are excluded.
-
-    """
+    """UAVs whose share of misfitting distances stays high."""
 
     def __init__(self, members: Members) -> None:
-        self.distrusted: NDArray[np.bool_] = members["distrusted"].view(bool)
         self._members = members
-        self._as_end = members["as_end"]
         self._since_us: list[int | None] = [None] * len(members)
-
-    def note(self, initiator: int, responder: int, *, badly: bool) -> None:
-        """Update the shares of misfits by a distance that was compared with the estimate."""
-        note(self._members, initiator, responder, badly)
-
-    def distrust(self, row: int) -> None:
-        """Exclude the distances that this UAV measures until they fit again."""
-        distrust(self._members, row)
-
-    def elsewhere(self, row: int) -> bool:
-        """Return whether a UAV's position estimate must be wrong."""
-        return bool(self._as_end[row] > ELSEWHERE_LIMIT)
 
     def suspects(self, now_us: int, members: Iterable[int]) -> set[int]:
         """Return the members that misfit relative to the best one, once one of them has for `LASTING_US`.
 
         Returns an empty set before that. Returning members restarts the timers.
         """
-        shares = {station: self._as_end.item(station) for station in members}
+        shares = {station: self._members["as_end"].item(station) for station in members}
         limit = min(shares.values(), default=0.0) + LASTING_LIMIT
         found = {station for station, share in shares.items() if share > limit}
         since_us = [now_us if since is None else since for since in self._since_us]

@@ -38,10 +38,7 @@ def relative_variance(cov: Array, i: int, j: int, line_m: Array) -> float:
 
 @njit(cache=True)
 def variance_between(cov: Array, i: int, j: int, members: Members, state: Array) -> float:
-    """Return the variance, m^2, of the distance between UAVs i and j of ``members``, along their line.
-
-    state (5N,) and cov (5N, 5N) are the filter's.
-    """
+    """Return the variance, m^2, of the distance between UAVs i and j of ``members``, along their line."""
     line_m = np.empty(3)
     here, there = members[i]["newest"], members[j]["newest"]
     for a in range(3):
@@ -58,19 +55,9 @@ def seen_from(
 ) -> None:  # fmt: skip
     """Fill ``others`` with the present position of all UAVs and its uncertainty relative to UAV ``own``.
 
-    Args:
-        own: index of the UAV to which the uncertainty is relative.
-        now_us: time to which odometry is extrapolated.
-        members: (N,) of `MEMBER`.
-        longest_s: longest extrapolation by velocity.
-        state: (5N,) and ``cov`` (5N, 5N) of the filter.
-        cov: see there.
-        since_us: a located UAV with odometry since this time is fresh.
-        added_m2: added to each variance.
-        shift_n_m: added to each resulting position, north, and ``shift_e_m`` east.
-        shift_e_m: see there.
-        others: (N,) of `SEEN`, filled; std_m as by `relative_stds`, 0 for a UAV that is not fresh.
-
+    Odometry is extrapolated by velocity for ``longest_s`` at most. A located UAV with odometry since
+    ``since_us`` is fresh; std_m is that of `relative_stds`, 0 for a UAV that is not fresh. ``added_m2`` is
+    added to each variance, and the shift to each position.
     """
     pos_ned_m, std_m = np.empty((members.size, 3)), np.empty(members.size)
     fresh = np.empty(members.size, np.bool_)
@@ -113,11 +100,11 @@ def relative_stds(
 
 @njit(cache=True)
 def shape_variance(pos_ned_m: Array, cov: Array, members: Times) -> float:
-    """Return the expected mean squared horizontal shape error, m^2, after the best rigid alignment.
+    """Return the expected mean squared horizontal shape error of the members, m^2, after the best alignment.
 
     It is the trace of the covariance of all horizontal positions minus its parts along the two translations
-    and the rotation about the vertical axis, which an alignment removes to first order. pos_ned_m is (N, 3),
-    members (m,) the indices of the UAVs to include.
+    and the rotation about the vertical axis, which a rigid alignment removes to first order. pos_ned_m is
+    (N, 3), members (m,) indices.
     """
     m = members.shape[0]
     centre_n, centre_e = 0.0, 0.0
@@ -158,16 +145,11 @@ def bend(
     average, the second-order term of the distance. The variance of this term is sigma^4 / 2 d^2, plus
     b^2 sigma^2 / d^2 because the derivative is taken at a reference that does not contain b. A turn of the
     whole formation lengthens no distance, so its part is removed from sigma. The effect matters in a line,
-    whose distances do not observe positions across it.
+    where distances do not observe positions across it.
 
-    Args:
-        reference_ne_m: (N, 2) positions at which the derivatives are taken.
-        pos_ne_m: (N, 2) estimated positions, turned to the heading of the reference.
-        cov: (5N, 5N) covariance of the estimates.
-        members: (m,) indices of the UAVs to include.
-        out_m: (N, N) filled with the mean lengthening, m.
-        out_var_m2: (N, N) filled with its variance, m^2.
-
+    The derivatives are taken at the reference (N, 2); the positions (N, 2) are the estimates, turned to its
+    heading; ``members`` (m,) are the indices of the UAVs to include. The mean lengthening and its variance
+    (N, N) are filled.
     """
     m = members.shape[0]
     out_m[:] = 0.0

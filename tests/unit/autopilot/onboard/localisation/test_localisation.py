@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+from beacons import Beacon, decode, encode
 from onboard_world import article_places_ned_m, rms, shape_errors_m
 from scipy.optimize import least_squares
 
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.localisation import kernels
-from autopilot.onboard.localisation.localisation import CooperativeLocalisation, LocalisationModel
+from autopilot.onboard.localisation.localisation import CooperativeLocalisation
+from autopilot.onboard.localisation.model import LocalisationModel
 from autopilot.onboard.localisation.tracks import SAMPLES
 from autopilot.onboard.radio import beacon as wire
 from autopilot.onboard.radio.neighbour_table import NeighbourTable
@@ -203,22 +205,22 @@ def test_a_uav_that_measures_5_m_too_much_does_not_bend_the_others():
 def test_a_distance_is_used_once_even_if_repeated():
     case = StaticCase(13, rounds=1)
     filter_ = case.run()
-    used, cov = filter_.ranges_used, filter_.cov.copy()
+    used, cov = filter_.count_of("ranges_used"), filter_.cov.copy()
     assert used == 56
     for item in case.ranges:
         filter_.on_range(*item, RANGE_STD_M, now_us=5_000_000)
     filter_.update(5_000_000)
-    assert filter_.ranges_used == used
+    assert filter_.count_of("ranges_used") == used
     assert np.array_equal(filter_.cov, cov)
 
 
 def test_a_distance_from_the_future_is_rejected_and_does_not_suppress_others():
     filter_ = StaticCase(14).run()
-    used = filter_.ranges_used
+    used = filter_.count_of("ranges_used")
     filter_.on_range(1, 2, 900_000_000, 8.5, 0.1, now_us=5_000_000)
     filter_.on_range(1, 2, 4_990_000, 8.5, 0.1, now_us=5_000_000)
     filter_.update(5_000_000)
-    assert filter_.ranges_used == used + 1
+    assert filter_.count_of("ranges_used") == used + 1
 
 
 def moving_filter():
@@ -245,7 +247,7 @@ def test_a_late_distance_is_compared_with_the_positions_of_its_time():
     filter_.on_range(1, 0, 1_550_000, 10.0 + 3.0 * 1.55, 0.05, now_us=2_000_000)
     before = filter_.state.copy()
     filter_.update(2_000_000)
-    assert filter_.ranges_used == 2
+    assert filter_.count_of("ranges_used") == 2
     assert np.abs(filter_.state - before).max() < 1e-3
 
 
@@ -253,11 +255,11 @@ def test_a_distance_waits_for_the_odometry_of_its_time():
     filter_ = moving_filter()
     filter_.on_range(0, 1, 2_050_000, 16.15, 0.05, now_us=2_060_000)
     filter_.update(2_060_000)
-    assert filter_.ranges_used == 1
+    assert filter_.count_of("ranges_used") == 1
     filter_.on_odometry(0, 2_100_000, (0.0, 0.0, -5.0), (0.0, 0.0, 0.0))
     filter_.on_odometry(1, 2_100_000, (0.0, 16.3, -5.0), (0.0, 3.0, 0.0))
     filter_.update(2_100_000)
-    assert filter_.ranges_used == 2
+    assert filter_.count_of("ranges_used") == 2
 
 
 def test_a_wrong_arrangement_is_detected_and_initialised_again():
@@ -288,7 +290,7 @@ def drawn_beacon(rng, case, row, now_us):
     peers = rng.permutation([j for j in range(N + 3) if j != row])[: rng.integers(0, N)]
     fix_us = now_us - rng.integers(-20, 300) * 1_000
     jump_m = 3.0 * (rng.random() < 0.02)
-    return wire.Beacon(
+    return Beacon(
         station=row + 10, seq=0, time_us=int(now_us - rng.integers(0, 150_000)), phase=FlightPhase.JOINING,
         odometry_ned_m=(row + jump_m, 0.0, PLACES[row, 2]), vel_ned_m_s=(0.0, 0.0, 0.0),
         fix=None if rng.random() < 0.1 else wire.Fix(
@@ -308,10 +310,10 @@ def test_processing_a_beacon_equals_processing_its_parts():
     table.rows = np.array([*(10 * [-1]), *range(N), *(3 * [-1])])
     for now_us in (*range(5_100_000, 9_000_000, 30_000), *range(40_000_000, 44_000_000, 30_000)):
         row = int(rng.integers(1, N))
-        payload = wire.encode(drawn_beacon(rng, case, row, now_us))
+        payload = encode(drawn_beacon(rng, case, row, now_us))
         table.pages.put(row + 10, payload)
         at_once.read(table, now_us)
-        beacon = wire.decode(payload)
+        beacon = decode(payload)
         one_by_one.on_odometry(row, beacon.time_us, beacon.odometry_ned_m, beacon.vel_ned_m_s)
         if beacon.fix is not None and beacon.fix.time_ms * 1_000 <= now_us:
             fix = beacon.fix
@@ -327,26 +329,26 @@ def test_processing_a_beacon_equals_processing_its_parts():
         assert np.array_equal(at_once.cov, one_by_one.cov)
     assert np.array_equal(at_once.state, one_by_one.state)
     assert (table.bad_beacons, table.pages.count) == (0, 0)
-    assert at_once.ranges_used == one_by_one.ranges_used > 300
-    assert at_once.ranges_too_late == one_by_one.ranges_too_late > 0
+    assert at_once.count_of("ranges_used") == one_by_one.count_of("ranges_used") > 300
+    assert at_once.count_of("ranges_too_late") == one_by_one.count_of("ranges_too_late") > 0
     assert at_once.odometry_jumps == one_by_one.odometry_jumps > 0
 
 
 def test_no_distance_is_lost_while_many_wait_for_odometry():
     case = StaticCase(18)
     filter_ = case.run()
-    before, now_us = filter_.ranges_used, 5_900_000
+    before, now_us = filter_.count_of("ranges_used"), 5_900_000
     for k in range(100):
         for i, j in PAIRS:
             distance_m = float(np.linalg.norm(case.truth[i] - case.truth[j]))
             filter_.on_range(i, j, 5_001_000 + 1_000 * k, distance_m, RANGE_STD_M, now_us=now_us)
     filter_.update(now_us)
-    assert filter_.ranges_used == before
+    assert filter_.count_of("ranges_used") == before
     for j in range(N):
         filter_.on_odometry(j, now_us, (float(j), 0.0, PLACES[j, 2]), (0.0, 0.0, 0.0))
     filter_.update(now_us)
-    assert filter_.ranges_used == before + 100 * len(PAIRS)
-    assert filter_.ranges_too_late == 0
+    assert filter_.count_of("ranges_used") == before + 100 * len(PAIRS)
+    assert filter_.count_of("ranges_too_late") == 0
 
 
 def test_the_gps_error_is_that_of_the_receiver():
@@ -411,10 +413,10 @@ def test_distances_older_than_the_odometry_history_are_counted():
     now_us = 149 * 33_333
     filter_.on_range(0, 1, now_us - 3_000_000, 8.5, RANGE_STD_M, now_us=now_us)
     filter_.update(now_us)
-    assert filter_.ranges_too_late == 1
+    assert filter_.count_of("ranges_too_late") == 1
     filter_.on_range(0, 1, now_us - 1_000_000, 8.5, RANGE_STD_M, now_us=now_us)
     filter_.update(now_us)
-    assert filter_.ranges_too_late == 1  # that one waits for GPS
+    assert filter_.count_of("ranges_too_late") == 1  # that one waits for GPS
 
 
 def test_a_distance_of_a_distrusted_uav_gives_no_support():
@@ -423,7 +425,7 @@ def test_a_distance_of_a_distrusted_uav_gives_no_support():
     known_us, now_us = filter_.own_range_us, 5_100_000
     for j in range(N):
         filter_.on_odometry(j, now_us, (float(j), 0.0, PLACES[j, 2]), (0.0, 0.0, 0.0))
-    filter_._trust.distrusted[1] = True
+    filter_.members["distrusted"][1] = True
     distance_m = float(np.linalg.norm(positions(filter_)[0] - positions(filter_)[1]))
     filter_.on_range(1, 0, now_us - 1_000, distance_m, RANGE_STD_M, now_us=now_us)
     filter_.update(now_us)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from autopilot.onboard.localisation.kernels import BIAS
-from autopilot.onboard.localisation.localisation import CooperativeLocalisation, LocalisationModel
+from autopilot.onboard.localisation.localisation import CooperativeLocalisation
 from autopilot.onboard.localisation.members import new_filter, new_members
+from autopilot.onboard.localisation.model import LocalisationModel
 from autopilot.onboard.localisation.receivers import Receivers, take_stated
 
 SQUARE = np.array(((0.0, 0.0, -10.0), (0.0, 8.0, -10.0), (8.0, 0.0, -10.0), (8.0, 8.0, -10.0)))
