@@ -9,10 +9,8 @@ the own UAV compensates the rest. The desired velocity is changed as little as t
 quadratic programme in the plane); it is not changed at all while all UAVs keep to their halves.
 
 The velocity loop has a lag, so the gap is predicted by L = `LEAD_S` with the present closing speed. With lag
-tau the gap then obeys tau h'' + (1 + a L) h' + a h = 0, which does not oscillate for L = tau.
-
-Avoidance is horizontal only: a pair one above the other separates sideways, unless its height difference is
-large enough.
+tau the gap then obeys tau h'' + (1 + a L) h' + a h = 0, which does not oscillate for L = tau. Avoidance is
+horizontal only: a pair one above the other separates sideways.
 """
 
 import math
@@ -28,8 +26,7 @@ from autopilot.onboard.localisation.uncertainty import Others
 Array = NDArray[np.float64]
 
 CLOSING_1_S = 1.0
-"""Above MPC_XY_P (0.95), so that a UAV that returns to its place from a fifth of the spacing is not
-slowed."""
+"""Above MPC_XY_P (0.95), so that a UAV that returns to its place is not slowed."""
 LEAD_S = 0.6
 """Lag of the velocity loop (1 / MPC_XY_VEL_P_ACC) and the attitude loop."""
 SIGMAS = 2.0
@@ -37,8 +34,8 @@ SIGMAS = 2.0
 HEIGHT_STD_M = 0.3
 """Standard deviation of the difference of two barometric heights."""
 SPACING_SHARE = 0.6
-"""Largest reach of two UAVs as a share of the distance of their places: at their places, and with errors of
-up to a fifth of the spacing, they do not push each other."""
+"""Largest reach of two UAVs as a share of the distance of their places: with errors of up to a fifth of it
+they do not push each other."""
 AWAY_SHARE = 0.5
 """The limit grows by this share of the own UAV's distance from its place."""
 GIVE_MAX_M_S = 4.0
@@ -47,14 +44,14 @@ would push those ahead of them together."""
 FRESH_US = 1_000_000
 """A neighbour with a beacon within this time is extrapolated by its velocity."""
 KEEP_US = 20_000_000
-"""A neighbour that has become silent is assumed to follow the plan, at its last offset from it, for this
-time. A UAV that has lost its channel detects it within the ranging policy's silence time (7 s for sixteen
-UAVs) and coasts for `formation_control.COAST_S`."""
+"""Time for which a silent neighbour is assumed to follow the plan, at its last offset from it. A UAV that has
+lost its channel detects it within the ranging policy's silence time (7 s for sixteen UAVs) and then coasts
+for `formation_control.COAST_S`."""
 GROWTH_M_S = 0.2
 """Growth of the standard deviation of a silent neighbour, by wind and odometry drift."""
 ROOM_SHARE = 0.5
-"""Share of a neighbour's receding speed that the own UAV may follow at once, so that a queue advances and a
-circle turns together. With the whole speed a follower would run into a neighbour that stops."""
+"""Share of a neighbour's receding speed that the own UAV may follow at once, so that a queue advances. With
+the whole speed a follower would run into a neighbour that stops."""
 PASSES = 30
 _REQUEST = Struct("5d")
 """Packs an array's elements into its memory, in a fifth of the time of assigning its slices."""
@@ -101,23 +98,13 @@ def keep_clear(
     in_place_m: float, radius_m: float, place_ned_m: Array, frame_ned_m_s: Array, desired_ne_m_s: Array,
     goal_ned_m: Array, change_ne_m_s: Array,
 ) -> None:  # fmt: skip
-    """Fill change_ne_m_s (2,) with the change of the desired horizontal velocity.
+    """Fill change_ne_m_s (2,) with the change of the desired velocity (2,) on the way to the goal (3,).
 
-    Args:
-        own: row of the own UAV in the arrays that follow.
-        pos_ned_m: (N, 3) estimated, at present.
-        vel_ned_m_s: (N, 3)
-        counts: (N,) whether to avoid a UAV.
-        std_m: (N,) one sigma of the horizontal position relative to the own UAV, along the line.
-        limits_m: (N,) largest reach, in place.
-        in_place_m: horizontal distance of the own position from the own place that counts as in place.
-        radius_m: reach without uncertainty.
-        place_ned_m: (3,) the own place.
-        frame_ned_m_s: (3,) velocity of the own place.
-        desired_ne_m_s: (2,) velocity setpoint of the position loop before avoidance.
-        goal_ned_m: (3,) its final target.
-        change_ne_m_s: (2,) the result.
-
+    Row ``own`` of the estimated positions and velocities (N, 3) is the own UAV, which is in place within the
+    horizontal distance in_place_m of its place (3,); frame_ned_m_s (3,) is the velocity of the place.
+    ``counts`` (N,) states which UAVs to avoid, std_m (N,) one sigma of their horizontal position relative to
+    the own UAV along the line, limits_m (N,) the largest reach in place; radius_m is the reach without
+    uncertainty.
     """
     n = pos_ned_m.shape[0]
     normals, bounds = np.empty((n, 2)), np.empty(n)
@@ -182,10 +169,9 @@ def remember(
     pos_ned_m: Array, vel_ned_m_s: Array, std_m: Array, plan_pos_ned_m: Array, plan_vel_ned_m_s: Array,
     kept: Kept,
 ) -> bool:  # fmt: skip
-    """Store the estimate of member j if it is fresh; otherwise predict it from the stored one.
+    """Store the estimate of member j if it is fresh; otherwise fill its rows by the stored one and the plan.
 
-    Arrays have a row for every member. If the member is not fresh, its rows of pos_ned_m, vel_ned_m_s and
-    std_m are filled. Returns whether it is fresh or was fresh within `KEEP_US`.
+    Returns whether it is fresh or was fresh within `KEEP_US`.
     """
     memory = kept[j]
     beside_m = memory["beside_m"]
@@ -278,11 +264,10 @@ class Avoidance:
 
         Args:
             now_us: time of all other arguments.
-            others: (N,) of `SEEN`, a row for every member including the own one; positions are extrapolated
-                to now. A UAV is fresh if it is located and its beacon is at most `FRESH_US` old. Other UAVs
-                are avoided for `KEEP_US` after that, as if they followed the plan.
-            plan_pos_ned_m: (F, 3) places of the whole formation now.
-            plan_vel_ned_m_s: (F, 3) velocities of the places.
+            others: (N,) of `SEEN`, a row for every member including the own one. A UAV that is not fresh is
+                avoided for `KEEP_US` longer, as if it followed the plan.
+            plan_pos_ned_m: (F, 3) places of the whole formation, with velocities ``plan_vel_ned_m_s``.
+            plan_vel_ned_m_s: (F, 3)
             goal_ned_m: (3,) final target of the own UAV: its place.
             desired_ne_m_s: (2,) horizontal velocity setpoint of the autopilot's position loop: its gain times
                 the distance to the reference, plus the reference's velocity.

@@ -19,8 +19,7 @@ SHAPE_STD_M = 0.35
 LOCALISE_TIMEOUT_US = 10_000_000
 TAKE_OFF_HEIGHT_M = 2.5
 HAND_OVER_HEIGHT_M = 0.5
-"""Below it the vehicle follows wind and GPS errors and does not avoid neighbours. It is the lowest height at
-which the vehicle certainly flies."""
+"""Lowest height at which the vehicle certainly flies: below it wind and GPS errors move it unchecked."""
 FLOWN_HEIGHT_M = 0.3
 """A vehicle disarmed after exceeding this height has landed and does not take off again."""
 HEARTBEAT_LAG_US = 1_500_000
@@ -49,12 +48,7 @@ class FlightSequence:
     """
 
     def __init__(
-        self,
-        *,
-        commands: CommandSender,
-        on_station_tolerance_m: float,
-        on_station_hold_s: float,
-        held: bool = False,
+        self, *, commands: CommandSender, on_station_tolerance_m: float, on_station_hold_s: float, held: bool
     ) -> None:
         self.phase = FlightPhase.WAITING
         self.held = held

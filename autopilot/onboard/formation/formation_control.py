@@ -33,8 +33,8 @@ reserve."""
 BRAKING = 2.0 / 3.0
 """Share of the acceleration that is planned for braking: the reserve of a third prevents an overshoot."""
 PLAN_SWING_M_S2 = 6.0
-"""Largest change of a plan's acceleration within a step, as plans stay within 3 m/s^2. A target that deviates
-from its last motion by more than that has jumped."""
+"""Largest change of a plan's acceleration within a step, as plans stay within 3 m/s^2; otherwise the target
+has jumped."""
 LAG_MAX_M = 1.0
 """Largest horizontal distance of the joining reference from the vehicle."""
 _STILL = (0.0, 0.0, 0.0)
@@ -49,16 +49,12 @@ class Correction:
     at once, minus the estimated odometry offset, which is smoothed and limited in rate. When they stop, the
     offset is frozen and the vehicle coasts on its odometry for `COAST_S`. After that GPS is the better
     estimate, and the correction fades to zero.
-
-    Attributes:
-        ne_m: the correction, NED north and east.
-        offset_ne_m: smoothed true position minus odometry; None before the first estimate.
-
     """
 
     def __init__(self) -> None:
         self.ne_m: Level = (0.0, 0.0)
         self.offset_ne_m: Level | None = None
+        """Smoothed true position minus odometry; None before the first estimate."""
         self._silent_s = 0.0
 
     @property
@@ -73,14 +69,10 @@ class Correction:
     def update(
         self, autopilot_less_odometry_ne_m: Level, offset_ne_m: Level | None, dt_s: float, *, at_once: bool
     ) -> None:
-        """Advance the correction by ``dt_s``.
+        """Advance the correction by the time ``dt_s`` since the last call.
 
-        Args:
-            autopilot_less_odometry_ne_m: the autopilot's position minus the odometry of the same time.
-            offset_ne_m: estimated true position minus odometry; None without support by distances.
-            dt_s: time since the last call.
-            at_once: apply the estimate without smoothing, which is safe on the ground only.
-
+        ``offset_ne_m`` is the estimated true position minus odometry; None without support by distances.
+        ``at_once`` applies it without smoothing, which is safe on the ground only.
         """
         drift_n_m, drift_e_m = autopilot_less_odometry_ne_m
         known = self.offset_ne_m
@@ -117,9 +109,8 @@ def join(
 ) -> bool:  # fmt: skip
     """Advance pos, vel and acc (3,) on axes ``first`` to ``end`` - 1 by ``dt_s`` towards a moving target.
 
-    The first rows of ``target`` (., 3) are the target's position after ``dt_s``, velocity and acceleration.
-    ``speed_m_s`` limits the speed relative to the target. ``joined``: whether pos, vel and acc equalled the
-    target's before. Returns whether they do now.
+    ``target`` is that of `follow`, ``speed_m_s`` limits the speed relative to it. ``joined``: whether pos,
+    vel and acc equalled the target's before. Returns whether they do now.
     """
     gap_m, apart_m_s = np.zeros(3), np.zeros(3)
     distance_m2, speed_m2_s2 = 0.0, 0.0
@@ -160,8 +151,8 @@ def follow(
     """Advance a `FormationReference` by ``dt_s``, in place.
 
     Rows of motion (3, 3) are its position, velocity and acceleration. ``joined`` (2,) states whether these
-    equal the target's, horizontally and in height. Rows of target (4, 3) are the target's position, velocity
-    and acceleration, and the position of the vehicle, which is used if ``limited``.
+    equal the target's, horizontally and in height. Rows of target (4, 3) are the target's position after
+    ``dt_s``, its velocity and acceleration, and the position of the vehicle, which is used if ``limited``.
     """
     if limited and not joined[0]:
         north_m, east_m = motion[0, 0] - target[3, 0], motion[0, 1] - target[3, 1]
@@ -179,14 +170,8 @@ class FormationReference:
     """A reference point that joins a moving target, separately in the horizontal and in height.
 
     While it joins, its speed and acceleration relative to the target are limited. When the acceleration of
-    one step can close the gap, its position, velocity and acceleration become exactly the target's, until the
-    target jumps.
-
-    Attributes:
-        pos_ned_m: (3,) desired true position of the vehicle.
-        vel_ned_m_s: (3,) desired velocity.
-        acc_ned_m_s2: (3,) desired acceleration, including that of the target.
-
+    one step can close the gap, its position, velocity and acceleration (3,) become exactly the target's,
+    until the target jumps.
     """
 
     def __init__(self, *, climb_speed_m_s: float) -> None:
@@ -194,11 +179,10 @@ class FormationReference:
         self.pos_ned_m, self.vel_ned_m_s, self.acc_ned_m_s2 = motion
         self._motion = motion
         self._climb_speed_m_s = climb_speed_m_s
+        # The arguments of `follow`.
         self._target = np.zeros((4, 3))
-        """Argument ``target`` of `follow`."""
         self._target_bytes = self._target.data.cast("B")
         self._joined = np.zeros(2, bool)
-        """Whether it equals the target, horizontally and in height."""
 
     def reset(self, pos_ned_m: Sequence[float], vel_ned_m_s: Sequence[float]) -> None:
         """Set position and velocity, (3,), and restart joining."""
@@ -216,16 +200,10 @@ class FormationReference:
         target_acc_ned_m_s2: Sequence[float] = _STILL,
         vehicle_ned_m: Sequence[float] | None = None,
     ) -> None:
-        """Advance by ``dt_s`` (> 0).
+        """Advance by the time ``dt_s`` (> 0) since the last call, after which the target has this state (3,).
 
-        Args:
-            target_pos_ned_m: (3,) position of the target after ``dt_s``.
-            dt_s: time since the last call.
-            target_vel_ned_m_s: (3,) velocity of the target.
-            target_acc_ned_m_s2: (3,) acceleration of the target.
-            vehicle_ned_m: (3,) position of the vehicle: while joining, the reference stays within `LAG_MAX_M`
-                of it horizontally, so it follows a vehicle that avoids an obstacle.
-
+        While joining, the reference stays within `LAG_MAX_M` of ``vehicle_ned_m`` (3,) horizontally, so it
+        follows a vehicle that avoids an obstacle.
         """
         limited = vehicle_ned_m is not None
         there_ned_m = _STILL if vehicle_ned_m is None else vehicle_ned_m
@@ -239,9 +217,8 @@ class FormationReference:
 def joining_time_s(distance_m: float, speed_m_s: float) -> float:
     """Return the time in which a `FormationReference` from rest comes to rest at a target at a distance.
 
-    It accelerates with a and brakes with `BRAKING` a. From rest to v and back to rest takes the time
-    v / a (1 + 1 / BRAKING) and covers v / 2 times that; the remaining distance is covered at v, which is the
-    speed limit or what the distance allows.
+    From rest to v and back to rest takes the time v / a (1 + 1 / BRAKING) and covers v / 2 times that; the
+    remaining distance is covered at v, which is the speed limit or what the distance allows.
     """
     if distance_m <= 0.0:
         return 0.0

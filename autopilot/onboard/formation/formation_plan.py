@@ -7,7 +7,7 @@ they have to agree on.
 """
 
 import math
-from typing import NamedTuple, Protocol, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from msgspec import Struct
@@ -41,9 +41,6 @@ class PlanState(Struct, frozen=True, eq=False):
     """Positions, site NED."""
     vel_ned_m_s: Array
     acc_ned_m_s2: Array
-    heading_rad: float
-    """Heading of the formation, clockwise from north, -pi to pi."""
-    heading_rate_rad_s: float
 
 
 class PlaceState(Struct, frozen=True):
@@ -52,12 +49,10 @@ class PlaceState(Struct, frozen=True):
     pos_ned_m: Vector
     vel_ned_m_s: Vector
     acc_ned_m_s2: Vector
-    heading_rad: float
-    heading_rate_rad_s: float
 
 
 class _Centre(NamedTuple):
-    """Motion of the formation's centre, north and east, and turn of the formation since its start."""
+    """Motion of the formation's centre, and turn of the formation since its start."""
 
     north_m: float
     east_m: float
@@ -82,20 +77,11 @@ class _PathPoint(NamedTuple):
     curvature_rate_1_m2: float
 
 
-class _Path(Protocol):
-    def at(self, length_m: float) -> _PathPoint: ...
-
-
 class FormationPlan:
-    """The plan of one formation.
+    """The plan of one formation; times are relative to the start of its motion.
 
-    Args:
-        places_ned_m: (N, 3) places before the motion, site NED.
-        heading_deg: heading of the formation before the motion, clockwise from north.
-        motion: motion of the formation; None: it stands still.
-
-    Times are relative to the start of the motion; before it the formation stands at its places.
-
+    Before it, or without a motion, the formation stands at its places (N, 3), site NED, with its heading
+    clockwise from north.
     """
 
     def __init__(self, places_ned_m: Array, heading_deg: float, motion: AnyMotion | None) -> None:
@@ -103,7 +89,6 @@ class FormationPlan:
         centre_ned_m = places_ned_m.mean(axis=0)
         self._motion = motion
         self.moves = motion is not None
-        """Whether there is a motion."""
         self._heading_rad = math.radians(heading_deg)
         self._north_m, self._east_m = float(centre_ned_m[0]), float(centre_ned_m[1])
         self._offset_north_m, self._offset_east_m = (places_ned_m - centre_ned_m)[:, :2].T.copy()
@@ -114,15 +99,14 @@ class FormationPlan:
         still = np.zeros_like(places_ned_m)
         for array in (places_ned_m, still):
             array.setflags(write=False)
-        heading_rad = math.remainder(self._heading_rad, math.tau)
-        self._standing = PlanState(places_ned_m, still, still, heading_rad, 0.0)
+        self._standing = PlanState(places_ned_m, still, still)
         self._own_standing = [
-            PlaceState((north_m, east_m, down_m), _STILL, _STILL, heading_rad, 0.0)
+            PlaceState((north_m, east_m, down_m), _STILL, _STILL)
             for north_m, east_m, down_m in places_ned_m.tolist()
         ]
         if motion is None:
             return
-        self._path: _Path = _Racetrack(motion) if isinstance(motion, RacetrackMotion) else _Straight()
+        self._path = _Racetrack(motion) if isinstance(motion, RacetrackMotion) else _Straight()
         length_m = math.inf if isinstance(motion, RacetrackMotion) else motion.length_m
         self._progress = _Progress(motion.speed_m_s, motion.acceleration_m_s2, length_m)
         course_rad = math.radians(motion.course_deg)
@@ -143,7 +127,7 @@ class FormationPlan:
             acc_ned_m_s2[:, 0], acc_ned_m_s2[:, 1],
         ) = _carried(centre, self._offset_north_m, self._offset_east_m)  # fmt: skip
         pos_ned_m[:, 2] = self._down_m
-        return PlanState(pos_ned_m, vel_ned_m_s, acc_ned_m_s2, *self._heading(centre))
+        return PlanState(pos_ned_m, vel_ned_m_s, acc_ned_m_s2)
 
     def own(self, station: int, since_start_s: float) -> PlaceState:
         """Return the state of one place, equal to that of `at` in a fraction of its time."""
@@ -151,15 +135,8 @@ class FormationPlan:
             return self._own_standing[station]
         centre = self._centre(since_start_s)
         offset_north_m, offset_east_m, down_m = self._offsets[station]
-        north_m, east_m, vel_north_m_s, vel_east_m_s, acc_north_m_s2, acc_east_m_s2 = _carried(
-            centre, offset_north_m, offset_east_m
-        )
-        return PlaceState(
-            (north_m, east_m, down_m),
-            (vel_north_m_s, vel_east_m_s, 0.0),
-            (acc_north_m_s2, acc_east_m_s2, 0.0),
-            *self._heading(centre),
-        )
+        north_m, east_m, vel_n, vel_e, acc_n, acc_e = _carried(centre, offset_north_m, offset_east_m)
+        return PlaceState((north_m, east_m, down_m), (vel_n, vel_e, 0.0), (acc_n, acc_e, 0.0))
 
     def places(self, since_start_s: Array) -> Array:
         """Return (T, N, 3) places at T times, site NED; read-only if the formation stands."""
@@ -177,16 +154,13 @@ class FormationPlan:
     def headings(self, since_start_s: Array) -> Array:
         """Return (T,) headings at T times, clockwise from north, -pi to pi."""
         if not (self._motion is not None and self._turns and np.any(since_start_s > 0.0)):
-            return np.full(len(since_start_s), self._standing.heading_rad)
+            return np.full(len(since_start_s), math.remainder(self._heading_rad, math.tau))
         turned_rad = self._heading_rad + self._centres(since_start_s)[:, 6]
         return np.arctan2(np.sin(turned_rad), np.cos(turned_rad))
 
     def _centres(self, since_start_s: Array) -> Array:
         """Return (T, 9) rows of `_Centre`: a loop over the formulas that the UAVs use, about 5 us each."""
         return np.array([self._centre(max(0.0, t)) for t in since_start_s.tolist()])
-
-    def _heading(self, centre: _Centre) -> tuple[float, float]:
-        return math.remainder(self._heading_rad + centre.turn_rad, math.tau), centre.turn_rad_s
 
     def _centre(self, since_start_s: float) -> _Centre:
         return self._moving(*self._progress.at(since_start_s))
@@ -269,10 +243,7 @@ def _carried(
 
 
 class _Progress:
-    """Length of the path over time: constant acceleration from rest, constant speed, braking to rest.
-
-    On a path too short for the speed a lower peak speed is used; an endless path has no braking.
-    """
+    """Length of the path over time: constant acceleration from rest, constant speed, braking to rest."""
 
     def __init__(self, speed_m_s: float, acceleration_m_s2: float, length_m: float) -> None:
         self._acceleration_m_s2 = acceleration_m_s2
@@ -359,12 +330,9 @@ class _Racetrack:
             along_m, right_m = self._half_along_m - along_m, self._half_right_m - right_m
         side = self._side
         course_rad, curvature_1_m, curvature_rate_1_m2 = turned
+        turned_rad = side * (math.pi * halves + course_rad)
         return _PathPoint(
-            along_m,
-            side * right_m,
-            side * (math.pi * halves + course_rad),
-            side * curvature_1_m,
-            side * curvature_rate_1_m2,
+            along_m, side * right_m, turned_rad, side * curvature_1_m, side * curvature_rate_1_m2
         )
 
     def _turn(self, at_m: float) -> tuple[float, float, float]:

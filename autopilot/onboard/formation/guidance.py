@@ -32,22 +32,7 @@ acceleration (m/s^2)."""
 
 
 class Guidance:
-    """One UAV's part of the formation control.
-
-    Args:
-        station: this UAV.
-        plan: plan of the formation.
-        config: settings.
-        near: UAVs to avoid.
-
-    Attributes:
-        start: agreement on the start of the formation's motion.
-        correction: estimate of the autopilot's position minus the true one.
-        layers: height separation of UAVs without support by distances.
-        wind: observer of the wind's acceleration; None unless it is enabled.
-        position_gain_1_s: MPC_XY_P of the autopilot that follows the setpoints.
-
-    """
+    """One UAV's part of the formation control; ``near`` are the UAVs to avoid."""
 
     def __init__(
         self, *, station: int, plan: FormationPlan, config: OnboardConfig, near: Neighbourhood
@@ -61,6 +46,7 @@ class Guidance:
         )  # fmt: skip
         self.wind = WindObserver() if config.wind_feed_forward else None
         self.position_gain_1_s = POSITION_GAIN_1_S
+        """MPC_XY_P of the autopilot that follows the setpoints."""
         self.down_error_m = 0.0
         """The autopilot's position minus the true one, down; 0 unless the simulator sends the truth."""
         self._station = station
@@ -104,10 +90,9 @@ class Guidance:
     def follow(
         self, own: OwnState, believed_ned_m: Vector, others: Others | None, now_us: int, dt_s: float
     ) -> Setpoint:
-        """Return the setpoint on the way to the own place and at it.
+        """Return the setpoint on the way to the own place and at it, ``dt_s`` after the last one.
 
-        ``believed_ned_m`` is the estimated own position. ``others`` is the neighbourhood to avoid; None if
-        the own position in it is unknown. ``dt_s`` is the time since the last setpoint.
+        ``others`` is the neighbourhood to avoid; None if the own position in it is unknown.
         """
         # The middle of the period for which a setpoint is valid.
         since_s = self._since_start_s(now_us) + 0.5 * SETPOINT_PERIOD_US * 1e-6

@@ -21,29 +21,23 @@ Array = NDArray[np.float64]
 REACH_SIGMAS = 4.0
 """Places within this many standard deviations of the relative position are separated."""
 SEPARATION_HEIGHT_M = 2.0
-"""Three standard deviations of the difference of two barometers (0.3 m each), plus the vehicle's height of
-0.2 m and the error of height control."""
+"""Three sigma of the difference of two barometers (0.3 m each), the vehicle's height and control errors."""
 GROUND_CLEARANCE_M = 2.0
 """Least height of a lower layer above the ground."""
 TOUCH_M = 0.6
 """Distance of their centres below which two vehicles touch."""
 DRIFT_SIGMAS = 3.0
-"""Layers are reached before this many standard deviations of two odometries' difference close the gap between
-places."""
+"""Layers are reached before this many sigma of two odometries' difference close the gap between places."""
 BACK_S = 5.0
-"""Duration of support after which a layer is left: by then the correction has returned (at 0.5 m/s) from any
-fade."""
+"""Duration of support after which a layer is left: the correction has then returned from any fade."""
 
 
-def layers(
-    places_ned_m: Array, gps_std_m: float, *, separation_m: float = SEPARATION_HEIGHT_M
-) -> NDArray[np.int64]:
-    """Return (N,) the layer of every place, in units of the separation, upwards: 0, 1, -1, 2, -2 ...
+def layers(places_ned_m: Array, gps_std_m: float) -> NDArray[np.int64]:
+    """Return (N,) the layer of every place, in units of `SEPARATION_HEIGHT_M`, upwards: 0, 1, -1, 2, -2 ...
 
     Greedy in the order of the UAVs, so that all compute the same: the layer nearest to 0 at which the place
     is a separation apart from the layers of all earlier places within reach. A layer other than 0 must also
-    be a separation apart from the heights of all places within reach, where UAVs may be. Lower layers stay
-    above `GROUND_CLEARANCE_M`.
+    be a separation apart from the heights of all places within reach, where UAVs may be.
     """
     count = len(places_ned_m)
     found = np.zeros(count, np.int64)
@@ -56,10 +50,10 @@ def layers(
         places_m = -places_ned_m[within, 2]
         layer = 0
         while True:
-            height_m = heights_m[k] + layer * separation_m
+            height_m = heights_m[k] + layer * SEPARATION_HEIGHT_M
             low = layer < 0 and height_m < GROUND_CLEARANCE_M
             others_m = taken_m if layer == 0 else np.concatenate((taken_m, places_m))
-            if not low and (np.abs(others_m - height_m) > separation_m - 1e-6).all():
+            if not low and (np.abs(others_m - height_m) > SEPARATION_HEIGHT_M - 1e-6).all():
                 break
             layer = -layer if layer > 0 else 1 - layer
         found[k], heights_m[k] = layer, height_m
@@ -79,14 +73,9 @@ def apart_s(way_ne_m: Array, drift_m_sqrt_s: float) -> float:
 
 
 class HeightLayers:
-    """Selects the height of one UAV above its place.
+    """Selects the height of one UAV above its place, among the formation's places (N, 3).
 
-    Args:
-        own: this UAV.
-        places_ned_m: (N, 3) the formation's places.
-        gps_std_m: horizontal GPS error of all UAVs, per axis, one sigma.
-        climb_speed_m_s: speed of climbing to a layer.
-        drift_m_sqrt_s: drift of odometry, horizontally and per axis, after one second.
+    The GPS error, one sigma, and the drift of odometry after one second are horizontal and per axis.
 
     Attributes:
         height_m: height to keep above the place; it steps, and `FormationReference` smooths it.
@@ -122,8 +111,7 @@ class HeightLayers:
         """Return the height to keep, metres above the place.
 
         ``supported``: distances support the position of this UAV and of those it watches, or it is on the
-        ground. Without support odometry bridges `COAST_S`, or less where places are near; the layer is
-        reached by then, or as soon as possible.
+        ground. Without support the layer is reached while odometry still separates the UAVs (`apart_s`).
         """
         if self.layer_m == 0.0:
             return 0.0

@@ -31,32 +31,22 @@ NeighbourReport = tuple[FlightPhase, int | None, int]
 
 
 class MotionStart:
-    """One UAV's part in the agreement.
+    """One UAV's part in the agreement among ``stations`` UAVs."""
 
-    Args:
-        station: this UAV.
-        stations: number of UAVs.
-        lead_us: lead of a proposed start time.
-
-    Attributes:
-        start_us: the start time held, a whole number of milliseconds; None before the first.
-
-    """
-
-    def __init__(self, station: int, stations: int, *, lead_us: int = LEAD_US) -> None:
+    def __init__(self, station: int, stations: int) -> None:
         self.start_us: int | None = None
+        """The start time held, a whole number of milliseconds; None before the first."""
         self._others = frozenset(range(stations)) - {station}
-        self._lead_us = lead_us
         self._first_us: int | None = None
 
     def update(
         self, now_us: int, *, on_station: bool, neighbours: Mapping[int, NeighbourReport]
     ) -> int | None:
-        """Return the start time held after an update by the neighbours' reports; None while there is none.
+        """Return the start time held after an update by the reports of all stations received so far.
 
-        ``neighbours`` are all stations received so far; one silent for `SILENCE_US` neither counts nor
-        blocks. Impossible start times are ignored: farther ahead than a lead, longer ago than `OLDEST_US`, or
-        in the past and reported by a UAV that is not on station.
+        One silent for `SILENCE_US` neither counts nor blocks. Impossible start times are ignored: farther
+        ahead than a lead, longer ago than `OLDEST_US`, or in the past and reported by a UAV that is not on
+        station.
         """
         proposed_us: list[int] = []
         begun: Counter[int] = Counter()
@@ -68,7 +58,7 @@ class MotionStart:
             ready = ready and (phase is FlightPhase.ON_STATION or phase in STAYS_AWAY)
             if start_us is None:
                 continue
-            if now_us < start_us <= now_us + self._lead_us + CLOCK_TOLERANCE_US:
+            if now_us < start_us <= now_us + LEAD_US + CLOCK_TOLERANCE_US:
                 proposed_us.append(start_us)
             elif phase is FlightPhase.ON_STATION and self._can_have_begun(start_us, heard_us, now_us):
                 begun[start_us] += 1
@@ -83,7 +73,7 @@ class MotionStart:
             return self.start_us
         enough = 2 * (present + 1) >= len(self._others) + 1
         if self.start_us is None and not proposed_us and ready and enough:
-            proposed_us.append((now_us + self._lead_us) // 1_000 * 1_000)
+            proposed_us.append((now_us + LEAD_US) // 1_000 * 1_000)
         for start_us in proposed_us:
             self._take(start_us)
         return self.start_us
@@ -92,7 +82,7 @@ class MotionStart:
         """Adopt a proposal if it is later than the time held, and not too long after the first one."""
         if self._first_us is None:
             self._first_us = start_us
-        if start_us <= self._first_us + MOST_LEADS * self._lead_us:
+        if start_us <= self._first_us + MOST_LEADS * LEAD_US:
             self.start_us = start_us if self.start_us is None else max(self.start_us, start_us)
 
     @staticmethod

@@ -19,20 +19,15 @@ _ZERO: Vector = (0.0, 0.0, 0.0)
 
 
 class OwnState:
-    """Newest state of the own vehicle.
+    """Newest state of the own vehicle; times are on the formation's clock, -1 before the first.
 
     Attributes:
-        time_us: time of the position, on the formation's clock; -1 before the first.
+        time_us: time of the position, the odometry and the velocity.
         odometry_ned_m: horizontally from the application's start, down from the ground.
-        vel_ned_m_s: velocity at the same time.
         local_ned_m: the autopilot's position from its own origin.
         autopilot_ned_m: the same in the site's frame; down from its starting point.
-        origin_ned_m: the autopilot's origin in the site's frame, or None.
-        origin_alt_m: altitude of that origin above mean sea level.
-        fix: newest GPS position, with the accuracy that the receiver states.
-        truth_ned_m: true position from the simulator, down from that in its first message; None before that.
-            ``truth_us`` is its time.
-        armed, failsafe, mode, heartbeat_us: state in the newest HEARTBEAT, and its time of reception.
+        origin_ned_m: the autopilot's origin in the site's frame; ``origin_alt_m`` is above mean sea level.
+        truth_ned_m: true position from the simulator, down from that in its first message.
 
     """
 

@@ -40,22 +40,17 @@ class WindObserver:
 
     Attributes:
         acc_ne_m_s2: (2,) estimated acceleration by wind, NED north and east; 0 on the ground.
+        feed_forward_ne_m_s2: acceleration setpoint against the wind, limited in size and rate.
 
     """
 
-    def __init__(self, *, time_constant_s: float = TIME_CONSTANT_S) -> None:
+    def __init__(self) -> None:
         self.acc_ne_m_s2: Array = np.zeros(2)
-        self._feed_ne_m_s2 = (0.0, 0.0)
-        self._time_constant_s = time_constant_s
+        self.feed_forward_ne_m_s2 = (0.0, 0.0)
         self._tilt_sum = (0.0, 0.0)
         self._tilts = 0
         self._time_us = -1
         self._vel_ned_m_s = (0.0, 0.0, 0.0)
-
-    @property
-    def feed_forward_ne_m_s2(self) -> tuple[float, float]:
-        """Acceleration setpoint against the wind, NED north and east, limited in size and rate."""
-        return self._feed_ne_m_s2
 
     def on_attitude(self, q_ned_frd: tuple[float, float, float, float]) -> None:
         """Process an attitude (wxyz) of ATTITUDE_QUATERNION; any number of them per velocity."""
@@ -77,7 +72,7 @@ class WindObserver:
         before, self._vel_ned_m_s, self._time_us = self._vel_ned_m_s, vel_ned_m_s, time_us
         if not flying:
             self.acc_ne_m_s2 = np.zeros(2)
-            self._feed_ne_m_s2 = (0.0, 0.0)
+            self.feed_forward_ne_m_s2 = (0.0, 0.0)
             return
         if not (tilts and 0.0 < dt_s <= GAP_MAX_S):
             return
@@ -87,7 +82,7 @@ class WindObserver:
         size = math.hypot(north, east)
         if not size < math.inf:
             return
-        gain = 1.0 - math.exp(-dt_s / self._time_constant_s)
+        gain = 1.0 - math.exp(-dt_s / TIME_CONSTANT_S)
         scale = min(1.0, SAMPLE_MAX_M_S2 / max(size, 1e-9))
         known = self.acc_ne_m_s2
         known[0] += gain * (scale * north - known[0])
@@ -98,6 +93,7 @@ class WindObserver:
         """Move the feed-forward towards minus the estimate, within its limits."""
         north, east = (-self.acc_ne_m_s2).tolist()
         scale = min(1.0, ACC_MAX_M_S2 / max(math.hypot(north, east), 1e-9))
-        north, east = scale * north - self._feed_ne_m_s2[0], scale * east - self._feed_ne_m_s2[1]
+        feed_n, feed_e = self.feed_forward_ne_m_s2
+        north, east = scale * north - feed_n, scale * east - feed_e
         part = min(1.0, RATE_MAX_M_S3 * dt_s / max(math.hypot(north, east), 1e-9))
-        self._feed_ne_m_s2 = (self._feed_ne_m_s2[0] + part * north, self._feed_ne_m_s2[1] + part * east)
+        self.feed_forward_ne_m_s2 = (feed_n + part * north, feed_e + part * east)

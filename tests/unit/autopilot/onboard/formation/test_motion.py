@@ -5,7 +5,7 @@ import pytest
 
 from autopilot.onboard.formation.motion import LEAD_US, MOST_LEADS, OLDEST_US, MotionStart
 from autopilot.onboard.formation.phases import FlightPhase
-from autopilot.onboard.localisation.localisation import SILENCE_US
+from autopilot.onboard.localisation.model import SILENCE_US
 
 BEACON_US = 100_000
 STEP_US = 50_000
