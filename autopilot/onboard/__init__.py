@@ -4,8 +4,3 @@
 composes the rooms. An application exchanges MAVLink messages with its autopilot, and datagrams and ranging
 requests with its radio, nothing else. It can therefore also run on a companion computer beside a PX4.
 """
-
-from autopilot.onboard.app import OnboardApp
-from autopilot.onboard.application import Application, Estimate, OnboardOutput
-
-__all__ = ["Application", "Estimate", "OnboardApp", "OnboardOutput"]

@@ -27,7 +27,8 @@ from autopilot.onboard.formation.guidance import SETPOINT_PERIOD_US, Guidance
 from autopilot.onboard.formation.own_state import OwnState
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.localisation.common_frame import CommonFrame
-from autopilot.onboard.localisation.localisation import CooperativeLocalisation, LocalisationModel
+from autopilot.onboard.localisation.localisation import CooperativeLocalisation
+from autopilot.onboard.localisation.model import LocalisationModel
 from autopilot.onboard.localisation.ranging_health import Support
 from autopilot.onboard.localisation.uncertainty import Others
 from autopilot.onboard.radio.beacon import Fix, GpsError
@@ -67,25 +68,16 @@ class OnboardApp:
         devices: properties of the UAV's GPS receiver and radio.
         rng: random generator for the phases and jitters of beacons and ranging requests.
 
-    Attributes:
-        localisation: the filter of the neighbourhood; None if the UAV flies on GPS alone or on the truth.
-
     """
 
     def __init__(
-        self,
-        *,
-        station: int,
-        places_ned_m: Sequence[Sequence[float]],
-        heading_deg: float = 0.0,
-        motion: AnyMotion | None = None,
-        site: Site,
-        config: OnboardConfig,
-        devices: Devices,
+        self, *, station: int, places_ned_m: Sequence[Sequence[float]], heading_deg: float = 0.0,
+        motion: AnyMotion | None = None, site: Site, config: OnboardConfig, devices: Devices,
         rng: np.random.Generator,
-    ) -> None:
+    ) -> None:  # fmt: skip
         places = np.array(places_ned_m, float).reshape(-1, 3)
         self.localisation: CooperativeLocalisation | None = None
+        """The filter of the neighbourhood; None if the UAV flies on GPS alone or on the truth."""
         self._station = station
         self._config = config
         self._near = Neighbourhood(station, places, config.neighbours)
@@ -94,12 +86,11 @@ class OnboardApp:
         )
         self._table = self._traffic.table
         self._model = LocalisationModel(
-            gps_bias_std_m=config.gps_bias_std_m,
-            gps_bias_time_constant_s=config.gps_bias_time_constant_s,
+            gps_bias_std_m=config.gps_bias_std_m, gps_bias_time_constant_s=config.gps_bias_time_constant_s,
             odometry_drift_m_sqrt_s=config.odometry_drift_m_sqrt_s,
             range_floor_std_m=config.range_floor_std_m,
             gather_s=min(self._traffic.gather_s, GATHER_MAX_S),
-        )
+        )  # fmt: skip
         if config.localisation == "ftm" and len(places) > 1:
             self.localisation = CooperativeLocalisation(
                 own=self._near.own, places_ned_m=places[self._near.members], model=self._model
@@ -113,11 +104,9 @@ class OnboardApp:
         )
         self._commands = CommandSender(target_system=station + 1)
         self._flight = FlightSequence(
-            commands=self._commands,
-            on_station_tolerance_m=config.on_station_tolerance_m,
-            on_station_hold_s=config.on_station_hold_s,
-            held=config.hold,
-        )
+            commands=self._commands, on_station_tolerance_m=config.on_station_tolerance_m,
+            on_station_hold_s=config.on_station_hold_s, held=config.hold,
+        )  # fmt: skip
         self._own = OwnState(site=site, gps_delay_s=devices.gps_delay_s)
         self._support = Support(
             self.localisation, self._table, watched=self._guidance.layers.watched,
@@ -290,24 +279,19 @@ class OnboardApp:
         """Current phase of the flight."""
         return self._flight.phase
 
-    @property
-    def bad_beacons(self) -> int:
-        """Number of datagrams that were not a valid beacon."""
-        return self._table.bad_beacons
-
     def troubles(self) -> dict[str, int]:
         """Return counts of the faults that occurred so far and were handled."""
         counts = {
-            "bad_beacons": self.bad_beacons,
+            "bad_beacons": self._table.bad_beacons,
             "beacons_missed": self._table.beacons_missed,
             "commands_refused": self._commands.refusals,
         }
         if self.localisation is not None:
             counts["localisation_restarts"] = self.localisation.restarts
-            counts["ranges_downweighted"] = self.localisation.ranges_downweighted
+            counts["ranges_downweighted"] = self.localisation.count_of("ranges_downweighted")
             counts["gps_steps"] = self.localisation.gps_steps
             counts["odometry_jumps"] = self.localisation.odometry_jumps
-            counts["ranges_too_late"] = self.localisation.ranges_too_late
+            counts["ranges_too_late"] = self.localisation.count_of("ranges_too_late")
         return counts
 
     def estimate(self, now_us: int) -> Estimate:
@@ -327,13 +311,6 @@ class OnboardApp:
             _UNKNOWN if correction.offset_ne_m is None else (*correction.offset_ne_m, 0.0),
         )
 
-    @property
-    def shape_std_m(self) -> float:
-        """Expected horizontal rms error of the neighbourhood's shape, m; inf without support by distances."""
-        if self.localisation is None or not self._support.holds:
-            return float("inf")
-        return self.localisation.shape_std_m(self._now_us)
-
     # ---- flight
 
     def _fly(self, now_us: int) -> list[PositionTarget]:
@@ -344,15 +321,12 @@ class OnboardApp:
         dt_s = min(since_us, LONGEST_GAP_US) * 1e-6
         self._correct(now_us, dt_s)
         place_ned_m, believed_ned_m = guidance.place_ned_m(now_us), guidance.believed_ned_m(own, now_us)
-        flight.update(
-            own,
-            Situation(
-                shape_std_m=self._shape_std_before_flight_m(now_us),
-                miss_m=math.dist(believed_ned_m, place_ned_m),
-                place_height_m=-place_ned_m[2],
-            ),
-            now_us,
+        situation = Situation(
+            shape_std_m=self._shape_std_before_flight_m(now_us),
+            miss_m=math.dist(believed_ned_m, place_ned_m),
+            place_height_m=-place_ned_m[2],
         )
+        flight.update(own, situation, now_us)
         phase = flight.phase
         guidance.agree(now_us, on_station=phase is FlightPhase.ON_STATION, table=self._table)
         if own.origin_ned_m is None or not FlightPhase.ARMING <= phase <= FlightPhase.YIELDED:

@@ -15,12 +15,7 @@ def make_application(config: VehicleConfig) -> Application:
     """
     seed = np.random.SeedSequence([config.seed, config.instance, APPLICATION_COMPONENT])
     return OnboardApp(
-        station=config.instance,
-        places_ned_m=config.places_ned_m,
-        heading_deg=config.heading_deg,
-        motion=config.motion,
-        site=config.site,
-        config=config.onboard,
-        devices=config.devices,
+        station=config.instance, places_ned_m=config.places_ned_m, heading_deg=config.heading_deg,
+        motion=config.motion, site=config.site, config=config.onboard, devices=config.devices,
         rng=np.random.default_rng(seed),
-    )
+    )  # fmt: skip

@@ -33,27 +33,20 @@ def main() -> int:
     arguments = parser.parse_args()
     show_name(NAME)
     with socket.socket(fileno=arguments.fork_fd) as line:
-        try:
-            _prepare()
-        except WarmUpError as error:
-            sys.stderr.write(f"{NAME}: {error}\n")
-            return 2
+        if os.environ.get("NUMBA_DISABLE_JIT", "0") == "0":  # otherwise there is nothing to load
+            try:
+                warm_up()
+            except WarmUpError as error:
+                sys.stderr.write(f"{NAME}: {error}\n")
+                return 2
+        # A collection writes to the header of every object that it visits, which would copy every page for
+        # each vehicle.
+        gc.collect()
+        gc.freeze()
         emit(Ready(name=NAME, pid=os.getpid()))
         serve(line, vehicle_main)
     emit(Finished(name=NAME))
     return 0
-
-
-def _prepare() -> None:
-    """Load everything that a vehicle runs, and exempt it from garbage collection.
-
-    A collection writes to the header of every object that it visits, which would copy every page for each
-    vehicle. With NUMBA_DISABLE_JIT the warm-up is skipped: there is nothing to load. Raises WarmUpError.
-    """
-    if os.environ.get("NUMBA_DISABLE_JIT", "0") == "0":
-        warm_up()
-    gc.collect()
-    gc.freeze()
 
 
 if __name__ == "__main__":

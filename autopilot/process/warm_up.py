@@ -18,7 +18,8 @@ from autopilot.navigation.setpoints import Navigator
 from autopilot.onboard.app import OnboardApp
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.localisation.common_frame import CommonFrame
-from autopilot.onboard.localisation.localisation import CooperativeLocalisation, LocalisationModel
+from autopilot.onboard.localisation.localisation import CooperativeLocalisation
+from autopilot.onboard.localisation.model import LocalisationModel
 from autopilot.onboard.radio.beacon import Fix, GpsError
 from autopilot.onboard.radio.neighbour_table import NeighbourTable
 from autopilot.onboard.radio.neighbourhood import Neighbourhood
@@ -137,38 +138,24 @@ def _warm_up_common_frame() -> None:
 
 def _sensors(site: Site, time_us: int, pos_ned_m: Array, climb_m_s: float) -> list[common.MAVLink_message]:
     """Sensor messages of a vehicle that is held level, heading north, and lifted."""
-    lat_deg, lon_deg, alt_m = ned_to_geodetic(
-        pos_ned_m,
-        origin_lat_deg=site.latitude_deg,
-        origin_lon_deg=site.longitude_deg,
+    lat_deg, lon_deg, alt_m = map(float, ned_to_geodetic(
+        pos_ned_m, origin_lat_deg=site.latitude_deg, origin_lon_deg=site.longitude_deg,
         origin_alt_m=site.altitude_m,
-    )
-    messages = []
-    if time_us % _GPS_PERIOD_US == 0:
-        degrees_e7 = (round(float(lat_deg) * 1e7), round(float(lon_deg) * 1e7))
-        speed_cm_s = round(100 * climb_m_s)
-        messages.append(
-            common.MAVLink_hil_gps_message(
-                time_us,
-                common.GPS_FIX_TYPE_3D_FIX,
-                *degrees_e7,
-                round(float(alt_m) * 1e3),
-                100,
-                100,
-                *(speed_cm_s, 0, 0, -speed_cm_s),
-                65_535,
-                10,
-            )
-        )
-    baro = (pressure_pa(float(alt_m)) / 100.0, 0.0, float(alt_m), 15.0)
+    ))  # fmt: skip
+    baro = (pressure_pa(alt_m) / 100.0, 0.0, alt_m, 15.0)
     accel, gyro = (0.0, 0.0, -_GRAVITY_M_S2), (0.0, 0.0, 0.0)
     fields = IMU_FIELDS | MAG_FIELDS | BARO_FIELDS
-    messages.append(
-        common.MAVLink_hil_sensor_message(
-            time_us, *accel, *gyro, *site.magnetic_field_ned_gauss, *baro, fields, 0
-        )
+    sensor = common.MAVLink_hil_sensor_message(
+        time_us, *accel, *gyro, *site.magnetic_field_ned_gauss, *baro, fields, 0
     )
-    return messages
+    if time_us % _GPS_PERIOD_US:
+        return [sensor]
+    speed_cm_s = round(100 * climb_m_s)
+    gps = common.MAVLink_hil_gps_message(
+        time_us, common.GPS_FIX_TYPE_3D_FIX, round(lat_deg * 1e7), round(lon_deg * 1e7), round(alt_m * 1e3),
+        100, 100, speed_cm_s, 0, 0, -speed_cm_s, 65_535, 10,
+    )  # fmt: skip
+    return [gps, sensor]
 
 
 def _arrivals(theirs: Iterable[TxItem], own: Iterable[TxItem], *, other: int, time_us: int) -> list[RxItem]:
@@ -181,18 +168,10 @@ def _arrivals(theirs: Iterable[TxItem], own: Iterable[TxItem], *, other: int, ti
     ]
     arrivals += [
         FtmResult(
-            peer=item.peer,
-            seq=item.seq,
-            status="ok",
-            measured_ns=at_ns,
-            ended_ns=at_ns,
-            distance_m=DISTANCE_M,
-            distance_std_m=0.1,
-            rssi_dbm=-60.0,
-            round_trips=7,
-            measurements=8,
+            peer=item.peer, seq=item.seq, status="ok", measured_ns=at_ns, ended_ns=at_ns,
+            distance_m=DISTANCE_M, distance_std_m=0.1, rssi_dbm=-60.0, round_trips=7, measurements=8,
         )
         for item in own
         if isinstance(item, FtmRequest)
-    ]
+    ]  # fmt: skip
     return arrivals

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from pymavlink.dialects.v20 import common
 
-from autopilot.onboard import OnboardApp
+from autopilot.onboard.app import OnboardApp
 from autopilot.onboard.application import NOTHING
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.parameters.config import Devices, OnboardConfig, Site
