@@ -120,17 +120,14 @@ def write_dataset(dataset: xr.Dataset, path: Path) -> None:
 
 def describe_element(config: AntennaConfig) -> str:
     """Return a one-line description of the element."""
-    match config.element_kind:
-        case "dipole" | "loop":
-            around = "length" if config.element_kind == "dipole" else "circumference"
-            return (
-                f"{config.element_kind}, {around} {config.element_length_m:g} m, wire radius"
-                f" {config.element_radius_m:g} m, {config.segments} segments"
-            )
-        case "deck":
-            element = config.element()
-            segments = sum(wire.segments for wire in element.wires)
-            return f"NEC deck, {len(element.wires)} wires, {segments} segments"
+    if config.element_kind == "deck":
+        wires = config.element().wires
+        return f"NEC deck, {len(wires)} wires, {sum(wire.segments for wire in wires)} segments"
+    around = "length" if config.element_kind == "dipole" else "circumference"
+    return (
+        f"{config.element_kind}, {around} {config.element_length_m:g} m, wire radius"
+        f" {config.element_radius_m:g} m, {config.segments} segments"
+    )
 
 
 def describe_ground(config: AntennaConfig) -> str:

@@ -19,10 +19,8 @@ LEAST_STEPS = 2.0
 ALIKE_DB = 1e-4
 """Gains that differ by less are equal: the difference is below a solver's error."""
 BROADEST_DEG = 20.0
-"""Largest angle between directions of equal gain that belong to one maximum.
-
-Along the axis of two elements in end-fire the gain falls with the fourth power of the angle and reaches
-`ALIKE_DB` at 6 degrees."""
+"""Largest angle between directions of equal gain that belong to one maximum: along the axis of two elements
+in end-fire the gain falls with the fourth power of the angle and reaches `ALIKE_DB` at 6 degrees."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,10 +43,7 @@ class Features:
 
 
 def features(pattern: Pattern) -> Features:
-    """Return the features of a pattern; the linear gain is interpolated by cubic splines.
-
-    Over a ground lobes end at the horizon.
-    """
+    """Return the features of a pattern by cubic splines of the linear gain; over a ground lobes end there."""
     gain = from_dbi(pattern.gain_dbi)
     grounded = not gain[len(gain) // 2 + 1 :].any()
     at = _above_ground(pattern, gain) if grounded else _interpolated(pattern, gain)
@@ -60,17 +55,14 @@ def features(pattern: Pattern) -> Features:
     resolved = bool(lobe.any())
     at_a_pole = min(theta, 180.0 - theta) < 1e-3
     horizon = gain[len(gain) // 2]
-    return Features(
-        azimuth_width_deg=_width_deg(lambda off: at(theta, phi + off) - half, step_deg)
-        if resolved and not at_a_pole
-        else None,
-        elevation_width_deg=_width_deg(lambda off: at(theta + off, phi) - half, step_deg)
-        if resolved
-        else None,
-        side_lobe_dbi=_dbi(float(gain[tops].max())) if resolved and tops.any() else None,
-        back_dbi=_dbi(at(theta if grounded else 180.0 - theta, phi + 180.0)),
-        null_dbi=_dbi(float(horizon.min())),
-    )
+    azimuth_deg = elevation_deg = side_lobe_dbi = None
+    if resolved and not at_a_pole:
+        azimuth_deg = _width_deg(lambda off: at(theta, phi + off) - half, step_deg)
+    if resolved:
+        elevation_deg = _width_deg(lambda off: at(theta + off, phi) - half, step_deg)
+        side_lobe_dbi = _dbi(float(gain[tops].max())) if tops.any() else None
+    back_dbi = _dbi(at(theta if grounded else 180.0 - theta, phi + 180.0))
+    return Features(azimuth_deg, elevation_deg, side_lobe_dbi, back_dbi, _dbi(float(horizon.min())))
 
 
 def main_lobe(pattern: Pattern) -> NDArray[np.bool_]:
@@ -81,7 +73,7 @@ def main_lobe(pattern: Pattern) -> NDArray[np.bool_]:
     high = pattern.gain_dbi >= pattern.max_gain_dbi - HALF_POWER_DB
     lobes, _ = label(
         np.tile(high, (1, 3))
-    )  # three turns: a lobe across phi = 0 is complete in the middle one
+    )  # a lobe across phi = 0 is complete in the middle one of three turns
     turn = len(pattern.phi_deg)
     row = int(np.argmin(np.abs(pattern.theta_deg - pattern.max_theta_deg)))
     column = turn + int(np.argmin(np.abs(pattern.phi_deg - pattern.max_phi_deg)))

@@ -161,15 +161,9 @@ def draw_pattern(axes: Axes, pattern: Pattern) -> QuadMesh:
     gain_dbi = np.column_stack([pattern.gain_dbi, pattern.gain_dbi[:, 0]])
     low_dbi, high_dbi = GAIN_RANGE_DBI
     image = axes.pcolormesh(
-        phi_deg,
-        pattern.theta_deg,
-        np.clip(gain_dbi, low_dbi, high_dbi),
-        vmin=low_dbi,
-        vmax=high_dbi,
-        cmap="turbo",
-        shading="gouraud",
-        rasterized=True,
-    )
+        phi_deg, pattern.theta_deg, np.clip(gain_dbi, low_dbi, high_dbi),
+        vmin=low_dbi, vmax=high_dbi, cmap="turbo", shading="gouraud", rasterized=True,
+    )  # fmt: skip
     _outline_main_lobe(axes, pattern)
     axes.set(xlim=(0.0, 360.0), ylim=(0.0, 180.0), xlabel="φ from broadside axis (°)")
     axes.set_xticks(np.arange(0, 361, 45))

@@ -1,7 +1,7 @@
 """Far-field patterns: gains on a grid of directions, with a refined maximum and the average gain.
 
-This module is independent of solvers: a backend supplies partial gains on the grid and, for the maximum,
-gains in single directions. Angles follow the article's convention: theta from +z, phi from +x towards +y.
+A solver supplies partial gains on the grid and, for the maximum, gains in single directions. Angles follow
+the article's convention: theta from +z, phi from +x towards +y.
 """
 
 import math
@@ -70,7 +70,7 @@ def from_dbi(gain_dbi: Array) -> Array:
 
 
 def to_dbi(gain: Gains, out: Gains | None = None) -> Array:
-    """Return gains in dBi, at least `FLOOR_DBI`, in a new array or in ``out``."""
+    """Return gains in dBi, at least `FLOOR_DBI`, in ``out`` if given."""
     with np.errstate(divide="ignore"):
         gain_dbi = np.asarray(np.log10(gain, out=out))
     gain_dbi *= 10.0
@@ -87,15 +87,9 @@ def directions_deg(step_deg: float) -> tuple[Array, Array]:
 
 
 def make_pattern(
-    gain_theta: Gains,
-    gain_phi: Gains,
-    gain_at: GainAt,
-    snapshot: Snapshot,
-    wavelength_m: float,
-    backend: str,
-    *,
-    grounded: bool = False,
-) -> Pattern:
+    gain_theta: Gains, gain_phi: Gains, gain_at: GainAt, snapshot: Snapshot, wavelength_m: float,
+    backend: str, *, grounded: bool = False,
+) -> Pattern:  # fmt: skip
     """Return the pattern of linear partial gains (T, P) on a grid of `directions_deg`.
 
     With ``grounded`` the gain below the horizon is 0; ``gain_at`` then returns the mirror image there, so
@@ -110,19 +104,16 @@ def make_pattern(
         theta_deg=theta_deg, phi_deg=phi_deg,
         theta_gain_dbi=to_dbi(gain_theta), phi_gain_dbi=to_dbi(gain_phi),
         max_gain_dbi=maximum.gain_dbi, max_theta_deg=max_theta_deg, max_phi_deg=maximum.phi_deg,
-        average_gain=average_gain(total, grounded=grounded),
+        average_gain=float(total.mean(axis=1) @ row_weights(len(total), grounded=grounded)),
         backend=backend,
     )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def times_finer(
-    centres_m: Array,
-    reach_m: float,
-    wavelength_m: float,
-    step_deg: float,
+    centres_m: Array, reach_m: float, wavelength_m: float, step_deg: float,
     grounded: bool,  # noqa: FBT001  # numba has no keyword-only arguments
-) -> int:
+) -> int:  # fmt: skip
     """Return the factor by which a grid must be finer than ``step_deg`` to resolve an array (n, 3).
 
     The intensity of an array within a radius R is about of degree 2 k R in the direction; grids that resolve
@@ -148,17 +139,10 @@ def decimated(pattern: Pattern, times: int) -> Pattern:
     if times == 1:
         return pattern
     return replace(
-        pattern,
-        theta_deg=pattern.theta_deg[::times],
-        phi_deg=pattern.phi_deg[::times],
+        pattern, theta_deg=pattern.theta_deg[::times], phi_deg=pattern.phi_deg[::times],
         theta_gain_dbi=pattern.theta_gain_dbi[::times, ::times].copy(),
         phi_gain_dbi=pattern.phi_gain_dbi[::times, ::times].copy(),
-    )
-
-
-def average_gain(gain: Gains, *, grounded: bool) -> float:
-    """Return the mean over the sphere of linear gains (T, P) on a grid of `directions_deg`."""
-    return float(gain.mean(axis=1) @ row_weights(len(gain), grounded=grounded))
+    )  # fmt: skip
 
 
 def row_weights(rows: int, *, grounded: bool) -> Array:
@@ -168,15 +152,12 @@ def row_weights(rows: int, *, grounded: bool) -> Array:
     order P - 1 in phi. With ``grounded`` the weights of the lower half are 0, and the upper half has those of
     a pattern that is continued smoothly by its mirror image.
     """
-    weights = _theta_weights(rows - 1)
-    if grounded:
-        weights = np.concatenate([weights[: rows // 2], [0.5 * weights[rows // 2]], np.zeros(rows // 2)])
-    return weights
-
-
-def _theta_weights(n: int) -> Array:
-    j = np.arange(1, n // 2 + 1)
+    n, half = rows - 1, rows // 2
+    j = np.arange(1, half + 1)
     factor = np.where(2 * j == n, 1.0, 2.0) / (4.0 * j * j - 1.0)
-    weights = (2.0 - 2.0 * np.cos(2.0 * np.pi / n * np.outer(np.arange(n + 1), j)) @ factor) / n
+    weights = (2.0 - 2.0 * np.cos(2.0 * np.pi / n * np.outer(np.arange(rows), j)) @ factor) / n
     weights[[0, -1]] /= 2.0
+    if grounded:
+        weights[half] *= 0.5
+        weights[half + 1 :] = 0.0
     return np.asarray(weights / 2.0)

@@ -1,13 +1,9 @@
-"""Statistics of many patterns: density of maximum gain, gain in one direction, pointing, mean, envelope.
-
-Statistics of whole patterns are accumulated, so only one pattern is in memory at a time.
-"""
+"""Statistics of many patterns: density of maximum gain, gain in one direction, pointing, mean, envelope."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.stats import gaussian_kde
 
@@ -92,15 +88,12 @@ def gain_statistics(max_gain_dbi: Array) -> GainStatistics:
     """Return the statistics of (K,) gains; raises ValueError without any."""
     if len(max_gain_dbi) == 0:
         raise ValueError("statistics need at least one gain")
-    quantiles = np.quantile(max_gain_dbi, QUANTILES)
     return GainStatistics(
-        samples=len(max_gain_dbi),
-        mean_dbi=float(np.mean(max_gain_dbi)),
+        samples=len(max_gain_dbi), mean_dbi=float(np.mean(max_gain_dbi)),
         std_db=float(np.std(max_gain_dbi, ddof=1)) if len(max_gain_dbi) > 1 else 0.0,
-        min_dbi=float(np.min(max_gain_dbi)),
-        max_dbi=float(np.max(max_gain_dbi)),
-        quantiles_dbi=dict(zip(QUANTILES, quantiles.tolist(), strict=True)),
-    )
+        min_dbi=float(np.min(max_gain_dbi)), max_dbi=float(np.max(max_gain_dbi)),
+        quantiles_dbi=dict(zip(QUANTILES, np.quantile(max_gain_dbi, QUANTILES).tolist(), strict=True)),
+    )  # fmt: skip
 
 
 def gain_density(max_gain_dbi: Array, *, points: int = 201) -> GainDensity:
@@ -117,11 +110,7 @@ def gain_density(max_gain_dbi: Array, *, points: int = 201) -> GainDensity:
 
 
 class RunningEnvelope:
-    """Accumulates the `Envelope` of patterns on one grid.
-
-    Quantiles need a histogram per direction, 1.6 kB of memory each. Without quantiles the envelope has mean,
-    minimum and maximum.
-    """
+    """Accumulates the `Envelope` of patterns on one grid; quantiles need `HISTOGRAM_BYTES` per direction."""
 
     def __init__(self, *, quantiles: bool = True) -> None:
         self._with_quantiles = quantiles
@@ -148,7 +137,10 @@ class RunningEnvelope:
         np.minimum(self._min, gain, out=self._min)
         np.maximum(self._max, gain, out=self._max)
         if self._with_quantiles:
-            _count_levels(np.asarray(to_dbi(gain), float), LEVELS_DBI[0], LEVEL_STEP_DB, self._counts)
+            levels = np.floor((np.asarray(to_dbi(gain), float) - LEVELS_DBI[0]) / LEVEL_STEP_DB)
+            bins = np.clip(levels, 0.0, _BINS - 1.0).astype(np.int64)
+            rows, columns = np.indices(bins.shape, sparse=True)
+            self._counts[rows, columns, bins] += 1
 
     def result(self) -> Envelope:
         """Return the envelope of the patterns so far; raises ValueError without any."""
@@ -184,15 +176,6 @@ def _sorted_gain_dbi(counts: NDArray[np.uint32], up_to: NDArray[np.uint32], rank
     inside = np.take_along_axis(counts, bins, axis=-1)[:, 0].astype(float)
     before = np.take_along_axis(up_to, bins, axis=-1)[:, 0] - inside
     return np.asarray(LEVELS_DBI[0] + LEVEL_STEP_DB * (bins[:, 0] + (rank - before + 0.5) / inside), float)
-
-
-@njit(cache=True, error_model="numpy")
-def _count_levels(gain_dbi: Array, low_dbi: float, step_db: float, counts: NDArray[np.uint32]) -> None:
-    levels = counts.shape[2]
-    for t in range(gain_dbi.shape[0]):
-        for p in range(gain_dbi.shape[1]):
-            level = np.floor((gain_dbi[t, p] - low_dbi) / step_db)
-            counts[t, p, int(min(max(level, 0.0), levels - 1.0))] += 1
 
 
 def gain_towards_dbi(patterns: Sequence[Pattern], theta_deg: float, phi_deg: float) -> Array:
@@ -256,9 +239,7 @@ def pointing_statistics(errors_deg: Array) -> PointingStatistics:
     if len(errors_deg) == 0:
         raise ValueError("statistics need at least one direction")
     return PointingStatistics(
-        samples=len(errors_deg),
-        mean_deg=float(np.mean(errors_deg)),
-        rms_deg=float(np.sqrt(np.mean(errors_deg**2))),
-        max_deg=float(np.max(errors_deg)),
+        samples=len(errors_deg), mean_deg=float(np.mean(errors_deg)),
+        rms_deg=float(np.sqrt(np.mean(errors_deg**2))), max_deg=float(np.max(errors_deg)),
         quantiles_deg=dict(zip(QUANTILES, np.quantile(errors_deg, QUANTILES).tolist(), strict=True)),
-    )
+    )  # fmt: skip

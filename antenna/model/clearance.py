@@ -48,9 +48,9 @@ def clearance_m(element: Element) -> float:
 
     NEC2 does not detect parallel wires that overlap, and joins ends that nearly meet.
     """
-    radii = [2.0 * wire.radius_m for wire in element.wires]
-    joined = [SEGMENT_MATCH * wire.length_m / wire.segments for wire in element.wires]
-    return max(radii + joined)
+    return max(
+        max(2.0 * wire.radius_m, SEGMENT_MATCH * wire.length_m / wire.segments) for wire in element.wires
+    )
 
 
 def near_m(wavelength_m: float) -> float:
@@ -91,20 +91,15 @@ def nearest(placed_m: Array, *, grounded: bool) -> Nearest:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def measure(
-    ends_m: Array,
-    grounded: bool,  # noqa: FBT001  # numba has no keyword-only arguments
-    ends_image_m: Array,
-    apart_m: Array,
-    image_apart_m: Array,
-    nearest: NDArray[np.int64],
-    nearest_m: Array,
-) -> None:
+    ends_m: Array, grounded: bool,  # noqa: FBT001  # numba has no keyword-only arguments
+    ends_image_m: Array, apart_m: Array, image_apart_m: Array, nearest: NDArray[np.int64], nearest_m: Array,
+) -> None:  # fmt: skip
     """Write the two nearest of n elements, (2,), and the distance of their wires, (1,).
 
-    If the second is `GROUND`, the distance is the height of the first one's lowest point, which may be
-    negative. For a single element in free space it is `GROUND` at infinite distance. The wires are ``ends_m``
-    (n, W, 2, 3). Also written are the wires of the images in the ground, the distances (n, n) of elements
-    for i < j, and of elements and images (n, n) for i <= j.
+    If the second is `GROUND`, the distance is the height of the first one's lowest point; for a single
+    element in free space it is infinite. The wires are ``ends_m`` (n, W, 2, 3). Also written are the wires of
+    the images in the ground, the distances (n, n) of elements for i < j, and of elements and images (n, n)
+    for i <= j.
     """
     n = len(ends_m)
     nearest[0], nearest[1], nearest_m[0] = 0, GROUND, np.inf
@@ -113,10 +108,9 @@ def measure(
             lowest_m = np.inf
             for wire in range(ends_m.shape[1]):
                 for end in range(2):
-                    ends_image_m[i, wire, end, 0] = ends_m[i, wire, end, 0]
-                    ends_image_m[i, wire, end, 1] = ends_m[i, wire, end, 1]
-                    ends_image_m[i, wire, end, 2] = -ends_m[i, wire, end, 2]
-                    lowest_m = min(lowest_m, ends_m[i, wire, end, 2])
+                    place_m, image_m = ends_m[i, wire, end], ends_image_m[i, wire, end]
+                    image_m[0], image_m[1], image_m[2] = place_m[0], place_m[1], -place_m[2]
+                    lowest_m = min(lowest_m, place_m[2])
             if lowest_m < nearest_m[0] - ALIKE_M:
                 nearest[0], nearest_m[0] = i, lowest_m
     for i in range(n):

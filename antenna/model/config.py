@@ -65,9 +65,8 @@ class AntennaConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
             slenderness = self.element().wires[0].slenderness
             if slenderness < THIN_WIRE_SLENDERNESS:
                 raise ValueError(
-                    f"element_radius_m: a segment is {slenderness:.1f} radii long;"
-                    f" the thin-wire kernel needs {THIN_WIRE_SLENDERNESS:g}"
-                    " (fewer segments or a thinner wire)"
+                    f"element_radius_m: a segment is {slenderness:.1f} radii long; the thin-wire kernel needs"
+                    f" {THIN_WIRE_SLENDERNESS:g} (fewer segments or a thinner wire)"
                 )
         if self.ground == "real" and self.backend == "batch":
             raise ValueError("backend: batch does not support real ground; expected nec2 or nec2c")

@@ -113,13 +113,11 @@ def _wire(integers: list[int], reals: list[float], line: int) -> _Placed:
 def _scaled(wire: Wire, factor: float) -> Wire:
     if factor <= 0.0:
         raise ValueError(f"GS: expected a factor above 0, not {factor:g}")
-    (a, b, c), (d, e, f) = wire.start_m, wire.end_m
-    if max(abs(value) for value in (*wire.start_m, *wire.end_m, wire.radius_m)) * factor > _GREATEST:
+    (a, b, c), (d, e, f), radius_m = wire.start_m, wire.end_m, wire.radius_m * factor
+    start_m, end_m = (a * factor, b * factor, c * factor), (d * factor, e * factor, f * factor)
+    if max(abs(value) for value in (*start_m, *end_m, radius_m)) > _GREATEST:
         raise ValueError(f"GS: expected lengths of at most {_GREATEST:g} m")
-    return Wire(
-        start_m=(a * factor, b * factor, c * factor), end_m=(d * factor, e * factor, f * factor),
-        radius_m=wire.radius_m * factor, segments=wire.segments,
-    )  # fmt: skip
+    return replace(wire, start_m=start_m, end_m=end_m, radius_m=radius_m)
 
 
 def _moved(wires: list[_Placed], integers: list[int], reals: list[float]) -> list[_Placed]:

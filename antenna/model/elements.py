@@ -41,12 +41,6 @@ class Element:
     feed_segment: int
     """Segment of the voltage source, counted from 0 over all wires; positive along its wire."""
 
-    def __post_init__(self) -> None:
-        """Raise ValueError if the feed segment does not exist."""
-        count = sum(wire.segments for wire in self.wires)
-        if not 0 <= self.feed_segment < count:
-            raise ValueError(f"feed_segment {self.feed_segment} is out of range for {count} segments")
-
 
 def dipole(length_m: float, radius_m: float, segments: int) -> Element:
     """Return a vertical dipole centred at the origin, fed in the middle; ``segments`` is odd."""

@@ -123,5 +123,5 @@ def grid(count: int, columns: int, broadside_spacing_m: float, endfire_spacing_m
 
 
 def upright(places_m: Array, voltages: Voltages) -> Snapshot:
-    """Return the ideal array: upright elements at positions (n, 3)."""
+    """Return the ideal array of upright elements at positions (n, 3)."""
     return Snapshot(places_m, np.tile(np.eye(3), (len(places_m), 1, 1)), voltages)

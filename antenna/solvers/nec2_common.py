@@ -15,10 +15,8 @@ from antenna.solvers.interface import Accuracy
 SMALL_RAD = 0.3
 """Reach in phase below which elements radiate so little that NEC2's real ground is inaccurate."""
 LEAST_HEIGHT_SMALL_LAMBDA = 0.49
-"""Least height of their lowest point over real ground, in wavelengths.
-
-From here on PyNEC and nec2c agree to 0.01 dB, at 0.3 to 0.8 dB, and lower the input power of PyNEC's sources
-is negative."""
+"""Least height of their lowest point over real ground, in wavelengths. From here on PyNEC and nec2c agree to
+0.01 dB, at 0.3 to 0.8 dB, and lower the input power of PyNEC's sources is negative."""
 LEAST_HEIGHT_LAMBDA = 0.25
 """Least height of larger elements, for 0.05 dB."""
 

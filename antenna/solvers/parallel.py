@@ -33,8 +33,8 @@ def compute_patterns(
 ) -> list[Pattern | ElementsTouch]:
     """Return one result per snapshot; results do not depend on ``workers``.
 
-    One worker computes in this process; more are child processes, which end with the call, or threads for
-    the batch backend, which releases the interpreter lock. Raises BackendUnavailable, WorkerError.
+    One worker computes in this process; more are child processes, or threads for the batch backend, which
+    releases the interpreter lock. Raises BackendUnavailable, WorkerError.
     """
     if config.backend == "batch":
         return make_backend(config, threads=workers).patterns(snapshots)

@@ -6,7 +6,7 @@ Its currents are the few per element: currents of near elements, for which patte
 dipoles, two of them a hundredth of a wavelength apart; 0.0002 dB for short dipoles).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -55,8 +55,7 @@ def ports(
         raise ValueError(
             "excitation: port admittances need the batch solver, which does not support real ground"
         )
-    n, image = len(snapshot.voltages), config.ground == "perfect"
-    kind = _kind(config)
+    n, kind = len(snapshot.voltages), _kind(config)
     currents, power_w = np.zeros((n, n, len(kind.feed_a)), complex), np.zeros(n)
     nearest, nearest_m = np.empty((n, 2), np.int64), np.empty(n)
     solve_arrays(
@@ -74,7 +73,7 @@ def ports(
     theta_hat, phi_hat, towards = _directions(*towards_deg)
     phase = np.exp(1j * kind.k_rad_m * (places_m @ towards))
     across = np.stack([axes @ theta_hat, axes @ phi_hat]) * phase
-    if image:
+    if kind.image:
         mirror = np.array([1.0, 1.0, -1.0])
         phase = np.exp(1j * kind.k_rad_m * (places_m @ (mirror * towards)))
         across += np.stack([axes @ (-mirror * theta_hat), axes @ (-mirror * phi_hat)]) * phase
@@ -84,12 +83,9 @@ def ports(
 
 
 def feed(
-    positions_m: Array,
-    config: AntennaConfig,
-    rotations: Array | None = None,
-    *,
+    positions_m: Array, config: AntennaConfig, rotations: Array | None = None, *,
     places_m: Array | None = None,
-) -> Voltages:
+) -> Voltages:  # fmt: skip
     """Return voltages (n,) by ``config.excitation`` for elements at positions (n, 3), main lobe along +y.
 
     ``rotations`` (n, 3, 3), by default upright, are used only by the optimum. ``places_m`` (n, 3), by default
@@ -102,10 +98,9 @@ def feed(
         case "hansen_woodyard":
             return hansen_woodyard(positions_m, config.wavelength_m, places_m)
         case "optimum":
-            alike = np.ones(len(positions_m), complex)
-            array = (
-                upright(positions_m, alike) if rotations is None else Snapshot(positions_m, rotations, alike)
-            )
+            array = upright(positions_m, np.ones(len(positions_m), complex))
+            if rotations is not None:
+                array = replace(array, rotations=rotations)
             seen = ports(array, config)
             if max(seen.gain(one) for one in np.eye(len(positions_m), dtype=complex)) < LEAST_GAIN:
                 raise ValueError(
@@ -125,5 +120,4 @@ def _directions(theta_deg: float, phi_deg: float) -> tuple[Array, Array, Array]:
 
 @lru_cache(maxsize=8)
 def _kind(config: AntennaConfig) -> ElementKind:
-    """Return the data of the elements of a configuration."""
     return make_kind(config.element(), config.wavelength_m, image=config.ground == "perfect")

@@ -57,11 +57,8 @@ def reactions(
         for c in range(currents):
             fields[p, c] = 0.0
         for q in range(len(second_m)):
-            x, y, z = (
-                first_m[p, 0] - second_m[q, 0],
-                first_m[p, 1] - second_m[q, 1],
-                first_m[p, 2] - second_m[q, 2],
-            )
+            x, y = first_m[p, 0] - second_m[q, 0], first_m[p, 1] - second_m[q, 1]
+            z = first_m[p, 2] - second_m[q, 2]
             r = 1.0 / math.sqrt(x * x + y * y + z * z)
             u0, u1, u2 = first_axes[p, 0], first_axes[p, 1], first_axes[p, 2]
             v0, v1, v2 = second_axes[q, 0], second_axes[q, 1], second_axes[q, 2]
@@ -230,7 +227,6 @@ def repeat(coupling: Complex, source: Complex, answer: Complex) -> None:
     following = np.empty(size, np.complex128)
     for i in range(size):
         answer[i] = source[i]
-    settled = False
     for _ in range(REPETITIONS):
         change, whole = 0.0, 0.0
         for i in range(size):
@@ -244,12 +240,9 @@ def repeat(coupling: Complex, source: Complex, answer: Complex) -> None:
             whole += w.real * w.real + w.imag * w.imag
             answer[i] = w
         if change <= SETTLED * SETTLED * whole:
-            settled = True
-            break
+            return
         if change > 0.1 * whole:
             break
-    if settled:
-        return
     matrix, right = np.empty((size, size), np.complex128), np.empty((size, 1), np.complex128)
     for i in range(size):
         right[i, 0] = source[i]

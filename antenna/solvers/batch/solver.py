@@ -150,18 +150,15 @@ class Batch:
         """Solve a slice; snapshots with equal numbers of elements and equal grids are solved together."""
         alike: dict[tuple[int, int], list[int]] = {}
         for s, snapshot in enumerate(snapshots):
-            alike.setdefault((len(snapshot.voltages), self._times(snapshot)), []).append(s)
+            times = times_finer(
+                snapshot.centres_m, self._reach_m, self._config.wavelength_m, self._step_deg, self.kind.image
+            )
+            alike.setdefault((len(snapshot.voltages), times), []).append(s)
         results: dict[int, Pattern | ElementsTouch] = {}
         for (_, times), indices in alike.items():
             found = self._of_alike([snapshots[s] for s in indices], times)
             results |= zip(indices, found, strict=True)
         return [results[s] for s in range(len(snapshots))]
-
-    def _times(self, snapshot: Snapshot) -> int:
-        """Return the grid refinement for a snapshot, see `times_finer`."""
-        return times_finer(
-            snapshot.centres_m, self._reach_m, self._config.wavelength_m, self._step_deg, self.kind.image
-        )
 
     def _of_alike(self, snapshots: Sequence[Snapshot], times: int) -> list[Pattern | ElementsTouch]:
         directions = self.directions
@@ -176,10 +173,7 @@ class Batch:
             gain_theta, gain_phi, directions.weights, maximum, average,
         )  # fmt: skip
         if times > 1:
-            gain_theta, gain_phi = (
-                gain_theta[:, ::times, ::times].copy(),
-                gain_phi[:, ::times, ::times].copy(),
-            )
+            gain_theta, gain_phi = (gain[:, ::times, ::times].copy() for gain in (gain_theta, gain_phi))
         return self._patterns(
             radiating, to_dbi(gain_theta, gain_theta), to_dbi(gain_phi, gain_phi), maximum, average
         )
@@ -233,13 +227,10 @@ class Batch:
             elif not math.isfinite(gain_dbi) or (distance_m < self.kind.near_m and not credible(mean)):
                 results.append(ElementsTooNear(first, second, distance_m))
             else:
-                results.append(
-                    Pattern(
-                        theta_deg=self.directions.theta_deg, phi_deg=self.directions.phi_deg,
-                        theta_gain_dbi=theta_dbi[s], phi_gain_dbi=phi_dbi[s],
-                        max_gain_dbi=gain_dbi,
-                        max_theta_deg=min(theta_deg, 180.0 - theta_deg) if self.kind.image else theta_deg,
-                        max_phi_deg=phi_deg, average_gain=mean, backend=self.name,
-                    )
-                )  # fmt: skip
+                results.append(Pattern(
+                    theta_deg=self.directions.theta_deg, phi_deg=self.directions.phi_deg,
+                    theta_gain_dbi=theta_dbi[s], phi_gain_dbi=phi_dbi[s], max_gain_dbi=gain_dbi,
+                    max_theta_deg=min(theta_deg, 180.0 - theta_deg) if self.kind.image else theta_deg,
+                    max_phi_deg=phi_deg, average_gain=mean, backend=self.name,
+                ))  # fmt: skip
         return results
