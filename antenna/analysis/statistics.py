@@ -43,9 +43,8 @@ class GainDensity:
     """Probability density of the maximum gain, as a histogram and as a smooth curve."""
 
     bin_edges_dbi: Array
-    """(B + 1,)"""
+    """(B + 1,) of the histogram (B,)."""
     histogram_per_db: Array
-    """(B,)"""
     gain_dbi: Array
     """(G,) gains of the smooth curve; empty when all gains are equal."""
     kernel_per_db: Array
@@ -70,15 +69,12 @@ class Envelope:
 
     samples: int
     theta_deg: Array
-    """(T,)"""
+    """(T,) and phi (P,)."""
     phi_deg: Array
-    """(P,)"""
     mean_dbi: Array
-    """(T, P) mean of the linear gains, in dBi."""
+    """(T, P) mean of the linear gains, in dBi; likewise the extremes."""
     min_dbi: Array
-    """(T, P)"""
     max_dbi: Array
-    """(T, P)"""
     quantiles_dbi: dict[float, Array]
     """(T, P) by `QUANTILES`, defined as in `GainStatistics`, with resolution `LEVEL_STEP_DB`; empty unless
     requested."""
@@ -139,8 +135,8 @@ class RunningEnvelope:
         if self._with_quantiles:
             levels = np.floor((np.asarray(to_dbi(gain), float) - LEVELS_DBI[0]) / LEVEL_STEP_DB)
             bins = np.clip(levels, 0.0, _BINS - 1.0).astype(np.int64)
-            rows, columns = np.indices(bins.shape, sparse=True)
-            self._counts[rows, columns, bins] += 1
+            by_direction = self._counts.reshape(-1, _BINS)
+            by_direction[np.arange(bins.size), bins.ravel()] += 1
 
     def result(self) -> Envelope:
         """Return the envelope of the patterns so far; raises ValueError without any."""

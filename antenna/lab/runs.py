@@ -62,8 +62,8 @@ class PatternReport(Struct, frozen=True, kw_only=True):
 
     max_gain_dbi: float
     theta_deg: float
-    """Direction of the maximum, with ``phi_deg``."""
     phi_deg: float
+    """Direction of the maximum, with theta."""
     backend: str
     accuracy: str
     average_gain: float

@@ -17,16 +17,11 @@ Voltages = Complex
 
 
 class ElementsTouch(Exception):
-    """Two elements of a snapshot touch or cross, or one the ground: there is no antenna pattern.
-
-    ``second`` is -1 for the ground.
-    """
+    """Two elements of a snapshot touch or cross, or one the ground (-1): there is no antenna pattern."""
 
     def __init__(self, first: int, second: int, distance_m: float) -> None:
         super().__init__(first, second, distance_m)
-        self.first = first
-        self.second = second
-        self.distance_m = distance_m
+        self.first, self.second, self.distance_m = first, second, distance_m
 
     def __str__(self) -> str:
         if self.second < 0:

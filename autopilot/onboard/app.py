@@ -1,7 +1,4 @@
-"""The on-board application of one UAV: beacons, ranging, localisation and formation control.
-
-Sans-IO: its inputs are MAVLink messages from its autopilot and items from its radio, its output is one
-`OnboardOutput` per iteration of its loop. All times are on one clock that the formation shares.
+"""The on-board application of one UAV: beacons, ranging, localisation and formation control. No I/O.
 
 `OwnState` holds the newest telemetry of the autopilot, and `Traffic` exchanges beacons and distances with the
 other UAVs. `CooperativeLocalisation` estimates positions from both, `Guidance` computes setpoints from the
@@ -152,10 +149,7 @@ class OnboardApp:
                     self._own.on_truth(msg)
 
     def on_request(self, msg: common.MAVLink_message) -> list[common.MAVLink_message]:
-        """Return the acknowledgement of a command; MAV_CMD_USER_1 releases a flight that is held.
-
-        Messages that are not commands are not answered.
-        """
+        """Return the acknowledgement of a command; MAV_CMD_USER_1 releases a flight that is held."""
         if msg.get_msgId() not in messages.COMMANDS:
             return []
         known = self._config.hold and msg.command == common.MAV_CMD_USER_1
@@ -332,8 +326,7 @@ class OnboardApp:
         if own.origin_ned_m is None or not FlightPhase.ARMING <= phase <= FlightPhase.YIELDED:
             return []
         if flight.in_formation:
-            others = self._known_others(now_us)
-            setpoint = guidance.follow(own, believed_ned_m, others, now_us, dt_s)
+            setpoint = guidance.follow(own, believed_ned_m, self._known_others(now_us), now_us, dt_s)
         else:
             setpoint = guidance.wait(own, now_us)
         return [messages.offboard_setpoint(setpoint, self._station + 1, now_us)]

@@ -134,7 +134,12 @@ class Companion:
         mavlink, self._replies = [*self._replies, *requested], []
         if now_us >= self._origin_us:
             self._origin_us = now_us + (ORIGIN_KNOWN_PERIOD_US if self._has_origin else ORIGIN_PERIOD_US)
-            mavlink.append(_origin_request(self._system))
+            mavlink.append(
+                common.MAVLink_command_long_message(
+                    self._system, AUTOPILOT_COMPONENT, common.MAV_CMD_REQUEST_MESSAGE, 0,
+                    float(common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
+                )
+            )  # fmt: skip
         for message in mavlink:
             stamp(message, system=self._system, component=APPLICATION_COMPONENT)
         reports, self._reports = self._reports, []
@@ -146,13 +151,6 @@ class Companion:
         """Return a heartbeat without content, which makes PX4 send to this address."""
         (beat,) = heartbeat(FlightPhase.WAITING, None, 0)
         return stamp(beat, system=self._system, component=APPLICATION_COMPONENT)
-
-
-def _origin_request(system: int) -> Message:
-    origin = float(common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
-    return common.MAVLink_command_long_message(
-        system, AUTOPILOT_COMPONENT, common.MAV_CMD_REQUEST_MESSAGE, 0, origin, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    )
 
 
 class CompanionProcess:

@@ -2,12 +2,10 @@
 
 from foundation.profiling.profiler import LINK
 
-CODEC = "link codec"
 RADIO = "radio"
 
 PROFILE_GROUPS = {
-    "autopilot.mavlink.hil": CODEC,
-    "autopilot.estimation.sensor_input": "estimator",
+    "autopilot.mavlink.hil": "link codec",
     "autopilot.estimation": "estimator",
     "autopilot.vehicle.fast_step": "inertial steps",
     "autopilot.control": "control",
@@ -16,7 +14,6 @@ PROFILE_GROUPS = {
     "autopilot.navigation": "commander and modes",
     "autopilot.vehicle.pilot": "commander and modes",
     "autopilot.onboard": "on-board application",
-    "autopilot.onboard.formation.formation_plan": "on-board application",
     "autopilot.mavlink": "MAVLink services",
     "autopilot.services": "MAVLink services",
     "autopilot.vehicle.messaging": "MAVLink services",

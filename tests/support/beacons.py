@@ -4,6 +4,7 @@ from msgspec import Struct
 
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.radio import beacon as wire
+from foundation.types import Vector
 
 
 class Beacon(Struct, frozen=True, kw_only=True):
@@ -14,8 +15,8 @@ class Beacon(Struct, frozen=True, kw_only=True):
     """Sequence number: increases by one per beacon of the sender, modulo `beacon.SEQ_MODULUS`."""
     time_us: int
     phase: FlightPhase
-    odometry_ned_m: wire.Vector
-    vel_ned_m_s: wire.Vector
+    odometry_ned_m: Vector
+    vel_ned_m_s: Vector
     motion_start_ms: int | None = None
     """Start of the formation's motion that the sender holds; None: none yet."""
     fix: wire.Fix | None = None

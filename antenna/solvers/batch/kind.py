@@ -48,17 +48,13 @@ class ElementKind(NamedTuple):
     projection: Complex
     """(K, N) combination of the K currents that radiates like currents at the centres."""
     centres_m: Array
-    """(N, 3) centres of the segments; the next three fields are also of the segments."""
+    """(N, 3) centres of the segments; likewise their axes (N, 3), lengths and radii (N,)."""
     segment_axes: Array
-    """(N, 3)"""
     lengths_m: Array
-    """(N,)"""
     radii_m: Array
-    """(N,)"""
     spread: Array
-    """(3, N, N) second result of `antenna.solvers.batch.moments.admittance`."""
+    """(3, N, N) with the next field (N, N), the results of `antenna.solvers.batch.moments.admittance`."""
     admittance_s_m: Complex
-    """(N, N) first result of the same."""
     fed: int
     """Segment of the source."""
     wires_m: Array

@@ -29,13 +29,11 @@ class Segments:
     """Straight wire segments, in the frame of their element."""
 
     centres_m: Array
-    """(N, 3)"""
+    """(N, 3), like the axes, unit vectors along which currents are positive."""
     axes: Array
-    """(N, 3) unit vectors; currents are positive along them."""
     lengths_m: Array
-    """(N,)"""
+    """(N,), like the radii."""
     radii_m: Array
-    """(N,)"""
 
     def ends_m(self, side: int) -> Array:
         """Return the ends (N, 3) in the direction of the axes (side +1), or the opposite ones (-1)."""

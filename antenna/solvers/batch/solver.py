@@ -103,18 +103,15 @@ class Directions:
 
 
 class Currents(NamedTuple):
-    """Radiating points of S arrays, N each."""
+    """Radiating points (S, N, 3) of S arrays, N each, and their axes."""
 
     points_m: Array
-    """(S, N, 3)"""
     axes: Array
-    """(S, N, 3)"""
     moments: Complex
     """(S, N) scaled so that |sum of moment times axis times e^{jk r.p}|^2 across r is the gain."""
     nearest: NDArray[np.int64]
-    """(S, 2) nearest elements, from `antenna.model.clearance.measure`."""
+    """(S, 2) nearest elements, and their distance (S,), from `antenna.model.clearance.measure`."""
     nearest_m: Array
-    """(S,)"""
 
 
 class Batch:

@@ -22,8 +22,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from autopilot.onboard.localisation.uncertainty import Others
-
-Array = NDArray[np.float64]
+from foundation.types import Array
 
 CLOSING_1_S = 1.0
 """Above MPC_XY_P (0.95), so that a UAV that returns to its place is not slowed."""

@@ -35,7 +35,9 @@ OFFBOARD = RepeatedCommand(
 
 def take_off(altitude_m: float) -> RepeatedCommand:
     """Return the command to take off at the present position to an altitude above mean sea level."""
-    return RepeatedCommand(common.MAV_CMD_NAV_TAKEOFF, (0.0, 0.0, 0.0, NAN, NAN, NAN, altitude_m))
+    return RepeatedCommand(
+        common.MAV_CMD_NAV_TAKEOFF, (0.0, 0.0, 0.0, NAN, NAN, NAN, altitude_m)
+    )
 
 
 class CommandSender:

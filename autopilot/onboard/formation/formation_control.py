@@ -14,7 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from foundation.types import Array
+
 Level = tuple[float, float]
 """North and east."""
 

@@ -11,12 +11,10 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
 from autopilot.parameters.config import AnyMotion, RacetrackMotion
-from foundation.types import Vector
+from foundation.types import Array, Vector
 
-Array = NDArray[np.float64]
 Number = TypeVar("Number", float, Array)
 
 ACCELERATION_MAX_M_S2 = 3.0

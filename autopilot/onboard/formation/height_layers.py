@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autopilot.onboard.formation.formation_control import COAST_S, joining_time_s
-
-Array = NDArray[np.float64]
+from foundation.types import Array
 
 REACH_SIGMAS = 4.0
 """Places within this many standard deviations of the relative position are separated."""

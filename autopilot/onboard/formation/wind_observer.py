@@ -15,9 +15,8 @@ time constant is longer.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from foundation.types import Array
 
 GRAVITY_M_S2 = 9.80665
 TIME_CONSTANT_S = 0.25

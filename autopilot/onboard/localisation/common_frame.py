@@ -10,11 +10,9 @@ common position and heading. A rigid motion of the whole is the only mode that a
 any layout (a test checks the eigenvalues); with a dozen neighbours each, three rounds span eight rows.
 
 Consensus alone would keep the initial common position. Each UAV therefore also moves its position by a small
-part of the mean error, and of the mean turn, of the GPS of all UAVs from which it receives beacons: 64
-receivers determine the formation as a whole as well as one filter over all of them would.
-
-Faults have little weight: a neighbour that disagrees with the others is weighted by its misfit (Huber), a
-receiver with a large error by the variance of errors of that size.
+part of the mean error, and of the mean turn, of the GPS of all UAVs from which it receives beacons. Faults
+have little weight: a neighbour that disagrees with the others is weighted by its misfit (Huber), a receiver
+with a large error by the variance of errors of that size.
 """
 
 import numpy as np

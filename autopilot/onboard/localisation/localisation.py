@@ -8,9 +8,8 @@ waits until the odometry of both ends covers that time, and is used once. UAVs j
 
 Robustness: the weight of every measurement falls with its misfit. A UAV is initialised again if all its
 distances misfit, and tentatively if some of them do for long; the measurements of a UAV that measures wrongly
-are excluded (`trust`). A silent UAV is not part of the geometry. If the estimated GPS error of a UAV exceeds
-the accuracy that its receiver states, its bias variance is raised; after a step the bias is reset
-(`receivers`).
+are excluded (`trust`). If the estimated GPS error of a UAV exceeds the accuracy that its receiver states, its
+bias variance is raised; after a step the bias is reset (`receivers`).
 """
 
 import math
@@ -235,10 +234,9 @@ class CooperativeLocalisation:
 
     def std_ned_m(self) -> Vector:
         """Return one sigma of the own position, NED, including the error of the formation as a whole."""
-        north_m2, east_m2, down_m2 = self._own_variances_m2.tolist()
-        if north_m2 < 0.0 or east_m2 < 0.0 or down_m2 < 0.0:  # by rounding
-            north_m2, east_m2, down_m2 = max(north_m2, 0.0), max(east_m2, 0.0), max(down_m2, 0.0)
-        return math.sqrt(north_m2), math.sqrt(east_m2), math.sqrt(down_m2)
+        variances_m2 = self._own_variances_m2.tolist()
+        north_m, east_m, down_m = (math.sqrt(max(m2, 0.0)) for m2 in variances_m2)  # below 0 by rounding
+        return north_m, east_m, down_m
 
     def odometry_at(self, station: int, time_us: int) -> Array | None:
         """Return (3,) odometry of a UAV, NED, at a time of the last seconds; None if not available."""

@@ -31,6 +31,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from autopilot.onboard.formation.phases import FlightPhase
+from foundation.types import Vector
 
 VERSION = 3
 HEADER = np.dtype(
@@ -71,8 +72,6 @@ PAGE = np.dtype([("source", "<i8"), ("size", "<i8"), ("header", HEADER), ("range
 PageRows = NDArray[np.void]
 """(P,) array of `PAGE`."""
 _PAGE_BYTES = PAGE.itemsize
-
-Vector = tuple[float, float, float]
 
 
 class Fix(Struct, frozen=True):

@@ -9,7 +9,8 @@ without communication.
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from foundation.types import Array
+
 Flags = NDArray[np.bool_]
 
 _ROUND_M = 3

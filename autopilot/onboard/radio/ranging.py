@@ -1,9 +1,8 @@
 """Ranging policies: their interface, and the simplest one, which measures all pairs once per period.
 
-With `RangingSchedule` every UAV ranges to every other one, evenly spread over the period. Eight UAVs that
-began their rounds together would contend for the channel in the same milliseconds of every second. Each
-therefore has its own random phase, and starts its round with the station after itself. `scheduled_ranging`
-needs less airtime.
+With `RangingSchedule` every UAV ranges to every other one, evenly spread over the period. Each has its own
+random phase, and starts its round with the station after itself, as UAVs that began their rounds together
+would contend for the channel. `scheduled_ranging` needs less airtime.
 """
 
 from collections.abc import Callable, Collection
@@ -43,21 +42,17 @@ class RangingPolicy(Protocol):
         self, now_us: int, until_us: int, reachable: Reachable, variance_m2: VarianceOf | None = None
     ) -> list[tuple[int, int]]:
         """List the requests to hand over in [now, until): (at_us, peer), of peers that are ``reachable``."""
-        ...
 
     def on_result(
         self, peer: int, *, ended_us: int = 0, variance_m2: float | None = None, retry_after_us: int = 0
     ) -> None:
-        """Record that the session with a peer ended at ``ended_us``.
+        """Record that the session with a peer ended; ``variance_m2`` of the distance is None if it failed.
 
-        ``variance_m2`` is that of the distance, None if the session failed. A responder that refused may have
-        stated a time ``retry_after_us`` before the next request.
+        A responder that refused may have stated a time ``retry_after_us`` before the next request.
         """
-        ...
 
     def on_survey(self, ended_ns: int, busy_ns: int) -> None:
         """Record the total time for which the medium had been busy at ``ended_ns``."""
-        ...
 
 
 class Outstanding(dict[int, int]):
@@ -78,8 +73,7 @@ class Outstanding(dict[int, int]):
 class RangingSchedule:
     """All-pairs round robin of one station; the first round starts with the first call of `due`.
 
-    It does not consider the worth of a distance or the load of the channel. See `RangingPolicy`. ``peers``
-    are the stations to range to; None: all others.
+    ``peers`` are the stations to range to; None: all others.
     """
 
     def __init__(

@@ -70,8 +70,8 @@ _LONG_AGO_US = -(1 << 62)
 def pair_number(i: int, j: int, stations: int) -> int:
     """Return the number of a pair among all, 0 to N (N - 1) / 2 - 1, by the circle method.
 
-    Among an odd number m of stations on a ring, round r pairs those at equal distances k to both sides of r:
-    (r - k, r + k) mod m. Station r is left over; it is paired with the last station if their number is even.
+    Among an odd number m of stations, round r pairs (r - k, r + k) mod m. Station r is left over; it is
+    paired with the last station if their number is even.
     """
     ring = stations - 1 + stations % 2
     if stations % 2 == 0 and max(i, j) == stations - 1:
@@ -85,7 +85,7 @@ def pair_number(i: int, j: int, stations: int) -> int:
 def owner(i: int, j: int, stations: int) -> int:
     """Return the end that measures the distance: the one that the other follows by less than half the ring.
 
-    If the two are exactly half the ring apart, it is the one with the smaller number.
+    Of two exactly half the ring apart it is the one with the smaller number.
     """
     ahead = 2 * ((j - i) % stations)
     if ahead == stations:
