@@ -35,16 +35,13 @@ _GRIDS = {
 
 
 def to_dataset(
-    results: Sequence[Pattern | ElementsTouch],
-    config: AntennaConfig,
-    *,
-    accuracy: str,
+    results: Sequence[Pattern | ElementsTouch], config: AntennaConfig, *, accuracy: str,
     time_us: NDArray[np.int64] | None = None,
-) -> xr.Dataset:
+) -> xr.Dataset:  # fmt: skip
     """Return results as a dataset, in order; rows are samples, or with ``time_us`` (K,) instants.
 
     Raises ValueError if there is no pattern, or their grids differ.
-    """  # fmt: skip
+    """
     patterns = [result for result in results if isinstance(result, Pattern)]
     if not patterns:
         raise ValueError("no pattern to store: elements touch in all results")

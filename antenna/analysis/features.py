@@ -31,11 +31,9 @@ class Features:
     """Angle between the half-power directions at the maximum's theta; None at a pole, if all gains are above
     half power, or if it has less than `LEAST_STEPS` steps of the grid."""
     elevation_width_deg: float | None
-    """Angle between the half-power directions on the great circle through the poles and the maximum; None as
-    above."""
+    """Likewise on the great circle through the poles and the maximum."""
     side_lobe_dbi: float | None
-    """Highest maximum of the grid outside the main lobe; None without one, or if no direction of the grid is
-    within half power of the maximum, so that the main lobe is not resolved."""
+    """Highest maximum of the grid outside the main lobe; None without one, or if that is not resolved."""
     back_dbi: float
     """Gain opposite to the maximum; over a ground at the same elevation."""
     null_dbi: float

@@ -116,10 +116,9 @@ def times_finer(
 ) -> int:  # fmt: skip
     """Return the factor by which a grid must be finer than ``step_deg`` to resolve an array (n, 3).
 
-    The intensity of an array within a radius R is about of degree 2 k R in the direction; grids that resolve
-    it miss no lobe and have accurate integrals. ``reach_m`` is the reach of an element from its centre;
-    images count. The factor is at most `FINEST_TIMES`: for a wider array, such as one with a lost vehicle,
-    the highest lobe may be missed, and the average gain is approximate.
+    The intensity of an array within a radius R is about of degree 2 k R in the direction; images count.
+    ``reach_m`` is the reach of an element from its centre. The factor is at most `FINEST_TIMES`: for a wider
+    array, such as one with a lost vehicle, the highest lobe may be missed, and the average is approximate.
     """
     n, middle_m, radius_m2 = len(centres_m), np.zeros(3), 0.0
     for x in range(2 if grounded else 3):

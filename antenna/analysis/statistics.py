@@ -177,9 +177,9 @@ def _sorted_gain_dbi(counts: NDArray[np.uint32], up_to: NDArray[np.uint32], rank
 def gain_towards_dbi(patterns: Sequence[Pattern], theta_deg: float, phi_deg: float) -> Array:
     """Return the total gains (K,) in one direction, of patterns on one grid.
 
-    In a direction of the grid, as +y, these are the grid's gains. In between, they are interpolated by
-    polynomials of the linear gain through the eight nearest directions along theta and along phi, continued
-    over the poles. Patterns without gain below the horizon are continued there by their mirror image.
+    Between directions of the grid they are interpolated by polynomials of the linear gain through the eight
+    nearest ones along theta and along phi, continued over the poles. Patterns without gain below the horizon
+    are continued there by their mirror image.
     """
     if not patterns:
         return np.empty(0)

@@ -1,9 +1,8 @@
 """Benchmark of the batch solver against NEC2, on one core each.
 
-Both solve the same formations of eight dipoles, displaced by 0.5 m and tilted by 10 degrees, and return gains
-in two polarisations on the same grid of 5 degrees. Set-up and compilation are not timed. Short runs of both
-alternate, and medians are compared, so that other load on the machine affects both equally. The time of one
-core is the CPU time of the calling thread.
+Both solve the same formations of eight dipoles, displaced by 0.5 m and tilted by 10 degrees, on a grid of 5
+degrees. Set-up and compilation are not timed. Short runs of both alternate, and medians are compared, so that
+other load on the machine affects both equally. The time of one core is the CPU time of the calling thread.
 """
 
 import statistics

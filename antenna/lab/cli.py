@@ -31,6 +31,7 @@ DECK_LIMIT_BYTES = 1_000_000
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, no_args_is_help=True)
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object to stdout.")]
+Cores = Annotated[int | None, typer.Option(help="Most cores to use; default all.", min=1, max=1_024)]
 Netcdf = Annotated[Path | None, typer.Option(help="Write the patterns to a NetCDF-4 file.", metavar="FILE")]
 _FIELDS = {
     "wavelength": "wavelength_m", "backend": "backend", "element": "element_kind",
@@ -184,12 +185,12 @@ def pattern(
     *,
     figure: Annotated[Path | None, typer.Option(help="Plot the pattern.", metavar="PNG")] = None,
     cuts: Annotated[Path | None, typer.Option(help="Plot its polar cuts.", metavar="PNG")] = None,
-    deck_out: Annotated[
-        Path | None, typer.Option(help="Write the array as a NEC deck.", metavar="FILE")
-    ] = None,
+    deck_out: Annotated[Path | None, typer.Option(
+        help="Write the array as a NEC deck.", metavar="FILE"
+    )] = None,
     netcdf: Netcdf = None,
     json: Json = False,
-) -> None:
+) -> None:  # fmt: skip
     """Pattern of one formation: ideal, or random with --sigma or --tilt."""
     from antenna.lab.runs import Files, one_pattern  # noqa: PLC0415  compiles
 
@@ -204,18 +205,16 @@ def statistics(
     array: ArrayOptions,
     *,
     samples: Annotated[int, typer.Option(help="Number of random formations.", min=1, max=10_000_000)] = 1000,
-    cores: Annotated[
-        int | None, typer.Option(help="Most cores to use; default all.", min=1, max=1_024)
-    ] = None,
-    figure: Annotated[
-        Path | None, typer.Option(help="Plot the density of the maximum gain.", metavar="PNG")
-    ] = None,
-    envelope: Annotated[
-        Path | None, typer.Option(help="Plot mean and spread of the patterns.", metavar="PNG")
-    ] = None,
+    cores: Cores = None,
+    figure: Annotated[Path | None, typer.Option(
+        help="Plot the density of the maximum gain.", metavar="PNG"
+    )] = None,
+    envelope: Annotated[Path | None, typer.Option(
+        help="Plot mean and spread of the patterns.", metavar="PNG"
+    )] = None,
     netcdf: Netcdf = None,
     json: Json = False,
-) -> None:
+) -> None:  # fmt: skip
     """Gain statistics of many formations, displaced and tilted at random."""
     from antenna.lab.runs import Files, many_patterns  # noqa: PLC0415  compiles
 

@@ -75,18 +75,13 @@ def reach_m(element: Element) -> float:
 
 def check_apart(snapshot: Snapshot, element: Element, *, grounded: bool) -> Nearest:
     """Return the two nearest elements; raises `ElementsTouch` if they, or one and the ground, touch."""
-    found = nearest(placed_wires_m(snapshot, element), grounded=grounded)
+    placed_m, n = placed_wires_m(snapshot, element), len(snapshot.centres_m)
+    pair, distance_m, (apart_m, image_apart_m) = np.empty(2, np.int64), np.empty(1), np.empty((2, n, n))
+    measure(placed_m, grounded, np.empty_like(placed_m), apart_m, image_apart_m, pair, distance_m)
+    found = Nearest(int(pair[0]), int(pair[1]), float(distance_m[0]))
     if found.distance_m <= clearance_m(element):
         raise ElementsTouch(*found)
     return found
-
-
-def nearest(placed_m: Array, *, grounded: bool) -> Nearest:
-    """Return the two nearest elements, or the one nearest to the ground, from their wires (n, W, 2, 3)."""
-    n = len(placed_m)
-    pair, distance_m = np.empty(2, np.int64), np.empty(1)
-    measure(placed_m, grounded, np.empty_like(placed_m), np.empty((n, n)), np.empty((n, n)), pair, distance_m)
-    return Nearest(int(pair[0]), int(pair[1]), float(distance_m[0]))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

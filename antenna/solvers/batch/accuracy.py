@@ -15,8 +15,7 @@ LARGEST_LOOP = 0.1
 LARGEST_DECK = 1.0 / 6.0
 """Limits of the comparison with NEC2, in wavelengths; segments are also limited by NEC2's guide."""
 FEWEST_SIDES = 8
-"""Least sides of a loop; with 4 and 3 sides, 1 m circumference at 10 m, the maximum differs by 0.08 and
-0.85 dB."""
+"""Least sides of a loop; with 3 sides, 1 m circumference at 10 m, the maximum differs by 0.85 dB."""
 FAINTEST = 2.5e14
 """Largest (wavelength / wire)^3 (wavelength / segment)^2, to which NEC2's error in the power of small
 elements is proportional: reactance over resistance, and cancellation of constant and cosine currents."""
