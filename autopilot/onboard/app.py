@@ -46,8 +46,6 @@ TRUTH_STD_M = 0.01
 """Standard deviation of the simulator's true position: its message has a resolution of 1e-7 degrees."""
 GATHER_MAX_S = 0.8e-6 * LOCALISE_TIMEOUT_US
 """Longest time for which distances are gathered: the others must be located before take-off times out."""
-
-
 _BACK, _LOST = "ranging is back", "ranging lost: correction frozen, then fading"
 _UNKNOWN: Vector = (math.nan, math.nan, math.nan)
 
@@ -86,7 +84,7 @@ class OnboardApp:
             gps_bias_std_m=config.gps_bias_std_m, gps_bias_time_constant_s=config.gps_bias_time_constant_s,
             odometry_drift_m_sqrt_s=config.odometry_drift_m_sqrt_s,
             range_floor_std_m=config.range_floor_std_m,
-            gather_s=min(self._traffic.gather_s, GATHER_MAX_S),
+            gather_s=min(self._traffic.ranging.gather_s, GATHER_MAX_S),
         )  # fmt: skip
         if config.localisation == "ftm" and len(places) > 1:
             self.localisation = CooperativeLocalisation(
@@ -107,7 +105,7 @@ class OnboardApp:
         self._own = OwnState(site=site, gps_delay_s=devices.gps_delay_s)
         self._support = Support(
             self.localisation, self._table, watched=self._guidance.layers.watched,
-            range_silence_us=self._traffic.range_silence_us,
+            range_silence_us=self._traffic.ranging.silence_us,
             beacon_period_us=config.beacon_period_ms * 1_000,
         )  # fmt: skip
         self._now_us = -1
@@ -201,7 +199,7 @@ class OnboardApp:
                     self._read(now_us)
                     self._on_ranged(item, now_us)
                 case Survey():
-                    self._traffic.take_survey(item)
+                    self._traffic.ranging.on_survey(item.ended_ns, item.busy_ns)
                 case Sent():  # reports a unicast datagram; this application sends none
                     pass
         self._read(now_us)
@@ -242,7 +240,7 @@ class OnboardApp:
             mavlink += self._fly(now_us)
             self._setpoint_us = now_us - now_us % SETPOINT_PERIOD_US + SETPOINT_PERIOD_US
         mavlink += self._commands.on_timer(now_us)
-        reported = (self._flight.phase, self._guidance.start.start_us)
+        phase, start_us = reported = (self._flight.phase, self._guidance.start.start_us)
         if self._reported != reported or now_us >= self._heartbeat_out_us:
             self._reported = reported
             self._heartbeat_out_us = now_us + HEARTBEAT_PERIOD_US
@@ -253,13 +251,14 @@ class OnboardApp:
             mavlink += map(messages.warning, self._flight.texts)
             self._flight.texts.clear()
         radio: tuple[TxItem, ...] = ()
-        ranges = self.localisation is not None and reported[0] is not FlightPhase.WAITING
+        ranges = self.localisation is not None and phase is not FlightPhase.WAITING
         radio_us = self._traffic.next_deadline_us(ranging=ranges)
         if self._own.time_us >= 0 and radio_us < now_us + loop_us:
             radio = self._traffic.due(
                 self._own, now_us, now_us + loop_us,
                 ranging=ranges, variance_m2=self._distance_variance_m2,
-                phase=reported[0], motion_start_ms=self._motion_start_ms, gps_error=self._reported_gps_error,
+                phase=phase, motion_start_ms=None if start_us is None else start_us // 1_000,
+                gps_error=self._reported_gps_error,
             )  # fmt: skip
             radio_us = self._traffic.next_deadline_us(ranging=ranges)
         self._due_us = 0  # until there is a position
@@ -298,11 +297,10 @@ class OnboardApp:
         else:
             model = self._model
             std_ned_m = (model.gps_bias_std_m, model.gps_bias_std_m, model.height_std_m)
+        offset_ned_m = _UNKNOWN if correction.offset_ne_m is None else (*correction.offset_ne_m, 0.0)
+        correction_ned_m = (*correction.ne_m, self._guidance.down_error_m)
         return Estimate(
-            self._guidance.believed_ned_m(self._own, now_us),
-            std_ned_m,
-            (*correction.ne_m, self._guidance.down_error_m),
-            _UNKNOWN if correction.offset_ne_m is None else (*correction.offset_ne_m, 0.0),
+            self._guidance.believed_ned_m(self._own, now_us), std_ned_m, correction_ned_m, offset_ned_m
         )
 
     # ---- flight
@@ -377,11 +375,6 @@ class OnboardApp:
         if self._flight.phase is not FlightPhase.LOCALISING or not self.localisation.located.all():
             return math.inf
         return self.localisation.shape_std_m(now_us)
-
-    @property
-    def _motion_start_ms(self) -> int | None:
-        start_us = self._guidance.start.start_us
-        return None if start_us is None else start_us // 1_000
 
     def _distance_variance_m2(self, peer: int) -> float | None:
         row = self._near.rows[peer]

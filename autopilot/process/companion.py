@@ -1,9 +1,8 @@
 """``python -m autopilot.process.companion --config FILE``: the on-board application beside a PX4.
 
-It runs `autopilot.onboard`'s application, connected to PX4 as a companion over UDP (14540+i to 14580+i), and
-to the run's radio. Its clock is PX4's, which the simulator sets: time advances with PX4's messages and stops
-without them, so `Companion`, which does no I/O, needs no other clock. With the application disabled it serves
-the radio alone and does not open the UDP port.
+The application is connected to PX4 as a companion over UDP (14540+i to 14580+i), and to the run's radio. Its
+clock is PX4's, which the simulator sets: time advances with PX4's messages and stops without them. With the
+application disabled it serves the radio alone and does not open the UDP port.
 """
 
 import argparse

@@ -71,10 +71,10 @@ Kept = NDArray[np.void]
 
 @njit(cache=True)
 def _nearest(normals: Array, bounds: Array, desired_ne: Array, out_ne: Array) -> None:
-    """Fill out_ne (2,) with the velocity nearest to ``desired_ne`` that satisfies normals . v >= bounds.
+    """Fill out_ne (2,) with the velocity nearest to ``desired_ne`` that satisfies normals . v >= bounds (n,).
 
-    Hildreth's dual ascent over the rows (n, 2) and (n,). The multiplier of a row is limited to
-    `GIVE_MAX_M_S`: contradicting rows are violated as little as this permits.
+    Hildreth's dual ascent. Multipliers are limited to `GIVE_MAX_M_S`, which lets contradicting rows be
+    violated.
     """
     multipliers = np.zeros(bounds.size)
     out_ne[0], out_ne[1] = desired_ne[0], desired_ne[1]
@@ -250,15 +250,9 @@ class Avoidance:
         self._request_bytes = self._request.data.cast("B")
 
     def velocity_change_ne_m_s(
-        self,
-        now_us: int,
-        *,
-        others: Others,
-        plan_pos_ned_m: Array,
-        plan_vel_ned_m_s: Array,
-        goal_ned_m: Sequence[float],
-        desired_ne_m_s: Sequence[float],
-    ) -> tuple[float, float]:
+        self, now_us: int, *, others: Others, plan_pos_ned_m: Array, plan_vel_ned_m_s: Array,
+        goal_ned_m: Sequence[float], desired_ne_m_s: Sequence[float],
+    ) -> tuple[float, float]:  # fmt: skip
         """Return the velocity to add to the setpoint's, NED north and east; exactly 0 if no UAV is near.
 
         Args:
@@ -266,7 +260,6 @@ class Avoidance:
             others: (N,) of `SEEN`, a row for every member including the own one. A UAV that is not fresh is
                 avoided for `KEEP_US` longer, as if it followed the plan.
             plan_pos_ned_m: (F, 3) places of the whole formation, with velocities ``plan_vel_ned_m_s``.
-            plan_vel_ned_m_s: (F, 3)
             goal_ned_m: (3,) final target of the own UAV: its place.
             desired_ne_m_s: (2,) horizontal velocity setpoint of the autopilot's position loop: its gain times
                 the distance to the reference, plus the reference's velocity.

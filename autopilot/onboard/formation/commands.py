@@ -35,22 +35,15 @@ OFFBOARD = RepeatedCommand(
 
 def take_off(altitude_m: float) -> RepeatedCommand:
     """Return the command to take off at the present position to an altitude above mean sea level."""
-    return RepeatedCommand(
-        common.MAV_CMD_NAV_TAKEOFF, (0.0, 0.0, 0.0, NAN, NAN, NAN, altitude_m)
-    )
+    return RepeatedCommand(common.MAV_CMD_NAV_TAKEOFF, (0.0, 0.0, 0.0, NAN, NAN, NAN, altitude_m))
 
 
 class CommandSender:
-    """Sends the requested command until it is accepted.
-
-    Attributes:
-        accepted: the requested command has been acknowledged as accepted or in progress.
-        refusals: number of refusals, over all commands.
-
-    """
+    """Sends the requested command until it is accepted."""
 
     def __init__(self, *, target_system: int) -> None:
         self.accepted = False
+        """The requested command has been acknowledged as accepted or in progress."""
         self.refusals = 0
         self._target_system = target_system
         self._requested: RepeatedCommand | None = None

@@ -4,8 +4,7 @@ The autopilot performs the take-off itself, because its spool-up and landed-stat
 It holds the uncorrected position, however, which drifts with the GPS bias. At `HAND_OVER_HEIGHT_M`, during
 the climb, the application therefore takes over in offboard mode, with a setpoint that continues the climb at
 the same speed over the corrected position. A UAV does not take off before the formation's shape on the ground
-is known to `SHAPE_STD_M`, or `LOCALISE_TIMEOUT_US` has passed. A flight that is held waits before all that
-and sends neither commands nor setpoints; when released it continues from the vehicle's state.
+is known to `SHAPE_STD_M`, or `LOCALISE_TIMEOUT_US` has passed. A held flight waits before all that.
 """
 
 from msgspec import Struct
@@ -38,21 +37,16 @@ class Situation(Struct, frozen=True, kw_only=True):
 
 
 class FlightSequence:
-    """The phases of one UAV's flight, in the order of `FlightPhase`.
-
-    Attributes:
-        phase: current phase.
-        texts: messages for the ground station; the owner sends and removes them.
-        held: the flight must not begin yet; clearing it releases the flight.
-
-    """
+    """The phases of one UAV's flight, in the order of `FlightPhase`."""
 
     def __init__(
         self, *, commands: CommandSender, on_station_tolerance_m: float, on_station_hold_s: float, held: bool
     ) -> None:
         self.phase = FlightPhase.WAITING
         self.held = held
+        """The flight must not begin yet; clearing it releases the flight."""
         self.texts: list[str] = []
+        """Messages for the ground station; the owner sends and removes them."""
         self._commands = commands
         self._tolerance_m = on_station_tolerance_m
         self._hold_us = on_station_hold_s * 1e6

@@ -193,14 +193,10 @@ class FormationReference:
         self._joined[:] = False
 
     def advance(
-        self,
-        target_pos_ned_m: Sequence[float],
-        dt_s: float,
-        *,
-        target_vel_ned_m_s: Sequence[float] = _STILL,
-        target_acc_ned_m_s2: Sequence[float] = _STILL,
+        self, target_pos_ned_m: Sequence[float], dt_s: float, *,
+        target_vel_ned_m_s: Sequence[float] = _STILL, target_acc_ned_m_s2: Sequence[float] = _STILL,
         vehicle_ned_m: Sequence[float] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Advance by the time ``dt_s`` (> 0) since the last call, after which the target has this state (3,).
 
         While joining, the reference stays within `LAG_MAX_M` of ``vehicle_ned_m`` (3,) horizontally, so it

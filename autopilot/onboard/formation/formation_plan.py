@@ -172,14 +172,12 @@ class FormationPlan:
         centripetal_m_s2 = turn_rad_s * speed_m_s
         turn_rad_s2 = curvature_rate_1_m2 * speed_m_s**2 + curvature_1_m * acceleration_m_s2
         return _Centre(
-            self._north_m + c * along_m - s * right_m,
-            self._east_m + s * along_m + c * right_m,
-            speed_m_s * north,
-            speed_m_s * east,
+            self._north_m + c * along_m - s * right_m, self._east_m + s * along_m + c * right_m,
+            speed_m_s * north, speed_m_s * east,
             acceleration_m_s2 * north - centripetal_m_s2 * east,
             acceleration_m_s2 * east + centripetal_m_s2 * north,
             *((course_rad, turn_rad_s, turn_rad_s2) if self._turns else (0.0, 0.0, 0.0)),
-        )
+        )  # fmt: skip
 
     def check(self) -> None:
         """Raise ValueError, one line, if the motion exceeds the limits of a UAV in a turn."""
@@ -280,10 +278,9 @@ class _Racetrack:
     """The path of a racetrack.
 
     In a turn the curvature rises as a raised cosine, stays at 1 / radius, and falls symmetrically, so that
-    velocity and acceleration of UAVs beside the centre have no steps. The course is the curvature's integral
-    in closed form. The position has no closed form: it is tabulated for a half turn, and interpolated by
-    cubics with the exact course at the points of the table. The second half of a lap is the first one turned
-    by pi, so that laps close exactly.
+    velocity and acceleration of UAVs beside the centre have no steps. The course is the curvature's integral.
+    The position has no closed form: it is tabulated for a half turn, and interpolated by cubics with the
+    exact course at the points of the table. The second half of a lap is the first one turned by pi.
     """
 
     def __init__(self, motion: RacetrackMotion) -> None:
@@ -298,10 +295,7 @@ class _Racetrack:
         self._half_along_m, self._half_right_m = self._nodes[-1][0] + self._straight_m, self._nodes[-1][1]
 
     def _tabulated(self) -> list[tuple[float, float, float, float]]:
-        """Return (along, right, and their derivatives by length) at the interval ends, from the turn's start.
-
-        Each interval is integrated by the four-point Gauss-Legendre rule.
-        """
+        """Return (along, right, their derivatives by length) at the interval ends, from the turn's start."""
         points, weights = np.polynomial.legendre.leggauss(4)
         starts_m = self._interval_m * np.arange(TURN_INTERVALS)
         inside_m = starts_m[:, None] + 0.5 * self._interval_m * (points + 1.0)

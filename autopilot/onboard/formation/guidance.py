@@ -24,8 +24,6 @@ POSITION_GAIN_1_S = 0.95
 """MPC_XY_P assumed until the autopilot has reported it."""
 EXTRAPOLATED_US = 50_000
 """Longest extrapolation of the autopilot's position by its velocity; the telemetry period is shorter."""
-
-
 Setpoint = tuple[Vector, Vector, Vector | None]
 """Setpoint for the autopilot, NED: position from its own origin (m), velocity (m/s) and, if given,
 acceleration (m/s^2)."""

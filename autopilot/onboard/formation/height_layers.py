@@ -1,12 +1,11 @@
 """Height layers: vertical separation of UAVs whose relative positions are not known well enough.
 
 Without distances the horizontal errors of two UAVs are independent, and their difference is sqrt(2) times the
-GPS error. UAVs with places 2.5 m apart then meet within minutes. For errors of 1.5 m per axis and 60 s, two
-UAVs at spacing s pass within 0.6 m about 0.8 exp(-s^2 / (4 sigma^2)) times a minute (diffusion into a disc):
-at 2.5 m once in three minutes, at three sigma of the relative position once in two hours, at four in two
-days. Places within four sigma are therefore assigned different height layers. A UAV without support by
-distances moves to its layer before the odometry drift, which grows with the square root of time, can bring it
-to the nearest place.
+GPS error. For errors of 1.5 m per axis and 60 s, two UAVs at spacing s pass within 0.6 m about
+0.8 exp(-s^2 / (4 sigma^2)) times a minute (diffusion into a disc): at 2.5 m once in three minutes, at three
+sigma of the relative position once in two hours, at four in two days. Places within four sigma are therefore
+assigned different height layers. A UAV without support by distances moves to its layer before the odometry
+drift, which grows with the square root of time, can bring it to the nearest place.
 """
 
 import math
@@ -85,14 +84,9 @@ class HeightLayers:
     """
 
     def __init__(
-        self,
-        *,
-        own: int,
-        places_ned_m: Array,
-        gps_std_m: float,
-        climb_speed_m_s: float = 1.5,
+        self, *, own: int, places_ned_m: Array, gps_std_m: float, climb_speed_m_s: float = 1.5,
         drift_m_sqrt_s: float = 0.1,
-    ) -> None:
+    ) -> None:  # fmt: skip
         places = layers(places_ned_m, gps_std_m)
         way_m = places_ned_m[:, :2] - places_ned_m[own, :2]
         reach_m = REACH_SIGMAS * math.sqrt(2.0) * gps_std_m

@@ -19,8 +19,7 @@ LEAD_US = 2_000_000
 OLDEST_US = 3_600_000_000
 """Start times longer ago than this are rejected: no UAV flies for an hour."""
 SETTLED_US = 50_000
-"""A neighbour counts as started if its beacon was received this long after the start time: an older beacon
-may have been superseded by a later proposal."""
+"""A neighbour counts as started if its beacon was received this long after the start time."""
 MOST_LEADS = 3
 """A UAV starts at most this many leads after the first proposal that it held, regardless of later ones."""
 STAYS_AWAY = frozenset({FlightPhase.YIELDED, FlightPhase.LANDED, FlightPhase.HELD})

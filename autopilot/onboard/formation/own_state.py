@@ -1,8 +1,7 @@
 """State of the own vehicle from the autopilot's MAVLink messages: odometry, position, GPS, mode.
 
-Horizontal odometry is the integral of the autopilot's velocity since the first message. The autopilot's
-position is not suitable, as it follows the GPS bias that localisation must remove. Vertical odometry is the
-autopilot's barometric height above its starting point.
+Horizontal odometry is the integral of the autopilot's velocity since the first message, as the autopilot's
+position follows the GPS bias. Vertical odometry is its barometric height above its starting point.
 """
 
 from pymavlink.dialects.v20 import common

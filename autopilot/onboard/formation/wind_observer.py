@@ -5,11 +5,10 @@ NED. The wind is assumed horizontal, so the vertical row gives the thrust: T = (
 horizontal rows then give w = a + (g - a_down) (b_north, b_east) / b_down. The autopilot's commands do not
 enter, so the estimate does not depend on the feed-forward, if attitude and velocity have the same time.
 
-The low-pass has a time constant tau. Gusts of spectrum sigma_g, tau_g leave an error of variance sigma_g^2
-tau / (tau + tau_g); a velocity error sigma_v, tau_v adds sigma_v^2 / (tau (tau + tau_v)). With the article's
-gusts (1 N on 1.5 kg, 2 s) and a velocity error of 0.06 m/s, 1 s, the sum is minimal at 0.14 s. If attitude
-and velocity are a time d apart, however, the share d / tau of each manoeuvre is estimated as wind, so the
-time constant is longer.
+With the time constant tau of the low-pass, gusts of spectrum sigma_g, tau_g leave an error of variance
+sigma_g^2 tau / (tau + tau_g); a velocity error sigma_v, tau_v adds sigma_v^2 / (tau (tau + tau_v)). With the
+article's gusts and a velocity error of 0.06 m/s, 1 s, the sum is minimal at 0.14 s. If attitude and velocity
+are a time d apart, however, the share d / tau of each manoeuvre is estimated as wind.
 """
 
 import math
@@ -20,12 +19,11 @@ from foundation.types import Array
 
 GRAVITY_M_S2 = 9.80665
 TIME_CONSTANT_S = 0.25
-"""Five times the worst time between attitude and velocity by 20 Hz setpoints and telemetry, 50 ms."""
+"""Five times the worst time between attitude and velocity, 50 ms."""
 ACC_MAX_M_S2 = 4.0
 """Limit of the feed-forward: a tilt of 22 degrees; 5 N on an Iris is 3.2 m/s^2."""
 SAMPLE_MAX_M_S2 = 8.0
-"""Limit of a sample, so that a bump or a reset of the autopilot's velocity has the effect of a gust at
-most."""
+"""Limit of a sample, so that a bump or a reset of the autopilot's velocity has at most a gust's effect."""
 RATE_MAX_M_S3 = 6.0
 """Rate limit of the feed-forward, 0.6 rad/s of tilt: faster than a gust, slower than the attitude loop."""
 UP_COSINE_MIN = 0.5

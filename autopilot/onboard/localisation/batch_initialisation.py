@@ -172,7 +172,8 @@ class InitialisationProblem:
         start = self.state.copy()
         start.reshape(-1, STATES)[joining, :2] = (layout_m - self.odometry_ned_m[:, :2])[joining]
         solution = self._solve_from(start, batch, joining)
-        if self.located.any() and not fits(batch, solution, joining):
+        badly = badly_fitting(batch, solution.weights, len(joining))
+        if self.located.any() and not (badly[joining, 0] <= AGREE_LIMIT).all():
             other = self._solve_from(self.state, batch, joining)
             solution = max(solution, other, key=lambda found: sum(found.weights))
         return batch, solution
@@ -236,10 +237,19 @@ class InitialisationProblem:
         return at
 
     def _prior_cov(self, at: Array, joining: Flags) -> Array:
-        """Return (5N, 5N) the prior covariance, with wider biases where GPS is far from ``at``."""
+        """Return the prior covariance; as by a Student-t likelihood, biases far from ``at`` are wider."""
         cov = self.cov.copy()
         for station in np.flatnonzero(joining).tolist():
-            _widen_bias(cov, station, self.state, at, self.bias_var_m2.item(station))
+            bias_var_m2 = self.bias_var_m2.item(station)
+            for a in range(2):
+                off = STATES * station + a
+                bias = off + BIAS
+                excess = (self.state[off] - at[off]) ** 2 / bias_var_m2
+                widening_m2 = bias_var_m2 * max((STUDENT_NU + excess) / (STUDENT_NU + 1.0) - 1.0, 0.0)
+                cov[off, off] += widening_m2
+                cov[bias, bias] += widening_m2
+                cov[off, bias] -= widening_m2
+                cov[bias, off] -= widening_m2
         return cov
 
     def _share(
@@ -248,10 +258,9 @@ class InitialisationProblem:
     ) -> float:  # fmt: skip
         """Return the share of a step that decreases the weighted sum of squares: backtracking by parabolas.
 
-        A full step follows a tangent. It overshoots the heading of GPS if GPS shows two UAVs more than twice
-        as far apart as they are, and leaves a line as bent as GPS shows it. The weights are those at the
-        beginning of the step, for which the sum is an upper bound of the robust cost. The step satisfies
-        Armijo's condition; Nocedal and Wright, "Numerical optimization", section 3.5.
+        A full step follows a tangent: it overshoots the heading of GPS if GPS shows two UAVs more than twice
+        as far apart as they are. For the weights at the beginning of the step the sum is an upper bound of
+        the robust cost. Armijo's condition: Nocedal and Wright, "Numerical optimization", section 3.5.
         """
         members = np.flatnonzero(joining | self.located)
         offsets = (STATES * members[:, np.newaxis] + np.arange(3)).ravel()
@@ -299,25 +308,6 @@ class InitialisationProblem:
             for item in batch
         ]  # fmt: skip
         return Solution(state, cov, weights)
-
-
-def _widen_bias(cov: Array, station: int, prior: Array, linearised_at: Array, bias_var_m2: float) -> None:
-    """Widen the bias of a GPS far from the linearisation point, as a Student-t likelihood would."""
-    for a in range(2):
-        off = STATES * station + a
-        excess = (prior[off] - linearised_at[off]) ** 2 / bias_var_m2
-        widening_m2 = bias_var_m2 * max((STUDENT_NU + excess) / (STUDENT_NU + 1.0) - 1.0, 0.0)
-        bias = off + BIAS
-        cov[off, off] += widening_m2
-        cov[bias, bias] += widening_m2
-        cov[off, bias] -= widening_m2
-        cov[bias, off] -= widening_m2
-
-
-def fits(batch: Sequence[Range], solution: Solution, joining: Flags) -> bool:
-    """Return whether the distances of the joining UAVs agree with a solution."""
-    badly = badly_fitting(batch, solution.weights, len(joining))
-    return bool((badly[joining, 0] <= AGREE_LIMIT).all())
 
 
 def badly_fitting(batch: Sequence[Range], weights: Sequence[float], count: int) -> Array:

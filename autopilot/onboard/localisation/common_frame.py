@@ -130,10 +130,7 @@ def _has_position(station: np.void, now_us: int) -> bool:
 
 @njit(cache=True, inline="always")
 def towards_mean_gps(now_us: int, stations: Stations, own_n_m: float, own_e_m: float) -> Level:
-    """Return the displacement from the own position to that given by the GPS of all reporting stations.
-
-    It is a rigid motion of the formation, fitted to the reported GPS errors.
-    """
+    """Return the displacement of the own position by the rigid motion that fits all reported GPS errors."""
     pos_ne_m, error_ne_m = np.empty((stations.size, 2)), np.empty((stations.size, 2))
     weights = np.empty(stations.size)
     count = 0

@@ -7,9 +7,8 @@ the odometry of its own time stamp, and nothing has to be propagated back. Horiz
 first-order Gauss-Markov processes.
 
 The vertical GPS bias has no state. Its spectral density at zero frequency, 2 sigma^2 tau, equals that of
-white noise of variance sigma^2 2 tau / T every T seconds, and it is fused as such: 750 m^2 for 2.5 m, 60 s
-and one fix per second, beside a barometer of 0.2 m. A state would cost 40 % more time and change the height
-by less than 1 % of its error.
+white noise of variance sigma^2 2 tau / T every T seconds, and it is fused as such. A state would cost 40 %
+more time and change the height by less than 1 % of its error.
 
 Every measurement is scalar with a sparse row h: with s = h P h' + r and g = P h' / sqrt(s), the update
 P - g g' is bitwise symmetric, because both triangles are the same products. Outliers: a measurement with a

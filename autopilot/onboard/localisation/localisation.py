@@ -17,25 +17,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from autopilot.onboard.localisation import measurement_update as fusion
 from autopilot.onboard.localisation.batch_initialisation import Flags, InitialisationProblem, Joined, links
 from autopilot.onboard.localisation.distances import Distances, add_distance
 from autopilot.onboard.localisation.kernels import BIAS, STATES, Array
-from autopilot.onboard.localisation.measurement_update import (
-    DONE,
-    ELSEWHERE,
-    FIRST_MEAN,
-    GPS_STEPPED,
-    LOST,
-    NOT_LOCATED,
-    ODOMETRY_JUMPED,
-    SENDER_RESTARTED,
-    advance,
-    count_distance,
-    read_beacons,
-    take_fix,
-    take_odometry,
-    use_pending,
-)
 from autopilot.onboard.localisation.members import new_filter, new_members
 from autopilot.onboard.localisation.model import SILENCE_US, LocalisationModel
 from autopilot.onboard.localisation.receivers import Receivers, clear, rate
@@ -104,12 +89,12 @@ class CooperativeLocalisation:
         """Process all received beacons; those of localised UAVs update the filter."""
         pages, distances = table.pages, self._distances
         while True:
-            action = read_beacons(
+            action = fusion.read_beacons(
                 pages.count, now_us, pages.rows, table.listener, table.stations, table.rows,
                 self._filter, self.members, self.tracks.rings, self.state, self.cov,
                 distances.pairs, distances.pending,
             )  # fmt: skip
-            if action == DONE:
+            if action == fusion.DONE:
                 pages.count = 0
                 return
             self._do(action, table.sender_row)
@@ -119,10 +104,10 @@ class CooperativeLocalisation:
     ) -> None:
         """Process odometry of a UAV (integrated velocity, barometric height); old odometry is ignored."""
         while True:
-            action = take_odometry(
+            action = fusion.take_odometry(
                 self._filter, self.members, self.tracks.rings, station, time_us, *odometry_ned_m, *vel_ned_m_s
             )
-            if action == DONE:
+            if action == fusion.DONE:
                 return
             self._do(action, station)
 
@@ -136,11 +121,11 @@ class CooperativeLocalisation:
         time.
         """
         north_m, east_m, down_m = pos_ned_m
-        action = take_fix(
+        action = fusion.take_fix(
             self._filter, self.members, self.tracks.rings, self.state, self.cov, station,
             time_us, north_m, east_m, down_m, std_h_m or 0.0, std_v_m or 0.0,
         )  # fmt: skip
-        if action != DONE:
+        if action != fusion.DONE:
             self._do(action, station)
         return bool(self._receivers.newest_us.item(station) >= time_us)
 
@@ -158,15 +143,15 @@ class CooperativeLocalisation:
 
     def _do(self, action: int, row: int) -> None:
         """Perform an action that a kernel of `measurement_update` requires for a UAV."""
-        if action == SENDER_RESTARTED:
+        if action == fusion.SENDER_RESTARTED:
             self.restart(row)
-        elif action == LOST:
+        elif action == fusion.LOST:
             self._lose(row)
-        elif action == ODOMETRY_JUMPED:
+        elif action == fusion.ODOMETRY_JUMPED:
             self._compensate_jump(row)
-        elif action == FIRST_MEAN:
+        elif action == fusion.FIRST_MEAN:
             self._activate(row)
-        elif action == GPS_STEPPED:
+        elif action == fusion.GPS_STEPPED:
             self.gps_steps += 1
             self._receivers.reset_bias(row, self.state, self.cov, self._filter["gps_var_m2"].item())
         else:
@@ -208,7 +193,7 @@ class CooperativeLocalisation:
     def advance(self, time_us: int, *, decay: bool = True) -> None:
         """Propagate the filter, slow errors only with ``decay`` or if a stride of theirs has passed."""
         stride_us = 0 if decay else int(self._filter["decay_stride_us"].item())
-        advance(self._filter, self.members, self.state, self.cov, time_us, stride_us)
+        fusion.advance(self._filter, self.members, self.state, self.cov, time_us, stride_us)
 
     def count_of(self, name: str) -> int:
         """Return the number of distances compared with the estimate (ranges_used), or of other ones.
@@ -321,17 +306,17 @@ class CooperativeLocalisation:
         """Fuse or hold the distances that odometry covers by now."""
         distances, geometry = self._distances, self._geometry
         while True:
-            action = use_pending(
+            action = fusion.use_pending(
                 now_us, self._filter, self.members, self.tracks.rings, self.state, self.cov,
                 distances.pairs, distances.pending, geometry.ne_m, geometry.bend_m,
                 geometry.bend_var_m2,
             )  # fmt: skip
-            if action == DONE:
+            if action == fusion.DONE:
                 return
             item = distances.last_pending(self._filter["between_ned_m"][0].copy())
-            if action == NOT_LOCATED:
+            if action == fusion.NOT_LOCATED:
                 distances.hold(item, now_us)
-            elif action == ELSEWHERE:
+            elif action == fusion.ELSEWHERE:
                 for row in (item.initiator, item.responder):
                     if self.members["as_end"].item(row) > ELSEWHERE_LIMIT:
                         self._restart(row)
@@ -353,7 +338,7 @@ class CooperativeLocalisation:
         self._take_in(joined, now_us)
         for item, weight in zip(joined.batch, joined.solution.weights, strict=True):
             ends = item.initiator, item.responder
-            count_distance(self._filter, self.members, *ends, item.time_us, weight, fused=True)
+            fusion.count_distance(self._filter, self.members, *ends, item.time_us, weight, fused=True)
 
     def _try_afresh(self, suspects: set[int], now_us: int) -> None:
         """Initialise suspected UAVs again; without a solution that fits all of them, nothing changes."""

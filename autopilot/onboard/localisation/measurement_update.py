@@ -28,8 +28,7 @@ from autopilot.onboard.radio.neighbour_table import (
 PENDING_LIMIT_US = 1_000_000
 """A distance is dropped if the odometry of its ends does not arrive within this time."""
 LOST_US = 30_000_000
-"""A UAV that returns after this time is initialised again: its odometry has drifted by half a metre or more,
-so that a mirror image may fit a few distances."""
+"""A UAV that returns after this time is initialised again, as its odometry has drifted by half a metre."""
 PULLED_VAR_M2 = 1.0
 """Variance added to the position of a UAV whose measurements have just been found to be wrong."""
 

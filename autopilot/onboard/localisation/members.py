@@ -1,8 +1,7 @@
 """State arrays of the localisation: one row per localised UAV (`MEMBER`), one of the filter (`FILTER`).
 
-`tracks`, `receivers` and `trust` each use their own columns. Compiled code receives the whole array as one
-argument, and the data that a beacon or a distance changes for one UAV are contiguous in memory. The filter
-row holds the scalars: the model's numbers, times and counts.
+`tracks`, `receivers` and `trust` each use their own columns. The data that a beacon or a distance changes for
+one UAV are contiguous in memory.
 """
 
 import numpy as np

@@ -8,10 +8,8 @@ from autopilot.onboard.localisation.kernels import Array
 from autopilot.onboard.localisation.members import Members
 
 SAMPLES = 64
-"""Samples per UAV: 2.1 s of the own odometry at 30 Hz, 6 s of a neighbour's at 10 Hz.
-
-`REMEMBERED_S` of `autopilot.parameters.config` must not exceed the former.
-"""
+"""Samples per UAV: 2.1 s of the own odometry at 30 Hz, which `REMEMBERED_S` of `autopilot.parameters.config`
+must not exceed, and 6 s of a neighbour's at 10 Hz."""
 JUMP_M, JUMP_M_S2 = 0.5, 10.0
 """A step of odometry beyond the motion that its velocity explains is a jump above the first plus the way of
 the second, an acceleration that reverses halfway between the two samples."""

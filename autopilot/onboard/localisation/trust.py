@@ -17,7 +17,7 @@ MEMORY = 30
 """Number of a UAV's distances, as either end, over which the share of misfits is averaged."""
 SIDE_MEMORY = 8
 """The same for the distances that it measured, and for those that others measured to it. A UAV that begins to
-measure wrongly is detected after ten distances: 3 s in a formation of eight at one per pair and second."""
+measure wrongly is detected after ten distances."""
 ELSEWHERE_LIMIT = 0.7
 """Above this share of misfits, as either end, a UAV's position estimate is wrong. A faulty initiator
 spoils half of the distances with itself as an end, and in a formation of eight 1 / 7 of another UAV's."""
@@ -27,9 +27,8 @@ those measured to it misfit."""
 TRUST_LIMIT = 0.2
 """Its distances are fused again when the share of misfits is at most this."""
 LASTING_LIMIT, LASTING_US = 0.25, 30_000_000
-"""A UAV whose share of misfits exceeds that of the best UAV by this, for so long, is suspected to have a
-wrong position estimate. The comparison is relative because blocked lines of sight spoil a share of all
-distances."""
+"""A UAV is suspected to have a wrong position estimate if its share of misfits exceeds that of the best UAV
+by this for so long; blocked lines of sight spoil a share of all distances."""
 
 
 @njit(cache=True)

@@ -100,11 +100,10 @@ def relative_stds(
 
 @njit(cache=True)
 def shape_variance(pos_ned_m: Array, cov: Array, members: Times) -> float:
-    """Return the expected mean squared horizontal shape error of the members, m^2, after the best alignment.
+    """Return the expected mean squared horizontal shape error of members (m,), m^2, after the best alignment.
 
     It is the trace of the covariance of all horizontal positions minus its parts along the two translations
-    and the rotation about the vertical axis, which a rigid alignment removes to first order. pos_ned_m is
-    (N, 3), members (m,) indices.
+    and the rotation about the vertical axis, which a rigid alignment removes to first order.
     """
     m = members.shape[0]
     centre_n, centre_e = 0.0, 0.0

@@ -6,20 +6,11 @@ newest values are repeated in every beacon, so that a lost beacon costs latency 
 that they have already used by their time stamps. Odometry is the integral of the autopilot's velocity since
 the sender started; its down component is the autopilot's barometric height.
 
-Layout, little-endian, `HEADER_BYTES` + `RANGE_BYTES` per distance (79 + 11 n):
-
-    u8 version   u8 station   u8 phase   u8 flags   u8 number of distances
-    u32 seq   u64 time_us   3 f32 odometry_ned_m   3 f32 vel_ned_m_s
-    u32 motion_start_ms   (flag 1)
-    u32 fix_ms   3 f32 fix_ned_m   u16 fix_std_h_mm   u16 fix_std_v_mm   (flag 2)
-    3 f32 gps_error_ned_m   u16 gps_error_std_mm   (flag 4)
-    then each: u8 peer   u32 measured_ms   f32 distance_m   u16 std_mm
-
-Fields without their flag are unknown and contain zeros. Standard deviations saturate at 65.535 m. With
-distances to all others a beacon has 156 bytes in a formation of eight and 244 in one of sixteen. If each pair
-is measured by one of its ends only, it has at most 123 or 167 bytes.
-
-Times are on the clock that the formation shares. Positions are NED from the site's origin.
+The layout is `HEADER`, then `RANGE` for each distance: 79 + 11 n bytes. Start, fix and GPS error have flags
+(`HAS_START`); without its flag a field is unknown and contains zeros. Standard deviations saturate at 65.535
+m. With distances to all others a beacon has 156 bytes in a formation of eight and 244 in one of sixteen. If
+each pair is measured by one of its ends only, it has at most 123 or 167 bytes. Times are on the clock that
+the formation shares. Positions are NED from the site's origin.
 """
 
 import struct

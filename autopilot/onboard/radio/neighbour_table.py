@@ -153,13 +153,8 @@ def all_held(stations: Stations, whose: NDArray[np.int64], since_us: int) -> boo
 class NeighbourTable:
     """Newest beacons of all N stations, as received by one station.
 
-    Args:
-        station: this station.
-        stations: number of stations.
-        period_us: beacon period of all stations.
-        gps_std_m: least standard deviation of GPS errors, per horizontal axis.
-        near: UAVs from which reported distances are used; None: all stations.
-
+    All have the beacon period ``period_us``. ``gps_std_m`` is the least standard deviation of GPS errors, per
+    horizontal axis. Distances are used that are reported by UAVs of ``near``; None: by all stations.
     """
 
     def __init__(

@@ -14,8 +14,7 @@ from foundation.types import Array
 Flags = NDArray[np.bool_]
 
 _ROUND_M = 3
-"""Decimals to which distances between places are rounded, so that ties in a grid are resolved by UAV
-number."""
+"""Decimals of distances between places, so that ties in a grid are resolved by UAV number."""
 
 
 def linked(places_ned_m: Array, nearest: int) -> Flags:

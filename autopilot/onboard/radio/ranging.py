@@ -25,18 +25,14 @@ VarianceOf = Callable[[int], float | None]
 
 
 class RangingPolicy(Protocol):
-    """Interface of a ranging policy; times are us on the clock that the formation shares.
-
-    Attributes:
-        next_us: `due` returns nothing before this time.
-        silence_us: longest time between two distances of a UAV that ranges, losses included.
-        gather_s: time from the start within which every unknown distance has been requested twice.
-
-    """
+    """Interface of a ranging policy; times are us on the clock that the formation shares."""
 
     next_us: float
+    """`due` returns nothing before this time."""
     silence_us: int
+    """Longest time between two distances of a UAV that ranges, losses included."""
     gather_s: float
+    """Time from the start within which every unknown distance has been requested twice."""
 
     def due(
         self, now_us: int, until_us: int, reachable: Reachable, variance_m2: VarianceOf | None = None

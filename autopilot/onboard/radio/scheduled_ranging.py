@@ -1,8 +1,8 @@
 """Scheduled ranging: one session per pair, in TDMA slots, used if the distance is worth the airtime.
 
-Ownership: a distance is the same from both ends, so one end measures it, the `owner` of the pair; all others
-receive the result in the owner's beacons. Stations form a ring, and each owns the pairs with the half of the
-others that follows it, so the numbers of owned pairs differ by at most one.
+Ownership: one end measures a distance, the `owner` of the pair; all others receive the result in its beacons.
+Stations form a ring, and each owns the pairs with the half of the others that follows it, so the numbers of
+owned pairs differ by at most one.
 
 Slots: the shared clock is divided into slots, numbered from time zero. There are P pairs, N (N - 1) / 2
 unless only neighbours range. Pair p has the slots with number p modulo P, and its session begins shortly
@@ -30,9 +30,8 @@ arrive at the same price, so the most valuable distances of the whole formation 
 `LEAST_PRICE_NATS` is not measured on an empty channel either; above `MOST_PRICE_NATS` the price would exclude
 distances known from GPS alone. The slots are a further limit: one session each, at any target occupancy.
 
-A station without recent beacons may be gone and is not ranged to. The other end of a pair does not replace a
-silent owner, as it could not measure to it. Failed sessions are repeated in the next slot, then after pauses
-that double.
+A station without recent beacons is not ranged to, and the other end of a pair does not replace a silent
+owner. Failed sessions are repeated in the next slot, then after pauses that double.
 """
 
 import math

@@ -5,7 +5,7 @@ It stores no positions: the caller passes the content of the beacons and receive
 
 import math
 from collections.abc import Callable
-from itertools import chain, repeat
+from itertools import chain, count, repeat
 from operator import itemgetter
 
 import numpy as np
@@ -19,7 +19,7 @@ from autopilot.onboard.radio.neighbourhood import Neighbourhood
 from autopilot.onboard.radio.ranging import RangingPolicy, RangingSchedule, VarianceOf
 from autopilot.onboard.radio.scheduled_ranging import ScheduledRanging
 from autopilot.parameters.config import Devices, OnboardConfig
-from netsim.wire.messages import Broadcast, FtmRequest, FtmResult, Survey, TxItem
+from netsim.wire.messages import Broadcast, FtmRequest, FtmResult, TxItem
 
 BEACON_JITTER = 0.02
 """Half width of each beacon's random shift, in periods: it separates UAVs that send at the same time."""
@@ -42,17 +42,13 @@ class Traffic:
         self._station, self._stations = station, stations
         self._trip_std_m = devices.ftm_trip_std_m
         self._range_floor_var_m2 = config.range_floor_std_m**2
-        self._ranging = self._policy(config, near, rng)
+        self.ranging = self._policy(config, near, rng)
         # Drawn in blocks, because a single draw costs far more than a list access.
         self._draws = chain.from_iterable(rng.random(size).tolist() for size in repeat(_DRAWS))
         """Random numbers 0..1 of the beacon phase and jitters."""
-        self.range_silence_us = self._ranging.silence_us
-        """Distances older than this are not sent any more."""
-        self.gather_s = self._ranging.gather_s
-        """Time within which each station has ranged to all reachable peers, one loss included."""
         self._encoded: dict[int, tuple[int, bytes]] = {}
         """Newest distance to each peer, encoded for beacons: its measurement time, ms, and its bytes."""
-        self._seq = 0
+        self._seq = count()
         self._beacon_seq = 0
         self._period_us = config.beacon_period_ms * 1_000
         self.table = NeighbourTable(
@@ -70,7 +66,7 @@ class Traffic:
         """Return the distance of a session, with its standard deviation; None if the session failed."""
         ended_us = item.ended_ns // 1_000
         if item.status != "ok" or item.round_trips < 1 or item.peer >= self._stations:
-            self._ranging.on_result(
+            self.ranging.on_result(
                 item.peer, ended_us=ended_us, retry_after_us=item.retry_after_s * 1_000_000
             )
             return None
@@ -81,15 +77,11 @@ class Traffic:
             PRIOR_TRIPS + degrees
         )
         var_m2 = trip_var_m2 / item.round_trips
-        self._ranging.on_result(item.peer, ended_us=ended_us, variance_m2=var_m2 + self._range_floor_var_m2)
+        self.ranging.on_result(item.peer, ended_us=ended_us, variance_m2=var_m2 + self._range_floor_var_m2)
         std_m = math.sqrt(var_m2)
         distance = wire.Distance(item.peer, item.measured_ns // 1_000_000, item.distance_m, std_m)
         self._encoded[item.peer] = (distance.time_ms, wire.encode_distance(distance))
         return distance
-
-    def take_survey(self, item: Survey) -> None:
-        """Pass the radio's total busy time of the medium to the ranging policy."""
-        self._ranging.on_survey(item.ended_ns, item.busy_ns)
 
     def due(
         self, own: OwnState, now_us: int, until_us: int, *, ranging: bool,
@@ -117,21 +109,21 @@ class Traffic:
                 None if gps_error is None else gps_error(),
             )  # fmt: skip
             self._beacon_seq = (self._beacon_seq + 1) % wire.SEQ_MODULUS
-            items.append(Broadcast(seq=self._next_seq(), at_us=max(self._beacon_us, now_us), payload=payload))
+            items.append(Broadcast(seq=next(self._seq), at_us=max(self._beacon_us, now_us), payload=payload))
             self._slot_us += self._period_us
             self._beacon_us = int(
                 self._slot_us + (2.0 * BEACON_JITTER * next(self._draws) - BEACON_JITTER) * self._period_us
             )
-        if ranging and self._ranging.next_us < until_us:
-            requests = self._ranging.due(
+        if ranging and self.ranging.next_us < until_us:
+            requests = self.ranging.due(
                 now_us, until_us, lambda peer: self.table.reaches(peer, now_us), variance_m2
             )
-            items += [FtmRequest(seq=self._next_seq(), at_us=at_us, peer=peer) for at_us, peer in requests]
+            items += [FtmRequest(seq=next(self._seq), at_us=at_us, peer=peer) for at_us, peer in requests]
         return tuple(items)
 
     def next_deadline_us(self, *, ranging: bool) -> int:
         """Return the time at which `due` next returns an item."""
-        return int(min(self._beacon_us, self._ranging.next_us if ranging else NEVER_US))
+        return int(min(self._beacon_us, self.ranging.next_us if ranging else NEVER_US))
 
     def _policy(
         self, config: OnboardConfig, near: Neighbourhood | None, rng: np.random.Generator
@@ -149,14 +141,10 @@ class Traffic:
         )  # fmt: skip
 
     def _newest_distances(self, now_us: int) -> list[bytes]:
-        """Return the encoded distances to send: at most `range_silence_us` old, and the newest that fit."""
-        oldest_ms = (now_us - self.range_silence_us) // 1_000
+        """Return the encoded distances to send: within the policy's silence time, and the newest that fit."""
+        oldest_ms = (now_us - self.ranging.silence_us) // 1_000
         fresh = [octets for time_ms, octets in self._encoded.values() if time_ms >= oldest_ms]
         if len(fresh) <= wire.MAX_RANGES:
             return fresh
         newest = sorted(self._encoded.values(), key=itemgetter(0))[-wire.MAX_RANGES :]
         return [octets for _, octets in newest]
-
-    def _next_seq(self) -> int:
-        self._seq += 1
-        return self._seq - 1

@@ -207,7 +207,7 @@ def test_neighbours_are_avoided_without_a_channel_while_odometry_is_valid(rangin
     w.run(20.0)
     assert np.diff(called_us).max() <= 50_000 + STEP_US
     # Support lasts for the policy's silence after the last distance, of which one may be lost.
-    silence_us = app._traffic.range_silence_us
+    silence_us = app._traffic.ranging.silence_us
     coasted_us = called_us[-1] - cut_us - round(COAST_S * 1e6)
     assert 0.5 * silence_us < coasted_us <= silence_us + 100_000
 

@@ -25,7 +25,7 @@ from autopilot.onboard.radio.neighbour_table import (
 from autopilot.onboard.radio.scheduled_ranging import CHECK_LATEST_US, CHECK_US, UNKNOWN_PERIOD_US, owner
 from autopilot.onboard.radio.traffic import Traffic
 from autopilot.parameters.config import SESSION_S, Devices, OnboardConfig, Site
-from netsim.wire.messages import Broadcast, FtmRequest, FtmResult, Survey
+from netsim.wire.messages import Broadcast, FtmRequest, FtmResult
 
 STATIONS = 200
 STEP_US = 4_000
@@ -160,7 +160,7 @@ class Flight:
             if now_us % 100_000 == 0:
                 for station in self.neighbours:
                     take(self.traffic.table, beacon_of(station, time_us=now_us), now_us)
-            self.traffic.take_survey(Survey(ended_ns=now_us * 1_000, busy_ns=round(busy * now_us * 1_000)))
+            self.traffic.ranging.on_survey(now_us * 1_000, round(busy * now_us * 1_000))
             own.time_us = now_us
             deadline_us = self.traffic.next_deadline_us(ranging=True)
             items = self.traffic.due(own, now_us, now_us + STEP_US, ranging=True, variance_m2=variance_m2)
@@ -274,21 +274,21 @@ def test_the_gap_between_distances_is_below_the_silence_time(config, busy):
     for item in flight.run(40.0, variance_m2=lambda _: 0.0, busy=busy):
         times_us.setdefault(item.peer, []).append(item.at_us)
     gaps_us = [np.diff(times).max() for times in times_us.values()]
-    assert max(gaps_us) < flight.traffic.range_silence_us
+    assert max(gaps_us) < flight.traffic.ranging.silence_us
     if config.ranging == "scheduled":
         assert max(gaps_us) > (CHECK_US if busy else 0.7 * CHECK_US)
-        assert flight.traffic.range_silence_us < CHECK_LATEST_US + 2_000_000
+        assert flight.traffic.ranging.silence_us < CHECK_LATEST_US + 2_000_000
 
 
 @pytest.mark.parametrize("config", [OnboardConfig(), OnboardConfig(ftm_period_s=4.0), SCHEDULED])
 def test_each_pair_is_requested_twice_within_the_gathering_time(config):
     """Eight stations, one of which does not answer."""
     flight = Flight(traffic_of(0, config=config), tuple(range(1, 8)), silent=1)
-    requests = flight.run(flight.traffic.gather_s - SESSION_S)
+    requests = flight.run(flight.traffic.ranging.gather_s - SESSION_S)
     for peer in (j for j in range(1, 8) if config is not SCHEDULED or owner(0, j, 8) == 0):
         assert sum(item.peer == peer for item in requests) >= 2
     if config is SCHEDULED:
-        assert flight.traffic.gather_s < 2.0
+        assert flight.traffic.ranging.gather_s < 2.0
 
 
 def test_a_busy_channel_leaves_only_the_valuable_distances():
