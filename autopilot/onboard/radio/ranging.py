@@ -116,7 +116,8 @@ class RangingSchedule:
         return requests
 
     def on_result(
-        self, peer: int, *, ended_us: int = 0, variance_m2: float | None = None, retry_after_us: int = 0,  # noqa: ARG002
+        self, peer: int, *, ended_us: int = 0,  # noqa: ARG002
+        variance_m2: float | None = None, retry_after_us: int = 0,  # noqa: ARG002
     ) -> None:  # fmt: skip
         """Record that the session with this peer has ended, with any status."""
         self._outstanding.pop(peer, None)
