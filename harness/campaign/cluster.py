@@ -36,12 +36,7 @@ def check_address(scheduler: str | None) -> None:
 
 @contextlib.contextmanager
 def connected(
-    *,
-    workers: int,
-    scheduler: str | None,
-    folder: Path,
-    dashboard: str | None,
-    note: Callable[[str], None],
+    *, workers: int, scheduler: str | None, folder: Path, dashboard: str | None, note: Callable[[str], None]
 ) -> Iterator[Any]:
     """Yield a client of the scheduler at an address, or of a local cluster that ends with the block.
 

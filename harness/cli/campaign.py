@@ -47,8 +47,7 @@ def campaign(
         int | None, typer.Option(help="Processes that fly; default one per processor.", min=1, max=1024)
     ] = None,
     scheduler: Annotated[
-        str | None,
-        typer.Option(help="Fly on the workers of this dask scheduler.", metavar="tcp://HOST:PORT"),
+        str | None, typer.Option(help="Fly on the workers of this dask scheduler.", metavar="tcp://HOST:PORT")
     ] = None,
     settings: Annotated[
         list[str] | None,

@@ -97,8 +97,7 @@ def fly(
         ),
     ] = False,
     profile: Annotated[
-        bool,
-        typer.Option("--profile", help="Report processor time by process and part."),
+        bool, typer.Option("--profile", help="Report processor time by process and part.")
     ] = False,
     json: Annotated[bool, typer.Option("--json", help="The summary alone on stdout.")] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,

@@ -213,11 +213,7 @@ class _Processes(Processes):
     ) -> None:
         self._child = _ThreadSupervisor(folder.logs)
         super().__init__(
-            scenario,
-            folder,
-            wall_limit_s=wall_limit_s,
-            on_message=on_message,
-            supervisor=self._child,
+            scenario, folder, wall_limit_s=wall_limit_s, on_message=on_message, supervisor=self._child
         )
 
     def _start(self) -> None:

@@ -47,11 +47,7 @@ def encode_rows(schema: MessageSchema, rows: NDArray[np.void], sequence: int) ->
 
 @njit(cache=True)
 def make_frames(
-    header: Octets,
-    crc_extra: int,
-    payloads: Octets,
-    frames: Octets,
-    lengths: NDArray[np.int64],
+    header: Octets, crc_extra: int, payloads: Octets, frames: Octets, lengths: NDArray[np.int64]
 ) -> None:
     """Write the frames (n, size + 12) of payloads (n, size), and their lengths (n,).
 

@@ -169,11 +169,7 @@ def obey(
 
 
 def _run(
-    simulation: Simulation,
-    command: RunUntil,
-    line: _Commands,
-    pacer: Pacer,
-    emit: Callable[[AnyEvent], None],
+    simulation: Simulation, command: RunUntil, line: _Commands, pacer: Pacer, emit: Callable[[AnyEvent], None]
 ) -> Paused:
     """Step until the command is done, or until another command arrives (which is left to the caller)."""
     wall_progress_s = time.monotonic()

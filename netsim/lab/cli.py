@@ -81,8 +81,7 @@ def saturation(
     payload: Payload = 1000,
     seconds: Seconds = 10.0,
     retry_limit: Annotated[
-        int | None,
-        typer.Option(help="Retries of a frame; unlimited by default.", min=0, max=UNLIMITED),
+        int | None, typer.Option(help="Retries of a frame; unlimited by default.", min=0, max=UNLIMITED)
     ] = None,
     seed: Seed = 1,
     json: Json = False,

@@ -117,10 +117,7 @@ def _trace_back(
 
 @njit(cache=True, fastmath=_MATH)
 def _viterbi(
-    likelihoods: NDArray[np.float32],
-    delay: int,
-    decisions: NDArray[np.uint8],
-    decoded: NDArray[np.uint8],
+    likelihoods: NDArray[np.float32], delay: int, decisions: NDArray[np.uint8], decoded: NDArray[np.uint8]
 ) -> None:
     """Find the most likely path from state 0 to state 0; decide bits after about ``delay`` further bits.
 

@@ -122,9 +122,7 @@ def range_mesh(
     """
     timeout_us = min(max(round(1e6 * period_s), 1_000), 1_500_000)
     ftm = FtmConfig(
-        ftms_per_burst=ftms_per_burst,
-        mode=mode or FTM_MODES[width_mhz],
-        request_timeout_us=timeout_us,
+        ftms_per_burst=ftms_per_burst, mode=mode or FTM_MODES[width_mhz], request_timeout_us=timeout_us
     )
     bench = RadioBench(_config(width_mhz, ftm), ring_ned_m(stations, MESH_RADIUS_M), seed)
     phases_s = np.random.default_rng(seed).uniform(0.0, period_s, stations)

@@ -54,10 +54,7 @@ class Guest:
             self._seq = 0
             self._batches: queue.SimpleQueue[RxBatch] = queue.SimpleQueue()
             self._radio = AsynchronousRadio(
-                self._transport,
-                run_id=self.directory.run_id,
-                station=self.station,
-                put=self._batches.put,
+                self._transport, run_id=self.directory.run_id, station=self.station, put=self._batches.put
             )
         except BaseException:
             self._transport.close()

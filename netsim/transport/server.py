@@ -29,16 +29,7 @@ from netsim.transport.lockstep_radio import directory_key, in_pieces, receive_ke
 from netsim.transport.profile_groups import PROFILE_GROUPS
 from netsim.transport.zenoh_session import Asker, Question, TopicSender, Transport
 from netsim.wire.lockstep import Advance, Advanced
-from netsim.wire.messages import (
-    Ack,
-    Directory,
-    DirectoryRequest,
-    RxBatch,
-    Station,
-    TxBatch,
-    decode,
-    encode,
-)
+from netsim.wire.messages import Ack, Directory, DirectoryRequest, RxBatch, Station, TxBatch, decode, encode
 
 logger = logging.getLogger(__name__)
 OFFER_LIMIT_S = 0.25

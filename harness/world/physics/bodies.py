@@ -14,12 +14,7 @@ from foundation.types import Array
 from harness.world.physics.rotation import Vector, in_frd, in_ned, turned
 
 BODY = np.dtype(
-    [
-        ("pos_ned_m", "f8", 3),
-        ("q_ned_frd", "f8", 4),
-        ("vel_ned_m_s", "f8", 3),
-        ("omega_ned_rad_s", "f8", 3),
-    ]
+    [("pos_ned_m", "f8", 3), ("q_ned_frd", "f8", 4), ("vel_ned_m_s", "f8", 3), ("omega_ned_rad_s", "f8", 3)]
 )
 """Row of one vehicle in Bullet's scheme, wxyz; the pose is half a step ahead of the velocities."""
 

@@ -119,10 +119,7 @@ def ground_effect(height_m: float, radius_m: float) -> float:
 
 @njit(cache=True)
 def wrenches(
-    model: RotorKernelModel,
-    bodies: NDArray[np.void],
-    rotor_speed_rad_s: Array,
-    surroundings: Surroundings,
+    model: RotorKernelModel, bodies: NDArray[np.void], rotor_speed_rad_s: Array, surroundings: Surroundings
 ) -> tuple[Array, Array]:
     """Return force (n, 3) in N and torque (n, 3) in N m on each vehicle, NED.
 

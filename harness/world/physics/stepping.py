@@ -63,10 +63,7 @@ def fly(
         model.rotors, truth_before["rotor_speed_rad_s"], controls, armed, stopped
     )
     force_ned_n, torque_ned_n_m = wrenches(
-        model.rotors,
-        before,
-        rotor_speed_rad_s,
-        Surroundings(air_vel_ned_m_s, density_ratio, effectiveness),
+        model.rotors, before, rotor_speed_rad_s, Surroundings(air_vel_ned_m_s, density_ratio, effectiveness)
     )
     for i in range(n):
         for axis in range(3):
