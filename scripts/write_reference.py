@@ -6,6 +6,7 @@
 import argparse
 import os
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 from harness.launch import kernel_cache
@@ -16,10 +17,13 @@ from antenna.lab.cli import app as antenna_app
 from harness.cli.campaign import campaign_app
 from harness.cli.export_deck import app as export_deck_app
 from harness.cli.fly import app as fly_app
-from harness.cli.reference import outdated, reference_pages, write_pages
 from harness.cli.report import app as report_app
 from netsim.lab.cli import app as wifi_app
 from netsim.lab.link_tables import tables_app
+from reference.commands import commands_page
+from reference.python_api import python_page
+from reference.run_tables import tables_page
+from reference.scenario_fields import SCHEMA_FILE, scenario_page, scenario_schema
 from studies.antenna.cli import validate_antenna_app
 from studies.article.cli import article_app
 from studies.bench.cli import bench_app
@@ -42,6 +46,12 @@ APPLICATIONS = {
 """Command lines that the page describes, in its order."""
 
 
+def outdated(pages: Mapping[str, str], folder: Path) -> list[str]:
+    """Return the names of the pages that the folder lacks or has with another text."""
+    texts = {path.name: path.read_text(encoding="utf-8") for path in folder.glob("*") if path.name in pages}
+    return [name for name, text in pages.items() if texts.get(name) != text]
+
+
 def main() -> int:
     """Write or check the pages, and return the exit status."""
     parser = argparse.ArgumentParser(description="Write the generated pages of docs/reference.")
@@ -49,11 +59,17 @@ def main() -> int:
         "--check", action="store_true", help="Write nothing; status 1 if a page is not current."
     )
     check = parser.parse_args().check
-    pages = reference_pages(APPLICATIONS)
+    pages = {
+        "scenario.md": scenario_page(),
+        SCHEMA_FILE: scenario_schema(),
+        "command-line.md": commands_page(APPLICATIONS),
+        "tables.md": tables_page(),
+        "python-api.md": python_page(),
+    }
     changed = outdated(pages, FOLDER)
-    if not check:
-        write_pages(pages, FOLDER)
     for name in changed:
+        if not check:
+            (FOLDER / name).write_text(pages[name], encoding="utf-8")
         print(f"docs/reference/{name}: {'not current' if check else 'written'}")
     return 1 if check and changed else 0
 

@@ -16,13 +16,14 @@ from autopilot.navigation.flight_mode import FlightModeBehaviour
 from autopilot.onboard.application import Application
 from autopilot.services.service import MavlinkService
 from foundation.docstrings import field_docstrings
-from harness.cli.reference_text import UndocumentedError, one_line, paragraphs, table
+from harness.campaign import CampaignError, ClusterError
 from harness.launch import pytest_plugin
 from harness.launch.one_process import OneProcessSwarm
 from harness.launch.swarm import SetupError, Swarm, SwarmError, SwarmTimeoutError, SwarmTruth
 from harness.world.physics.interface import Physics
 from netsim.emulator.interface import NetworkEmulator
 from netsim.phy.interfaces import ErrorModel, Fading, Propagation
+from reference.markdown import UndocumentedError, one_line, paragraphs, table
 
 INTRODUCTION = """# Python API
 
@@ -47,9 +48,8 @@ def python_page() -> str:
     """Return the page; raises UndocumentedError for a public method without a docstring."""
     parts = [INTRODUCTION, "## Swarm\n", "`from coflight import Swarm`\n"]
     parts.append(_module_text(harness.launch.swarm))
-    parts += _class(Swarm, "###")
-    parts += _class(SwarmTruth, "###")
-    parts += _class(OneProcessSwarm, "###")
+    for kind in (Swarm, SwarmTruth, OneProcessSwarm):
+        parts += _class(kind, "###")
     parts += ["### Errors\n", table(("error", "meaning"), _errors())]
     parts += ["## The fixture swarm of pytest\n", _module_text(pytest_plugin)]
     fixture = inspect.unwrap(getattr(pytest_plugin.swarm, "__wrapped__", pytest_plugin.swarm))
@@ -58,13 +58,8 @@ def python_page() -> str:
     parts.append(_module_text(harness.campaign))
     for name in ("load", "run"):
         parts += _function(name, getattr(harness.campaign, name), "###")
-    for kind in (
-        harness.campaign.Campaign,
-        harness.campaign.Case,
-        harness.campaign.Landed,
-        harness.campaign.Table,
-    ):
-        parts += _class(kind, "###")
+    for name in ("Campaign", "Case", "Landed", "Table"):
+        parts += _class(getattr(harness.campaign, name), "###")
     parts += ["## Protocols of replaceable parts\n", paragraphs(PROTOCOLS_INTRODUCTION) + "\n"]
     for protocol in PROTOCOLS:
         name = protocol.__name__
@@ -74,13 +69,7 @@ def python_page() -> str:
 
 
 def _errors() -> Iterator[tuple[str, str]]:
-    for kind in (
-        SwarmError,
-        SwarmTimeoutError,
-        SetupError,
-        harness.campaign.CampaignError,
-        harness.campaign.ClusterError,
-    ):
+    for kind in (SwarmError, SwarmTimeoutError, SetupError, CampaignError, ClusterError):
         yield f"`{kind.__name__}`", one_line(_doc(kind, kind.__name__))
 
 
@@ -139,11 +128,8 @@ def _signature(name: str, function: Callable[..., Any]) -> str:
         raise TypeError(f"{name}: expected a function")
     given = definition.args
     arguments = [each for each in [*given.posonlyargs, *given.args] if each.arg != "self"]
-    first = len(arguments) - len(given.defaults)
-    texts = [
-        _argument(each, given.defaults[number - first] if number >= first else None)
-        for number, each in enumerate(arguments)
-    ]
+    required = len(arguments) - len(given.defaults)
+    texts = list(map(_argument, arguments, [*[None] * required, *given.defaults]))
     if given.kwonlyargs:
         texts.append("*")
     texts += map(_argument, given.kwonlyargs, given.kw_defaults)
@@ -157,9 +143,7 @@ def _signature(name: str, function: Callable[..., Any]) -> str:
 
 
 def _argument(argument: ast.arg, default: ast.expr | None) -> str:
-    text = (
-        argument.arg if argument.annotation is None else f"{argument.arg}: {ast.unparse(argument.annotation)}"
-    )
+    text = ast.unparse(argument)  # with its annotation
     return text if default is None else f"{text} = {ast.unparse(default)}"
 
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from harness.cli.reference_text import UndocumentedError, table, unit_of
 from harness.records.tables import FLIGHT_RECORD, column_names
 from harness.simulator.truth_record import AIR_RECORD
 from netsim.emulator.log_layout import FRAME_LOG, SESSION_LOG
+from reference.markdown import UndocumentedError, table, unit_of
 
 INTRODUCTION = """# Tables of a run
 

@@ -29,8 +29,8 @@ from msgspec.inspect import (
 
 from foundation.docstrings import field_docstrings
 from harness.campaign.values import toml_text
-from harness.cli.reference_text import UndocumentedError, one_line, table, unit_of
 from harness.scenario.scenario import Scenario
+from reference.markdown import UndocumentedError, one_line, table, unit_of
 
 SCHEMA_FILE = "scenario.schema.json"
 NO_BREAK = "\u00a0"
@@ -58,10 +58,15 @@ This page is generated from the code by `scripts/write_reference.py`.
 """
 
 
+def _all_tables() -> list[tuple[str, StructType]]:
+    (scenario,), _ = _unwrapped(type_info(Scenario))
+    return list(_tables(scenario, ""))
+
+
 def scenario_page() -> str:
     """Return the page; raises UndocumentedError for a field without a docstring."""
     parts = [INTRODUCTION]
-    for path, info in _tables(_struct(type_info(Scenario)), ""):
+    for path, info in _all_tables():
         parts += [f"## {_heading(path, info)}\n", one_line(inspect.getdoc(info.cls) or "") + "\n"]
         if rows := list(_rows(path, info)):
             parts.append(table(("field", "type", "unit", "range", "default", "meaning"), rows))
@@ -71,7 +76,7 @@ def scenario_page() -> str:
 def scenario_schema() -> str:
     """Return the JSON schema of scenario files, with the docstrings as descriptions."""
     schema = msgspec.json.schema(Scenario)
-    kinds = {info.cls.__name__: info.cls for _, info in _tables(_struct(type_info(Scenario)), "")}
+    kinds = {info.cls.__name__: info.cls for _, info in _all_tables()}
     for name, definition in schema["$defs"].items():
         texts = field_docstrings(kinds[name])
         for field, property_ in definition["properties"].items():
@@ -135,19 +140,12 @@ def _rows(path: str, info: StructType) -> Iterator[tuple[str, ...]]:
 def _heading(path: str, info: StructType) -> str:
     if not path:
         return "Top of the file"
-    *above, last = path.split(".")
-    brackets = f"[[{path.replace('[]', '')}]]" if last.endswith("[]") else f"[{'.'.join([*above, last])}]"
+    brackets = f"[[{path.replace('[]', '')}]]" if path.endswith("[]") else f"[{path}]"
     return f'`{brackets}`, {info.tag_field} "{info.tag}"' if info.tag_field is not None else f"`{brackets}`"
 
 
 def _join(path: str, name: str) -> str:
     return f"{path}.{name}" if path else name
-
-
-def _struct(kind: Type) -> StructType:
-    if not isinstance(kind, StructType):
-        raise TypeError(f"{kind}: expected a Struct")
-    return kind
 
 
 def _type(kind: Type) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 
 import typer
 
-from harness.cli.reference_text import code_spans, table
+from reference.markdown import code_spans, table
 
 ROOT = Path(__file__).parents[2]
 """Of the checkout: defaults within it are shown relative to it."""
@@ -51,8 +51,11 @@ def _command(call: str, command: Any) -> Iterator[str]:  # noqa: ANN401  Typer's
     names = [_argument_name(each) for each in arguments]
     usage = " ".join([call, *(["[OPTIONS]"] if options else []), *names])
     yield f"{_help(command.help)}\n    {usage}\n"
-    rows = [(f"`{_argument_name(each)}`", _default(each), code_spans(each.help or "")) for each in arguments]
-    rows += [(_option_name(each), _default(each), code_spans(each.help or "")) for each in options]
+    names = [*(f"`{name}`" for name in names), *map(_option_name, options)]
+    rows = [
+        (name, _default(each), code_spans(each.help or ""))
+        for name, each in zip(names, [*arguments, *options], strict=True)
+    ]
     if rows:
         yield table(("argument or option", "default", "meaning"), rows)
 

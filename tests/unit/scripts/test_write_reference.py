@@ -14,14 +14,14 @@ import pytest
 from msgspec import Struct
 from paths import ROOT
 
-from harness.cli import reference_scenario
-from harness.cli.reference import outdated, write_pages
-from harness.cli.reference_scenario import scenario_page, scenario_schema
-from harness.cli.reference_tables import GAINS, tables_page
-from harness.cli.reference_text import UndocumentedError, paragraphs, table, unit_of
 from harness.records.tables import FLIGHT_RECORD, write_gains
 from harness.report.flown_array import GainSeries
 from harness.scenario.scenario import Scenario
+from reference import scenario_fields
+from reference.markdown import UndocumentedError, paragraphs, table, unit_of
+from reference.run_tables import GAINS, tables_page
+from reference.scenario_fields import scenario_page, scenario_schema
+from write_reference import outdated
 
 FOLDER = ROOT / "docs" / "reference"
 SCHEMA = json.loads(scenario_schema())
@@ -113,7 +113,7 @@ class Undescribed(Struct, kw_only=True):
 
 
 def test_a_field_without_a_docstring_is_an_error(monkeypatch):
-    monkeypatch.setattr(reference_scenario, "Scenario", Undescribed)
+    monkeypatch.setattr(scenario_fields, "Scenario", Undescribed)
     with pytest.raises(UndocumentedError, match=r"Undescribed\.count"):
         scenario_page()
 
@@ -148,11 +148,12 @@ def test_every_column_has_a_row(tmp_path):
 
 def test_outdated_pages(tmp_path):
     pages = {"a.md": "text\n", "b.md": "more\n"}
-    assert outdated(pages, tmp_path / "new") == ["a.md", "b.md"]
-    write_pages(pages, tmp_path / "new")
-    assert outdated(pages, tmp_path / "new") == []
-    (tmp_path / "new" / "b.md").write_text("other\n")
-    assert outdated(pages, tmp_path / "new") == ["b.md"]
+    assert outdated(pages, tmp_path / "missing") == ["a.md", "b.md"]
+    for name, text in pages.items():
+        (tmp_path / name).write_text(text)
+    assert outdated(pages, tmp_path) == []
+    (tmp_path / "b.md").write_text("other\n")
+    assert outdated(pages, tmp_path) == ["b.md"]
 
 
 @pytest.mark.parametrize(
