@@ -6,7 +6,6 @@ Python runs signal handlers only in the main thread, between two of its instruct
 import contextlib
 import os
 import signal
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from types import FrameType
@@ -48,17 +47,6 @@ def _mute_closed_terminal() -> None:
             null = os.open(os.devnull, os.O_WRONLY)
             os.dup2(null, stream)
             os.close(null)
-
-
-def interrupt_with_parent() -> None:
-    """Start a thread that interrupts this process when stdin ends, because its parent has ended."""
-
-    def wait() -> None:
-        while os.read(sys.stdin.fileno(), 4_096):
-            pass
-        os.kill(os.getpid(), signal.SIGINT)
-
-    threading.Thread(target=wait, name="parent", daemon=True).start()
 
 
 @contextlib.contextmanager

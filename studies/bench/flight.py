@@ -6,8 +6,10 @@ simulated time is stopped.
 """
 
 import os
+import signal
 import statistics
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,7 +18,7 @@ import msgspec
 import psutil
 from msgspec import Struct
 
-from harness.launch.interrupts import interrupt_with_parent, interruptible
+from harness.launch.interrupts import interruptible
 from harness.launch.processes import SwarmError, uav
 from harness.launch.profiling import kind_of
 from harness.launch.swarm import Swarm, SwarmTimeoutError
@@ -113,6 +115,17 @@ def _memory_mb(swarm: Swarm) -> tuple[dict[str, float], float]:
     return {kind: statistics.median(values) for kind, values in uss_mb.items()}, pss_mb
 
 
+def _interrupt_with_parent() -> None:
+    """Start a thread that interrupts this process when stdin ends, because its parent has ended."""
+
+    def wait() -> None:
+        while os.read(sys.stdin.fileno(), 4_096):
+            pass
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=wait, name="parent", daemon=True).start()
+
+
 def main(arguments: Sequence[str]) -> int:
     """Fly the `FlightJob` in the argument (JSON); the last line on stdout is the cost.
 
@@ -120,7 +133,7 @@ def main(arguments: Sequence[str]) -> int:
     """
     try:
         with interruptible():
-            interrupt_with_parent()
+            _interrupt_with_parent()
             cost = fly(msgspec.json.decode(arguments[0], type=FlightJob))
     except (ScenarioError, SwarmError, psutil.NoSuchProcess) as error:
         sys.stderr.write(f"{error}\n")
