@@ -24,7 +24,7 @@ from typing import NamedTuple
 import msgspec
 from fastcrc import crc16
 
-from harness.world.physics.bare import GRAVITY_M_S2, MASS_KG, BareWorld
+from studies.bench.bare_world import GRAVITY_M_S2, MASS_KG, BareWorld
 from studies.bench.floor_job import FloorCost, FloorJob, FloorSpeed
 
 STEP_US = 4_000

@@ -1,6 +1,6 @@
 """Bullet's world: the ground, and the vehicles near it or near each other.
 
-The only import of pybullet except `harness.world.physics.bare`. Bullet integrates and handles collisions;
+The only import of pybullet in the product. Bullet integrates and handles collisions;
 forces are inputs.
 """
 
