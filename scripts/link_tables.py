@@ -6,7 +6,7 @@ from harness.launch import kernel_cache
 
 os.environ.update(kernel_cache.environment())  # read when numba is imported, which is next
 
-from netsim.lab.link_tables import tables_app
+from studies.link_tables.tables import tables_app
 
 if __name__ == "__main__":
     tables_app()

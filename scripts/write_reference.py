@@ -19,7 +19,6 @@ from harness.cli.export_deck import app as export_deck_app
 from harness.cli.fly import app as fly_app
 from harness.cli.report import app as report_app
 from netsim.lab.cli import app as wifi_app
-from netsim.lab.link_tables import tables_app
 from reference.commands import commands_page
 from reference.python_api import python_page
 from reference.run_tables import tables_page
@@ -28,6 +27,7 @@ from studies.antenna.cli import validate_antenna_app
 from studies.article.cli import article_app
 from studies.bench.cli import bench_app
 from studies.codesign.cli import codesign_app
+from studies.link_tables.tables import tables_app
 from studies.radio.bench_cli import bench_radio_app
 from studies.radio.cli import validate_radio_app
 from studies.vehicle.bench_cli import bench_app as bench_vehicle_app

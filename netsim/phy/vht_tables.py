@@ -1,6 +1,6 @@
 """What a link simulation counted: frames lost over AWGN, by VHT mode and signal-to-noise ratio.
 
-Made by ``python scripts/link_tables.py --seed 1`` from `netsim.lab.link_level`: one spatial stream, BCC,
+Made by ``python scripts/link_tables.py --seed 1`` from `studies.link_tables`: one spatial stream, BCC,
 80 MHz, ratio per occupied subcarrier. A row ends when 200 frames were lost and as many were not, or
 after 20000 frames.
 """

@@ -20,8 +20,8 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from netsim.lab.coding import decode, encode, modulate
 from netsim.phy.modes import PhyMode
+from studies.link_tables.coding import decode, encode, modulate
 
 SERVICE_BITS = 16
 TAIL_BITS = 6

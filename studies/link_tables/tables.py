@@ -11,9 +11,9 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from netsim.lab.link_level import Link
 from netsim.model.config import Mode
 from netsim.phy.modes import PhyMode, phy_mode
+from studies.link_tables.link_level import Link
 
 Row = tuple[float, int, int, int]
 """Signal-to-noise ratio in dB, bytes of a frame, frames sent, frames lost."""
@@ -35,7 +35,7 @@ PROBE_FRAMES = 1_000
 
 _HEAD = '''"""What a link simulation counted: frames lost over AWGN, by VHT mode and signal-to-noise ratio.
 
-Made by ``python scripts/link_tables.py --seed {seed}`` from `netsim.lab.link_level`: one spatial stream, BCC,
+Made by ``python scripts/link_tables.py --seed {seed}`` from `studies.link_tables`: one spatial stream, BCC,
 80 MHz, ratio per occupied subcarrier. A row ends when {enough} frames were lost and as many were not, or
 after {frames} frames.
 """
