@@ -11,6 +11,7 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common as mavlink
 
 from autopilot.mavlink.codec import Message
@@ -229,13 +230,12 @@ class Simulation:
                 )
             )
 
-    def _escs(self, truth: Truth) -> esc.EscReadings | None:
-        """Return the readings of the motors' speed controllers if they are due in this step."""
+    def _escs(self, truth: Truth) -> NDArray[np.void] | None:
+        """Return ESC_STATUS of the motors' speed controllers (n,) if it is due in this step."""
         if self.time_us % esc.PERIOD_US >= self._step_us or not self._has_escs:
             return None
-        return esc.readings(
-            truth.rotor_speed_rad_s, self._faults.rotor_effectiveness, self._world.density_ratio
-        )
+        effectiveness, density_ratio = self._faults.rotor_effectiveness, self._world.density_ratio
+        return esc.statuses(self.time_us, truth.rotor_speed_rad_s, effectiveness, density_ratio)
 
     def settle(self) -> None:
         """Wait until the emulator has completed the requested interval."""

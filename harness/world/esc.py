@@ -1,7 +1,5 @@
 """Reports of the vehicles' electronic speed controllers (ESCs)."""
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,36 +14,26 @@ HOVER_SPEED_RAD_S = 806.7
 RPM_PER_RAD_S = 60.0 / (2.0 * np.pi)
 
 
-class EscReadings(NamedTuple):
-    """Readings of the four motors of each of n vehicles."""
-
-    speed_rpm: Array
-    """(n, 4), positive for either direction of rotation"""
-    current_a: Array
-    """(n, 4)"""
-
-
-def readings(
-    rotor_speed_rad_s: Array, effectiveness: Array | None = None, density_ratio: Array | None = None
-) -> EscReadings:
-    """Return the readings for rotor speeds (n, 4) and effectivenesses (n, 4), None for 1.
+def statuses(
+    time_us: int,
+    rotor_speed_rad_s: Array,
+    effectiveness: Array | None = None,
+    density_ratio: Array | None = None,
+) -> NDArray[np.void]:
+    """Return ESC_STATUS (n,) for rotor speeds (n, 4) and effectivenesses (n, 4), None for 1.
 
     ``density_ratio`` (n,) is the air density over that at sea level, None for 1. A rotor's torque is
     proportional to its effectiveness, the density and the square of its speed; its power, and thus the
-    current at constant voltage, to the cube of its speed.
+    current at constant voltage, to the cube of its speed. Speeds are positive for either direction of
+    rotation; the voltage is 0: unknown.
     """
     current_a = HOVER_CURRENT_A * (rotor_speed_rad_s / HOVER_SPEED_RAD_S) ** 3
     if density_ratio is not None:
         current_a *= density_ratio[:, None]
     if effectiveness is not None:
         current_a *= effectiveness
-    return EscReadings(rotor_speed_rad_s * RPM_PER_RAD_S, current_a)
-
-
-def statuses(time_us: int, escs: EscReadings) -> NDArray[np.void]:
-    """Return ESC_STATUS of each vehicle for `harness.simulator.hil_frames`; the voltage is 0: unknown."""
-    rows = np.zeros(len(escs.speed_rpm), ESC_STATUS.dtype)
+    rows = np.zeros(len(rotor_speed_rad_s), ESC_STATUS.dtype)
     rows["time_usec"] = time_us
-    rows["rpm"] = np.rint(escs.speed_rpm)
-    rows["current"] = escs.current_a
+    rows["rpm"] = np.rint(rotor_speed_rad_s * RPM_PER_RAD_S)
+    rows["current"] = current_a
     return rows

@@ -6,15 +6,15 @@ noises by their variances; rotors' effectivenesses are multiplied.
 """
 
 import math
-from collections.abc import Iterable, Mapping
-from typing import Annotated, Literal, NamedTuple, get_args
+from collections.abc import Callable, Iterable, Mapping
+from typing import Annotated, Literal, NamedTuple, TypeVar, get_args
 
 import msgspec
 import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from foundation.types import Array
+from foundation.types import Array, Vector
 from harness.scenario.validation_errors import explain
 
 ROTORS = 4
@@ -23,7 +23,6 @@ MOST_TIME_S = 1e6
 LEAST_DURATION_S = 0.004
 """One step of the physics: a shorter fault might fall between two steps. Faults of the radio take effect at
 the next interval of the channel, at multiples of ``onboard.loop_period_ms``."""
-Vector = tuple[float, float, float]
 Start = Annotated[float, Meta(ge=0.0, le=MOST_TIME_S)]
 Duration = Annotated[float, Meta(ge=LEAST_DURATION_S, le=MOST_TIME_S)]
 Motor = Annotated[int, Meta(ge=0, lt=ROTORS)]
@@ -53,6 +52,9 @@ class Fault(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_f
     """Simulated time since the run's start, or since the injection into a run."""
     duration_s: Duration | None = None
     """None: the fault lasts to the end."""
+
+
+FaultT = TypeVar("FaultT", bound=Fault)
 
 
 class GpsLoss(Fault, frozen=True, kw_only=True):
@@ -160,20 +162,9 @@ class RangingBias(Fault, frozen=True, kw_only=True):
 
 
 AnyFault = (
-    GpsLoss
-    | GpsBias
-    | GpsNoise
-    | AccelBias
-    | GyroBias
-    | MagBias
-    | MagYaw
-    | BaroFreeze
-    | BaroBias
-    | MotorLoss
-    | MotorStop
-    | RadioAttenuation
-    | RangingBias
-)
+    GpsLoss | GpsBias | GpsNoise | AccelBias | GyroBias | MagBias | MagYaw | BaroFreeze | BaroBias | MotorLoss
+    | MotorStop | RadioAttenuation | RangingBias
+)  # fmt: skip
 
 
 class FaultChange(NamedTuple):
@@ -206,17 +197,13 @@ def validated(fault: AnyFault, vehicles: int) -> AnyFault:
     return valid
 
 
-def kind(fault: AnyFault) -> str:
-    """Return the fault's ``kind`` in a scenario."""
-    return _kind(type(fault))
-
-
-def _kind(of: type[Fault]) -> str:
-    return str(of.__struct_config__.tag)
+def kind(fault: Fault | type[Fault]) -> str:
+    """Return the ``kind`` of a fault, or of a class of faults, in a scenario."""
+    return str(fault.__struct_config__.tag)
 
 
 EXPECTED = {
-    r"faults?(\[\d+\])?\.kind": f"one of {', '.join(_kind(each) for each in get_args(AnyFault))}",
+    r"faults?(\[\d+\])?\.kind": f"one of {', '.join(map(kind, get_args(AnyFault)))}",
     r"faults?(\[\d+\])?\.uav": 'a number or "all"',
 }
 """Expected values of a fault's fields, for `harness.scenario.validation_errors.explain`."""
@@ -322,23 +309,12 @@ class Faults:
 
     def _update(self) -> None:
         active = [each.fault for each in self._active]
-        self.accel_offset_frd_m_s2 = self._sum(
-            (fault, fault.offset_frd_m_s2) for fault in active if isinstance(fault, AccelBias)
-        )
-        self.gyro_offset_frd_rad_s = self._sum(
-            (fault, fault.offset_frd_rad_s) for fault in active if isinstance(fault, GyroBias)
-        )
-        self.mag_offset_frd_gauss = self._sum(
-            (fault, fault.offset_frd_gauss) for fault in active if isinstance(fault, MagBias)
-        )
-        self.heading_error_rad = self._sum(
-            (fault, math.radians(fault.heading_error_deg)) for fault in active if isinstance(fault, MagYaw)
-        )
-        self.baro_offset_m = self._sum(
-            (fault, fault.offset_m) for fault in active if isinstance(fault, BaroBias)
-        )
-        self.baro_frozen = self._any(fault for fault in active if isinstance(fault, BaroFreeze))
-        self.gps_lost = self._any(fault for fault in active if isinstance(fault, GpsLoss))
+        self.accel_offset_frd_m_s2 = self._sum(AccelBias, lambda fault: fault.offset_frd_m_s2)
+        self.gyro_offset_frd_rad_s = self._sum(GyroBias, lambda fault: fault.offset_frd_rad_s)
+        self.mag_offset_frd_gauss = self._sum(MagBias, lambda fault: fault.offset_frd_gauss)
+        self.heading_error_rad = self._sum(MagYaw, lambda fault: math.radians(fault.heading_error_deg))
+        self.baro_offset_m = self._sum(BaroBias, lambda fault: fault.offset_m)
+        self.baro_frozen, self.gps_lost = self._any(BaroFreeze), self._any(GpsLoss)
         self.rotor_effectiveness = self.rotor_stopped = None
         for fault in active:
             if isinstance(fault, MotorLoss):
@@ -351,32 +327,32 @@ class Faults:
                 self.rotor_stopped[_affected(fault), fault.motor] = True
         losses_db = (fault.attenuation_db for fault in active if isinstance(fault, RadioAttenuation))
         self.extra_attenuation_db = min(sum(losses_db, 0.0), MOST_ATTENUATION_DB)
-        offsets_m = self._sum((fault, fault.offset_m) for fault in active if isinstance(fault, RangingBias))
+        offsets_m = self._sum(RangingBias, lambda fault: fault.offset_m)
         self.range_offsets_m = {}
         if offsets_m is not None:
             limited_m = np.clip(offsets_m, -MOST_RANGE_OFFSET_M, MOST_RANGE_OFFSET_M).tolist()
             self.range_offsets_m = {i: offset_m for i, offset_m in enumerate(limited_m) if offset_m}
 
-    def _sum(self, parts: Iterable[tuple[AnyFault, Vector | float]]) -> Array | None:
-        """Return the sum (n, 3) or (n,) of the faults' vectors or numbers by vehicle; None without faults."""
+    def _sum(self, of: type[FaultT], part: Callable[[FaultT], Vector | float]) -> Array | None:
+        """Return the sum (n, 3) or (n,) of the active faults' vectors or numbers by vehicle; None: none."""
         total: Array | None = None
-        for fault, part in parts:
-            if total is None:
-                total = np.zeros((self._vehicles, *np.shape(part)))
-            total[_affected(fault)] += part
+        for _, _, _, fault in self._active:
+            if isinstance(fault, of):
+                if total is None:
+                    total = np.zeros((self._vehicles, *np.shape(part(fault))))
+                total[_affected(fault)] += part(fault)
         return total
 
-    def _any(self, faults: Iterable[AnyFault]) -> NDArray[np.bool_] | None:
-        """Return (n,) which vehicles are affected; None without faults."""
-        flags: NDArray[np.bool_] | None = None
-        for fault in faults:
-            if flags is None:
-                flags = np.zeros(self._vehicles, dtype=np.bool_)
-            flags[_affected(fault)] = True
-        return flags
+    def _any(self, of: type[Fault]) -> NDArray[np.bool_] | None:
+        """Return (n,) which vehicles have an active fault of a class; None: none."""
+        affected = [_affected(fault) for _, _, _, fault in self._active if isinstance(fault, of)]
+        flags = np.zeros(self._vehicles, dtype=np.bool_)
+        for vehicles in affected:
+            flags[vehicles] = True
+        return flags if affected else None
 
 
-def _affected(fault: AnyFault) -> slice:
+def _affected(fault: Fault) -> slice:
     return slice(None) if fault.uav == "all" else slice(fault.uav, fault.uav + 1)
 
 

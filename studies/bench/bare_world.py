@@ -1,6 +1,5 @@
 """Minimal PyBullet simulation of rising bodies, as a reference for benchmarks."""
 
-from types import TracebackType
 from typing import Self
 
 import pybullet
@@ -57,7 +56,5 @@ class BareWorld:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()

@@ -11,6 +11,7 @@ from typing import Self
 
 import numpy as np
 from msgspec import structs
+from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Message
@@ -333,11 +334,11 @@ class Solo:
             gyro_frd_rad_s=gyro + self._imu_noise * (frame.gyro_frd_rad_s - gyro),
         )
 
-    def _escs(self) -> esc.EscReadings | None:
-        """Return the ESC readings in steps that have them, as the physics server does; else None."""
+    def _escs(self) -> NDArray[np.void] | None:
+        """Return ESC_STATUS (1,) in steps that have them, as the physics server does; else None."""
         if self.now_us % esc.PERIOD_US >= STEP_US:
             return None
-        return esc.readings(self._measured.rotor_speed_rad_s)
+        return esc.statuses(self.now_us, self._measured.rotor_speed_rad_s)
 
     def _receive(self, output: StepOutput) -> None:
         self.received += [

@@ -2,12 +2,12 @@
 
 import msgspec
 import numpy as np
+from world_truth import truth_with
 
 from autopilot.parameters.config import Site
 from foundation.geometry.geodesy import geodetic_to_ned
 from foundation.geometry.rotations import quat_from_rotation_vector
 from harness.world.faults import AnyFault, Faults
-from harness.world.physics.truth import Truth
 from harness.world.sensors.config import SensorsConfig
 from harness.world.sensors.suite import SensorSuite
 
@@ -65,7 +65,7 @@ def fly(*faults, until_us=3_000_000, profile="consumer", seed=5):
 def truth_at(time_us):
     t = time_us * 1e-6
     q = [quat_from_rotation_vector(np.array((0.1, 0.2, 0.5 * vehicle + 0.3 * t))) for vehicle in range(N)]
-    return Truth.of(
+    return truth_with(
         pos_ned_m=np.array([(5.0 * vehicle, 1.0 * t, -10.0 - 2.0 * t) for vehicle in range(N)]),
         vel_ned_m_s=np.tile((0.0, 1.0, -2.0), (N, 1)),
         q_ned_frd=np.array(q),

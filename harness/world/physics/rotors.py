@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from foundation.types import Array
 from harness.world.physics.environment import Surroundings
-from harness.world.physics.frames import frd_from_flu
 from harness.world.physics.model import VehicleModel
 from harness.world.physics.rotation import in_frd, in_ned
 
@@ -55,7 +54,7 @@ induce 5.5 m/s, sqrt(3.8 N / (2 rho A)); from about there a rotor is in its vort
 def kernel_model(model: VehicleModel, *, step_s: float, ground_effect: bool = False) -> RotorKernelModel:
     """Return the kernels' model for steps of ``step_s``."""
     return RotorKernelModel(
-        hubs_frd_m=frd_from_flu(model.rotor_hubs_flu_m),
+        hubs_frd_m=np.array(model.rotor_hubs_flu_m) * (1.0, -1.0, -1.0),
         turning=np.array(model.rotor_turning),
         thrust_n_s2=model.thrust_n_s2,
         moment_m=model.moment_m,

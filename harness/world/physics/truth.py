@@ -1,7 +1,6 @@
 """True state of the vehicles after a step, for sensors, recorder and emulator."""
 
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,14 +32,6 @@ class Truth:
 
     def __init__(self, rows: NDArray[np.void]) -> None:
         self.rows = rows
-
-    @classmethod
-    def of(cls, **fields: Array) -> Self:
-        """Construct it from all fields, each (n, 3) or (n, 4)."""
-        rows = np.empty(len(fields["pos_ned_m"]), TRUTH)
-        for name in TRUTH.names or ():
-            rows[name] = fields[name]
-        return cls(rows)
 
     @property
     def pos_ned_m(self) -> Array:

@@ -6,7 +6,6 @@ stepped with the same scheme by `harness.world.physics.free_flight`. Forces are 
 """
 
 import math
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -100,13 +99,7 @@ class World:
         air_vel_ned_m_s: Array | None = None,
         rotor_effectiveness: Array | None = None,
     ) -> None:
-        """Advance by one step with constant inputs.
-
-        ``controls`` (n, 4): motors, 0..1 in PX4's order; ``armed`` (n,); ``wind_force_ned_n`` (n, 3) at the
-        centres of mass; ``rotors_stopped`` (n,) or (n, 4): vehicles or rotors that run down regardless of
-        the controls, None for none; ``air_vel_ned_m_s`` (n, 3): velocity of the air, None for air at rest;
-        ``rotor_effectiveness`` (n, 4): remaining fraction of each rotor's thrust and torques, None for 1.
-        """
+        """Advance by one step with constant inputs: see `harness.world.physics.interface.Physics`."""
         before = self._bodies
         if self._environment.density != "standard":
             height_m = -before["pos_ned_m"][:, 2]
@@ -182,9 +175,7 @@ class World:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _last_touches(self) -> Touches:

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from msgspec.structs import replace
+from world_truth import truth_with
 
 from autopilot.estimation.atmosphere import pressure_pa
 from autopilot.mavlink.codec import Parser
@@ -14,7 +15,6 @@ from harness.launch.px4 import Px4Error
 from harness.scenario.scenario import ScenarioError, load
 from harness.simulator.hil import RC_PERIOD_US, SensorEncoder
 from harness.world import esc
-from harness.world.physics.truth import Truth
 from harness.world.sensors.config import PROFILES, SensorsConfig
 from harness.world.sensors.suite import SensorSuite
 
@@ -191,12 +191,11 @@ def second_of_sensors(encoder, vehicles, steps=250, *, escs=False):
     """Return the messages to each vehicle at rest in one second, by step."""
     still = np.zeros((vehicles, 3))
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (vehicles, 1))
-    truth = Truth.of(
+    truth = truth_with(
         pos_ned_m=still, vel_ned_m_s=still, q_ned_frd=upright, omega_frd_rad_s=still,
         mean_omega_frd_rad_s=still, specific_force_frd_m_s2=np.tile([0.0, 0.0, -9.8066], (vehicles, 1)),
         rotor_speed_rad_s=np.zeros((vehicles, 4)), acc_ned_m_s2=still,
     )  # fmt: skip
-    motors = esc.readings(truth.rotor_speed_rad_s) if escs else None
     suite = SensorSuite(
         config=SensorsConfig(), site=encoder._site, vehicles=vehicles, step_us=STEP_US,
         seed=np.random.SeedSequence(1),
@@ -205,7 +204,8 @@ def second_of_sensors(encoder, vehicles, steps=250, *, escs=False):
     received = [[] for _ in range(vehicles)]
     for k in range(1, steps + 1):
         frame = suite.sample(k * STEP_US, truth)
-        for i, data in enumerate(encoder.encode(k * STEP_US, frame, None if k % 25 else motors)):
+        motors = esc.statuses(k * STEP_US, truth.rotor_speed_rad_s) if escs and k % 25 == 0 else None
+        for i, data in enumerate(encoder.encode(k * STEP_US, frame, motors)):
             received[i].append(parsers[i].push(data))
     assert all(parser.bad_bytes == 0 for parser in parsers)
     return received

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common
+from world_truth import truth_with
 
 from autopilot.mavlink.hil import HilParser, HilSensor
 from autopilot.parameters.config import Site
 from foundation.geometry.geodesy import geodetic_to_ned
 from harness.simulator.hil import SensorEncoder
-from harness.world.physics.truth import Truth
 from harness.world.sensors.suite import SensorFrame
 from netsim.wire.lockstep import BATCH_DELIVERED
 
@@ -17,7 +17,7 @@ SITE = Site(latitude_deg=60.2, longitude_deg=24.8, altitude_m=30.0)
 
 def truth_of(pos_ned_m, vel_ned_m_s):
     n = len(pos_ned_m)
-    return Truth.of(
+    return truth_with(
         pos_ned_m=np.array(pos_ned_m),
         vel_ned_m_s=np.array(vel_ned_m_s),
         q_ned_frd=np.tile((1.0, 0.0, 0.0, 0.0), (n, 1)),

@@ -7,6 +7,7 @@ import numpy as np
 import psutil
 import pytest
 from paths import SCENARIOS
+from world_truth import truth_with
 
 from autopilot.mavlink.hil import HilActuatorControls
 from foundation.records.record_log import read
@@ -15,7 +16,6 @@ from harness.scenario.scenario import load
 from harness.simulator.actuator_inbox import ActuatorInbox
 from harness.simulator.simulation import Simulation
 from harness.simulator.truth_record import TRUTH_RECORD
-from harness.world.physics.truth import Truth
 
 ARMED = 128
 """MAV_MODE_FLAG_SAFETY_ARMED"""
@@ -119,7 +119,7 @@ class _Statues:
     def __init__(self, *, spawn_pos_ned_m, **_):
         n = len(spawn_pos_ned_m)
         zeros = np.zeros((n, 3))
-        self.truth = Truth.of(
+        self.truth = truth_with(
             pos_ned_m=spawn_pos_ned_m, vel_ned_m_s=zeros, q_ned_frd=np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
             omega_frd_rad_s=zeros, rotor_speed_rad_s=np.zeros((n, 4)), acc_ned_m_s2=zeros,
             specific_force_frd_m_s2=np.tile([0.0, 0.0, -9.8066], (n, 1)), mean_omega_frd_rad_s=zeros,

@@ -6,6 +6,7 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
+from world_truth import truth_with
 
 from autopilot.parameters.config import Site
 from foundation.geometry.rotations import quat_from_rotation_vector
@@ -13,7 +14,7 @@ from harness.world.physics.bodies import BODY
 from harness.world.physics.environment import EnvironmentConfig, Surroundings
 from harness.world.physics.model import IRIS
 from harness.world.physics.rotors import ground_effect, kernel_model, wrenches
-from harness.world.physics.truth import TRUTH, Truth
+from harness.world.physics.truth import TRUTH
 from harness.world.physics.world import GRAVITY_M_S2, World
 from harness.world.sensors.config import SensorsConfig
 from harness.world.sensors.suite import SensorSuite
@@ -296,7 +297,7 @@ def test_ground_effect_is_optional_and_not_for_a_vehicle_upside_down():
 
 def test_thermometers_report_the_offset_and_barometers_do_not():
     four = ("q_ned_frd", "rotor_speed_rad_s")
-    truth = Truth.of(**{
+    truth = truth_with(**{
         name: np.zeros((1, 4 if name in four else 3)) for name in TRUTH.names
     })  # fmt: skip
     samples = [

@@ -34,20 +34,20 @@ def test_current_is_four_amperes_at_hover_and_proportional_to_the_cube_of_the_sp
     """1100/806.7 cubed is 2.535; half the speed is an eighth; half a propeller takes half."""
     effectiveness = np.ones((2, 4))
     effectiveness[1, 0] = 0.5
-    readings = esc.readings(SPEEDS, effectiveness)
-    np.testing.assert_allclose(readings.current_a[0], (4.0, 0.0, 4.0 * 2.535, 0.5), rtol=1e-3)
-    np.testing.assert_allclose(readings.current_a[1], (2.0, 4.0, 4.0, 4.0))
-    np.testing.assert_allclose(readings.speed_rpm[0], SPEEDS[0] * 9.5493, rtol=1e-5)
+    rows = esc.statuses(0, SPEEDS, effectiveness)
+    np.testing.assert_allclose(rows["current"][0], (4.0, 0.0, 4.0 * 2.535, 0.5), rtol=1e-3)
+    np.testing.assert_allclose(rows["current"][1], (2.0, 4.0, 4.0, 4.0))
+    np.testing.assert_allclose(rows["rpm"][0], SPEEDS[0] * 9.5493, atol=0.51)
 
 
 def test_current_is_proportional_to_the_density():
     """0.9 of the density at one vehicle, with whole and half propellers."""
     effectiveness = np.ones((2, 4))
     effectiveness[1, 0] = 0.5
-    thick = esc.readings(SPEEDS, effectiveness)
-    thin = esc.readings(SPEEDS, effectiveness, np.array((1.0, 0.9)))
-    np.testing.assert_allclose(thin.current_a, thick.current_a * [[1.0], [0.9]], rtol=1e-12)
-    np.testing.assert_array_equal(thin.speed_rpm, thick.speed_rpm)
+    thick = esc.statuses(0, SPEEDS, effectiveness)
+    thin = esc.statuses(0, SPEEDS, effectiveness, np.array((1.0, 0.9)))
+    np.testing.assert_allclose(thin["current"], thick["current"] * [[1.0], [0.9]], rtol=1e-6)
+    np.testing.assert_array_equal(thin["rpm"], thick["rpm"])
 
 
 def frame_of(time_us, *, fix):
@@ -69,7 +69,7 @@ def frame_of(time_us, *, fix):
 def test_it_is_sent_first_with_consecutive_sequence_numbers(fix):
     encoder = SensorEncoder()
     plain = [list(map(bytes, encoder.encode(4_000, frame_of(4_000, fix=False))))]  # overwritten later
-    sent = encoder.encode(8_000, frame_of(8_000, fix=fix), esc.readings(SPEEDS))
+    sent = encoder.encode(8_000, frame_of(8_000, fix=fix), esc.statuses(8_000, SPEEDS))
     assert plain[0][0][4] == 0
     for vehicle, data in enumerate(sent):
         length = 10 + data[1] + 2
@@ -89,6 +89,6 @@ def test_it_is_sent_first_with_consecutive_sequence_numbers(fix):
 
 
 def test_a_stopped_motor_shortens_the_frame_but_not_its_content():
-    (frame,) = encode_rows(ESC_STATUS, esc.statuses(1, esc.readings(np.zeros((1, 4)))), 255)
+    (frame,) = encode_rows(ESC_STATUS, esc.statuses(1, np.zeros((1, 4))), 255)
     assert frame[1] == 1  # the payload is only the low byte of the time
     assert payload_of(frame)[2] == (1, *[0] * 4, *[0.0] * 8, 0)

@@ -5,11 +5,11 @@ import math
 import msgspec
 import numpy as np
 import pytest
+from world_truth import truth_with
 
 from autopilot.estimation import atmosphere
 from autopilot.parameters.config import Site
 from foundation.geometry.geodesy import geodetic_to_ned
-from harness.world.physics.truth import Truth
 from harness.world.sensors.config import GpsOverrides, SensorsConfig
 from harness.world.sensors.suite import SensorSuite
 
@@ -23,7 +23,7 @@ def truth_of(
     """Return the truth of vehicles at (n, 3) positions, otherwise equal."""
     pos = np.array(pos_ned_m, dtype=float).reshape(-1, 3)
     n = len(pos)
-    return Truth.of(
+    return truth_with(
         pos_ned_m=pos,
         vel_ned_m_s=np.tile(np.array(vel_ned_m_s, dtype=float), (n, 1)),
         q_ned_frd=np.tile(np.array(q_ned_frd, dtype=float), (n, 1)),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from harness.world.wind import GustConfig, GustyWind, Wind, WindConfig
-from harness.world.wind.gusts import GustProfiles, rise
+from harness.world.wind.wind import GustProfiles, rise
 
 HEIGHT_M = np.full(2, 10.0)
 STILL = {"mean_n": 0.0}
