@@ -171,7 +171,7 @@ class Run(Struct, frozen=True, kw_only=True):
     digest: str
     """Hash of scenario, options and sources: runs with equal digests are one flight"""
     options: dict[str, Any] = {}
-    """Further arguments of the function that flies it: `harness.campaign.task.Flying`"""
+    """Further arguments of the function that flies it: `harness.campaign.store.Flying`"""
 
     def describe(self, campaign: Campaign) -> str:
         """Return its name in one line."""
@@ -200,14 +200,11 @@ def load(path: str | Path, overrides: Sequence[str] = (), keep: Iterable[str] = 
             name=path.stem,
             scenario=path.parent / file.scenario,
             seeds=_seeds(file.seeds),
-            fixed=_named("set", file.fixed),
-            sweep={
-                where: spread(f"sweep.{where}", value)
-                for where, value in _named("sweep", file.sweep, ranges=True).items()
-            },
+            fixed=file.fixed,
+            sweep=file.sweep,
             cases=tuple(
-                _case(number, {key: case[key] for key in case if key != "name"}, case.get("name"))
-                for number, case in enumerate(file.cases)
+                Case(name=case.get("name", ""), settings={key: case[key] for key in case if key != "name"})
+                for case in file.cases
             ),
             overrides=tuple(overrides),
             keep=tuple(dict.fromkeys([*file.keep, *keep])),

@@ -1,7 +1,6 @@
 """Progress display of a campaign: a bar with the remaining time, and a line for every failed run."""
 
 import time
-from types import TracebackType
 from typing import Self
 
 from rich.console import Console
@@ -82,9 +81,7 @@ class CampaignDisplay:
         self._progress.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._progress.stop()
 
     def on_landed(self, landed: Landed) -> None:

@@ -3,13 +3,12 @@
 import pkgutil
 import re
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 from antenna.solvers.interface import BackendUnavailable
 from antenna.solvers.selection import make_backend
-from harness.campaign.series import read_series
-from harness.campaign.store import Flown
-from harness.campaign.task import Task, failed
+from harness.campaign.store import Flown, Task, failed
 from harness.launch import kernel_cache
 from harness.launch.one_process import use_kernel_cache
 from harness.launch.processes import SetupError
@@ -21,6 +20,10 @@ _OF_THIS_RUN = re.compile(r" \(pid \d+\)| \(log: [^)]*\)")
 """Parts of error messages that differ from run to run and refer to deleted files."""
 
 
+class NoSeries(RuntimeError):
+    """A run has no such series; the text is the reason in one line."""
+
+
 def fly_task(task: Task, folder: Path) -> tuple[Flown, dict[str, bytes]]:
     """Fly a run in a folder below ``folder``; a failure of the run is part of the result.
 
@@ -29,7 +32,7 @@ def fly_task(task: Task, folder: Path) -> tuple[Flown, dict[str, bytes]]:
     """
     make_backend(task.scenario.antenna)  # a missing solver is reported before the flight
     use_kernel_cache()
-    kernel_cache.prepare(_ignore)
+    kernel_cache.prepare(lambda _line: None)
     with tempfile.TemporaryDirectory(dir=folder, prefix="run-", ignore_cleanup_errors=True) as path:
         run = RunFolder(Path(path))
         try:
@@ -52,8 +55,14 @@ def fly_task(task: Task, folder: Path) -> tuple[Flown, dict[str, bytes]]:
     return flown, series
 
 
-def _ignore(_line: str) -> None:
-    pass
+def read_series(folder: RunFolder, names: Sequence[str], *, antenna_note: str | None) -> dict[str, bytes]:
+    """Return series of a run's folder by their names (`harness.campaign.definition.KEPT`).
+
+    ``antenna_note`` is the summary's reason for missing gains. Raises `NoSeries`, OSError.
+    """
+    if "gains" in names and not folder.gains.exists():
+        raise NoSeries(f"no gains to keep: {antenna_note}")
+    return {name: (folder.path / f"{name}.parquet").read_bytes() for name in names}
 
 
 def one_line(error: Exception, folder: Path) -> str:

@@ -19,9 +19,8 @@ from msgspec import Struct
 
 from harness.campaign.cluster import check_address, connected
 from harness.campaign.definition import Campaign, Run, expand
-from harness.campaign.store import FAILED, ClusterError, Flown, Store
+from harness.campaign.store import FAILED, PLAIN_FLIGHT, ClusterError, Flown, Flying, Store, Task, failed
 from harness.campaign.table import Table, write_table
-from harness.campaign.task import PLAIN_FLIGHT, Flying, Task, failed
 from harness.campaign.worker import fly_on_worker, sources_bytes, sources_state
 
 DIED = "its process died"
@@ -83,17 +82,13 @@ def run(
                 scheduler=scheduler,
                 folder=store.flying,
                 dashboard=dashboard,
-                note=note or _ignore,
+                note=note or (lambda _line: None),
             ) as client:
                 for landed, kept in _fly(client, campaign, missing, store, flying):
                     flown[kept.digest] = kept
                     if progress is not None:
                         progress(landed)
         return write_table(campaign, runs, flown, store)
-
-
-def _ignore(_line: str) -> None:
-    pass
 
 
 def known(

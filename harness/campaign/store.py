@@ -1,4 +1,6 @@
-"""A campaign's folder: one small file for every run that has ended, written atomically.
+"""Tasks and results of a campaign's runs, and its folder.
+
+A small file for every run that has ended is written atomically:
 
 runs/<digest>.json                 status and summary of a run
 runs/<digest>.gains.parquet ...    requested series
@@ -18,6 +20,8 @@ from typing import Any, Literal
 
 import msgspec
 from msgspec import Struct, structs
+
+from harness.scenario.scenario import Scenario
 
 FAILED: Literal["failed"] = "failed"
 TABLES = ("table.parquet", "table.csv")
@@ -54,6 +58,39 @@ class Flown(Struct, frozen=True, kw_only=True):
     """Hash of sources and libraries"""
     series: dict[str, Kept] = {}
     """Stored series by name"""
+
+
+class Flying(Struct, frozen=True):
+    """The function that flies a run and returns its summary, with ``status`` and ``reason``."""
+
+    function: str = "harness.launch.one_process:fly"
+    """``module:name``; it is called with scenario, folder and the run's options"""
+    measured_by: tuple[str, ...] = ()
+    """Further modules that determine its summary, as paths from the root of the sources"""
+
+
+PLAIN_FLIGHT = Flying()
+
+
+class Task(Struct, frozen=True, kw_only=True):
+    """A run for a worker."""
+
+    digest: str
+    state: str
+    """Hash of the campaign's sources and libraries"""
+    state_bytes: str
+    """Hash of the sources' bytes, a faster check for identical files"""
+    scenario: Scenario
+    settings: tuple[str, ...]
+    keep: tuple[str, ...]
+    flying: Flying = PLAIN_FLIGHT
+    options: dict[str, Any] = {}
+    """Further arguments of the function that flies"""
+
+
+def failed(task: Task, reason: str) -> Flown:
+    """Return the result of a failed run."""
+    return Flown(digest=task.digest, status=FAILED, reason=reason, settings=task.settings, state=task.state)
 
 
 class Store:

@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from harness.campaign.sources import ROOT, hash_bytes, hash_code, read_sources
-from harness.campaign.store import ClusterError, Flown
-from harness.campaign.task import Task
+from harness.campaign.store import ClusterError, Flown, Task
 
 _STDOUT, _STDERR = 1, 2
-_MEASURED_BY = ("harness/campaign/flights.py", "harness/campaign/series.py")
+_MEASURED_BY = ("harness/campaign/flights.py",)
 
 
 def _read(measured_by: tuple[str, ...]) -> dict[str, bytes]:
@@ -27,7 +26,7 @@ _sources = cache(_read)
 def sources_state(measured_by: tuple[str, ...] = ()) -> str:
     """Return the hash of libraries and sources of flights and results, as of the first call.
 
-    ``measured_by``: see `harness.campaign.task.Flying`.
+    ``measured_by``: see `harness.campaign.store.Flying`.
     """
     return hash_code(_sources(measured_by))
 

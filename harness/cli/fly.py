@@ -115,21 +115,30 @@ def fly(
     try:
         plan = load(scenario, [*(settings or []), *overrides])
         out = out or _default_folder(plan.name)
-        waits = _waits(plan, one_process=one_process)
+        waits = _waits(plan)
+        if one_process:
+            _check_one_process(waits=waits, profile=profile)
         factor = _speed(speed or ("1" if waits else "max"))
         display = display_for(messages)
         before = _files(out)
-        swarm = _swarm(plan, factor, out, port_offset, display, one_process=one_process, profile=profile)
-        broken_off = _fly(swarm, display, until_interrupted=waits and duration is None)
+        if one_process:
+            from harness.launch.one_process import OneProcessSwarm  # noqa: PLC0415  loads the physics, which prints a line
+
+            swarm: Swarm = OneProcessSwarm(plan, speed=factor, out=out, on_message=display.on_message)
+        else:
+            swarm = Swarm(
+                plan,
+                speed=factor,
+                out=out,
+                ports="scenario",
+                port_offset=port_offset,
+                on_message=display.on_message,
+                profile_from_s=0.0 if profile else None,
+            )
+        endless = waits and duration is None
+        broken_off = _fly(swarm, display, until_interrupted=endless)
         display.close()
-        _report(
-            swarm,
-            broken_off,
-            messages,
-            before=before,
-            as_json=json,
-            interruption_is_fine=waits and duration is None,
-        )
+        _report(swarm, broken_off, messages, before=before, as_json=json, interruption_is_fine=endless)
     except BaseException as error:  # noqa: BLE001  every end has its status
         if display is not None:
             display.close()
@@ -138,41 +147,17 @@ def fly(
         raise _failure(error) from None
 
 
-def _swarm(
-    plan: Scenario,
-    speed: float | Literal["max"],
-    out: Path,
-    port_offset: int,
-    display: FlightDisplay,
-    *,
-    one_process: bool,
-    profile: bool,
-) -> Swarm:
-    if one_process and profile:
-        raise ExitFailure(
-            BAD_INPUT, "--profile has processes sample themselves, each its own, not one process"
-        )
-    if one_process:
-        from harness.launch.one_process import OneProcessSwarm  # noqa: PLC0415  loads the physics, which prints a line
-
-        return OneProcessSwarm(plan, speed=speed, out=out, on_message=display.on_message)
-    return Swarm(
-        plan,
-        speed=speed,
-        out=out,
-        ports="scenario",
-        port_offset=port_offset,
-        on_message=display.on_message,
-        profile_from_s=0.0 if profile else None,
-    )
-
-
-def _waits(plan: Scenario, *, one_process: bool = False) -> bool:
+def _waits(plan: Scenario) -> bool:
     """Whether the UAVs wait for a ground station."""
-    waits = plan.onboard.enabled and plan.onboard.hold
-    if waits and one_process:
+    return plan.onboard.enabled and plan.onboard.hold
+
+
+def _check_one_process(*, waits: bool, profile: bool) -> None:
+    if waits:
         raise ExitFailure(BAD_INPUT, "--hold waits for a ground station, and none can connect to one process")
-    return waits
+    if profile:
+        line = "--profile has processes sample themselves, each its own, not one process"
+        raise ExitFailure(BAD_INPUT, line)
 
 
 def _on_key(key: str, swarm: Swarm, display: FlightDisplay) -> None:

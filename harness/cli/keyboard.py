@@ -14,7 +14,6 @@ import termios
 import threading
 import tty
 from collections.abc import Callable, Iterator
-from types import TracebackType
 from typing import Any, Self
 
 LOOK_S = 0.2
@@ -51,9 +50,7 @@ class Keyboard:
                 self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._ending.set()
         if self._thread is None:
             return

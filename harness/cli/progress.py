@@ -7,7 +7,7 @@ import contextlib
 import time
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 from rich.console import Console, Group
 from rich.live import Live
@@ -36,24 +36,6 @@ PACE_WINDOW_S = 2.0
 """Wall time over which the present speed is measured."""
 _IGNORE_CLOSED_TERMINAL = contextlib.suppress(OSError)
 """Writing to a closed terminal does not fail a run: SIGHUP ends the run in order."""
-
-
-class FlightDisplay(Protocol):
-    """Shows a run while it lasts."""
-
-    def on_message(self, message: Message) -> None:
-        """Process a message of a process."""
-
-    def note(self, line: str) -> None:
-        """Show a permanent line."""
-
-    def close(self) -> None:
-        """End the live part; harmless when repeated."""
-
-
-def display_for(console: Console) -> FlightDisplay:
-    """Return a live display on a terminal, plain lines elsewhere."""
-    return LiveDisplay(console) if console.is_terminal else LineDisplay(console)
 
 
 def compiled(packages: Mapping[str, CompileProgress]) -> str:
@@ -174,9 +156,17 @@ class LiveDisplay:
             self._live.console.print(Text(line), soft_wrap=True)
 
     def close(self) -> None:
-        """Remove the table."""
+        """Remove the table; harmless when repeated."""
         with _IGNORE_CLOSED_TERMINAL:
             self._live.stop()
+
+
+FlightDisplay = LineDisplay | LiveDisplay
+
+
+def display_for(console: Console) -> FlightDisplay:
+    """Return a live display on a terminal, plain lines elsewhere."""
+    return LiveDisplay(console) if console.is_terminal else LineDisplay(console)
 
 
 def headline(progress: Progress, factor: float | None) -> str:

@@ -7,9 +7,8 @@
         swarm.degrade_channel(20.0)
         swarm.run_for(10)
 
-`OneProcessSwarm` is a `Swarm` whose simulation, vehicles and emulator run in this process and pass each other
-the same messages by calls. Equal scenarios, seeds and interventions give byte-identical logs with either
-class. A flight uses one processor, so one flight per processor can run in parallel, each in its own process:
+Equal scenarios, seeds and interventions give byte-identical logs with `OneProcessSwarm` and `Swarm`. A flight
+uses one processor, so one flight per processor can run in parallel, each in its own process:
 
     with ProcessPoolExecutor() as pool:
         summaries = pool.map(fly, scenarios, folders)
@@ -25,6 +24,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -83,8 +83,8 @@ class _Flight:
         emit: Callable[[str, msgspec.Struct], None],
         stack: contextlib.ExitStack,
     ) -> None:
-        self._config = physics
-        self._emit = emit
+        self._connect_timeout_s = physics.connect_timeout_s
+        self._emit: Callable[[msgspec.Struct], None] = partial(emit, PHYSICS)
         self._emulator = stack.enter_context(contextlib.closing(make_emulator(radio)))
         self._emulator.open_logs()
         radios = [InProcessRadio(self._emulator, config.instance) for config in vehicles]
@@ -108,7 +108,7 @@ class _Flight:
 
         self._simulation = stack.enter_context(
             contextlib.closing(
-                Simulation(physics, make_lockstep=make_lockstep, emulator=emulator, emit=self._emit_event)
+                Simulation(physics, make_lockstep=make_lockstep, emulator=emulator, emit=self._emit)
             )
         )
 
@@ -119,18 +119,15 @@ class _Flight:
 
     def fly(self, inbox: "queue.SimpleQueue[AnyCommand]") -> None:
         """Execute commands until Stop."""
-        simulation, config = self._simulation, self._config
-        obey(simulation, inbox, connect_timeout_s=config.connect_timeout_s, emit=self._emit_event)
+        simulation = self._simulation
+        obey(simulation, inbox, connect_timeout_s=self._connect_timeout_s, emit=self._emit)
         details = {
             "time_us": simulation.time_us,
             "formed": simulation.formed,
             RADIO: {"counters": self._emulator.counters},
             **{link.host.name: link.host.vehicle.troubles() for link in self.links},
         }
-        self._emit_event(Finished(name=PHYSICS, details=details))
-
-    def _emit_event(self, event: msgspec.Struct) -> None:
-        self._emit(PHYSICS, event)
+        self._emit(Finished(name=PHYSICS, details=details))
 
 
 class _ThreadSupervisor(Supervisor):
@@ -203,18 +200,9 @@ class _ThreadSupervisor(Supervisor):
 class _Processes(Processes):
     """The processes of a run as one thread of this process."""
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        folder: RunFolder,
-        *,
-        wall_limit_s: float | None,
-        on_message: Callable[[Message], None] | None,
-    ) -> None:
-        self._child = _ThreadSupervisor(folder.logs)
-        super().__init__(
-            scenario, folder, wall_limit_s=wall_limit_s, on_message=on_message, supervisor=self._child
-        )
+    def _make_supervisor(self) -> Supervisor:
+        self._child = _ThreadSupervisor(self._folder.logs)
+        return self._child
 
     def _start(self) -> None:
         scenario = self._scenario
@@ -225,12 +213,11 @@ class _Processes(Processes):
         folder = RunFolder.create(self._folder.path)
         radio = _read(folder.write_radio_config(scenario, run_id=RUN_ID), ServerConfig)
         physics = _read(folder.write_physics_config(scenario, run_id=RUN_ID), PhysicsConfig)
-        vehicles = []
-        for i in range(scenario.agents):
-            path = folder.write_vehicle_config(
-                scenario, i, run_id=RUN_ID, simulator_port=0, radio_endpoint=None
-            )
-            vehicles.append(_read(path, VehicleConfig))
+        paths = [
+            folder.write_vehicle_config(scenario, i, run_id=RUN_ID, simulator_port=0, radio_endpoint=None)
+            for i in range(scenario.agents)
+        ]
+        vehicles = [_read(path, VehicleConfig) for path in paths]
         # exclude existing objects from garbage collections during the flight
         gc.collect()
         gc.freeze()
@@ -327,29 +314,23 @@ def fly(
     """
     try:
         with OneProcessSwarm(scenario, out=out) as swarm:
-            return _flown(swarm, scenario, until_s, faults_in_formation)
+            if until_s is not None:
+                swarm.run(until_s=until_s)
+            else:
+                with contextlib.suppress(SwarmTimeoutError):
+                    if scenario.onboard.enabled:  # else there is no formation
+                        swarm.run_until_formed(timeout_s=scenario.run.reach_timeout_s)
+                    for fault in faults_in_formation:
+                        swarm.inject(fault)
+                    swarm.run_for(scenario.run.duration_s)
+            from harness.report import antenna_report  # noqa: PLC0415  the analysis is slow to import: not before the flight
+
+            with antenna_report.on_threads(1):
+                summary = swarm.summary(draw=False)
     except SwarmError as error:
         if isinstance(error.__cause__, OSError | MemoryError):
             raise error.__cause__ from None
         raise
-
-
-def _flown(
-    swarm: Swarm, scenario: Scenario, until_s: float | None, faults: Iterable[AnyFault]
-) -> dict[str, Any]:
-    if until_s is not None:
-        swarm.run(until_s=until_s)
-    else:
-        with contextlib.suppress(SwarmTimeoutError):
-            if scenario.onboard.enabled:  # else there is no formation
-                swarm.run_until_formed(timeout_s=scenario.run.reach_timeout_s)
-            for fault in faults:
-                swarm.inject(fault)
-            swarm.run_for(scenario.run.duration_s)
-    from harness.report import antenna_report  # noqa: PLC0415  the analysis is slow to import: not before the flight
-
-    with antenna_report.on_threads(1):
-        summary = swarm.summary(draw=False)
     if summary["status"] == "failed":  # not only a timeout of the formation
         raise SwarmError(summary["reason"])
     return summary

@@ -94,8 +94,7 @@ class Processes:
     """Physics server, 802.11 emulator and one process per vehicle, forked by the prefork server.
 
     ``wall_limit_s`` limits the run's wall time from `start` on; ``on_message`` receives every message that is
-    taken from the queue, on the caller's thread. ``supervisor`` replaces the default one, whose children are
-    processes.
+    taken from the queue, on the caller's thread.
     """
 
     def __init__(
@@ -105,21 +104,18 @@ class Processes:
         *,
         wall_limit_s: float | None,
         on_message: Callable[[Message], None] | None,
-        supervisor: Supervisor | None = None,
     ) -> None:
         self._scenario = scenario
         self._folder = folder
         self._wall_limit_s = wall_limit_s
         self._wall_start_s = time.monotonic()
-        self._on_message = on_message
-        if supervisor is None:
-            environment = _ENVIRONMENT | kernel_cache.environment()
-            supervisor = Supervisor(folder.logs, environment=environment)
-        self._supervisor = supervisor
+        self._on_message = on_message or (lambda _: None)
+        self._supervisor = self._make_supervisor()
         self._ports: set[int] = set()
         self._px4 = px4.instances(scenario)
         self._has_prefork = len(self._px4) < scenario.agents
         self._running = False
+        """Whether the processes were started and not stopped."""
         self._kernels = kernel_cache.Compilers()
         self._affinity: CpuAffinity | None = None
         self._connected = False
@@ -143,6 +139,9 @@ class Processes:
         self.records_lost: str | None = None
         """After the stop: why the records of physics or radio are incomplete; None: they are complete."""
 
+    def _make_supervisor(self) -> Supervisor:
+        return Supervisor(self._folder.logs, environment=_ENVIRONMENT | kernel_cache.environment())
+
     @property
     def pids(self) -> dict[str, int]:
         """Process ids by name."""
@@ -154,28 +153,17 @@ class Processes:
         ``killed`` are the vehicles that were killed deliberately.
         """
         losses = {event.instance: event.reason for event in self.events if isinstance(event, VehicleLost)}
-        lost = [
-            f"{uav(instance)} was lost for no simulated reason: {reason}"
-            for instance, reason in losses.items()
-            if instance not in killed
-        ]
-        endings = (
-            self._incomplete(uav(i))
-            for i in range(self._scenario.agents)
-            if i not in killed and i not in losses
-        )
-        contacted = [f"{event.name} was spoken to by {event.by}" for event in self.influences]
+        others = [i for i in range(self._scenario.agents) if i not in killed and i not in losses]
         return [
-            *lost,
-            *filter(None, [self.records_lost, *endings]),
-            *contacted,
+            *(
+                f"{uav(instance)} was lost for no simulated reason: {reason}"
+                for instance, reason in losses.items()
+                if instance not in killed
+            ),
+            *filter(None, [self.records_lost, *(self._incomplete(uav(i)) for i in others)]),
+            *(f"{event.name} was spoken to by {event.by}" for event in self.influences),
             *(f"{uav(i)} is flown by a PX4, and its application keeps its time" for i in self._px4),
         ]
-
-    @property
-    def running(self) -> bool:
-        """Whether the processes were started and not stopped."""
-        return self._running
 
     def start(self) -> None:
         """Start every process and wait until all are ready. The caller stops them if this fails.
@@ -197,12 +185,10 @@ class Processes:
             raise SwarmError(str(error)) from None
 
     def _note(self, text: str) -> None:
-        if self._on_message is not None:
-            self._on_message(ProcessNotice(text=text))
+        self._on_message(ProcessNotice(text=text))
 
     def _on_compiled(self, packages: Mapping[str, kernel_cache.CompileProgress]) -> None:
-        if self._on_message is not None:
-            self._on_message(Compiling(packages=dict(packages)))
+        self._on_message(Compiling(packages=dict(packages)))
 
     def prepare_report(self) -> None:
         """Compile the kernels that the flight did not need.
@@ -440,8 +426,7 @@ class Processes:
             self.exited[name] = message
             if self._is_needed(name) and self._running and self.failure is None:
                 self.failure = self._describe_end(message)
-        if self._on_message is not None:
-            self._on_message(message)
+        self._on_message(message)
         return message
 
     def _is_needed(self, name: str) -> bool:

@@ -20,7 +20,6 @@ import weakref
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from types import TracebackType
 from typing import Any, ClassVar, Literal, Self
 
 import msgspec
@@ -130,9 +129,7 @@ class Swarm:
         self.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         try:
             self.stop()
         except KeyboardInterrupt:
@@ -296,8 +293,7 @@ class Swarm:
 
     def cut_channel(self) -> None:
         """Block all frames from the next interval of the radio channel on (the applications' loop period)."""
-        self._intervene("cut the channel")
-        self._processes.send(SetAttenuation(extra_attenuation_db=CUT_DB))
+        self._attenuate(CUT_DB, "cut the channel")
 
     def degrade_channel(self, attenuation_db: float) -> None:
         """Set every link's attenuation instead of ``radio.extra_attenuation_db``; begins as `cut_channel`.
@@ -306,14 +302,15 @@ class Swarm:
         """
         if not 0.0 <= attenuation_db <= MOST_ATTENUATION_DB:  # also false for nan
             raise ValueError(f"attenuation_db {attenuation_db:g}: expected 0 to {MOST_ATTENUATION_DB:g} dB")
-        self._intervene(f"attenuate the channel by {attenuation_db:g} dB")
-        self._processes.send(SetAttenuation(extra_attenuation_db=attenuation_db))
+        self._attenuate(attenuation_db, f"attenuate the channel by {attenuation_db:g} dB")
 
     def restore_channel(self) -> None:
         """Restore the scenario's attenuation; begins as `cut_channel`."""
-        self._intervene("restore the channel")
-        scenario_db = self.scenario.radio.extra_attenuation_db
-        self._processes.send(SetAttenuation(extra_attenuation_db=scenario_db))
+        self._attenuate(self.scenario.radio.extra_attenuation_db, "restore the channel")
+
+    def _attenuate(self, attenuation_db: float, what: str) -> None:
+        self._intervene(what)
+        self._processes.send(SetAttenuation(extra_attenuation_db=attenuation_db))
 
     def inject(self, fault: AnyFault) -> None:
         """Inject a fault from the next step on, or ``fault.start_s`` later; of radios as `cut_channel`.
@@ -406,7 +403,6 @@ class Swarm:
         else:
             status = "completed" if self._not_formed is None else "not_formed"
         reasons = (processes.failure, lost) if processes.failure is not None else (self._not_formed,)
-        ground_messages = sum(details.get("ground_messages", 0) for details in processes.finished.values())
         nondeterminism = processes.nondeterminism(self._killed)
         if interrupted:
             nondeterminism.append("it was interrupted by its user")
@@ -430,7 +426,7 @@ class Swarm:
                 )
                 for name, exited in sorted(processes.exited.items(), key=lambda item: item[1].pid)
             ),
-            ground_messages=ground_messages,
+            ground_messages=sum(details.get("ground_messages", 0) for details in processes.finished.values()),
             interventions=tuple(self._interventions),
             nondeterminism=tuple(nondeterminism),
             profile=self.profile,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from foundation.types import Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

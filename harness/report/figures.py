@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from antenna.analysis.gain_figures import gain_density_figure, patterns_figure
 from antenna.analysis.patterns import Pattern
-from harness.records.flight import Array, Flight
+from foundation.types import Array
+from harness.records.flight import Flight
 from harness.report.formation_error import ErrorSeries, FormationError
 
 DPI = 150

@@ -14,7 +14,8 @@ from antenna.model.config import AntennaConfig
 from antenna.model.geometry import ElementsTooNear, ElementsTouch, Snapshot
 from antenna.solvers.parallel import compute_patterns
 from antenna.solvers.ports import feed
-from harness.records.flight import Array, Flight
+from foundation.types import Array
+from harness.records.flight import Flight
 
 ELEMENT_TO_FRD = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """An element's axes on its vehicle: x to the right, y forward, z up, as the antenna's for an upright

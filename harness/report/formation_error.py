@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.records.flight import Array, Flight
+from foundation.types import Array
+from harness.records.flight import Flight
 from harness.world.physics.model import IRIS
 
 _OVER_ITS_PLACE_NED_M = np.array([0.0, 0.0, -IRIS.standing_height_m])

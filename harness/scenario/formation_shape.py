@@ -11,12 +11,11 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta, Struct
-from numpy.typing import NDArray
 
 from antenna.model.geometry import grid
 from autopilot.parameters.config import AnyMotion
+from foundation.types import Array
 
-Array = NDArray[np.float64]
 Spacing = Annotated[float, Meta(gt=0.0, le=1000.0)]
 
 FARTHEST_M = 10_000.0

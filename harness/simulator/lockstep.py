@@ -106,10 +106,6 @@ class VehicleSlot:
         """Whether the vehicle is still in the run."""
         return self.link is not None
 
-    def await_answer(self) -> None:
-        """Begin a step: clear the answer."""
-        self.answer = None
-
     def take(self, data: bytes, time_us: int) -> list[Message]:
         """Parse the next bytes: store the answer to the sensors of ``time_us``, return the other messages."""
         others: list[Message] = []
@@ -117,16 +113,12 @@ class VehicleSlot:
             if not isinstance(message, HilActuatorControls):
                 others.append(message)
             elif message.time_usec == time_us:  # a late answer to an earlier step does not count
-                self._accept(message)
+                self.answer = self.newest = message
+                self.silent_since_s = None
             elif self.policy.late_after_s is not None and message.time_usec < time_us:
                 self.newest = message
                 self.silent_since_s = None
         return others
-
-    def _accept(self, answer: HilActuatorControls) -> None:
-        """Store the answer of the present step."""
-        self.answer = self.newest = answer
-        self.silent_since_s = None
 
 
 class ConnectTimeout(TimeoutError):
@@ -297,7 +289,7 @@ class Lockstep:
         inbox = self._inbox
         slots = [slot for slot in self._pending if not inbox.answered_us[slot.instance]]
         for slot in slots:
-            slot.await_answer()
+            slot.answer = None
             self._take(slot, inbox.take_bytes(slot.instance), time_us)
         for slot in reversed(slots):
             while slot.link is not None and slot.answer is None:

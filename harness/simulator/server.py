@@ -259,10 +259,8 @@ def serve(
     policies = [PX4 if scenario.autopilot.is_px4(i) else OWN for i in range(scenario.agents)]
     has_px4 = PX4 in policies
 
-    met: list[Lockstep] = []
-
     def make_lockstep(simulation: Simulation) -> Lockstep:
-        lockstep = Lockstep(
+        return Lockstep(
             listeners,
             own_listener=own_listener,
             watchdog=watchdog,
@@ -271,8 +269,6 @@ def serve(
             on_lost=simulation.on_lost,
             policies=policies,
         )
-        met.append(lockstep)
-        return lockstep
 
     with contextlib.ExitStack() as stack:
         emulator = None
@@ -289,7 +285,7 @@ def serve(
         if has_px4 and radio_endpoint is not None:
             from harness.simulator.application_reports import relayed  # noqa: PLC0415  imports Zenoh
 
-            stack.enter_context(relayed(radio_endpoint, config.run_id, met[0]))
+            stack.enter_context(relayed(radio_endpoint, config.run_id, simulation.lockstep))
         emit(Ready(name="physics", pid=os.getpid()))
         with profiled(
             PROFILE_GROUPS, now_us=lambda: simulation.time_us, from_us=config.profile_from_us
@@ -303,7 +299,7 @@ def serve(
             )
     details: dict[str, Any] = {"time_us": simulation.time_us, "formed": simulation.formed, **profile}
     if has_px4:
-        details["late_answers"] = {f"uav {i}": count for i, count in met[0].late_answers.items()}
+        details["late_answers"] = {f"uav {i}": count for i, count in simulation.lockstep.late_answers.items()}
     emit(Finished(name="physics", details=details))
 
 

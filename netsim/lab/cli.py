@@ -7,7 +7,7 @@ import sys
 import uuid
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, cast, get_args
 
 import msgspec
 import typer
@@ -42,18 +42,16 @@ ModeName = Annotated[
 
 
 def _mode(name: str) -> Mode:
-    for mode in get_args(Mode):
-        if mode == name:
-            return mode  # type: ignore[no-any-return]
+    if name in get_args(Mode):
+        return cast("Mode", name)
     raise typer.BadParameter(
         f"{name!r} is not a mode; use ofdm6, 9, 12, 18, 24, 36, 48, 54 or vht_mcs0 .. vht_mcs9"
     )
 
 
 def _width(width: int) -> BandwidthMhz:
-    for each in get_args(BandwidthMhz):
-        if each == width:
-            return each  # type: ignore[no-any-return]
+    if width in get_args(BandwidthMhz):
+        return cast("BandwidthMhz", width)
     raise typer.BadParameter(f"{width}: the channel width must be 20, 40 or 80 MHz")
 
 

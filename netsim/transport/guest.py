@@ -10,7 +10,6 @@ they reach the emulator, so such a run is not repeatable; its manifest states th
 """
 
 import queue
-from types import TracebackType
 from typing import Self
 
 from netsim.transport.asynchronous_radio import AsynchronousRadio
@@ -112,9 +111,7 @@ class Guest:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

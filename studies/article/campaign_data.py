@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from antenna.analysis.statistics import GainStatistics, gain_density, gain_statistics
+from foundation.types import Array
 from harness.campaign import Table
-from harness.records.flight import Array
 from studies.article.plan import FIGURE_WAVELENGTH_M, FIGURE_WIND_N, WAVELENGTH, WIND
 from studies.codesign.sensitivity import per_axis_sigma_m
 

@@ -23,7 +23,7 @@ from antenna.model.geometry import Snapshot
 from antenna.solvers.interface import BackendUnavailable
 from antenna.solvers.parallel import compute_patterns
 from antenna.solvers.ports import MAIN_LOBE_DEG
-from harness.records.flight import Array
+from foundation.types import Array
 from harness.scenario.scenario import load
 from studies.article.plan import SCENARIO, WAVELENGTH
 from studies.article.snapshots import upright_array

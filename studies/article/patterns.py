@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from antenna.analysis.features import main_lobe
 from antenna.analysis.gain_figures import GAIN_RANGE_DBI
 from antenna.analysis.patterns import FLOOR_DBI, HALF_POWER_DB, Pattern, from_dbi, to_dbi
-from harness.records.flight import Array
+from foundation.types import Array
 
 REGION_THETA_DEG, REGION_PHI_DEG = (0.0, 45.0), (180.0, 225.0)
 """Region in which the article finds less gain than ideal, bounds included"""

@@ -17,8 +17,9 @@ from antenna.model.config import AntennaConfig
 from antenna.model.geometry import Snapshot
 from antenna.solvers.parallel import compute_patterns
 from antenna.solvers.ports import MAIN_LOBE_DEG
+from foundation.types import Array
 from harness.campaign import Table
-from harness.records.flight import Array, Flight
+from harness.records.flight import Flight
 from harness.records.tables import make_flight
 from harness.report.flown_array import FIGURE_GRID_DEG, gain_series, ideal_pattern
 from harness.report.formation_error import formation_error

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
 from antenna.analysis.statistics import gain_density
-from harness.records.flight import Array
+from foundation.types import Array
 from studies.codesign.statistics import Interval
 from studies.common.figures import new_figure, save
 

@@ -1,4 +1,4 @@
-"""Fly and measure one flight of the experiment in this process: see `harness.campaign.task.Flying`."""
+"""Fly and measure one flight of the experiment in this process: see `harness.campaign.store.Flying`."""
 
 from collections.abc import Iterable
 from pathlib import Path

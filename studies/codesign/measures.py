@@ -14,8 +14,9 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from antenna.model.config import AntennaConfig
+from foundation.types import Array
 from harness.launch.processes import RADIO
-from harness.records.flight import Array, Flight
+from harness.records.flight import Flight
 from harness.records.run_folder import RunFolder
 from harness.records.tables import read_flight
 from harness.report.flown_array import gain_series

@@ -11,8 +11,7 @@ import msgspec
 from msgspec import Struct
 
 from harness.campaign.definition import Campaign, Run
-from harness.campaign.store import Flown, Store
-from harness.campaign.task import Flying
+from harness.campaign.store import Flown, Flying, Store
 from harness.campaign.worker import sources_state
 from studies.codesign.cases import ARTICLE, CodesignCase, CodesignPlan
 from studies.codesign.measures import Measures

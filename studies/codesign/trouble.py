@@ -5,7 +5,7 @@ import math
 import numpy as np
 from msgspec import Struct
 
-from harness.records.flight import Array
+from foundation.types import Array
 from harness.report.formation_error import rotation_rad
 from studies.codesign.measures import TRACK_PERIOD_S
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from harness.records.flight import Array
+from foundation.types import Array
 from studies.codesign import figures
 from studies.codesign.book import Book
 from studies.codesign.cases import (

@@ -23,9 +23,8 @@ from harness.campaign.definition import expand
 from harness.campaign.display import CampaignPace, duration_text
 from harness.campaign.flights import fly_task
 from harness.campaign.running import known
-from harness.campaign.store import FAILED, Flown, Store, write_whole
+from harness.campaign.store import FAILED, Flown, Store, Task, write_whole
 from harness.campaign.table import make_rows, write_table
-from harness.campaign.task import Task
 from harness.campaign.worker import _MEASURED_BY, sources_state
 from harness.cli import campaign as cli
 from harness.launch import one_process
@@ -34,7 +33,7 @@ from harness.scenario.scenario import load as load_scenario
 
 ARTICLE = SCENARIOS / "article.toml"
 KEEPING = (
-    "__init__", "cluster", "definition", "running", "sources", "store", "table", "task", "values",
+    "__init__", "cluster", "definition", "running", "sources", "store", "table", "values",
     "worker",
 )  # fmt: skip
 """Modules of campaigns that do not affect flights and results"""
