@@ -11,7 +11,7 @@ the packages below; the ``coflight`` command is `coflight.command`.
 """
 
 import os
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING
 
 from foundation.kernels import cache_folder
@@ -39,25 +39,25 @@ __all__ = [
 ]  # fmt: skip
 
 _PLACES = {
-    "Application": ("autopilot.onboard.application", "Application"),
-    "Campaign": ("harness.campaign", "Campaign"),
-    "ErrorModel": ("netsim.phy.interfaces", "ErrorModel"),
-    "Fading": ("netsim.phy.interfaces", "Fading"),
-    "FlightModeBehaviour": ("autopilot.navigation.flight_mode", "FlightModeBehaviour"),
-    "Guest": ("netsim.transport.guest", "Guest"),
-    "MavlinkService": ("autopilot.services.service", "MavlinkService"),
-    "NetworkEmulator": ("netsim.emulator.interface", "NetworkEmulator"),
-    "OneProcessSwarm": ("harness.launch.one_process", "OneProcessSwarm"),
-    "Physics": ("harness.world.physics.interface", "Physics"),
-    "Propagation": ("netsim.phy.interfaces", "Propagation"),
-    "Scenario": ("harness.scenario.scenario", "Scenario"),
-    "ScenarioError": ("harness.scenario.scenario", "ScenarioError"),
-    "SetupError": ("harness.launch.processes", "SetupError"),
-    "Swarm": ("harness.launch.swarm", "Swarm"),
-    "SwarmError": ("harness.launch.processes", "SwarmError"),
-    "SwarmTimeoutError": ("harness.launch.processes", "SwarmTimeoutError"),
-    "SwarmTruth": ("harness.launch.truth", "SwarmTruth"),
-    "load_scenario": ("harness.scenario.scenario", "load"),
+    "Application": "autopilot.onboard.application:Application",
+    "Campaign": "harness.campaign:Campaign",
+    "ErrorModel": "netsim.phy.interfaces:ErrorModel",
+    "Fading": "netsim.phy.interfaces:Fading",
+    "FlightModeBehaviour": "autopilot.navigation.flight_mode:FlightModeBehaviour",
+    "Guest": "netsim.transport.guest:Guest",
+    "MavlinkService": "autopilot.services.service:MavlinkService",
+    "NetworkEmulator": "netsim.emulator.interface:NetworkEmulator",
+    "OneProcessSwarm": "harness.launch.one_process:OneProcessSwarm",
+    "Physics": "harness.world.physics.interface:Physics",
+    "Propagation": "netsim.phy.interfaces:Propagation",
+    "Scenario": "harness.scenario.scenario:Scenario",
+    "ScenarioError": "harness.scenario.scenario:ScenarioError",
+    "SetupError": "harness.launch.processes:SetupError",
+    "Swarm": "harness.launch.swarm:Swarm",
+    "SwarmError": "harness.launch.processes:SwarmError",
+    "SwarmTimeoutError": "harness.launch.processes:SwarmTimeoutError",
+    "SwarmTruth": "harness.launch.truth:SwarmTruth",
+    "load_scenario": "harness.scenario.scenario:load",
 }
 
 
@@ -67,8 +67,7 @@ def __getattr__(name: str) -> object:
         raise AttributeError(f"module 'coflight' has no attribute {name!r}")
     # read when numba is imported, which the module does
     os.environ.update(cache_folder.environment())
-    module, attribute = _PLACES[name]
-    value: object = getattr(import_module(module), attribute)
+    value: object = resolve_name(_PLACES[name])
     return value
 
 

@@ -57,7 +57,7 @@ def connected(
             stack.enter_context(dask.config.set(_SETTINGS))
             stack.enter_context(warnings.catch_warnings())
             warnings.simplefilter("ignore")  # about a port in use: another one is chosen
-            cluster = stack.enter_context(
+            target: object = stack.enter_context(
                 library.LocalCluster(
                     n_workers=workers,
                     threads_per_worker=1,
@@ -71,10 +71,11 @@ def connected(
                     preload=["harness.campaign.worker"],
                 )
             )
-            target: object = cluster
         else:
             target = scheduler
-        stack.enter_context(_without_logs())
+        logger = logging.getLogger("distributed")
+        stack.callback(logger.setLevel, logger.level)
+        logger.setLevel(_QUIET)
         try:
             client = stack.enter_context(
                 library.Client(target, timeout=CONNECT_LIMIT_S, set_as_default=False)
@@ -84,15 +85,3 @@ def connected(
         if scheduler is not None and not client.nthreads():
             note(f"{scheduler}: waiting for its first worker")
         yield client
-
-
-@contextlib.contextmanager
-def _without_logs() -> Iterator[None]:
-    """Disable the library's logging in this process."""
-    logger = logging.getLogger("distributed")
-    before = logger.level
-    logger.setLevel(_QUIET)
-    try:
-        yield
-    finally:
-        logger.setLevel(before)

@@ -175,9 +175,7 @@ class Run(Struct, frozen=True, kw_only=True):
 
     def describe(self, campaign: Campaign) -> str:
         """Return its name in one line."""
-        swept = zip(campaign.sweep, self.swept, strict=True)
-        values = [f"{path} = {toml_text(value)}" for path, value in swept]
-        return ", ".join([self.case, *values, f"seed {self.seed}"])
+        return ", ".join([self.case, *_swept_texts(campaign, self.swept), f"seed {self.seed}"])
 
 
 def load(path: str | Path, overrides: Sequence[str] = (), keep: Iterable[str] = ()) -> Campaign:
@@ -240,17 +238,12 @@ def expand(campaign: Campaign, *, state: str) -> list[Run]:
                 raise CampaignError(f"{campaign.origin}: {which}: {text}") from None
             for seed in campaign.seeds:
                 flown = replace(scenario, run=replace(scenario.run, seed=seed))
-                runs.append(
-                    Run(
-                        case=case.name, swept=swept, seed=seed, settings=settings, scenario=flown,
-                        digest=_digest(flown, state),
-                    )
-                )  # fmt: skip
+                digest = hashlib.sha256(msgspec.json.encode((state, flown))).hexdigest()[:16]
+                run = Run(
+                    case=case.name, swept=swept, seed=seed, settings=settings, scenario=flown, digest=digest
+                )
+                runs.append(run)
     return runs
-
-
-def _digest(scenario: Scenario, state: str) -> str:
-    return hashlib.sha256(msgspec.json.encode((state, scenario))).hexdigest()[:16]
 
 
 def _swept_texts(campaign: Campaign, swept: Sequence[Any]) -> list[str]:

@@ -111,7 +111,11 @@ class Store:
 
         Raises CampaignError if another campaign holds the lock.
         """
-        with alone(self.folder):
+        with (self.folder / "lock").open("wb") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise CampaignError(f"{self.folder}: another campaign flies into it") from None
             tables = (self.folder / f".{name}" for name in TABLES)
             for left in (*self._runs.glob(".*.json"), *self._runs.glob(".*.parquet"), *tables):
                 if left.is_file():  # foreign files are kept
@@ -170,17 +174,6 @@ class Store:
     def series_path(self, digest: str, name: str) -> Path:
         """Return the path of a stored series."""
         return self._runs / f"{digest}.{name}.parquet"
-
-
-@contextlib.contextmanager
-def alone(folder: Path) -> Iterator[None]:
-    """Lock a folder for one campaign. Raises CampaignError if another campaign holds the lock."""
-    with (folder / "lock").open("wb") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise CampaignError(f"{folder}: another campaign flies into it") from None
-        yield
 
 
 def write_whole(path: Path, content: bytes) -> None:

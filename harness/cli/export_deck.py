@@ -16,8 +16,7 @@ from antenna.model.geometry import ElementsTouch
 from antenna.solvers.interface import BackendUnavailable
 from antenna.solvers.nec2c import Nec2cFailed
 from antenna.solvers.selection import make_backend
-from harness.records.manifest import NotARun, read_scenario
-from harness.records.run_folder import RunFolder
+from harness.records.run_folder import NotARun, RunFolder, read_scenario
 from harness.records.tables import read_flight
 from harness.report.flown_array import NoFeed, describe_touch, living, snapshot_at
 

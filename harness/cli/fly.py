@@ -21,7 +21,7 @@ from harness.cli.progress import FlightDisplay, display_for, summary_table
 from harness.launch.interrupts import interruptible
 from harness.launch.processes import SetupError, SwarmError
 from harness.launch.profiling import profile_table
-from harness.launch.swarm import Swarm, SwarmTimeoutError
+from harness.launch.swarm import Swarm
 from harness.scenario.scenario import Scenario, ScenarioError, load
 from harness.world.faults import MOST_TIME_S
 
@@ -114,7 +114,7 @@ def fly(
     display: FlightDisplay | None = None
     try:
         plan = load(scenario, [*(settings or []), *overrides])
-        out = out or _default_folder(plan.name)
+        out = out or Path("runs") / f"{plan.name}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
         waits = _waits(plan)
         if one_process:
             _check_one_process(waits=waits, profile=profile)
@@ -252,16 +252,12 @@ def _failure(error: BaseException) -> ExitFailure:
             return ExitFailure(BAD_INPUT, str(error))
         case typer.TyperException():
             return ExitFailure(BAD_INPUT, error.format_message())
-        case SwarmTimeoutError() | SwarmError():
+        case SwarmError():
             return ExitFailure(FAILED, str(error))
         case KeyboardInterrupt():
             return ExitFailure(INTERRUPTED, "broken off: every process is stopped, the records are kept")
         case _:
             return ExitFailure(FAILED, f"{type(error).__name__}: {error}".rstrip(": "))
-
-
-def _default_folder(name: str) -> Path:
-    return Path("runs") / f"{name}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
 
 
 def _files(folder: Path) -> dict[str, int]:

@@ -13,8 +13,7 @@ import typer
 from rich.console import Console
 
 from harness.cli.progress import summary_table
-from harness.records.manifest import NotARun, read_scenario
-from harness.records.run_folder import RunFolder
+from harness.records.run_folder import NotARun, RunFolder, read_scenario
 from harness.report.report import draw_again
 
 FINE, BAD_INPUT = 0, 2

@@ -14,10 +14,7 @@ from harness.scenario.scenario import Scenario
 
 def link_lines(scenario: Scenario, local: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     """Return a line per vehicle with its MAVLink addresses; ``local`` are the details of its `Ready`."""
-    vehicles = [
-        scenario.vehicle(i, run_id="", radio_endpoint=None, log_path=None) for i in range(scenario.agents)
-    ]
-    return tuple(_link_line(i, local[i], vehicle.ports) for i, vehicle in enumerate(vehicles))
+    return tuple(_link_line(i, local[i], scenario.vehicle_ports(i)) for i in range(scenario.agents))
 
 
 def _link_line(instance: int, local: Mapping[str, Any], ports: VehiclePorts) -> str:

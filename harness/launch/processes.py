@@ -13,7 +13,6 @@ from collections.abc import Callable, Container, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import psutil
 from msgspec import Struct
 
@@ -178,9 +177,8 @@ class Processes:
         except (ResourceError, Px4Error) as error:
             raise SetupError(str(error)) from None
         except OSError as error:
-            raise SetupError(
-                f"{error.filename}: {error.strerror}" if error.filename else str(error)
-            ) from None
+            line = f"{error.filename}: {error.strerror}" if error.filename else str(error)
+            raise SetupError(line) from None
         except (SupervisorError, kernel_cache.CompileError) as error:
             raise SwarmError(str(error)) from None
 
@@ -282,8 +280,7 @@ class Processes:
         config = px4.process_config(
             self._scenario, instance, run_folder=self._folder.path, simulator_port=simulator_port
         )
-        path = self._folder.config / f"px4-{instance}.json"
-        path.write_bytes(msgspec.json.format(msgspec.json.encode(config), indent=2))
+        path = self._folder.write_config(f"px4-{instance}", config)
         self._supervisor.start(
             uav(instance), python_module("harness.launch.external_process", *supervised(path))
         )

@@ -4,7 +4,8 @@ The processes sample themselves (`foundation.profiling.profiler`) and report in 
 that was killed reports nothing.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
+from statistics import fmean
 from typing import Any
 
 import msgspec
@@ -61,15 +62,10 @@ def _together(profiles: list[Profile]) -> KindProfile:
         processes=len(profiles),
         cpu_s_per_simulated_s=sum(parts.values()),
         parts_cpu_s_per_simulated_s=dict(sorted(parts.items(), key=lambda item: -item[1])),
-        waiting_fraction=_mean(profile.waiting_s / profile.wall_s for profile in profiles),
-        queueing_fraction=_mean(profile.queueing_s / profile.wall_s for profile in profiles),
+        waiting_fraction=fmean(profile.waiting_s / profile.wall_s for profile in profiles),
+        queueing_fraction=fmean(profile.queueing_s / profile.wall_s for profile in profiles),
         samples=sum(profile.samples for profile in profiles),
     )
-
-
-def _mean(values: Iterable[float]) -> float:
-    numbers = list(values)
-    return sum(numbers) / len(numbers)
 
 
 def profile_table(profile: Mapping[str, KindProfile], *, step_us: int) -> Table:

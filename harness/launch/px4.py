@@ -21,7 +21,7 @@ import string
 from collections.abc import Mapping
 from pathlib import Path
 
-from autopilot.parameters.config import AutopilotConfig, VehiclePorts
+from autopilot.parameters.config import AutopilotConfig
 from harness.launch.external_process import ExternalProcessConfig
 from harness.scenario.scenario import Scenario
 from harness.world.sensors.config import GpsModel
@@ -40,7 +40,6 @@ _DRIFT_FILTER_S = 10.0
 _DRIFT_SIGMAS = 5.0
 _LEAST_DRIFT_M_S, _MOST_DRIFT_M_S = {"H": 0.1, "V": 0.2}, {"H": 1.0, "V": 1.5}
 """PX4's default and maximum of EKF2_REQ_HDRIFT and EKF2_REQ_VDRIFT."""
-_TRUTH = "onboard.localisation: 'truth' is sent over the simulator's link, which PX4 occupies"
 
 
 class Px4Error(ValueError):
@@ -56,7 +55,7 @@ def application_ports(scenario: Scenario) -> list[int]:
     """Return the fixed UDP ports that the applications beside PX4s bind."""
     if not scenario.onboard.enabled:
         return []
-    ports = [_ports(scenario, i).companion_remote_udp for i in instances(scenario)]
+    ports = (scenario.vehicle_ports(i).companion_remote_udp for i in instances(scenario))
     return [port for port in ports if port]
 
 
@@ -68,7 +67,7 @@ def check_start(scenario: Scenario) -> None:
     if not program.is_file():
         raise Px4Error(f"autopilot.px4_build: there is no {program}; expected the folder of a PX4 SITL build")
     if scenario.onboard.enabled and scenario.onboard.localisation == "truth":
-        raise Px4Error(_TRUTH)
+        raise Px4Error("onboard.localisation: 'truth' is sent over the simulator's link, which PX4 occupies")
     named = _named(scenario.autopilot)
     for field, (base, placeholder) in _PORTS.items():
         port = getattr(scenario.ports, field)
@@ -85,7 +84,7 @@ def process_config(
     scenario: Scenario, instance: int, *, run_folder: Path, simulator_port: int
 ) -> ExternalProcessConfig:
     """Return how a vehicle's PX4 is started; creates its folder. Raises OSError."""
-    config, ports = scenario.autopilot, _ports(scenario, instance)
+    config, ports = scenario.autopilot, scenario.vehicle_ports(instance)
     work = (run_folder / "px4" / f"uav-{instance}").absolute()
     work.mkdir(parents=True)
     values: dict[str, object] = {
@@ -138,10 +137,6 @@ def _environment(parameters: Mapping[str, float]) -> dict[str, str]:
 
 def _build(config: AutopilotConfig) -> Path:
     return Path(config.px4_build or "").expanduser().absolute()
-
-
-def _ports(scenario: Scenario, instance: int) -> VehiclePorts:
-    return scenario.vehicle(instance, run_id="", radio_endpoint=None, log_path=None).ports
 
 
 def _named(config: AutopilotConfig) -> set[str]:

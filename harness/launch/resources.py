@@ -21,14 +21,10 @@ class ResourceError(Exception):
     """A resource is not available; the text is one line and names it."""
 
 
-class PortError(ResourceError):
-    """A port is not available; the text names it."""
-
-
 def bind(kind: socket.SocketKind, host: str, port: int) -> socket.socket:
     """Return a socket bound to the address, port 0 for a free one; a TCP socket listens.
 
-    Raises PortError with the address.
+    Raises ResourceError with the address.
     """
     sock = socket.socket(socket.AF_INET, kind)
     try:
@@ -41,7 +37,7 @@ def bind(kind: socket.SocketKind, host: str, port: int) -> socket.socket:
     except OSError as error:
         sock.close()
         protocol = "TCP" if kind == socket.SOCK_STREAM else "UDP"
-        raise PortError(f"{protocol} port {port} on {host}: {os.strerror(error.errno or 0)}") from None
+        raise ResourceError(f"{protocol} port {port} on {host}: {os.strerror(error.errno or 0)}") from None
     return sock
 
 

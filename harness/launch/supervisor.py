@@ -419,19 +419,14 @@ class Supervisor:
         return self.log_folder / f"{name.replace(' ', '-')}.log"
 
     def log_tail(self, name: str, lines: int = TAIL_LINES) -> str:
-        """Return the last lines of a child's log."""
-        return tail(self.log_path(name), lines)
-
-
-def tail(path: Path, lines: int) -> str:
-    """Return the last lines of a text file of any size; empty if there is no file."""
-    try:
-        with path.open("rb") as log:
-            log.seek(max(0, log.seek(0, os.SEEK_END) - TAIL_BYTES))
-            last = collections.deque(log, maxlen=lines)
-    except OSError:
-        return ""
-    return b"".join(last).decode(errors="replace").rstrip()
+        """Return the last lines of a child's log, of any size; empty if there is none."""
+        try:
+            with self.log_path(name).open("rb") as log:
+                log.seek(max(0, log.seek(0, os.SEEK_END) - TAIL_BYTES))
+                last = collections.deque(log, maxlen=lines)
+        except OSError:
+            return ""
+        return b"".join(last).decode(errors="replace").rstrip()
 
 
 def _wait_gone(children: Iterable[_Child], timeout_s: float) -> None:

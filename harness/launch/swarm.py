@@ -184,9 +184,8 @@ class Swarm:
 
     def run_until_formed(self, *, timeout_s: float) -> SwarmTruth:
         """Fly until every living vehicle reports to be on station. Raises SwarmTimeoutError."""
-        truth = self._run(
-            RunUntil(time_us=self._after_us(timeout_s), stop_when_formed=True, speed=self._speed)
-        )
+        deadline_us = self._after_us(timeout_s)
+        truth = self._run(RunUntil(time_us=deadline_us, stop_when_formed=True, speed=self._speed))
         if self._processes.formed_us is None:
             self._not_formed = f"the formation was not reached within {timeout_s:g} s"
             raise SwarmTimeoutError(self._not_formed)
@@ -384,12 +383,9 @@ class Swarm:
 
         ``interrupted`` marks a run that its user interrupted. Raises OSError if the folder cannot be written.
         """
-        if self._summary is None:
-            self.stop()
-            self._summary = self._report(draw=draw, interrupted=interrupted)
-        return self._summary
-
-    def _report(self, *, draw: bool, interrupted: bool) -> dict[str, Any]:
+        if self._summary is not None:
+            return self._summary
+        self.stop()
         from harness.report import report  # noqa: PLC0415  the analysis is slow to import: not before the flight
 
         processes = self._processes
@@ -431,7 +427,8 @@ class Swarm:
             nondeterminism=tuple(nondeterminism),
             profile=self.profile,
         )
-        return report.finish(self._folder, self.scenario, outcome, draw=draw)
+        self._summary = report.finish(self._folder, self.scenario, outcome, draw=draw)
+        return self._summary
 
 
 def _factor(speed: Speed) -> float:

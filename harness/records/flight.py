@@ -1,6 +1,6 @@
 """A flight as arrays: input of the analysis and of the figures."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,15 +53,8 @@ class Flight:
 
     def at(self, rows: NDArray[np.intp] | slice) -> "Flight":
         """Return the flight at some of its instants."""
-        return Flight(
-            time_us=self.time_us[rows],
-            pos_ned_m=self.pos_ned_m[rows],
-            q_ned_frd=self.q_ned_frd[rows],
-            desired_pos_ned_m=self.desired_pos_ned_m[rows],
-            heading_rad=self.heading_rad[rows],
-            alive=self.alive[rows],
-            believed_pos_ned_m=None if self.believed_pos_ned_m is None else self.believed_pos_ned_m[rows],
-        )
+        series = {each.name: getattr(self, each.name) for each in fields(self)}
+        return replace(self, **{name: each[rows] for name, each in series.items() if each is not None})
 
     def sampled(self, rate_hz: float) -> "Flight":
         """Return the instants at or next after whole periods of ``rate_hz`` since the first, each once."""

@@ -1,4 +1,4 @@
-"""The folder of one run: names of its files, and the settings files of its processes.
+"""The folder of one run: names of its files, settings files of its processes, scenario of its manifest.
 
 manifest.json summary.json events.jsonl      what ran, results, events
 flight.parquet radio.parquet ftm.parquet      truth and estimates, every frame, every ranging session
@@ -15,6 +15,7 @@ import msgspec
 from msgspec import Struct
 
 from harness.scenario.scenario import Scenario
+from harness.scenario.validation_errors import explain
 from netsim.model.config import ServerConfig
 
 
@@ -85,7 +86,7 @@ class RunFolder:
             capture_path=str(self.capture) if scenario.radio.capture else None,
             profile_from_us=self._profile_from_us,
         )
-        return self._write("radio", config)
+        return self.write_config("radio", config)
 
     def write_physics_config(self, scenario: Scenario, *, run_id: str) -> Path:
         """Write the settings of the physics server's process; returns the path."""
@@ -97,7 +98,7 @@ class RunFolder:
             event_log_path=str(self.events),
             profile_from_us=self._profile_from_us,
         )
-        return self._write("physics", config)
+        return self.write_config("physics", config)
 
     def write_vehicle_config(
         self,
@@ -120,9 +121,32 @@ class RunFolder:
         config = msgspec.structs.replace(
             config, ports=ports, params_path=params_path, profile_from_us=self._profile_from_us
         )
-        return self._write(f"uav-{instance}", config)
+        return self.write_config(f"uav-{instance}", config)
 
-    def _write(self, name: str, config: msgspec.Struct) -> Path:
+    def write_config(self, name: str, config: msgspec.Struct) -> Path:
+        """Write the settings of a process; returns the path."""
         path = self.config / f"{name}.json"
         path.write_bytes(msgspec.json.format(msgspec.json.encode(config), indent=2))
         return path
+
+
+class NotARun(Exception):
+    """A folder does not hold a run that can be read; the text is one line that says why."""
+
+
+class _Manifest(msgspec.Struct, frozen=True, kw_only=True):
+    scenario: Scenario
+
+
+def read_scenario(folder: RunFolder) -> Scenario:
+    """Return the scenario that a run flew, with all overrides. Raises NotARun."""
+    try:
+        content = folder.manifest.read_bytes()
+    except (FileNotFoundError, NotADirectoryError):
+        raise NotARun(f"{folder.path}: no run that has ended: it has no manifest.json") from None
+    try:
+        return msgspec.json.decode(content, type=_Manifest).scenario
+    except msgspec.ValidationError as error:
+        raise NotARun(f"{folder.manifest}: of another version: {explain(error, {})}") from None
+    except msgspec.DecodeError as error:
+        raise NotARun(f"{folder.manifest}: not JSON: {error}") from None

@@ -112,7 +112,7 @@ def finish(
         "real_time_factor": round(outcome.simulated_us / 1e6 / outcome.wall_s, 3) if outcome.wall_s else None,
         "formed_s": None if outcome.formed_us is None else outcome.formed_us / 1e6,
         "moves_s": None if start_us is None else start_us / 1e6,
-        "formation_s": _span_s(window),
+        "formation_s": float(window.time_us[-1] - window.time_us[0]) / 1e6 if len(window) else 0.0,
         "formation_rms_m": _formation(error),
         "vehicles": _vehicles(records, error, _losses(folder)),
         **_radio(folder, sessions),
@@ -159,13 +159,9 @@ def _window(whole: Flight, formed_us: int | None) -> Flight:
     return whole.at(np.flatnonzero(whole.time_us >= begin_us))
 
 
-def _span_s(window: Flight) -> float:
-    return float(window.time_us[-1] - window.time_us[0]) / 1e6 if len(window) else 0.0
-
-
 def _formation(error: FormationError | None) -> dict[str, float | None]:
     if error is None:
-        return {"absolute": None, "shape": None, "absolute_horizontal": None, "shape_horizontal": None}
+        return dict.fromkeys(("absolute", "shape", "absolute_horizontal", "shape_horizontal"))
     return {
         "absolute": _round(error.absolute.rms_m),
         "shape": _round(error.shape.rms_m),
@@ -204,11 +200,9 @@ def _vehicles(
 
 def _radio(folder: RunFolder, sessions: NDArray[Any]) -> dict[str, Any]:
     frames = read(folder.raw_frames, FRAME_LOG)
-    occupancy = read(folder.raw_air, AIR_RECORD)
+    air = read(folder.raw_air, AIR_RECORD)
     error_m = _ftm_error_m(sessions)
-    busy = 0.0
-    if len(occupancy):
-        busy = float(occupancy["busy_ns"][-1] / (occupancy["time_us"][-1] * 1e3))
+    busy = float(air["busy_ns"][-1] / (air["time_us"][-1] * 1e3)) if len(air) else 0.0
     return {
         "frames": {
             "sent": len(frames),

@@ -95,13 +95,13 @@ def _check_px4(config: AutopilotConfig, agents: int) -> None:
         raise ValueError(
             "autopilot.px4_build: missing; expected the folder of a PX4 SITL build, as autopilot.kind is px4"
         )
-    given = (
-        ("fence", config.fence),
-        ("mission", config.mission),
-        ("rally", config.rally),
-        ("plan_file", config.plan),
-    )
-    for field, value in given:
+    given = {
+        "fence": config.fence,
+        "mission": config.mission,
+        "rally": config.rally,
+        "plan_file": config.plan,
+    }
+    for field, value in given.items():
         if value:
             raise ValueError(f"autopilot.{field}: a PX4 takes its plans from a ground station only")
     texts = [("px4_command", part) for part in config.px4_command]

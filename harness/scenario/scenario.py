@@ -255,11 +255,23 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         """Return the plan of the formation's motion."""
         return FormationPlan(self.places_ned_m(), self.formation.heading_deg, self.formation.motion)
 
+    def vehicle_ports(self, instance: int) -> VehiclePorts:
+        """Return the ports of vehicle ``instance``, without the radio's endpoint."""
+        p = self.ports
+        return VehiclePorts(
+            host=p.host,
+            simulator_tcp=p.simulator_tcp + instance if p.simulator_tcp else 0,
+            gcs_local_udp=p.gcs_local_udp + instance if p.gcs_local_udp else 0,
+            gcs_remote_udp=p.gcs_remote_udp,
+            companion_local_udp=p.companion_local_udp + instance if p.companion_local_udp else 0,
+            companion_remote_udp=self.companion_port(instance),
+            radio_endpoint=None,
+        )
+
     def vehicle(
         self, instance: int, *, run_id: str, radio_endpoint: str | None, log_path: str | None
     ) -> VehicleConfig:
         """Return the settings of vehicle ``instance``."""
-        p = self.ports
         return VehicleConfig(
             run_id=run_id,
             instance=instance,
@@ -267,15 +279,7 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             step_us=self.run.step_us,
             epoch_unix_us=self.run.epoch_unix_us,
             site=self.site,
-            ports=VehiclePorts(
-                host=p.host,
-                simulator_tcp=p.simulator_tcp + instance if p.simulator_tcp else 0,
-                gcs_local_udp=p.gcs_local_udp + instance if p.gcs_local_udp else 0,
-                gcs_remote_udp=p.gcs_remote_udp,
-                companion_local_udp=p.companion_local_udp + instance if p.companion_local_udp else 0,
-                companion_remote_udp=self.companion_port(instance),
-                radio_endpoint=radio_endpoint,
-            ),
+            ports=msgspec.structs.replace(self.vehicle_ports(instance), radio_endpoint=radio_endpoint),
             autopilot=self.autopilot.for_uav(instance),
             links=self.links,
             onboard=self.onboard,
@@ -314,7 +318,8 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
     try:
         table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise ScenarioError(f"{path}: no such scenario file; {_packaged()}") from None
+        names = ", ".join(name for name in packaged.names() if "/" not in name)
+        raise ScenarioError(f"{path}: no such scenario file; scenarios by name: {names}") from None
     except (OSError, UnicodeDecodeError) as error:
         raise ScenarioError(f"{path}: cannot be read: {error}") from None
     except tomllib.TOMLDecodeError as error:
@@ -348,11 +353,6 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
         return msgspec.structs.replace(scenario, autopilot=autopilot, links=links)
     except ValueError as error:  # contents of the files conflict with other settings
         raise ScenarioError(f"{path}: {error}") from None
-
-
-def _packaged() -> str:
-    """Name the scenarios that come with coflight, for an error's line."""
-    return f"scenarios by name: {', '.join(name for name in packaged.names() if '/' not in name)}"
 
 
 def _override(table: dict[str, Any], override: str) -> None:

@@ -9,9 +9,9 @@ from typing import Literal
 from msgspec import Struct
 
 from foundation.processes.child_protocol import Stop
+from foundation.types import Vector
 from harness.world.faults import AnyFault
 
-Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
 

@@ -30,8 +30,8 @@ class SilenceFinding:
     """Result of checking one silent vehicle."""
 
     wall_silence_s: float
-    newly_silent: bool
-    give_up: str | None
+    newly_silent: bool = False
+    give_up: str | None = None
     """Reason to remove the vehicle; None: continue to wait."""
 
 
@@ -80,16 +80,15 @@ class ResponseWatchdog:
         """Decide on a vehicle that has not answered since `begin`; call this a few times per second."""
         silence_s = wall_s - self._since_s.get(instance, self._wall_begin_s)
         if silence_s < LOOK_AFTER_S:
-            return SilenceFinding(wall_silence_s=silence_s, newly_silent=False, give_up=None)
+            return SilenceFinding(wall_silence_s=silence_s)
         status, cpu_s = self._process_state(instance)
         if status in _GONE:
-            return SilenceFinding(
-                wall_silence_s=silence_s, newly_silent=True, give_up=f"its process is {status}"
-            )
+            give_up = f"its process is {status}"
+            return SilenceFinding(wall_silence_s=silence_s, newly_silent=True, give_up=give_up)
         last = self._observations.get(instance)
         if last is None:
             self._observations[instance] = _Observation(wall_s=wall_s, cpu_s=cpu_s)
-            return SilenceFinding(wall_silence_s=silence_s, newly_silent=False, give_up=None)
+            return SilenceFinding(wall_silence_s=silence_s)
         elapsed_s = wall_s - last.wall_s
         share = (cpu_s - last.cpu_s) / elapsed_s if elapsed_s > 0.0 else 0.0
         last.wall_s, last.cpu_s = wall_s, cpu_s

@@ -75,18 +75,15 @@ def broadcast(
             seq = bench.next_seq(station)
             bench.submit(station, Broadcast(seq=seq, at_us=at_us, payload=payload))
     _gather(bench, round(1e6 * (ticks * period_s + max(jitter_s, 0.0))) + DRAIN_US, sent_us, delays_us)
-    mean_ms = p50_ms = p95_ms = p99_ms = None
-    if delays_us:
-        delays_ms = np.array(delays_us) / 1e3
-        mean_ms = float(delays_ms.mean())
-        p50_ms, p95_ms, p99_ms = np.percentile(delays_ms, (50, 95, 99)).tolist()
+    delays_ms = np.array(delays_us) / 1e3
+    percentiles_ms = np.percentile(delays_ms, (50, 95, 99)).tolist() if delays_us else [None] * 3
     expected = ticks * stations * (stations - 1)
     return BroadcastResult(
         delivery_ratio=len(delays_us) / expected if expected else 0.0,
-        mean_delay_ms=mean_ms,
-        p50_ms=p50_ms,
-        p95_ms=p95_ms,
-        p99_ms=p99_ms,
+        mean_delay_ms=float(delays_ms.mean()) if delays_us else None,
+        p50_ms=percentiles_ms[0],
+        p95_ms=percentiles_ms[1],
+        p99_ms=percentiles_ms[2],
     )
 
 

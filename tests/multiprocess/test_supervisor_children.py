@@ -15,7 +15,7 @@ from supervising import WALL_LIMIT_S, launcher_and_children, python, receive, wa
 
 from foundation.processes.child_protocol import Finished, Ready
 from harness.launch.interrupts import interruptible, interrupts_deferred
-from harness.launch.resources import PortError, bind
+from harness.launch.resources import ResourceError, bind
 from harness.launch.supervisor import MARK, Exited, Supervisor, SupervisorError, ending
 from harness.simulator.messages import SetPid
 
@@ -211,7 +211,9 @@ def test_only_the_given_descriptors_are_inherited(supervisor: Supervisor) -> Non
 def test_port_in_use_is_reported(kind: socket.SocketKind, word: str) -> None:
     with bind(kind, "127.0.0.1", 0) as taken:
         port = taken.getsockname()[1]
-        with pytest.raises(PortError, match=rf"^{word} port {port} on 127\.0\.0\.1: Address already in use$"):
+        with pytest.raises(
+            ResourceError, match=rf"^{word} port {port} on 127\.0\.0\.1: Address already in use$"
+        ):
             bind(kind, "127.0.0.1", port)
     bind(kind, "127.0.0.1", port).close()
 

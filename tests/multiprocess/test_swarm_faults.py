@@ -16,7 +16,7 @@ import pytest
 from paths import ROOT
 from pymavlink import mavutil  # noqa: TID251  the client that the tests are about
 
-from harness.launch.resources import PortError, bind
+from harness.launch.resources import ResourceError, bind
 from harness.launch.swarm import SwarmError, SwarmTimeoutError
 from harness.scenario.scenario import load
 from harness.simulator.messages import VehicleLost, VehicleSilent
@@ -250,7 +250,7 @@ def free_offsets(count, vehicles):
                 for kind, base in bases:
                     for port in range(base + offset, base + offset + vehicles):
                         stack.enter_context(bind(kind, ports.host, port))
-            except PortError:
+            except ResourceError:
                 continue
         offsets.append(offset)
         if len(offsets) == count:

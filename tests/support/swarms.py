@@ -15,7 +15,7 @@ from typing import Any
 
 from paths import ROOT
 
-from harness.launch.resources import PortError, bind
+from harness.launch.resources import ResourceError, bind
 from harness.scenario.scenario import PortsConfig
 
 AGENTS = 3
@@ -30,7 +30,7 @@ def free_offset() -> int:
     """Return an offset with which all ports of a swarm are free; the search begins at the process id."""
     begin = os.getpid() % len(OFFSETS)
     for offset in (*OFFSETS[begin:], *OFFSETS[:begin]):
-        with contextlib.ExitStack() as stack, contextlib.suppress(PortError):
+        with contextlib.ExitStack() as stack, contextlib.suppress(ResourceError):
             for name, base in PortsConfig().numbers().items():
                 kind = socket.SOCK_STREAM if name.endswith("tcp") else socket.SOCK_DGRAM
                 for i in range(AGENTS):

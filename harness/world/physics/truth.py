@@ -28,54 +28,26 @@ class Truth:
     A view of ``rows`` (n,) of `TRUTH`, which are not changed afterwards.
     """
 
-    __slots__ = ("rows",)
-
     def __init__(self, rows: NDArray[np.void]) -> None:
         self.rows = rows
-
-    @property
-    def pos_ned_m(self) -> Array:
+        self.pos_ned_m: Array = rows["pos_ned_m"]
         """(n, 3) centre of mass, from the site's origin; the ground is down = 0."""
-        return self.rows["pos_ned_m"]
-
-    @property
-    def vel_ned_m_s(self) -> Array:
-        """(n, 3)."""
-        return self.rows["vel_ned_m_s"]
-
-    @property
-    def q_ned_frd(self) -> Array:
+        self.vel_ned_m_s: Array = rows["vel_ned_m_s"]
+        self.q_ned_frd: Array = rows["q_ned_frd"]
         """(n, 4) wxyz."""
-        return self.rows["q_ned_frd"]
-
-    @property
-    def omega_frd_rad_s(self) -> Array:
-        """(n, 3)."""
-        return self.rows["omega_frd_rad_s"]
-
-    @property
-    def rotor_speed_rad_s(self) -> Array:
+        self.omega_frd_rad_s: Array = rows["omega_frd_rad_s"]
+        self.rotor_speed_rad_s: Array = rows["rotor_speed_rad_s"]
         """(n, 4)."""
-        return self.rows["rotor_speed_rad_s"]
-
-    @property
-    def acc_ned_m_s2(self) -> Array:
+        self.acc_ned_m_s2: Array = rows["acc_ned_m_s2"]
         """(n, 3) mean acceleration over the step, including contact forces."""
-        return self.rows["acc_ned_m_s2"]
-
-    @property
-    def specific_force_frd_m_s2(self) -> Array:
+        self.specific_force_frd_m_s2: Array = rows["specific_force_frd_m_s2"]
         """(n, 3) mean specific force over the step at the centre of mass, as an accelerometer measures it.
 
         Acceleration minus gravity, in the body axes at the middle of the step: (0, 0, -9.8066) for a level
         vehicle at rest, which is also the value before the first step.
         """
-        return self.rows["specific_force_frd_m_s2"]
-
-    @property
-    def mean_omega_frd_rad_s(self) -> Array:
+        self.mean_omega_frd_rad_s: Array = rows["mean_omega_frd_rad_s"]
         """(n, 3) mean body rate over the step, as a gyroscope measures it."""
-        return self.rows["mean_omega_frd_rad_s"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -97,45 +97,31 @@ class SensorSuite:
         self._gps_period_us = round(1e6 / self._gps_model.rate_hz)
         self._field_ned_gauss = np.array(site.magnetic_field_ned_gauss)
 
-        accel, gyro, mag, baro, gps_position, gps_velocity = map(np.random.default_rng, seed.spawn(6))
-        step_s = step_us * 1e-6
-        mag_interval_s = self._mag_period_us * 1e-6
+        axes, step_s = (vehicles, 3), step_us * 1e-6
+        mag_interval_s, baro_interval_s = self._mag_period_us * 1e-6, self._baro_period_us * 1e-6
         gps_interval_s = self._gps_period_us * 1e-6
-        axes = (vehicles, 3)
-        self._accel_error = SensorError(
-            profile.accel_m_s2.at_interval(step_s), shape=axes, interval_s=step_s, rng=accel
-        )
-        self._gyro_error = SensorError(
-            profile.gyro_rad_s.at_interval(step_s), shape=axes, interval_s=step_s, rng=gyro
-        )
-        self._mag_error = SensorError(
-            profile.mag_gauss.at_interval(mag_interval_s), shape=axes, interval_s=mag_interval_s, rng=mag
-        )
-        self._baro_error_pa = SensorError(
-            profile.baro_pa, shape=(vehicles,), interval_s=self._baro_period_us * 1e-6, rng=baro
-        )
         horizontal_std_m = self._gps_model.horizontal_bias_std_m
         vertical_std_m = self._gps_model.vertical_bias_std_m
-        position_error = SensorErrorModel(
+        gps_position = SensorErrorModel(
             white_std=self._gps_model.white_std_m,
             drift_std=(horizontal_std_m, horizontal_std_m, vertical_std_m),
             drift_time_constant_s=self._gps_model.bias_time_constant_s,
         )
-        velocity_error = SensorErrorModel(white_std=self._gps_model.velocity_std_m_s)
-        self._gps_position_error_m = SensorError(
-            position_error, shape=axes, interval_s=gps_interval_s, rng=gps_position
+        gps_velocity = SensorErrorModel(white_std=self._gps_model.velocity_std_m_s)
+        models = (
+            (profile.accel_m_s2.at_interval(step_s), axes, step_s),
+            (profile.gyro_rad_s.at_interval(step_s), axes, step_s),
+            (profile.mag_gauss.at_interval(mag_interval_s), axes, mag_interval_s),
+            (profile.baro_pa, (vehicles,), baro_interval_s),
+            (gps_position, axes, gps_interval_s),
+            (gps_velocity, axes, gps_interval_s),
         )
-        self._gps_velocity_error_m_s = SensorError(
-            velocity_error, shape=axes, interval_s=gps_interval_s, rng=gps_velocity
-        )
-        self._errors = (
-            self._accel_error,
-            self._gyro_error,
-            self._mag_error,
-            self._baro_error_pa,
-            self._gps_position_error_m,
-            self._gps_velocity_error_m_s,
-        )
+        self._errors = [
+            SensorError(model, shape=shape, interval_s=interval_s, rng=np.random.default_rng(stream))
+            for (model, shape, interval_s), stream in zip(models, seed.spawn(len(models)), strict=True)
+        ]
+        self._accel_error, self._gyro_error, self._mag_error, self._baro_error_pa = self._errors[:4]
+        self._gps_position_error_m, self._gps_velocity_error_m_s = self._errors[4:]
         self._eph_m = max(float(np.hypot(horizontal_std_m, self._gps_model.white_std_m)), LEAST_EPH_M)
         self._epv_m = max(float(np.hypot(vertical_std_m, self._gps_model.white_std_m)), LEAST_EPH_M)
         delay_steps = round(self._gps_model.delay_s * 1e6 / step_us)

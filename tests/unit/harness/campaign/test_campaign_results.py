@@ -33,8 +33,7 @@ from harness.scenario.scenario import load as load_scenario
 
 ARTICLE = SCENARIOS / "article.toml"
 KEEPING = (
-    "__init__", "cluster", "definition", "running", "sources", "store", "table", "values",
-    "worker",
+    "__init__", "cluster", "definition", "running", "sources", "store", "table", "values", "worker",
 )  # fmt: skip
 """Modules of campaigns that do not affect flights and results"""
 SMALL = (
