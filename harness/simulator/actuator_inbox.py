@@ -55,15 +55,11 @@ class ActuatorInbox:
         self.armed: NDArray[np.bool_] = np.zeros(vehicles, dtype=np.bool_)
         """(n,) of the last answer"""
         self.states = np.zeros(vehicles, CONNECTION_STATE)
+        self.answered_us: NDArray[np.int64] = self.states["answered_us"]
+        """(n,) time of the sensors that the answer in this step refers to; 0: there is none."""
         self._octets = np.zeros((vehicles, FIRST + BUFFER_BYTES), dtype=np.uint8)
         self.buffers = [memoryview(row)[FIRST:] for row in self._octets]  # type: ignore[arg-type]
         """Receive buffer of each vehicle; ``states["received_bytes"]`` is the length of its content."""
-
-    @property
-    def answered_us(self) -> NDArray[np.int64]:
-        """(n,) time of the sensors that the answer in this step refers to; 0: there is none."""
-        times_us: NDArray[np.int64] = self.states["answered_us"]
-        return times_us
 
     @property
     def senders(self) -> tuple[int, ...]:

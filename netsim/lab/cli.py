@@ -228,14 +228,8 @@ def ftm_mesh(
         return
     table = Table(title=f"every station ranges to every other, every {period:g} s, {width} MHz")
     for name in (
-        "stations",
-        "sessions/s",
-        "airtime needed",
-        "completed",
-        "round trips",
-        "mean delay",
-        "channel busy",
-    ):
+        "stations", "sessions/s", "airtime needed", "completed", "round trips", "mean delay", "channel busy",
+    ):  # fmt: skip
         table.add_column(name, justify="right")
     for result in results:
         table.add_row(

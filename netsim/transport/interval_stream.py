@@ -27,7 +27,7 @@ ReceivedT = TypeVar("ReceivedT", Advance, Advanced)
 
 
 class IntervalStream(Generic[SentT, ReceivedT]):
-    """One end of the stream, for one thread; to be closed."""
+    """One end of the stream, for one thread; the caller closes the connection."""
 
     def __init__(
         self, connection: socket.socket, received: type[ReceivedT], *, limit_s: float | None
@@ -66,10 +66,6 @@ class IntervalStream(Generic[SentT, ReceivedT]):
             data += more
         self._rest = data[end:]
         return self._decoder.decode(data[_HEADER.size : end])
-
-    def close(self) -> None:
-        """Close the connection; repeated calls have no effect."""
-        self._connection.close()
 
 
 def time_masters_end(connection: socket.socket) -> IntervalStream[Advance, Advanced]:

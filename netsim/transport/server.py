@@ -56,6 +56,8 @@ class Server:
         self._on_visit = on_visit
         self._malformed = 0
         self._transport = Transport.listen(config.host, config.port)
+        self.endpoint = self._transport.endpoint
+        """Endpoint to which the stations connect."""
         try:
             self._service.open_logs()  # last, so that a failed start keeps existing files
         except OSError:
@@ -74,11 +76,6 @@ class Server:
         self._transmissions = self._transport.mailbox(transmit_key(config.run_id))
         self._transport.serve(transmit_key(config.run_id), self._on_transmissions)
         self._transport.serve(directory_key(config.run_id), self._on_directory)
-
-    @property
-    def endpoint(self) -> str:
-        """Endpoint to which the stations connect."""
-        return self._transport.endpoint
 
     @property
     def reached_us(self) -> int:

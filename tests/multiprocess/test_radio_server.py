@@ -73,7 +73,7 @@ class Radio:
                 stdout=subprocess.PIPE,
                 pass_fds=[its.fileno()],
             )
-        self.clock = time_masters_end(own)
+        self.connection, self.clock = own, time_masters_end(own)
         ready = json.loads(self.process.stdout.readline())
         assert ready["event"] == "ready"
         self.endpoint = ready["details"]["endpoint"]
@@ -95,7 +95,7 @@ class Radio:
 
     def stop(self):
         """Stop the process; returns the details of its last message."""
-        self.clock.close()
+        self.connection.close()
         self.process.stdin.write(msgspec.json.encode(Stop()) + b"\n")
         self.process.stdin.flush()
         finished = json.loads(self.process.stdout.readline())
@@ -103,7 +103,7 @@ class Radio:
         return finished["details"]
 
     def close(self):
-        self.clock.close()
+        self.connection.close()
         self.process.kill()
         self.process.wait()
         for pipe in (self.process.stdin, self.process.stdout):

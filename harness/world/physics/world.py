@@ -34,10 +34,8 @@ limit."""
 class World:
     """Vehicles of one model over flat ground (down = 0), advanced in fixed steps.
 
-    ``spawn_pos_ned_m`` (n, 3) are the centres of mass, ``model.standing_height_m`` above the ground if
-    landed; ``spawn_yaw_rad`` is the heading of all vehicles, clockwise from north. Raises ValueError for a
-    spawn below the ground. ``ground_altitude_m`` is the ground's altitude above mean sea level, for the
-    density. Instances are independent and use no random numbers: equal arguments give equal bytes.
+    The arguments are those of `harness.world.physics.interface.PhysicsFactory`; landed vehicles spawn
+    ``model.standing_height_m`` above the ground. Instances are independent.
     """
 
     def __init__(
@@ -74,7 +72,8 @@ class World:
         self._air_at_rest = np.zeros((vehicles, 3))
         self._whole_rotors = np.ones((vehicles, 4))
         self._none_stopped = np.zeros((vehicles, 4), dtype=np.bool_)
-        self._density_ratio = np.ones(vehicles)
+        self.density_ratio = np.ones(vehicles)
+        """(n,) air density over `SEA_LEVEL_DENSITY_KG_M3` in the last step."""
         self._applied = np.empty((vehicles, 2, 3))
         self._bodies = np.zeros(vehicles, BODY)
         self._bodies["pos_ned_m"] = spawn
@@ -87,7 +86,8 @@ class World:
         rows = np.zeros(vehicles, TRUTH)
         if finish_step(self._model, self._bodies, self._bodies, self._near, rows):
             self._hand_over()
-        self._truth = Truth(rows)
+        self.truth = Truth(rows)
+        """State of all vehicles at the end of the last step."""
 
     def step(
         self,
@@ -103,32 +103,24 @@ class World:
         before = self._bodies
         if self._environment.density != "standard":
             height_m = -before["pos_ned_m"][:, 2]
-            self._density_ratio = self._environment.density_ratio(self._ground_altitude_m + height_m)
+            self.density_ratio = self._environment.density_ratio(self._ground_altitude_m + height_m)
         if rotors_stopped is None:
             rotors_stopped = self._none_stopped
         elif rotors_stopped.ndim == 1:
             rotors_stopped = np.repeat(rotors_stopped[:, None], 4, axis=1)
         after, rows = np.empty_like(before), np.empty(len(before), TRUTH)
+        if rotor_effectiveness is None:
+            rotor_effectiveness = self._whole_rotors
+        if air_vel_ned_m_s is None:
+            air_vel_ned_m_s = self._air_at_rest
         changed = fly(
-            self._model,
-            before,
-            self._truth.rows,
-            controls,
-            armed,
-            rotors_stopped,
-            self._whole_rotors if rotor_effectiveness is None else rotor_effectiveness,
-            wind_force_ned_n,
-            self._air_at_rest if air_vel_ned_m_s is None else air_vel_ned_m_s,
-            self._density_ratio,
-            self._near,
-            self._applied,
-            after,
-            rows,
-        )
+            self._model, before, self.truth.rows, controls, armed, rotors_stopped, rotor_effectiveness,
+            wind_force_ned_n, air_vel_ned_m_s, self.density_ratio, self._near, self._applied, after, rows,
+        )  # fmt: skip
         if self._bullet.holds:
             self._bullet.step(before, self._applied, after)
             changed = finish_step(self._model, before, after, self._near, rows)
-        self._bodies, self._truth, self._touches = after, Truth(rows), None
+        self._bodies, self.truth, self._touches = after, Truth(rows), None
         if changed:
             self._hand_over()
 
@@ -140,16 +132,6 @@ class World:
                 self._bullet.hold(vehicle, self._bodies[vehicle])
             elif not near and vehicle in held:
                 self._bullet.release(vehicle)
-
-    @property
-    def truth(self) -> Truth:
-        """State of all vehicles at the end of the last step."""
-        return self._truth
-
-    @property
-    def density_ratio(self) -> Array:
-        """(n,) air density over `SEA_LEVEL_DENSITY_KG_M3` in the last step."""
-        return self._density_ratio
 
     @property
     def vehicle_contacts(self) -> tuple[Contact, ...]:

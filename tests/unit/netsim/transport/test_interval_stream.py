@@ -60,8 +60,8 @@ def test_message_may_arrive_in_any_pieces(ends):
 
 
 def test_closed_connection_is_detected_and_sending_is_ignored(ends):
-    master, emulator = time_masters_end(ends[0]), emulators_end(ends[1])
-    emulator.close()
+    master = time_masters_end(ends[0])
+    ends[1].close()
     master.send(advance(4_000))
     assert master.receive() is None
 
