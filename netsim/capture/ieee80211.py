@@ -67,7 +67,7 @@ def ipv4_address(station: int) -> bytes:
 
 
 def mpdu(frame: Frame, *, retry: bool = False) -> bytes:
-    """Return the ``frame.bytes`` bytes of a frame, from frame control to FCS.
+    """Return the bytes of a frame, from frame control to FCS.
 
     ``retry`` sets the Retry bit of a data or action frame. The payload of a data frame without a body is
     zeros. Raises ValueError if the body's length does not match the frame, and TypeError if an action
@@ -91,8 +91,9 @@ def mpdu(frame: Frame, *, retry: bool = False) -> bytes:
             frame.sequence % _SEQUENCE_NUMBERS << 4,
         )
         content += _datagram(frame) if kind is FrameKind.DATA else _action(frame)
-    if len(content) + _FCS_BYTES != frame.bytes:
-        raise ValueError(f"{kind} frame: encoded {len(content) + _FCS_BYTES} bytes, expected {frame.bytes}")
+    size = len(content) + _FCS_BYTES
+    if size != frame.frame_bytes:
+        raise ValueError(f"{kind} frame: encoded {size} bytes, expected {frame.frame_bytes}")
     return content + crc32(content).to_bytes(_FCS_BYTES, "little")
 
 
@@ -106,7 +107,7 @@ def _datagram(frame: Frame) -> bytes:
     """Return LLC/SNAP, IPv4 and UDP headers and the payload; the IPv4 identification is ``frame.seq``."""
     payload = frame.body
     if not isinstance(payload, bytes):
-        payload = bytes(max(0, frame.bytes - DATA_OVERHEAD_BYTES - UDP_OVERHEAD_BYTES))
+        payload = bytes(max(0, frame.frame_bytes - DATA_OVERHEAD_BYTES - UDP_OVERHEAD_BYTES))
     source, destination = ipv4_address(frame.source), ipv4_address(frame.destination)
     udp_bytes = _UDP_BYTES + len(payload)
     header = (

@@ -12,8 +12,7 @@ from netsim.capture.pcapng_blocks import (
 )
 from netsim.capture.radiotap import Radiotap
 from netsim.model.config import RadioConfig
-from netsim.phy.frames import Frame, FrameKind
-from netsim.phy.signals import Transmission
+from netsim.phy.frames import Frame, FrameKind, Transmission
 
 HOLD_NS = 7_000_000
 """Time for which a frame is held back, since frames that began before it may end later.

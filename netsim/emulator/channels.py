@@ -4,15 +4,14 @@ from collections.abc import Callable
 from typing import Protocol
 
 from netsim.emulator.ideal_channel import IdealChannel
-from netsim.mac.access_parameters import DCF, EDCA
 from netsim.mac.jobs import FrameSender, OnGroupFrame, Upper
 from netsim.mac.radios import Radios
 from netsim.model.config import RadioConfig
 from netsim.model.event_queue import EventQueue
 from netsim.model.random_streams import RandomStreams
 from netsim.model.tables import Integers
+from netsim.phy.frames import Transmission
 from netsim.phy.propagation import Links
-from netsim.phy.signals import Transmission
 
 
 class Channel(Protocol):
@@ -62,7 +61,6 @@ def channel_of(
         )
     return Radios(
         config=config,
-        access=EDCA if config.access == "edca" else dict.fromkeys(EDCA, DCF),
         queue=queue,
         links=links,
         stations=stations,

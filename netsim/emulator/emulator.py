@@ -28,11 +28,10 @@ from netsim.model.event_queue import EventQueue
 from netsim.model.random_streams import Model, RandomStreams, Uniforms
 from netsim.model.tables import Integers
 from netsim.phy.fading import make_fading
-from netsim.phy.frames import DATA_OVERHEAD_BYTES, GROUP, UDP_OVERHEAD_BYTES, FrameKind
+from netsim.phy.frames import DATA_OVERHEAD_BYTES, GROUP, UDP_OVERHEAD_BYTES, FrameKind, Transmission
 from netsim.phy.interfaces import FadingFactory, PropagationFactory
 from netsim.phy.path_gain import PathGain
 from netsim.phy.propagation import Links, Trajectories, is_possible
-from netsim.phy.signals import Transmission
 from netsim.wire.messages import (
     Broadcast,
     FtmRequest,

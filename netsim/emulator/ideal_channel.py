@@ -21,10 +21,9 @@ from netsim.mac.station import RESPONSE_TIMEOUT_NS
 from netsim.model.config import RadioConfig
 from netsim.model.event_queue import EventQueue
 from netsim.model.tables import Integers
-from netsim.phy.frames import ACK_BYTES, GROUP, Frame, FrameKind
+from netsim.phy.frames import ACK_BYTES, GROUP, Frame, FrameKind, Transmission
 from netsim.phy.modes import response_mode, response_ns
 from netsim.phy.propagation import Links
-from netsim.phy.signals import Transmission
 
 
 def undisturbed(config: RadioConfig) -> RadioConfig:
@@ -91,7 +90,7 @@ class IdealChannel:
     def start(self, frame: Frame) -> Transmission:
         """Start the transmission of a frame now."""
         row = self._links.row(frame.source, self.queue.now_ns)
-        return Transmission(frame, self.queue.now_ns, row, row.powers_mw)
+        return Transmission(frame, self.queue.now_ns, row.powers_mw, row.delays_ns, row.longest_delay_ns)
 
     def is_silent(self, station: int) -> bool:
         """Whether a station's radio is off."""
@@ -102,7 +101,7 @@ class IdealChannel:
         radio = self._radios[station]
         if radio.silent:
             return None
-        if transmission.power_mw(station) < self._least_mw:
+        if transmission.powers_mw.item(station) < self._least_mw:
             transmission.lost_to_noise.append(station)
             return None
         transmission.delivered.append(station)
@@ -114,8 +113,8 @@ class IdealChannel:
         others = (i for i in range(self._stations) if i != transmission.source)
         stations = [i for i in others if self.reach(transmission, i) is not None]
         if stations:
-            ends_ns = [transmission.end_ns + transmission.delay_ns(i) for i in stations]
-            powers_mw = [transmission.power_mw(i) for i in stations]
+            ends_ns = [transmission.end_ns + transmission.delays_ns.item(i) for i in stations]
+            powers_mw = [transmission.powers_mw.item(i) for i in stations]
             self.on_group_frame(
                 GroupReception(frame.source, frame.seq, frame.body, stations, ends_ns, powers_mw)
             )
@@ -206,12 +205,12 @@ class IdealRadio:
         self.upper.on_frame(self._reception(transmission, duplicate=duplicate))
 
     def _reception(self, transmission: Transmission, *, duplicate: bool) -> Reception:
-        end_ns = transmission.end_ns + transmission.delay_ns(self.index)
+        end_ns = transmission.end_ns + transmission.delays_ns.item(self.index)
         return Reception(
             source=transmission.source,
             start_ns=transmission.start_ns,
             end_ns=end_ns,
-            power_mw=transmission.power_mw(self.index),
+            power_mw=transmission.powers_mw.item(self.index),
             seq=transmission.frame.seq,
             body=transmission.frame.body,
             duplicate=duplicate,
@@ -231,7 +230,7 @@ class IdealRadio:
                 now_ns=self._queue.now_ns,
             )
         sent = self._send(job)
-        self._queue.at(sent.end_ns + sent.delay_ns(job.destination), self._on_arrived, (exchange, sent))
+        self._queue.at(sent.end_ns + sent.delays_ns.item(job.destination), self._on_arrived, (exchange, sent))
 
     def _on_arrived(self, attempt: tuple[_Exchange, Transmission]) -> None:
         exchange, sent = attempt
@@ -261,7 +260,7 @@ class IdealRadio:
                 frame_bytes=ACK_BYTES,
             )
         )
-        self._queue.at(ack.end_ns + ack.delay_ns(self.index), self._on_ack, (exchange, sent, ack))
+        self._queue.at(ack.end_ns + ack.delays_ns.item(self.index), self._on_ack, (exchange, sent, ack))
 
     def _on_ack(self, attempt: tuple[_Exchange, Transmission, Transmission]) -> None:
         exchange, sent, ack = attempt

@@ -11,12 +11,10 @@ from numpy.typing import NDArray
 
 from netsim.emulator.log_layout import FRAME_LOG, SESSION_LOG
 from netsim.ftm.session import Ranging
-from netsim.mac.initial_state import MODE_NAMES
-from netsim.mac.observations import KINDS
 from netsim.model.codes import COLLIDED, DELIVERED, LOST
 from netsim.model.tables import Integers
-from netsim.phy.frames import GROUP, FrameKind
-from netsim.phy.signals import Transmission
+from netsim.phy.frames import GROUP, KINDS, FrameKind, Transmission
+from netsim.phy.modes import MODE_NAMES
 
 
 class FrameRecord(NamedTuple):
@@ -101,7 +99,7 @@ class FrameBook:
                 self.counts[receivers, end - 1] += 1
         mode = MODE_NAMES.index(frame.mode.name)
         times_ns = transmission.start_ns, transmission.end_ns
-        what = frame.source, frame.destination, kind, mode, frame.bytes, frame.seq
+        what = frame.source, frame.destination, kind, mode, frame.frame_bytes, frame.seq
         self._rows.append((*times_ns, *what, *map(len, ends.values())))
 
     def take(self) -> Integers:

@@ -20,8 +20,8 @@ from netsim.emulator.interface import NetworkEmulator
 from netsim.emulator.log_layout import FRAME_LOG, SESSION_LOG
 from netsim.emulator.records import frame_log_rows, session_log_rows
 from netsim.model.config import ServerConfig
+from netsim.phy.frames import Transmission
 from netsim.phy.propagation import is_possible
-from netsim.phy.signals import Transmission
 from netsim.wire.lockstep import LEAD_US, Advance, Advanced, unpack_rows
 from netsim.wire.messages import RxBatch, Station, TxBatch
 

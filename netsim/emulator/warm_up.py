@@ -9,7 +9,7 @@ import numpy as np
 from foundation.kernels.warm_up import WarmUpError
 from netsim.emulator.emulator import Emulator
 from netsim.model.config import InterfererConfig, RadioConfig
-from netsim.phy.signals import Transmission
+from netsim.phy.frames import Transmission
 from netsim.wire.messages import Broadcast, FtmRequest, TxBatch, TxItem, Unicast
 
 STEP_US = 4_000

@@ -1,23 +1,19 @@
 """Initial state of the tables of `netsim.model.tables`: settings, modes, idle stations."""
 
 from collections.abc import Sequence
-from typing import get_args
 
 from foundation.kernels.records import Block
 from netsim.mac.access_parameters import AccessParameters
 from netsim.model import codes as c
 from netsim.model import tables as t
-from netsim.model.config import Mode, RadioConfig
+from netsim.model.config import RadioConfig
 from netsim.model.event_queue import NEVER_NS
 from netsim.model.records import BUFFERED_DRAWS
 from netsim.model.tables import Tables
 from netsim.phy.errors import error_model
 from netsim.phy.medium import PREAMBLE_SINR
-from netsim.phy.modes import PhyMode, phy_mode, response_mode
+from netsim.phy.modes import MODE_NAMES, PhyMode, phy_mode, response_mode
 from netsim.phy.propagation import thermal_noise_mw
-
-MODE_NAMES: list[Mode] = list(get_args(Mode))
-"""Mode names in the order of the rows of ``modes``."""
 
 
 class ModeRows(dict[PhyMode, int]):

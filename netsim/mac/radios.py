@@ -4,19 +4,18 @@
 adaptive modes, interferers, random streams) and dispatches calls to the upper layers.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from foundation.kernels.records import Block
 from netsim.mac import loop
-from netsim.mac.access_parameters import AccessParameters
+from netsim.mac.access_parameters import DCF, EDCA
 from netsim.mac.initial_state import silent_block
 from netsim.mac.interference import Bursts
 from netsim.mac.jobs import GroupReception, Job, JobOutcome, OnGroupFrame, Reception, Upper
-from netsim.mac.observations import KINDS, transmission_of
 from netsim.model import codes as c
 from netsim.model import tables as t
 from netsim.model.config import RadioConfig
@@ -24,31 +23,15 @@ from netsim.model.event_queue import NEVER_NS, EventQueue
 from netsim.model.random_streams import Model, RandomStreams, Uniforms
 from netsim.model.records import BUFFERED_DRAWS
 from netsim.model.tables import Integers
-from netsim.phy.interfaces import Fading
+from netsim.phy.frames import KINDS, Frame, Transmission
+from netsim.phy.modes import MODE_NAMES, phy_mode
 from netsim.phy.path_loss import Doubles
-from netsim.phy.propagation import LinkRow
-from netsim.phy.signals import Transmission
+from netsim.phy.propagation import Links
 
 KIND_ROWS = {kind: row for row, kind in enumerate(KINDS)}
 OUTCOMES = list(JobOutcome)
 _NO_FADING = np.empty(0)
 _AT_END = ["sequence", "attempts", "failures", "sent_ns"]
-
-
-class LinkBudgets(Protocol):
-    """Link budgets of all signals: `netsim.phy.propagation.Links`."""
-
-    fading: Fading | None
-
-    @property
-    def version(self) -> int:
-        """Version number, which changes when earlier link budgets become invalid."""
-
-    def row(self, source: int, at_ns: int) -> LinkRow:
-        """Return the link budget from a station to all others."""
-
-    def interferer_row(self, index: int, at_ns: int) -> LinkRow:
-        """Return the link budget from an interferer to all stations."""
 
 
 class Radios:
@@ -61,9 +44,8 @@ class Radios:
         self,
         *,
         config: RadioConfig,
-        access: Mapping[str, AccessParameters],
         queue: EventQueue,
-        links: LinkBudgets,
+        links: Links,
         stations: int,
         streams: RandomStreams,
         on_group_frame: OnGroupFrame,
@@ -75,9 +57,10 @@ class Radios:
         self._streams = streams
         self._on_group_frame = on_group_frame
         self._on_ended = on_ended
-        parameters = list(dict.fromkeys(access.values()))
-        self._categories = {category: parameters.index(access[category]) for category in access}
-        """Queue by access category; categories with equal parameters share a queue (DCF)."""
+        edca = config.access == "edca"
+        parameters = list(EDCA.values()) if edca else [DCF]
+        self._categories = {category: k if edca else 0 for k, category in enumerate(EDCA)}
+        """Queue by access category; with DCF all share one."""
         self._queues_each = len(parameters)
         block, self._modes = silent_block(
             config, stations=stations, queues=parameters, observed=on_ended is not None
@@ -93,7 +76,7 @@ class Radios:
         self._free_jobs: list[int] = []
         self._taken: list[Integers] = []
         """Blocks of records moved out of the full table."""
-        self._bursts = Bursts(config, queue, streams, self._start_burst)
+        Bursts(config, queue, streams, self._start_burst)
         queue.machine = self
 
     # --- stations
@@ -135,7 +118,7 @@ class Radios:
     def _new_job_row(self, job: Job) -> int:
         row = len(self._jobs)
         self._jobs.append(job)
-        if row == len(self._tables.jobs):
+        if row == len(self.tables.jobs):
             self._grow(jobs=2 * row)
         return row
 
@@ -143,13 +126,13 @@ class Radios:
         """See `netsim.mac.jobs.FrameSender`."""
         job.cancelled = True
         if job.row is not None:
-            self._tables.jobs["cancelled"][job.row] = True
+            self.tables.jobs["cancelled"][job.row] = True
 
     def has_begun(self, job: Job) -> bool:
         """See `netsim.mac.jobs.FrameSender`."""
         if job.row is None:
             return job.attempts > 0
-        return bool(self._tables.jobs["attempts"][job.row] > 0)
+        return bool(self.tables.jobs["attempts"][job.row] > 0)
 
     def silence(self, station: int) -> None:
         """See `netsim.mac.jobs.FrameSender`."""
@@ -160,14 +143,9 @@ class Radios:
 
     # --- state and statistics
 
-    @property
-    def tables(self) -> t.Tables:
-        """The current tables, which are replaced when they grow."""
-        return self._tables
-
     def busy_ns(self) -> int:
         """Return the time up to now for which the medium carried at least one signal."""
-        air = self._tables.air[0]
+        air = self.tables.air[0]
         return int(air.busy_ns - max(0, air.busy_until_ns - self._queue.now_ns))
 
     def surveyed_ns(self) -> list[int]:
@@ -177,12 +155,12 @@ class Radios:
 
     def frames_sent(self) -> list[int]:
         """Return the number of ended frames by kind."""
-        sent: list[int] = self._tables.air["sent"][0].tolist()
+        sent: list[int] = self.tables.air["sent"][0].tolist()
         return sent
 
     def broadcasts(self) -> Integers:
         """Return broadcast datagrams (n, 3) by receiver: delivered, collided, lost to noise."""
-        return self._tables.stations["broadcasts"].copy()
+        return self.tables.stations["broadcasts"].copy()
 
     def take_frames(self) -> Integers:
         """Return the frames that ended since the last call: see `netsim.emulator.records`."""
@@ -191,7 +169,7 @@ class Radios:
         return taken[0] if len(taken) == 1 else np.concatenate(taken)
 
     def _put_records_aside(self) -> None:
-        air, records = self._tables.air[0], self._tables.records
+        air, records = self.tables.air[0], self.tables.records
         self._taken.append(records[: air.records].view(np.int64).reshape(-1, records.itemsize // 8).copy())
         air.records = 0
 
@@ -206,7 +184,7 @@ class Radios:
         version = self._links.version
         if version != self._links_version:
             self._links_version = version
-            self._tables.stations["budget_until_ns"] = -1
+            self.tables.stations["budget_until_ns"] = -1
 
     def run(self, until_ns: int, until_order: int) -> bool:
         """See `netsim.model.event_queue.EventSource`."""
@@ -231,7 +209,7 @@ class Radios:
 
     def _make_ready(self) -> None:
         """Provide random draws and free rows for the next event, and set the clock."""
-        tables = self._tables
+        tables = self.tables
         air = tables.air[0]
         air.now_ns, air.scheduled = self._queue.now_ns, self._queue.scheduled
         if air.draws_low:
@@ -253,7 +231,9 @@ class Radios:
     def _use(self, block: Block) -> None:
         """Use this block from now on, with views of the fields that are read for every frame."""
         tables = t.tables_of(block)
-        self._block, self._tables, self._modes.tables = block, tables, tables
+        self._block, self._modes.tables = block, tables
+        self.tables = tables
+        """The current tables, which are replaced when they grow."""
         self._call_count: Integers = tables.air["calls"]
         self._jobs_at_end = tables.jobs[_AT_END]
         self._outcomes: Integers = tables.ends["outcome"]
@@ -267,7 +247,7 @@ class Radios:
 
     def _choose_mode(self, q: int) -> None:
         self._dispatch_calls()
-        tables = self._tables
+        tables = self.tables
         row = int(tables.queues["first_job"][q])
         job = self._jobs[row]
         if job.rates is None:
@@ -296,7 +276,7 @@ class Radios:
 
     def _dispatch_calls(self, *, keep: bool = False) -> None:
         """Dispatch the calls of the last event; ``keep`` does not free the rows of ended jobs."""
-        tables = self._tables
+        tables = self.tables
         count = self._call_count.item(0)
         if not count:
             return
@@ -352,9 +332,25 @@ class Radios:
 
     def _report_ended(self, job: Job | None) -> None:
         """Report the frame that has ended, and free its row."""
-        ended = int(self._tables.air["ended_frame"][0])
-        body = None if job is None else job.body
-        transmission = transmission_of(self._tables, ended, self._config.bandwidth_mhz, body)
+        tables = self.tables
+        ended = int(tables.air["ended_frame"][0])
+        signal, paths, outcomes = tables.signals[ended], tables.paths[ended], tables.ends["receiver_outcome"]
+        frame = Frame(
+            kind=KINDS[signal.kind],
+            source=int(signal.source),
+            destination=int(signal.to),
+            mode=phy_mode(MODE_NAMES[signal.mode], self._config.bandwidth_mhz),
+            frame_bytes=int(signal.frame_bytes),
+            nav_ns=int(signal.nav_ns),
+            seq=int(signal.seq),
+            sequence=int(signal.sequence),
+            body=None if job is None else job.body,
+        )
+        transmission = Transmission(
+            frame, int(signal.start_ns), paths["power_mw"].copy(), paths["delay_ns"].copy(),
+            int(signal.longest_delay_ns),
+            *((outcomes == each).nonzero()[0].tolist() for each in (c.DELIVERED, c.COLLIDED, c.LOST)),
+        )  # fmt: skip
         loop.release(self._block, ended)
         if self._on_ended is not None:
             self._on_ended(transmission)

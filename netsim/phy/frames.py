@@ -1,8 +1,12 @@
-"""Frames and their sizes."""
+"""Frames, their sizes, and their transmissions."""
 
 from enum import StrEnum
 
+from msgspec import Struct
+
+from netsim.model.tables import Integers
 from netsim.phy.modes import PhyMode
+from netsim.phy.path_loss import Doubles
 
 GROUP = -1
 """Destination of a group frame."""
@@ -28,51 +32,50 @@ class FrameKind(StrEnum):
     FTM = "ftm"
 
 
-class Frame:
-    """One frame; immutable once sent."""
+KINDS = list(FrameKind)
+"""Frame kinds in the order of `netsim.model.codes`."""
 
-    __slots__ = (
-        "body",
-        "bytes",
-        "destination",
-        "duration_ns",
-        "is_answer",
-        "kind",
-        "lapse_ns",
-        "mode",
-        "nav_ns",
-        "seq",
-        "sequence",
-        "source",
-    )
 
-    def __init__(
-        self,
-        *,
-        kind: FrameKind,
-        source: int,
-        destination: int,
-        mode: PhyMode,
-        frame_bytes: int,
-        nav_ns: int = 0,
-        lapse_ns: int = 0,
-        seq: int = 0,
-        sequence: int = 0,
-        body: object = None,
-    ) -> None:
-        self.kind = kind
-        self.is_answer = kind is FrameKind.ACK or kind is FrameKind.CTS
-        self.source = source
-        self.destination = destination
-        self.mode = mode
-        self.bytes = frame_bytes
-        self.duration_ns = mode.duration_ns(frame_bytes)
-        self.nav_ns = nav_ns
-        """Duration field: time for which the medium is reserved after this frame."""
-        self.lapse_ns = lapse_ns
-        """Time after this frame at which the NAV is reset where no frame was detected since; 0: never."""
-        self.seq = seq
-        """The host's sequence number of the payload."""
-        self.sequence = sequence
-        """MAC sequence number; a retransmission has that of the first transmission."""
-        self.body = body
+class Frame(Struct, frozen=True, kw_only=True):
+    """One frame."""
+
+    kind: FrameKind
+    source: int
+    destination: int
+    mode: PhyMode
+    frame_bytes: int
+    """Length including MAC header and FCS."""
+    nav_ns: int = 0
+    """Duration field: time for which the medium is reserved after this frame."""
+    seq: int = 0
+    """The host's sequence number of the payload."""
+    sequence: int = 0
+    """MAC sequence number; a retransmission has that of the first transmission."""
+    body: object = None
+
+
+class Transmission(Struct):
+    """A frame that is or was on the air, and its outcome, for observers of the whole channel."""
+
+    frame: Frame
+    start_ns: int
+    powers_mw: Doubles
+    """Received powers by station; delays are also by station."""
+    delays_ns: Integers
+    longest_delay_ns: int
+    """Longest delay to a station that can sense the frame."""
+    delivered: list[int] = []
+    """Intended receivers that received it."""
+    collided: list[int] = []
+    """Intended receivers that would have received it without other signals."""
+    lost_to_noise: list[int] = []
+
+    @property
+    def source(self) -> int:
+        """The transmitter's station."""
+        return self.frame.source
+
+    @property
+    def end_ns(self) -> int:
+        """Time at which it ends at the transmitter's antenna."""
+        return self.start_ns + self.frame.mode.duration_ns(self.frame.frame_bytes)

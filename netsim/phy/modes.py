@@ -4,11 +4,14 @@ Sources: IEEE 802.11-2016 clause 17 (OFDM), clause 21 (VHT), 10.7.6.5 (rates of 
 """
 
 from functools import cache
+from typing import get_args
 
 from msgspec import Struct
 
 from netsim.model.config import BandwidthMhz, Mode
 
+MODE_NAMES: list[Mode] = list(get_args(Mode))
+"""Mode names in the order of the rows of `netsim.model.tables`."""
 SYMBOL_NS = 4_000
 NON_HT_PREAMBLE_NS = 20_000
 """L-STF 8 us, L-LTF 8 us, L-SIG 4 us."""

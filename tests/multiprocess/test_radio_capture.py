@@ -114,7 +114,7 @@ def test_every_transmission_has_its_kind_time_and_valid_checksums(run):
     times_ns = [int(row[0].replace(".", "")) for row in rows]
     assert times_ns == [t.start_ns for t in run.transmissions]
     assert times_ns == [int(row[1]) for row in rows]
-    assert [int(row[3]) - int(row[4]) for row in rows] == [t.frame.bytes for t in run.transmissions]
+    assert [int(row[3]) - int(row[4]) for row in rows] == [t.frame.frame_bytes for t in run.transmissions]
     good = [["1", "1", "1"] if t.frame.kind == "data" else ["1", "", ""] for t in run.transmissions]
     assert [row[5:] for row in rows] == good
 
@@ -159,7 +159,7 @@ def test_wireshark_computes_the_same_durations_and_gaps(run):
     for (phy, duration_us, start_us, gap_us), sent in zip(rows, run.transmissions, strict=True):
         assert phy == ("8" if sent.frame.mode.vht else "5")
         if phy == "5":
-            assert int(duration_us) * 1_000 == sent.frame.duration_ns
+            assert int(duration_us) * 1_000 == sent.end_ns - sent.start_ns
             assert int(start_us) == sent.start_ns // 1_000
             durations += 1
         # of two RTS within aCCATime the first may be answered, at a shorter gap after the second

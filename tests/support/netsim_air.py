@@ -5,17 +5,15 @@ from itertools import chain
 
 import numpy as np
 
-from netsim.mac.access_parameters import DCF, AccessParameters
 from netsim.mac.jobs import GroupReception, Job, JobOutcome, Reception
 from netsim.mac.radios import Radios
 from netsim.mac.rates import RateControl
 from netsim.model.config import Mode, RadioConfig
 from netsim.model.event_queue import EventQueue
 from netsim.model.random_streams import RandomStreams, Uniforms
-from netsim.phy.frames import GROUP, FrameKind
+from netsim.phy.frames import GROUP, FrameKind, Transmission
 from netsim.phy.modes import phy_mode
 from netsim.phy.propagation import LinkRow
-from netsim.phy.signals import Transmission
 
 UNDETECTED_DBM = -200.0
 A, B, C, D = range(4)
@@ -67,11 +65,13 @@ class Air:
         powers_dbm: Mapping[tuple[int, int], float] | None = None,
         delays_ns: Mapping[tuple[int, int], int] | None = None,
         backoffs: Mapping[int, Sequence[tuple[int, int]]] | None = None,
-        access: Mapping[str, AccessParameters] | None = None,
+        access: str = "dcf",
         control_mode: Mode = "ofdm24",
         seed: int = 1,
     ) -> None:
-        config = RadioConfig(bandwidth_mhz=20, rician_k_db=None, control_mode=control_mode, queue_frames=10)
+        config = RadioConfig(
+            bandwidth_mhz=20, rician_k_db=None, control_mode=control_mode, queue_frames=10, access=access
+        )
         streams = RandomStreams(np.random.SeedSequence(seed))
         self.queue = EventQueue()
         self.transmissions: list[Transmission] = []
@@ -82,7 +82,6 @@ class Air:
         self.links = GivenLinks(stations, powers_dbm or {}, delays_ns or {})
         self.radios = Radios(
             config=config,
-            access=access or {"dcf": DCF},
             queue=self.queue,
             links=self.links,
             stations=stations,
@@ -106,7 +105,7 @@ class Air:
         frame_bytes: int = 100,
         mode: Mode = "ofdm6",
         rts: bool = False,
-        category: str = "dcf",
+        category: str = "be",
         retry_limit: int = 7,
         lifetime_us: int = 1_000_000,
         rates: RateControl | None = None,

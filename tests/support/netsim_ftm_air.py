@@ -9,16 +9,14 @@ from netsim.ftm.elements import Measurement, Request
 from netsim.ftm.initiator import Ranging
 from netsim.ftm.session import FtmRadio
 from netsim.ftm.stamps import Clock
-from netsim.mac.access_parameters import EDCA
 from netsim.mac.jobs import Job, Reception
 from netsim.mac.radios import Radios
 from netsim.model.config import FtmConfig, RadioConfig
 from netsim.model.event_queue import EventQueue
 from netsim.model.random_streams import Model, RandomStreams
-from netsim.phy.frames import DATA_OVERHEAD_BYTES, FrameKind
+from netsim.phy.frames import DATA_OVERHEAD_BYTES, FrameKind, Transmission
 from netsim.phy.modes import phy_mode
 from netsim.phy.propagation import LinkRow, Trajectories
-from netsim.phy.signals import Transmission
 
 A, B, C = range(3)
 Interval = tuple[int, int]
@@ -83,7 +81,6 @@ class FtmAir:
         streams = RandomStreams(np.random.SeedSequence(seed))
         radios = Radios(
             config=config,
-            access=EDCA,
             queue=self.queue,
             links=LossyLinks(stations, lost_us or {}, round(distance_m / 0.299792458)),
             stations=stations,

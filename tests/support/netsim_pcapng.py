@@ -4,13 +4,10 @@ import struct
 
 import numpy as np
 
-from netsim.phy.frames import GROUP, Frame, FrameKind
+from netsim.phy.frames import GROUP, Frame, FrameKind, Transmission
 from netsim.phy.modes import phy_mode
-from netsim.phy.propagation import LinkRow
-from netsim.phy.signals import Transmission
 
 OFDM24 = phy_mode("ofdm24", 20)
-NO_NEIGHBOURS = LinkRow(np.array([0.0]), np.array([0]), 0)
 RADIOTAP_FIELDS = {
     0: ("tsft", 8, "<Q"), 1: ("flags", 1, "<B"), 2: ("rate", 1, "<B"), 3: ("channel", 2, "<HH"),
     4: ("fhss", 1, "<BB"), 5: ("signal", 1, "<b"), 6: ("noise", 1, "<b"), 10: ("tx_power", 1, "<b"),
@@ -21,7 +18,7 @@ RADIOTAP_FIELDS = {
 
 
 def transmission(frame, start_ns=0):
-    return Transmission(frame, start_ns, NO_NEIGHBOURS, [0.0])
+    return Transmission(frame, start_ns, np.array([0.0]), np.array([0]), 0)
 
 
 def datagram(payload=b"hello", *, source=0, sequence=1, seq=0, destination=GROUP, mode=OFDM24):

@@ -6,8 +6,8 @@ import numpy as np
 
 from netsim.emulator.emulator import Emulator
 from netsim.model.config import RadioConfig
+from netsim.phy.frames import Transmission
 from netsim.phy.path_loss import Doubles
-from netsim.phy.signals import Transmission
 from netsim.wire.messages import Broadcast, FtmRequest, RxItem, Survey, TxBatch, TxItem, Unicast
 
 STEP_US = 4_000

@@ -18,7 +18,6 @@ from netsim_swarm import Swarm
 
 from netsim.capture.ieee80211 import mpdu
 from netsim.capture.pcapng_writer import CHUNK_BYTES, HOLD_NS, WRITE_PERIOD_NS, Capture
-from netsim.mac.access_parameters import EDCA
 from netsim.model.config import RadioConfig, StationConfig
 from netsim.phy.frames import Frame, FrameKind
 from netsim.phy.modes import phy_mode
@@ -216,7 +215,7 @@ def test_all_transmissions_after_the_first_are_retries(tmp_path):
 
 def test_retry_is_detected_after_a_frame_of_another_queue(tmp_path):
     """A's best-effort frame 1 to B fails; its voice frame 2 goes out in between, before 1 comes again."""
-    air = Air(3, powers_dbm={(A, B): -200.0}, access=EDCA)
+    air = Air(3, powers_dbm={(A, B): -200.0}, access="edca")
     air.send(0, A, B, category="be", retry_limit=3)
     air.send(100, A, C, category="vo")
     air.run()

@@ -61,7 +61,7 @@ def test_a_datagram_has_every_header_and_valid_checksums(
         frame_bytes=len(payload) + 64, nav_ns=nav_ns, seq=seq, sequence=sequence, body=payload,
     )  # fmt: skip
     data = mpdu(frame, retry=retry)
-    assert len(data) == frame.bytes
+    assert len(data) == frame.frame_bytes
     assert zlib.crc32(data) == CRC_RESIDUE
     control, duration_us, to, by, network, order = struct.unpack_from("<HH6s6s6sH", data)
     assert control == (0x0808 if retry else 0x0008)
@@ -101,7 +101,7 @@ def test_action_frame_contains_its_encoded_body(kind, content):
         kind=kind, source=3, destination=4, mode=OFDM24, frame_bytes=28 + len(content), body=Body(content)
     )
     data = mpdu(frame)
-    assert len(data) == frame.bytes
+    assert len(data) == frame.frame_bytes
     assert zlib.crc32(data) == CRC_RESIDUE
     assert data[:2] == b"\xd0\x00"
     assert data[24:-4] == content

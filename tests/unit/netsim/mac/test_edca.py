@@ -31,7 +31,7 @@ def test_interframe_spaces_and_limits_are_those_of_5_ghz_ofdm():
 def test_voice_has_priority_over_best_effort():
     #  1000   1160 1194 1203        1363     1406
     #  A data |aifs|slot | C data   | aifs   | B data      at 1203 B's AIFS ends, and its only slot counts
-    air = Air(3, access=EDCA, backoffs={B: [(1, 15)], C: [(1, 3)]})
+    air = Air(3, access="edca", backoffs={B: [(1, 15)], C: [(1, 3)]})
     air.send(1000, A, category="be")
     air.send(1010, B, category="be")
     air.send(1020, C, category="vo")
@@ -42,7 +42,7 @@ def test_edca_counts_slots_at_their_boundaries():
     #  1000   1160 1203 1212      1372 1415 1424
     #  A data |aifs|slot| C data  |aifs|slot| B data      B drew 3 and counts at 1203 and at 1212, when C
     #                                                     begins; DCF would have counted one
-    air = Air(3, access=EDCA, backoffs={B: [(3, 15)], C: [(1, 15)]})
+    air = Air(3, access="edca", backoffs={B: [(3, 15)], C: [(1, 15)]})
     air.send(1000, A, category="be")
     air.send(1010, B, category="be")
     air.send(1020, C, category="be")
@@ -51,7 +51,7 @@ def test_edca_counts_slots_at_their_boundaries():
 
 def test_queues_of_one_station_collide_internally():
     # both would send at 1203: voice does, best effort draws from twice its window
-    air = Air(2, access=EDCA, backoffs={B: [(0, 15), (1, 3), (20, 31)]})
+    air = Air(2, access="edca", backoffs={B: [(0, 15), (1, 3), (20, 31)]})
     air.send(1000, A, category="be")
     be = air.send(1010, B, category="be")
     air.send(1020, B, category="vo")
@@ -61,7 +61,7 @@ def test_queues_of_one_station_collide_internally():
 
 def test_order_of_first_use_is_not_the_order_of_priority():
     # all four queues of B back off no slot; AIFS decides between them, and priority at equal AIFS
-    air = Air(2, access=EDCA, backoffs={B: [(0, 15), (0, 15), (0, 7), (0, 3)] + [(0, 15)] * 20})
+    air = Air(2, access="edca", backoffs={B: [(0, 15), (0, 15), (0, 7), (0, 3)] + [(0, 15)] * 20})
     air.send(1000, A, category="be")
     jobs = [air.send(1010, B, category=category) for category in ("bk", "be", "vi", "vo")]
     air.run()
@@ -74,7 +74,7 @@ def test_order_of_first_use_is_not_the_order_of_priority():
 def test_video_txop_continues_after_sifs():
     #  1000   1160 1176  1220 1236   1396 1412  1456
     #  A data |    B ack |    A data |    B ack |
-    air = Air(2, access=EDCA)
+    air = Air(2, access="edca")
     for _ in range(2):
         air.send(1000, A, B, category="vi")
     assert air.run() == [
@@ -90,7 +90,7 @@ def test_video_txop_continues_after_sifs():
 
 
 def test_group_frames_of_a_txop_follow_after_sifs():
-    air = Air(2, access=EDCA)
+    air = Air(2, access="edca")
     for _ in range(3):
         air.send(1000, A, category="vo")
     assert [start for start, *_ in air.run()] == [1000, 1176, 1352]
@@ -100,7 +100,7 @@ def test_group_frames_of_a_txop_follow_after_sifs():
 def test_txop_ends_before_the_exchange_that_does_not_fit(category, limit_us, window):
     # k exchanges take 220 k + 16 (k - 1): 6 fit into 1504 us, 12 into 3008 us
     fit = (limit_us + SIFS_US) // (EXCHANGE_US + SIFS_US)
-    air = Air(2, access=EDCA, backoffs={A: [(1, window), (0, window)]})
+    air = Air(2, access="edca", backoffs={A: [(1, window), (0, window)]})
     for at_us in (1000, 1001, 1002, 1003, 1004, 1005, 1006, 1007, 1008, 1009):
         air.send(at_us, A, B, category=category)
     # the queue holds ten, so the rest comes when some are gone
@@ -135,7 +135,7 @@ class Always:
     ],
 )
 def test_frame_whose_mode_does_not_fit_the_txop_needs_a_new_one(mode, start_us):
-    air = Air(2, access=EDCA, backoffs={A: [(3, 7)]})
+    air = Air(2, access="edca", backoffs={A: [(3, 7)]})
     air.send(1000, A, B, category="vi")
     air.send(1000, A, B, category="vi", frame_bytes=2200, rates=Always(mode))
     starts_us = [start for start, _, source, _ in air.run() if source == A]
@@ -144,7 +144,7 @@ def test_frame_whose_mode_does_not_fit_the_txop_needs_a_new_one(mode, start_us):
 
 
 def test_best_effort_sends_one_frame_and_backs_off():
-    air = Air(2, access=EDCA, backoffs={A: [(2, 15)]})
+    air = Air(2, access="edca", backoffs={A: [(2, 15)]})
     for _ in range(2):
         air.send(1000, A, B, category="be")
     assert air.run()[2][0] == 1000 + EXCHANGE_US + AIFS_BE_US + 2 * SLOT_US
@@ -153,7 +153,7 @@ def test_best_effort_sends_one_frame_and_backs_off():
 def test_failure_ends_a_txop():
     #  1000   1160 1176  1220 1236   1396     1441 1475 1493
     #  A data |    B ack |    A data | no ack |aifs|2   | A data      C does not receive A
-    air = Air(3, access=EDCA, powers_dbm={(A, C): UNDETECTED_DBM}, backoffs={A: [(2, 7)]})
+    air = Air(3, access="edca", powers_dbm={(A, C): UNDETECTED_DBM}, backoffs={A: [(2, 7)]})
     air.send(1000, A, B, category="vi")
     air.send(1000, A, C, category="vi", retry_limit=0)
     air.send(1000, A, B, category="vi")
@@ -162,7 +162,7 @@ def test_failure_ends_a_txop():
 
 
 def test_expired_frame_is_skipped_in_a_txop():
-    air = Air(2, access=EDCA)
+    air = Air(2, access="edca")
     air.send(1000, A, category="vo")
     air.send(1000, A, category="vo", lifetime_us=100)
     air.send(1000, A, category="vo")
@@ -174,7 +174,7 @@ def test_hidden_station_defers_for_the_rest_of_a_txop():
     # D receives only B's ACKs: the first, at 1220, reserves the medium to the end of the second, at 1456
     air = Air(
         4,
-        access=EDCA,
+        access="edca",
         powers_dbm={(A, D): UNDETECTED_DBM, (D, A): UNDETECTED_DBM},
         backoffs={D: [(0, 15)]},
     )
@@ -191,7 +191,7 @@ def test_group_frame_reserves_the_next_one_of_its_txop():
     #                                        that it senses
     hidden = dict.fromkeys([(A, D), (D, A)], UNDETECTED_DBM)
     weak = dict.fromkeys([(A, C), (D, C)], -75.0)
-    air = Air(4, access=EDCA, powers_dbm=hidden | weak, backoffs={C: [(0, 15)]})
+    air = Air(4, access="edca", powers_dbm=hidden | weak, backoffs={C: [(0, 15)]})
     for _ in range(2):
         air.send(1000, A, category="vo")
     air.send(1176, D, category="be")
@@ -208,7 +208,7 @@ def test_group_frame_reserves_the_next_one_of_its_txop():
 def test_txop_holder_gets_responses_despite_its_own_nav():
     #  1000   1160 1176  1220 1236  1264 1280  1308 1324   1484 1500  1544
     #  A data |    B ack |    A rts |    C cts |    A data |    C ack |
-    air = Air(3, access=EDCA)
+    air = Air(3, access="edca")
     air.send(1000, A, B, category="vo")
     air.send(1000, A, C, category="vo", rts=True)
     assert [(start, source, kind) for start, _, source, kind in air.run()] == [

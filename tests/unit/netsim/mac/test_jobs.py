@@ -47,7 +47,7 @@ def test_lifetimes_end_independently_of_the_queue_order():
 
 
 def test_lifetimes_end_in_every_queue_of_a_station():
-    air = Air(2, access=EDCA)
+    air = Air(2, access="edca")
     air.send(1000, A, frame_bytes=1000, category="be")
     for category in EDCA:
         air.send(1010, B, lifetime_us=600, category=category)

@@ -53,7 +53,7 @@ def throughput_mbps(
             done=done,
             rts=rts,
         )
-        air.stations[station].enqueue("dcf", job)
+        air.stations[station].enqueue("be", job)
 
     for station in range(stations):
         feed(station)

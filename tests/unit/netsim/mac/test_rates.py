@@ -159,7 +159,7 @@ def delivered_over_the_air(snr_db, *, fixed=None, seconds=1.0):
 
     def feed():
         air.stations[A].enqueue(
-            "dcf",
+            "be",
             Job(
                 kind=FrameKind.DATA,
                 destination=B,

@@ -5,7 +5,6 @@ import pytest
 from netsim_air import Air
 from numba import njit
 
-from netsim.mac.access_parameters import EDCA
 from netsim.mac.jobs import JobOutcome
 from netsim.model import codes as c
 from netsim.model import tables as t
@@ -140,7 +139,7 @@ def test_python_calls_and_table_events_have_one_order():
 
 
 def test_first_frame_has_room_for_any_number_of_stations():
-    air = Air(40, access=EDCA)
+    air = Air(40, access="edca")
     air.send(1000, 0, category="be")
     air.run(2_000)
     assert air.outcomes == [JobOutcome.SENT]

@@ -6,7 +6,7 @@ from netsim_air import Air
 from netsim_swarm import Swarm
 from numba import njit
 
-from netsim.mac.access_parameters import DCF, EDCA
+from netsim.mac.interference import Interferer
 from netsim.mac.jobs import Job, JobOutcome
 from netsim.mac.radios import KIND_ROWS, Radios
 from netsim.mac.station import schedule_frame
@@ -16,7 +16,6 @@ from netsim.model.event_queue import NEVER_NS, EventQueue
 from netsim.model.random_streams import Model, RandomStreams
 from netsim.model.tables import open_air
 from netsim.phy.frames import GROUP, Frame, FrameKind
-from netsim.phy.interferers import Interferer
 from netsim.phy.modes import phy_mode
 from netsim.phy.propagation import LinkRow, Links, Trajectories
 
@@ -66,10 +65,9 @@ class Channel:
     def __init__(self, powers_dbm=None, *, stations=3, links=None, seed=1, delay_ns=0, **settings):
         self.queue = EventQueue()
         self.ended = []
-        config = RadioConfig(bandwidth_mhz=20, **{"rician_k_db": None, **settings})
+        config = RadioConfig(bandwidth_mhz=20, **{"rician_k_db": None, "access": "dcf", **settings})
         self.radios = Radios(
             config=config,
-            access={"dcf": DCF},
             queue=self.queue,
             links=links or Powers(stations, powers_dbm or {}, delay_ns),
             stations=stations,
@@ -97,7 +95,9 @@ class Channel:
         radios = self.radios
         radios._make_ready()
         what = KIND_ROWS[frame.kind] * MODES + radios._modes[frame.mode]
-        self.queue.scheduled = transmit(radios._block, frame.source, frame.destination, what, frame.bytes)
+        self.queue.scheduled = transmit(
+            radios._block, frame.source, frame.destination, what, frame.frame_bytes
+        )
 
     def _on_group_frame(self, reception):
         for station, end_ns in zip(reception.stations, reception.ends_ns, strict=True):
@@ -372,7 +372,7 @@ def saturated_mbps(power_dbm, *, spread_db=0.0, stations=5, seconds=3, seed=1, *
             retry_limit=7,
             done=done,
         )
-        air.stations[source].enqueue("vo" if settings else "dcf", job)
+        air.stations[source].enqueue("vo" if settings else "be", job)
 
     for source in range(stations):
         feed(source)
@@ -381,7 +381,7 @@ def saturated_mbps(power_dbm, *, spread_db=0.0, stations=5, seconds=3, seed=1, *
     return 500 * 8 * outcomes.count(JobOutcome.ACKNOWLEDGED) / seconds / 1e6
 
 
-@pytest.mark.parametrize("settings", [{}, {"access": EDCA}])
+@pytest.mark.parametrize("settings", [{}, {"access": "edca"}])
 def test_weak_stations_share_the_medium_as_well_as_strong_ones(settings):
     """With equal powers nothing depends on the power; with others captures let more through."""
     strong = saturated_mbps(-50.0, **settings)

@@ -42,7 +42,7 @@ def test_station_silenced_before_its_response_requests_no_budget():
 def test_each_frame_on_a_busy_channel_requests_exactly_one_budget(seed):
     """Queues collide inside and outside of stations, frames expire and are cancelled, TXOPs break off."""
     rng = np.random.default_rng(seed)
-    air = Air(3, access=EDCA, powers_dbm={(A, C): -84.0, (C, A): -84.0}, seed=seed)
+    air = Air(3, access="edca", powers_dbm={(A, C): -84.0, (C, A): -84.0}, seed=seed)
     rates = [AdaptiveRate(channel_modes(20, vht=True), Uniforms(np.random.default_rng(k))) for k in range(3)]
     for _ in range(400):
         source, to = rng.permutation(3)[:2].tolist()
