@@ -1,4 +1,4 @@
-"""Simulate VHT links bit by bit: ``python scripts/link_tables.py --out netsim/phy/vht_tables.py``."""
+"""Simulate VHT links bit by bit: ``python scripts/link_tables.py --out netsim/phy/vht_tables.csv``."""
 
 import os
 

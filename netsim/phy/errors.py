@@ -26,7 +26,7 @@ from numba import njit
 from netsim.phy.interfaces import ErrorModel
 from netsim.phy.modes import PhyMode
 from netsim.phy.path_loss import Doubles
-from netsim.phy.vht_tables import VHT_COUNTS
+from netsim.phy.vht_tables import vht_counts
 
 # Information weights c_d of the code 133/171 (octal) and its punctured forms (Haccoun and Begin, 1989;
 # Frenger et al., 1999):
@@ -35,12 +35,7 @@ _SPECTRUM: dict[tuple[int, int], tuple[int, int, tuple[int, ...], int]] = {
     (1, 2): (10, 2, (36, 211, 1404, 11633, 77433, 502690, 3322763, 21292910, 134365911), 1),
     (2, 3): (6, 1, (3, 70, 285, 1276, 6160, 27128, 117019, 498860, 2103891, 8784123), 2),
     (3, 4): (5, 1, (42, 201, 1492, 10469, 62935, 379644, 2253373, 13073811, 75152755, 428005675), 3),
-    (5, 6): (
-        4,
-        1,
-        (92, 528, 8694, 79453, 792114, 7375573, 67884974, 610875423, 5427275376, 47664215639),
-        5,
-    ),
+    (5, 6): (4, 1, (92, 528, 8694, 79453, 792114, 7375573, 67884974, 610875423, 5427275376, 47664215639), 5),
 }
 _STEP_DB = 0.05
 _FIRST_DB = -10.0
@@ -88,10 +83,6 @@ def soft_decision_bound(mode: PhyMode, snr_linear: float) -> float:
     return total / period_bits
 
 
-def _hard_hazard(mode: PhyMode) -> Callable[[float], float]:
-    return lambda snr_db: -log1p(-min(hard_decision_bound(mode, 10.0 ** (snr_db / 10.0)), 1.0 - 1e-12))
-
-
 def _counted_hazard(mode: PhyMode) -> Callable[[float], float]:
     """Return the hazard as a function of the SNR in dB, from the counts of a VHT mode.
 
@@ -99,7 +90,7 @@ def _counted_hazard(mode: PhyMode) -> Callable[[float], float]:
     extrapolated up to the hazard of a random decision. In the last rows, where few frames were lost, and
     above, it is the soft-decision bound, scaled to the total count of lost frames in these rows.
     """
-    rows = VHT_COUNTS[mode.name]
+    rows = vht_counts(mode.name)
     snrs_db = [row[0] for row in rows]
     logs = [log(-log1p(-lost / frames) / (8 * frame_bytes)) for _, frame_bytes, frames, lost in rows]
     slope = (logs[_END_ROWS] - logs[0]) / (snrs_db[_END_ROWS] - snrs_db[0])
@@ -127,7 +118,9 @@ class PublishedErrors:
 
     def hazard(self, mode: PhyMode) -> Callable[[float], float]:
         """See `netsim.phy.interfaces.ErrorModel`."""
-        return _counted_hazard(mode) if mode.vht else _hard_hazard(mode)
+        if mode.vht:
+            return _counted_hazard(mode)
+        return lambda snr_db: -log1p(-min(hard_decision_bound(mode, 10.0 ** (snr_db / 10.0)), 1.0 - 1e-12))
 
 
 ERRORS: ErrorModel = PublishedErrors()

@@ -1,4 +1,4 @@
-"""Generate `netsim.phy.vht_tables`: the rows of each mode, and the command line."""
+"""Generate the table of `netsim.phy.vht_tables`: the rows of each mode, and the command line."""
 
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -13,10 +13,8 @@ from rich.progress import Progress
 
 from netsim.model.config import Mode
 from netsim.phy.modes import PhyMode, phy_mode
+from netsim.phy.vht_tables import Row
 from studies.link_tables.link_level import Link
-
-Row = tuple[float, int, int, int]
-"""Signal-to-noise ratio in dB, bytes of a frame, frames sent, frames lost."""
 
 FIRST_DB = -8.0
 STEP_DB = 0.25
@@ -32,19 +30,6 @@ ENOUGH = 200
 """Lost frames, and received frames, that end a row: the standard error of the hazard is 7 %."""
 MOST_FRAMES = 20_000
 PROBE_FRAMES = 1_000
-
-_HEAD = '''"""What a link simulation counted: frames lost over AWGN, by VHT mode and signal-to-noise ratio.
-
-Made by ``python scripts/link_tables.py --seed {seed}`` from `studies.link_tables`: one spatial stream, BCC,
-80 MHz, ratio per occupied subcarrier. A row ends when {enough} frames were lost and as many were not, or
-after {frames} frames.
-"""
-
-from netsim.model.config import Mode
-
-VHT_COUNTS: dict[Mode, tuple[tuple[float, int, int, int], ...]] = {{
-    # signal-to-noise ratio in dB, bytes of a frame, frames sent, frames lost
-'''
 
 tables_app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -73,9 +58,8 @@ def rows(mode: PhyMode, *, seed: int, enough: int = ENOUGH, most_frames: int = M
             return
 
 
-def _module_part(name: Mode, seed: int) -> str:
-    lines = "".join(f"        {row},\n" for row in rows(phy_mode(name, 80), seed=seed))
-    return f'    "{name}": (\n{lines}    ),\n'
+def _lines(name: Mode, seed: int) -> str:
+    return "".join(f"{name},{','.join(map(str, row))}\n" for row in rows(phy_mode(name, 80), seed=seed))
 
 
 @tables_app.command()
@@ -84,19 +68,18 @@ def link_tables(
     jobs: Annotated[
         int, typer.Option(help="Modes simulated in parallel; does not change the result.", min=1)
     ] = 1,
-    out: Annotated[Path | None, typer.Option(help="Module to write; stdout by default.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Table to write; stdout by default.")] = None,
 ) -> None:
     """Simulate links at bit level and write the VHT packet error tables; takes half an hour."""
     names = [name for name in get_args(Mode) if name.startswith("vht")]
     parts: dict[str, str] = {}
     with ProcessPoolExecutor(jobs) as pool, Progress(console=Console(stderr=True)) as progress:
         task = progress.add_task("simulating", total=len(names))
-        futures = {pool.submit(_module_part, name, seed): name for name in names}
+        futures = {pool.submit(_lines, name, seed): name for name in names}
         for future in as_completed(futures):
             parts[futures[future]] = future.result()
             progress.update(task, advance=1, description=f"simulated {futures[future]}")
-    text = _HEAD.format(seed=seed, enough=ENOUGH, frames=MOST_FRAMES)
-    text += "".join(parts[name] for name in names) + "}\n"
+    text = "mode,snr_db,frame_bytes,frames,lost\n" + "".join(parts[name] for name in names)
     if out is None:
         Console(highlight=False).out(text, end="")
     else:
