@@ -10,7 +10,7 @@ from math import pi, sqrt
 import numpy as np
 
 from netsim.model.config import BandwidthMhz, FtmConfig
-from netsim.phy.propagation import SPEED_OF_LIGHT_M_S
+from netsim.phy.path_loss import SPEED_OF_LIGHT_M_S
 
 FIELD_PS = 2**48
 """Time stamps are 48-bit counts of picoseconds and wrap after 281 s."""

@@ -6,9 +6,9 @@ from math import cos, pi, sin
 import msgspec
 import numpy as np
 
+from foundation.types import Vector
 from netsim.emulator.emulator import Emulator
 from netsim.model.config import RadioConfig
-from netsim.phy.propagation import Vector
 from netsim.wire.messages import RxItem, TxBatch, TxItem
 
 HEIGHT_M = 10.0

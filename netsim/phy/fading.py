@@ -118,7 +118,6 @@ class RicianFading:
         self._amplitude = (0.5 / SECTORS / (k + 1.0)) ** 0.5
         self._doppler_hz = doppler_hz
         self._wavelength_m = SPEED_OF_LIGHT_M_S / (frequency_mhz * 1e6)
-        self._stations = stations
         self._pos_ned_m: Doubles | None = None
         self.block = np.zeros(_HEAD + stations**2 * (2 + (1 + _WEIGHTS) * SECTORS))
         """Data of `gain`: time of the last update in ns, line-of-sight amplitude, arrays of `_parts`."""
@@ -149,11 +148,6 @@ class RicianFading:
             self._wavelength_m,
         )
         self.block[0], self._pos_ned_m = at_ns, pos_ned_m
-
-    def gains(self, source: int, at_ns: int) -> Doubles:
-        """Return the gains (n,) of the links of ``source``; its own entry is meaningless."""
-        n = self._stations
-        return np.array([gain(self.block, n, source, receiver, at_ns) for receiver in range(n)])
 
     def _waves(self, generator: np.random.Generator) -> tuple[Doubles, Doubles]:
         """Return random waves of one link: cosines (sectors,) and weights (sectors, 4)."""

@@ -54,7 +54,7 @@ class Propagation(Protocol):
 
 
 class Fading(Protocol):
-    """Small-scale fading of all links as a sum of waves; consumers: `Links` and the kernel `gain`.
+    """Small-scale fading of all links as a sum of waves; consumer: the kernel `netsim.phy.fading.gain`.
 
     The power gain of a link is |h|^2, where h is a line-of-sight amplitude plus waves that rotate with the
     link's phase theta (see `netsim.phy.fading`). The gain must be reciprocal and a function of seed, pair and
@@ -63,7 +63,7 @@ class Fading(Protocol):
 
     @property
     def block(self) -> Doubles:
-        """Data of the kernel `netsim.phy.fading.gain`, one array for the whole run, changed only by `move`.
+        """Data of the kernel, one array for the whole run, changed only by `move`.
 
         Shape (2 + n^2 (2 + 5 * SECTORS),): time of the last `move` in ns, line-of-sight amplitude, theta (n,
         n) in rad, its rate (n, n) in rad/ns, the waves' cosines (n, n, SECTORS) and weights (n, n, SECTORS,
@@ -72,9 +72,6 @@ class Fading(Protocol):
 
     def move(self, at_ns: int, pos_ned_m: Doubles, vel_ned_m_s: Doubles) -> None:
         """Set positions (n, 3) at ``at_ns`` and velocities (n, 3) in m/s from then on."""
-
-    def gains(self, source: int, at_ns: int) -> Doubles:
-        """Return the power gains (n,) of the links of ``source``; its own entry is ignored."""
 
 
 class ErrorModel(Protocol):

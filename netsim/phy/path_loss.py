@@ -16,7 +16,6 @@ REFERENCE_DISTANCE_M = 1.0
 LEAST_HEIGHT_M = 0.1
 """Least height of an antenna above ground, about that of a vehicle on its landing gear."""
 
-Vector = tuple[float, float, float]
 Doubles = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 

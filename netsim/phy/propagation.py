@@ -21,17 +21,7 @@ from netsim.phy.fading import make_fading
 from netsim.phy.interfaces import Fading, FadingFactory, Propagation, PropagationFactory
 from netsim.phy.obstruction import Obstruction
 from netsim.phy.path_gain import ALL, PathGain
-from netsim.phy.path_loss import REFERENCE_DISTANCE_M, SPEED_OF_LIGHT_M_S, Doubles, Vector, friis_loss_db
-
-__all__ = [
-    "SPEED_OF_LIGHT_M_S",
-    "LinkRow",
-    "Links",
-    "Trajectories",
-    "Vector",
-    "friis_loss_db",
-    "thermal_noise_mw",
-]
+from netsim.phy.path_loss import REFERENCE_DISTANCE_M, SPEED_OF_LIGHT_M_S, Doubles, friis_loss_db
 
 BOLTZMANN_J_K = 1.380649e-23
 REFERENCE_TEMPERATURE_K = 290.0
@@ -49,13 +39,8 @@ FARTHEST_M = 16e-6 * SPEED_OF_LIGHT_M_S
 
 def thermal_noise_mw(bandwidth_mhz: float, noise_figure_db: float) -> float:
     """Return the noise power k T B F at the receiver's input, in milliwatts."""
-    return (
-        BOLTZMANN_J_K
-        * REFERENCE_TEMPERATURE_K
-        * bandwidth_mhz
-        * 1e9
-        * float(10.0 ** (noise_figure_db / 10.0))
-    )
+    noise_factor: float = 10.0 ** (noise_figure_db / 10.0)
+    return BOLTZMANN_J_K * REFERENCE_TEMPERATURE_K * bandwidth_mhz * 1e9 * noise_factor
 
 
 @njit(cache=True)
@@ -124,21 +109,9 @@ class Trajectories:
     Attitudes are constant between updates.
     """
 
-    __slots__ = (
-        "_at_ns",
-        "_attitudes",
-        "_axes_ned",
-        "_pos_ned_m",
-        "_rows",
-        "_vel_ned_m_s",
-        "moving",
-        "on_set",
-        "pose_version",
-        "version",
-    )
-
     def __init__(self, stations: int) -> None:
-        self._at_ns = 0
+        self.at_ns = 0
+        """Time of the last `set`."""
         self._pos_ned_m = np.zeros((stations, 3))
         self._vel_ned_m_s = np.zeros((stations, 3))
         self._rows: tuple[list[list[float]], list[list[float]]] | None = None
@@ -175,16 +148,11 @@ class Trajectories:
             self._attitudes, self._axes_ned = attitudes, None
             self.pose_version += 1
         self.moving = moving
-        self._at_ns = at_ns
-
-    @property
-    def at_ns(self) -> int:
-        """Time of the last `set`."""
-        return self._at_ns
+        self.at_ns = at_ns
 
     def course(self, at_ns: int) -> tuple[Doubles, Doubles, float]:
         """Return positions and velocities (n, 3) of the last update, and the time since then in seconds."""
-        return self._pos_ned_m, self._vel_ned_m_s, (at_ns - self._at_ns) * 1e-9
+        return self._pos_ned_m, self._vel_ned_m_s, (at_ns - self.at_ns) * 1e-9
 
     def positions_ned_m(self, at_ns: int) -> Doubles:
         """Return the positions (n, 3) of all stations."""
@@ -197,7 +165,7 @@ class Trajectories:
         if rows is None:
             rows = self._rows = self._pos_ned_m.tolist(), self._vel_ned_m_s.tolist()
         places, velocities = rows
-        dt_s = (at_ns - self._at_ns) * 1e-9
+        dt_s = (at_ns - self.at_ns) * 1e-9
         (xa, ya, za), (xb, yb, zb) = places[a], places[b]
         (ua, va, wa), (ub, vb, wb) = velocities[a], velocities[b]
         return hypot(xa - xb + dt_s * (ua - ub), ya - yb + dt_s * (va - vb), za - zb + dt_s * (wa - wb))
@@ -249,9 +217,8 @@ class Links:
             10.0 ** (min(config.cca_energy_dbm, config.cca_preamble_dbm) / 10.0 - 2.0),
         )
         self._powers_version = 0
-        self._rows: list[LinkRow | None] = [None] * stations
-        self._row_until_ns = [0] * stations
-        self._row_version = [-1] * stations
+        self._rows: dict[int, tuple[int, LinkRow]] = {}
+        """By source: `version` and link budget."""
         self._propagation: Propagation = propagation(config, streams)
         self._exponent = self._propagation.power_law_exponent
         self._uses_attitudes = self._propagation.uses_attitudes
@@ -282,8 +249,6 @@ class Links:
         for station in config.stations:
             if station.tx_power_dbm is not None:
                 self._tx_power_dbm[station.station] = station.tx_power_dbm
-        self._at_reference_mw: list[float] = []
-        """By source: power received at `REFERENCE_DISTANCE_M`, antenna gains and attenuation included."""
         self._update_powers()
 
     def set_extra_attenuation_db(self, value: float) -> None:
@@ -301,7 +266,7 @@ class Links:
         loss_db = friis_loss_db(REFERENCE_DISTANCE_M, self._config.frequency_mhz) + self._extra_db
         gain_db = 2.0 * self._config.antenna_gain_dbi - loss_db
         self._at_reference_mw = [10.0 ** ((power_dbm + gain_db) / 10.0) for power_dbm in self._tx_power_dbm]
-        self._rows = [None] * self._stations
+        """By source: power received at `REFERENCE_DISTANCE_M`, antenna gains and attenuation included."""
         self._powers_version += 1
 
     @property
@@ -315,16 +280,11 @@ class Links:
         """Whether the line of sight between two stations is blocked."""
         return self._obstruction is not None and self._obstruction.blocked(a, b, at_ns)[0]
 
-    def fading_gains(self, source: int, at_ns: int) -> Doubles:
-        """Return the power gains (n,) of small-scale fading for a row; 1 without fading."""
-        return np.ones(self._stations) if self.fading is None else self.fading.gains(source, at_ns)
-
     def row(self, source: int, at_ns: int) -> LinkRow:
         """Return the link budget from a station to all others, without fading."""
-        row = self._rows[source]
-        trajectories = self._trajectories
-        version = trajectories.pose_version if self._uses_attitudes else trajectories.version
-        if row is not None and version == self._row_version[source] and at_ns <= self._row_until_ns[source]:
+        trajectories, version = self._trajectories, self.version
+        row_version, row = self._rows.get(source, (None, None))
+        if row is not None and row_version == version and at_ns <= row.until_ns:
             return row
         until_ns = at_ns + ROW_LIFETIME_NS if trajectories.moving else NEVER_NS
         if self._exponent is not None and self._obstruction is None:  # computed in a kernel
@@ -352,7 +312,7 @@ class Links:
                 until_ns = min(until_ns, same_until_ns - 1)
             powers_mw[source] = 0.0
             row = self._finish(powers_mw, distances_m, FARTHEST_M, until_ns)
-        self._rows[source], self._row_until_ns[source], self._row_version[source] = row, until_ns, version
+        self._rows[source] = version, row
         return row
 
     def interferer_row(self, index: int, at_ns: int) -> LinkRow:

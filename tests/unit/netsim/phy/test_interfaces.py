@@ -41,14 +41,10 @@ class ConstantFade:
     def __init__(self, gain, stations):
         self.block = np.zeros(2 + stations**2 * (2 + 5 * SECTORS))
         self.block[1] = gain**0.5
-        self._gains = np.full(stations, gain)
         self.moves_ns = []
 
     def move(self, at_ns, _pos_ned_m, _vel_ned_m_s):
         self.moves_ns.append(at_ns)
-
-    def gains(self, _source, _at_ns):
-        return self._gains
 
 
 class LossPerBit:

@@ -15,6 +15,7 @@ from netsim.model.config import InterfererConfig, RadioConfig
 from netsim.model.event_queue import NEVER_NS, EventQueue
 from netsim.model.random_streams import Model, RandomStreams
 from netsim.model.tables import open_air
+from netsim.phy.fading import gain
 from netsim.phy.frames import GROUP, Frame, FrameKind
 from netsim.phy.modes import phy_mode
 from netsim.phy.propagation import LinkRow, Links, Trajectories
@@ -297,7 +298,7 @@ def test_frames_have_the_faded_power_of_their_beginning():
     mean_mw = links.row(A, 0).powers_mw[B]
     powers = np.array([frame.powers_mw[1 - frame.source] for frame in channel.ended])
     expected = [
-        mean_mw * links.fading_gains(frame.source, frame.start_ns)[1 - frame.source]
+        mean_mw * gain(links.fading.block, 2, frame.source, 1 - frame.source, frame.start_ns)
         for frame in channel.ended
     ]
     assert powers.tolist() == expected

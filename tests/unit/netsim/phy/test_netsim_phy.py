@@ -8,7 +8,8 @@ from netsim_air import A, Air, B, C
 from netsim.model.config import RadioConfig
 from netsim.model.random_streams import RandomStreams
 from netsim.phy.modes import phy_mode, response_mode
-from netsim.phy.propagation import Links, Trajectories, friis_loss_db, thermal_noise_mw
+from netsim.phy.path_loss import friis_loss_db
+from netsim.phy.propagation import Links, Trajectories, thermal_noise_mw
 
 ALL_MODES = [f"ofdm{rate}" for rate in (6, 9, 12, 18, 24, 36, 48, 54)] + [f"vht_mcs{i}" for i in range(10)]
 
