@@ -1,8 +1,8 @@
-"""Encode and decode Fine Time Measurement action frames, from the category on: no MAC header, no FCS.
+"""Fine Time Measurement action frames, encoded from the category on: no MAC header, no FCS.
 
-Source: IEEE 802.11-2016, 9.6.8.32 (request), 9.6.8.33 (measurement), 9.4.2.168 (parameters element). Bytes
-of other or malformed frames decode to None; elements of other kinds are skipped. Not supported: location
-reports, vendor elements, and the synchronisation element, since stations of an ad-hoc network share one TSF.
+Source: IEEE 802.11-2016, 9.6.8.32 (request), 9.6.8.33 (measurement), 9.4.2.168 (parameters element). Not
+supported: location reports, vendor elements, and the synchronisation element, since stations of an ad-hoc
+network share one TSF.
 """
 
 from enum import IntEnum
@@ -33,7 +33,6 @@ _HEAD = Layout("<BBB")
 _STAMPS = Layout("<BBBBIHIHHH")
 """Category, action, two dialog tokens; times of departure and arrival in two parts each; their errors."""
 _LOW_32 = 2**32 - 1
-_EXPONENT_MASK = 0x1F
 
 
 class Status(IntEnum):
@@ -138,29 +137,11 @@ class Measurement(Struct, frozen=True, kw_only=True, gc=False):
     def encode(self) -> bytes:
         """Return the bytes of the body."""
         body = _STAMPS.pack(
-            PUBLIC_ACTION,
-            MEASUREMENT_ACTION,
-            self.token,
-            self.followed,
-            self.t1_ps & _LOW_32,
-            self.t1_ps >> 32,
-            self.t4_ps & _LOW_32,
-            self.t4_ps >> 32,
-            self.t1_error_exponent,
-            self.t4_error_exponent,
-        )
+            PUBLIC_ACTION, MEASUREMENT_ACTION, self.token, self.followed,
+            self.t1_ps & _LOW_32, self.t1_ps >> 32, self.t4_ps & _LOW_32, self.t4_ps >> 32,
+            self.t1_error_exponent, self.t4_error_exponent,
+        )  # fmt: skip
         return body if self.parameters is None else body + self.parameters.encode()
-
-
-def decode(body: bytes) -> Request | Measurement | None:
-    """Decode a frame body; return None if it is another or a malformed frame."""
-    if len(body) < _HEAD.size or body[0] != PUBLIC_ACTION:
-        return None
-    if body[1] == REQUEST_ACTION:
-        return _decode_request(body)
-    if body[1] == MEASUREMENT_ACTION:
-        return _decode_measurement(body)
-    return None
 
 
 def format_and_bandwidth(mode: PhyMode) -> int:
@@ -172,76 +153,10 @@ def error_exponent(bound_ps: float) -> int:
     """Return the least error exponent that covers a bound of ``bound_ps``."""
     if bound_ps <= 1.0:
         return 1
-    return min((int(bound_ps - 1e-9)).bit_length() + 1, _EXPONENT_MASK)
+    return min((int(bound_ps - 1e-9)).bit_length() + 1, 31)
 
 
 def _duration_code(burst_duration_us: int | None) -> int:
     if burst_duration_us is None:
         return NO_PREFERENCE
     return BURST_DURATION_CODES.start + (burst_duration_us // SHORTEST_BURST_US).bit_length() - 1
-
-
-def _decode_request(body: bytes) -> Request | None:
-    trigger = body[2]
-    found, parameters = _find_parameters(body[_HEAD.size :])
-    if not found or trigger > 1:
-        return None
-    return Request(trigger=trigger == 1, parameters=parameters)
-
-
-def _decode_measurement(body: bytes) -> Measurement | None:
-    if len(body) < _STAMPS.size:
-        return None
-    _, _, token, followed, t1_low, t1_high, t4_low, t4_high, t1_error, t4_error = _STAMPS.unpack_from(body)
-    found, parameters = _find_parameters(body[_STAMPS.size :])
-    if not found:
-        return None
-    return Measurement(
-        token=token,
-        followed=followed,
-        t1_ps=t1_high << 32 | t1_low,
-        t4_ps=t4_high << 32 | t4_low,
-        t1_error_exponent=t1_error & _EXPONENT_MASK,
-        t4_error_exponent=t4_error & _EXPONENT_MASK,
-        parameters=parameters,
-    )
-
-
-def _find_parameters(elements: bytes) -> tuple[bool, Parameters | None]:
-    """Return whether all elements are complete and valid, and the parameters element if present."""
-    parameters = None
-    while elements:
-        if len(elements) < 2 or len(elements) < 2 + elements[1]:
-            return False, None
-        element, rest = elements[2 : 2 + elements[1]], elements[2 + elements[1] :]
-        if elements[0] == PARAMETERS_ELEMENT:
-            parameters = _decode_parameters(element)
-            if parameters is None:
-                return False, None
-        elements = rest
-    return True, parameters
-
-
-def _decode_parameters(element: bytes) -> Parameters | None:
-    if len(element) != PARAMETERS_BYTES:
-        return None
-    bits = int.from_bytes(element, "little")
-    exponent = bits >> 8 & 15
-    duration_code = bits >> 12 & 15
-    if duration_code != NO_PREFERENCE and duration_code not in BURST_DURATION_CODES:
-        return None
-    return Parameters(
-        status=Status(bits & 3),
-        value=bits >> 2 & 31,
-        bursts_exponent=None if exponent == NO_PREFERENCE else exponent,
-        burst_duration_us=None
-        if duration_code == NO_PREFERENCE
-        else SHORTEST_BURST_US << duration_code - BURST_DURATION_CODES.start,
-        min_delta_us=MIN_DELTA_UNIT_US * (bits >> 16 & 255) or None,
-        partial_tsf=None if bits >> 40 & 1 else bits >> 24 & 0xFFFF,
-        asap_capable=bool(bits >> 41 & 1),
-        asap=bool(bits >> 42 & 1),
-        ftms_per_burst=bits >> 43 & 31 or None,
-        format_and_bandwidth=bits >> 50 & 63 or None,
-        burst_period_ms=BURST_PERIOD_UNIT_MS * (bits >> 56) or None,
-    )

@@ -1,10 +1,12 @@
 """Initiator of ranging sessions: requests, time-stamps measurements, triggers bursts, reports results."""
 
 from collections.abc import Callable
+from functools import partial
 from math import log10, sqrt
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from netsim.ftm.elements import Measurement, Parameters, Request, Status
 from netsim.ftm.negotiation import TIME_UNIT_NS, Schedule, requested_parameters
@@ -42,20 +44,6 @@ class Ranging(Struct, frozen=True, kw_only=True):
     """If ``rejected`` by a responder: time for which it requests no new request, in seconds."""
 
 
-def lost(ranging: Ranging) -> Ranging:
-    """Return the result as the initiator's host loses it: status ``lost``, without measured values."""
-    return Ranging(
-        initiator=ranging.initiator,
-        peer=ranging.peer,
-        seq=ranging.seq,
-        status="lost",
-        ended_ns=ranging.ended_ns,
-        measured_ns=ranging.ended_ns,
-        true_distance_m=ranging.true_distance_m,
-        measurements=ranging.measurements,
-    )
-
-
 class _Arrival(Struct, gc=False):
     token: int
     t2_ps: int
@@ -66,31 +54,25 @@ class _Arrival(Struct, gc=False):
     power_mw: float
 
 
-class _Session:
-    __slots__ = (
-        "arrival", "burst", "burst_begin", "end", "excess_m", "job", "measurements", "peer",
-        "request_deadline_ns", "round_trips", "schedule", "seq", "time_out",
-    )  # fmt: skip
-
-    def __init__(self, peer: int, seq: int, request_deadline_ns: int) -> None:
-        self.peer = peer
-        self.seq = seq
-        self.request_deadline_ns = request_deadline_ns
-        self.excess_m = 0.0
-        self.job: Job | None = None
-        """The request, later the last trigger."""
-        self.schedule: Schedule | None = None
-        """None until the responder has granted the session."""
-        self.burst = 0
-        """Number of the next burst to trigger."""
-        self.time_out: Event | None = None
-        self.burst_begin: Event | None = None
-        self.end: Event | None = None
-        self.arrival: _Arrival | None = None
-        """The last measurement frame."""
-        self.measurements = 0
-        self.round_trips: list[tuple[float, _Arrival]] = []
-        """Distance in metres and first measurement frame of each round trip."""
+class _Session(Struct, eq=False):
+    peer: int
+    seq: int
+    request_deadline_ns: int
+    excess_m: float = 0.0
+    job: Job | None = None
+    """The request, later the last trigger."""
+    schedule: Schedule | None = None
+    """None until the responder has granted the session."""
+    burst: int = 0
+    """Number of the next burst to trigger."""
+    time_out: Event | None = None
+    burst_begin: Event | None = None
+    end: Event | None = None
+    arrival: _Arrival | None = None
+    """The last measurement frame."""
+    measurements: int = 0
+    round_trips: list[tuple[float, _Arrival]] = []
+    """Distance in metres and first measurement frame of each round trip."""
 
 
 class Initiator:
@@ -99,14 +81,13 @@ class Initiator:
     def __init__(
         self,
         port: Port,
-        *,
-        nlos: tuple[np.random.Generator, float] | None,
+        nlos_generator: np.random.Generator,
         on_result: Callable[[Ranging], None],
     ) -> None:
         self._port = port
         self._queue = port.queue
-        self._nlos = nlos
-        """Generator and mean in metres of the excess range of a blocked line of sight; None: no excess."""
+        self._nlos_generator = nlos_generator
+        """Draws the excess range of a blocked line of sight for each session."""
         self._on_result = on_result
         self._parameters = requested_parameters(port.config, port.format_and_bandwidth)
         self._sessions: dict[int, _Session] = {}
@@ -122,9 +103,7 @@ class Initiator:
             self._report(session, "rejected")
             return
         self._sessions[peer] = session
-        if self._nlos is not None:
-            generator, mean_m = self._nlos
-            session.excess_m = float(generator.exponential(mean_m))
+        session.excess_m = float(self._nlos_generator.exponential(self._port.config.nlos_bias_mean_m))
         session.time_out = self._queue.at(max(timeout_ns, self._queue.now_ns), self._on_time_out, session)
         body = ObservedRequest(parameters=self._parameters, excess_m=session.excess_m)
         session.job = self._port.job(body, peer, self._on_request_done, seq=seq)
@@ -149,9 +128,6 @@ class Initiator:
         never_sent = session.schedule is None and job is not None and not self._port.mac.has_begun(job)
         self._finish(session, "dropped" if never_sent else "timeout")
 
-    def _on_end(self, session: _Session) -> None:
-        self._finish(session, "timeout")
-
     # --- bursts
 
     def _on_granted(self, session: _Session, granted: Parameters) -> None:
@@ -160,15 +136,13 @@ class Initiator:
         for event in (session.burst_begin, session.end):
             if event is not None:
                 self._queue.cancel(event)
-        session.end = self._queue.at(
-            max(now, schedule.end_ns(schedule.last) + GRACE_NS), self._on_end, session
-        )
+        end_ns = max(now, schedule.end_ns(schedule.last) + GRACE_NS)
+        session.end = self._queue.at(end_ns, partial(self._finish, failure="timeout"), session)
         wait_ns = schedule.begin_ns(schedule.last) - now
         if wait_ns > 0 and session.time_out is not None:
             self._queue.cancel(session.time_out)
-            session.time_out = self._queue.at(
-                max(now, session.request_deadline_ns + wait_ns), self._on_time_out, session
-            )
+            deadline_ns = max(now, session.request_deadline_ns + wait_ns)
+            session.time_out = self._queue.at(deadline_ns, self._on_time_out, session)
         # ASAP: the first burst has begun with this frame
         session.burst = 1 if granted.asap else 0
         self._await_burst(session, schedule)
@@ -248,45 +222,40 @@ class Initiator:
         self, session: _Session, failure: str, retry_after_s: int = 0, ended_ns: int | None = None
     ) -> None:
         now = self._queue.now_ns if ended_ns is None else ended_ns
-        round_trips = session.round_trips
-        if not round_trips:
-            self._on_result(
-                Ranging(
-                    initiator=self._port.station,
-                    peer=session.peer,
-                    seq=session.seq,
-                    status=failure,
-                    ended_ns=now,
-                    measured_ns=now,
-                    true_distance_m=self._port.distance_m(session.peer),
-                    measurements=session.measurements,
-                    retry_after_s=retry_after_s,
-                )
-            )
-            return
-        count = len(round_trips)
-        at_ns, power_mw, true_m, sum_m, squares_m2 = 0, 0.0, 0.0, 0.0, 0.0
-        for trip_m, arrival in round_trips:
-            at_ns += arrival.at_ns
-            power_mw += arrival.power_mw
-            true_m += arrival.true_distance_m
-            sum_m += trip_m
-        mean_m = sum_m / count
-        for trip_m, _ in round_trips:
-            squares_m2 += (trip_m - mean_m) ** 2
-        self._on_result(
-            Ranging(
-                initiator=self._port.station,
-                peer=session.peer,
-                seq=session.seq,
-                status="ok",
-                ended_ns=now,
-                measured_ns=at_ns // count,
-                true_distance_m=true_m / count,
-                distance_m=mean_m,
-                distance_std_m=sqrt(squares_m2 / (count - 1)) if count > 1 else 0.0,
-                rssi_dbm=10.0 * log10(power_mw / count),
-                round_trips=count,
-                measurements=session.measurements,
-            )
+        result = Ranging(
+            initiator=self._port.station,
+            peer=session.peer,
+            seq=session.seq,
+            status=failure,
+            ended_ns=now,
+            measured_ns=now,
+            true_distance_m=self._port.distance_m(session.peer),
+            measurements=session.measurements,
+            retry_after_s=retry_after_s,
         )
+        self._on_result(_averaged(result, session.round_trips) if session.round_trips else result)
+
+
+def _averaged(result: Ranging, round_trips: list[tuple[float, _Arrival]]) -> Ranging:
+    """Return the result with the means over the round trips."""
+    count = len(round_trips)
+    at_ns, power_mw, true_m, sum_m, squares_m2 = 0, 0.0, 0.0, 0.0, 0.0
+    for trip_m, arrival in round_trips:
+        at_ns += arrival.at_ns
+        power_mw += arrival.power_mw
+        true_m += arrival.true_distance_m
+        sum_m += trip_m
+    mean_m = sum_m / count
+    for trip_m, _ in round_trips:
+        squares_m2 += (trip_m - mean_m) ** 2
+    return replace(
+        result,
+        status="ok",
+        measured_ns=at_ns // count,
+        true_distance_m=true_m / count,
+        distance_m=mean_m,
+        distance_std_m=sqrt(squares_m2 / (count - 1)) if count > 1 else 0.0,
+        rssi_dbm=10.0 * log10(power_mw / count),
+        round_trips=count,
+        retry_after_s=0,
+    )

@@ -16,10 +16,11 @@ from netsim.ftm.stamps import Clock, arrival_std_ps, frequency_ratio_std, round_
 from netsim.mac.jobs import FrameSender, Job, JobOutcome, Reception
 from netsim.model.config import BandwidthMhz, FtmConfig, RadioConfig
 from netsim.model.event_queue import EventQueue
-from netsim.model.random_streams import Normals
+from netsim.model.random_streams import FloatStream
 from netsim.phy.frames import DATA_OVERHEAD_BYTES, FrameKind
 from netsim.phy.modes import PhyMode, phy_mode
-from netsim.phy.propagation import SPEED_OF_LIGHT_M_S, Trajectories, thermal_noise_mw
+from netsim.phy.path_loss import SPEED_OF_LIGHT_M_S
+from netsim.phy.propagation import Trajectories, thermal_noise_mw
 
 PS_PER_M = 1e12 / SPEED_OF_LIGHT_M_S
 
@@ -81,7 +82,7 @@ class Port:
         self._retry_limit = config.retry_limit
         self._noise_mw = thermal_noise_mw(config.bandwidth_mhz, config.noise_figure_db)
         self._floor_ps = round_trip_std_ps(config.ftm, config.bandwidth_mhz) / sqrt(2.0)
-        self._errors = Normals(generator)
+        self._errors = FloatStream(generator.standard_normal)
 
     def attach(self, mac: FrameSender) -> None:
         """Set the MAC that frames are sent through."""

@@ -16,36 +16,29 @@ DEPARTURE_ERROR_EXPONENT = error_exponent(1.0)
 ARRIVAL_ERROR_STD = 3.0
 """Error bound of an arrival, in standard deviations of its noise."""
 
-
 _NOTHING = Measurement(token=0)
 """Follow-up data if no frame precedes."""
 
 
-class _Session:
-    __slots__ = (
-        "burst", "burst_end_ns", "closing", "closing_ns", "confirmed", "excess_m", "followed", "granted",
-        "initiator", "job", "number", "number_in_burst", "schedule", "token",
-    )  # fmt: skip
-
-    def __init__(self, initiator: int, granted: Parameters, schedule: Schedule, excess_m: float) -> None:
-        self.initiator = initiator
-        self.granted = granted
-        self.schedule = schedule
-        self.excess_m = excess_m
-        self.confirmed = False
-        """The initiator has acknowledged a frame with the granted parameters."""
-        self.burst = -1
-        """Number of the current or last burst; -1 before the first."""
-        self.burst_end_ns = 0
-        self.closing: Event | None = None
-        self.closing_ns = 0
-        self.job: Job | None = None
-        self.number = 0
-        """Number of measurement frames so far."""
-        self.number_in_burst = 0
-        self.token = 0
-        self.followed = _NOTHING
-        """Time stamps of the last frame, which the next frame carries, also in a later burst."""
+class _Session(msgspec.Struct, eq=False):
+    initiator: int
+    granted: Parameters
+    schedule: Schedule
+    excess_m: float
+    confirmed: bool = False
+    """The initiator has acknowledged a frame with the granted parameters."""
+    burst: int = -1
+    """Number of the current or last burst; -1 before the first."""
+    burst_end_ns: int = 0
+    closing: Event | None = None
+    closing_ns: int = 0
+    job: Job | None = None
+    number: int = 0
+    """Number of measurement frames so far."""
+    number_in_burst: int = 0
+    token: int = 0
+    followed: Measurement = _NOTHING
+    """Time stamps of the last frame, which the next frame carries, also in a later burst."""
 
 
 class Responder:

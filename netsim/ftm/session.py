@@ -30,65 +30,36 @@ from collections.abc import Callable
 import numpy as np
 
 from netsim.ftm.elements import Measurement, Request
-from netsim.ftm.initiator import Initiator, Ranging, lost
-from netsim.ftm.port import Environment, Port
+from netsim.ftm.initiator import Initiator, Ranging
+from netsim.ftm.port import Port
 from netsim.ftm.responder import Responder
-from netsim.ftm.stamps import Clock
-from netsim.mac.jobs import FrameSender, Reception
-from netsim.model.config import RadioConfig
-
-__all__ = ["Environment", "FtmRadio", "Ranging", "lost"]
+from netsim.mac.jobs import Reception
 
 
 class FtmRadio:
     """Fine Time Measurement of one station; see `netsim.mac.jobs.Upper`.
 
-    ``generator`` draws the noise of its time stamps, ``nlos_generator`` the excess range of a blocked line of
-    sight for each session that it initiates (None: no excess). ``on_datagram`` is called with all other
-    received frames.
+    ``nlos_generator`` draws the excess range of a blocked line of sight for each session that it initiates.
+    ``on_datagram`` is called with all other received frames.
     """
 
     def __init__(
         self,
+        port: Port,
+        nlos_generator: np.random.Generator,
         *,
-        station: int,
-        stations: int,
-        config: RadioConfig,
-        environment: Environment,
-        clocks: list[Clock],
-        generator: np.random.Generator,
         on_result: Callable[[Ranging], None],
         on_datagram: Callable[[Reception], None],
-        nlos_generator: np.random.Generator | None = None,
     ) -> None:
         self._on_datagram = on_datagram
-        self._port = Port(
-            station=station,
-            stations=stations,
-            config=config,
-            environment=environment,
-            clocks=clocks,
-            generator=generator,
-        )
-        nlos = None
-        if nlos_generator is not None and config.nlos_fraction > 0.0 and config.ftm.nlos_bias_mean_m > 0.0:
-            nlos = (nlos_generator, config.ftm.nlos_bias_mean_m)
-        self._initiator = Initiator(self._port, nlos=nlos, on_result=on_result)
-        self._responder = Responder(self._port)
-
-    def attach(self, mac: FrameSender) -> None:
-        """Set the MAC that frames are sent through."""
-        self._port.attach(mac)
-
-    def request(self, peer: int, seq: int, timeout_ns: int) -> None:
-        """Start a session with a peer: see `netsim.ftm.initiator.Initiator.request`."""
-        self._initiator.request(peer, seq, timeout_ns)
+        self.initiator = Initiator(port, nlos_generator, on_result)
+        self._responder = Responder(port)
 
     def on_frame(self, reception: Reception) -> None:
         """Process a frame; a repeated measurement has new time stamps, a repeated request is ignored."""
         body = reception.body
         if isinstance(body, Measurement):
-            self._initiator.on_measurement(reception, body)
+            self.initiator.on_measurement(reception, body)
         elif not isinstance(body, Request):
             self._on_datagram(reception)
         elif not reception.duplicate:
@@ -97,4 +68,4 @@ class FtmRadio:
     def silence(self) -> None:
         """End every session."""
         self._responder.silence()
-        self._initiator.silence()
+        self.initiator.silence()

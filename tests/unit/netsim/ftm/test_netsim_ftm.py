@@ -180,7 +180,6 @@ def test_excess_lasts_as_long_as_the_obstacle_and_is_the_same_both_ways():
     later_m = blocked_errors_m(blocked_from_ns=1_000_000_000)
     assert abs(later_m[:250]).max() < 0.01
     assert later_m[251:] == pytest.approx(both_m[251:], abs=0.01)
-    assert abs(blocked_errors_m(nlos_fraction=0.0)).max() < 0.01
 
 
 def test_80_mhz_scales_with_the_inverse_of_the_bandwidth():

@@ -2,8 +2,9 @@
 
 from hypothesis import given
 from hypothesis import strategies as st
+from netsim_ftm_reader import read
 
-from netsim.ftm.elements import Parameters, Request, Status, decode
+from netsim.ftm.elements import Parameters, Request, Status
 from netsim.ftm.negotiation import (
     LEAST_WAIT_NS,
     LONGEST_BURST_US,
@@ -55,8 +56,8 @@ def test_grant_follows_the_request_within_the_responders_limits(initiator, respo
         assert granted.burst_period_ms >= initiator.burst_period_ms
         assert 1_000 * granted.burst_period_ms >= granted.burst_duration_us
     # it says the same as bytes
-    assert decode(Request(parameters=granted).encode()) == Request(parameters=granted)
-    assert decode(Request(parameters=requested).encode()) == Request(parameters=requested)
+    assert read(Request(parameters=granted).encode()) == Request(parameters=granted)
+    assert read(Request(parameters=requested).encode()) == Request(parameters=requested)
 
 
 @given(CONFIGS, TIMES_NS)
