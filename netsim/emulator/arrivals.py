@@ -4,10 +4,12 @@ from collections.abc import Callable
 from math import log10
 from operator import itemgetter
 
+import msgspec
+
 from netsim.emulator.records import Tally
-from netsim.ftm.session import Ranging, lost
+from netsim.ftm.initiator import Ranging
 from netsim.mac.jobs import GroupReception
-from netsim.model.random_streams import Model, RandomStreams, Uniforms
+from netsim.model.random_streams import FloatStream, Model, RandomStreams
 from netsim.wire.messages import Delivery, FtmResult, RxItem, Sent, Survey
 
 _Received = tuple[int, int, int, RxItem]
@@ -34,11 +36,10 @@ class Arrivals:
     ) -> None:
         self._vehicles = vehicles
         self._drop_fraction = drop_fraction
-        self._losses: list[Uniforms] = []
+        self._losses: list[FloatStream] = []
         """Draws by station; empty if ``drop_fraction`` is 0."""
         if drop_fraction > 0.0:
-            generators = (streams.generator(Model.HOST_LOSS, i) for i in range(stations))
-            self._losses = [Uniforms(generator) for generator in generators]
+            self._losses = [streams.uniforms(Model.HOST_LOSS, i) for i in range(stations)]
         self._tally = tally
         self._silent = silent
         self._received: list[list[_Received]] = [[] for _ in range(stations)]
@@ -65,25 +66,21 @@ class Arrivals:
             self._received[station].append((sent.ended_ns, sent.destination, sent.seq, sent))
 
     def add_ranging(self, ranging: Ranging) -> None:
-        """Add the result of a ranging session to its initiator's items; a lost one has failed."""
+        """Add the result of a ranging session to its initiator's items, without measured values if lost."""
         if ranging.status == "ok" and self._host_loses(ranging.initiator):
-            ranging = lost(ranging)
+            ranging = msgspec.structs.replace(
+                ranging,
+                status="lost",
+                measured_ns=ranging.ended_ns,
+                distance_m=0.0,
+                distance_std_m=0.0,
+                rssi_dbm=0.0,
+                round_trips=0,
+            )
         self._tally.count_session(ranging)
         if ranging.initiator in self._silent:
             return
-        result = FtmResult(
-            peer=ranging.peer,
-            seq=ranging.seq,
-            status=ranging.status,
-            measured_ns=ranging.measured_ns,
-            ended_ns=ranging.ended_ns,
-            distance_m=ranging.distance_m,
-            distance_std_m=ranging.distance_std_m,
-            rssi_dbm=ranging.rssi_dbm,
-            round_trips=ranging.round_trips,
-            measurements=ranging.measurements,
-            retry_after_s=ranging.retry_after_s,
-        )
+        result = FtmResult(**{name: getattr(ranging, name) for name in FtmResult.__struct_fields__})
         self._received[ranging.initiator].append((ranging.ended_ns, ranging.peer, ranging.seq, result))
 
     def take(self, ended_ns: int, surveyed_ns: Callable[[], list[int]]) -> dict[int, list[RxItem]]:

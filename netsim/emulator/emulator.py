@@ -1,13 +1,12 @@
 """The complete 802.11 emulator: simulates submitted items with given vehicle poses and returns deliveries.
 
-It composes hosts, Fine Time Measurement and a channel (`netsim.emulator.channels`), emulated or ideal. It
-does no I/O and does not use the wall clock. The results depend only on seed, submissions and poses, not on
-the order in which the stations' batches of one step are submitted.
+It composes hosts, Fine Time Measurement and a channel, emulated (`netsim.mac.radios`) or ideal. It does no
+I/O and does not use the wall clock. The results depend only on seed, submissions and poses, not on the order
+in which the stations' batches of one step are submitted.
 """
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from math import isfinite
 from operator import attrgetter, itemgetter
 
 import msgspec
@@ -15,32 +14,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from netsim.emulator.arrivals import Arrivals
-from netsim.emulator.channels import channel_of
-from netsim.emulator.ideal_channel import undisturbed
+from netsim.emulator.ideal_channel import IdealChannel, undisturbed
 from netsim.emulator.records import EmulatorCounters, FrameRecord, Tally, frame_records
 from netsim.emulator.settings_checks import check
-from netsim.ftm.session import FtmRadio, Ranging
+from netsim.ftm.initiator import Ranging
+from netsim.ftm.port import Port
+from netsim.ftm.session import FtmRadio
 from netsim.ftm.stamps import Clock
 from netsim.mac.jobs import FrameSender, GroupReception, Job, JobOutcome, Reception
+from netsim.mac.radios import Radios
 from netsim.mac.rates import datagram_modes
 from netsim.model.config import RadioConfig, StationConfig
 from netsim.model.event_queue import EventQueue
-from netsim.model.random_streams import Model, RandomStreams, Uniforms
+from netsim.model.random_streams import Model, RandomStreams
 from netsim.model.tables import Integers
 from netsim.phy.fading import make_fading
 from netsim.phy.frames import DATA_OVERHEAD_BYTES, GROUP, UDP_OVERHEAD_BYTES, FrameKind, Transmission
 from netsim.phy.interfaces import FadingFactory, PropagationFactory
 from netsim.phy.path_gain import PathGain
 from netsim.phy.propagation import Links, Trajectories, is_possible
-from netsim.wire.messages import (
-    Broadcast,
-    FtmRequest,
-    RxItem,
-    Sent,
-    TxBatch,
-    TxItem,
-    Unicast,
-)
+from netsim.wire.messages import Broadcast, FtmRequest, RxItem, Sent, TxBatch, TxItem, Unicast
 
 NOTHING_PENDING_US = 2**62 // 1000
 Doubles = NDArray[np.float64]
@@ -89,20 +82,21 @@ class Emulator:
         self._level = np.tile([1.0, 0.0, 0.0, 0.0], (stations, 1))
         """Default attitudes (n, 4), wxyz."""
         self._shapes = (stations, 3), (stations, 3), self._level.shape
-        self._links = Links(
+        self.links = Links(
             config, self.trajectories, stations, self._streams, propagation=propagation, fading=fading
         )
-        self._channel = channel_of(
-            config,
+        channel = IdealChannel if config.channel == "ideal" else partial(Radios, streams=self._streams)
+        self._channel: Radios | IdealChannel = channel(
+            config=config,
             queue=self.queue,
-            links=self._links,
+            links=self.links,
             stations=stations,
-            streams=self._streams,
             on_group_frame=self._arrivals.add_datagram,
             on_ended=on_transmission,
         )
-        self._host_jitter = [Uniforms(self._streams.generator(Model.HOST, i)) for i in range(stations)]
-        self._range_offsets_m: Mapping[int, float] = {}
+        self._host_jitter = [self._streams.uniforms(Model.HOST, i) for i in range(stations)]
+        self.range_offsets_m: Mapping[int, float] = {}
+        """Offsets added to the distances of sessions that end from now on, by initiator."""
         own = {each.station: each for each in config.stations}
         self._modes = [
             datagram_modes(config, own.get(i, StationConfig(station=i)), self._streams)
@@ -120,20 +114,22 @@ class Emulator:
         """Time by station at which its last item reaches the radio."""
 
     def _add_station(self, station: int, clocks: list[Clock]) -> None:
-        config = self._config
-        ftm = FtmRadio(
+        port = Port(
             station=station,
             stations=self._stations,
-            config=config,
+            config=self._config,
             environment=self,
             clocks=clocks,
             generator=self._streams.generator(Model.TIME_STAMP, station),
-            nlos_generator=self._streams.generator(Model.NLOS_BIAS, station),
+        )
+        ftm = FtmRadio(
+            port,
+            self._streams.generator(Model.NLOS_BIAS, station),
             on_result=self._on_ranged,
             on_datagram=partial(self._on_datagram, station),
         )
         mac = self._channel.join(station, ftm)
-        ftm.attach(mac)
+        port.attach(mac)
         self._ftm.append(ftm)
         self._macs.append(mac)
 
@@ -144,11 +140,9 @@ class Emulator:
 
         Raises ValueError for a station that does not exist.
         """
-        if batch.station >= self._stations:
-            raise ValueError(
-                f"station {batch.station} is out of range: the channel has {self._stations} stations"
-            )
         station = batch.station
+        if station >= self._stations:
+            raise ValueError(f"station {station} is out of range: the channel has {self._stations} stations")
         for item in sorted(batch.items, key=_ITEM_ORDER):
             jitter_ns = int(1_000 * self._config.host_jitter_us * self._host_jitter[station].draw())
             ready_ns = 1_000 * (item.at_us + self._config.host_latency_us) + jitter_ns
@@ -210,15 +204,12 @@ class Emulator:
                 self._unicast(station, item)
             case FtmRequest():
                 self._tally.ftm_requested += 1
+                config = self._config
                 # a guest has no simulation time: its request begins on arrival
-                requested_ns = max(1_000 * item.at_us, self.queue.now_ns - self._host_latency_ns)
-                timeout_ns = requested_ns + 1_000 * self._config.ftm.request_timeout_us
-                self._ftm[station].request(item.peer, item.seq, timeout_ns)
-
-    @property
-    def _host_latency_ns(self) -> int:
-        """Longest time from an application's call to the radio's queue."""
-        return 1_000 * (self._config.host_latency_us + self._config.host_jitter_us)
+                latest_us = config.host_latency_us + config.host_jitter_us
+                requested_ns = max(1_000 * item.at_us, self.queue.now_ns - 1_000 * latest_us)
+                timeout_ns = requested_ns + 1_000 * config.ftm.request_timeout_us
+                self._ftm[station].initiator.request(item.peer, item.seq, timeout_ns)
 
     def _broadcast(self, station: int, item: Broadcast) -> None:
         config = self._config
@@ -283,7 +274,7 @@ class Emulator:
             )
 
     def _on_ranged(self, ranging: Ranging) -> None:
-        offset_m = self._range_offsets_m.get(ranging.initiator)
+        offset_m = self.range_offsets_m.get(ranging.initiator)
         if offset_m is not None and ranging.status == "ok":
             ranging = msgspec.structs.replace(ranging, distance_m=ranging.distance_m + offset_m)
         self._arrivals.add_ranging(ranging)
@@ -297,23 +288,6 @@ class Emulator:
         self._silent.add(station)
         self._macs[station].silence()
         self._ftm[station].silence()
-
-    def set_extra_attenuation_db(self, value: float) -> None:
-        """Set the extra attenuation of frames that start from now on, instead of the configured one."""
-        self._links.set_extra_attenuation_db(value)
-
-    def set_range_offsets(self, offsets_m: Mapping[int, float]) -> None:
-        """Set offsets that are added to the distances of sessions that end from now on, by initiator.
-
-        Stations without an entry have no offset. Raises ValueError for an unknown station or an offset that
-        is not finite.
-        """
-        for station, offset_m in offsets_m.items():
-            if not 0 <= station < self._stations or not isfinite(offset_m):
-                raise ValueError(
-                    f"range offset {offset_m} m of station {station}: unknown station or not finite"
-                )
-        self._range_offsets_m = dict(offsets_m)
 
     @property
     def busy_ns(self) -> int:
@@ -349,4 +323,4 @@ class Emulator:
 
     def blocked(self, a: int, b: int, at_ns: int) -> bool:
         """Whether the line of sight between two stations is blocked."""
-        return self._links.blocked(a, b, at_ns)
+        return self.links.blocked(a, b, at_ns)

@@ -13,16 +13,17 @@ fading, shadowing, blocked lines of sight and interferers. The medium is never b
 from collections.abc import Callable
 
 import msgspec
+import numpy as np
 
-from netsim.emulator.records import FrameBook
+from netsim.emulator.records import FrameRecord
 from netsim.mac.access_parameters import SIFS_NS
 from netsim.mac.jobs import GroupReception, Job, JobOutcome, OnGroupFrame, Reception, Upper
 from netsim.mac.station import RESPONSE_TIMEOUT_NS
 from netsim.model.config import RadioConfig
 from netsim.model.event_queue import EventQueue
 from netsim.model.tables import Integers
-from netsim.phy.frames import ACK_BYTES, GROUP, Frame, FrameKind, Transmission
-from netsim.phy.modes import response_mode, response_ns
+from netsim.phy.frames import ACK_BYTES, GROUP, KINDS, Frame, FrameKind, Transmission
+from netsim.phy.modes import MODE_NAMES, response_mode, response_ns
 from netsim.phy.propagation import Links
 
 
@@ -34,7 +35,7 @@ def undisturbed(config: RadioConfig) -> RadioConfig:
 
 
 class IdealChannel:
-    """All stations' radios on a channel without contention; see `netsim.emulator.channels.Channel`."""
+    """All stations' radios on a channel without contention; the interface is that of `Radios`."""
 
     def __init__(
         self,
@@ -50,34 +51,47 @@ class IdealChannel:
         self.on_group_frame = on_group_frame
         self._stations = stations
         self._on_ended = on_ended
-        self._book = FrameBook(stations)
+        self._sent = [0] * len(KINDS)
+        self._broadcasts = np.zeros((stations, 3), np.int64)
+        self._frames: list[tuple[int, ...]] = []
+        """Rows since the last `take_frames`."""
         self._links = links
         self._least_mw = 10.0 ** (config.cca_preamble_dbm / 10.0)
-        self._radios: list[IdealRadio] = []
+        self.radios: list[IdealRadio] = []
 
     def join(self, station: int, upper: Upper) -> "IdealRadio":
         """Add a station; stations are added in the order of their numbers."""
         radio = IdealRadio(station, self, upper)
-        self._radios.append(radio)
+        self.radios.append(radio)
         return radio
 
     def note_end(self, transmission: Transmission) -> None:
         """Record a frame that has ended."""
-        self._book.add(transmission)
+        frame = transmission.frame
+        kind = KINDS.index(frame.kind)
+        ends = transmission.delivered, transmission.collided, transmission.lost_to_noise
+        self._sent[kind] += 1
+        if frame.kind is FrameKind.DATA and frame.destination == GROUP:
+            for end, receivers in enumerate(ends):
+                self._broadcasts[receivers, end] += 1
+        mode = MODE_NAMES.index(frame.mode.name)
+        what = frame.source, frame.destination, kind, mode, frame.frame_bytes, frame.seq
+        self._frames.append((transmission.start_ns, transmission.end_ns, *what, *map(len, ends)))
         if self._on_ended is not None:
             self._on_ended(transmission)
 
     def frames_sent(self) -> list[int]:
-        """See `netsim.emulator.channels.Channel`."""
-        return self._book.sent
+        """Return the number of ended frames by kind."""
+        return self._sent
 
     def broadcasts(self) -> Integers:
-        """See `netsim.emulator.channels.Channel`."""
-        return self._book.counts
+        """Return broadcast datagrams (n, 3) by receiver: delivered, collided, lost to noise."""
+        return self._broadcasts
 
     def take_frames(self) -> Integers:
-        """See `netsim.emulator.channels.Channel`."""
-        return self._book.take()
+        """Return the frames that ended since the last call, as `netsim.mac.radios.Radios.take_frames`."""
+        frames, self._frames = self._frames, []
+        return np.array(frames, np.int64).reshape(-1, len(FrameRecord._fields))
 
     def busy_ns(self) -> int:
         """Return 0: the medium is never busy."""
@@ -92,13 +106,9 @@ class IdealChannel:
         row = self._links.row(frame.source, self.queue.now_ns)
         return Transmission(frame, self.queue.now_ns, row.powers_mw, row.delays_ns, row.longest_delay_ns)
 
-    def is_silent(self, station: int) -> bool:
-        """Whether a station's radio is off."""
-        return self._radios[station].silent
-
     def reach(self, transmission: Transmission, station: int) -> "IdealRadio | None":
         """Return an intended receiver's radio, None if it is off or out of range; records the outcome."""
-        radio = self._radios[station]
+        radio = self.radios[station]
         if radio.silent:
             return None
         if transmission.powers_mw.item(station) < self._least_mw:
@@ -120,16 +130,13 @@ class IdealChannel:
             )
 
 
-class _Exchange:
+class _Exchange(msgspec.Struct, eq=False):
     """Transmission attempts of one unicast frame."""
 
-    __slots__ = ("arrived", "job", "over")
-
-    def __init__(self, job: Job) -> None:
-        self.job = job
-        self.arrived = False
-        """The station has received the frame; its ACK may be missing."""
-        self.over = False
+    job: Job
+    arrived: bool = False
+    """The station has received the frame; its ACK may be missing."""
+    over: bool = False
 
 
 class IdealRadio:
@@ -200,22 +207,6 @@ class IdealRadio:
         job.done(job, JobOutcome.SENT)
         self._channel.note_end(transmission)
 
-    def take(self, transmission: Transmission, *, duplicate: bool) -> None:
-        """Receive a frame."""
-        self.upper.on_frame(self._reception(transmission, duplicate=duplicate))
-
-    def _reception(self, transmission: Transmission, *, duplicate: bool) -> Reception:
-        end_ns = transmission.end_ns + transmission.delays_ns.item(self.index)
-        return Reception(
-            source=transmission.source,
-            start_ns=transmission.start_ns,
-            end_ns=end_ns,
-            power_mw=transmission.powers_mw.item(self.index),
-            seq=transmission.frame.seq,
-            body=transmission.frame.body,
-            duplicate=duplicate,
-        )
-
     # --- unicast frames
 
     def _attempt(self, exchange: _Exchange) -> None:
@@ -240,7 +231,7 @@ class IdealRadio:
         else:
             duplicate, exchange.arrived = exchange.arrived, True
             self._queue.at(self._queue.now_ns + SIFS_NS, self._send_ack, (exchange, sent))
-            radio.take(sent, duplicate=duplicate)
+            radio.upper.on_frame(_reception(sent, radio.index, duplicate=duplicate))
         self._channel.note_end(sent)
 
     def _send_ack(self, attempt: tuple[_Exchange, Transmission]) -> None:
@@ -248,7 +239,7 @@ class IdealRadio:
         exchange, sent = attempt
         data = sent.frame
         mode = response_mode(data.mode)
-        if self._channel.is_silent(data.destination):
+        if self._channel.radios[data.destination].silent:
             self._await_time_out(exchange, sent)
             return
         ack = self._channel.start(
@@ -268,7 +259,7 @@ class IdealRadio:
             self._await_time_out(exchange, sent)
         elif not exchange.over:
             job = exchange.job
-            job.ack = self._reception(ack, duplicate=False)
+            job.ack = _reception(ack, self.index)
             if job.rates is not None:
                 job.rates.report(job.destination, job.mode, acknowledged=True)
             self._finish(exchange, JobOutcome.ACKNOWLEDGED)
@@ -297,3 +288,10 @@ class IdealRadio:
         exchange.over = True
         self._exchanges.remove(exchange)
         exchange.job.done(exchange.job, outcome)
+
+
+def _reception(transmission: Transmission, station: int, *, duplicate: bool = False) -> Reception:
+    """Return the reception of a frame at a station."""
+    frame, end_ns = transmission.frame, transmission.end_ns + transmission.delays_ns.item(station)
+    power_mw = transmission.powers_mw.item(station)
+    return Reception(frame.source, transmission.start_ns, end_ns, power_mw, frame.seq, frame.body, duplicate)

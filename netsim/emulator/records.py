@@ -1,19 +1,16 @@
 """Records for logs and summaries: frames, ranging sessions, counters."""
 
 from collections import Counter
-from collections.abc import Iterable
-from operator import attrgetter
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from netsim.emulator.log_layout import FRAME_LOG, SESSION_LOG
-from netsim.ftm.session import Ranging
-from netsim.model.codes import COLLIDED, DELIVERED, LOST
+from netsim.emulator.log_layout import FRAME_LOG
+from netsim.ftm.initiator import Ranging
 from netsim.model.tables import Integers
-from netsim.phy.frames import GROUP, KINDS, FrameKind, Transmission
+from netsim.phy.frames import KINDS
 from netsim.phy.modes import MODE_NAMES
 
 
@@ -74,40 +71,6 @@ class EmulatorCounters(Struct, frozen=True, kw_only=True):
     ftm: FtmCounters
 
 
-class FrameBook:
-    """Rows and counts of ended frames, in the form of `netsim.mac.radios.Radios`."""
-
-    def __init__(self, stations: int) -> None:
-        self.sent = [0] * len(KINDS)
-        """Frames by kind."""
-        self.counts = np.zeros((stations, 3), np.int64)
-        """Broadcast datagrams (n, 3) by receiver: delivered, collided, lost to noise."""
-        self._rows: list[tuple[int, ...]] = []
-
-    def add(self, transmission: Transmission) -> None:
-        """Record a frame that has ended at all receivers."""
-        frame = transmission.frame
-        kind = KINDS.index(frame.kind)
-        ends = {
-            DELIVERED: transmission.delivered,
-            COLLIDED: transmission.collided,
-            LOST: transmission.lost_to_noise,
-        }
-        self.sent[kind] += 1
-        if frame.kind is FrameKind.DATA and frame.destination == GROUP:
-            for end, receivers in ends.items():
-                self.counts[receivers, end - 1] += 1
-        mode = MODE_NAMES.index(frame.mode.name)
-        times_ns = transmission.start_ns, transmission.end_ns
-        what = frame.source, frame.destination, kind, mode, frame.frame_bytes, frame.seq
-        self._rows.append((*times_ns, *what, *map(len, ends.values())))
-
-    def take(self) -> Integers:
-        """Return the rows since the last call: fields of `FrameRecord`, kind and mode as numbers."""
-        rows, self._rows = self._rows, []
-        return np.array(rows, np.int64).reshape(-1, len(FrameRecord._fields))
-
-
 _KIND_BYTES = np.array([kind.value for kind in KINDS], "S16")
 _MODE_BYTES = np.array(MODE_NAMES, "S16")
 
@@ -119,14 +82,6 @@ def frame_log_rows(frames: Integers) -> NDArray[np.void]:
         rows[field] = frames[:, column]
     rows["kind"], rows["mode"] = _KIND_BYTES[frames[:, _KIND]], _MODE_BYTES[frames[:, _MODE]]
     return rows
-
-
-_SESSION_FIELDS = attrgetter(*(SESSION_LOG.names or ()))
-
-
-def session_log_rows(sessions: Iterable[Ranging]) -> Iterable[tuple[Any, ...]]:
-    """Return the fields of `SESSION_LOG` for each session."""
-    return map(_SESSION_FIELDS, sessions)
 
 
 def frame_records(frames: Integers) -> list[FrameRecord]:

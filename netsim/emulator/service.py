@@ -7,7 +7,7 @@ calls in one process. Its only I/O is the log files.
 import contextlib
 from collections.abc import Callable
 from operator import attrgetter
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -18,7 +18,7 @@ from netsim.capture.pcapng_writer import Capture
 from netsim.emulator.emulator import Emulator
 from netsim.emulator.interface import NetworkEmulator
 from netsim.emulator.log_layout import FRAME_LOG, SESSION_LOG
-from netsim.emulator.records import frame_log_rows, session_log_rows
+from netsim.emulator.records import frame_log_rows
 from netsim.model.config import ServerConfig
 from netsim.phy.frames import Transmission
 from netsim.phy.propagation import is_possible
@@ -28,14 +28,7 @@ from netsim.wire.messages import RxBatch, Station, TxBatch
 Doubles = NDArray[np.float64]
 
 
-class VehicleMotion(NamedTuple):
-    """Positions (n, 3) in metres, velocities (n, 3) in m/s and attitudes (n, 4), wxyz, of the stations."""
-
-    pos_ned_m: Doubles
-    vel_ned_m_s: Doubles
-    q_ned_frd: Doubles
-
-
+_SESSION_FIELDS = attrgetter(*(SESSION_LOG.names or ()))
 _BATCH_ORDER = attrgetter("now_us", "station")
 _REJECTED = "the 802.11 emulator rejects the request to advance: bad motion, station or time"
 STREAM = 802
@@ -68,7 +61,8 @@ class EmulatorService:
         )
         self._submitted: list[TxBatch] = []
         self._silent: frozenset[Station] = frozenset()
-        self._reached_us = 0
+        self.reached_us = 0
+        """Time up to which the channel has been simulated."""
         self._capture: Capture | None = None
         self._frame_log: RecordLog | None = None
         self._session_log: RecordLog | None = None
@@ -95,11 +89,6 @@ class EmulatorService:
         counters: dict[str, Any] = msgspec.to_builtins(self._emulator.counters)
         return counters
 
-    @property
-    def reached_us(self) -> int:
-        """Time up to which the channel has been simulated."""
-        return self._reached_us
-
     def is_guest(self, station: Station) -> bool:
         """Whether the station's host is an external program."""
         return self._config.stations <= station < self.stations
@@ -116,8 +105,7 @@ class EmulatorService:
         """Whether a vehicle's batch is more than `LEAD_US` ahead; guests have no simulation time."""
         latest_us = max((item.at_us for item in batch.items), default=0)
         return (
-            batch.station < self._config.stations
-            and max(batch.now_us, latest_us) > self._reached_us + LEAD_US
+            batch.station < self._config.stations and max(batch.now_us, latest_us) > self.reached_us + LEAD_US
         )
 
     def _on_transmission(self, transmission: Transmission) -> None:
@@ -132,8 +120,11 @@ class EmulatorService:
             missing -= {b.station for b in self._submitted if b.now_us == at_us and not b.more}
         return missing
 
-    def _motion(self, request: Advance) -> VehicleMotion:
-        """Return the motion in an `Advance`. Raises ValueError if the request is invalid."""
+    def _motion(self, request: Advance) -> tuple[Doubles, Doubles, Doubles]:
+        """Return positions (n, 3) in m, velocities (n, 3) in m/s and attitudes (n, 4), wxyz, of all stations.
+
+        Guests are at rest and level. Raises ValueError if the request is invalid.
+        """
         vehicles = self._config.stations
         pos_ned_m = unpack_rows(request.pos_ned_m, stations=vehicles, columns=3)
         vel_ned_m_s = unpack_rows(request.vel_ned_m_s, stations=vehicles, columns=3)
@@ -143,20 +134,14 @@ class EmulatorService:
         possible = is_possible(pos_ned_m, vel_ned_m_s, q_ned_frd)
         named = (*request.senders, *request.silent, *(station for station, _ in request.range_offsets_m))
         known = max(named, default=0) < self.stations
-        if not (known and possible and request.to_us > self._reached_us):
+        if not (known and possible and request.to_us > self.reached_us):
             raise ValueError(_REJECTED)
-        return self._with_guests(VehicleMotion(pos_ned_m, vel_ned_m_s, q_ned_frd))
-
-    def _with_guests(self, motion: VehicleMotion) -> VehicleMotion:
-        """Return the motion of all stations; guests are at rest and level."""
-        guests = len(self._guests_pos_ned_m)
-        if guests == 0:
-            return motion
-        return VehicleMotion(
-            np.vstack([motion.pos_ned_m, self._guests_pos_ned_m]),
-            np.vstack([motion.vel_ned_m_s, np.zeros((guests, 3))]),
-            np.vstack([motion.q_ned_frd, np.tile([1.0, 0.0, 0.0, 0.0], (guests, 1))]),
-        )
+        guests_ned_m = self._guests_pos_ned_m
+        if len(guests_ned_m) == 0:
+            return pos_ned_m, vel_ned_m_s, q_ned_frd
+        level = np.tile([1.0, 0.0, 0.0, 0.0], (len(guests_ned_m), 1))
+        at_rest = np.vstack([vel_ned_m_s, np.zeros_like(guests_ned_m)])
+        return np.vstack([pos_ned_m, guests_ned_m]), at_rest, np.vstack([q_ned_frd, level])
 
     def set_between_events(self, function: Callable[[], object] | None) -> None:
         """Set a function that is called between events; None removes it."""
@@ -167,25 +152,10 @@ class EmulatorService:
 
         Raises ValueError unless it has finite motion of all vehicles, known stations and a later time.
         """
-        motion = self._motion(request)
+        pos_ned_m, vel_ned_m_s, q_ned_frd = self._motion(request)
         for station in frozenset(request.silent) - self._silent:
             self._emulator.set_silent(station)
         self._silent = frozenset(request.silent)
-        deliveries = self._simulate(request, motion)
-        self._reached_us = request.to_us
-        return deliveries
-
-    def advanced(self, *, delivered: tuple[Station, ...] = (), missing: tuple[Station, ...] = ()) -> Advanced:
-        """Return the reply to the time master after `advance`, or instead of it if senders are missing."""
-        return Advanced(
-            to_us=self._reached_us,
-            quiet_until_us=self._emulator.next_event_us,
-            busy_ns=self._emulator.busy_ns,
-            delivered=delivered,
-            missing=missing,
-        )
-
-    def _simulate(self, request: Advance, motion: VehicleMotion) -> dict[Station, RxBatch]:
         # other threads append to the list meanwhile: copy and delete the same leading part
         count = len(self._submitted)
         batches = self._submitted[:count]
@@ -195,30 +165,41 @@ class EmulatorService:
         due = [batch for batch in batches if batch.now_us < request.to_us]
         for batch in sorted(due, key=_BATCH_ORDER):
             self._emulator.submit(batch)
-        self._emulator.set_extra_attenuation_db(request.extra_attenuation_db)
-        self._emulator.set_range_offsets(dict(request.range_offsets_m))
+        self._emulator.links.set_extra_attenuation_db(request.extra_attenuation_db)
+        self._emulator.range_offsets_m = dict(request.range_offsets_m)
         arrivals = self._emulator.advance(
             to_us=request.to_us,
             at_us=request.at_us,
-            pos_ned_m=motion.pos_ned_m,
-            vel_ned_m_s=motion.vel_ned_m_s,
-            q_ned_frd=motion.q_ned_frd,
+            pos_ned_m=pos_ned_m,
+            vel_ned_m_s=vel_ned_m_s,
+            q_ned_frd=q_ned_frd,
         )
         self._write_logs()
         if self._capture is not None:
             self._capture.settle(1_000 * request.to_us)
+        self.reached_us = request.to_us
         return {
             station: RxBatch(station=station, release_us=request.release_us, items=tuple(items))
             for station, items in arrivals.items()
             if station not in self._silent
         }
 
+    def advanced(self, *, delivered: tuple[Station, ...] = (), missing: tuple[Station, ...] = ()) -> Advanced:
+        """Return the reply to the time master after `advance`, or instead of it if senders are missing."""
+        return Advanced(
+            to_us=self.reached_us,
+            quiet_until_us=self._emulator.next_event_us,
+            busy_ns=self._emulator.busy_ns,
+            delivered=delivered,
+            missing=missing,
+        )
+
     def _write_logs(self) -> None:
         frames, sessions = self._emulator.take_frame_rows(), self._emulator.take_sessions()
         if self._frame_log is not None and len(frames):
             self._frame_log.append_array(frame_log_rows(frames))
         if self._session_log is not None:
-            self._session_log.append(session_log_rows(sessions))
+            self._session_log.append(map(_SESSION_FIELDS, sessions))
 
 
 def _at_once(batch: TxBatch) -> TxBatch:

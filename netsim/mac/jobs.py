@@ -6,7 +6,7 @@ from typing import Protocol
 
 from msgspec import Struct
 
-from netsim.mac.rates import RateControl
+from netsim.mac.rates import AdaptiveRate
 from netsim.phy.frames import FrameKind
 from netsim.phy.modes import PhyMode
 
@@ -59,7 +59,7 @@ class Job(Struct, kw_only=True, eq=False):
     kind: FrameKind
     destination: int
     mode: PhyMode
-    rates: RateControl | None = None
+    rates: AdaptiveRate | None = None
     """Selects ``mode`` before each attempt; None: fixed mode."""
     frame_bytes: int
     expires_ns: int

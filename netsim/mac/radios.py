@@ -20,7 +20,7 @@ from netsim.model import codes as c
 from netsim.model import tables as t
 from netsim.model.config import RadioConfig
 from netsim.model.event_queue import NEVER_NS, EventQueue
-from netsim.model.random_streams import Model, RandomStreams, Uniforms
+from netsim.model.random_streams import FloatStream, Model, RandomStreams
 from netsim.model.records import BUFFERED_DRAWS
 from netsim.model.tables import Integers
 from netsim.phy.frames import KINDS, Frame, Transmission
@@ -35,9 +35,10 @@ _AT_END = ["sequence", "attempts", "failures", "sent_ns"]
 
 
 class Radios:
-    """Stations that contend for one medium; see `netsim.emulator.channels.Channel`.
+    """Stations that contend for one medium.
 
-    ``on_ended`` is called with every frame that has ended at all stations.
+    ``on_group_frame`` is called with received group frames; unicast frames go to the stations. ``on_ended``
+    is called with every frame that has ended at all stations.
     """
 
     def __init__(
@@ -49,12 +50,11 @@ class Radios:
         stations: int,
         streams: RandomStreams,
         on_group_frame: OnGroupFrame,
-        on_ended: Callable[[Transmission], None] | None = None,
+        on_ended: Callable[[Transmission], None] | None,
     ) -> None:
         self._config = config
         self._queue = queue
         self._links = links
-        self._streams = streams
         self._on_group_frame = on_group_frame
         self._on_ended = on_ended
         edca = config.access == "edca"
@@ -69,8 +69,8 @@ class Radios:
         self._fading_block = _NO_FADING if links.fading is None else links.fading.block
         self._links_version = links.version
         self._uppers: list[Upper] = []
-        self._backoffs: list[Uniforms] = []
-        self._receptions = [Uniforms(streams.generator(Model.RECEPTION, i)) for i in range(stations)]
+        self._backoffs = [streams.uniforms(Model.BACKOFF, i) for i in range(stations)]
+        self._receptions = [streams.uniforms(Model.RECEPTION, i) for i in range(stations)]
         self._jobs: list[Job] = []
         """Jobs by row; a free row holds its previous job."""
         self._free_jobs: list[int] = []
@@ -81,13 +81,9 @@ class Radios:
 
     # --- stations
 
-    def join(self, station: int, upper: Upper, backoff: Uniforms | None = None) -> "RadioStation":
-        """Add the next station, in the order of their numbers; its received frames go to ``upper``.
-
-        ``backoff`` draws its backoffs, by default from the station's random stream.
-        """
+    def join(self, station: int, upper: Upper) -> "RadioStation":
+        """Add the next station, in the order of their numbers; its received frames go to ``upper``."""
         self._uppers.append(upper)
-        self._backoffs.append(backoff or Uniforms(self._streams.generator(Model.BACKOFF, station)))
         return RadioStation(station, self)
 
     def enqueue(self, station: int, category: str, job: Job) -> None:
@@ -356,7 +352,7 @@ class Radios:
             self._on_ended(transmission)
 
 
-def _draw_ahead(used_by: Integers, draws: Doubles, streams: list[Uniforms]) -> None:
+def _draw_ahead(used_by: Integers, draws: Doubles, streams: list[FloatStream]) -> None:
     """Refill the draws (n, buffered) of stations that have used (n,) more than half of theirs."""
     for station in (used_by > BUFFERED_DRAWS // 2).nonzero()[0].tolist():
         used = int(used_by[station])

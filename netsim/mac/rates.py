@@ -7,14 +7,14 @@ few samples do not dominate. And a mode that keeps failing is sampled less and l
 are not distinguished from other losses.
 """
 
-from typing import Annotated, NamedTuple, Protocol, get_args
+from typing import NamedTuple
 
-from msgspec import Meta, Struct
+from msgspec import Struct
 
-from netsim.model.config import BandwidthMhz, Mode, RadioConfig, StationConfig
-from netsim.model.random_streams import Model, RandomStreams, Uniforms
+from netsim.model.config import BandwidthMhz, RadioConfig, StationConfig
+from netsim.model.random_streams import FloatStream, Model, RandomStreams
 from netsim.phy.frames import ACK_BYTES
-from netsim.phy.modes import PhyMode, phy_mode, response_mode
+from netsim.phy.modes import MODE_NAMES, PhyMode, phy_mode, response_mode
 
 OVERHEAD_NS = 34_000 + 67_500 + 16_000
 """Share of an exchange that no mode shortens: DIFS, the mean of the smallest backoff, SIFS."""
@@ -24,71 +24,55 @@ LONGEST_REST = 15
 """Most consecutive sampling turns that a failing mode skips."""
 FAILURES_PER_STAGE = 2
 
-
-class RateControl(Protocol):
-    """Selects the mode of each transmission attempt to a station, from the outcomes of earlier ones."""
-
-    def mode_for(self, destination: int, *, frame_bytes: int, failures: int, now_ns: int) -> PhyMode:
-        """Return the mode of the next attempt of a frame that has failed ``failures`` times."""
-
-    def report(self, destination: int, mode: PhyMode, *, acknowledged: bool) -> None:
-        """Record the outcome of an attempt in which the frame itself was sent."""
-
-
-class RateParameters(Struct, frozen=True, kw_only=True):
-    """Rate of adaptation. Minstrel has the same interval, memory 0.75 and lookaround ratio 0.1."""
-
-    interval_ns: Annotated[int, Meta(ge=1_000_000)] = 100_000_000
-    """Time between two updates of the averages."""
-    memory: Annotated[float, Meta(ge=0.0, lt=1.0)] = 0.9
-    """Factor by which the weight of an attempt decays per update."""
-    most_evidence: Annotated[float, Meta(ge=1.0)] = 300.0
-    """Largest weight of all attempts; limits the time to detect a change of a mode in use."""
-    lookaround_ratio: Annotated[float, Meta(ge=0.0, le=0.5)] = 0.05
-    """Share of frames that may sample another mode."""
+# Rate of adaptation. Minstrel has the same interval, memory 0.75 and lookaround ratio 0.1.
+INTERVAL_NS = 100_000_000
+"""Time between two updates of the averages."""
+MEMORY = 0.9
+"""Factor by which the weight of an attempt decays per update."""
+MOST_EVIDENCE = 300.0
+"""Largest weight of all attempts; limits the time to detect a change of a mode in use."""
+LOOKAROUND_RATIO = 0.05
+"""Share of frames that may sample another mode."""
 
 
 def channel_modes(bandwidth_mhz: BandwidthMhz, *, vht: bool) -> tuple[PhyMode, ...]:
     """Return all VHT or non-HT modes of a channel width in order of rate."""
-    names: list[Mode] = [name for name in get_args(Mode) if name.startswith("vht") is vht]
+    names = [name for name in MODE_NAMES if name.startswith("vht") is vht]
     if bandwidth_mhz == 20 and vht:
         names.remove("vht_mcs9")
     return tuple(phy_mode(name, bandwidth_mhz) for name in names)
 
 
-class _Mode:
+class _Mode(Struct, eq=False):
     """Statistics of one mode to one destination."""
 
-    __slots__ = ("attempts", "evidence", "mode", "rest", "skips", "success", "successes", "time_ns")
-
-    def __init__(self, mode: PhyMode) -> None:
-        self.mode = mode
-        self.attempts = 0
-        self.successes = 0
-        """Attempts and successes since the last update."""
-        self.success: float | None = None
-        """Average success probability; None before the first attempt."""
-        self.evidence = 0.0
-        """Decayed number of attempts in that average."""
-        self.time_ns = 1
-        """Duration of an exchange without failures."""
-        self.skips = 0
-        self.rest = 0
-        """Sampling turns left to skip, and the last number of turns to skip."""
+    mode: PhyMode
+    attempts: int = 0
+    successes: int = 0
+    """Attempts and successes since the last update."""
+    success: float | None = None
+    """Average success probability; None before the first attempt."""
+    evidence: float = 0.0
+    """Decayed number of attempts in that average."""
+    time_ns: int = 1
+    """Duration of an exchange without failures."""
+    skips: int = 0
+    rest: int = 0
+    """Sampling turns left to skip, and the last number of turns to skip."""
 
     def throughput(self) -> float:
         """Return the expected frames per nanosecond."""
         success = self.success
         return success / self.time_ns if success is not None and success >= HOPELESS else 0.0
 
-    def update(self, memory: float, most_evidence: float) -> None:
-        self.evidence *= memory
+    def update(self) -> None:
+        self.evidence *= MEMORY
         if not self.attempts:
             return
         kept = (self.success or 0.0) * self.evidence
         self.evidence += self.attempts
         self.success = (kept + self.successes) / self.evidence
-        self.evidence = min(self.evidence, most_evidence)
+        self.evidence = min(self.evidence, MOST_EVIDENCE)
         if self.success < HOPELESS:
             self.rest = min(2 * self.rest + 1, LONGEST_REST)
             self.skips = self.rest
@@ -99,8 +83,6 @@ class _Mode:
 
 class _Destination:
     """Rate control state of one destination."""
-
-    __slots__ = ("by_name", "chain", "frames", "modes", "sample", "samples", "turn", "turns", "update_ns")
 
     def __init__(self, modes: tuple[PhyMode, ...]) -> None:
         self.modes = [_Mode(mode) for mode in modes]
@@ -113,36 +95,32 @@ class _Destination:
         self.sample: _Mode | None = None
         """Mode to sample with the first retry."""
         self.turns: list[_Mode] = []
-        self.turn = 0
+        """Modes to sample in the following turns, the next one last."""
 
 
 class AdaptiveRate:
-    """Rate control of one station."""
+    """Rate control of one station.
 
-    def __init__(
-        self,
-        modes: tuple[PhyMode, ...],
-        uniforms: Uniforms,
-        parameters: RateParameters | None = None,
-    ) -> None:
-        """Select among ``modes``, the most robust first; ``uniforms`` draws the order of samples."""
+    It selects among ``modes``, the most robust first; ``uniforms`` draws the order of samples.
+    """
+
+    def __init__(self, modes: tuple[PhyMode, ...], uniforms: FloatStream) -> None:
         self._modes = modes
         self._uniforms = uniforms
-        self._parameters = parameters or RateParameters()
         self._destinations: dict[int, _Destination] = {}
 
     def mode_for(self, destination: int, *, frame_bytes: int, failures: int, now_ns: int) -> PhyMode:
-        """See `RateControl`."""
+        """Return the mode of the next attempt of a frame that has failed ``failures`` times."""
         known = self._destinations.get(destination)
         if known is None:
             known = self._destinations[destination] = _Destination(self._modes)
         if now_ns >= known.update_ns:
             self._update(known, frame_bytes)
-            known.update_ns = now_ns + self._parameters.interval_ns
+            known.update_ns = now_ns + INTERVAL_NS
         if failures == 0:
             known.frames += 1
             known.sample = None
-            if known.samples < self._parameters.lookaround_ratio * known.frames:
+            if known.samples < LOOKAROUND_RATIO * known.frames:
                 sample = self._next_sample(known)
                 if sample is not None:
                     known.samples += 1.0
@@ -152,7 +130,7 @@ class AdaptiveRate:
         return known.chain[min(failures // FAILURES_PER_STAGE, 3)].mode
 
     def report(self, destination: int, mode: PhyMode, *, acknowledged: bool) -> None:
-        """See `RateControl`."""
+        """Record the outcome of an attempt in which the frame itself was sent."""
         known = self._destinations.get(destination)
         if known is not None and mode.name in known.by_name:
             of_mode = known.by_name[mode.name]
@@ -164,7 +142,7 @@ class AdaptiveRate:
             mode = each.mode
             ack_ns = response_mode(mode).duration_ns(ACK_BYTES)
             each.time_ns = OVERHEAD_NS + mode.duration_ns(frame_bytes) + ack_ns
-            each.update(self._parameters.memory, self._parameters.most_evidence)
+            each.update()
         by_throughput = sorted(known.modes, key=_Mode.throughput, reverse=True)
         lowest = known.modes[0]
         if by_throughput[0].throughput() > 0.0:
@@ -182,11 +160,9 @@ class AdaptiveRate:
         A mode that cannot exceed the best throughput even without failures is sampled with the first retry of
         this frame.
         """
-        if known.turn >= len(known.turns):
-            known.turns = sorted(known.modes, key=lambda _: self._uniforms.draw())
-            known.turn = 0
-        sample = known.turns[known.turn]
-        known.turn += 1
+        if not known.turns:
+            known.turns = sorted(known.modes, key=lambda _: self._uniforms.draw())[::-1]
+        sample = known.turns.pop()
         best = known.chain[0]
         if sample is best:
             return None
@@ -218,5 +194,5 @@ def datagram_modes(config: RadioConfig, own: StationConfig, streams: RandomStrea
     if data_mode != "adaptive":
         return DatagramModes(broadcast, phy_mode(data_mode, width_mhz), None)
     modes = channel_modes(width_mhz, vht=True)
-    rates = AdaptiveRate(modes, Uniforms(streams.generator(Model.RATE, own.station)))
+    rates = AdaptiveRate(modes, streams.uniforms(Model.RATE, own.station))
     return DatagramModes(broadcast, modes[0], rates)

@@ -29,22 +29,12 @@ class Model(IntEnum):
     HOST_LOSS = 12
 
 
-class RandomStreams:
-    """Generators derived from one seed."""
+class FloatStream:
+    """Floats from one Generator, drawn in blocks, since a single draw takes a microsecond.
 
-    def __init__(self, seed: np.random.SeedSequence) -> None:
-        self._seed = seed
+    ``more`` draws the given number of floats: a method of the Generator.
+    """
 
-    def generator(self, model: Model, *index: int) -> np.random.Generator:
-        """Return a new Generator at the beginning of this model's stream for a station, link or pair."""
-        key = (*self._seed.spawn_key, int(model), *index)
-        return np.random.default_rng(np.random.SeedSequence(self._seed.entropy, spawn_key=key))
-
-
-class _Draws:
-    """Floats from one Generator, drawn in blocks, since a single draw takes a microsecond."""
-
-    __slots__ = ("_floats", "draw")
     BLOCK = 256
 
     def __init__(self, more: Callable[[int], NDArray[np.float64]]) -> None:
@@ -57,19 +47,17 @@ class _Draws:
         return list(islice(self._floats, count))
 
 
-class Uniforms(_Draws):
-    """Uniform floats in [0, 1)."""
+class RandomStreams:
+    """Generators derived from one seed."""
 
-    __slots__ = ()
+    def __init__(self, seed: np.random.SeedSequence) -> None:
+        self._seed = seed
 
-    def __init__(self, generator: np.random.Generator) -> None:
-        super().__init__(generator.random)
+    def generator(self, model: Model, *index: int) -> np.random.Generator:
+        """Return a new Generator at the beginning of this model's stream for a station, link or pair."""
+        key = (*self._seed.spawn_key, int(model), *index)
+        return np.random.default_rng(np.random.SeedSequence(self._seed.entropy, spawn_key=key))
 
-
-class Normals(_Draws):
-    """Standard normal floats."""
-
-    __slots__ = ()
-
-    def __init__(self, generator: np.random.Generator) -> None:
-        super().__init__(generator.standard_normal)
+    def uniforms(self, model: Model, *index: int) -> FloatStream:
+        """Return uniform floats in [0, 1) from `generator`."""
+        return FloatStream(self.generator(model, *index).random)

@@ -11,7 +11,6 @@ PROFILE_GROUPS = {
     "netsim.model.events": "events",
     "netsim.model.tables": "events",
     "netsim.emulator.arrivals": "events",
-    "netsim.emulator.channels": "events",
     "netsim.emulator.ideal_channel": "events",
     "netsim.wire": "batches",
     "netsim.emulator.service": "batches",

@@ -7,10 +7,10 @@ import numpy as np
 
 from netsim.mac.jobs import GroupReception, Job, JobOutcome, Reception
 from netsim.mac.radios import Radios
-from netsim.mac.rates import RateControl
+from netsim.mac.rates import AdaptiveRate
 from netsim.model.config import Mode, RadioConfig
 from netsim.model.event_queue import EventQueue
-from netsim.model.random_streams import RandomStreams, Uniforms
+from netsim.model.random_streams import FloatStream, RandomStreams
 from netsim.phy.frames import GROUP, FrameKind, Transmission
 from netsim.phy.modes import phy_mode
 from netsim.phy.propagation import LinkRow
@@ -45,14 +45,20 @@ class GivenLinks:
         return self._rows[source]
 
 
-class GivenBackoffs(Uniforms):
+class GivenBackoffs(FloatStream):
     """Draws that result in backoffs of (slots, contention window); further draws come from a stream."""
 
     def __init__(self, draws: Sequence[tuple[int, int]]) -> None:
-        super().__init__(np.random.default_rng(1))
+        super().__init__(np.random.default_rng(1).random)
         given = [(slots + 0.5) / (window + 1) for slots, window in draws]
         self._floats = chain(given, self._floats)
         self.draw = self._floats.__next__
+
+
+def give_backoffs(radios: Radios, backoffs: Mapping[int, Sequence[tuple[int, int]]]) -> None:
+    """Set the backoffs of stations, by station."""
+    for station, draws in backoffs.items():
+        radios._backoffs[station] = GivenBackoffs(draws)
 
 
 class Air:
@@ -89,12 +95,8 @@ class Air:
             on_group_frame=self._on_group_frame,
             on_ended=self.transmissions.append,
         )
-        self.stations = [
-            self.radios.join(
-                i, _Upper(self, i), GivenBackoffs(backoffs[i]) if backoffs and i in backoffs else None
-            )
-            for i in range(stations)
-        ]
+        self.stations = [self.radios.join(i, _Upper(self, i)) for i in range(stations)]
+        give_backoffs(self.radios, backoffs or {})
 
     def send(
         self,
@@ -108,7 +110,7 @@ class Air:
         category: str = "be",
         retry_limit: int = 7,
         lifetime_us: int = 1_000_000,
-        rates: RateControl | None = None,
+        rates: AdaptiveRate | None = None,
         body: object = None,
     ) -> Job:
         job = Job(

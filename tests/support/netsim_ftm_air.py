@@ -3,10 +3,11 @@
 from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
-from netsim_air import UNDETECTED_DBM, GivenBackoffs, GivenLinks
+from netsim_air import UNDETECTED_DBM, GivenLinks, give_backoffs
 
 from netsim.ftm.elements import Measurement, Request
 from netsim.ftm.initiator import Ranging
+from netsim.ftm.port import Port
 from netsim.ftm.session import FtmRadio
 from netsim.ftm.stamps import Clock
 from netsim.mac.jobs import Job, Reception
@@ -89,26 +90,30 @@ class FtmAir:
             on_ended=self.transmissions.append,
         )
         clocks = [Clock(ftm.clock_ppm, streams.generator(Model.CLOCK, i)) for i in range(stations)]
-        self.radios = [
-            FtmRadio(
+        ports = [
+            Port(
                 station=i,
                 stations=stations,
                 config=config,
                 environment=self,
                 clocks=clocks,
                 generator=streams.generator(Model.TIME_STAMP, i),
-                nlos_generator=streams.generator(Model.NLOS_BIAS, i) if blocked_ways else None,
-                on_result=self.results.append,
-                on_datagram=self.datagrams.append,
             )
             for i in range(stations)
         ]
-        self.macs = [
-            radios.join(i, radio, GivenBackoffs(backoffs[i]) if backoffs and i in backoffs else None)
-            for i, radio in enumerate(self.radios)
+        self.radios = [
+            FtmRadio(
+                port,
+                streams.generator(Model.NLOS_BIAS, i),
+                on_result=self.results.append,
+                on_datagram=self.datagrams.append,
+            )
+            for i, port in enumerate(ports)
         ]
-        for radio, mac in zip(self.radios, self.macs, strict=True):
-            radio.attach(mac)
+        self.macs = [radios.join(i, radio) for i, radio in enumerate(self.radios)]
+        give_backoffs(radios, backoffs or {})
+        for port, mac in zip(ports, self.macs, strict=True):
+            port.attach(mac)
 
     def calibration_bias_m(self, a: int, b: int) -> float:
         assert a != b
@@ -119,7 +124,9 @@ class FtmAir:
 
     def request(self, at_us: int, source: int = A, peer: int = B, *, seq: int = 1) -> None:
         timeout_ns = 1_000 * (at_us + self.config.ftm.request_timeout_us)
-        self.queue.at(1_000 * at_us, lambda _: self.radios[source].request(peer, seq, timeout_ns), None)
+        self.queue.at(
+            1_000 * at_us, lambda _: self.radios[source].initiator.request(peer, seq, timeout_ns), None
+        )
 
     def send(self, at_us: int, source: int, to: int, body: Request) -> None:
         """Send a request frame that belongs to no session of the radio."""

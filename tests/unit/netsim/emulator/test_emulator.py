@@ -114,7 +114,7 @@ def test_a_cut_channel_delivers_nothing_and_ranging_fails():
     traffic(swarm, 400_000)
     delivered = swarm.emulator.counters.broadcasts_delivered
     assert min(delivered) > 0
-    swarm.emulator.set_extra_attenuation_db(200.0)
+    swarm.emulator.links.set_extra_attenuation_db(200.0)
     swarm.received.clear()
     swarm.emulator.take_sessions()
     for i in range(4):
@@ -125,7 +125,7 @@ def test_a_cut_channel_delivers_nothing_and_ranging_fails():
     statuses = [item.status for _, item in swarm.received if isinstance(item, FtmResult)]
     assert len(statuses) == len(swarm.received) == 4
     assert set(statuses) <= {"no_response", "timeout"}
-    swarm.emulator.set_extra_attenuation_db(0.0)
+    swarm.emulator.links.set_extra_attenuation_db(0.0)
     swarm.broadcast(0, swarm.now_us)
     assert len(swarm.run(swarm.now_us + 8_000)) == 3
 
@@ -344,7 +344,7 @@ def test_every_item_has_exactly_one_outcome(seed):
                     (station, swarm.request(station, peer, swarm.now_us + int(rng.integers(STEP_US))))
                 )
         if rng.random() < 0.05:
-            swarm.emulator.set_extra_attenuation_db(float(rng.choice([0.0, 30.0, 200.0])))
+            swarm.emulator.links.set_extra_attenuation_db(float(rng.choice([0.0, 30.0, 200.0])))
         swarm.places = swarm.places + rng.normal(0.0, 0.05, (count, 3))
         swarm.run(swarm.now_us + STEP_US)
     swarm.run(swarm.now_us + 1_000_000)

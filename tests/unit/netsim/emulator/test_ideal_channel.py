@@ -148,7 +148,7 @@ def test_attenuated_channel_is_cut_for_that_time():
         swarm.broadcast(0, 4_000 * i + 1_000)
     for until_us, extra_db in ((100_000, 200.0), (200_000, 0.0), (300_000, 0.0)):
         swarm.run(until_us)
-        swarm.emulator.set_extra_attenuation_db(extra_db)
+        swarm.emulator.links.set_extra_attenuation_db(extra_db)
     heard_us = sorted({item.received_ns // 4_000_000 * 4_000 for _, item in swarm.received})
     assert heard_us == [*range(0, 100_000, 4_000), *range(200_000, 300_000, 4_000)]
     assert len(swarm.received) == 50 * 7
@@ -239,7 +239,7 @@ def test_every_item_has_exactly_one_outcome(seed):
                 submitted.add((station, swarm.unicast(station, int(rng.integers(count + 1)), at_us)))
                 datagrams += station not in silent
         if rng.random() < 0.05:
-            swarm.emulator.set_extra_attenuation_db(float(rng.choice([0.0, 10.0, 200.0])))
+            swarm.emulator.links.set_extra_attenuation_db(float(rng.choice([0.0, 10.0, 200.0])))
         swarm.places = swarm.places + rng.normal(0.0, 5.0, (count, 3))
         swarm.run(swarm.now_us + STEP_US)
     swarm.run(swarm.now_us + 1_000_000)

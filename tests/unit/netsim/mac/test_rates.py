@@ -5,8 +5,8 @@ import pytest
 from netsim_air import UNDETECTED_DBM, A, Air, B
 
 from netsim.mac.jobs import Job, JobOutcome
-from netsim.mac.rates import OVERHEAD_NS, AdaptiveRate, RateParameters, channel_modes
-from netsim.model.random_streams import Uniforms
+from netsim.mac.rates import LOOKAROUND_RATIO, OVERHEAD_NS, AdaptiveRate, channel_modes
+from netsim.model.random_streams import FloatStream
 from netsim.phy.frames import ACK_BYTES, FrameKind
 from netsim.phy.modes import phy_mode, response_mode
 from netsim.phy.propagation import thermal_noise_mw
@@ -40,7 +40,7 @@ class Link:
 
     def __init__(self, seed=1):
         self.rng = np.random.default_rng(seed)
-        self.control = AdaptiveRate(MODES, Uniforms(np.random.default_rng(seed + 100)))
+        self.control = AdaptiveRate(MODES, FloatStream(np.random.default_rng(seed + 100).random))
         self.now_ns = 0
         self.used = []
 
@@ -92,7 +92,7 @@ def test_other_modes_are_sampled_with_few_frames_and_failing_ones_rarely():
     best = max(MODES, key=lambda mode: MIDDLE[mode.name] / time_ns(mode)).name
     others = sum(name != best for name in link.used)
     # a repetition after two failures (4 % of frames here) goes out in the second best mode
-    assert others < (RateParameters().lookaround_ratio + 0.06) * len(link.used)
+    assert others < (LOOKAROUND_RATIO + 0.06) * len(link.used)
     assert 0 < link.used.count("ofdm54") < link.used.count("ofdm48")
 
 
@@ -154,7 +154,7 @@ def delivered_over_the_air(snr_db, *, fixed=None, seconds=1.0):
     noise_dbm = 10 * np.log10(thermal_noise_mw(20, 7.0))
     powers_dbm = {(A, B): noise_dbm + snr_db, (B, A): noise_dbm + 30.0}
     air = Air(2, powers_dbm=powers_dbm)
-    rates = None if fixed else AdaptiveRate(MODES, Uniforms(np.random.default_rng(5)))
+    rates = None if fixed else AdaptiveRate(MODES, FloatStream(np.random.default_rng(5).random))
     delivered = 0
 
     def feed():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from netsim.model.event_queue import NEVER_NS, EventQueue
-from netsim.model.random_streams import Model, Normals, RandomStreams, Uniforms
+from netsim.model.random_streams import FloatStream, Model, RandomStreams
 
 
 def test_calls_run_in_order_of_time_and_then_of_scheduling():
@@ -68,13 +68,13 @@ def test_streams_differ_by_model_and_link_and_not_by_order_of_use():
 
 
 def test_uniforms_match_the_generator():
-    uniforms = Uniforms(np.random.default_rng(3))
-    expected = np.random.default_rng(3).random(2 * Uniforms.BLOCK).tolist()
+    uniforms = FloatStream(np.random.default_rng(3).random)
+    expected = np.random.default_rng(3).random(2 * FloatStream.BLOCK).tolist()
     assert [uniforms.draw() for _ in expected] == expected
 
 
 def test_normals_match_the_generator():
-    normals = Normals(np.random.default_rng(3))
+    normals = FloatStream(np.random.default_rng(3).standard_normal)
     single = np.random.default_rng(3)
-    expected = [float(single.standard_normal()) for _ in range(2 * Normals.BLOCK)]
+    expected = [float(single.standard_normal()) for _ in range(2 * FloatStream.BLOCK)]
     assert [normals.draw() for _ in expected] == expected

@@ -10,7 +10,7 @@ from netsim_air import A, Air, B, C
 
 from netsim.mac.access_parameters import EDCA
 from netsim.mac.rates import AdaptiveRate, channel_modes
-from netsim.model.random_streams import Uniforms
+from netsim.model.random_streams import FloatStream
 
 
 def asked_and_sent(air, until_us):
@@ -43,7 +43,10 @@ def test_each_frame_on_a_busy_channel_requests_exactly_one_budget(seed):
     """Queues collide inside and outside of stations, frames expire and are cancelled, TXOPs break off."""
     rng = np.random.default_rng(seed)
     air = Air(3, access="edca", powers_dbm={(A, C): -84.0, (C, A): -84.0}, seed=seed)
-    rates = [AdaptiveRate(channel_modes(20, vht=True), Uniforms(np.random.default_rng(k))) for k in range(3)]
+    rates = [
+        AdaptiveRate(channel_modes(20, vht=True), FloatStream(np.random.default_rng(k).random))
+        for k in range(3)
+    ]
     for _ in range(400):
         source, to = rng.permutation(3)[:2].tolist()
         at_us = int(rng.integers(1_000, 300_000))
