@@ -117,15 +117,8 @@ def _datagram(frame: Frame) -> bytes:
     pseudo_header = source + destination + _PROTOCOL_UDP.to_bytes(2, "big") + udp_bytes.to_bytes(2, "big")
     udp = _UDP.pack(UDP_PORT, UDP_PORT, udp_bytes, 0) + payload
     udp_checksum = _checksum(pseudo_header + udp) or 0xFFFF  # 0 means "no checksum"
-    return b"".join(
-        (
-            _SNAP_IPV4,
-            _IPV4.pack(*header, checksum, source, destination),
-            udp[:6],
-            udp_checksum.to_bytes(2, "big"),
-            payload,
-        )
-    )
+    ipv4 = _IPV4.pack(*header, checksum, source, destination)
+    return _SNAP_IPV4 + ipv4 + udp[:6] + udp_checksum.to_bytes(2, "big") + payload
 
 
 def _checksum(data: bytes) -> int:

@@ -40,8 +40,6 @@ _TIMESTAMP_TAIL = Layout("<HBB").pack(_ACCURACY_NS, _NANOSECONDS | _START_OF_PRE
 class Radiotap:
     """Headers of the frames that one transmitter sends in one mode; only their times differ."""
 
-    __slots__ = ("_head", "_preamble_ns", "_properties")
-
     def __init__(self, mode: PhyMode, *, frequency_mhz: float, power_dbm: float) -> None:
         present = _TSFT | _FLAGS | _CHANNEL | _TX_POWER | _TIMESTAMP | (_VHT if mode.vht else _RATE)
         self._preamble_ns = mode.preamble_ns
@@ -52,7 +50,7 @@ class Radiotap:
             channel_flags |= _CHANNEL_2_GHZ
         self._properties = _PROPERTIES.pack(
             _FLAGS_FCS_AT_END,
-            0 if mode.vht else _rate_500_kbps(mode),
+            0 if mode.vht else mode.bits_per_symbol // 2,  # rate / 500 kbit/s, as a symbol lasts 4 us
             min(round(frequency_mhz), _FREQUENCY_MAX_MHZ),
             channel_flags,
             max(-_POWER_MAX_DBM, min(round(power_dbm), _POWER_MAX_DBM)),
@@ -67,17 +65,5 @@ class Radiotap:
 
     def header(self, start_ns: int) -> bytes:
         """Return the header of a frame whose preamble begins at ``start_ns``."""
-        return b"".join(
-            (
-                self._head,
-                _TIME.pack((start_ns + self._preamble_ns) // 1_000),
-                self._properties,
-                _TIME.pack(start_ns),
-                _TIMESTAMP_TAIL,
-            )
-        )
-
-
-def _rate_500_kbps(mode: PhyMode) -> int:
-    """Return the rate in units of 500 kbit/s: half the data bits of a 4 us symbol."""
-    return mode.bits_per_symbol // 2
+        mpdu_us = (start_ns + self._preamble_ns) // 1_000
+        return self._head + _TIME.pack(mpdu_us) + self._properties + _TIME.pack(start_ns) + _TIMESTAMP_TAIL

@@ -23,7 +23,7 @@ from netsim.model.config import RadioConfig
 from netsim.model.event_queue import EventQueue
 from netsim.model.tables import Integers
 from netsim.phy.frames import ACK_BYTES, GROUP, KINDS, Frame, FrameKind, Transmission
-from netsim.phy.modes import MODE_NAMES, response_mode, response_ns
+from netsim.phy.modes import MODE_NAMES, response_mode
 from netsim.phy.propagation import Links
 
 
@@ -186,13 +186,14 @@ class IdealRadio:
             self._finish(exchange, JobOutcome.EXPIRED)
 
     def _send(self, job: Job) -> Transmission:
+        ack_ns = response_mode(job.mode).duration_ns(ACK_BYTES)
         frame = Frame(
             kind=job.kind,
             source=self.index,
             destination=job.destination,
             mode=job.mode,
             frame_bytes=job.frame_bytes,
-            nav_ns=0 if job.destination == GROUP else SIFS_NS + response_ns(job.mode, ACK_BYTES),
+            nav_ns=0 if job.destination == GROUP else SIFS_NS + ack_ns,
             seq=job.seq,
             sequence=job.sequence,
             body=job.body,

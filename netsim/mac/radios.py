@@ -76,7 +76,7 @@ class Radios:
         self._free_jobs: list[int] = []
         self._taken: list[Integers] = []
         """Blocks of records moved out of the full table."""
-        Bursts(config, queue, streams, self._start_burst)
+        self._bursts = Bursts(config, queue, streams, self._start_burst)
         queue.machine = self
 
     # --- stations
@@ -366,7 +366,6 @@ class RadioStation:
     """MAC of one station; see `netsim.mac.jobs.FrameSender`."""
 
     def __init__(self, index: int, radios: Radios) -> None:
-        self.index = index
         self.enqueue = partial(radios.enqueue, index)
         self.cancel = radios.cancel
         self.has_begun = radios.has_begun

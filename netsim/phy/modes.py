@@ -89,9 +89,3 @@ def response_mode(of: PhyMode) -> PhyMode:
     """
     bits = of.bits_per_subcarrier
     return phy_mode("ofdm6" if bits == 1 else "ofdm12" if bits == 2 else "ofdm24", of.bandwidth_mhz)
-
-
-@cache
-def response_ns(of: PhyMode, frame_bytes: int) -> int:
-    """Return the air time of a CTS or ACK of ``frame_bytes`` that responds to a frame in mode ``of``."""
-    return response_mode(of).duration_ns(frame_bytes)

@@ -49,11 +49,7 @@ class PathGain:
     def between_stations(
         self, sources: slice, pos_ned_m: Doubles, axes_ned: Doubles | None
     ) -> tuple[Doubles, Doubles]:
-        """Return gains and distances in metres, (m, n), from m of n stations to all.
-
-        ``axes_ned`` (n, 3) are the axes of dipoles; None: isotropic antennas. The gain of a station to itself
-        is meaningless.
-        """
+        """See `netsim.phy.interfaces.Propagation`; without ``axes_ned`` antennas are isotropic."""
         from_ned_m = pos_ned_m if sources == ALL else pos_ned_m[sources]
         away_m = pos_ned_m - from_ned_m[:, None]
         distances_m = np.sqrt(np.einsum("ijk,ijk->ij", away_m, away_m))
@@ -84,7 +80,7 @@ class PathGain:
     def from_others(
         self, from_ned_m: Doubles, to_ned_m: Doubles, to_axes_ned: Doubles | None
     ) -> tuple[Doubles, Doubles]:
-        """Return gains and distances in metres, (m, n), from sources with unknown antennas to stations."""
+        """See `netsim.phy.interfaces.Propagation`; the sources' antennas are unknown."""
         away_m = to_ned_m - from_ned_m[:, None]
         distances_m = np.sqrt(np.einsum("ijk,ijk->ij", away_m, away_m))
         if self._two_ray:

@@ -223,14 +223,14 @@ class Links:
         self._exponent = self._propagation.power_law_exponent
         self._uses_attitudes = self._propagation.uses_attitudes
         self._together = stations <= COMPUTED_TOGETHER
-        self._paths: tuple[Doubles, Doubles] | None = None
-        """Gains and distances of all links; ``_paths_of`` is the pose version and time of them."""
-        self._paths_of: tuple[int, int] | None = None
-        self._poses: tuple[Doubles, Doubles | None] | None = None
-        """Positions (n, 3) and the bodies' z axes; ``_poses_of`` is the pose version and time of them."""
         self._poses_of: tuple[int, int] | None = None
+        """Pose version and time of the following, which `_use_poses` sets."""
+        self._poses: tuple[Doubles, Doubles | None]
+        """Positions (n, 3) and the bodies' z axes."""
+        self._paths: tuple[Doubles, Doubles] | None = None
+        """Gains and distances of all links, computed on demand."""
         self._interferer_rows: list[LinkRow] = []
-        self._interferer_rows_of: tuple[int, int] | None = None
+        """Computed on demand."""
         self._obstruction: Obstruction | None = None
         if config.nlos_fraction > 0.0:
             self._obstruction = Obstruction(
@@ -301,10 +301,10 @@ class Links:
             )
             row = LinkRow(powers_mw, delays_ns, longest_ns, until_ns)
         else:
-            since_ns = self._since_ns(at_ns)
+            since_ns = self._use_poses(at_ns)
             if trajectories.moving:
                 until_ns = since_ns + ROW_LIFETIME_NS - 1
-            gains, distances_m = self._paths_from(source, since_ns)
+            gains, distances_m = self._paths_from(source)
             powers_mw = self._at_reference_mw[source] * gains
             if self._obstruction is not None:
                 blocked, same_until_ns = self._obstruction.row(source, at_ns)
@@ -317,47 +317,36 @@ class Links:
 
     def interferer_row(self, index: int, at_ns: int) -> LinkRow:
         """Return the link budget from an interferer to all stations, without fading and blockage."""
-        trajectories = self._trajectories
-        key = trajectories.pose_version, self._since_ns(at_ns)
-        if key != self._interferer_rows_of:
-            self._interferer_rows_of = key
-            places = np.array([interferer.pos_ned_m for interferer in self._config.interferers])
-            gains, distances = self._propagation.from_others(places, *self._poses_at(key[1]))
-            gain_db = self._config.antenna_gain_dbi - friis_loss_db(
-                REFERENCE_DISTANCE_M, self._config.frequency_mhz
-            )
+        self._use_poses(at_ns)
+        if not self._interferer_rows:
+            config = self._config
+            places = np.array([interferer.pos_ned_m for interferer in config.interferers])
+            gains, distances = self._propagation.from_others(places, *self._poses)
+            gain_db = config.antenna_gain_dbi - friis_loss_db(REFERENCE_DISTANCE_M, config.frequency_mhz)
             self._interferer_rows = [
                 self._finish(10.0 ** ((interferer.eirp_dbm + gain_db) / 10.0) * gains[i], distances[i], inf)
-                for i, interferer in enumerate(self._config.interferers)
+                for i, interferer in enumerate(config.interferers)
             ]
         return self._interferer_rows[index]
 
-    def _since_ns(self, at_ns: int) -> int:
-        """Return the time of the positions used at ``at_ns``: whole row lifetimes after the last update."""
+    def _use_poses(self, at_ns: int) -> int:
+        """Set the poses used at ``at_ns``; return their time, whole row lifetimes after the last update."""
         trajectories = self._trajectories
-        if not trajectories.moving:
-            return 0
-        return at_ns - (at_ns - trajectories.at_ns) % ROW_LIFETIME_NS
-
-    def _poses_at(self, since_ns: int) -> tuple[Doubles, Doubles | None]:
-        trajectories = self._trajectories
+        since_ns = at_ns - (at_ns - trajectories.at_ns) % ROW_LIFETIME_NS if trajectories.moving else 0
         key = trajectories.pose_version, since_ns
-        if self._poses is None or self._poses_of != key:
-            places = trajectories.positions_ned_m(since_ns)
-            self._poses_of = key
-            self._poses = places, trajectories.body_z_ned() if self._uses_attitudes else None
-        return self._poses
+        if key != self._poses_of:
+            axes_ned = trajectories.body_z_ned() if self._uses_attitudes else None
+            self._poses_of, self._poses = key, (trajectories.positions_ned_m(since_ns), axes_ned)
+            self._paths, self._interferer_rows = None, []
+        return since_ns
 
-    def _paths_from(self, source: int, since_ns: int) -> tuple[Doubles, Doubles]:
+    def _paths_from(self, source: int) -> tuple[Doubles, Doubles]:
         """Return gains and distances (n,) of one station's links; with few stations computes all links."""
         if not self._together:
-            sources = slice(source, source + 1)
-            gains, distances = self._propagation.between_stations(sources, *self._poses_at(since_ns))
+            gains, distances = self._propagation.between_stations(slice(source, source + 1), *self._poses)
             return gains[0], distances[0]
-        key = self._trajectories.pose_version, since_ns
-        if self._paths is None or self._paths_of != key:
-            self._paths_of = key
-            self._paths = self._propagation.between_stations(ALL, *self._poses_at(since_ns))
+        if self._paths is None:
+            self._paths = self._propagation.between_stations(ALL, *self._poses)
         return self._paths[0][source], self._paths[1][source]
 
     def _finish(

@@ -23,7 +23,6 @@ LEAD_US = 60_000_000
 RangeOffset = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Rows = bytes
 """A matrix of little-endian float64, row after row, one row per station: `pack_rows`, `unpack_rows`."""
-_FLOAT64_BYTES = 8
 
 
 class Advance(Struct, frozen=True, kw_only=True, array_like=True):
@@ -75,6 +74,6 @@ def pack_rows(matrix: NDArray[np.float64]) -> Rows:
 
 def unpack_rows(rows: Rows, *, stations: int, columns: int) -> NDArray[np.float64] | None:
     """Return the matrix (stations, columns), or None if the length of the bytes does not match."""
-    if len(rows) != _FLOAT64_BYTES * stations * columns:
+    if len(rows) != 8 * stations * columns:
         return None
     return np.frombuffer(rows, "<f8").astype(np.float64).reshape(stations, columns)
