@@ -154,7 +154,7 @@ def test_fading_is_reciprocal_and_independent_of_queries_and_stations():
         assert gains(many, 2, t + 5)[:2].tolist() == gains(few, 2, t + 5)[:2].tolist()
     assert gains(many, 0, 77)[1] == gains(many, 1, 77)[0]
     assert gains(many, 0, 77)[1:3].tolist() == gains(few, 0, 77)[1:].tolist()
-    assert fading(seed=6).gains(0, 0)[1] != fading(seed=5).gains(0, 0)[1]
+    assert gains(fading(seed=6), 0, 0)[1] != gains(fading(seed=5), 0, 0)[1]
 
 
 def test_motion_fades_with_its_doppler_spread():
