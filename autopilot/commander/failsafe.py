@@ -11,13 +11,7 @@ from enum import Enum, IntEnum, IntFlag
 from types import MappingProxyType
 from typing import NamedTuple
 
-from autopilot.commander.arming_checks import (
-    MANUAL_MODES,
-    MODE_NEED_BITS,
-    Condition,
-    Reason,
-    first_missing,
-)
+from autopilot.commander.arming_checks import MANUAL_MODES, MODE_NEED_BITS, Condition, Reason, first_missing
 from autopilot.commander.params import CommanderParams
 from autopilot.mavlink.modes import FlightMode
 

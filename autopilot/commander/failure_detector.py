@@ -114,11 +114,7 @@ class FailureDetector:
         return self.failures
 
     def on_esc(
-        self,
-        time_us: int,
-        currents_a: Sequence[float],
-        controls: Sequence[float],
-        thrust_model_factor: float,
+        self, time_us: int, currents_a: Sequence[float], controls: Sequence[float], thrust_model_factor: float
     ) -> None:
         """Update with the currents of an armed vehicle's motors (4,) and their demanded controls 0..1.
 

@@ -161,22 +161,12 @@ class Geofence:
         params = self.params
         return bool(self.shapes) or max(params.max_horizontal_m, params.max_vertical_m) > 0.0
 
-    def margin_m(
-        self,
-        pos_ned_m: Vector,
-        home_pos_ned_m: Vector | None,
-        origin: Origin,
-    ) -> float:
+    def margin_m(self, pos_ned_m: Vector, home_pos_ned_m: Vector | None, origin: Origin) -> float:
         """Return the distance to the nearest border: positive if allowed, infinite without a fence."""
         worst = self._worst(_floats(pos_ned_m), _home(home_pos_ned_m), origin)
         return inf if worst is None else worst.margin_m
 
-    def check(
-        self,
-        pos_ned_m: Vector,
-        home_pos_ned_m: Vector | None,
-        origin: Origin,
-    ) -> Breach | None:
+    def check(self, pos_ned_m: Vector, home_pos_ned_m: Vector | None, origin: Origin) -> Breach | None:
         """Return the breach at a finite position, or None."""
         return _breach(self._worst(_floats(pos_ned_m), _home(home_pos_ned_m), origin))
 

@@ -81,13 +81,7 @@ HIL_STATE_QUATERNION = MessageSchema(
 )  # fmt: skip
 ESC_STATUS = MessageSchema(
     dialect.ESC_STATUS,
-    [
-        ("time_usec", "<u8"),
-        ("rpm", "<i4", 4),
-        ("voltage", "<f4", 4),
-        ("current", "<f4", 4),
-        ("index", "u1"),
-    ],
+    [("time_usec", "<u8"), ("rpm", "<i4", 4), ("voltage", "<f4", 4), ("current", "<f4", 4), ("index", "u1")],
 )
 RC_CHANNELS = MessageSchema(
     common.MAVLINK_MSG_ID_RC_CHANNELS,

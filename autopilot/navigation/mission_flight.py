@@ -15,12 +15,7 @@ from msgspec.structs import replace
 from autopilot.control.params import PositionParams, TrajectoryParams
 from autopilot.navigation.guide import Guide, Moment, heading_rad, is_near
 from autopilot.navigation.landing import IDLE, Landing, TakeOff
-from autopilot.navigation.mission import (
-    HeightFrame,
-    Mission,
-    MissionCommand,
-    MissionItem,
-)
+from autopilot.navigation.mission import HeightFrame, Mission, MissionCommand, MissionItem
 from autopilot.navigation.mission_runner import MissionRunner
 from autopilot.navigation.params import NavigationParams
 from foundation.geometry.geodesy import geodetic_to_ned

@@ -114,10 +114,7 @@ def _take_off(seq: int, item: WireItem) -> MissionItem:
 def _land(seq: int, item: WireItem) -> MissionItem:
     lat_deg, lon_deg = _place_or_here(seq, item)
     return MissionItem(
-        lat_deg=lat_deg,
-        lon_deg=lon_deg,
-        command=MissionCommand.LAND,
-        yaw_deg=_yaw_deg(seq, item),
+        lat_deg=lat_deg, lon_deg=lon_deg, command=MissionCommand.LAND, yaw_deg=_yaw_deg(seq, item)
     )
 
 
@@ -158,11 +155,7 @@ def _look_at(seq: int, item: WireItem) -> MissionItem:
     height, frame = _height(seq, item)
     lat_deg, lon_deg = require_place(seq, item)
     return MissionItem(
-        lat_deg=lat_deg,
-        lon_deg=lon_deg,
-        command=MissionCommand.LOOK_AT,
-        height_m=height,
-        frame=frame,
+        lat_deg=lat_deg, lon_deg=lon_deg, command=MissionCommand.LOOK_AT, height_m=height, frame=frame
     )
 
 

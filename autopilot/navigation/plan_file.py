@@ -325,7 +325,4 @@ def _fence_table(items: Sequence[WireItem]) -> dict[str, Any]:
     return table
 
 
-_CIRCLE = {
-    common.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION: True,
-    common.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION: False,
-}
+_CIRCLE = {common.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION: True, common.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION: False}

@@ -106,10 +106,7 @@ def rally_points(items: Sequence[WireItem]) -> tuple[RallyPoint, ...]:
     return tuple(points)
 
 
-_CIRCLES = {
-    common.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION: True,
-    common.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION: False,
-}
+_CIRCLES = {common.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION: True, common.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION: False}
 _VERTICES = {
     common.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION: True,
     common.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION: False,

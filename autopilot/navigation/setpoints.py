@@ -165,11 +165,7 @@ class Navigator:
 
 
 def down_demand_m_s(
-    state: EstimatorState,
-    setpoint: Setpoint,
-    *,
-    z_p_1_s: float,
-    hover_thrust: float = 0.5,
+    state: EstimatorState, setpoint: Setpoint, *, z_p_1_s: float, hover_thrust: float = 0.5
 ) -> float:
     """Return the vertical speed that a setpoint demands, positive down; accelerations count for one second.
 

@@ -138,10 +138,7 @@ class FtpService:
     takes = frozenset({common.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL})
 
     def __init__(
-        self,
-        files: FileStore,
-        on_open: Callable[[str, Partner], None] | None = None,
-        has_room: Room = always,
+        self, files: FileStore, on_open: Callable[[str, Partner], None] | None = None, has_room: Room = always
     ) -> None:
         """``on_open`` is called with each opened path and the partner."""
         self._files = files

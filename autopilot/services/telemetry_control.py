@@ -74,13 +74,7 @@ class Control(Part):
         if setpoint is None:
             return None
         return common.MAVLink_attitude_target_message(
-            self.boot_ms(),
-            0,
-            setpoint.q_ned_frd.tolist(),
-            0.0,
-            0.0,
-            setpoint.yaw_rate_rad_s,
-            setpoint.thrust,
+            self.boot_ms(), 0, setpoint.q_ned_frd.tolist(), 0.0, 0.0, setpoint.yaw_rate_rad_s, setpoint.thrust
         )
 
     def servo_output_raw(self) -> Message:

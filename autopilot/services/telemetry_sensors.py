@@ -14,10 +14,7 @@ GRAVITY_M_S2 = 9.80665
 _CHANNELS = 18
 """Capacity of RC_CHANNELS."""
 _RSSI_UNKNOWN = 255
-SILENT = (
-    common.MAVLINK_MSG_ID_DISTANCE_SENSOR,
-    common.MAVLINK_MSG_ID_WIND_COV,
-)
+SILENT = (common.MAVLINK_MSG_ID_DISTANCE_SENSOR, common.MAVLINK_MSG_ID_WIND_COV)
 """Streams that can be requested but are never sent, as in PX4: no range finder, no wind estimate."""
 _VIBRATION_WEIGHT = 0.01
 """Weight of the newest sample in the low-pass of PX4's vibration metrics."""
