@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from autopilot.commander.commander import Commander
 from autopilot.mavlink.modes import FlightMode
+from autopilot.navigation.site_frame import geodetic
 from autopilot.parameters.table import ROWS, ParameterSet
 from autopilot.services.parameter import value_bytes
-from foundation.geometry.geodesy import ned_to_geodetic
 from foundation.geometry.rotations import quat_to_euler
 
 if TYPE_CHECKING:
@@ -199,14 +199,8 @@ def _global_position(vehicle: "Vehicle") -> Numbers | None:
     state = vehicle.flight.state
     if not (vehicle.flight.origin_known and state.position_valid):
         return None
-    place = ned_to_geodetic(
-        state.pos_ned_m,
-        origin_lat_deg=state.origin_lat_deg,
-        origin_lon_deg=state.origin_lon_deg,
-        origin_alt_m=state.origin_alt_m,
-    )
     north_std, east_std, down_std = state.pos_std_m.tolist()
-    return *(float(part) for part in place), math.hypot(north_std, east_std), down_std
+    return *geodetic(state.pos_ned_m, state), math.hypot(north_std, east_std), down_std
 
 
 def _battery(vehicle: "Vehicle") -> Numbers | None:

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from autopilot.commander.geofence import Geofence, Origin
-from autopilot.navigation.guide import HomePosition
+from autopilot.navigation.flight_mode import HomePosition
 from autopilot.navigation.mission import FLOWN, HeightFrame, Mission
 from foundation.geometry.geodesy import geodetic_to_ned
 

@@ -8,14 +8,19 @@ the position (or the height) is held where the reference comes to rest.
 import math
 
 import numpy as np
-from msgspec import Struct
 from numba import njit
 
 from autopilot.control.hover_thrust import GRAVITY_M_S2
-from autopilot.control.params import PositionParams, TrajectoryParams
-from autopilot.navigation.guide import Moment
-from autopilot.navigation.landing import IDLE, VERTICAL, speed_by_height_m_s
-from autopilot.navigation.params import NavigationParams
+from autopilot.navigation.flight_mode import (
+    IDLE,
+    VERTICAL,
+    ManualInput,
+    ModeContext,
+    ModeEntry,
+    ModeInputs,
+    StopMode,
+)
+from autopilot.navigation.landing import speed_by_height_m_s
 from foundation.geometry.rotations import quat_from_rotation_vector, quat_multiply, quat_to_euler
 from foundation.types import Array, AttitudeSetpoint, EstimatorState, TrajectorySetpoint
 
@@ -28,23 +33,6 @@ _REST_YAW_RATE_RAD_S = 1e-3
 
 POS, VEL, ACC, JERK = range(4)
 """Rows of the reference's motion."""
-
-
-class ManualInput(Struct, frozen=True, kw_only=True):
-    """Stick input of MANUAL_CONTROL. The creator must limit the values to their ranges."""
-
-    time_us: int
-    roll: float = 0.0
-    """-1 .. 1, right positive"""
-    pitch: float = 0.0
-    """-1 .. 1, forward (nose down) positive"""
-    yaw: float = 0.0
-    """-1 .. 1, clockwise positive"""
-    throttle: float = 0.5
-    """0 .. 1"""
-
-
-CENTRED = ManualInput(time_us=0)
 
 
 def curve(stick: float, *, deadzone: float, expo: float) -> float:
@@ -129,10 +117,11 @@ def _advance_down(
     motion[VEL, 2], motion[ACC, 2] = new, then
 
 
-class ManualFlight:
-    """Setpoints of the three manual modes; call `start` on entering one, then its method at every step."""
+class ManualMode(StopMode):
+    """A mode that follows the sticks."""
 
-    def __init__(self, params: NavigationParams, limits: TrajectoryParams, position: PositionParams) -> None:
+    def __init__(self, context: ModeContext) -> None:
+        super().__init__(context)
         self._motion: Array = np.zeros((4, 3))
         self._locked_xy = False
         self._locked_down = False
@@ -140,16 +129,18 @@ class ManualFlight:
         self._yaw_rate_rad_s = 0.0
         self._still: tuple[ManualInput, TrajectorySetpoint] | None = None
         """Sticks and setpoint of a vehicle at rest, which are reused."""
-        self.set_params(params, limits, position)
 
-    def set_params(
-        self, params: NavigationParams, limits: TrajectoryParams, position: PositionParams
-    ) -> None:
-        """Change the settings."""
-        self._params, self._limits, self._position = params, limits, position
+    def apply_limits(self) -> None:
+        """Apply the parameters from the next step on."""
+        super().apply_limits()
         self._still = None
 
-    def start(self, state: EstimatorState) -> None:
+    def enter(self, entry: ModeEntry) -> None:
+        """Start from the present motion and heading."""
+        self._context.apply_leg_limits()
+        self._start(entry.state)
+
+    def _start(self, state: EstimatorState) -> None:
         """Start from the vehicle's motion and heading, or restart after a reset of the estimate."""
         self._motion[:] = 0.0
         self._motion[VEL] = state.vel_ned_m_s
@@ -158,21 +149,116 @@ class ManualFlight:
         self._yaw_rate_rad_s = 0.0
         self._still = None
 
-    # ---- modes
+    def _on_ground(self, inputs: ModeInputs) -> TrajectorySetpoint | None:
+        """Return the setpoint on the ground; None in the air."""
+        if not inputs.landed:
+            return None
+        self._start(inputs.state)
+        if 2.0 * inputs.sticks.throttle - 1.0 <= TAKEOFF_STICK:
+            return IDLE
+        # the take-off ramp limits the climb; the reference follows once the ground is left
+        return TrajectorySetpoint(
+            vel_ned_m_s=np.array((0.0, 0.0, -self._context.position.tko_speed_m_s)),
+            vel_axes=VERTICAL,
+            acc_ned_m_s2=np.zeros(3),
+            yaw_rad=self._yaw_rad,
+        )
 
-    def stabilized(
-        self, moment: Moment, sticks: ManualInput, *, hover_thrust: float | None
-    ) -> AttitudeSetpoint:
-        """Return tilt, yaw rate and thrust; without ``hover_thrust`` mid throttle is MPC_THR_HOVER."""
-        manual, position = self._params.manual, self._position
-        if moment.landed and sticks.throttle < manual.deadzone:
-            self.start(moment.state)  # on the ground the heading setpoint is reset
-        self._turn(moment, sticks)
+    def _turn(self, inputs: ModeInputs) -> None:
+        """Update heading setpoint and yaw rate; the heading is kept when the stick is centred."""
+        manual = self._context.params.manual
+        stick = curve(inputs.sticks.yaw, deadzone=manual.deadzone, expo=manual.yaw_expo)
+        demand = stick * manual.yaw_rate_max_rad_s
+        if demand == 0.0 and self._yaw_rate_rad_s == 0.0:
+            return
+        share = inputs.dt_s / (manual.yaw_rate_filter_s + inputs.dt_s)
+        self._yaw_rate_rad_s += share * (demand - self._yaw_rate_rad_s)
+        if demand == 0.0 and abs(self._yaw_rate_rad_s) < _REST_YAW_RATE_RAD_S:
+            self._yaw_rate_rad_s = 0.0
+        yaw_rad = float(quat_to_euler(inputs.state.q_ned_frd)[2])
+        ahead_rad = math.remainder(self._yaw_rad + self._yaw_rate_rad_s * inputs.dt_s - yaw_rad, math.tau)
+        ahead_rad = min(max(ahead_rad, -_YAW_LEAD_MAX_RAD), _YAW_LEAD_MAX_RAD)
+        self._yaw_rad = math.remainder(yaw_rad + ahead_rad, math.tau)
+
+    def _climb(self, inputs: ModeInputs) -> None:
+        """Advance the vertical reference, and hold or release the height."""
+        manual, motion, state = self._context.params.manual, self._motion, inputs.state
+        stick = curve(2.0 * inputs.sticks.throttle - 1.0, deadzone=manual.deadzone, expo=manual.z_expo)
+        limits = self._context.limits
+        if not self._locked_down:
+            motion[POS, 2] = state.pos_ned_m[2]
+        if stick == 0.0:
+            speed_m_s = max(abs(motion.item(VEL, 2)), abs(state.vel_ned_m_s.item(2)))
+            self._locked_down = self._locked_down or _is_slow(speed_m_s, manual.hold_max_z_m_s)
+            demand_m_s = 0.0
+        else:
+            self._locked_down = False
+            demand_m_s = self._climb_speed_m_s(stick, inputs)
+        _advance_down(
+            motion, demand_m_s, limits.acc_up_m_s2, limits.acc_dn_m_s2, manual.jerk_m_s3, inputs.dt_s
+        )
+
+    def _climb_speed_m_s(self, stick: float, inputs: ModeInputs) -> float:
+        """Return a throttle's downward speed; near the ground at most that of take-off or landing (PX4)."""
+        position, params = self._context.position, self._context.params
+        up_m_s, down_m_s = position.z_vel_max_up_m_s, position.z_vel_max_dn_m_s
+        speed_m_s = -stick * (up_m_s if stick > 0.0 else down_m_s)
+        if inputs.home_ned_m is None:
+            return speed_m_s
+        height_m = inputs.home_down_m - float(inputs.state.pos_ned_m[2])
+        down_max_m_s = speed_by_height_m_s(
+            height_m, params, slow_m_s=min(params.land_speed_m_s, down_m_s), fast_m_s=down_m_s
+        )
+        up_max_m_s = speed_by_height_m_s(
+            height_m, params, slow_m_s=min(position.tko_speed_m_s, up_m_s), fast_m_s=up_m_s
+        )
+        return min(max(speed_m_s, -up_max_m_s), down_max_m_s)
+
+    def _move(self, inputs: ModeInputs) -> None:
+        """Advance the horizontal reference, and hold or release the position."""
+        manual, motion, state = self._context.params.manual, self._motion, inputs.state
+        right = curve(inputs.sticks.roll, deadzone=manual.deadzone, expo=manual.xy_expo)
+        forward = curve(inputs.sticks.pitch, deadzone=manual.deadzone, expo=manual.xy_expo)
+        vel_max_m_s = min(manual.xy_speed_m_s, self._context.position.xy_vel_max_m_s)
+        if not self._locked_xy:
+            motion[POS, :2] = state.pos_ned_m[:2]
+        if right == 0.0 and forward == 0.0:
+            speed_m_s = max(
+                math.hypot(motion[VEL, 0], motion[VEL, 1]),
+                math.hypot(state.vel_ned_m_s[0], state.vel_ned_m_s[1]),
+            )
+            self._locked_xy = self._locked_xy or _is_slow(speed_m_s, manual.hold_max_xy_m_s)
+            demand_ned_m_s = np.zeros(3)
+        else:
+            self._locked_xy = False
+            demand_ned_m_s = vel_max_m_s * self._to_ned(*in_circle(right, forward))
+        acc_max_m_s2 = self._context.limits.acc_xy_m_s2
+        _advance_xy(motion, demand_ned_m_s, vel_max_m_s, acc_max_m_s2, manual.jerk_m_s3, inputs.dt_s)
+
+    def _to_ned(self, right: float, forward: float) -> Array:
+        """Return a horizontal vector (3,) of the heading's frame in NED."""
+        sine, cosine = math.sin(self._yaw_rad), math.cos(self._yaw_rad)
+        return np.array((cosine * forward - sine * right, sine * forward + cosine * right, 0.0))
+
+
+def _is_slow(speed_m_s: float, hold_max_m_s: float) -> bool:
+    return hold_max_m_s == 0.0 or speed_m_s < hold_max_m_s
+
+
+class StabilizedMode(ManualMode):
+    """Stabilized: sticks are tilt and thrust."""
+
+    def update(self, inputs: ModeInputs) -> AttitudeSetpoint:
+        """Return tilt, yaw rate and thrust."""
+        manual, position, sticks = self._context.params.manual, self._context.position, inputs.sticks
+        if inputs.landed and sticks.throttle < manual.deadzone:
+            self._start(inputs.state)  # on the ground the heading setpoint is reset
+        self._turn(inputs)
         right, forward = in_circle(sticks.roll, sticks.pitch)
         tilt_rad = np.array((right * manual.tilt_max_rad, -forward * manual.tilt_max_rad, 0.0))
         heading_rad = np.array((0.0, 0.0, self._yaw_rad))
-        least = 0.0 if moment.landed else manual.thrust_min
-        middle = position.thr_hover if hover_thrust is None else hover_thrust
+        least = 0.0 if inputs.landed else manual.thrust_min
+        middle = position.thr_hover if inputs.hover_thrust is None else inputs.hover_thrust
         throttle = 2.0 * min(max(sticks.throttle, 0.0), 1.0) - 1.0
         if throttle < 0.0:
             thrust = middle + throttle * (middle - least)
@@ -186,26 +272,28 @@ class ManualFlight:
             thrust=min(max(thrust, least), position.thr_max),
         )
 
-    def altitude(
-        self, moment: Moment, sticks: ManualInput, *, disturbance_ned_m_s2: Array | None
-    ) -> TrajectorySetpoint:
+
+class AltitudeMode(ManualMode):
+    """Altitude: sticks are tilt and climb rate."""
+
+    def update(self, inputs: ModeInputs) -> TrajectorySetpoint:
         """Return tilt by the sticks and climb rate by the throttle; the height is held when it is centred.
 
         The tilt is demanded as the acceleration that it causes in still air. The controller would compensate
         drag and wind by more tilt, so the estimated disturbance is added here.
         """
-        waiting = self._on_ground(moment, sticks)
+        waiting = self._on_ground(inputs)
         if waiting is not None:
             return waiting
-        manual = self._params.manual
-        self._turn(moment, sticks)
-        self._climb(moment, sticks)
-        right, forward = in_circle(sticks.roll, sticks.pitch)
+        manual = self._context.params.manual
+        self._turn(inputs)
+        self._climb(inputs)
+        right, forward = in_circle(inputs.sticks.roll, inputs.sticks.pitch)
         acc_m_s2 = GRAVITY_M_S2 * math.tan(manual.tilt_max_rad) * self._to_ned(right, forward)
-        if disturbance_ned_m_s2 is not None:
-            acc_m_s2 += disturbance_ned_m_s2
+        if inputs.disturbance_ned_m_s2 is not None:
+            acc_m_s2 += inputs.disturbance_ned_m_s2
         motion = self._motion
-        acc_m_s2[2] = motion[ACC, 2] + self._limits.acc_lead_s * motion[JERK, 2]
+        acc_m_s2[2] = motion[ACC, 2] + self._context.limits.acc_lead_s * motion[JERK, 2]
         return TrajectorySetpoint(
             pos_ned_m=motion[POS].copy() if self._locked_down else None,
             pos_axes=VERTICAL,
@@ -216,21 +304,25 @@ class ManualFlight:
             yaw_rate_rad_s=self._yaw_rate_rad_s,
         )
 
-    def position(self, moment: Moment, sticks: ManualInput) -> TrajectorySetpoint:
+
+class PositionMode(ManualMode):
+    """Position: sticks are velocity."""
+
+    def update(self, inputs: ModeInputs) -> TrajectorySetpoint:
         """Return velocity by the sticks; the position is held when they are centred."""
-        if self._still is not None and self._still[0] is sticks and not moment.landed:
+        if self._still is not None and self._still[0] is inputs.sticks and not inputs.landed:
             return self._still[1]
-        waiting = self._on_ground(moment, sticks)
+        waiting = self._on_ground(inputs)
         if waiting is not None:
             return waiting
-        self._turn(moment, sticks)
-        self._climb(moment, sticks)
-        on_ground = moment.landed or (moment.touching and self._motion[VEL, 2] > 0.0)
+        self._turn(inputs)
+        self._climb(inputs)
+        on_ground = inputs.landed or (inputs.touching and self._motion[VEL, 2] > 0.0)
         if on_ground:
             self._motion[:, :2] = 0.0  # no horizontal demand on the ground
             self._locked_xy = False
         else:
-            self._move(moment, sticks)
+            self._move(inputs)
         motion = self._motion
         locks = (self._locked_xy, self._locked_xy, self._locked_down)
         setpoint = TrajectorySetpoint(
@@ -238,7 +330,7 @@ class ManualFlight:
             pos_axes=locks,
             vel_ned_m_s=motion[VEL].copy(),
             vel_axes=VERTICAL if on_ground else (True, True, True),
-            acc_ned_m_s2=motion[ACC] + self._limits.acc_lead_s * motion[JERK],
+            acc_ned_m_s2=motion[ACC] + self._context.limits.acc_lead_s * motion[JERK],
             yaw_rad=self._yaw_rad,
             yaw_rate_rad_s=self._yaw_rate_rad_s,
         )
@@ -247,105 +339,7 @@ class ManualFlight:
             and self._locked_down
             and not motion[VEL:].any()
             and self._yaw_rate_rad_s == 0.0
-            and abs(sticks.yaw) <= self._params.manual.deadzone
+            and abs(inputs.sticks.yaw) <= self._context.params.manual.deadzone
         )
-        self._still = (sticks, setpoint) if still else None
+        self._still = (inputs.sticks, setpoint) if still else None
         return setpoint
-
-    # ---- parts
-
-    def _on_ground(self, moment: Moment, sticks: ManualInput) -> TrajectorySetpoint | None:
-        """Return the setpoint on the ground; None in the air."""
-        if not moment.landed:
-            return None
-        self.start(moment.state)
-        if 2.0 * sticks.throttle - 1.0 <= TAKEOFF_STICK:
-            return IDLE
-        # the take-off ramp limits the climb; the reference follows once the ground is left
-        return TrajectorySetpoint(
-            vel_ned_m_s=np.array((0.0, 0.0, -self._position.tko_speed_m_s)),
-            vel_axes=VERTICAL,
-            acc_ned_m_s2=np.zeros(3),
-            yaw_rad=self._yaw_rad,
-        )
-
-    def _turn(self, moment: Moment, sticks: ManualInput) -> None:
-        """Update heading setpoint and yaw rate; the heading is kept when the stick is centred."""
-        manual = self._params.manual
-        demand = curve(sticks.yaw, deadzone=manual.deadzone, expo=manual.yaw_expo) * manual.yaw_rate_max_rad_s
-        if demand == 0.0 and self._yaw_rate_rad_s == 0.0:
-            return
-        share = moment.dt_s / (manual.yaw_rate_filter_s + moment.dt_s)
-        self._yaw_rate_rad_s += share * (demand - self._yaw_rate_rad_s)
-        if demand == 0.0 and abs(self._yaw_rate_rad_s) < _REST_YAW_RATE_RAD_S:
-            self._yaw_rate_rad_s = 0.0
-        yaw_rad = float(quat_to_euler(moment.state.q_ned_frd)[2])
-        ahead_rad = math.remainder(self._yaw_rad + self._yaw_rate_rad_s * moment.dt_s - yaw_rad, math.tau)
-        ahead_rad = min(max(ahead_rad, -_YAW_LEAD_MAX_RAD), _YAW_LEAD_MAX_RAD)
-        self._yaw_rad = math.remainder(yaw_rad + ahead_rad, math.tau)
-
-    def _climb(self, moment: Moment, sticks: ManualInput) -> None:
-        """Advance the vertical reference, and hold or release the height."""
-        manual, motion, state = self._params.manual, self._motion, moment.state
-        stick = curve(2.0 * sticks.throttle - 1.0, deadzone=manual.deadzone, expo=manual.z_expo)
-        limits = self._limits
-        if not self._locked_down:
-            motion[POS, 2] = state.pos_ned_m[2]
-        if stick == 0.0:
-            speed_m_s = max(abs(motion.item(VEL, 2)), abs(state.vel_ned_m_s.item(2)))
-            self._locked_down = self._locked_down or _is_slow(speed_m_s, manual.hold_max_z_m_s)
-            demand_m_s = 0.0
-        else:
-            self._locked_down = False
-            demand_m_s = self._climb_speed_m_s(stick, moment)
-        _advance_down(
-            motion, demand_m_s, limits.acc_up_m_s2, limits.acc_dn_m_s2, manual.jerk_m_s3, moment.dt_s
-        )
-
-    def _climb_speed_m_s(self, stick: float, moment: Moment) -> float:
-        """Return a throttle's downward speed; near the ground at most that of take-off or landing (PX4)."""
-        position, params = self._position, self._params
-        home_down_m = moment.home_ned_m[2] if moment.home_ned_m is not None else None
-        up_m_s, down_m_s = position.z_vel_max_up_m_s, position.z_vel_max_dn_m_s
-        speed_m_s = -stick * (up_m_s if stick > 0.0 else down_m_s)
-        if home_down_m is None:
-            return speed_m_s
-        height_m = home_down_m - float(moment.state.pos_ned_m[2])
-        down_max_m_s = speed_by_height_m_s(
-            height_m, params, slow_m_s=min(params.land_speed_m_s, down_m_s), fast_m_s=down_m_s
-        )
-        up_max_m_s = speed_by_height_m_s(
-            height_m, params, slow_m_s=min(position.tko_speed_m_s, up_m_s), fast_m_s=up_m_s
-        )
-        return min(max(speed_m_s, -up_max_m_s), down_max_m_s)
-
-    def _move(self, moment: Moment, sticks: ManualInput) -> None:
-        """Advance the horizontal reference, and hold or release the position."""
-        manual, motion, state = self._params.manual, self._motion, moment.state
-        right = curve(sticks.roll, deadzone=manual.deadzone, expo=manual.xy_expo)
-        forward = curve(sticks.pitch, deadzone=manual.deadzone, expo=manual.xy_expo)
-        vel_max_m_s = min(manual.xy_speed_m_s, self._position.xy_vel_max_m_s)
-        if not self._locked_xy:
-            motion[POS, :2] = state.pos_ned_m[:2]
-        if right == 0.0 and forward == 0.0:
-            speed_m_s = max(
-                math.hypot(motion[VEL, 0], motion[VEL, 1]),
-                math.hypot(state.vel_ned_m_s[0], state.vel_ned_m_s[1]),
-            )
-            self._locked_xy = self._locked_xy or _is_slow(speed_m_s, manual.hold_max_xy_m_s)
-            demand_ned_m_s = np.zeros(3)
-        else:
-            self._locked_xy = False
-            demand_ned_m_s = vel_max_m_s * self._to_ned(*in_circle(right, forward))
-        _advance_xy(
-            motion, demand_ned_m_s, vel_max_m_s, self._limits.acc_xy_m_s2, manual.jerk_m_s3, moment.dt_s
-        )
-
-    def _to_ned(self, right: float, forward: float) -> Array:
-        """Return a horizontal vector (3,) of the heading's frame in NED."""
-        sine, cosine = math.sin(self._yaw_rad), math.cos(self._yaw_rad)
-        return np.array((cosine * forward - sine * right, sine * forward + cosine * right, 0.0))
-
-
-def _is_slow(speed_m_s: float, hold_max_m_s: float) -> bool:
-    return hold_max_m_s == 0.0 or speed_m_s < hold_max_m_s

@@ -12,9 +12,8 @@ import numpy as np
 from msgspec import Struct
 
 from autopilot.control.params import TrajectoryParams
-from autopilot.navigation.guide import Guide, Moment
-from autopilot.navigation.manual import CENTRED, ManualInput, curve
-from autopilot.navigation.params import NavigationParams
+from autopilot.navigation.flight_mode import IDLE, ModeContext, ModeEntry, ModeInputs, StopMode
+from autopilot.navigation.manual import curve
 from foundation.geometry.rotations import quat_to_euler
 from foundation.types import Array, EstimatorState, TrajectorySetpoint
 
@@ -70,15 +69,15 @@ def default_circle(state: EstimatorState) -> Circle:
     )  # fmt: skip
 
 
-class Orbit:
-    """Orbit of one vehicle; call `start` with every circle, then `update` at every step."""
+class OrbitMode(StopMode):
+    """Flies to a circle and along it; `start` is called with every requested circle."""
 
-    def __init__(self, guide: Guide) -> None:
+    def __init__(self, context: ModeContext) -> None:
+        super().__init__(context)
         self.circle: Circle | None = None
         """The last requested circle, within the bounds."""
         self.approaching = True
         """Whether the vehicle is on the straight leg to the circle."""
-        self._guide = guide
         self._bearing_rad = 0.0
         """Bearing of the reference from the centre, clockwise from north."""
         self._speed_m_s = 0.0
@@ -86,6 +85,12 @@ class Orbit:
         """Of the reference, along the circle."""
         self._yaw_rad = 0.0
         self._initial_yaw_rad = 0.0
+
+    def enter(self, entry: ModeEntry) -> None:
+        """Start the default circle, or continue the requested one."""
+        self._context.apply_leg_limits()
+        circle = self.circle if entry.again else None
+        self.start(entry.state, default_circle(entry.state) if circle is None else circle)
 
     def start(self, state: EstimatorState, circle: Circle) -> None:
         """Fly to the nearest point of a circle, from the present motion."""
@@ -103,28 +108,28 @@ class Orbit:
         yaw_rad = self._heading_rad(circle)
         guide.go_to(self._place_ned_m(circle), yaw_rad=yaw_rad)
 
-    def update(
-        self, moment: Moment, params: NavigationParams, *, manual: ManualInput | None
-    ) -> TrajectorySetpoint:
-        """Return the next setpoint."""
-        guide, circle, state = self._guide, self.circle, moment.state
+    def update(self, inputs: ModeInputs) -> TrajectorySetpoint:
+        """Return the setpoint of the approach or of the circle."""
+        guide, circle, state = self._guide, self.circle, inputs.state
+        if inputs.landed:
+            return IDLE
         if circle is None:
-            return guide.follow(moment.dt_s)
+            return guide.update(inputs.dt_s)
         if self.approaching and guide.resting:
             self.approaching = False
             self._yaw_rad = guide.yaw_rad
         if self.approaching:
-            return guide.follow(moment.dt_s, vehicle_pos_ned_m=state.pos_ned_m)
+            return guide.update(inputs.dt_s, vehicle_pos_ned_m=state.pos_ned_m)
         limits = guide.limits
         place_ned_m = self._place_ned_m(circle)
         lag_m = math.hypot(place_ned_m[0] - state.pos_ned_m[0], place_ned_m[1] - state.pos_ned_m[1])
         pace = min(max(2.0 - 2.0 * lag_m / limits.xy_error_max_m, 0.0), 1.0)
-        jerk_m_s3 = self._advance(circle, pace * moment.dt_s, limits)
-        yaw_rate_rad_s = pace * self._turn(circle, moment.dt_s, limits)
+        jerk_m_s3 = self._advance(circle, pace * inputs.dt_s, limits)
+        yaw_rate_rad_s = pace * self._turn(circle, inputs.dt_s, limits)
         if circle.yaw is YawBehaviour.STICK:
-            stick = params.manual
+            stick = self._context.params.manual
             yaw_rate_rad_s = stick.yaw_rate_max_rad_s * curve(
-                (manual or CENTRED).yaw, deadzone=stick.deadzone, expo=stick.yaw_expo
+                inputs.sticks.yaw, deadzone=stick.deadzone, expo=stick.yaw_expo
             )
         return self._setpoint(circle, pace, jerk_m_s3, yaw_rate_rad_s, limits.acc_lead_s)
 

@@ -12,13 +12,21 @@ from enum import Enum
 
 from msgspec.structs import replace
 
-from autopilot.navigation.guide import Guide, HomePosition, Moment, heading_rad, is_near
-from autopilot.navigation.landing import IDLE, UP, Landing
+from autopilot.navigation.flight_mode import (
+    IDLE,
+    HomePosition,
+    ModeContext,
+    ModeEntry,
+    ModeInputs,
+    Moment,
+    StopMode,
+)
+from autopilot.navigation.landing import UP, LandMode
 from autopilot.navigation.mission import HeightFrame
 from autopilot.navigation.params import NavigationParams
-from autopilot.navigation.plan_items import RallyPoint
-from foundation.geometry.geodesy import geodetic_to_ned
-from foundation.types import TrajectorySetpoint
+from autopilot.navigation.plan_store import RallyPoint
+from autopilot.navigation.site_frame import horizontal_ned_m
+from foundation.types import Course, TrajectorySetpoint
 
 _LEAST_CONE_RAD = math.radians(1.0)
 _WIDEST_CONE_RAD = math.radians(89.0)
@@ -102,22 +110,16 @@ def nearest_rally_point(points: Sequence[RallyPoint], moment: Moment) -> RallyPo
 def _rally_ned_m(point: RallyPoint, moment: Moment, home_ned_m: HomePosition) -> HomePosition:
     """Return the position of a rally point, in NED metres from the estimator's origin."""
     state = moment.state
-    north_m, east_m, _ = geodetic_to_ned(
-        point.lat_deg,
-        point.lon_deg,
-        state.origin_alt_m,
-        origin_lat_deg=state.origin_lat_deg,
-        origin_lon_deg=state.origin_lon_deg,
-        origin_alt_m=state.origin_alt_m,
-    ).tolist()
+    north_m, east_m = horizontal_ned_m(point.lat_deg, point.lon_deg, state).tolist()
     above_m = home_ned_m[2] if point.frame is HeightFrame.ABOVE_HOME else state.origin_alt_m
     return north_m, east_m, above_m - point.height_m
 
 
-class ReturnHome:
-    """Return of one vehicle; call `start`, then `update` at every step."""
+class ReturnMode(StopMode):
+    """Flies home or to a rally point, and lands."""
 
-    def __init__(self, guide: Guide, landing: Landing) -> None:
+    def __init__(self, context: ModeContext, landing: LandMode) -> None:
+        super().__init__(context)
         self.phase = ReturnPhase.DONE
         self.rally_points: tuple[RallyPoint, ...] = ()
         """Alternative destinations, evaluated at the start of a return."""
@@ -125,12 +127,28 @@ class ReturnHome:
         """Home position at the start."""
         self._goal_ned_m: HomePosition | None = None
         """Destination; None without a home position."""
-        self._guide = guide
         self._landing = landing
         self._return_down_m = 0.0
         self._waited_s = 0.0
 
-    def start(self, moment: Moment, params: NavigationParams) -> None:
+    @property
+    def course(self) -> Course:
+        """Landing in the last phase."""
+        return Course.LANDING if self.phase is ReturnPhase.LAND else Course.OTHER
+
+    def change_speed(self, speed_m_s: float | None, /) -> None:
+        """Change the ground speed of the legs."""
+        self._context.change_speed(speed_m_s)
+
+    def enter(self, entry: ModeEntry) -> None:
+        """Start a return, or continue it."""
+        self._context.apply_leg_limits()
+        if entry.again:
+            self._resume(entry)
+        else:
+            self._start(entry)
+
+    def _start(self, moment: Moment) -> None:
         """Start a return from the vehicle's position."""
         state = moment.state
         self._waited_s = 0.0
@@ -146,13 +164,13 @@ class ReturnHome:
         else:
             down_m = float(state.pos_ned_m[2])
             distance_m = math.dist(state.pos_ned_m[:2], goal_ned_m[:2])
-            return_down_m = goal_ned_m[2] - return_height_m(distance_m, params)
+            return_down_m = goal_ned_m[2] - return_height_m(distance_m, self._context.params)
             self._return_down_m = min(down_m, return_down_m)
             self.phase = ReturnPhase.FLY_HOME if down_m <= return_down_m else ReturnPhase.CLIMB
         self._guide.restart(state)
-        self._begin(moment, params)
+        self._begin(moment)
 
-    def resume(self, moment: Moment, params: NavigationParams) -> None:
+    def _resume(self, moment: Moment) -> None:
         """Restart the present phase from the present motion, after a reset of the estimate."""
         guide = self._guide
         place_ned_m = guide.target_ned_m.copy()
@@ -160,53 +178,47 @@ class ReturnHome:
         if self.phase is ReturnPhase.LAND:
             place_ned_m[2] = guide.target_ned_m[2]
             guide.go_to(place_ned_m)
-        self._begin(moment, params)
+        self._begin(moment)
 
-    def update(self, moment: Moment, params: NavigationParams) -> TrajectorySetpoint:
-        """Return the next setpoint."""
-        if moment.home_ned_m is not self._home_ned_m:
-            moment = replace(moment, home_ned_m=self._home_ned_m)
-        event = self._event(moment, params)
+    def update(self, inputs: ModeInputs) -> TrajectorySetpoint:
+        """Return the setpoint of the present phase."""
+        if inputs.home_ned_m is not self._home_ned_m:
+            inputs = replace(inputs, home_ned_m=self._home_ned_m)
+        event = self._event(inputs)
         if event is not None and (self.phase, event) in TRANSITIONS:
             self.phase = TRANSITIONS[self.phase, event]
-            self._begin(moment, params)
+            self._begin(inputs)
         if self.phase is ReturnPhase.DONE:
             return IDLE
         if self.phase is ReturnPhase.LAND:
-            return self._landing.update(moment, params)
-        guide = self._guide
+            return self._landing.update(inputs)
+        guide, context = self._guide, self._context
         if self.phase is ReturnPhase.FLY_HOME and not guide.resting:
-            yaw_rad = heading_rad(
-                params.yaw_mode, guide, guide.target_ned_m, moment.home_ned_m,
-                near_m=params.return_home.min_distance_m,
-            )  # fmt: skip
-            if yaw_rad is not None:
-                guide.turn_to(yaw_rad)
-        return guide.follow(moment.dt_s, vehicle_pos_ned_m=moment.state.pos_ned_m)
+            near_m = context.params.return_home.min_distance_m
+            context.turn_by_yaw_mode(guide.target_ned_m, inputs.home_ned_m, near_m=near_m)
+        return guide.update(inputs.dt_s, vehicle_pos_ned_m=inputs.state.pos_ned_m)
 
-    def _event(self, moment: Moment, params: NavigationParams) -> ReturnEvent | None:
+    def _event(self, moment: Moment) -> ReturnEvent | None:
         """Return the event since the last step, or None."""
         if moment.landed:
             return ReturnEvent.LANDED
         if self.phase is ReturnPhase.DONE:
             return ReturnEvent.LIFTED
+        params = self._context.params
         delay_s = params.return_home.land_delay_s
         if self.phase is ReturnPhase.WAIT:
             self._waited_s += moment.dt_s
             return ReturnEvent.WAITED if 0.0 <= delay_s <= self._waited_s else None
         guide = self._guide
         # a climb is complete while still moving; at home the vehicle must be at rest
-        there = (self.phase is ReturnPhase.CLIMB or guide.resting) and is_near(
-            moment.state.pos_ned_m,
-            guide.target_ned_m,
-            radius_m=params.acceptance_m,
-            height_m=params.altitude_acceptance_m,
+        there = (self.phase is ReturnPhase.CLIMB or guide.resting) and self._context.is_near(
+            moment.state, guide.target_ned_m, radius_m=params.acceptance_m
         )
         if not there:
             return None
         return ReturnEvent.THERE if delay_s == 0.0 else ReturnEvent.THERE_TO_WAIT
 
-    def _begin(self, moment: Moment, params: NavigationParams) -> None:
+    def _begin(self, moment: Moment) -> None:
         """Set the guide's target for the present phase."""
         guide, goal_ned_m = self._guide, self._goal_ned_m
         if self.phase is ReturnPhase.DONE:
@@ -219,6 +231,7 @@ class ReturnHome:
         if self.phase in {ReturnPhase.CLIMB, ReturnPhase.FLY_HOME}:
             target_ned_m[2] = self._return_down_m
         elif self.phase in {ReturnPhase.GO_DOWN, ReturnPhase.WAIT} and goal_ned_m is not None:
-            target_ned_m[2] = max(self._return_down_m, goal_ned_m[2] - params.return_home.descend_height_m)
+            wait_m = self._context.params.return_home.descend_height_m
+            target_ned_m[2] = max(self._return_down_m, goal_ned_m[2] - wait_m)
         # vertical legs are exactly vertical, so that braking horizontally does not change the height
         guide.go_to(target_ned_m, along_ned=None if self.phase is ReturnPhase.FLY_HOME else UP)

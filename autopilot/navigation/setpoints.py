@@ -8,19 +8,24 @@ from collections.abc import Sequence
 from autopilot.control.hover_thrust import GRAVITY_M_S2
 from autopilot.control.params import PositionParams, TrajectoryParams
 from autopilot.mavlink.modes import FlightMode
-from autopilot.navigation.flight_mode import ON_GROUND_M, ModeContext, ModeEntry, ModeInputs
-from autopilot.navigation.guide import HomePosition
-from autopilot.navigation.landing import IDLE, Landing, TakeOff
-from autopilot.navigation.manual import ManualFlight, ManualInput
-from autopilot.navigation.mission_flight import MissionFlight
-from autopilot.navigation.modes import Flights, HoldMode, HoldTarget, make_behaviours
-from autopilot.navigation.orbit import Orbit
+from autopilot.navigation.flight_mode import (
+    FlightModeBehaviour,
+    HomePosition,
+    ManualInput,
+    ModeContext,
+    ModeEntry,
+    ModeInputs,
+    StopMode,
+)
+from autopilot.navigation.hold import HoldMode, HoldTarget
+from autopilot.navigation.landing import DescendMode, LandMode, TakeOffMode
+from autopilot.navigation.manual import AltitudeMode, PositionMode, StabilizedMode
+from autopilot.navigation.mission_flight import MissionMode
+from autopilot.navigation.orbit import OrbitMode
 from autopilot.navigation.params import NavigationParams
-from autopilot.navigation.plan_items import RallyPoint
-from autopilot.navigation.return_home import ReturnHome, ReturnPhase
+from autopilot.navigation.plan_store import RallyPoint
+from autopilot.navigation.return_home import ReturnMode
 from foundation.types import Array, AttitudeSetpoint, Course, EstimatorState, Setpoint, TrajectorySetpoint
-
-__all__ = ["IDLE", "ON_GROUND_M", "NavigationParams", "Navigator", "down_demand_m_s"]
 
 
 class Navigator:
@@ -30,30 +35,29 @@ class Navigator:
         self, params: NavigationParams, trajectory: TrajectoryParams, position: PositionParams
     ) -> None:
         self._context = context = ModeContext(params, trajectory, position)
-        self._guide = guide = context.guide
-        take_off, landing = TakeOff(guide), Landing(guide)
-        self._return = ReturnHome(guide, landing)
-        self._manual = ManualFlight(params, trajectory, position)
-        self.mission = MissionFlight(guide, take_off, landing, limits=trajectory, position=position)
-        """The mission and its progress; kept while other modes are active."""
-        self.orbit = Orbit(guide)
+        take_off, landing = TakeOffMode(context), LandMode(context)
         self._hold = HoldMode(context, landing)
-        self.behaviours = dict(
-            make_behaviours(
-                context,
-                Flights(take_off, landing, self.mission, self._return, self.orbit, self._manual),
-                self._hold,
-            )
-        )
-        """By mode; see `autopilot.navigation.flight_mode.FlightModeBehaviour`."""
+        self._return = ReturnMode(context, landing)
+        self.mission = MissionMode(context, take_off, landing)
+        """The mission and its progress; kept while other modes are active."""
+        self.orbit = OrbitMode(context)
+        stop: FlightModeBehaviour = StopMode(context)
+        self.behaviours: dict[FlightMode, FlightModeBehaviour] = dict.fromkeys(FlightMode, stop) | {
+            FlightMode.HOLD: self._hold,
+            FlightMode.TAKEOFF: take_off,
+            FlightMode.MISSION: self.mission,
+            FlightMode.RETURN: self._return,
+            FlightMode.ORBIT: self.orbit,
+            FlightMode.LAND: landing,
+            FlightMode.DESCEND: DescendMode(context),
+            FlightMode.STABILIZED: StabilizedMode(context),
+            FlightMode.ALTITUDE: AltitudeMode(context),
+            FlightMode.POSITION: PositionMode(context),
+        }
+        """By mode; those without a behaviour stop."""
         self._mode = FlightMode.HOLD
 
     # ---- status
-
-    @property
-    def return_phase(self) -> ReturnPhase | None:
-        """Phase of the return; None outside Return mode."""
-        return self._return.phase if self._mode is FlightMode.RETURN else None
 
     @property
     def course(self) -> Course:
@@ -61,22 +65,13 @@ class Navigator:
         return self.behaviours[self._mode].course
 
     @property
-    def target_ned_m(self) -> Array | None:
-        """Target position (3,) of the present mode; None in modes without one."""
-        return self.behaviours[self._mode].target_ned_m
-
-    @property
     def place_ned_m(self) -> Array:
         """Position (3,) at which the present leg comes to rest, in modes that fly a path."""
-        return self._guide.target_ned_m
+        return self._context.guide.target_ned_m
 
     def next_mode(self, state: EstimatorState) -> FlightMode | None:
         """Return the next mode: hold after a take-off or a mission, return by a mission item; or None."""
         return self.behaviours[self._mode].next_mode(state)
-
-    def completed(self, state: EstimatorState) -> bool:
-        """Return whether a take-off is at its height, a mission at its end, or a return on the ground."""
-        return self.behaviours[self._mode].completed(state)
 
     # ---- requests
 
@@ -88,10 +83,7 @@ class Navigator:
         self, params: NavigationParams, trajectory: TrajectoryParams, position: PositionParams
     ) -> None:
         """Change the settings; a take-off or a leg in progress keeps its target."""
-        context = self._context
-        context.params, context.limits, context.position = params, trajectory, position
-        self.mission.set_limits(trajectory, position)
-        self._manual.set_params(params, trajectory, position)
+        self._context.set_params(params, trajectory, position)
         self.behaviours[self._mode].apply_limits()
 
     def change_speed(self, speed_m_s: float | None) -> None:

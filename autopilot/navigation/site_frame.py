@@ -1,15 +1,39 @@
-"""The site's NED frame for one vehicle: positions of its estimator's origin and its GPS fixes."""
+"""Geodetic positions in the NED frames of one vehicle: that of its estimator, and that of the site."""
 
 import math
 
 from autopilot.mavlink.codec import Message
 from autopilot.parameters.config import Site
-from foundation.geometry.geodesy import place_ned_m
-from foundation.types import EstimatorState, Vector
+from foundation.geometry.geodesy import geodetic_to_ned, ned_to_geodetic, place_ned_m
+from foundation.types import Array, EstimatorState, Vector
 
 LEAST_FIX_TYPE = 3
 """GPS_FIX_TYPE_3D_FIX"""
 UNKNOWN_NED_M: Vector = (math.nan, math.nan, math.nan)
+
+
+def horizontal_ned_m(lat_deg: float, lon_deg: float, state: EstimatorState) -> Array:
+    """(2,) north and east of the estimator's origin in metres, in its tangent plane."""
+    ned_m = geodetic_to_ned(
+        lat_deg,
+        lon_deg,
+        state.origin_alt_m,
+        origin_lat_deg=state.origin_lat_deg,
+        origin_lon_deg=state.origin_lon_deg,
+        origin_alt_m=state.origin_alt_m,
+    )
+    return ned_m[:2]
+
+
+def geodetic(pos_ned_m: Array, state: EstimatorState) -> tuple[float, float, float]:
+    """Latitude and longitude in degrees and altitude of a position (3,) from the estimator's origin."""
+    lat_deg, lon_deg, alt_m = ned_to_geodetic(
+        pos_ned_m,
+        origin_lat_deg=state.origin_lat_deg,
+        origin_lon_deg=state.origin_lon_deg,
+        origin_alt_m=state.origin_alt_m,
+    )
+    return float(lat_deg), float(lon_deg), float(alt_m)
 
 
 class SiteFrame:

@@ -13,7 +13,7 @@ from autopilot.estimation.atmosphere import pressure_pa
 from autopilot.estimation.sensor_input import BARO_FIELDS, IMU_FIELDS, MAG_FIELDS
 from autopilot.mavlink.hil import HilActuatorControls, HilSensor, pack
 from autopilot.mavlink.modes import FlightMode
-from autopilot.navigation.manual import ManualInput
+from autopilot.navigation.flight_mode import ManualInput
 from autopilot.navigation.setpoints import Navigator
 from autopilot.onboard.app import OnboardApp
 from autopilot.onboard.formation.phases import FlightPhase

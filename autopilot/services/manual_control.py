@@ -15,7 +15,7 @@ from autopilot.commander.commander import Commander
 from autopilot.commander.failsafe import US_PER_S
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.modes import FlightMode
-from autopilot.navigation.manual import ManualInput
+from autopilot.navigation.flight_mode import ManualInput
 from autopilot.services.service import ALL, Addressed, Listener, Partner, reply
 from autopilot.services.status import status_text
 

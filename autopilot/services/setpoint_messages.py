@@ -13,11 +13,10 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.local_messages import PositionTarget
+from autopilot.navigation.site_frame import horizontal_ned_m
 from autopilot.services.flight_data import FlightData
-from foundation.geometry.geodesy import geodetic_to_ned
 from foundation.geometry.rotations import quat_to_euler
 from foundation.types import (
-    Array,
     AttitudeSetpoint,
     EstimatorState,
     RateSetpoint,
@@ -167,19 +166,6 @@ def _global_position(message: Message, flight: FlightData) -> _Group | None:
         zero_amsl_m = home.alt_m if frame in _ABOVE_HOME and home is not None else 0.0
         down_m = state.origin_alt_m - (zero_amsl_m + message.alt)
     return (north_m, east_m, down_m), axes
-
-
-def horizontal_ned_m(lat_deg: float, lon_deg: float, state: EstimatorState) -> Array:
-    """(2,) north and east of the estimator's origin in metres, in its tangent plane."""
-    ned_m = geodetic_to_ned(
-        lat_deg,
-        lon_deg,
-        state.origin_alt_m,
-        origin_lat_deg=state.origin_lat_deg,
-        origin_lon_deg=state.origin_lon_deg,
-        origin_alt_m=state.origin_alt_m,
-    )
-    return ned_m[:2]
 
 
 def _group(ignore_bits: int, values: Vector) -> _Group:

@@ -4,9 +4,9 @@ import numpy as np
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Message
+from autopilot.navigation.site_frame import geodetic
 from autopilot.services.fields import U16, Part, place, singles, whole
 from autopilot.services.streams import Builder
-from foundation.geometry.geodesy import ned_to_geodetic
 
 _OUTPUTS = 32
 """Capacity of ACTUATOR_OUTPUT_STATUS."""
@@ -55,14 +55,9 @@ class Control(Part):
             return None
         lat_e7, lon_e7, alt_m = 0, 0, 0.0
         if setpoint.pos_ned_m is not None:
-            lat_deg, lon_deg, alt = ned_to_geodetic(
-                np.array(setpoint.pos_ned_m),
-                origin_lat_deg=state.origin_lat_deg,
-                origin_lon_deg=state.origin_lon_deg,
-                origin_alt_m=state.origin_alt_m,
-            )
-            lat_e7, lon_e7, _ = place(float(lat_deg), float(lon_deg), float(alt))
-            (alt_m,) = singles((float(alt),))
+            lat_deg, lon_deg, alt = geodetic(np.array(setpoint.pos_ned_m), state)
+            lat_e7, lon_e7, _ = place(lat_deg, lon_deg, alt)
+            (alt_m,) = singles((alt,))
         return common.MAVLink_position_target_global_int_message(
             local.time_boot_ms, common.MAV_FRAME_GLOBAL_INT, local.type_mask, lat_e7, lon_e7, alt_m,
             local.vx, local.vy, local.vz, local.afx, local.afy, local.afz, local.yaw, local.yaw_rate,

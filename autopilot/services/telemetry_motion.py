@@ -6,9 +6,9 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.local_messages import LocalPosition
+from autopilot.navigation.site_frame import geodetic
 from autopilot.services.fields import I16, I32, U16, Part, place, singles, whole
 from autopilot.services.streams import Builder
-from foundation.geometry.geodesy import ned_to_geodetic
 from foundation.geometry.rotations import quat_rotate_inverse, quat_to_euler
 
 _CENTIDEGREES = 36_000
@@ -67,7 +67,7 @@ class MotionTelemetry(Part):
         state = self._flight.state
         if not (state.position_valid and state.height_valid):
             return None
-        lat_deg, lon_deg, alt_m = self._geodetic()
+        lat_deg, lon_deg, alt_m = geodetic(state.pos_ned_m, state)
         home = self._flight.home
         relative_m = alt_m - (home.alt_m if home is not None else state.origin_alt_m)
         north, east, down = (whole(100.0 * v, I16) for v in state.vel_ned_m_s.tolist())
@@ -168,16 +168,6 @@ class MotionTelemetry(Part):
 
     def _yaw_rad(self) -> float:
         return float(quat_to_euler(self._flight.state.q_ned_frd)[2])
-
-    def _geodetic(self) -> tuple[float, float, float]:
-        state = self._flight.state
-        lat_deg, lon_deg, alt_m = ned_to_geodetic(
-            state.pos_ned_m,
-            origin_lat_deg=state.origin_lat_deg,
-            origin_lon_deg=state.origin_lon_deg,
-            origin_alt_m=state.origin_alt_m,
-        )
-        return float(lat_deg), float(lon_deg), float(alt_m)
 
 
 def _upper_triangle(std: list[float]) -> list[float]:

@@ -12,9 +12,10 @@ from autopilot.commander.land_detector import LandDetector, LandStage
 from autopilot.control import FlightController
 from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation.feasibility import distance_warning, fence_violation
+from autopilot.navigation.flight_mode import IDLE, ON_GROUND_M
 from autopilot.navigation.orbit import Circle, YawBehaviour
 from autopilot.navigation.plan_store import PlanStore, PlanType
-from autopilot.navigation.setpoints import IDLE, ON_GROUND_M, Navigator, down_demand_m_s
+from autopilot.navigation.setpoints import Navigator, down_demand_m_s
 from autopilot.parameters.table import ParameterSet
 from autopilot.services.command import TakeoffAltitude
 from autopilot.services.flight_data import FlightData, Home

@@ -11,7 +11,7 @@ from autopilot.commander.arming_checks import Condition
 from autopilot.commander.failsafe import Cause
 from autopilot.mavlink.codec import Encoder, Parser
 from autopilot.mavlink.modes import FlightMode
-from autopilot.navigation.manual import ManualInput
+from autopilot.navigation.flight_mode import ManualInput
 from autopilot.services.manual_control import ManualControlService
 from autopilot.services.status import TEXT_BYTES, Chunks, status_text
 from autopilot.services.telemetry import Telemetry

@@ -57,6 +57,14 @@ class Loop:
         return self.setpoint
 
     @property
+    def ends_in_hold(self):
+        return self.navigator.next_mode(self.state) is FlightMode.HOLD
+
+    @property
+    def return_phase(self):
+        return self.navigator.behaviours[FlightMode.RETURN].phase
+
+    @property
     def disturbance_ned_m_s2(self):
         return None
 
@@ -132,6 +140,14 @@ class Real(Loop):
             ),
             thrust_of_hover=self.controller.thrust / self.controller.hover_thrust,
         )  # fmt: skip
+
+    @property
+    def ends_in_hold(self):
+        return self.navigator.next_mode(self.state) is FlightMode.HOLD
+
+    @property
+    def return_phase(self):
+        return self.navigator.behaviours[FlightMode.RETURN].phase
 
     @property
     def disturbance_ned_m_s2(self):

@@ -13,7 +13,7 @@ from foundation.types import Course, TrajectorySetpoint
 class ClimbForASecond:
     """Climbs for a second, then changes to hold."""
 
-    course, target_ned_m = Course.TAKE_OFF, None
+    course = Course.TAKE_OFF
 
     def enter(self, _entry):
         self._left_s = 1.0
@@ -22,11 +22,8 @@ class ClimbForASecond:
         self._left_s -= inputs.dt_s
         return TrajectorySetpoint(vel_ned_m_s=np.array((0.0, 0.0, -1.0)))
 
-    def next_mode(self, state):
-        return FlightMode.HOLD if self.completed(state) else None
-
-    def completed(self, _state):
-        return self._left_s <= 1e-9
+    def next_mode(self, _state):
+        return FlightMode.HOLD if self._left_s <= 1e-9 else None
 
     def apply_limits(self):
         pass

@@ -10,8 +10,8 @@ from msgspec.structs import replace
 from navigation_fixtures import CONTROL, DT_S, FlightMode, Ideal, Real
 
 from autopilot.control.hover_thrust import GRAVITY_M_S2
-from autopilot.navigation.landing import IDLE
-from autopilot.navigation.manual import ManualInput, curve
+from autopilot.navigation.flight_mode import IDLE, ManualInput
+from autopilot.navigation.manual import curve
 from autopilot.navigation.params import ManualParams, NavigationParams
 from foundation.geometry.rotations import quat_rotate, quat_to_euler
 

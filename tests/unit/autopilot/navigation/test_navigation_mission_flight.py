@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 from navigation_fixtures import CONTROL, DT_S, HOME, FlightMode, Ideal, Real, at, lat_lon, off_path_m
 
-from autopilot.navigation.landing import IDLE
+from autopilot.navigation.flight_mode import IDLE
 from autopilot.navigation.mission import HeightFrame, MissionCommand, MissionItem, make_mission
 from autopilot.navigation.mission_flight import MissionStage, overshoot_ned_m
 from autopilot.navigation.params import NavigationParams
+from autopilot.navigation.return_home import ReturnPhase
 
 TAKEOFF = MissionItem(command=MissionCommand.TAKEOFF, height_m=10.0)
 LAND = MissionItem(command=MissionCommand.LAND)
@@ -47,7 +48,7 @@ def flown(loop, seconds):
         if mission.runner.reached_count > count:
             count = mission.runner.reached_count
             order.append((mission.runner.reached, loop.now_s))
-        return loop.navigator.completed(loop.state)
+        return loop.ends_in_hold
 
     assert loop.run(seconds, watch)
     return order
@@ -170,7 +171,7 @@ def test_the_speed_changes_and_returns_and_keeps_within_the_limit():
         current, north_m = loop.navigator.mission.runner.current, loop.state.pos_ned_m[0]
         if north_m > {1: 15.0, 3: 80.0, 5: 165.0}[current]:
             fastest[current] = max(fastest.get(current, 0.0), float(loop.state.vel_ned_m_s[0]))
-        return loop.navigator.completed(loop.state)
+        return loop.ends_in_hold
 
     assert loop.run(120.0, watch)
     # MPC_XY_VEL_MAX is 12 m/s
@@ -238,10 +239,10 @@ def test_a_finished_mission_holds_its_end_and_restarts_only_when_entered_again()
     loop.run(10.0)
     np.testing.assert_allclose(loop.state.pos_ned_m, (10.0, 10.0, -10.0), atol=1e-6)
     loop.enter(FlightMode.MISSION)
-    assert (loop.navigator.mission.runner.current, loop.navigator.completed(loop.state)) == (0, False)
+    assert (loop.navigator.mission.runner.current, loop.ends_in_hold) == (0, False)
     flown(loop, 60.0)
     loop.enter(FlightMode.MISSION)  # after a reset of the estimate
-    assert loop.navigator.completed(loop.state)
+    assert loop.ends_in_hold
 
 
 def test_after_a_reset_of_the_estimate_the_leg_continues_without_a_jump_of_the_setpoint():
@@ -275,13 +276,13 @@ def test_without_a_mission_it_holds_and_a_return_item_requests_the_mode():
     loop.enter(FlightMode.MISSION)
     loop.run(10.0)
     assert np.abs(loop.state.vel_ned_m_s).max() == 0.0
-    assert loop.navigator.completed(loop.state)
+    assert loop.ends_in_hold
     start(loop, at(5.0, 0.0, 10.0), MissionItem(command=MissionCommand.RETURN))
     assert loop.run(30.0, lambda: loop.navigator.next_mode(loop.state) is FlightMode.RETURN)
-    assert not loop.navigator.completed(loop.state)  # return is next, not hold
+    assert not loop.ends_in_hold  # return is next, not hold
     loop.enter(FlightMode.RETURN)
     assert loop.navigator.next_mode(loop.state) is None
-    assert loop.run(200.0, lambda: loop.navigator.completed(loop.state))
+    assert loop.run(200.0, lambda: loop.return_phase is ReturnPhase.DONE)
 
 
 def test_after_an_unexpected_lift_off_a_finished_mission_stays_low_and_a_leg_continues():

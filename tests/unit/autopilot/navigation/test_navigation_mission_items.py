@@ -53,7 +53,7 @@ def test_a_turn_is_in_place_and_relative_to_its_start():
 def test_a_loiter_to_altitude_flies_level_and_then_climbs_vertically():
     item = at(20.0, 0.0, 18.0, MissionCommand.LOITER_TO_ALT)
     loop = start(Ideal((0.0, 0.0, -10.0)), item, at(20.0, 10.0, 18.0))
-    assert loop.run(60.0, lambda: loop.navigator.completed(loop.state))
+    assert loop.run(60.0, lambda: loop.ends_in_hold)
     loop.run(5.0)
     track = np.array(loop.track)
     level = track[track[:, 0] < 20.0 - 2.0]  # until within NAV_ACC_RAD

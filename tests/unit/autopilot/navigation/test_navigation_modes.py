@@ -11,9 +11,11 @@ from msgspec.structs import replace
 from navigation_fixtures import CONTROL, DT_S, FlightMode, Ideal, Real
 
 from autopilot.control.hover_thrust import GRAVITY_M_S2
-from autopilot.navigation.landing import IDLE, speed_by_height_m_s
+from autopilot.navigation.flight_mode import IDLE
+from autopilot.navigation.guide import Guide
+from autopilot.navigation.landing import speed_by_height_m_s
 from autopilot.navigation.params import NavigationParams
-from autopilot.navigation.reference import LegReference
+from autopilot.navigation.return_home import ReturnPhase
 from autopilot.navigation.setpoints import down_demand_m_s
 from foundation.types import AttitudeSetpoint, TrajectorySetpoint
 
@@ -32,7 +34,7 @@ P = NavigationParams()
 @example((0.0, 0.0, 3.0), (1.0, 0.0, 0.0), (1.2e-7, 0.0, 1.0), 0.0)  # almost vertical
 def test_a_leg_ends_at_rest_at_its_target_from_any_motion(target, vel, along, yaw_rad):
     # No move is longer than 14 m. A stop from 5.2 m/s takes 2.6 s, a move of 20 m at 1.5 m/s and more 15 s
-    reference = LegReference(LIMITS)
+    reference = Guide(LIMITS)
     reference.reset(np.zeros(3), vel_ned_m_s=np.array(vel), yaw_rad=0.5)
     reference.go_to(np.array(target), along_ned=np.array(along))
     reference.turn_to(yaw_rad)
@@ -55,7 +57,7 @@ def test_a_leg_ends_at_rest_at_its_target_from_any_motion(target, vel, along, ya
 def test_a_target_off_the_line_is_reached_without_circling():
     # 0.42 m away and moving past it: a line recomputed at every step circles for 25 s and as far as 2.2 m
     target, vel = np.array((0.0, 0.3, 0.0)), np.array((0.0, 1.0, 0.0))
-    reference = LegReference(LIMITS)
+    reference = Guide(LIMITS)
     reference.reset(np.array((0.3, 0.0, 0.0)), vel_ned_m_s=vel, yaw_rad=0.0)
     reference.go_to(target)
     furthest_m, steps = 0.0, 0
@@ -71,7 +73,7 @@ def test_a_target_off_the_line_is_reached_without_circling():
 
 
 def test_the_reference_waits_for_a_vehicle_that_does_not_follow():
-    reference = LegReference(LIMITS)
+    reference = Guide(LIMITS)
     reference.reset(np.zeros(3), vel_ned_m_s=np.zeros(3), yaw_rad=0.0)
     reference.go_to(np.array((50.0, 0.0, 0.0)))
     for _ in range(2500):
@@ -100,7 +102,7 @@ def test_hold_stops_within_its_limits_and_is_then_cheap():
 def test_a_take_off_ends_at_its_height_and_continues_as_hold():
     loop = Real(0.0)
     loop.enter(FlightMode.TAKEOFF, takeoff_height_m=4.0)
-    assert loop.run(15.0, lambda: loop.navigator.completed(loop.state))
+    assert loop.run(15.0, lambda: loop.ends_in_hold)
     loop.enter(FlightMode.HOLD)
     loop.run(4.0)
     np.testing.assert_allclose(loop.state.pos_ned_m, (0.0, 0.0, -4.0), atol=0.1)
@@ -110,7 +112,7 @@ def test_a_take_off_in_the_air_climbs_and_never_descends():
     for wanted_m, reached_m in ((15.0, 15.0), (5.0, 10.0)):
         loop = Ideal((0.0, 0.0, -10.0))
         loop.enter(FlightMode.TAKEOFF, takeoff_height_m=wanted_m)
-        assert loop.run(20.0, lambda loop=loop: loop.navigator.completed(loop.state))
+        assert loop.run(20.0, lambda loop=loop: loop.ends_in_hold)
         assert max(-pos[2] for pos in loop.track) <= reached_m
         loop.run(5.0)
         assert loop.state.pos_ned_m[2] == pytest.approx(-reached_m)
@@ -124,7 +126,7 @@ def test_a_take_off_in_progress_uses_a_new_speed():
     loop.navigator.set_params(P, LIMITS, replace(CONTROL.position, tko_speed_m_s=2.5))
     loop.run(4.0)
     assert loop.state.vel_ned_m_s[2] == pytest.approx(-2.5)
-    assert loop.navigator.target_ned_m[2] == -60.0
+    assert loop.navigator.place_ned_m[2] == -60.0
     loop.enter(FlightMode.HOLD)  # before its end, and with the speeds of every other mode
     loop.run(5.0)
     loop.enter(FlightMode.LAND)
@@ -178,7 +180,6 @@ def test_descending_needs_no_velocity():
     assert loop.update().vel_ned_m_s[2] == P.land_speed_m_s  # by the valid height
     loop.state.height_valid = False
     assert 0.0 < loop.update().acc_ned_m_s2[2] <= 2.0
-    assert loop.navigator.target_ned_m is None
 
 
 def test_a_landing_that_bounces_continues():
@@ -186,11 +187,11 @@ def test_a_landing_that_bounces_continues():
     loop.enter(FlightMode.RETURN)
     assert loop.run(60.0, lambda: loop.landed)
     loop.update()
-    assert loop.navigator.completed(loop.state)
+    assert loop.return_phase is ReturnPhase.DONE
     loop.landed, loop.state.pos_ned_m = False, np.array((0.0, 0.0, -0.2))
     loop.track.clear()
     loop.run(0.2)
-    assert not loop.navigator.completed(loop.state)
+    assert loop.return_phase is ReturnPhase.LAND
     assert loop.run(5.0, lambda: loop.landed)
     assert min(pos[2] for pos in loop.track) > -0.25
 

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 from navigation_fixtures import DT_S, FlightMode, Ideal, Real, lat_lon
 
-from autopilot.navigation.landing import IDLE
+from autopilot.navigation.flight_mode import IDLE
 from autopilot.navigation.mission import HeightFrame
 from autopilot.navigation.params import NavigationParams, ReturnParams
-from autopilot.navigation.plan_items import RallyPoint
+from autopilot.navigation.plan_store import RallyPoint
 from autopilot.navigation.return_home import TRANSITIONS, ReturnEvent, ReturnPhase, return_height_m
 
 LOW = NavigationParams(return_home=ReturnParams(height_m=20.0, descend_height_m=12.0))
@@ -24,7 +24,7 @@ def phases_of(loop, seconds=200.0, until=None):
     seen = []
 
     def watch():
-        phase = loop.navigator.return_phase
+        phase = loop.return_phase
         if not seen or seen[-1][0] is not phase:
             seen.append((phase, loop.now_s))
         return phase is ReturnPhase.DONE if until is None else until()
@@ -101,16 +101,16 @@ def test_from_below_it_climbs_vertically_then_flies_straight_home_nose_first():
     # 50 m at 5 m/s, 3 m/s^2 and 4 m/s^3 take d/V + V/A + A/J = 12.4 s
     assert seen[2][1] - seen[1][1] == pytest.approx(50.0 / 5.0 + 5.0 / 3.0 + 3.0 / 4.0, abs=0.1)
     assert np.abs(track[-1]).max() < 1e-6
-    assert loop.navigator.completed(loop.state)
+    assert loop.return_phase is ReturnPhase.DONE
 
 
 def test_the_nose_points_home_until_near_and_is_then_kept():
     loop = Ideal((30.0, 40.0, -25.0), params=LOW)
     loop.enter(FlightMode.RETURN)
-    assert loop.navigator.return_phase is ReturnPhase.FLY_HOME  # from above it keeps its height
+    assert loop.return_phase is ReturnPhase.FLY_HOME  # from above it keeps its height
     loop.run(8.0)
     assert loop.setpoint.yaw_rad == pytest.approx(math.atan2(-40.0, -30.0), abs=1e-3)
-    assert loop.run(10.0, lambda: loop.navigator.return_phase is ReturnPhase.LAND)
+    assert loop.run(10.0, lambda: loop.return_phase is ReturnPhase.LAND)
     assert loop.setpoint.yaw_rad == pytest.approx(math.atan2(-40.0, -30.0), abs=1e-3)
     assert loop.state.pos_ned_m[2] == pytest.approx(-25.0, abs=0.01)
 
@@ -118,7 +118,7 @@ def test_the_nose_points_home_until_near_and_is_then_kept():
 def test_near_home_the_cone_limits_the_climb():
     loop = Ideal((6.0, 0.0, -3.0))
     loop.enter(FlightMode.RETURN)
-    assert loop.navigator.return_phase is ReturnPhase.CLIMB
+    assert loop.return_phase is ReturnPhase.CLIMB
     phases_of(loop)
     assert min(loop.track, key=lambda pos: pos[2])[2] == pytest.approx(-6.0, abs=0.05)  # 45 degrees
 
@@ -142,9 +142,9 @@ def test_minus_one_never_lands():
     loop = Ideal((15.0, 0.0, -20.0), params=params)
     loop.enter(FlightMode.RETURN)
     loop.run(120.0)
-    assert loop.navigator.return_phase is ReturnPhase.WAIT
+    assert loop.return_phase is ReturnPhase.WAIT
     np.testing.assert_allclose(loop.state.pos_ned_m, (0.0, 0.0, -12.0), atol=1e-6)
-    assert not loop.navigator.completed(loop.state)
+    assert loop.return_phase is not ReturnPhase.DONE
 
 
 def test_without_home_it_lands_in_place_and_on_the_ground_it_stays():
@@ -155,21 +155,21 @@ def test_without_home_it_lands_in_place_and_on_the_ground_it_stays():
     loop.enter(FlightMode.HOLD)
     loop.enter(FlightMode.RETURN)
     assert loop.update() is IDLE
-    assert loop.navigator.return_phase is ReturnPhase.DONE
+    assert loop.return_phase is ReturnPhase.DONE
 
 
 def test_after_a_reset_of_the_estimate_the_phase_continues_from_the_new_position():
     loop = Ideal((30.0, 40.0, -8.0), params=LOW)
     loop.enter(FlightMode.RETURN)
-    assert loop.run(60.0, lambda: loop.navigator.return_phase is ReturnPhase.FLY_HOME)
+    assert loop.run(60.0, lambda: loop.return_phase is ReturnPhase.FLY_HOME)
     loop.run(4.0)
     loop.state.pos_ned_m = loop.state.pos_ned_m + np.array((3.0, -2.0, 1.5))
     loop.enter(FlightMode.RETURN)
-    assert loop.navigator.return_phase is ReturnPhase.FLY_HOME
+    assert loop.return_phase is ReturnPhase.FLY_HOME
     before = loop.state.pos_ned_m.copy()
     loop.step()
     assert np.abs(loop.state.pos_ned_m - before).max() < 5.0 * DT_S + 1e-6  # no jump of the setpoint
-    assert loop.run(60.0, lambda: loop.navigator.return_phase is ReturnPhase.LAND)
+    assert loop.run(60.0, lambda: loop.return_phase is ReturnPhase.LAND)
     np.testing.assert_allclose(loop.state.pos_ned_m, (0.0, 0.0, -20.0), atol=0.01)  # the same height
 
 
@@ -194,7 +194,7 @@ def test_it_returns_to_the_nearest_of_home_and_rally_points():
         loop.navigator.set_rally_points(points)
         loop.enter(FlightMode.HOLD)
         loop.enter(FlightMode.RETURN)
-        np.testing.assert_allclose(loop.navigator.target_ned_m[:2], expected, atol=1e-3)
+        np.testing.assert_allclose(loop.navigator.place_ned_m[:2], expected, atol=1e-3)
 
 
 def test_at_a_rally_point_it_lands_and_heights_are_relative_to_it():
@@ -219,7 +219,7 @@ def test_a_rally_point_above_sea_level_and_one_removed_during_the_return():
     loop.enter(FlightMode.RETURN)
     loop.run(2.0)
     loop.navigator.set_rally_points([])
-    assert loop.run(60.0, lambda: loop.navigator.return_phase is ReturnPhase.DONE)
+    assert loop.run(60.0, lambda: loop.return_phase is ReturnPhase.DONE)
     np.testing.assert_allclose(loop.state.pos_ned_m[:2], (40.0, 20.0), atol=1e-3)
 
 
@@ -251,18 +251,18 @@ def test_home_and_rally_points_set_during_a_return_apply_to_the_next(phase):
     loop.iris.pos_ned_m[:2] = (20.0, -15.0)
     loop.state = loop.iris.estimate()
     loop.enter(FlightMode.RETURN)
-    assert loop.run(60.0, lambda: loop.navigator.return_phase is phase)
+    assert loop.run(60.0, lambda: loop.return_phase is phase)
     loop.home_ned_m = (100.0, 30.0, 40.0)
     loop.navigator.set_rally_points([rally(60.0, 60.0)])
     sideways_m_s, down_m_s = [], []
 
     def watch():
-        if loop.navigator.return_phase is ReturnPhase.LAND:
+        if loop.return_phase is ReturnPhase.LAND:
             north_m_s, east_m_s, falls_m_s = loop.state.vel_ned_m_s
             sideways_m_s.append(math.hypot(north_m_s, east_m_s))
             if loop.state.pos_ned_m[2] > -1.0:
                 down_m_s.append(falls_m_s)
-        return loop.navigator.return_phase is ReturnPhase.DONE
+        return loop.return_phase is ReturnPhase.DONE
 
     assert loop.run(120.0, watch)
     assert max(sideways_m_s) < 1.0
@@ -275,10 +275,10 @@ def test_after_a_lift_off_or_a_reset_it_lands_where_it_had_landed():
     loop = Ideal((40.0, 10.0, 0.0), params=LOW)
     loop.landed = True
     loop.enter(FlightMode.RETURN)
-    assert loop.navigator.return_phase is ReturnPhase.DONE
+    assert loop.return_phase is ReturnPhase.DONE
     loop.landed, loop.state.pos_ned_m = False, np.array((40.0, 10.0, -0.6))
     loop.step()
-    assert loop.navigator.return_phase is ReturnPhase.LAND
+    assert loop.return_phase is ReturnPhase.LAND
     loop.enter(FlightMode.RETURN)  # after a reset of the estimate
-    assert loop.run(10.0, lambda: loop.navigator.return_phase is ReturnPhase.DONE)
+    assert loop.run(10.0, lambda: loop.return_phase is ReturnPhase.DONE)
     np.testing.assert_allclose(loop.state.pos_ned_m[:2], (40.0, 10.0), atol=0.05)
