@@ -6,7 +6,7 @@ and parsed like any other. A message is declared by its fields in wire order, ex
 
 import struct
 from collections.abc import Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 from pymavlink.dialects.v20 import common
 
@@ -170,3 +170,12 @@ SetAttitudeTarget = declare(
     ),
 )  # fmt: skip
 """With the extension for a thrust vector."""
+
+MESSAGE_IDS: dict[str, int] = {made.msgname: message_id for message_id, made in common.mavlink_map.items()}
+"""By message name."""
+T = TypeVar("T")
+
+
+def by_id(**by_name: T) -> dict[int, T]:
+    """Return values by message id that are given by message name. Raises KeyError for an unknown name."""
+    return {MESSAGE_IDS[name]: value for name, value in by_name.items()}

@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import common
 from autopilot.mavlink.codec import Message
 from autopilot.services.command import ACCEPTED, DENIED, REJECTED, UNSUPPORTED, Answer, CommandRequest, whole
 from autopilot.services.flight_data import FlightData
-from autopilot.services.service import ALL, NEVER_US, Addressed, Partner, reply
+from autopilot.services.service import ALL, NEVER_US, Addressed, Service, reply
 from autopilot.services.status import status_text
 
 PERIOD_US = 100_000
@@ -24,19 +24,17 @@ STILL_MAX_RAD_S = 0.1
 PROGRESS_EVERY = SAMPLES // 5
 
 
-class Calibration:
+class Calibration(Service):
     """At most one calibration at a time, started by `command`."""
-
-    takes: frozenset[int] = frozenset()
 
     def __init__(self, flight: FlightData, *, wake: Callable[[], None]) -> None:
         """``wake`` is called when a deadline was set by something other than a message in `takes`."""
+        super().__init__()
         self._flight = flight
         self._wake = wake
         self._what: str | None = None
         self._samples = 0
         self._first_rad_s = (0.0, 0.0, 0.0)
-        self._due_us = NEVER_US
 
     def command(self, request: CommandRequest) -> Answer:
         """Start a calibration; all parameters zero cancels the current one."""
@@ -54,13 +52,9 @@ class Calibration:
             return Answer(ACCEPTED, self._stop("[cal] calibration cancelled"))
         return Answer(UNSUPPORTED)
 
-    def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:  # noqa: ARG002
-        """Return no messages; `takes` is empty."""
-        return ()
-
     def on_timer(self, now_us: int) -> Sequence[Addressed]:
         """Check the sensors and report progress."""
-        if now_us < self._due_us:
+        if now_us < self.due_us:
             return ()
         if self._flight.commander.armed or self._flight.sensor is None:
             return reply(ALL, *self._stop("[cal] calibration cancelled"))
@@ -71,7 +65,7 @@ class Calibration:
         if not all(abs(a - b) <= STILL_MAX_RAD_S for a, b in zip(turn_rad_s, self._first_rad_s, strict=True)):
             return reply(ALL, *self._stop("[cal] calibration failed: motion"))
         self._samples += 1
-        self._due_us = now_us + PERIOD_US
+        self.due_us = now_us + PERIOD_US
         texts = []
         if self._samples % PROGRESS_EVERY == 0:
             texts.append(_info(f"[cal] progress <{100 * self._samples // SAMPLES}>"))
@@ -79,21 +73,17 @@ class Calibration:
             texts += self._stop(f"[cal] calibration done: {self._what}")
         return reply(ALL, *texts)
 
-    def next_deadline_us(self) -> int:
-        """Time of the next check of the sensors."""
-        return self._due_us
-
     def _begin(self, what: str, now_us: int) -> Answer:
         if self._what is not None:
             return Answer(REJECTED)
-        self._what, self._samples, self._due_us = what, 0, now_us + PERIOD_US
+        self._what, self._samples, self.due_us = what, 0, now_us + PERIOD_US
         self._wake()
         return Answer(messages=(_info(f"[cal] calibration started: 2 {what}"),))
 
     def _stop(self, text: str) -> tuple[Message, ...]:
         if self._what is None:
             return ()
-        self._what, self._due_us = None, NEVER_US
+        self._what, self.due_us = None, NEVER_US
         return (_info(text),)
 
 

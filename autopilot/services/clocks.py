@@ -6,20 +6,19 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Message
 from autopilot.services.flight_data import FlightData
-from autopilot.services.service import Addressed, Listener, Partner, reply
+from autopilot.services.service import Addressed, Partner, Service, reply
 
 _NS_PER_US = 1_000
 
 
-class TimesyncService(Listener):
+class TimesyncService(Service):
     """Answers TIMESYNC with the time since the start, in ns; answers to its own requests are ignored."""
 
-    takes = frozenset({common.MAVLINK_MSG_ID_TIMESYNC})
-
     def __init__(self, flight: FlightData) -> None:
+        super().__init__(TIMESYNC=self._answer)
         self._flight = flight
 
-    def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
+    def _answer(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
         """Answer a request, which has no time of the responder."""
         if message.tc1 != 0:
             return ()
@@ -30,25 +29,20 @@ class TimesyncService(Listener):
         return common.MAVLink_timesync_message(0, self._flight.now_us * _NS_PER_US)
 
 
-class PingService(Listener):
+class PingService(Service):
     """Answers broadcast PINGs; one that targets this vehicle is the answer to its own request."""
 
-    takes = frozenset({common.MAVLINK_MSG_ID_PING})
-
     def __init__(self, flight: FlightData) -> None:
+        super().__init__(PING=self._answer)
         self._flight = flight
         self._seq = 0
 
-    def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:  # noqa: ARG002
+    def _answer(self, message: Message, _now_us: int, partner: Partner) -> Sequence[Addressed]:
         """Answer with the request's number and time."""
         if message.target_system != 0 or message.target_component != 0:
             return ()
-        return reply(
-            partner,
-            common.MAVLink_ping_message(
-                message.time_usec, message.seq, message.get_srcSystem(), message.get_srcComponent()
-            ),
-        )
+        target = (message.get_srcSystem(), message.get_srcComponent())
+        return reply(partner, common.MAVLink_ping_message(message.time_usec, message.seq, *target))
 
     def question(self) -> Message:
         """Return a broadcast request."""

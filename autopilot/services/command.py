@@ -9,13 +9,13 @@ STATUSTEXT for the operator. The actions are in `actions_flight` and `actions_sy
 import math
 import struct
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common
 
 from autopilot.commander.arming_checks import Reason
 from autopilot.mavlink.codec import Message
-from autopilot.services.service import ALL, Addressed, Listener, Partner, reply
+from autopilot.services.service import ALL, Addressed, Newest, Partner, Service, reply
 from autopilot.services.status import status_text
 
 ACCEPTED: int = common.MAV_RESULT_ACCEPTED
@@ -84,90 +84,89 @@ class _Done(NamedTuple):
     result: int
 
 
-_Value = TypeVar("_Value")
-_Key = tuple[Partner, int, int, int, bytes]
-"""Partner, its system and component id, the command, the parameters' bytes."""
+class _Key(NamedTuple):
+    """Identity of a command: its source, its number, and the bytes of its parameters."""
+
+    partner: Partner
+    system: int
+    component: int
+    command: int
+    params: bytes
+
+    def acknowledge(self, result: int) -> list[Addressed]:
+        """COMMAND_ACK to the source."""
+        message = common.MAVLink_command_ack_message(
+            self.command, result, target_system=self.system, target_component=self.component
+        )
+        return reply(self.partner, message)
 
 
-class CommandService(Listener):
+class CommandService(Service):
     """Commands of all links, each executed by its action in a table."""
 
-    takes = frozenset(
-        {
-            common.MAVLINK_MSG_ID_COMMAND_LONG,
-            common.MAVLINK_MSG_ID_COMMAND_INT,
-            common.MAVLINK_MSG_ID_SET_MODE,
-        }
-    )
-
     def __init__(self, actions: Mapping[int, Action]) -> None:
+        super().__init__(COMMAND_LONG=self._on_long, COMMAND_INT=self._on_int, SET_MODE=self._on_mode)
         self._actions = actions
-        self._done: dict[_Key, _Done] = {}
-        self._in_progress: dict[_Key, None] = {}
-        """Requests without a final result; at most REMEMBERED_MAX."""
+        self._done: Newest[_Key, _Done] = Newest(REMEMBERED_MAX)
+        self._in_progress: Newest[_Key, None] = Newest(REMEMBERED_MAX)
+        """Requests without a final result."""
 
-    def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
-        """Execute a command message and acknowledge it."""
-        kind = message.get_msgId()
-        if kind == common.MAVLINK_MSG_ID_SET_MODE:
-            command: int = common.MAV_CMD_DO_SET_MODE
-            custom = message.custom_mode
-            params: Params = (
-                float(message.base_mode), float(custom >> 16 & 0xFF), float(custom >> 24), 0.0, 0.0, 0.0, 0.0
-            )  # fmt: skip
-            place, repeats = _NOWHERE, False
-        elif kind == common.MAVLINK_MSG_ID_COMMAND_LONG:
-            command = message.command
-            params = (
-                message.param1, message.param2, message.param3, message.param4,
-                message.param5, message.param6, message.param7,
-            )  # fmt: skip
-            place = Place(common.MAV_FRAME_GLOBAL, *map(given, params[4:]))
-            repeats = message.confirmation > 0
-        else:
-            command, place, repeats = message.command, _place_of_int(message), False
-            params = (
-                message.param1, message.param2, message.param3, message.param4,
-                float(message.x), float(message.y), message.z,
-            )  # fmt: skip
-        source = (message.get_srcSystem(), message.get_srcComponent())
-        key = (partner, *source, command, _KEY.pack(*params))
-        if repeats and (done := self._done.get(key)) is not None and now_us - done.at_us <= REMEMBERED_US:
-            return reply(partner, _acknowledgement(command, done.result, source))
-        action = self._actions.get(command)
-        answer = (
-            Answer(UNSUPPORTED) if action is None else action(CommandRequest(params, place, now_us, partner))
-        )
+    def _on_mode(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
+        main, sub = message.custom_mode >> 16 & 0xFF, message.custom_mode >> 24
+        params = (float(message.base_mode), float(main), float(sub), 0.0, 0.0, 0.0, 0.0)
+        request = CommandRequest(params, Place(common.MAV_FRAME_GLOBAL, None, None, None), now_us, partner)
+        return self._execute(_key(message, common.MAV_CMD_DO_SET_MODE, request), request)
+
+    def _on_int(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
+        """Execute a command whose coordinates are integers in 1e-7 degrees."""
+        m = message
+        params = (m.param1, m.param2, m.param3, m.param4, float(m.x), float(m.y), m.z)
+        lat_deg, lon_deg = (None if n in _UNSET else n * 1e-7 for n in (m.x, m.y))
+        request = CommandRequest(params, Place(m.frame, lat_deg, lon_deg, given(m.z)), now_us, partner)
+        return self._execute(_key(m, m.command, request), request)
+
+    def _on_long(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
+        """Execute a command, or answer a repetition from memory."""
+        m = message
+        params = (m.param1, m.param2, m.param3, m.param4, m.param5, m.param6, m.param7)
+        place = Place(common.MAV_FRAME_GLOBAL, *map(given, params[4:]))
+        request = CommandRequest(params, place, now_us, partner)
+        key = _key(m, m.command, request)
+        done = self._done.get(key) if m.confirmation > 0 else None
+        if done is not None and now_us - done.at_us <= REMEMBERED_US:
+            return key.acknowledge(done.result)
+        return self._execute(key, request, is_remembered=True)
+
+    def _execute(
+        self, key: _Key, request: CommandRequest, *, is_remembered: bool = False
+    ) -> Sequence[Addressed]:
+        """Execute a command and acknowledge it."""
+        action = self._actions.get(key.command)
+        answer = Answer(UNSUPPORTED) if action is None else action(request)
         if answer.result == IN_PROGRESS:
-            _put(self._in_progress, key, None)
-        if kind == common.MAVLINK_MSG_ID_COMMAND_LONG:
-            _put(self._done, key, _Done(now_us, answer.result))
+            self._in_progress[key] = None
+        if is_remembered:
+            self._done[key] = _Done(request.now_us, answer.result)
         # the acknowledgement is for the sender alone; STATUSTEXT is for all, requested messages for the link
+        link = Partner(request.partner.link)
         return [
-            *reply(partner, _acknowledgement(command, answer.result, source)),
-            *(
-                Addressed(ALL if sent.get_msgId() == _STATUSTEXT else Partner(partner.link), sent)
-                for sent in answer.messages
-            ),
+            *key.acknowledge(answer.result),
+            *(Addressed(ALL if sent.get_msgId() == _STATUSTEXT else link, sent) for sent in answer.messages),
         ]
 
     def finish(self, command: int, result: int, now_us: int) -> list[Addressed]:
         """Acknowledge the end of a command that is in progress, to each partner that requested it."""
-        ended = [key for key in self._in_progress if key[3] == command]
         answers: list[Addressed] = []
-        for key in ended:
+        for key in [key for key in self._in_progress if key.command == command]:
             del self._in_progress[key]
-            _put(self._done, key, _Done(now_us, result))
-            answers += reply(key[0], _acknowledgement(command, result, (key[1], key[2])))
+            self._done[key] = _Done(now_us, result)
+            answers += key.acknowledge(result)
         return answers
 
 
-def _put(memory: dict[_Key, _Value], key: _Key, value: _Value) -> None:
-    """Store a value as the newest entry and drop the oldest beyond REMEMBERED_MAX."""
-    memory.pop(key, None)
-    memory[key] = value
-    if len(memory) > REMEMBERED_MAX:
-        del memory[next(iter(memory))]
+def _key(message: Message, command: int, request: CommandRequest) -> _Key:
+    source = (message.get_srcSystem(), message.get_srcComponent())
+    return _Key(request.partner, *source, command, _KEY.pack(*request.params))
 
 
 def given(value: float) -> float | None:
@@ -188,18 +187,3 @@ def answer_for(what: str, refusal: Reason | None) -> Answer:
 def refusal_text(what: str, refusal: Reason) -> Message:
     """STATUSTEXT with the reason of a refusal."""
     return status_text(common.MAV_SEVERITY_CRITICAL, f"{what} denied: {refusal.text}")
-
-
-_NOWHERE = Place(common.MAV_FRAME_GLOBAL, None, None, None)
-
-
-def _place_of_int(message: Message) -> Place:
-    """Decode COMMAND_INT's position, whose coordinates are integers in 1e-7 degrees."""
-    lat_deg, lon_deg = (None if n in _UNSET else n * 1e-7 for n in (message.x, message.y))
-    return Place(message.frame, lat_deg, lon_deg, given(message.z))
-
-
-def _acknowledgement(command: int, result: int, source: tuple[int, int]) -> Message:
-    return common.MAVLink_command_ack_message(
-        command, result, target_system=source[0], target_component=source[1]
-    )

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable
 
+from autopilot.mavlink.dialect import MESSAGE_IDS
 from autopilot.services.flight_data import FlightData
 from autopilot.services.streams import Builder
 
@@ -23,8 +24,9 @@ class Part:
         return self._flight.now_us // 1000 % 2**32
 
     def make_builders(self) -> dict[int, Builder]:
-        """Return the builders by message id."""
-        return {}
+        """Return the builders by message id: the methods that have the names of messages."""
+        ids = {name: MESSAGE_IDS.get(name.upper()) for name in dir(self)}
+        return {kind: getattr(self, name) for name, kind in ids.items() if kind is not None}
 
 
 def place(lat_deg: float, lon_deg: float, alt_m: float) -> tuple[int, int, int]:

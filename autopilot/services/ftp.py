@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import common
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.crc import crc32
 from autopilot.services.files import FileStore, Readable
-from autopilot.services.service import NEVER_US, Addressed, Partner, reply
+from autopilot.services.service import NEVER_US, Addressed, Partner, Service, reply
 from autopilot.services.shaper import Room, always
 
 DATA_BYTES = 239
@@ -65,20 +65,6 @@ class FtpFailure(IntEnum):
     UNKNOWN_COMMAND = 7
     PROTECTED = 9
     NOT_FOUND = 10
-
-
-_WRITING = frozenset(
-    {
-        Opcode.CREATE,
-        Opcode.WRITE,
-        Opcode.REMOVE,
-        Opcode.CREATE_FOLDER,
-        Opcode.REMOVE_FOLDER,
-        Opcode.OPEN_WRITE,
-        Opcode.TRUNCATE,
-        Opcode.RENAME,
-    }
-)
 
 
 class FtpRequest(NamedTuple):
@@ -132,24 +118,22 @@ _Answer = bytes | FtpFailure
 """Data of an ACK, or the reason of a NAK."""
 
 
-class FtpService:
+class FtpService(Service):
     """The server for the files of a `FileStore`."""
-
-    takes = frozenset({common.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL})
 
     def __init__(
         self, files: FileStore, on_open: Callable[[str, Partner], None] | None = None, has_room: Room = always
     ) -> None:
         """``on_open`` is called with each opened path and the partner."""
+        super().__init__(FILE_TRANSFER_PROTOCOL=self._on_request)
         self._files = files
         self._has_room = has_room
         self._on_open = on_open
         self._sessions: dict[_Key, _Session] = {}
         self._ended: dict[Partner, tuple[bytes, Message, int]] = {}
         """The last request of each partner that ended a session, its answer, and its time."""
-        self._burst_us = NEVER_US
 
-    def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
+    def _on_request(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
         """Answer a request; a burst is sent by `on_timer`."""
         payload = bytes(message.payload)
         request = FtpRequest.parse(payload)
@@ -172,7 +156,7 @@ class FtpService:
 
     def on_timer(self, now_us: int) -> Sequence[Addressed]:
         """Send the next packets of the bursts."""
-        if now_us < self._burst_us:
+        if now_us < self.due_us:
             return ()
         messages: list[Addressed] = []
         for (partner, number), session in self._sessions.items():
@@ -182,12 +166,8 @@ class FtpService:
             if self._has_room(partner):
                 messages += reply(partner, *_next_packets(number, session))
         bursting = any(session.burst is not None for session in self._sessions.values())
-        self._burst_us = now_us + BURST_PERIOD_US if bursting else NEVER_US
+        self.due_us = now_us + BURST_PERIOD_US if bursting else NEVER_US
         return messages
-
-    def next_deadline_us(self) -> int:
-        """When the next packets of a burst are due."""
-        return self._burst_us
 
     def _answer(
         self, request: FtpRequest, partner: Partner, target: tuple[int, int], now_us: int
@@ -221,7 +201,7 @@ class FtpService:
             case Opcode.TERMINATE:
                 del self._sessions[key]
                 answer = b""
-            case opcode if opcode in _WRITING:
+            case opcode if Opcode.CREATE <= opcode <= Opcode.RENAME:  # those that write
                 answer = FtpFailure.PROTECTED
         return answer
 
@@ -269,7 +249,7 @@ class FtpService:
             session.burst = None
             return FtpFailure.END_OF_FILE
         session.burst = _Burst(request.seq + 1, request.offset, request.read_bytes, PACKETS_OF_BURST)
-        self._burst_us = min(self._burst_us, now_us)
+        self.due_us = min(self.due_us, now_us)
         return None
 
     def _forget_idle(self, now_us: int) -> None:

@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Message
 from autopilot.services.files import FileStore, Readable
-from autopilot.services.service import NEVER_US, Addressed, Partner, reply
+from autopilot.services.service import NEVER_US, Addressed, Newest, Partner, Service, reply
 from autopilot.services.shaper import Room, always
 from autopilot.services.status import status_text
 
@@ -41,40 +41,26 @@ class _Download:
         return message
 
 
-class LogService:
+class LogService(Service):
     """Log list and downloads for the partners of all links."""
 
-    takes = frozenset(
-        {
-            common.MAVLINK_MSG_ID_LOG_REQUEST_LIST,
-            common.MAVLINK_MSG_ID_LOG_REQUEST_DATA,
-            common.MAVLINK_MSG_ID_LOG_REQUEST_END,
-            common.MAVLINK_MSG_ID_LOG_ERASE,
-        }
-    )
-
     def __init__(self, files: FileStore, has_room: Room = always) -> None:
+        super().__init__(
+            LOG_REQUEST_LIST=self._list, LOG_REQUEST_DATA=self._begin, LOG_REQUEST_END=lambda *_: (),
+            LOG_ERASE=_refuse_erase,
+        )  # fmt: skip
         self._files = files
         self._has_room = has_room
-        self._downloads: dict[Partner, _Download] = {}
-        self._due_us = NEVER_US
+        self._downloads: Newest[Partner, _Download] = Newest(MOST_DOWNLOADS)
 
     def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
         """Answer a request, which ends the partner's download; log data is sent by `on_timer`."""
         self._downloads.pop(partner, None)
-        kind = message.get_msgId()
-        if kind == common.MAVLINK_MSG_ID_LOG_REQUEST_LIST:
-            return reply(partner, *self._entries(message.start, message.end))
-        if kind == common.MAVLINK_MSG_ID_LOG_REQUEST_DATA:
-            self._begin(message, now_us, partner)
-        elif kind == common.MAVLINK_MSG_ID_LOG_ERASE:
-            text = "Log erase denied: part of the run's record"
-            return reply(partner, status_text(common.MAV_SEVERITY_WARNING, text))
-        return ()
+        return super().on_message(message, now_us, partner)
 
     def on_timer(self, now_us: int) -> Sequence[Addressed]:
         """Send the next pieces."""
-        if now_us < self._due_us:
+        if now_us < self.due_us:
             return ()
         messages: list[Addressed] = []
         for partner, download in list(self._downloads.items()):
@@ -83,32 +69,31 @@ class LogService:
                 if not download.left:
                     del self._downloads[partner]
                     break
-        self._due_us = now_us + SEND_PERIOD_US if self._downloads else NEVER_US
+        self.due_us = now_us + SEND_PERIOD_US if self._downloads else NEVER_US
         return messages
 
-    def next_deadline_us(self) -> int:
-        """When the next pieces are due."""
-        return self._due_us
-
-    def _entries(self, start: int, end: int) -> list[Message]:
+    def _list(self, message: Message, _now_us: int, partner: Partner) -> Sequence[Addressed]:
         """LOG_ENTRY of each log in a range of numbers, or the entry that reports an empty list."""
         logs = self._files.logs
         if not logs:
-            return [common.MAVLink_log_entry_message(0, 0, 0, 0, 0)]
-        first, last = min(start, len(logs) - 1), min(end, len(logs) - 1)
-        return [
+            return reply(partner, common.MAVLink_log_entry_message(0, 0, 0, 0, 0))
+        first, last = min(message.start, len(logs) - 1), min(message.end, len(logs) - 1)
+        return reply(partner, *(
             common.MAVLink_log_entry_message(
                 number, len(logs), last, logs[number].time_utc_s, min(logs[number].file.size(), _LARGEST)
             )
             for number in range(first, last + 1)
-        ]
+        ))  # fmt: skip
 
-    def _begin(self, message: Message, now_us: int, partner: Partner) -> None:
+    def _begin(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
         logs = self._files.logs
-        if message.id >= len(logs):
-            return
-        if len(self._downloads) >= MOST_DOWNLOADS:
-            del self._downloads[next(iter(self._downloads))]
-        file = logs[message.id].file
-        self._downloads[partner] = _Download(message.id, file, message.ofs, message.count)
-        self._due_us = min(self._due_us, now_us)
+        if message.id < len(logs):
+            file = logs[message.id].file
+            self._downloads[partner] = _Download(message.id, file, message.ofs, message.count)
+            self.due_us = min(self.due_us, now_us)
+        return ()
+
+
+def _refuse_erase(_message: Message, _now_us: int, partner: Partner) -> Sequence[Addressed]:
+    text = "Log erase denied: part of the run's record"
+    return reply(partner, status_text(common.MAV_SEVERITY_WARNING, text))

@@ -16,7 +16,7 @@ from autopilot.commander.failsafe import US_PER_S
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation.flight_mode import ManualInput
-from autopilot.services.service import ALL, Addressed, Listener, Partner, reply
+from autopilot.services.service import ALL, Addressed, Newest, Partner, Service, reply
 from autopilot.services.status import status_text
 
 _FULL = 1000.0
@@ -40,28 +40,23 @@ class _Channels(NamedTuple):
     time_us: int
 
 
-class ManualControlService(Listener):
+class ManualControlService(Service):
     """The latest sticks of the selected partner."""
 
-    takes = frozenset({common.MAVLINK_MSG_ID_MANUAL_CONTROL, common.MAVLINK_MSG_ID_RC_CHANNELS_OVERRIDE})
-
     def __init__(self, commander: Commander) -> None:
+        super().__init__(MANUAL_CONTROL=self._on_axes, RC_CHANNELS_OVERRIDE=self._on_channels)
         self._commander = commander
         self.sticks: ManualInput | None = None
         """None before the first message."""
         self._source: Partner | None = None
         """The selected partner."""
-        self._channels: dict[Partner, _Channels] = {}
-        """By partner; the most recent sender is last."""
+        self._channels: Newest[Partner, _Channels] = Newest(_PARTNERS_MAX)
 
     def is_fresh(self, now_us: int, timeout_us: int) -> bool:
         """Whether the sticks are at most ``timeout_us`` old."""
         return self.sticks is not None and now_us - self.sticks.time_us <= timeout_us
 
-    def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
-        """Update the sticks; a large enough deflection takes over from autonomous modes."""
-        if message.get_msgId() == common.MAVLINK_MSG_ID_RC_CHANNELS_OVERRIDE:
-            return self._take_channels(message, now_us, partner)
+    def _on_axes(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
         axes = (message.x, message.y, message.r)
         pitch, roll, yaw = (0.0 if axis == _INVALID else _clamp(axis / _FULL, -1.0) for axis in axes)
         throttle = 0.5 if message.z == _INVALID else _clamp(message.z / _FULL, 0.0)
@@ -69,12 +64,12 @@ class ManualControlService(Listener):
             ManualInput(time_us=now_us, roll=roll, pitch=pitch, yaw=yaw, throttle=throttle), partner
         )
 
-    def _take_channels(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
+    def _on_channels(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
         """Read overridden channels, released ones as centred; without any, the sticks are not updated.
 
         A channel that is marked as unchanged keeps the partner's last value, if that is still fresh.
         """
-        last = self._channels.pop(partner, None)
+        last = self._channels.get(partner)
         widths_us = (_RELEASED,) * _CHANNELS
         if last is not None and now_us - last.time_us <= self._timeout_us:
             widths_us = last.widths_us
@@ -83,8 +78,6 @@ class ManualControlService(Listener):
             before if sent == _UNCHANGED else sent for before, sent in zip(widths_us, sent_us, strict=True)
         )
         self._channels[partner] = _Channels(widths_us, now_us)
-        if len(self._channels) > _PARTNERS_MAX:
-            del self._channels[next(iter(self._channels))]
         if not any(widths_us):
             return ()
         roll, pitch, throttle, yaw = (
@@ -101,6 +94,7 @@ class ManualControlService(Listener):
         return round(self._commander.params.manual_loss_s * US_PER_S)
 
     def _move(self, sticks: ManualInput, partner: Partner) -> Sequence[Addressed]:
+        """Update the sticks; a large enough deflection takes over from autonomous modes."""
         if partner != self._source and self.is_fresh(sticks.time_us, self._timeout_us):
             return ()
         self._source, self.sticks = partner, sticks

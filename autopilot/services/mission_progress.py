@@ -16,7 +16,16 @@ from autopilot.navigation.mission import MissionCommand, MissionError
 from autopilot.navigation.mission_items import ACTS
 from autopilot.navigation.mission_runner import MissionRunner
 from autopilot.navigation.plan_store import PlanStore, PlanType
-from autopilot.services.service import ALL, COMPANION, GROUND_STATION, NEVER_US, Addressed, Partner, reply
+from autopilot.services.service import (
+    ALL,
+    COMPANION,
+    GROUND_STATION,
+    NEVER_US,
+    Addressed,
+    Partner,
+    Service,
+    reply,
+)
 from autopilot.services.status import status_text
 
 NO_MISSION, NOT_STARTED, ACTIVE, PAUSED, COMPLETE = 1, 2, 3, 4, 5
@@ -34,15 +43,14 @@ _MISSION_MODES = {FlightMode.MISSION, FlightMode.TAKEOFF, FlightMode.LAND}
 """Modes in which PX4 reports a mission as active."""
 
 
-class MissionProgress:
+class MissionProgress(Service):
     """Reports the progress of a vehicle's mission, and sets its current item."""
-
-    takes = frozenset({common.MAVLINK_MSG_ID_MISSION_SET_CURRENT})
 
     def __init__(
         self, runner: MissionRunner, plans: PlanStore, commander: Commander, *, is_valid: Callable[[], bool]
     ) -> None:
         """``is_valid`` returns whether the mission may be started."""
+        super().__init__(MISSION_SET_CURRENT=self._on_set_current)
         self._runner = runner
         self._plans = plans
         self._commander = commander
@@ -53,7 +61,6 @@ class MissionProgress:
         self._reached = 0
         self._repeats = REPEATS
         """Number of repetitions of the last item reached."""
-        self._repeat_us = NEVER_US
 
     # ---- queries and actions
 
@@ -93,7 +100,7 @@ class MissionProgress:
 
     # ---- service
 
-    def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:  # noqa: ARG002
+    def _on_set_current(self, message: Message, _now_us: int, partner: Partner) -> Sequence[Addressed]:
         """Set the current item if it exists; answer with MISSION_CURRENT in either case."""
         if self.set_current(message.seq):
             self._reported = self._content()
@@ -107,14 +114,14 @@ class MissionProgress:
         self._version = runner.version
         messages: list[Addressed] = []
         if not runner.begun:
-            self._repeats, self._repeat_us = REPEATS, NEVER_US
-        elif now_us >= self._repeat_us and not runner.done:
+            self._repeats, self.due_us = REPEATS, NEVER_US
+        elif now_us >= self.due_us and not runner.done:
             self._repeats += 1
-            self._repeat_us = now_us + REPEAT_US if self._repeats < REPEATS else NEVER_US
+            self.due_us = now_us + REPEAT_US if self._repeats < REPEATS else NEVER_US
             messages += _outside(_item_reached(self._reached))
         for _ in range(min(len(runner.done), _AT_ONCE)):
             self._reached = runner.done.popleft()
-            self._repeats, self._repeat_us = 0, now_us + REPEAT_US
+            self._repeats, self.due_us = 0, now_us + REPEAT_US
             messages += self._item_reports(self._reached)
         if (content := self._content()) != self._reported:
             self._reported = content
@@ -123,7 +130,7 @@ class MissionProgress:
 
     def next_deadline_us(self) -> int:
         """0 if the mission has progressed; else the time of the next repetition."""
-        return 0 if self.has_news else self._repeat_us
+        return 0 if self.has_news else self.due_us
 
     # ---- pieces
 

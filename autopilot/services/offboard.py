@@ -12,7 +12,7 @@ from autopilot.commander.failsafe import US_PER_S
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.modes import FlightMode
 from autopilot.services.flight_data import FlightData
-from autopilot.services.service import Addressed, Listener, Partner
+from autopilot.services.service import Addressed, Partner, Service
 from autopilot.services.setpoint_messages import SETPOINT_MESSAGES, decode
 from foundation.types import Setpoint
 
@@ -24,29 +24,24 @@ _Received = tuple[Setpoint, int]
 """A source's latest setpoint, and its time of arrival"""
 
 
-class OffboardService(Listener):
+class OffboardService(Service):
     """Setpoints of all sources. Call `ask` before a switch to Offboard, `is_fresh` before decisions."""
 
-    takes = SETPOINT_MESSAGES
-
     def __init__(self, flight: FlightData) -> None:
+        super().__init__()
+        self.takes = SETPOINT_MESSAGES
         self._flight = flight
         self.rejected = 0
         """Count of messages that were no valid setpoint."""
         self._received: dict[Partner, _Received] = {}
-        self._counts: Partner | None = None
-        """The selected source."""
+        self.source: Partner | None = None
+        """The selected source; None before the first setpoint."""
         self.setpoint: Setpoint | None = None
         """The latest setpoint of the selected source."""
         self.received_us: int | None = None
         """Time of its arrival."""
         self._requester: Partner | None = None
         self._timeout_us = round(flight.commander.params.offboard_loss_s * US_PER_S)
-
-    @property
-    def source(self) -> Partner | None:
-        """The selected source; None before the first setpoint."""
-        return self._counts
 
     def is_fresh(self, now_us: int, timeout_us: int) -> bool:
         """Whether the selected source has sent within ``timeout_us``, the new limit of freshness."""
@@ -62,7 +57,7 @@ class OffboardService(Listener):
         switches to Offboard for the companion's program.
         """
         self._requester = partner
-        if self._is_fresh(partner, now_us) or not self._is_fresh(self._counts, now_us):
+        if self._is_fresh(partner, now_us) or not self._is_fresh(self.source, now_us):
             self._choose(now_us)
 
     def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
@@ -76,7 +71,7 @@ class OffboardService(Listener):
             del self._received[min(self._idle_sources(), key=self._time_us)]
         if not self._is_flown:
             self._choose(now_us)
-        elif partner == self._counts:
+        elif partner == self.source:
             self.setpoint, self.received_us = setpoint, now_us
         return ()
 
@@ -92,14 +87,14 @@ class OffboardService(Listener):
     def _choose(self, now_us: int) -> None:
         """Select the requester while it is fresh, else the source of the newest setpoint, fresh or not."""
         if self._is_fresh(self._requester, now_us):
-            self._counts = self._requester
+            self.source = self._requester
         elif self._received:
-            self._counts = max(self._received, key=self._time_us)
-        if self._counts is not None:
-            self.setpoint, self.received_us = self._received[self._counts]
+            self.source = max(self._received, key=self._time_us)
+        if self.source is not None:
+            self.setpoint, self.received_us = self._received[self.source]
 
     def _time_us(self, source: Partner) -> int:
         return self._received[source][1]
 
     def _idle_sources(self) -> list[Partner]:
-        return [source for source in self._received if source != self._counts]
+        return [source for source in self._received if source != self.source]

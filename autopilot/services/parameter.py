@@ -14,11 +14,15 @@ from pymavlink.dialects.v20 import common
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.crc import crc32
 from autopilot.parameters.table import ROW_INDEX_OF, ROWS, ParameterError, ParameterProblem, ParameterSet
-from autopilot.services.parameter_lists import LIST_BATCH, LIST_PERIOD_US, ParameterLists
-from autopilot.services.service import ALL, Addressed, Partner, reply
+from autopilot.services.service import ALL, NEVER_US, Addressed, Handler, Newest, Partner, Service, reply
 from autopilot.services.shaper import Room, always
 from autopilot.services.status import status_text
 
+LIST_PERIOD_US = 20_000
+LIST_BATCH = 16
+"""Values per batch: a list takes a third of a second instead of one burst."""
+MOST_LISTS = 16
+"""Concurrent lists; a new one replaces the oldest."""
 MOST_TYPELESS = 16
 """Partners that may send integers as floats; a new one replaces the oldest."""
 TEXT_PERIOD_US = 1_000_000
@@ -39,38 +43,69 @@ class _HashValue(common.MAVLink_param_value_message):  # type: ignore[misc]  # p
     unpacker = struct.Struct("<IHH16sB")
 
 
-class ParameterService:
-    """The parameters for the partners of all links; each partner may have a list in progress."""
+class ListingService(Service):
+    """Base of the parameter protocols: reads one value, and sends lists in batches to several partners."""
 
-    takes = frozenset(
-        {
-            common.MAVLINK_MSG_ID_PARAM_REQUEST_LIST,
-            common.MAVLINK_MSG_ID_PARAM_REQUEST_READ,
-            common.MAVLINK_MSG_ID_PARAM_SET,
-        }
-    )
+    def __init__(self, parameters: ParameterSet, put: Setter, has_room: Room, **handlers: Handler) -> None:
+        super().__init__(**handlers)
+        self._parameters = parameters
+        self._put = put
+        self._has_room = has_room
+        self._next_index: dict[Partner, int] = {}
+        """Index that is sent next, by partner."""
+
+    def on_timer(self, now_us: int) -> Sequence[Addressed]:
+        """Send the next batch of each list to partners whose links have room."""
+        messages: list[Addressed] = []
+        if now_us < self.due_us:
+            return messages
+        for partner, begin in list(self._next_index.items()):
+            if self._has_room(partner):
+                until = min(begin + LIST_BATCH, len(ROWS))
+                messages += reply(partner, *map(self._value, range(begin, until)))
+                if until == len(ROWS):
+                    del self._next_index[partner]
+                else:
+                    self._next_index[partner] = until
+        self.due_us = now_us + LIST_PERIOD_US if self._next_index else NEVER_US
+        return messages
+
+    def _begin_list(self, partner: Partner, now_us: int, *, first: int) -> None:
+        """Begin a partner's list at index ``first``; one in progress restarts at index 0."""
+        restarts = self._next_index.pop(partner, None) is not None
+        if len(self._next_index) >= MOST_LISTS:
+            del self._next_index[next(iter(self._next_index))]
+        self._next_index[partner] = 0 if restarts else first
+        self.due_us = min(self.due_us, now_us)
+
+    def _read(self, message: Message, _now_us: int, partner: Partner) -> Sequence[Addressed]:
+        """Answer a request by index, or by name if the index is negative."""
+        index = message.param_index
+        if index < 0:
+            index = ROW_INDEX_OF.get(message.param_id, len(ROWS))
+        if index < len(ROWS):
+            return reply(partner, self._value(index))
+        return reply(partner, _refusal(message, ParameterProblem.UNKNOWN, index=message.param_index))
+
+    def _value(self, index: int) -> Message:
+        """Return the message with the value of a parameter."""
+        raise NotImplementedError
+
+
+class ParameterService(ListingService):
+    """The parameters for the partners of all links; each partner may have a list in progress."""
 
     def __init__(self, parameters: ParameterSet, put: Setter, has_room: Room = always) -> None:
         """Values are read from ``parameters`` and changed by ``put``."""
-        self._lists = ParameterLists(has_room)
-        self._parameters = parameters
-        self._put = put
+        super().__init__(
+            parameters, put, has_room,
+            PARAM_REQUEST_LIST=self._list, PARAM_REQUEST_READ=self._read, PARAM_SET=self._set,
+        )  # fmt: skip
         self._changed: dict[str, None] = {}
         self._news_due_us = 0
         self._text_us = -TEXT_PERIOD_US
         self._hash: tuple[int, int] | None = None
-        self._typeless: dict[Partner, None] = {}
-
-    def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
-        """Answer a request; a list is sent by `on_timer`, and a repeated request restarts it."""
-        kind = message.get_msgId()
-        if kind == common.MAVLINK_MSG_ID_PARAM_REQUEST_LIST:
-            self._lists.begin(partner, now_us, first=_HASH)
-            self._typeless.pop(partner, None)
-            return ()
-        if kind == common.MAVLINK_MSG_ID_PARAM_REQUEST_READ:
-            return self._read(message, partner)
-        return self._set(message, now_us, partner)
+        self._typeless: Newest[Partner, None] = Newest(MOST_TYPELESS)
 
     def on_timer(self, now_us: int) -> Sequence[Addressed]:
         """Report changes that were not made by PARAM_SET, and send the next batch of each list."""
@@ -80,13 +115,11 @@ class ParameterService:
                 del self._changed[name]
                 messages += reply(ALL, self._value(ROW_INDEX_OF[name]))
             self._news_due_us = now_us + LIST_PERIOD_US if self._changed else 0
-        for partner, rows in self._lists.next_batch(now_us):
-            messages += reply(partner, *map(self._value, rows))
-        return messages
+        return [*messages, *super().on_timer(now_us)]
 
     def next_deadline_us(self) -> int:
         """Time of the next batch of a list or of change reports."""
-        return min(self._news_due_us, self._lists.due_us) if self._changed else self._lists.due_us
+        return min(self._news_due_us, self.due_us) if self._changed else self.due_us
 
     def on_change(self, name: str) -> None:
         """Report a parameter that was changed other than by PARAM_SET to all partners."""
@@ -97,25 +130,23 @@ class ParameterService:
 
         MAVProxy then loses the types and sends every value as a float.
         """
-        self._typeless.pop(partner, None)
-        self._typeless[partner] = None  # the newest last
-        if len(self._typeless) > MOST_TYPELESS:
-            del self._typeless[next(iter(self._typeless))]
+        self._typeless[partner] = None
 
-    def _read(self, message: Message, partner: Partner) -> Sequence[Addressed]:
-        index = message.param_index
-        if index < 0:
-            if message.param_id == HASH_NAME:
-                return reply(partner, self._value(_HASH))
-            index = ROW_INDEX_OF.get(message.param_id, len(ROWS))
-        if index < len(ROWS):
-            return reply(partner, self._value(index))
-        return reply(partner, refusal(message, ParameterProblem.UNKNOWN, index=message.param_index))
+    def _list(self, _message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
+        """Begin a list, which is sent by `on_timer`; a repeated request restarts it."""
+        self._begin_list(partner, now_us, first=_HASH)
+        self._typeless.pop(partner, None)
+        return ()
+
+    def _read(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
+        if message.param_index < 0 and message.param_id == HASH_NAME:
+            return reply(partner, self._value(_HASH))
+        return super()._read(message, now_us, partner)
 
     def _set(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
         name = message.param_id
         if name == HASH_NAME:
-            self._lists.end(partner)
+            self._next_index.pop(partner, None)
             return ()
         try:
             index = ROW_INDEX_OF.get(name)
@@ -123,7 +154,7 @@ class ParameterService:
                 raise ParameterError(f"there is no parameter {name!r}", ParameterProblem.UNKNOWN)  # noqa: TRY301  # one handler answers refusals
             self._put(name, self._from_wire(index, message, partner))
         except ParameterError as error:
-            answers = reply(partner, refusal(message, error.problem))
+            answers = reply(partner, _refusal(message, error.problem))
             if now_us - self._text_us >= TEXT_PERIOD_US:
                 self._text_us = now_us
                 answers += reply(ALL, status_text(common.MAV_SEVERITY_WARNING, str(error)))
@@ -169,7 +200,7 @@ class ParameterService:
         raise ParameterError(f"{name}: wrong type", ParameterProblem.TYPE)
 
 
-def refusal(message: Message, problem: ParameterProblem, *, index: int = -1) -> Message:
+def _refusal(message: Message, problem: ParameterProblem, *, index: int = -1) -> Message:
     """PARAM_ERROR in answer to a message that names a parameter by ``param_id``."""
     name = message.param_id.encode("ascii", "replace")[:_NAME_BYTES]
     return common.MAVLink_param_error_message(

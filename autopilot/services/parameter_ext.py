@@ -10,8 +10,7 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Message
 from autopilot.parameters.table import ROW_INDEX_OF, ROWS, ParameterError, ParameterProblem, ParameterSet
-from autopilot.services.parameter import Setter, refusal, shortest, value_bytes
-from autopilot.services.parameter_lists import ParameterLists
+from autopilot.services.parameter import ListingService, Setter, shortest, value_bytes
 from autopilot.services.service import Addressed, Partner, reply
 from autopilot.services.shaper import Room, always
 
@@ -20,48 +19,19 @@ _KINDS = {True: common.MAV_PARAM_EXT_TYPE_INT32, False: common.MAV_PARAM_EXT_TYP
 """MAV_PARAM_EXT_TYPE by whether a parameter is an integer"""
 
 
-class ParameterExtService:
+class ParameterExtService(ListingService):
     """The parameters in PARAM_EXT messages; changes are reported to the links by `ParameterService`."""
-
-    takes = frozenset(
-        {
-            common.MAVLINK_MSG_ID_PARAM_EXT_REQUEST_LIST,
-            common.MAVLINK_MSG_ID_PARAM_EXT_REQUEST_READ,
-            common.MAVLINK_MSG_ID_PARAM_EXT_SET,
-        }
-    )
 
     def __init__(self, parameters: ParameterSet, put: Setter, has_room: Room = always) -> None:
         """``put`` changes a parameter and reports the change."""
-        self._lists = ParameterLists(has_room)
-        self._parameters = parameters
-        self._put = put
+        super().__init__(
+            parameters, put, has_room, PARAM_EXT_REQUEST_LIST=self._list,
+            PARAM_EXT_REQUEST_READ=self._read, PARAM_EXT_SET=self._set,
+        )  # fmt: skip
 
-    def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
-        """Answer a request; a list is sent by `on_timer`."""
-        kind = message.get_msgId()
-        if kind == common.MAVLINK_MSG_ID_PARAM_EXT_SET:
-            return reply(partner, self._set(message))
-        if kind == common.MAVLINK_MSG_ID_PARAM_EXT_REQUEST_READ:
-            index = message.param_index
-            if index < 0:
-                index = ROW_INDEX_OF.get(message.param_id, len(ROWS))
-            if index < len(ROWS):
-                return reply(partner, self._value(index))
-            return reply(partner, refusal(message, ParameterProblem.UNKNOWN, index=message.param_index))
-        self._lists.begin(partner, now_us)
+    def _list(self, _message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
+        self._begin_list(partner, now_us, first=0)
         return ()
-
-    def on_timer(self, now_us: int) -> Sequence[Addressed]:
-        """Send the next batch of each list."""
-        messages: list[Addressed] = []
-        for partner, rows in self._lists.next_batch(now_us):
-            messages += reply(partner, *map(self._value, rows))
-        return messages
-
-    def next_deadline_us(self) -> int:
-        """Time of the next batch."""
-        return self._lists.due_us
 
     def _value(self, index: int) -> Message:
         row = ROWS[index]
@@ -73,22 +43,22 @@ class ParameterExtService:
         row = ROWS[index]
         return value_bytes(row.is_integer, self._parameters.get(row.name)).ljust(_VALUE_BYTES, b"\0")
 
-    def _set(self, message: Message) -> Message:
+    def _set(self, message: Message, _now_us: int, partner: Partner) -> Sequence[Addressed]:
         """PARAM_EXT_ACK with the value after the request; zeros for an unknown parameter."""
         index = ROW_INDEX_OF.get(message.param_id)
         name = message.param_id.encode("ascii", "replace")[:16]
         if index is None:
-            value, kind = b"".ljust(_VALUE_BYTES, b"\0"), message.param_type
-            return common.MAVLink_param_ext_ack_message(name, value, kind, common.PARAM_ACK_FAILED)
-        result = common.PARAM_ACK_ACCEPTED
-        kind = _KINDS[ROWS[index].is_integer]
-        try:
-            if message.param_type != kind:
-                raise ParameterError(f"{message.param_id}: wrong type", ParameterProblem.TYPE)  # noqa: TRY301  # one handler answers refusals
-            self._put(message.param_id, _number(message, is_integer=ROWS[index].is_integer))
-        except ParameterError:
-            result = common.PARAM_ACK_VALUE_UNSUPPORTED
-        return common.MAVLink_param_ext_ack_message(name, self._bytes_of(index), kind, result)
+            value, kind, result = bytes(_VALUE_BYTES), message.param_type, common.PARAM_ACK_FAILED
+        else:
+            kind, result = _KINDS[ROWS[index].is_integer], common.PARAM_ACK_ACCEPTED
+            try:
+                if message.param_type != kind:
+                    raise ParameterError(f"{message.param_id}: wrong type", ParameterProblem.TYPE)  # noqa: TRY301  # one handler answers refusals
+                self._put(message.param_id, _number(message, is_integer=ROWS[index].is_integer))
+            except ParameterError:
+                result = common.PARAM_ACK_VALUE_UNSUPPORTED
+            value = self._bytes_of(index)
+        return reply(partner, common.MAVLink_param_ext_ack_message(name, value, kind, result))
 
 
 def _number(message: Message, *, is_integer: bool) -> float:

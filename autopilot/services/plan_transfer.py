@@ -18,8 +18,8 @@ from collections.abc import Callable, Sequence
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Message
-from autopilot.mavlink.dialect import MissionCount
-from autopilot.navigation.plan_store import CAPACITY, Made, Plan, PlanStore, PlanType, Refused, WireItem
+from autopilot.mavlink.dialect import MissionCount, by_id
+from autopilot.navigation.plan_store import CAPACITY, Made, PlanStore, PlanType, Refused, WireItem
 from autopilot.services.plan_upload import (
     COPY_US,
     MOST_BACK,
@@ -33,7 +33,7 @@ from autopilot.services.plan_upload import (
     UploadStation,
 )
 from autopilot.services.plan_wire import decode_item, encode_item
-from autopilot.services.service import ALL, NEVER_US, Addressed, Partner, reply
+from autopilot.services.service import ALL, NEVER_US, Addressed, Newest, Partner, reply
 from autopilot.services.status import status_text
 
 _MAX_READERS = 32
@@ -71,20 +71,15 @@ class PlanTransfer:
         self._finished: UploadFinished | None = None
         self._cleared: tuple[UploadStation, int, int] | None = None
         """Station that last cleared a plan, the MAV_MISSION_TYPE, and the time"""
-        self._readers: dict[tuple[UploadStation, PlanType], int] = {}
+        self._readers: Newest[tuple[UploadStation, PlanType], int] = Newest(_MAX_READERS)
         """Versions of the plans that stations have begun to read, in the order of the first request."""
-        self._handlers = {
-            common.MAVLINK_MSG_ID_MISSION_COUNT: self._on_count,
-            common.MAVLINK_MSG_ID_MISSION_WRITE_PARTIAL_LIST: self._on_partial_write,
-            common.MAVLINK_MSG_ID_MISSION_ITEM: self._on_item,
-            common.MAVLINK_MSG_ID_MISSION_ITEM_INT: self._on_item,
-            common.MAVLINK_MSG_ID_MISSION_REQUEST_LIST: self._on_list,
-            common.MAVLINK_MSG_ID_MISSION_REQUEST_PARTIAL_LIST: self._on_partial_list,
-            common.MAVLINK_MSG_ID_MISSION_REQUEST: self._on_request,
-            common.MAVLINK_MSG_ID_MISSION_REQUEST_INT: self._on_request,
-            common.MAVLINK_MSG_ID_MISSION_ACK: self._on_ack,
-            common.MAVLINK_MSG_ID_MISSION_CLEAR_ALL: self._on_clear,
-        }
+        self._handlers = by_id(
+            MISSION_COUNT=self._on_count, MISSION_WRITE_PARTIAL_LIST=self._on_partial_write,
+            MISSION_ITEM=self._on_item, MISSION_ITEM_INT=self._on_item,
+            MISSION_REQUEST_LIST=self._on_list, MISSION_REQUEST_PARTIAL_LIST=self._on_partial_list,
+            MISSION_REQUEST=self._on_request, MISSION_REQUEST_INT=self._on_request,
+            MISSION_ACK=self._on_ack, MISSION_CLEAR_ALL=self._on_clear,
+        )  # fmt: skip
         self.takes = frozenset(self._handlers)
 
     @property
@@ -131,35 +126,44 @@ class PlanTransfer:
 
     def _on_count(self, message: Message, now_us: int, station: UploadStation) -> Sequence[Addressed]:
         """Begin to receive a whole plan; an empty one is complete at once."""
-        kind, span = _plan_type(message.mission_type), range(message.count)
+        return self._on_begin(message, range(message.count), now_us, station, is_partial=False)
+
+    def _on_partial_write(self, message: Message, now_us: int, station: UploadStation) -> Sequence[Addressed]:
+        """Begin to receive a range of a plan's items, which may extend past its end."""
+        span = range(message.start_index, message.end_index + 1)
+        return self._on_begin(message, span, now_us, station, is_partial=True)
+
+    def _on_begin(
+        self, message: Message, span: range, now_us: int, station: UploadStation, *, is_partial: bool
+    ) -> Sequence[Addressed]:
         rejection = self._rejection(message, span, now_us, station)
         if rejection is not None:
             return rejection
         self._upload = None
+        kind = _plan_type(message.mission_type)
         if kind is None:
             return station.acknowledge(message.mission_type, common.MAV_MISSION_UNSUPPORTED)
-        if len(span) > CAPACITY[kind]:
+        before = self._store[kind] if is_partial else None
+        if before is not None and (not span or not 0 <= span.start <= len(before.items)):
+            return station.acknowledge(kind, common.MAV_MISSION_INVALID_SEQUENCE)
+        if span.stop > CAPACITY[kind]:
             return station.acknowledge(kind, common.MAV_MISSION_NO_SPACE)
         if not span:
             self._store.put(kind, ())
             return station.acknowledge(kind, _ACCEPTED)
-        return self._begin(station, kind, span, before=None, now_us=now_us)
-
-    def _on_partial_write(self, message: Message, now_us: int, station: UploadStation) -> Sequence[Addressed]:
-        """Begin to receive a range of a plan's items, which may extend past its end."""
-        kind, span = _plan_type(message.mission_type), range(message.start_index, message.end_index + 1)
-        rejection = self._rejection(message, span, now_us, station)
-        if rejection is not None:
-            return rejection
-        self._upload = None
-        if kind is None:
-            return station.acknowledge(message.mission_type, common.MAV_MISSION_UNSUPPORTED)
-        before = self._store[kind]
-        if not span or not 0 <= span.start <= len(before.items):
-            return station.acknowledge(kind, common.MAV_MISSION_INVALID_SEQUENCE)
-        if span.stop > CAPACITY[kind]:
-            return station.acknowledge(kind, common.MAV_MISSION_NO_SPACE)
-        return self._begin(station, kind, span, before=before, now_us=now_us)
+        upload = self._upload = Upload(
+            station=station,
+            kind=kind,
+            span=span,
+            before=before,
+            start=0 if before is None else before.start,
+            asked=span.start,
+            asked_us=now_us,
+            retry_us=now_us + RETRY_US,
+            heard_us=now_us,
+            stray=span.stop,
+        )
+        return upload.request(span.start)
 
     def _rejection(
         self, message: Message, span: range, now_us: int, station: UploadStation
@@ -172,11 +176,11 @@ class PlanTransfer:
             return self._refusal(upload, message, station)
         if self._time_stands():
             return None
-        requested = (message.mission_type, span.start, span.stop - 1)
-        late = (upload.kind, upload.first, upload.last) == requested and bool(upload.items)
+        requested = (message.mission_type, span)
+        late = (upload.kind, upload.span) == requested and bool(upload.items)
         late = late and now_us - upload.heard_us < STALE_US
         if finished is not None and finished.station == station and now_us - finished.ended_us < STALE_US:
-            late = late or (finished.kind, finished.first, finished.last) == requested
+            late = late or (finished.kind, finished.span) == requested
         return () if late else None
 
     def _refusal(
@@ -187,25 +191,6 @@ class PlanTransfer:
             return None
         upload.refused = station
         return station.acknowledge(message.mission_type, _ERROR)
-
-    def _begin(
-        self, station: UploadStation, kind: PlanType, span: range, *, before: Plan | None, now_us: int
-    ) -> Sequence[Addressed]:
-        upload = self._upload = Upload(
-            station=station,
-            kind=kind,
-            first=span.start,
-            last=span.stop - 1,
-            before=before,
-            items=[],
-            start=0 if before is None else before.start,
-            asked=span.start,
-            asked_us=now_us,
-            retry_us=now_us + RETRY_US,
-            heard_us=now_us,
-            stray=span.stop,
-        )
-        return upload.request(span.start)
 
     def _on_item(self, message: Message, now_us: int, station: UploadStation) -> Sequence[Addressed]:
         """Store the requested item and request the next."""
@@ -226,7 +211,7 @@ class PlanTransfer:
             upload.measure_round(now_us - upload.asked_us)
         upload.retries = 0
         upload.asked_us, upload.retry_us = now_us, now_us + upload.patience_us
-        return upload.request(seq + 1) if seq < upload.last else self._complete(upload, now_us)
+        return upload.request(seq + 1) if seq + 1 in upload.span else self._complete(upload, now_us)
 
     def _on_unrequested_item(
         self, message: Message, now_us: int, station: UploadStation
@@ -237,7 +222,7 @@ class PlanTransfer:
             return station.acknowledge(message.mission_type, _ERROR)
         if finished.repeats_us or now_us - finished.ended_us < STALE_US:
             return ()
-        if message.seq == finished.last and finished.is_late_item(message):
+        if message.seq == finished.span[-1] and finished.is_late_item(message):
             return finished.answer
         return station.acknowledge(message.mission_type, _ERROR)
 
@@ -246,11 +231,11 @@ class PlanTransfer:
         upload.retries += 1
         upload.retry_us = now_us + upload.patience_us
         seq = upload.asked
-        went_back = max(upload.first, seq - MOST_BACK) <= upload.stray + 1 < seq
+        went_back = max(upload.span.start, seq - MOST_BACK) <= upload.stray + 1 < seq
         if went_back and now_us - upload.stray_us < STALE_US:
-            seq, upload.stray = upload.stray + 1, upload.last
+            seq, upload.stray = upload.stray + 1, upload.span[-1]
         elif upload.retries > PATIENT_RETRIES and upload.retries % 2:
-            seq = max(upload.first, seq - 1)
+            seq = max(upload.span.start, seq - 1)
             if not upload.items:  # an old station supports one kind of request only
                 upload.in_integers = not upload.in_integers
         return upload.request(seq)
@@ -261,7 +246,7 @@ class PlanTransfer:
         station, kind, before = upload.station, upload.kind, upload.before
         items = upload.items
         if before is not None:
-            items = [*before.items[: upload.first], *items, *before.items[upload.last + 1 :]]
+            items = [*before.items[: upload.span.start], *items, *before.items[upload.span.stop :]]
         made = self._make(kind, items)
         if isinstance(made, Refused):
             answer, text = station.acknowledge(kind, made.result), _broadcast_text(made.text)
@@ -276,8 +261,7 @@ class PlanTransfer:
         self._finished = UploadFinished(
             station=upload.station,
             kind=upload.kind,
-            first=upload.first,
-            last=upload.last,
+            span=upload.span,
             ended_us=now_us,
             answer=answer,
             repeats_us=[now_us + after_us for after_us in REPEAT_US] if answer else [],
@@ -285,17 +269,14 @@ class PlanTransfer:
 
     # ---- reading: stateless apart from plan versions, since the reader requests each item
 
-    def _on_list(self, message: Message, now_us: int, station: UploadStation) -> Sequence[Addressed]:  # noqa: ARG002
+    def _on_list(self, message: Message, _now_us: int, station: UploadStation) -> Sequence[Addressed]:
         """Report the number of items."""
         kind = _plan_type(message.mission_type)
         if kind is None:  # as PX4: a plan that is empty
             count, opaque_id = 0, 0
         else:
             count, opaque_id = len(self._store[kind].items), self._store[kind].opaque_id
-            self._readers.pop((station, kind), None)
             self._readers[station, kind] = self._store.version[kind]
-            if len(self._readers) > _MAX_READERS:
-                del self._readers[next(iter(self._readers))]
         return reply(
             station.partner,
             MissionCount(station.system, station.component, count, message.mission_type, opaque_id),
@@ -310,7 +291,7 @@ class PlanTransfer:
             return station.acknowledge(message.mission_type, common.MAV_MISSION_INVALID_SEQUENCE)
         return self._on_list(message, now_us, station)
 
-    def _on_request(self, message: Message, now_us: int, station: UploadStation) -> Sequence[Addressed]:  # noqa: ARG002
+    def _on_request(self, message: Message, _now_us: int, station: UploadStation) -> Sequence[Addressed]:
         """Send an item, in the kind of message that was requested.
 
         Any order is accepted; PX4 requires ascending order. A reader whose plan was replaced meanwhile

@@ -48,13 +48,12 @@ class Upload(Struct, kw_only=True):
 
     station: UploadStation
     kind: PlanType
-    first: int
-    last: int
-    """Range of the item numbers that are written"""
+    span: range
+    """Numbers of the items that are written"""
     before: Plan | None
     """Plan that provides the other items; None if all are written"""
-    items: list[WireItem]
-    """Items received so far, from ``first`` on"""
+    items: list[WireItem] = []
+    """Items received so far, from the first of ``span`` on"""
     start: int
     """Number of the item that the station marked as current"""
     in_integers: bool = True
@@ -79,7 +78,7 @@ class Upload(Struct, kw_only=True):
     @property
     def missing(self) -> int:
         """Number of the first item that has not arrived."""
-        return self.first + len(self.items)
+        return self.span.start + len(self.items)
 
     @property
     def patience_us(self) -> int:
@@ -108,8 +107,7 @@ class UploadFinished(Struct, kw_only=True):
 
     station: UploadStation
     kind: PlanType
-    first: int
-    last: int
+    span: range
     ended_us: int
     answer: Sequence[Addressed]
     """The acknowledgement; empty if the station ended the upload"""
@@ -121,5 +119,5 @@ class UploadFinished(Struct, kw_only=True):
         return (
             message.get_msgId() in ITEM_MESSAGES
             and message.mission_type == self.kind
-            and bool(message.seq <= self.last)
+            and bool(message.seq < self.span.stop)
         )

@@ -1,9 +1,10 @@
 """The interface of a MAVLink service, and the addresses of the messages that it receives and sends."""
 
-from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, Protocol, TypeVar
 
 from autopilot.mavlink.codec import Message
+from autopilot.mavlink.dialect import by_id
 
 GROUND_STATION, COMPANION, APPLICATION = 0, 1, 2
 """Link numbers: two external links, and the application in this process."""
@@ -68,16 +69,49 @@ class MavlinkService(Protocol):
         ...
 
 
-class Listener:
-    """A service that acts on messages only and has no deadlines."""
+Handler = Callable[[Message, int, Partner], Sequence[Addressed]]
+"""Handles one kind of message; the arguments are those of `MavlinkService.on_message`."""
 
-    def on_timer(self, now_us: int) -> Sequence[Addressed]:  # noqa: ARG002  # required by the protocol
+
+class Service:
+    """Base of the services: a table of handlers, and no deadline until one is set."""
+
+    def __init__(self, **handlers: Handler) -> None:
+        """``handlers`` are given by message name."""
+        self._handlers = by_id(**handlers)
+        self.takes = frozenset(self._handlers)
+        self.due_us = NEVER_US
+        """Time of the next `on_timer` that has work."""
+
+    def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
+        """Handle a message by its kind; return the answers."""
+        return self._handlers[message.get_msgId()](message, now_us, partner)
+
+    def on_timer(self, _now_us: int) -> Sequence[Addressed]:
         """Return no messages."""
         return ()
 
     def next_deadline_us(self) -> int:
-        """Return NEVER_US."""
-        return NEVER_US
+        """Time of the next `on_timer` that has work; NEVER_US if there is none."""
+        return self.due_us
+
+
+_Key = TypeVar("_Key")
+_Value = TypeVar("_Value")
+
+
+class Newest(dict[_Key, _Value]):
+    """A dictionary of at most ``most`` entries, ordered by assignment; a new one replaces the oldest."""
+
+    def __init__(self, most: int) -> None:
+        super().__init__()
+        self._most = most
+
+    def __setitem__(self, key: _Key, value: _Value) -> None:
+        self.pop(key, None)
+        super().__setitem__(key, value)
+        if len(self) > self._most:
+            del self[next(iter(self))]
 
 
 def reply(partner: Partner, *messages: Message) -> list[Addressed]:

@@ -6,7 +6,6 @@ from pymavlink.dialects.v20 import common
 from autopilot.mavlink.codec import Message
 from autopilot.navigation.site_frame import geodetic
 from autopilot.services.fields import U16, Part, place, singles, whole
-from autopilot.services.streams import Builder
 
 _OUTPUTS = 32
 """Capacity of ACTUATOR_OUTPUT_STATUS."""
@@ -14,16 +13,6 @@ _OUTPUTS = 32
 
 class Control(Part):
     """Messages of setpoints and outputs."""
-
-    def make_builders(self) -> dict[int, Builder]:
-        """Return the builders by message id."""
-        return super().make_builders() | {
-            common.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: self.position_target_local_ned,
-            common.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: self.position_target_global_int,
-            common.MAVLINK_MSG_ID_ATTITUDE_TARGET: self.attitude_target,
-            common.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: self.servo_output_raw,
-            common.MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS: self.actuator_output_status,
-        }
 
     def position_target_local_ned(self) -> Message | None:
         """POSITION_TARGET_LOCAL_NED: setpoint of the position controller."""

@@ -8,7 +8,6 @@ from autopilot.mavlink.codec import Message
 from autopilot.mavlink.local_messages import LocalPosition
 from autopilot.navigation.site_frame import geodetic
 from autopilot.services.fields import I16, I32, U16, Part, place, singles, whole
-from autopilot.services.streams import Builder
 from foundation.geometry.rotations import quat_rotate_inverse, quat_to_euler
 
 _CENTIDEGREES = 36_000
@@ -16,21 +15,6 @@ _CENTIDEGREES = 36_000
 
 class MotionTelemetry(Part):
     """Messages of the estimate, and of its reference positions."""
-
-    def make_builders(self) -> dict[int, Builder]:
-        """Return the builders by message id."""
-        return super().make_builders() | {
-            common.MAVLINK_MSG_ID_ATTITUDE: self.attitude,
-            common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: self.attitude_quaternion,
-            common.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self.local_position_ned,
-            common.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self.global_position_int,
-            common.MAVLINK_MSG_ID_ODOMETRY: self.odometry,
-            common.MAVLINK_MSG_ID_ALTITUDE: self.altitude,
-            common.MAVLINK_MSG_ID_VFR_HUD: self.vfr_hud,
-            common.MAVLINK_MSG_ID_HOME_POSITION: self.home_position,
-            common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: self.gps_global_origin,
-            common.MAVLINK_MSG_ID_ESTIMATOR_STATUS: self.estimator_status,
-        }
 
     def attitude(self) -> Message | None:
         """ATTITUDE."""

@@ -8,13 +8,12 @@ from pymavlink.dialects.v20 import common
 from autopilot.commander.arming_checks import Condition
 from autopilot.commander.failsafe import Cause
 from autopilot.mavlink.codec import Message
-from autopilot.mavlink.dialect import AvailableModesMonitor, CurrentMode, ProtocolVersion
+from autopilot.mavlink.dialect import AvailableModesMonitor, ProtocolVersion
 from autopilot.services.available_modes import current_mode
 from autopilot.services.fields import I8, I16, I32, U16, UNKNOWN_I16, UNKNOWN_U16, Part, whole
 from autopilot.services.flight_data import FlightData
 from autopilot.services.manual_control import ManualControlService
 from autopilot.services.status import heartbeat, landed_state
-from autopilot.services.streams import Builder
 
 _CELLS_MAX = 10
 """Capacity of BATTERY_STATUS."""
@@ -43,21 +42,6 @@ class SystemState(Part):
         self._manual = manual
         self._fenced = fenced
         self._epoch_unix_us = epoch_unix_us
-
-    def make_builders(self) -> dict[int, Builder]:
-        """Return the builders by message id."""
-        return super().make_builders() | {
-            common.MAVLINK_MSG_ID_HEARTBEAT: self.heartbeat,
-            common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self.extended_sys_state,
-            common.MAVLINK_MSG_ID_SYS_STATUS: self.sys_status,
-            common.MAVLINK_MSG_ID_BATTERY_STATUS: self.battery_status,
-            common.MAVLINK_MSG_ID_SYSTEM_TIME: self.system_time,
-            common.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self.autopilot_version,
-            ProtocolVersion.id: self.protocol_version,
-            CurrentMode.id: self.current_mode,
-            AvailableModesMonitor.id: self.available_modes_monitor,
-            common.MAVLINK_MSG_ID_FLIGHT_INFORMATION: self.flight_information,
-        }
 
     def heartbeat(self) -> Message:
         """HEARTBEAT."""

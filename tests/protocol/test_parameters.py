@@ -12,9 +12,8 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Encoder, stamp
 from autopilot.parameters.table import ROWS, ParameterSet, Settings
-from autopilot.services.parameter import ParameterService
+from autopilot.services.parameter import LIST_BATCH, LIST_PERIOD_US, ParameterService
 from autopilot.services.parameter_ext import ParameterExtService
-from autopilot.services.parameter_lists import LIST_BATCH, LIST_PERIOD_US
 from autopilot.services.service import ALL, NEVER_US, Partner
 
 CLIENT, OTHER = Partner(0, 3), Partner(1, 0)
