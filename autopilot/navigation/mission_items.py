@@ -7,7 +7,9 @@ CONDITION_YAW is supported, DO_SET_HOME and CONDITION_DISTANCE are not.
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 
+from msgspec.structs import replace
 from pymavlink.dialects.v20 import common
 
 from autopilot.navigation.mission import (
@@ -73,53 +75,39 @@ def _place_or_here(seq: int, item: WireItem) -> tuple[float | None, float | None
     return require_place(seq, item)
 
 
-def _height(seq: int, item: WireItem) -> tuple[float, HeightFrame]:
-    return height_m(seq, item), HEIGHT_FRAMES.get(item.frame, HeightFrame.ABOVE_HOME)
-
-
 def _yaw_deg(seq: int, item: WireItem) -> float | None:
     yaw_deg = number(seq, item, 3, low=-1e6, high=1e6, nothing=math.nan)
     return None if math.isnan(yaw_deg) else math.fmod(yaw_deg, 360.0)
 
 
+def _placed(seq: int, item: WireItem, command: MissionCommand, *, has_yaw: bool = True) -> MissionItem:
+    """Return the item of a command with a height and a position, which a take-off may lack."""
+    height = height_m(seq, item)
+    place = _place_or_here if command is MissionCommand.TAKEOFF else require_place
+    lat_deg, lon_deg = place(seq, item)
+    return MissionItem(
+        command=command, lat_deg=lat_deg, lon_deg=lon_deg, height_m=height,
+        frame=HEIGHT_FRAMES.get(item.frame, HeightFrame.ABOVE_HOME),
+        yaw_deg=_yaw_deg(seq, item) if has_yaw else None,
+    )  # fmt: skip
+
+
 def _waypoint(seq: int, item: WireItem) -> MissionItem:
-    height, frame = _height(seq, item)
-    lat_deg, lon_deg = require_place(seq, item)
-    return MissionItem(lat_deg=lat_deg, lon_deg=lon_deg,
-        command=MissionCommand.WAYPOINT, height_m=height, frame=frame, yaw_deg=_yaw_deg(seq, item),
-        hold_s=number(seq, item, 0, high=1e6), acceptance_m=number(seq, item, 1, high=1e4),
-    )  # fmt: skip
+    placed = _placed(seq, item, MissionCommand.WAYPOINT)
+    hold_s = number(seq, item, 0, high=1e6)
+    return replace(placed, hold_s=hold_s, acceptance_m=number(seq, item, 1, high=1e4))
 
 
-def _loiter(seq: int, item: WireItem) -> MissionItem:
-    command = MissionCommand(item.command)
-    height, frame = _height(seq, item)
-    timed, to_height = command is MissionCommand.LOITER_TIME, command is MissionCommand.LOITER_TO_ALT
-    lat_deg, lon_deg = require_place(seq, item)
-    return MissionItem(lat_deg=lat_deg, lon_deg=lon_deg,
-        command=command, height_m=height, frame=frame,
-        yaw_deg=None if to_height else _yaw_deg(seq, item),
-        hold_s=number(seq, item, 0, high=1e6) if timed else 0.0,
-    )  # fmt: skip
-
-
-def _take_off(seq: int, item: WireItem) -> MissionItem:
-    height, frame = _height(seq, item)
-    lat_deg, lon_deg = _place_or_here(seq, item)
-    return MissionItem(lat_deg=lat_deg, lon_deg=lon_deg,
-        command=MissionCommand.TAKEOFF, height_m=height, frame=frame, yaw_deg=_yaw_deg(seq, item),
-    )  # fmt: skip
+def _loiter_time(seq: int, item: WireItem) -> MissionItem:
+    placed = _placed(seq, item, MissionCommand.LOITER_TIME)
+    return replace(placed, hold_s=number(seq, item, 0, high=1e6))
 
 
 def _land(seq: int, item: WireItem) -> MissionItem:
     lat_deg, lon_deg = _place_or_here(seq, item)
     return MissionItem(
-        lat_deg=lat_deg, lon_deg=lon_deg, command=MissionCommand.LAND, yaw_deg=_yaw_deg(seq, item)
+        command=MissionCommand.LAND, lat_deg=lat_deg, lon_deg=lon_deg, yaw_deg=_yaw_deg(seq, item)
     )
-
-
-def _return(seq: int, item: WireItem) -> MissionItem:  # noqa: ARG001  # common signature
-    return MissionItem(command=MissionCommand.RETURN)
 
 
 def _delay(seq: int, item: WireItem) -> MissionItem:
@@ -152,14 +140,10 @@ def _change_speed(seq: int, item: WireItem) -> MissionItem:
 
 
 def _look_at(seq: int, item: WireItem) -> MissionItem:
-    height, frame = _height(seq, item)
-    lat_deg, lon_deg = require_place(seq, item)
-    return MissionItem(
-        lat_deg=lat_deg, lon_deg=lon_deg, command=MissionCommand.LOOK_AT, height_m=height, frame=frame
-    )
+    return _placed(seq, item, MissionCommand.LOOK_AT, has_yaw=False)
 
 
-def _look_ahead(seq: int, item: WireItem) -> MissionItem:  # noqa: ARG001  # common signature
+def _look_ahead(_seq: int, _item: WireItem) -> MissionItem:
     return MissionItem(command=MissionCommand.LOOK_AHEAD)
 
 
@@ -175,7 +159,7 @@ def _roi(seq: int, item: WireItem) -> MissionItem:
     raise wrong(seq, item, 0, f"region of interest of kind {what:g} is not supported")
 
 
-def _act(seq: int, item: WireItem) -> MissionItem:  # noqa: ARG001  # common signature
+def _act(_seq: int, item: WireItem) -> MissionItem:
     return MissionItem(command=MissionCommand.ACT, act=item.command)
 
 
@@ -210,12 +194,12 @@ ACTS: dict[int, str] = {
 
 _MAKERS: dict[int, Callable[[int, WireItem], MissionItem]] = dict.fromkeys(ACTS, _act) | {
     common.MAV_CMD_NAV_WAYPOINT: _waypoint,
-    common.MAV_CMD_NAV_LOITER_UNLIM: _loiter,
-    common.MAV_CMD_NAV_LOITER_TIME: _loiter,
-    common.MAV_CMD_NAV_LOITER_TO_ALT: _loiter,
-    common.MAV_CMD_NAV_TAKEOFF: _take_off,
+    common.MAV_CMD_NAV_LOITER_UNLIM: partial(_placed, command=MissionCommand.LOITER_UNLIMITED),
+    common.MAV_CMD_NAV_LOITER_TIME: _loiter_time,
+    common.MAV_CMD_NAV_LOITER_TO_ALT: partial(_placed, command=MissionCommand.LOITER_TO_ALT, has_yaw=False),
+    common.MAV_CMD_NAV_TAKEOFF: partial(_placed, command=MissionCommand.TAKEOFF),
     common.MAV_CMD_NAV_LAND: _land,
-    common.MAV_CMD_NAV_RETURN_TO_LAUNCH: _return,
+    common.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda _seq, _item: MissionItem(command=MissionCommand.RETURN),
     common.MAV_CMD_NAV_DELAY: _delay,
     common.MAV_CMD_CONDITION_DELAY: _delay,
     common.MAV_CMD_CONDITION_YAW: _turn,

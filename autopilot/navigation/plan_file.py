@@ -15,13 +15,12 @@ from typing import Any, NamedTuple
 from pymavlink.dialects.v20 import common
 
 from autopilot.navigation import plan_items
+from autopilot.navigation.plan_checks import NO_FRAME, PER_DEGREE
 from autopilot.navigation.plan_items import float32
-from autopilot.navigation.plan_store import CAPACITY, PlanType, WireItem
+from autopilot.navigation.plan_store import CAPACITY, PlanType, Refused, WireItem
 
-_NO_FRAME = common.MAV_FRAME_MISSION
 _JUMP = common.MAV_CMD_DO_JUMP
 _INT_MAX = 2**31 - 1
-_PER_DEGREE = 1e7
 _VERSIONS = {"mission": 2, "geoFence": 2, "rallyPoints": 2}
 _HOME_ITEMS = 1
 """QGroundControl counts the planned home as the item before the first, also in jump targets."""
@@ -88,9 +87,9 @@ def loads(text: str) -> Plans:
         items = plans.of(kind)
         if len(items) > CAPACITY[kind]:
             raise PlanFileError(f"{kind.name.lower()}: {len(items)} items, {CAPACITY[kind]} at most")
-        refused = plan_items.refusal(kind, items)
-        if refused is not None:
-            raise PlanFileError(f"{kind.name.lower()}: {refused.text}")
+        made = plan_items.make(kind, items)
+        if isinstance(made, Refused):
+            raise PlanFileError(f"{kind.name.lower()}: {made.text}")
     return plans
 
 
@@ -238,7 +237,7 @@ def _wire_item(table: _Table) -> WireItem:
     path = f"{table.path}.params"
     *params, x, y, z = _numbers(table.get("params"), path, 7)
     frame = table.whole("frame", high=255)
-    scale = 1.0 if frame == _NO_FRAME else _PER_DEGREE
+    scale = 1.0 if frame == NO_FRAME else PER_DEGREE
     in_x, in_y = (0 if math.isnan(value) else round(value * scale) for value in (x, y))
     if max(abs(in_x), abs(in_y)) > _INT_MAX:
         raise PlanFileError(f"{path}: {x:g}, {y:g} is not a valid latitude and longitude")
@@ -282,17 +281,17 @@ def _rally(rally: _Table) -> tuple[WireItem, ...]:
 
 
 def _lat_lon(item: WireItem) -> list[float]:
-    return [item.x / _PER_DEGREE, item.y / _PER_DEGREE]
+    return [item.x / PER_DEGREE, item.y / PER_DEGREE]
 
 
 def _first_place(plans: Plans) -> Sequence[float]:
-    placed = (item for item in plans.mission if item.frame != _NO_FRAME and (item.x, item.y) != (0, 0))
+    placed = (item for item in plans.mission if item.frame != NO_FRAME and (item.x, item.y) != (0, 0))
     first = next(placed, None)
     return [0.0, 0.0, 0.0] if first is None else [*_lat_lon(first), 0.0]
 
 
 def _simple_item(seq: int, item: WireItem) -> dict[str, Any]:
-    place: list[float] = [float(item.x), float(item.y)] if item.frame == _NO_FRAME else _lat_lon(item)
+    place: list[float] = [float(item.x), float(item.y)] if item.frame == NO_FRAME else _lat_lon(item)
     params = [*item.params, *place, item.z]
     if item.command == _JUMP:
         params[0] += _HOME_ITEMS
@@ -313,9 +312,9 @@ def _fence_table(items: Sequence[WireItem]) -> dict[str, Any]:
         count = 1
         if item.command == common.MAV_CMD_NAV_FENCE_RETURN_POINT:
             table["breachReturn"] = [*_lat_lon(item), item.z]
-        elif item.command in _CIRCLE:
+        elif item.command in plan_items.CIRCLES:
             circle = {"center": _lat_lon(item), "radius": item.params[0]}
-            circles.append({"circle": circle, "inclusion": _CIRCLE[item.command], "version": 1})
+            circles.append({"circle": circle, "inclusion": plan_items.CIRCLES[item.command], "version": 1})
         else:
             count = max(int(item.params[0]), 1)
             corners = [_lat_lon(corner) for corner in left[:count]]
@@ -323,6 +322,3 @@ def _fence_table(items: Sequence[WireItem]) -> dict[str, Any]:
             polygons.append({"inclusion": inclusion, "polygon": corners, "version": 1})
         del left[:count]
     return table
-
-
-_CIRCLE = {common.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION: True, common.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION: False}

@@ -29,12 +29,6 @@ from autopilot.navigation.plan_checks import (
 )
 from autopilot.navigation.plan_store import Made, PlanType, RallyPoint, Refused, WireItem
 
-__all__ = [
-    "RallyPoint", "circle_item", "fence_items", "fence_shapes", "float32", "make", "mission",
-    "mission_items", "polygon_items", "rally_item", "rally_points", "refusal", "return_point_item",
-]  # fmt: skip
-
-
 # ---- from items
 
 
@@ -53,14 +47,8 @@ def make(kind: PlanType, items: Sequence[WireItem]) -> Made | Refused:
         return error.refused
 
 
-def refusal(kind: PlanType, items: Sequence[WireItem]) -> Refused | None:
-    """Return the reason for which a list is rejected; None if it is accepted."""
-    made = make(kind, items)
-    return made if isinstance(made, Refused) else None
-
-
 def fence_shapes(items: Sequence[WireItem]) -> list[FenceShape]:
-    """Return a fence's shapes. Raises ValueError for items that `refusal` rejects.
+    """Return a fence's shapes. Raises ValueError for items that `make` rejects.
 
     A return point is accepted and ignored, as in PX4.
     """
@@ -71,14 +59,12 @@ def fence_shapes(items: Sequence[WireItem]) -> list[FenceShape]:
         require_finite(seq, item)
         lat_deg, lon_deg = require_place(seq, item)
         count = 1
-        if item.command in _CIRCLES:
+        if item.command in CIRCLES:
+            radius_m, inclusion = item.params[0], CIRCLES[item.command]
             try:
                 shapes.append(
-                    FenceCircle(
-                        lat_deg=lat_deg, lon_deg=lon_deg, radius_m=item.params[0],
-                        inclusion=_CIRCLES[item.command],
-                    )
-                )  # fmt: skip
+                    FenceCircle(lat_deg=lat_deg, lon_deg=lon_deg, radius_m=radius_m, inclusion=inclusion)
+                )
             except ValueError as error:
                 raise wrong(seq, item, 0, str(error)) from None
         elif item.command in _VERTICES:
@@ -95,7 +81,7 @@ def fence_shapes(items: Sequence[WireItem]) -> list[FenceShape]:
 
 
 def rally_points(items: Sequence[WireItem]) -> tuple[RallyPoint, ...]:
-    """Return rally points. Raises ValueError for items that `refusal` rejects."""
+    """Return rally points. Raises ValueError for items that `make` rejects."""
     points = []
     for seq, item in enumerate(items):
         if item.command != common.MAV_CMD_NAV_RALLY_POINT:
@@ -106,7 +92,7 @@ def rally_points(items: Sequence[WireItem]) -> tuple[RallyPoint, ...]:
     return tuple(points)
 
 
-_CIRCLES = {common.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION: True, common.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION: False}
+CIRCLES = {common.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION: True, common.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION: False}
 _VERTICES = {
     common.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION: True,
     common.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION: False,
@@ -140,7 +126,7 @@ def mission_items(made: Mission) -> tuple[WireItem, ...]:
 
 def circle_item(lat_deg: float, lon_deg: float, radius_m: float, *, inclusion: bool) -> WireItem:
     """Return the item of a fence's circle, as sent by QGroundControl."""
-    command = next(command for command, inside in _CIRCLES.items() if inside is inclusion)
+    command = next(command for command, inside in CIRCLES.items() if inside is inclusion)
     return _place_item(command, lat_deg, lon_deg, param1=radius_m)
 
 
@@ -171,28 +157,20 @@ def fence_items(shapes: Sequence[FenceShape]) -> tuple[WireItem, ...]:
     return tuple(items)
 
 
-def _degrees_e7(degrees: float) -> int:
-    """Return an angle in MAVLink's unit, 1e-7 degrees."""
-    return round(degrees * PER_DEGREE)
-
-
 def float32(value: float) -> float:
     """Return a number rounded to MAVLink's float."""
     return float(np.float32(value))
 
 
 def _place_item(command: int, lat_deg: float, lon_deg: float, *, param1: float) -> WireItem:
-    return WireItem(
-        command=command, frame=common.MAV_FRAME_GLOBAL, params=(float32(param1), 0.0, 0.0, 0.0),
-        x=_degrees_e7(lat_deg), y=_degrees_e7(lon_deg), z=0.0, autocontinue=0,
-    )  # fmt: skip
+    frame, params = common.MAV_FRAME_GLOBAL, (float32(param1), 0.0, 0.0, 0.0)
+    x, y = round(lat_deg * PER_DEGREE), round(lon_deg * PER_DEGREE)
+    return WireItem(command, frame, params, x, y, z=0.0, autocontinue=0)
 
 
 def _point_item(command: int, lat_deg: float, lon_deg: float, height_m: float) -> WireItem:
-    return WireItem(
-        command=command, frame=common.MAV_FRAME_GLOBAL_RELATIVE_ALT, params=(0.0, 0.0, 0.0, 0.0),
-        x=_degrees_e7(lat_deg), y=_degrees_e7(lon_deg), z=float32(height_m), autocontinue=0,
-    )  # fmt: skip
+    item = _place_item(command, lat_deg, lon_deg, param1=0.0)
+    return item._replace(frame=common.MAV_FRAME_GLOBAL_RELATIVE_ALT, z=float32(height_m))
 
 
 def _wire_item(item: MissionItem) -> WireItem:
@@ -219,8 +197,8 @@ def _wire_item(item: MissionItem) -> WireItem:
         command=item.act if command is MissionCommand.ACT else int(command),
         frame=frame,
         params=(one, two, three, four),
-        x=_degrees_e7(item.lat_deg or 0.0),
-        y=_degrees_e7(item.lon_deg or 0.0),
+        x=round((item.lat_deg or 0.0) * PER_DEGREE),
+        y=round((item.lon_deg or 0.0) * PER_DEGREE),
         z=float32(item.height_m),
     )
 

@@ -9,8 +9,10 @@ from control_fixtures import DT_S, Iris, estimate
 from autopilot.commander.land_detector import LandDetector, LandDetectorParams, LandStage
 from autopilot.control import ControlParams, FlightController
 from autopilot.mavlink.modes import FlightMode
+from autopilot.navigation import plan_items
 from autopilot.navigation.mission import MissionCommand, MissionItem
 from autopilot.navigation.params import NavigationParams
+from autopilot.navigation.plan_store import Refused
 from autopilot.navigation.setpoints import Navigator, down_demand_m_s
 from foundation.geometry.geodesy import ned_to_geodetic
 from foundation.geometry.rotations import quat_from_euler
@@ -28,6 +30,12 @@ def at(north_m, east_m, height_m, command=MissionCommand.WAYPOINT, **details):
 def lat_lon(north_m, east_m):
     lat, lon, _ = ned_to_geodetic([north_m, east_m, 0.0], **ORIGIN)
     return {"lat_deg": float(lat), "lon_deg": float(lon)}
+
+
+def refusal(kind, items):
+    """Return why a list of items is refused; None if it is not."""
+    made = plan_items.make(kind, items)
+    return made if isinstance(made, Refused) else None
 
 
 class Loop:

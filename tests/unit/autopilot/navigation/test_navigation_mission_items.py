@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from navigation_fixtures import FlightMode, Ideal, at
+from navigation_fixtures import FlightMode, Ideal, at, refusal
 
-from autopilot.navigation import plan_items
+from autopilot.navigation import mission_items
 from autopilot.navigation.mission import MissionCommand, MissionItem, make_mission
-from autopilot.navigation.plan_items import refusal
 from autopilot.navigation.plan_store import PlanType, WireItem
 
 
@@ -124,7 +123,7 @@ def test_every_accepted_mission_can_be_flown(others, start_at):
         return
     loop = Ideal((0.0, 0.0, -10.0))
     mission = loop.navigator.mission
-    mission.load(plan_items.mission(items), start=start_at % len(items))
+    mission.load(mission_items.mission(items), start=start_at % len(items))
     for mode in (FlightMode.MISSION, FlightMode.HOLD, FlightMode.MISSION):
         loop.enter(mode)
         loop.run(0.7)

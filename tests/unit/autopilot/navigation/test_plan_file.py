@@ -8,6 +8,7 @@ import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from navigation_fixtures import refusal
 from pymavlink.dialects.v20 import common
 
 from autopilot.__main__ import lone_vehicle
@@ -18,7 +19,6 @@ from autopilot.navigation.plan_items import (
     make,
     polygon_items,
     rally_item,
-    refusal,
     return_point_item,
 )
 from autopilot.navigation.plan_store import PlanType, WireItem, make_plan

@@ -6,21 +6,19 @@ import time
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from navigation_fixtures import at
+from navigation_fixtures import at, refusal
 from pymavlink.dialects.v20 import common
 
 from autopilot.commander.geofence import FenceCircle, FencePolygon
 from autopilot.navigation.mission import HeightFrame, MissionCommand, MissionItem, make_mission
-from autopilot.navigation.mission_items import ACTS
+from autopilot.navigation.mission_items import ACTS, mission
 from autopilot.navigation.plan_items import (
     fence_items,
     fence_shapes,
     float32,
-    mission,
     mission_items,
     rally_item,
     rally_points,
-    refusal,
 )
 from autopilot.navigation.plan_store import NOT_GIVEN, PlanType, Refused, WireItem
 
