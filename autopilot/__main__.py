@@ -17,6 +17,7 @@ import socket
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import msgspec
@@ -162,7 +163,8 @@ class VehicleProcess:
                 name=self._host.name,
                 details={
                     "ground_messages": self._link_messages,
-                    "malformed_bytes": self._host.bad_bytes + sum(link.bad_bytes for link in self._links),
+                    "malformed_bytes": self._host.bad_bytes
+                    + sum(link.counters.bytes_bad for link in self._links),
                     "links": self._link_counts(),
                     "malformed_deliveries": 0 if self._radio is None else self._radio.malformed,
                     **self._host.vehicle.troubles(),
@@ -177,7 +179,7 @@ class VehicleProcess:
         for number, link in enumerate(self._links):
             link.counters.not_addressed = vehicle.messaging.not_addressed[number]
             link.counters.rate_limited = vehicle.messaging.shapers.limited(number)
-        return {name: self._links[number].counters.as_dict() for number, name in _LINK_NAMES.items()}
+        return {name: asdict(self._links[number].counters) for number, name in _LINK_NAMES.items()}
 
     def _receive_simulator(self) -> int:
         """Read from the simulator and return the number of bytes, 0 at the end of the connection.

@@ -100,15 +100,11 @@ MODES_TO_ARM_IN = frozenset({
 
 MANUAL_MODES = frozenset({FlightMode.POSITION, FlightMode.ALTITUDE, FlightMode.STABILIZED})
 
-AFTER_DISARMING: dict[FlightMode, FlightMode] = {
-    FlightMode.TAKEOFF: FlightMode.HOLD,
-    FlightMode.MISSION: FlightMode.HOLD,
-    FlightMode.RETURN: FlightMode.HOLD,
-    FlightMode.LAND: FlightMode.HOLD,
-    FlightMode.ORBIT: FlightMode.HOLD,
-    FlightMode.DESCEND: FlightMode.HOLD,
-}
-"""Mode after disarming, so that a flight does not begin in the mode in which the previous one ended."""
+MODES_OF_ONE_FLIGHT = frozenset({
+    FlightMode.TAKEOFF, FlightMode.MISSION, FlightMode.RETURN, FlightMode.LAND, FlightMode.ORBIT,
+    FlightMode.DESCEND,
+})  # fmt: skip
+"""Replaced by Hold after disarming, so that a flight does not begin in the mode in which another ended."""
 
 _REASONS = {condition: Reason[f"NO_{condition.name}"] for condition in Condition}
 

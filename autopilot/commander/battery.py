@@ -360,5 +360,4 @@ class ResistanceEstimate:
 
     @staticmethod
     def _size(v_v: float, v_r: float, r_r: float) -> float:
-        """Return the Frobenius norm."""
         return hypot(v_v, v_r, v_r, r_r)

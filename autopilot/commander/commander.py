@@ -10,8 +10,8 @@ from typing import NamedTuple
 from pymavlink.dialects.v20 import common
 
 from autopilot.commander.arming_checks import (
-    AFTER_DISARMING,
     MODE_NEEDS,
+    MODES_OF_ONE_FLIGHT,
     Condition,
     Reason,
     arming_refusals,
@@ -102,9 +102,9 @@ class Commander:
             return Reason.IN_AIR
         if self.armed:
             self.armed = False
-            if self.failsafe:
+            if self.failsafe or self._requested in MODES_OF_ONE_FLIGHT:
                 self._requested = FlightMode.HOLD
-            self.mode = self._requested = AFTER_DISARMING.get(self._requested, self._requested)
+            self.mode = self._requested
             self.failsafe = False
         return None
 
@@ -187,9 +187,8 @@ class Commander:
             self.disarm(forced=True)
         else:
             if self.landed and before.action in MODE_OF and action not in MODE_OF:
-                self._requested = (
-                    FlightMode.HOLD
-                )  # landed by the failsafe: the earlier mode must not take off again
+                # landed by the failsafe: the earlier mode must not take off again
+                self._requested = FlightMode.HOLD
             self.mode = MODE_OF.get(action, self._requested)
             self.failsafe = action in MODE_OF
         if decision._replace(delay_s=0.0) != before._replace(delay_s=0.0):

@@ -7,7 +7,7 @@ parameters are the inputs, a decision is the output.
 """
 
 from collections.abc import Mapping
-from enum import Enum, IntEnum, IntFlag
+from enum import IntEnum, IntFlag
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -57,19 +57,14 @@ class Action(IntEnum):
     TERMINATE = 10
 
 
-class Ends(Enum):
-    """When an action ends."""
+class Ends(IntEnum):
+    """When an action ends; a greater value lasts longer."""
 
     WITH_CAUSE = 0
     MODE_CHANGE = 1
     """After the cause is gone and the pilot has selected a mode."""
     NEVER = 2
     """At the end of the flight."""
-
-    @property
-    def strictness(self) -> int:
-        """Order of the values: a greater one lasts longer."""
-        return self.value
 
 
 class FailsafeResponse(NamedTuple):
@@ -231,7 +226,6 @@ class Failsafe:
         return self.decision
 
     def _reset(self) -> None:
-        """Reset at the end of the flight."""
         self.decision = NOTHING
         self._active.clear()
         self._taken_over = False
@@ -299,7 +293,7 @@ class Failsafe:
                     self._act_us = now_us + round(params.action_delay_s * US_PER_S)
                 active[cause] = _Active(response, text, present=True)
             else:  # parameter changed, or another need of the mode; the end condition only gets stricter
-                ends = max(known.response.ends, response.ends, key=lambda ends: ends.strictness)
+                ends = max(known.response.ends, response.ends)
                 active[cause] = _Active(response._replace(ends=ends), text, present=True)
 
     # ---- decision
@@ -362,7 +356,6 @@ def feasible(action: Action, conditions: int) -> Action:
 def _mode_response(
     mode: FlightMode, missing: int, conditions: int, params: CommanderParams
 ) -> FailsafeResponse:
-    """Return the response to unmet needs of a mode."""
     if missing & Condition.SETPOINTS:
         return OFFBOARD_LOSS[params.offboard_loss_action]
     if mode in MANUAL_MODES and conditions & Condition.MANUAL:
@@ -373,7 +366,6 @@ def _mode_response(
 
 
 def _value(row: Row, params: CommanderParams) -> int:
-    """Return the present value of the row's parameter."""
     value: int = getattr(params, row.field) if row.field else 0
     return value
 

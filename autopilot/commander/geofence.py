@@ -9,7 +9,7 @@ Failsafes act on a breach.
 
 from collections.abc import Iterator, Sequence
 from enum import Enum
-from math import hypot, inf, isfinite, sqrt
+from math import hypot, isfinite, sqrt
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -129,7 +129,9 @@ class Breach(NamedTuple):
         return self.kind.value if self.shape is None else f"{self.kind.value} {self.shape}"
 
 
-class _Margin(NamedTuple):
+class Margin(NamedTuple):
+    """Distance to one limit."""
+
     margin_m: float
     """Distance to the border, negative outside the fence"""
     kind: BreachKind
@@ -161,14 +163,9 @@ class Geofence:
         params = self.params
         return bool(self.shapes) or max(params.max_horizontal_m, params.max_vertical_m) > 0.0
 
-    def margin_m(self, pos_ned_m: Vector, home_pos_ned_m: Vector | None, origin: Origin) -> float:
-        """Return the distance to the nearest border: positive if allowed, infinite without a fence."""
-        worst = self._worst(_floats(pos_ned_m), _home(home_pos_ned_m), origin)
-        return inf if worst is None else worst.margin_m
-
     def check(self, pos_ned_m: Vector, home_pos_ned_m: Vector | None, origin: Origin) -> Breach | None:
         """Return the breach at a finite position, or None."""
-        return _breach(self._worst(_floats(pos_ned_m), _home(home_pos_ned_m), origin))
+        return _breach(self.nearest(_floats(pos_ned_m), _home(home_pos_ned_m), origin))
 
     def first_beyond(
         self, places: Sequence[Vertex], down_m: Array, home_pos_ned_m: Vector, origin: Origin
@@ -213,33 +210,34 @@ class Geofence:
         while True:
             share_s = flown_m / speed_m_s if speed_m_s > 0.0 else 0.0
             north_m, east_m, down_m = (p + v * share_s for p, v in zip(place_m, vel_m_s, strict=True))
-            worst = self._worst((north_m, east_m, down_m), home_m, origin)
+            worst = self.nearest((north_m, east_m, down_m), home_m, origin)
             if worst is None or worst.margin_m <= 0.0:
                 return _breach(worst)
             if flown_m >= length_m:
                 return None
             flown_m = min(flown_m + max(worst.margin_m, length_m / PATH_SAMPLES), length_m)
 
-    def _worst(self, pos_ned_m: _Ned, home_ned_m: _Ned | None, origin: Origin) -> _Margin | None:
+    def nearest(self, pos_ned_m: _Ned, home_ned_m: _Ned | None, origin: Origin) -> Margin | None:
+        """Return the margin to the nearest limit, or None without a fence."""
         return min(self._margins(pos_ned_m, home_ned_m, origin), key=lambda margin: margin[0], default=None)
 
-    def _margins(self, pos_ned_m: _Ned, home_ned_m: _Ned | None, origin: Origin) -> Iterator[_Margin]:
+    def _margins(self, pos_ned_m: _Ned, home_ned_m: _Ned | None, origin: Origin) -> Iterator[Margin]:
         north_m, east_m, down_m = pos_ned_m
         params = self.params
         if home_ned_m is not None:
             if params.max_horizontal_m > 0.0:
                 distance_m = hypot(north_m - home_ned_m[0], east_m - home_ned_m[1])
-                yield _Margin(params.max_horizontal_m - distance_m, BreachKind.MAX_DISTANCE, None)
+                yield Margin(params.max_horizontal_m - distance_m, BreachKind.MAX_DISTANCE, None)
             if params.max_vertical_m > 0.0:
                 height_m = home_ned_m[2] - down_m
-                yield _Margin(params.max_vertical_m - height_m, BreachKind.MAX_ALTITUDE, None)
+                yield Margin(params.max_vertical_m - height_m, BreachKind.MAX_ALTITUDE, None)
         self._localise(origin)
         for i, (shape, local) in enumerate(zip(self.shapes, self._local, strict=True)):
             inside_m = local.inside_m(north_m, east_m)
             if shape.inclusion:
-                yield _Margin(inside_m, BreachKind.LEFT_INCLUSION, i)
+                yield Margin(inside_m, BreachKind.LEFT_INCLUSION, i)
             else:
-                yield _Margin(-inside_m, BreachKind.ENTERED_EXCLUSION, i)
+                yield Margin(-inside_m, BreachKind.ENTERED_EXCLUSION, i)
 
     def _localise(self, origin: Origin) -> None:
         if origin != self._origin:
@@ -255,7 +253,7 @@ def _home(vector: Vector | None) -> _Ned | None:
     return None if vector is None else _floats(vector)
 
 
-def _breach(worst: _Margin | None) -> Breach | None:
+def _breach(worst: Margin | None) -> Breach | None:
     if worst is None or worst.margin_m > 0.0:
         return None
     return Breach(worst.kind, worst.shape, -worst.margin_m)

@@ -143,7 +143,6 @@ class UlogWriter:
         return _message("L", struct.pack("<BQ", ord("0") + severity, now_us) + text.encode())
 
     def _changed_parameters(self) -> bytes:
-        """Return the parameters whose values are not in the log yet."""
         self._version = self._parameters.version
         data = b""
         for row in ROWS:

@@ -1,6 +1,6 @@
 """Counts of the input that a port rejected, by cause; a run's manifest has them for each vehicle and link."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 
 @dataclass(slots=True)
@@ -29,7 +29,3 @@ class Counters:
     """Messages for another system or component."""
     rate_limited: int = 0
     """Messages dropped because the link's budget was spent."""
-
-    def as_dict(self) -> dict[str, int]:
-        """Return all counts by name, for the manifest."""
-        return asdict(self)

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Encoder, Message, Parser, Sequences, signed
-from autopilot.mavlink.counters import Counters
 from autopilot.mavlink.signing import EPOCH_UNIX_S, TICKS_PER_S, Signer
 
 Address = tuple[str, int]
@@ -37,8 +36,6 @@ _SETUP_SIGNING = common.MAVLINK_MSG_ID_SETUP_SIGNING
 
 
 class _Peer:
-    """A partner at one address: its number and its sequence numbers."""
-
     def __init__(self, number: int) -> None:
         self.number = number
         self.sequences = Sequences()
@@ -67,6 +64,8 @@ class UdpLink:
         """
         self._signer = signer
         self._parser = Parser(signer)
+        self.counters = self._parser.counters
+        """Counts of rejected input, by cause."""
         self._encoder = encoder
         self._default: Address | None = (remote_host or host, remote_port) if remote_port else None
         self._default_peer = _Peer(BROADCAST)
@@ -95,16 +94,6 @@ class UdpLink:
     def active(self) -> bool:
         """Whether there is a listener; otherwise only heartbeats need to be built."""
         return self._default_listens or bool(self._partners)
-
-    @property
-    def bad_bytes(self) -> int:
-        """Count of received bytes that belonged to no message."""
-        return self._parser.bad_bytes
-
-    @property
-    def counters(self) -> Counters:
-        """Counts of rejected input, by cause."""
-        return self._parser.counters
 
     def fileno(self) -> int:
         """Return the socket's descriptor, for select and poll."""

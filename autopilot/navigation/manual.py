@@ -181,7 +181,6 @@ class ManualMode(StopMode):
         self._yaw_rad = math.remainder(yaw_rad + ahead_rad, math.tau)
 
     def _climb(self, inputs: ModeInputs) -> None:
-        """Advance the vertical reference, and hold or release the height."""
         manual, motion, state = self._context.params.manual, self._motion, inputs.state
         stick = curve(2.0 * inputs.sticks.throttle - 1.0, deadzone=manual.deadzone, expo=manual.z_expo)
         limits = self._context.limits
@@ -215,7 +214,6 @@ class ManualMode(StopMode):
         return min(max(speed_m_s, -up_max_m_s), down_max_m_s)
 
     def _move(self, inputs: ModeInputs) -> None:
-        """Advance the horizontal reference, and hold or release the position."""
         manual, motion, state = self._context.params.manual, self._motion, inputs.state
         right = curve(inputs.sticks.roll, deadzone=manual.deadzone, expo=manual.xy_expo)
         forward = curve(inputs.sticks.pitch, deadzone=manual.deadzone, expo=manual.xy_expo)

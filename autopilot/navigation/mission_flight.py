@@ -264,7 +264,6 @@ class MissionMode(StopMode):
     # ---- parts
 
     def _is_passed(self, item: MissionItem) -> bool:
-        """Return whether the vehicle need not stop at the item's position."""
         return item.command not in _STAYS and item.hold_s == 0.0 and item.command is not MissionCommand.LAND
 
     def _is_high_enough(self, state: EstimatorState) -> bool:
@@ -327,7 +326,6 @@ def _heading_error_rad(state: EstimatorState, heading_rad: float) -> float:
 
 
 def _heading_to_turn_to_rad(item: MissionItem, state: EstimatorState) -> float:
-    """Return the final heading of a TURN."""
     turn_rad = math.radians(item.yaw_deg or 0.0)
     return math.remainder(_yaw_rad(state) + turn_rad if item.yaw_relative else turn_rad, math.tau)
 

@@ -111,7 +111,6 @@ class MissionRunner:
         self.current = min(index, len(items) - 1)
 
     def _carry_out(self, item: MissionItem) -> None:
-        """Apply an item's effect on the following ones."""
         if item.command is MissionCommand.CHANGE_SPEED:
             self.speed_m_s = item.speed_m_s
         elif item.command is MissionCommand.LOOK_AT:

@@ -136,7 +136,6 @@ class OrbitMode(StopMode):
     # ---- parts
 
     def _place_ned_m(self, circle: Circle) -> Array:
-        """Return the position (3,) of the reference."""
         return np.array((
             circle.north_m + circle.radius_m * math.cos(self._bearing_rad),
             circle.east_m + circle.radius_m * math.sin(self._bearing_rad),

@@ -149,7 +149,6 @@ class ReturnMode(StopMode):
             self._start(entry)
 
     def _start(self, moment: Moment) -> None:
-        """Start a return from the vehicle's position."""
         state = moment.state
         self._waited_s = 0.0
         home_ned_m = goal_ned_m = self._home_ned_m = moment.home_ned_m
@@ -199,7 +198,6 @@ class ReturnMode(StopMode):
         return guide.update(inputs.dt_s, vehicle_pos_ned_m=inputs.state.pos_ned_m)
 
     def _event(self, moment: Moment) -> ReturnEvent | None:
-        """Return the event since the last step, or None."""
         if moment.landed:
             return ReturnEvent.LANDED
         if self.phase is ReturnPhase.DONE:
@@ -219,7 +217,6 @@ class ReturnMode(StopMode):
         return ReturnEvent.THERE if delay_s == 0.0 else ReturnEvent.THERE_TO_WAIT
 
     def _begin(self, moment: Moment) -> None:
-        """Set the guide's target for the present phase."""
         guide, goal_ned_m = self._guide, self._goal_ned_m
         if self.phase is ReturnPhase.DONE:
             return

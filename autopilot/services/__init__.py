@@ -1,5 +1,5 @@
 """MAVLink services without I/O, each with the interface `service.MavlinkService`; one instance per vehicle.
 
-Import `services.Services`, which composes them; `actions_*` are commands, `telemetry_*` and `streams` what is
+Import `service.Services`, which composes them; `actions_*` are commands, `telemetry_*` and `streams` what is
 sent by itself. Bytes and links are in `autopilot.mavlink`.
 """

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pymavlink.dialects.v20 import common
 
 from autopilot.commander.arming_checks import Condition, Reason
-from autopilot.mavlink.modes import FlightMode, mode_from_custom, mode_from_main_sub
+from autopilot.mavlink.modes import FlightMode, mode_from_main_sub
 from autopilot.services.available_modes import STANDARD_MODES
 from autopilot.services.command import (
     ACCEPTED,
@@ -118,12 +118,8 @@ class FlightCommands:
         return self._enter(mode_from_main_sub(main, sub), "Mode", request)
 
     def _set_standard_mode(self, request: CommandRequest) -> Answer:
-        """Enter the mode with a MAV_STANDARD_MODE number, if there is one."""
         requested = whole(request.params[0])
-        custom_mode = next(
-            (custom for custom, standard in STANDARD_MODES.items() if standard == requested), None
-        )
-        mode = None if custom_mode is None else mode_from_custom(custom_mode)
+        mode = next((mode for mode, standard in STANDARD_MODES.items() if standard == requested), None)
         return Answer(UNSUPPORTED) if mode is None else self._enter(mode, "Mode", request)
 
     def _take_off(self, request: CommandRequest) -> Answer:
@@ -288,7 +284,6 @@ class FlightCommands:
         return Answer(messages=(text,))
 
     def _check(self, request: CommandRequest) -> Answer:  # noqa: ARG002  # same signature as other actions
-        """Report every reason for which arming would be refused."""
         if self._commander.armed:
             return Answer(common.MAV_RESULT_TEMPORARILY_REJECTED)
         refusals = self._commander.arming_refusals()

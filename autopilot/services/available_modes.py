@@ -6,21 +6,21 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.commander.arming_checks import MODE_NEEDS
 from autopilot.mavlink.codec import Message
-from autopilot.mavlink.dialect import AvailableModes, CurrentMode
+from autopilot.mavlink.dialect import AvailableModes
 from autopilot.mavlink.modes import FlightMode
 
 AVAILABLE_MODES_ID: int = AvailableModes.id
 
-STANDARD_MODES: dict[int, int] = {
-    FlightMode.POSITION.custom_mode: common.MAV_STANDARD_MODE_POSITION_HOLD,
-    FlightMode.ALTITUDE.custom_mode: common.MAV_STANDARD_MODE_ALTITUDE_HOLD,
-    FlightMode.RETURN.custom_mode: common.MAV_STANDARD_MODE_SAFE_RECOVERY,
-    FlightMode.MISSION.custom_mode: common.MAV_STANDARD_MODE_MISSION,
-    FlightMode.LAND.custom_mode: common.MAV_STANDARD_MODE_LAND,
-    FlightMode.TAKEOFF.custom_mode: common.MAV_STANDARD_MODE_TAKEOFF,
-    FlightMode.ORBIT.custom_mode: common.MAV_STANDARD_MODE_ORBIT,
+STANDARD_MODES: dict[FlightMode, int] = {
+    FlightMode.POSITION: common.MAV_STANDARD_MODE_POSITION_HOLD,
+    FlightMode.ALTITUDE: common.MAV_STANDARD_MODE_ALTITUDE_HOLD,
+    FlightMode.RETURN: common.MAV_STANDARD_MODE_SAFE_RECOVERY,
+    FlightMode.MISSION: common.MAV_STANDARD_MODE_MISSION,
+    FlightMode.LAND: common.MAV_STANDARD_MODE_LAND,
+    FlightMode.TAKEOFF: common.MAV_STANDARD_MODE_TAKEOFF,
+    FlightMode.ORBIT: common.MAV_STANDARD_MODE_ORBIT,
 }
-"""MAV_STANDARD_MODE by custom mode, as in PX4; the other modes are not standard and are sent by name."""
+"""MAV_STANDARD_MODE, as in PX4; the other modes are not standard (0) and are sent by name."""
 
 _ADVANCED, _NOT_SELECTABLE, _AUTO = 1, 2, 4
 """MAV_MODE_PROPERTY bits."""
@@ -35,24 +35,15 @@ def available_modes(index: int) -> Sequence[Message]:
     return [_describe(index)] if 1 <= index <= len(_MODES) else []
 
 
-def current_mode(mode: FlightMode, *, forced: bool) -> Message:
-    """CURRENT_MODE; for a mode that a failsafe ``forced``, the intended mode is left at 0 (unknown)."""
-    return CurrentMode(
-        standard_mode=STANDARD_MODES.get(mode.custom_mode, common.MAV_STANDARD_MODE_NON_STANDARD),
-        custom_mode=mode.custom_mode,
-        intended_custom_mode=0 if forced else mode.custom_mode,
-    )
-
-
 _MODES = tuple(mode for mode in FlightMode if mode in MODE_NEEDS and mode is not FlightMode.DESCEND)
 """In the order of their indices; Descend cannot be selected."""
 
 
 def _describe(number: int) -> Message:
     mode = _MODES[number - 1]
-    standard = STANDARD_MODES.get(mode.custom_mode, common.MAV_STANDARD_MODE_NON_STANDARD)
+    standard = STANDARD_MODES.get(mode, 0)
     properties = _ADVANCED if mode in _ADVANCED_MODES else 0
-    if mode.custom_mode >> 16 & 0xFF == _MAIN_AUTO:
+    if mode.main == _MAIN_AUTO:
         properties |= _AUTO
     if mode is FlightMode.ORBIT:
         properties |= _NOT_SELECTABLE  # needs a centre, from MAV_CMD_DO_ORBIT

@@ -140,7 +140,6 @@ class CommandService(Service):
     def _execute(
         self, key: _Key, request: CommandRequest, *, is_remembered: bool = False
     ) -> Sequence[Addressed]:
-        """Execute a command and acknowledge it."""
         action = self._actions.get(key.command)
         answer = Answer(UNSUPPORTED) if action is None else action(request)
         if answer.result == IN_PROGRESS:

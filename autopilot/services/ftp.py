@@ -95,8 +95,6 @@ class FtpRequest(NamedTuple):
 
 
 class _Burst(NamedTuple):
-    """Remainder of a burst."""
-
     seq: int
     offset: int
     packet_bytes: int
@@ -104,8 +102,6 @@ class _Burst(NamedTuple):
 
 
 class _Session:
-    """A file that a partner has open."""
-
     def __init__(self, file: Readable, target: tuple[int, int]) -> None:
         self.file = file
         self.target = target
@@ -262,7 +258,6 @@ class FtpService(Service):
 
 
 def _next_packets(number: int, session: _Session) -> Iterator[Message]:
-    """Packets of a session's burst for one period."""
     for _ in range(BURST_PACKETS):
         if session.burst is not None:
             yield _next_packet(number, session, session.burst)

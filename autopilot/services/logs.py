@@ -23,8 +23,6 @@ _LARGEST = 2**32 - 1
 
 
 class _Download:
-    """Remainder of a download."""
-
     def __init__(self, number: int, file: Readable, offset: int, count: int) -> None:
         self.number = number
         self.file = file

@@ -7,7 +7,6 @@ of the parameters. They are generated on the first request; `@PARAM/param.pck` w
 import json
 import lzma
 import struct
-from collections.abc import Callable
 from functools import cache
 
 from autopilot.mavlink.codec import Message
@@ -41,15 +40,11 @@ def add_files(files: FileStore, parameters: ParameterSet) -> None:
     files.add(PACKED_PATH, lambda query: packed(parameters, query))
 
 
-def message_builder(now_us: Callable[[], int]) -> Callable[[], Message]:
-    """Return a builder of COMPONENT_METADATA; ``now_us`` returns the time since the start."""
-
-    def build() -> Message:
-        return ComponentMetadata(
-            time_boot_ms=now_us() // 1_000, file_crc=crc32(general()), uri=f"mftp://{GENERAL_PATH}"
-        )
-
-    return build
+def message(now_us: int) -> Message:
+    """COMPONENT_METADATA at a time since the start."""
+    return ComponentMetadata(
+        time_boot_ms=now_us // 1_000, file_crc=crc32(general()), uri=f"mftp://{GENERAL_PATH}"
+    )
 
 
 @cache
@@ -107,7 +102,6 @@ def _count(text: str, otherwise: int) -> int:
 
 
 def _described(row: Row, default: float) -> dict[str, object]:
-    """Metadata of one parameter, in PX4's unit."""
     described: dict[str, object] = {
         "name": row.name,
         "type": "Int32" if row.is_integer else "Float",
@@ -133,5 +127,4 @@ def _number(row: Row, value: float) -> float:
 
 
 def _decimals(value: float) -> int:
-    """Number of decimals that represents a value."""
     return len(f"{value:.{_MOST_DECIMALS}f}".rstrip("0").partition(".")[2])

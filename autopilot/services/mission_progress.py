@@ -135,7 +135,6 @@ class MissionProgress(Service):
     # ---- pieces
 
     def _content(self) -> tuple[int, ...]:
-        """Fields of MISSION_CURRENT."""
         runner, plans = self._runner, self._plans
         total = 0 if runner.mission is None else len(runner.mission.items)
         return (

@@ -88,7 +88,6 @@ class ListingService(Service):
         return reply(partner, _refusal(message, ParameterProblem.UNKNOWN, index=message.param_index))
 
     def _value(self, index: int) -> Message:
-        """Return the message with the value of a parameter."""
         raise NotImplementedError
 
 
@@ -184,7 +183,6 @@ class ParameterService(ListingService):
         return self._hash[1]
 
     def _from_wire(self, index: int, message: Message, partner: Partner) -> float:
-        """Decode the value of a PARAM_SET. Raises ParameterError."""
         value: float = message.param_value
         name = ROWS[index].name
         if message.param_type == _wire_type(index):

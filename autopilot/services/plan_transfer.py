@@ -29,7 +29,6 @@ from autopilot.services.plan_upload import (
     STALE_US,
     TIMEOUT_US,
     Upload,
-    UploadFinished,
     UploadStation,
 )
 from autopilot.services.plan_wire import decode_item, encode_item
@@ -68,7 +67,7 @@ class PlanTransfer:
         self._current = current
         self._time_stands = time_stands
         self._upload: Upload | None = None
-        self._finished: UploadFinished | None = None
+        self._finished: Upload | None = None
         self._cleared: tuple[UploadStation, int, int] | None = None
         """Station that last cleared a plan, the MAV_MISSION_TYPE, and the time"""
         self._readers: Newest[tuple[UploadStation, PlanType], int] = Newest(_MAX_READERS)
@@ -193,7 +192,6 @@ class PlanTransfer:
         return station.acknowledge(message.mission_type, _ERROR)
 
     def _on_item(self, message: Message, now_us: int, station: UploadStation) -> Sequence[Addressed]:
-        """Store the requested item and request the next."""
         upload, seq = self._upload, message.seq
         if upload is None:
             return self._on_unrequested_item(message, now_us, station)
@@ -257,20 +255,13 @@ class PlanTransfer:
         return [*answer, *text]
 
     def _finish(self, upload: Upload, answer: Sequence[Addressed], now_us: int) -> None:
-        self._upload = None
-        self._finished = UploadFinished(
-            station=upload.station,
-            kind=upload.kind,
-            span=upload.span,
-            ended_us=now_us,
-            answer=answer,
-            repeats_us=[now_us + after_us for after_us in REPEAT_US] if answer else [],
-        )
+        self._upload, self._finished = None, upload
+        upload.ended_us, upload.answer = now_us, answer
+        upload.repeats_us = [now_us + after_us for after_us in REPEAT_US] if answer else []
 
     # ---- reading: stateless apart from plan versions, since the reader requests each item
 
     def _on_list(self, message: Message, _now_us: int, station: UploadStation) -> Sequence[Addressed]:
-        """Report the number of items."""
         kind = _plan_type(message.mission_type)
         if kind is None:  # as PX4: a plan that is empty
             count, opaque_id = 0, 0

@@ -44,7 +44,7 @@ class UploadStation(NamedTuple):
 
 
 class Upload(Struct, kw_only=True):
-    """A plan that is being written."""
+    """A plan that is being written, or the last one that was."""
 
     station: UploadStation
     kind: PlanType
@@ -74,6 +74,11 @@ class Upload(Struct, kw_only=True):
     round_us: int = 0
     """Round-trip time and its variation, smoothed as in TCP (RFC 6298)"""
     variation_us: int = 0
+    ended_us: int = 0
+    answer: Sequence[Addressed] = ()
+    """The acknowledgement, which may be lost; empty if the station ended the upload"""
+    repeats_us: list[int] = []
+    """Times at which the acknowledgement is repeated"""
 
     @property
     def missing(self) -> int:
@@ -100,19 +105,6 @@ class Upload(Struct, kw_only=True):
             self.round_us, self.variation_us = sample_us, sample_us // 2
         self.variation_us += (abs(sample_us - self.round_us) - self.variation_us) // 4
         self.round_us += (sample_us - self.round_us) // 8
-
-
-class UploadFinished(Struct, kw_only=True):
-    """An upload that has ended; the station may not have received the acknowledgement."""
-
-    station: UploadStation
-    kind: PlanType
-    span: range
-    ended_us: int
-    answer: Sequence[Addressed]
-    """The acknowledgement; empty if the station ended the upload"""
-    repeats_us: list[int]
-    """Times at which the acknowledgement is repeated"""
 
     def is_late_item(self, message: Message) -> bool:
         """Whether a message is a late or repeated item of this upload."""

@@ -6,7 +6,6 @@ from autopilot.services.fields import Part
 from autopilot.services.flight_data import FlightData
 from autopilot.services.manual_control import ManualControlService
 from autopilot.services.streams import Builder
-from autopilot.services.telemetry_control import Control
 from autopilot.services.telemetry_motion import MotionTelemetry
 from autopilot.services.telemetry_sensors import Sensors
 from autopilot.services.telemetry_system import SystemState
@@ -27,11 +26,10 @@ class Telemetry:
         """``fenced`` returns whether there is a geofence; ``epoch_unix_us`` is the date of time 0."""
         self.motion = MotionTelemetry(flight)
         self.sensors = Sensors(flight, manual=manual)
-        self.control = Control(flight)
         self.system = SystemState(
             flight, system=system, manual=manual, fenced=fenced, epoch_unix_us=epoch_unix_us
         )
-        parts: tuple[Part, ...] = (self.motion, self.sensors, self.control, self.system)
+        parts: tuple[Part, ...] = (self.motion, self.sensors, self.system)
         self.builders: dict[int, Builder] = {
             message_id: build for part in parts for message_id, build in part.make_builders().items()
         }

@@ -8,8 +8,8 @@ from pymavlink.dialects.v20 import common
 from autopilot.commander.arming_checks import Condition
 from autopilot.commander.failsafe import Cause
 from autopilot.mavlink.codec import Message
-from autopilot.mavlink.dialect import AvailableModesMonitor, ProtocolVersion
-from autopilot.services.available_modes import current_mode
+from autopilot.mavlink.dialect import AvailableModesMonitor, CurrentMode, ProtocolVersion
+from autopilot.services.available_modes import STANDARD_MODES
 from autopilot.services.fields import I8, I16, I32, U16, UNKNOWN_I16, UNKNOWN_U16, Part, whole
 from autopilot.services.flight_data import FlightData
 from autopilot.services.manual_control import ManualControlService
@@ -100,9 +100,10 @@ class SystemState(Part):
         return common.MAVLink_system_time_message(self._epoch_unix_us + self._flight.now_us, self.boot_ms())
 
     def current_mode(self) -> Message:
-        """CURRENT_MODE."""
-        commander = self._flight.commander
-        return current_mode(commander.mode, forced=commander.failsafe)
+        """CURRENT_MODE; for a mode that a failsafe forced, the intended mode is left at 0 (unknown)."""
+        mode, forced = self._flight.commander.mode, self._flight.commander.failsafe
+        standard = STANDARD_MODES.get(mode, 0)
+        return CurrentMode(standard, mode.custom_mode, 0 if forced else mode.custom_mode)
 
     def available_modes_monitor(self) -> Message:
         """AVAILABLE_MODES_MONITOR: the list of modes never changes."""

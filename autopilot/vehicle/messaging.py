@@ -38,9 +38,9 @@ from autopilot.services.service import (
     GROUND_STATION,
     Addressed,
     Partner,
+    Services,
     reply,
 )
-from autopilot.services.services import Services
 from autopilot.services.shaper import Shapers
 from autopilot.services.status import Chunks, status_text
 from autopilot.services.streams import (
@@ -113,7 +113,7 @@ class Messaging:
             common.MAVLINK_MSG_ID_PING: self._clocks[0].question,
             common.MAVLINK_MSG_ID_TIMESYNC: self._clocks[1].question,
             common.MAVLINK_MSG_ID_MISSION_CURRENT: self.missions.mission_current,
-            metadata.COMPONENT_METADATA: metadata.message_builder(lambda: flight.now_us),
+            metadata.COMPONENT_METADATA: lambda: metadata.message(flight.now_us),
         }
         application_hz = APPLICATION_WITH_ATTITUDE_HZ if config.onboard.wind_feed_forward else APPLICATION_HZ
         outside = self.telemetry.builders

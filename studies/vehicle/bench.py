@@ -27,7 +27,7 @@ from autopilot.mavlink.codec import Encoder
 from autopilot.mavlink.hil import TO_VEHICLE, HilActuatorControls, HilEncoder, HilParser
 from autopilot.onboard.app import OnboardApp
 from autopilot.parameters.config import OnboardConfig, VehicleConfig
-from autopilot.services.services import Services
+from autopilot.services.service import Services
 from autopilot.services.streams import MessageStreams
 from autopilot.vehicle.fast_step import FastSteps
 from autopilot.vehicle.host import Host

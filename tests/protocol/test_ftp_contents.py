@@ -31,7 +31,7 @@ def read_whole(files, path):
 
 def test_the_metadata_are_found_from_the_message_and_describe_every_parameter():
     files, parameters = vehicle_files()
-    message = metadata.message_builder(lambda: 1_234_567)()
+    message = metadata.message(1_234_567)
     (received,) = Parser().push(Encoder(system=1, component=1).encode(message))
     assert received.time_boot_ms == 1_234
     general_text = lzma.decompress(read_whole(files, received.uri.removeprefix("mftp://")))

@@ -218,7 +218,7 @@ def test_vibration_is_the_mean_step_between_samples():
 def test_outputs_are_the_motor_controls():
     flight = make_flight()
     flight.motors = lambda: (0.1, 0.2, 0.3, 0.4)
-    status = over_the_wire(make_telemetry(flight).control.actuator_output_status())
+    status = over_the_wire(make_telemetry(flight).motion.actuator_output_status())
     assert status.active == 4
     assert status.actuator[:5] == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.0])
 
@@ -228,12 +228,12 @@ def test_a_setpoint_is_reported_in_geodetic_coordinates_as_in_the_local_frame():
     flight.state.origin_lat_deg, flight.state.origin_lon_deg, flight.state.origin_alt_m = 47.0, 8.0, 400.0
     flight.origin_known = True
     flight.setpoint = TrajectorySetpoint(pos_ned_m=np.array((100.0, 0.0, -7.0)), yaw_rad=0.5)
-    target = over_the_wire(make_telemetry(flight).control.position_target_global_int())
+    target = over_the_wire(make_telemetry(flight).motion.position_target_global_int())
     north_m = math.radians(target.lat_int * 1e-7 - 47.0) * MERIDIAN_RADIUS_AT_47_M
     assert north_m == pytest.approx(100.0, abs=0.02)
     assert (target.lon_int, target.yaw) == (80_000_000, 0.5)
     assert target.alt == pytest.approx(407.0, abs=0.01)
-    local = make_telemetry(flight).control.position_target_local_ned()
+    local = make_telemetry(flight).motion.position_target_local_ned()
     assert target.type_mask == local.type_mask
 
 

@@ -122,7 +122,7 @@ def test_partners_are_bounded_and_garbage_adds_none(sockets):
     stranger.sendto(b"\xfd garbage", ("127.0.0.1", link.local_port))
     assert select.select([link], [], [], DEADLINE_S)[0]
     assert link.receive() == []
-    assert link.bad_bytes == 9
+    assert link.counters.bytes_bad == 9
     assert not link.active
     partners = [partner(sockets) for _ in range(MAX_PARTNERS + 1)]
     for sock in partners:
@@ -243,7 +243,7 @@ def test_a_call_is_limited_and_leaves_the_rest_for_the_next(sockets, frames):
     assert most - frames < received[0] <= most
     assert received[:-1] == received[:1] * (len(received) - 1)
     assert len(received) > 2
-    assert link.bad_bytes == 0
+    assert link.counters.bytes_bad == 0
 
 
 def test_an_oversized_datagram_is_dropped_unread_and_counted(sockets):
@@ -253,7 +253,7 @@ def test_an_oversized_datagram_is_dropped_unread_and_counted(sockets):
         station.sendto(whole + bytes(size - len(whole)), ("127.0.0.1", link.local_port))
     assert sum(count for count, _ in calls(link)) == 1
     assert link.counters.datagrams_too_long == 2
-    assert link.bad_bytes == MAX_RECEIVED_DATAGRAM_BYTES - len(whole)
+    assert link.counters.bytes_bad == MAX_RECEIVED_DATAGRAM_BYTES - len(whole)
 
 
 @pytest.mark.parametrize(
@@ -275,4 +275,4 @@ def test_garbage_costs_a_call_little_more_than_valid_messages(sockets, garbage):
     # a datagram of garbage has eight times as many apparent frames as a call may check, cheaper than messages
     assert MAX_RECEIVED_DATAGRAM_BYTES == 8 * MAX_FRAMES_PER_CALL
     assert sorted(costs_s)[len(costs_s) // 2] < 8.0 * sorted(fair_s)[len(fair_s) // 2]
-    assert link.bad_bytes == 5 * (KERNEL_KEEPS_BYTES // len(garbage_bytes)) * len(garbage_bytes)
+    assert link.counters.bytes_bad == 5 * (KERNEL_KEEPS_BYTES // len(garbage_bytes)) * len(garbage_bytes)

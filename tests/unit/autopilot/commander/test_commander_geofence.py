@@ -90,6 +90,12 @@ def circle(north_m, east_m, radius_m, *, inclusion=True):
     return FenceCircle.of_site(north_m, east_m, radius_m, inclusion=inclusion, site=SITE)
 
 
+def margin_of(geofence, place, home, origin):
+    """Return the distance to the nearest limit, infinite without a fence."""
+    nearest = geofence.nearest(place, home, origin)
+    return inf if nearest is None else nearest.margin_m
+
+
 def at(north_m, east_m=0.0, up_m=10.0):
     return np.array((north_m, east_m, -up_m))
 
@@ -100,7 +106,7 @@ def at(north_m, east_m=0.0, up_m=10.0):
 @settings(max_examples=400, deadline=None)
 @given(stars(), points)
 def test_inside_means_a_nonzero_winding_number(vertices, point):
-    margin_m = fence(polygon(vertices)).margin_m(at(*point), HOME, SITE)
+    margin_m = margin_of(fence(polygon(vertices)), at(*point), HOME, SITE)
     if abs(margin_m) > 1e-3:
         assert (margin_m > 0.0) == (round(winding(point, vertices)) != 0)
 
@@ -108,7 +114,7 @@ def test_inside_means_a_nonzero_winding_number(vertices, point):
 @settings(max_examples=150, deadline=None)
 @given(stars(), points)
 def test_the_margin_is_the_distance_to_the_border(vertices, point):
-    margin_m = fence(polygon(vertices)).margin_m(at(*point), HOME, SITE)
+    margin_m = margin_of(fence(polygon(vertices)), at(*point), HOME, SITE)
     assert distance_in_points_m(point, vertices, 0.2) == pytest.approx(abs(margin_m), abs=0.11)
 
 
@@ -120,7 +126,7 @@ def test_inside_a_convex_polygon_the_margin_is_that_of_the_nearest_half_plane(ve
     for (a_n, a_e), (b_n, b_e) in zip(vertices, (*vertices[1:], vertices[0]), strict=True):
         to_n, to_e = b_n - a_n, b_e - a_e
         depths.append((to_n * (point[1] - a_e) - to_e * (point[0] - a_n)) / hypot(to_n, to_e))
-    margin_m = fence(polygon(vertices)).margin_m(at(*point), HOME, SITE)
+    margin_m = margin_of(fence(polygon(vertices)), at(*point), HOME, SITE)
     if min(depths) > 0.0:
         assert margin_m == pytest.approx(min(depths), abs=1e-3)
     else:
@@ -145,14 +151,14 @@ def test_a_ray_through_vertices_counts_them_once(vertices, point):
 @given(stars(), points)
 def test_an_exclusion_is_the_opposite_of_an_inclusion(vertices, point):
     place = at(*point)
-    including = fence(polygon(vertices)).margin_m(place, HOME, SITE)
-    assert fence(polygon(vertices, inclusion=False)).margin_m(place, HOME, SITE) == -including
+    including = margin_of(fence(polygon(vertices)), place, HOME, SITE)
+    assert margin_of(fence(polygon(vertices, inclusion=False)), place, HOME, SITE) == -including
 
 
 @settings(max_examples=200, deadline=None)
 @given(points, points, st.floats(1.0, 200.0))
 def test_circles_are_plane_geometry_on_the_site(centre, point, radius_m):
-    margin_m = fence(circle(*centre, radius_m)).margin_m(at(*point), HOME, SITE)
+    margin_m = margin_of(fence(circle(*centre, radius_m)), at(*point), HOME, SITE)
     distance_m = hypot(point[0] - centre[0], point[1] - centre[1])
     assert margin_m == pytest.approx(radius_m - distance_m, abs=1e-4)
 
@@ -162,7 +168,7 @@ def test_circles_are_plane_geometry_on_the_site(centre, point, radius_m):
 def test_the_margin_changes_by_at_most_the_distance_flown(vertices, one, other):
     """The predicted braking path relies on this."""
     both = fence(polygon(vertices), circle(0.0, 100.0, 50.0, inclusion=False), max_horizontal_m=200.0)
-    change_m = abs(both.margin_m(at(*one), HOME, SITE) - both.margin_m(at(*other), HOME, SITE))
+    change_m = abs(margin_of(both, at(*one), HOME, SITE) - margin_of(both, at(*other), HOME, SITE))
     assert change_m <= hypot(one[0] - other[0], one[1] - other[1]) + 1e-6
 
 
@@ -186,9 +192,9 @@ def test_the_margin_does_not_depend_on_the_estimators_origin(lat_deg, lon_deg, v
     place = np.array((*point, 0.0))
     shapes = fence(shape)
     from_other = geodetic_to_ned(*ned_to_geodetic(place, **origin_of(site)), **origin_of(other))
-    one = shapes.margin_m(place, HOME, site)
-    assert shapes.margin_m(from_other, HOME, other) == pytest.approx(one, abs=0.05)
-    assert shapes.margin_m(place, HOME, site) == one
+    one = margin_of(shapes, place, HOME, site)
+    assert margin_of(shapes, from_other, HOME, other) == pytest.approx(one, abs=0.05)
+    assert margin_of(shapes, place, HOME, site) == one
 
 
 def origin_of(origin):
@@ -210,7 +216,7 @@ def test_the_antimeridian_is_no_special_case(lat_deg, lon_deg, point):
             for north, east in ((-1.0, -1.0), (-1.0, 1.0), (1.0, 1.0), (1.0, -1.0))
         ]
         shape = FencePolygon(vertices=tuple(vertices), inclusion=True)
-        margins.append(fence(shape).margin_m(at(*point), HOME, Origin(lat_deg, centre_deg, 0.0)))
+        margins.append(margin_of(fence(shape), at(*point), HOME, Origin(lat_deg, centre_deg, 0.0)))
     assert margins[0] == pytest.approx(margins[1], abs=1e-5)
 
 
@@ -219,7 +225,7 @@ def test_a_fence_around_the_pole_contains_it():
     shape = FencePolygon(
         vertices=tuple((89.99, lon_deg) for lon_deg in (0.0, 90.0, 180.0, -90.0)), inclusion=True
     )
-    margin_m = fence(shape).margin_m((0.0, 0.0, 0.0), HOME, Origin(90.0, 0.0, 0.0))
+    margin_m = margin_of(fence(shape), (0.0, 0.0, 0.0), HOME, Origin(90.0, 0.0, 0.0))
     polar_radius_m = SEMI_MAJOR_AXIS_M / (1.0 - 1.0 / 298.257223563)  # of curvature, a^2 / b
     assert margin_m == pytest.approx(polar_radius_m * radians(0.01) / 2.0**0.5, rel=1e-4)
 
@@ -233,7 +239,7 @@ def test_a_distant_fence_stays_distant_in_the_local_plane(away_deg):
     )
     far = FenceCircle(lat_deg=lat_deg, lon_deg=lon_deg, radius_m=1_000.0, inclusion=True)
     chord_m = 2.0 * SEMI_MAJOR_AXIS_M * sin(radians(away_deg) / 2.0)
-    margin_m = fence(far).margin_m((0.0, 0.0, 0.0), HOME, SITE)
+    margin_m = margin_of(fence(far), (0.0, 0.0, 0.0), HOME, SITE)
     assert margin_m == pytest.approx(1_000.0 - chord_m, rel=0.01)
 
 
@@ -269,7 +275,7 @@ def test_a_position_on_the_border_is_a_breach():
 
 
 def test_without_a_fence_everything_is_allowed_and_without_home_its_limits_are_ignored():
-    assert fence().margin_m(at(1e6), HOME, SITE) == inf
+    assert margin_of(fence(), at(1e6), HOME, SITE) == inf
     assert fence().check(at(1e6, 1e6, 1e6), HOME, SITE) is None
     limits = fence(max_horizontal_m=10.0, max_vertical_m=10.0)
     assert limits.check(at(1e6), None, SITE) is None
@@ -415,4 +421,4 @@ def test_a_thousand_vertices_are_checked_fast():
     bearings = np.linspace(0.0, 2.0 * pi, 1000, endpoint=False)
     ring = polygon([(200.0 * cos(b), 200.0 * sin(b)) for b in bearings])
     # the nearest points of a regular polygon's border are the midpoints of the edges: r cos(pi / n)
-    assert fence(ring).margin_m(at(0.0), HOME, SITE) == pytest.approx(200.0 * cos(pi / 1000), abs=1e-3)
+    assert margin_of(fence(ring), at(0.0), HOME, SITE) == pytest.approx(200.0 * cos(pi / 1000), abs=1e-3)

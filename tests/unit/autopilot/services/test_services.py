@@ -2,8 +2,7 @@
 
 from pymavlink.dialects.v20 import common
 
-from autopilot.services.service import GROUND_STATION, NEVER_US, Partner, reply
-from autopilot.services.services import Services
+from autopilot.services.service import GROUND_STATION, NEVER_US, Partner, Services, reply
 
 STATION = Partner(GROUND_STATION, 0)
 PERIOD_US = 100_000
