@@ -147,11 +147,8 @@ _EXCEPT_MISSION, _EXCEPT_AUTO, _EXCEPT_OFFBOARD = 1, 2, 4
 """Bits of COM_RCL_EXCEPT and COM_DLL_EXCEPT."""
 _SETTLING_US = 3 * US_PER_S
 """For this time after the spool-up a vehicle that tips over is disarmed; later its flight is terminated."""
-
-
 _TERMINATE_AFTER_US = 500_000
-"""If no mode is feasible the vehicle descends for this time, in case the fault is transient, before the
-motors stop."""
+"""Descent without a feasible mode before the motors stop, in case the fault is transient."""
 
 
 class Decision(NamedTuple):

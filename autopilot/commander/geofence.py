@@ -20,14 +20,12 @@ from foundation.geometry.geodesy import geodetic_to_ned, ned_to_geodetic
 from foundation.types import Array
 
 EXTENT_MAX_M = 100_000.0
-"""Greatest extent of a shape from its centre or first vertex; beyond it a plane does not approximate the
-earth."""
+"""Greatest extent of a shape from its centre or first vertex, for which a plane approximates the earth."""
 VERTICES_MAX = 1_000
 SAME_PLACE_M = 0.01
 """The resolution of MAVLink's degE7."""
 PATH_SAMPLES = 64
-"""The braking path is sampled in steps of its length divided by this number, or in longer ones where it is
-safe."""
+"""Steps in which a braking path is sampled; where it is safe they are longer."""
 
 Vertex = tuple[float, float]
 Vector = Array | Sequence[float]

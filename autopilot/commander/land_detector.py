@@ -20,8 +20,7 @@ LANDED_US = 300_000
 LOW_THRUST_OF_HOVER = 0.3
 """Share of the hover thrust below which the vehicle cannot be flying."""
 DESCENT_DEMAND_M_S = 0.27
-"""0.9 times PX4's slowest landing speed (MPC_LAND_CRWL): at a greater demand no motion means ground
-contact."""
+"""0.9 MPC_LAND_CRWL, PX4's slowest landing speed: at a greater demand no motion means ground contact."""
 LEFT_GROUND_HEIGHT_M = 0.15
 LEFT_GROUND_CLIMB_M_S = 0.5
 

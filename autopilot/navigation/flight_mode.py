@@ -18,8 +18,7 @@ from autopilot.navigation.params import NavigationParams
 from foundation.types import Array, AttitudeSetpoint, Course, EstimatorState, TrajectorySetpoint
 
 ON_GROUND_M = 0.3
-"""A target less than this above the last position on the ground counts as on the ground, given the accuracy
-of heights."""
+"""Height above the last position on the ground, given its accuracy, below which a target is on the ground."""
 VERTICAL = (False, False, True)
 IDLE = TrajectorySetpoint(vel_ned_m_s=np.zeros(3), vel_axes=VERTICAL)
 """Setpoint of an armed vehicle that stays on the ground."""
@@ -53,7 +52,7 @@ class Moment(Struct, frozen=True, kw_only=True):
     landed: bool
     touching: bool
     """Ground contact is suspected, so the setpoint must not push against the ground."""
-    home_ned_m: HomePosition | None
+    home_ned_m: HomePosition | None = None
 
     @property
     def home_down_m(self) -> float:
@@ -73,11 +72,11 @@ class ModeEntry(Moment, frozen=True, kw_only=True):
 class ModeInputs(Moment, frozen=True, kw_only=True):
     """Inputs of a step of a mode."""
 
-    manual: ManualInput | None
+    manual: ManualInput | None = None
     """Sticks; None: centred."""
-    hover_thrust: float | None
+    hover_thrust: float | None = None
     """Thrust at mid throttle, 0..1; None: MPC_THR_HOVER."""
-    disturbance_ned_m_s2: Array | None
+    disturbance_ned_m_s2: Array | None = None
     """(3,) acceleration that the controller compensates."""
 
     @property

@@ -14,8 +14,7 @@ UP = np.array((0.0, 0.0, -1.0))
 
 _DESCEND_GAIN_1_S = 2.0
 _DESCEND_ACC_MAX_M_S2 = 2.0
-"""Descent without a valid velocity, which the controller then does not control: a proportional law replaces
-it."""
+"""Proportional law that replaces the controller in a descent without a valid velocity."""
 _SETTLE_ACC_M_S2 = 8.0
 """After such a descent no integral reduces thrust on the ground; an acceleration of most of gravity does."""
 

@@ -33,8 +33,7 @@ _WIDEST_CONE_RAD = math.radians(89.0)
 _AT_HOME_M = 10.0
 """A rally point nearer to home than this is ignored (PX4's MAX_DIST_FROM_HOME_FOR_LAND_APPROACHES)."""
 _CLEARLY_NEARER_M = 2.0
-"""A rally point is selected only if it is nearer by this than the previous choice (PX4's
-MIN_DIST_THRESHOLD)."""
+"""A rally point must be nearer by this than the previous choice (PX4's MIN_DIST_THRESHOLD)."""
 
 
 class ReturnPhase(Enum):

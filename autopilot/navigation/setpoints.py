@@ -11,7 +11,6 @@ from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation.flight_mode import (
     FlightModeBehaviour,
     HomePosition,
-    ManualInput,
     ModeContext,
     ModeEntry,
     ModeInputs,
@@ -131,28 +130,8 @@ class Navigator:
         )  # fmt: skip
         self.behaviours[mode].enter(entry)
 
-    def update(
-        self,
-        state: EstimatorState,
-        *,
-        dt_s: float,
-        landed: bool,
-        touching: bool,
-        home_ned_m: HomePosition | None = None,
-        manual: ManualInput | None = None,
-        hover_thrust: float | None = None,
-        disturbance_ned_m_s2: Array | None = None,
-    ) -> TrajectorySetpoint | AttitudeSetpoint:
-        """Return the setpoint of the present mode.
-
-        ``touching``: ground contact is suspected, so the setpoint must not push against the ground.
-        ``manual``: sticks; None: centred. ``hover_thrust``: thrust at mid throttle in stabilized mode; None:
-        MPC_THR_HOVER. ``disturbance_ned_m_s2``: (3,) acceleration that the controller compensates.
-        """
-        inputs = ModeInputs(
-            state=state, dt_s=dt_s, landed=landed, touching=touching, home_ned_m=home_ned_m,
-            manual=manual, hover_thrust=hover_thrust, disturbance_ned_m_s2=disturbance_ned_m_s2,
-        )  # fmt: skip
+    def update(self, inputs: ModeInputs) -> TrajectorySetpoint | AttitudeSetpoint:
+        """Return the setpoint of the present mode."""
         return self.behaviours[self._mode].update(inputs)
 
 

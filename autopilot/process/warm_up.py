@@ -13,7 +13,7 @@ from autopilot.estimation.atmosphere import pressure_pa
 from autopilot.estimation.sensor_input import BARO_FIELDS, IMU_FIELDS, MAG_FIELDS
 from autopilot.mavlink.hil import HilActuatorControls, HilSensor, pack
 from autopilot.mavlink.modes import FlightMode
-from autopilot.navigation.flight_mode import ManualInput
+from autopilot.navigation.flight_mode import ManualInput, ModeInputs
 from autopilot.navigation.setpoints import Navigator
 from autopilot.onboard.app import OnboardApp
 from autopilot.onboard.formation.phases import FlightPhase
@@ -84,9 +84,10 @@ def _warm_up_modes(vehicle: Vehicle) -> None:
     ):  # fmt: skip
         navigator.enter(mode, state, landed=False, takeoff_down_m=0.0, home_ned_m=home_ned_m)
         for _ in range(2):
-            setpoint = navigator.update(
-                state, dt_s=0.004, landed=False, touching=False, home_ned_m=home_ned_m, manual=sticks
+            inputs = ModeInputs(
+                state=state, dt_s=0.004, landed=False, touching=False, home_ned_m=home_ned_m, manual=sticks
             )
+            setpoint = navigator.update(inputs)
         vehicle.pilot.controller.update(state, setpoint, dt_s=0.004, landed=False)
     rates = RateSetpoint(rate_frd_rad_s=np.zeros(3), thrust=0.5)
     vehicle.pilot.controller.update(state, rates, dt_s=0.004, landed=False)

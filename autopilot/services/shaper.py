@@ -31,8 +31,7 @@ BURST_US = 100_000
 MOST_DEBT_US = 1_000_000
 """Largest debt due to answers, as time at the full rate."""
 MAX_WAITING = 64
-"""Waiting messages of transfers; further ones are dropped, and must be requested again. Services that check
-`has_room` before they send do not reach this limit."""
+"""Waiting messages of transfers; further ones, from services that do not check `has_room`, are dropped."""
 _HEARTBEAT = common.MAVLINK_MSG_ID_HEARTBEAT
 _US_PER_S = 1_000_000
 

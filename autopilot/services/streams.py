@@ -43,8 +43,7 @@ APPLICATION_HZ: dict[int, float] = {
     common.MAVLINK_MSG_ID_GPS_RAW_INT: COMPANION_HZ[common.MAVLINK_MSG_ID_GPS_RAW_INT],
     common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: COMPANION_HZ[common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN],
 }
-"""Rates to the on-board application in this process besides the heartbeat: the position at the rate of its
-setpoints, the rest at a companion's rates."""
+"""To the on-board application: the position at the rate of its setpoints, the rest as to a companion."""
 
 APPLICATION_WITH_ATTITUDE_HZ = {
     **APPLICATION_HZ,

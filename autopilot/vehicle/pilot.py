@@ -12,7 +12,7 @@ from autopilot.commander.land_detector import LandDetector, LandStage
 from autopilot.control import FlightController
 from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation.feasibility import distance_warning, fence_violation
-from autopilot.navigation.flight_mode import IDLE, ON_GROUND_M
+from autopilot.navigation.flight_mode import IDLE, ON_GROUND_M, ModeInputs
 from autopilot.navigation.orbit import Circle, YawBehaviour
 from autopilot.navigation.plan_store import PlanStore, PlanType
 from autopilot.navigation.setpoints import Navigator, down_demand_m_s
@@ -254,8 +254,8 @@ class Pilot:
         elif offboard is not None:
             setpoint = offboard
         else:
-            setpoint = self.navigator.update(
-                state,
+            inputs = ModeInputs(
+                state=state,
                 dt_s=dt_s,
                 landed=landed,
                 touching=self._land_detector.stage is not LandStage.AIRBORNE,
@@ -264,6 +264,7 @@ class Pilot:
                 hover_thrust=controller.hover_thrust,
                 disturbance_ned_m_s2=controller.disturbance_ned_m_s2,
             )
+            setpoint = self.navigator.update(inputs)
         self._setpoint = setpoint
         flight.setpoint = setpoint if isinstance(setpoint, TrajectorySetpoint) else None
         controller.update(state, setpoint, dt_s=dt_s, landed=landed)

@@ -10,6 +10,7 @@ from autopilot.commander.land_detector import LandDetector, LandDetectorParams, 
 from autopilot.control import ControlParams, FlightController
 from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation import plan_items
+from autopilot.navigation.flight_mode import ModeInputs
 from autopilot.navigation.mission import MissionCommand, MissionItem
 from autopilot.navigation.params import NavigationParams
 from autopilot.navigation.plan_store import Refused
@@ -58,10 +59,11 @@ class Loop:
         )
 
     def update(self):
-        self.setpoint = self.navigator.update(
-            self.state, dt_s=DT_S, landed=self.landed, touching=self.touching, home_ned_m=self.home_ned_m,
-            manual=self.manual, disturbance_ned_m_s2=self.disturbance_ned_m_s2,
+        inputs = ModeInputs(
+            state=self.state, dt_s=DT_S, landed=self.landed, touching=self.touching,
+            home_ned_m=self.home_ned_m, manual=self.manual, disturbance_ned_m_s2=self.disturbance_ned_m_s2,
         )  # fmt: skip
+        self.setpoint = self.navigator.update(inputs)
         return self.setpoint
 
     @property

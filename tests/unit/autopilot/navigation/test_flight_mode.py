@@ -5,6 +5,7 @@ from control_fixtures import estimate
 from navigation_fixtures import CONTROL, HOME
 
 from autopilot.mavlink.modes import FlightMode
+from autopilot.navigation.flight_mode import ModeInputs
 from autopilot.navigation.params import NavigationParams
 from autopilot.navigation.setpoints import Navigator
 from foundation.types import Course, TrajectorySetpoint
@@ -42,7 +43,8 @@ def test_another_behaviour_flies_a_mode_until_it_ends():
     navigator.set_params(NavigationParams(), CONTROL.trajectory, CONTROL.position)
     steps = 0
     while navigator.next_mode(level_state) is None:
-        setpoint = navigator.update(level_state, dt_s=0.008, landed=False, touching=False)
+        inputs = ModeInputs(state=level_state, dt_s=0.008, landed=False, touching=False)
+        setpoint = navigator.update(inputs)
         steps += 1
     assert steps == 125
     np.testing.assert_array_equal(setpoint.vel_ned_m_s, (0.0, 0.0, -1.0))

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from navigation_fixtures import CONTROL, DT_S, FlightMode, Ideal, Real
 
 from autopilot.control.hover_thrust import GRAVITY_M_S2
-from autopilot.navigation.flight_mode import IDLE, ManualInput
+from autopilot.navigation.flight_mode import IDLE, ManualInput, ModeInputs
 from autopilot.navigation.manual import curve
 from autopilot.navigation.params import ManualParams, NavigationParams
 from foundation.geometry.rotations import quat_rotate, quat_to_euler
@@ -138,7 +138,8 @@ def test_the_thrust_curve_is_hover_thrust_in_the_middle(throttle, landed, thrust
 
 def test_an_estimated_hover_thrust_is_used_in_the_middle():
     loop = in_mode(Ideal((0.0, 0.0, -10.0)), FlightMode.STABILIZED)
-    setpoint = loop.navigator.update(loop.state, dt_s=DT_S, landed=False, touching=False, hover_thrust=0.4)
+    inputs = ModeInputs(state=loop.state, dt_s=DT_S, landed=False, touching=False, hover_thrust=0.4)
+    setpoint = loop.navigator.update(inputs)
     assert setpoint.thrust == 0.4
 
 
