@@ -98,9 +98,8 @@ def resistance_growth(charge: float) -> float:
 class BatterySimulator:
     """Simulated pack of one vehicle; call `update` several times a second.
 
-    The motor current is proportional to rotor power: the cube of the speed, or thrust to the power of 1.5.
-    The speed follows the command u as in the physics, 1000 u + 100 rad/s. The model neglects that a lower
-    voltage requires a greater current for the same power.
+    The motor current is proportional to rotor power, the cube of the speed, which follows the command u as in
+    the physics: 1000 u + 100 rad/s. That a lower voltage requires a greater current is neglected.
     """
 
     def __init__(self, params: BatterySimParams, pack: BatteryParams) -> None:

@@ -40,10 +40,7 @@ class Notice(NamedTuple):
 
 
 class Commander:
-    """Mode and arming state; requests are `arm`, `disarm`, `set_mode`.
-
-    Call `update` several times a second.
-    """
+    """Mode and arming; requests are `arm`, `disarm`, `set_mode`. Call `update` several times a second."""
 
     def __init__(self, params: CommanderParams) -> None:
         self.params = params

@@ -34,6 +34,13 @@ class LandStage(IntEnum):
     LANDED = 3
 
 
+_STAGE_US = {
+    LandStage.AIRBORNE: GROUND_CONTACT_US,
+    LandStage.GROUND_CONTACT: MAYBE_LANDED_US,
+    LandStage.MAYBE_LANDED: LANDED_US,
+}
+
+
 class LandDetectorParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Motion thresholds."""
 
@@ -119,17 +126,9 @@ class LandDetector:
         if not contact:
             self.stage = LandStage.AIRBORNE
             self._since_us = now_us
-        elif self.stage is LandStage.AIRBORNE:
-            self._climb_stage(now_us, LandStage.GROUND_CONTACT, GROUND_CONTACT_US)
-        elif not resting:
+        elif not resting and self.stage is not LandStage.AIRBORNE:
             self.stage = LandStage.GROUND_CONTACT
             self._since_us = now_us
-        elif self.stage is LandStage.GROUND_CONTACT:
-            self._climb_stage(now_us, LandStage.MAYBE_LANDED, MAYBE_LANDED_US)
-        else:
-            self._climb_stage(now_us, LandStage.LANDED, LANDED_US)
-
-    def _climb_stage(self, now_us: int, stage: LandStage, after_us: int) -> None:
-        if now_us - self._since_us >= after_us:
-            self.stage = stage
+        elif now_us - self._since_us >= _STAGE_US[self.stage]:
+            self.stage = LandStage(self.stage + 1)
             self._since_us = now_us

@@ -205,10 +205,8 @@ def stamp(message: Message, *, system: int, component: int) -> Message:
 def frame_bytes(message: Message) -> int:
     """Length of a message's unsigned MAVLink 2 frame in bytes."""
     header = message.get_header()
-    _SIZING.srcSystem, _SIZING.srcComponent = (
-        header.srcSystem,
-        header.srcComponent,
-    )  # packing overwrites them
+    # packing overwrites them
+    _SIZING.srcSystem, _SIZING.srcComponent = header.srcSystem, header.srcComponent
     frame: bytes = message.pack(_SIZING)
     return len(frame)
 

@@ -10,6 +10,7 @@ from enum import IntEnum
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from autopilot.control.params import TrajectoryParams
 from autopilot.navigation.flight_mode import IDLE, ModeContext, ModeEntry, ModeInputs, StopMode
@@ -54,10 +55,8 @@ class Circle(Struct, frozen=True, kw_only=True):
         """Return the circle within the bounds."""
         radius_m = min(max(self.radius_m, RADIUS_MIN_M), RADIUS_MAX_M)
         most_m_s = min(SPEED_MAX_M_S, math.sqrt(ACC_MAX_M_S2 * radius_m))
-        return Circle(
-            north_m=self.north_m, east_m=self.east_m, down_m=self.down_m, radius_m=radius_m,
-            speed_m_s=min(max(self.speed_m_s, -most_m_s), most_m_s), yaw=self.yaw,
-        )  # fmt: skip
+        speed_m_s = min(max(self.speed_m_s, -most_m_s), most_m_s)
+        return replace(self, radius_m=radius_m, speed_m_s=speed_m_s)
 
 
 def default_circle(state: EstimatorState) -> Circle:

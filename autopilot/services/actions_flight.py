@@ -213,13 +213,8 @@ class FlightCommands:
         lat_deg, lon_deg, alt_m = place[1:]
         if place.frame not in _FRAMES:
             return Answer(UNSUPPORTED)
-        if (lat_deg is None) is not (lon_deg is None):
-            return answer_for("Place", Reason.BAD_ARGUMENT)
-        if (
-            lat_deg is not None
-            and lon_deg is not None
-            and not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0)
-        ):
+        is_half = (lat_deg is None) is not (lon_deg is None)
+        if is_half or abs(lat_deg or 0.0) > 90.0 or abs(lon_deg or 0.0) > 180.0:
             return answer_for("Place", Reason.BAD_ARGUMENT)
         if alt_m is not None and place.frame in RELATIVE_FRAMES:
             if self._flight.home is None:

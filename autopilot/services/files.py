@@ -1,7 +1,6 @@
 """Virtual file system that stations may read: a dictionary of paths; nothing else can be accessed.
 
-A file is an object that can be read at an offset. Its reader is supplied by the code that adds it: files on
-disk by the process, files with current values are generated when they are opened.
+Files on disk are added by the process; files with current values are generated when they are opened.
 """
 
 from collections.abc import Callable

@@ -258,20 +258,17 @@ class FtpService(Service):
 
 
 def _next_packets(number: int, session: _Session) -> Iterator[Message]:
+    """Packets of a session's burst for one period; the last of the burst is marked as such."""
     for _ in range(BURST_PACKETS):
-        if session.burst is not None:
-            yield _next_packet(number, session, session.burst)
-
-
-def _next_packet(number: int, session: _Session, burst: _Burst) -> Message:
-    """Next packet of a session's burst; the last is marked as such."""
-    data = session.file.read(burst.offset, burst.packet_bytes)
-    offset = burst.offset + len(data)
-    left = burst.packets - 1
-    complete = left == 0 or offset >= session.file.size() or not data
-    session.burst = None if complete else _Burst(burst.seq + 1, offset, burst.packet_bytes, left)
-    header = (burst.seq % 65_536, number, Opcode.ACK, len(data), Opcode.BURST, complete, burst.offset)
-    return _message(header, data, session.target)
+        burst = session.burst
+        if burst is None:
+            return
+        data = session.file.read(burst.offset, burst.packet_bytes)
+        offset, left = burst.offset + len(data), burst.packets - 1
+        complete = left == 0 or offset >= session.file.size() or not data
+        session.burst = None if complete else _Burst(burst.seq + 1, offset, burst.packet_bytes, left)
+        header = (burst.seq % 65_536, number, Opcode.ACK, len(data), Opcode.BURST, complete, burst.offset)
+        yield _message(header, data, session.target)
 
 
 def _formed(request: FtpRequest, answer: _Answer, target: tuple[int, int]) -> Message:

@@ -125,10 +125,7 @@ class ParameterService(ListingService):
         self._changed[name] = None
 
     def take_by_value(self, partner: Partner) -> None:
-        """Accept integers as floats from a partner that reads the parameters from param.pck.
-
-        MAVProxy then loses the types and sends every value as a float.
-        """
+        """Accept integers as floats from a reader of param.pck: MAVProxy then sends all values as floats."""
         self._typeless[partner] = None
 
     def _list(self, _message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:

@@ -14,6 +14,7 @@ from pymavlink.dialects.v20 import common
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.local_messages import PositionTarget
 from autopilot.navigation.site_frame import horizontal_ned_m
+from autopilot.services.command import AMSL_FRAMES, RELATIVE_FRAMES
 from autopilot.services.flight_data import FlightData
 from foundation.geometry.rotations import quat_to_euler
 from foundation.types import (
@@ -36,8 +37,6 @@ _YAW_RATE_IGNORED = common.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
 _BY_HEADING = frozenset({common.MAV_FRAME_BODY_NED, common.MAV_FRAME_BODY_OFFSET_NED})
 _FROM_HERE = frozenset({common.MAV_FRAME_LOCAL_OFFSET_NED, common.MAV_FRAME_BODY_OFFSET_NED})
 _LOCAL_NED = int(common.MAV_FRAME_LOCAL_NED)
-_ABOVE_SEA = frozenset({common.MAV_FRAME_GLOBAL, common.MAV_FRAME_GLOBAL_INT})
-_ABOVE_HOME = frozenset({common.MAV_FRAME_GLOBAL_RELATIVE_ALT, common.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT})
 
 _ROLL_PITCH_RATE_IGNORED = (
     common.ATTITUDE_TARGET_TYPEMASK_BODY_ROLL_RATE_IGNORE
@@ -146,7 +145,7 @@ def _position(frame: int, group: _Group, state: EstimatorState) -> _Group | None
 def _global_position(message: Message, flight: FlightData) -> _Group | None:
     """Convert degrees and an altitude above sea level or home to a position from the estimator's origin."""
     frame, state, home = message.coordinate_frame, flight.state, flight.home
-    if frame not in _ABOVE_SEA | _ABOVE_HOME:
+    if frame not in AMSL_FRAMES | RELATIVE_FRAMES:
         return None
     lat_deg, lon_deg = message.lat_int * 1e-7, message.lon_int * 1e-7
     group = _group(message.type_mask, (lat_deg, lon_deg, message.alt))
@@ -161,9 +160,9 @@ def _global_position(message: Message, flight: FlightData) -> _Group | None:
     if axes[0]:
         north_m, east_m = horizontal_ned_m(lat_deg, lon_deg, state).tolist()
     if axes[2]:
-        if frame in _ABOVE_HOME and home is None:
+        if frame in RELATIVE_FRAMES and home is None:
             return None
-        zero_amsl_m = home.alt_m if frame in _ABOVE_HOME and home is not None else 0.0
+        zero_amsl_m = home.alt_m if frame in RELATIVE_FRAMES and home is not None else 0.0
         down_m = state.origin_alt_m - (zero_amsl_m + message.alt)
     return (north_m, east_m, down_m), axes
 
