@@ -99,7 +99,7 @@ class FlightModeBehaviour(Protocol):
     def update(self, inputs: ModeInputs) -> TrajectorySetpoint | AttitudeSetpoint:
         """Return the setpoint of this step, which must be continuous while the mode lasts.
 
-        A landed vehicle gets `IDLE` of this module, unless the mode is to lift off.
+        A landed vehicle gets `autopilot.navigation.flight_mode.IDLE`, unless the mode is to lift off.
         """
 
     def next_mode(self, state: EstimatorState, /) -> FlightMode | None:

@@ -39,8 +39,8 @@ class Addressed(NamedTuple):
 class MavlinkService(Protocol):
     """A state machine that receives messages and time and returns the messages to send.
 
-    Consumers: `Services` and `autopilot.vehicle.messaging`. A vehicle has one instance of each service for
-    all of its links. Conversation state is kept per partner.
+    Consumers: `autopilot.services.service.Services` and `autopilot.vehicle.messaging`. A vehicle has one
+    instance of each service for all of its links. Conversation state is kept per partner.
 
     Time is the vehicle's simulated time in us and never decreases; there is no other clock and no I/O. Equal
     calls give equal messages. Call order: `on_message` at any time, `on_timer` at the first step at or after
