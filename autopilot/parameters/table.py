@@ -71,6 +71,8 @@ class Parameter(NamedTuple):
     setting_per_unit: float = 1.0
     """Conversion factor from PX4's unit to the setting's."""
     is_integer: bool = False
+    only_at_start: bool = False
+    """It cannot change while the vehicle runs."""
 
     @property
     def group(self) -> str:
@@ -120,7 +122,7 @@ TABLE = (
     Parameter("EKF2_ACC_NOISE", "estimation.accel_noise_m_s2", "m/s^2", 0.01, 1.0),
     Parameter("EKF2_BARO_GATE", "estimation.baro_gate", "SD", 1.0, 100.0),
     Parameter("EKF2_BARO_NOISE", "estimation.baro_noise_m", "m", 0.01, 10.0),
-    Parameter("EKF2_GPS_DELAY", "estimation.gps_delay_us", "ms", 0.0, 300.0, 1000.0),
+    Parameter("EKF2_GPS_DELAY", "estimation.gps_delay_us", "ms", 0.0, 300.0, 1000.0, only_at_start=True),
     Parameter("EKF2_GPS_P_GATE", "estimation.gps_pos_gate", "SD", 1.0, 100.0),
     Parameter("EKF2_GPS_P_NOISE", "estimation.gps_pos_noise_m", "m", 0.01, 10.0),
     Parameter("EKF2_GPS_V_GATE", "estimation.gps_vel_gate", "SD", 1.0, 100.0),
@@ -298,6 +300,7 @@ class ParameterSet:
         self.version = 0
         """Increases with every change."""
         self._subscriptions: list[_Subscription] = []
+        self._reports: list[Callable[[str], None]] = []
         for name, value in (overrides or {}).items():
             self._change(name, value)
         _check_order(self.settings)
@@ -313,6 +316,10 @@ class ParameterSet:
             getter(self.settings)
         self._subscriptions.append(_Subscription(apply, getters))
 
+    def report_to(self, report: Callable[[str], None]) -> None:
+        """Call ``report`` with the name of each parameter that `set` or `reset` has changed."""
+        self._reports.append(report)
+
     def get(self, name: str) -> float:
         """Value in PX4's unit. Raises ParameterError for an unknown name."""
         if name in self.stated:
@@ -322,6 +329,8 @@ class ParameterSet:
 
     def set(self, name: str, value: float) -> None:
         """Change a value, given in PX4's unit. Raises ParameterError; then nothing is changed."""
+        if _only_at_start(name):
+            raise ParameterError(f"{name} can only be set at the start", ParameterProblem.READ_ONLY)
         before = self.settings
         self._change(name, value)
         if self.settings is not before:
@@ -330,14 +339,13 @@ class ParameterSet:
             except ParameterError:
                 self.settings = before
                 raise
-        self.version += 1
-        self._publish(before)
+        self._publish(before, [name])
 
-    def reset(self, names: Iterable[str]) -> list[str]:
-        """Reset parameters to their values before any overrides; return those that have changed.
+    def reset(self, names: Iterable[str]) -> None:
+        """Reset parameters to their values before any overrides.
 
-        Read-only ones are left. Raises ParameterError if the result is inconsistent with the other
-        parameters; then nothing is changed.
+        Read-only ones and those that can only be set at the start are left. Raises ParameterError if the
+        result is inconsistent with the other parameters; then nothing is changed.
         """
         before, stated, changed = self.settings, dict(self.stated), []
         settings = before
@@ -347,6 +355,8 @@ class ParameterSet:
                     stated[name] = STATED_OF[name].default
                     changed.append(name)
                 continue
+            if _only_at_start(name):
+                continue
             parameter = _find(name)
             default = _setting(self._defaults, parameter)
             if _setting(settings, parameter) != default:
@@ -354,19 +364,19 @@ class ParameterSet:
                 changed.append(name)
         _check_order(settings)
         self.settings, self.stated = settings, stated
-        self.version += 1
-        self._publish(before)
-        return changed
+        self._publish(before, changed)
 
-    def _publish(self, before: Settings) -> None:
-        """Pass the groups that are not those of before to their subscribers."""
+    def _publish(self, before: Settings, names: Iterable[str]) -> None:
+        """Pass the groups that are not those of before to their subscribers, and report the names."""
+        self.version += 1
         settings = self.settings
-        if settings is before:
-            return
-        for apply, groups in self._subscriptions:
+        for apply, groups in self._subscriptions if settings is not before else ():
             present = [group(settings) for group in groups]
             if any(new is not group(before) for new, group in zip(present, groups, strict=True)):
                 apply(*present)
+        for name in names:
+            for report in self._reports:
+                report(name)
 
     def _change(self, name: str, value: float) -> None:
         """Change one value without a check against the others. Raises ParameterError."""
@@ -390,6 +400,11 @@ def check_range(name: str, value: float) -> None:
         raise ParameterError(f"parameter {name} = {value:g} is outside {limits}")
     if row.is_integer and value != round(value):
         raise ParameterError(f"parameter {name} = {value:g} is not a whole number")
+
+
+def _only_at_start(name: str) -> bool:
+    index = INDEX_OF.get(name)
+    return index is not None and TABLE[index].only_at_start
 
 
 def _find(name: str) -> Parameter:

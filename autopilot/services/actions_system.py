@@ -7,6 +7,7 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.dialect import ProtocolVersion
+from autopilot.parameters.table import ROWS, ParameterSet
 from autopilot.services.available_modes import AVAILABLE_MODES_ID, available_modes
 from autopilot.services.command import (
     ACCEPTED,
@@ -39,16 +40,17 @@ class SystemCommands:
         *,
         calibrate: Action,
         save_parameters: Callable[[], bool],
-        reset_parameters: Callable[[tuple[str, ...]], bool],
+        parameters: ParameterSet,
+        is_armed: Callable[[], bool],
     ) -> None:
         """``streams`` are keyed by link number.
 
         ``save_parameters`` starts writing the parameter file and returns whether there is one.
-        ``reset_parameters`` resets parameters with these prefixes and returns whether that is permitted now.
         """
         self._streams = streams
         self._save_parameters = save_parameters
-        self._reset_parameters = reset_parameters
+        self._parameters = parameters
+        self._is_armed = is_armed
         self.table: dict[int, Action] = {
             common.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_message_interval,
             common.MAV_CMD_GET_MESSAGE_INTERVAL: self._get_message_interval,
@@ -109,9 +111,11 @@ class SystemCommands:
             return Answer(IN_PROGRESS if self._save_parameters() else UNSUPPORTED)
         if what not in {_RESET, _RESET_SENSORS, _RESET_ALL}:
             return Answer(UNSUPPORTED)
-        if not self._reset_parameters(_OF_SENSORS if what == _RESET_SENSORS else ("",)):
+        if self._is_armed():
             text = "Parameter reset denied: armed"
             return Answer(REJECTED, (status_text(common.MAV_SEVERITY_CRITICAL, text),))
+        beginnings = _OF_SENSORS if what == _RESET_SENSORS else ("",)
+        self._parameters.reset(row.name for row in ROWS if row.name.startswith(beginnings))
         return Answer()
 
 

@@ -6,7 +6,7 @@ names and values: a station whose cached values match sends it back, which ends 
 """
 
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from pymavlink.dialects.v20 import common
@@ -33,9 +33,6 @@ _HASH = -1
 """Index of the checksum in a list."""
 _NAME_BYTES = 16
 
-Setter = Callable[[str, float], None]
-"""Raises ParameterError."""
-
 
 class _HashValue(common.MAVLink_param_value_message):  # type: ignore[misc]  # pymavlink has no types
     """PARAM_VALUE whose value is a uint32, since some of its bit patterns do not survive as a float."""
@@ -46,10 +43,9 @@ class _HashValue(common.MAVLink_param_value_message):  # type: ignore[misc]  # p
 class ListingService(Service):
     """Base of the parameter protocols: reads one value, and sends lists in batches to several partners."""
 
-    def __init__(self, parameters: ParameterSet, put: Setter, has_room: Room, **handlers: Handler) -> None:
+    def __init__(self, parameters: ParameterSet, has_room: Room, **handlers: Handler) -> None:
         super().__init__(**handlers)
         self._parameters = parameters
-        self._put = put
         self._has_room = has_room
         self._next_index: dict[Partner, int] = {}
         """Index that is sent next, by partner."""
@@ -94,10 +90,9 @@ class ListingService(Service):
 class ParameterService(ListingService):
     """The parameters for the partners of all links; each partner may have a list in progress."""
 
-    def __init__(self, parameters: ParameterSet, put: Setter, has_room: Room = always) -> None:
-        """Values are read from ``parameters`` and changed by ``put``."""
+    def __init__(self, parameters: ParameterSet, has_room: Room = always) -> None:
         super().__init__(
-            parameters, put, has_room,
+            parameters, has_room,
             PARAM_REQUEST_LIST=self._list, PARAM_REQUEST_READ=self._read, PARAM_SET=self._set,
         )  # fmt: skip
         self._changed: dict[str, None] = {}
@@ -105,6 +100,7 @@ class ParameterService(ListingService):
         self._text_us = -TEXT_PERIOD_US
         self._hash: tuple[int, int] | None = None
         self._typeless: Newest[Partner, None] = Newest(MOST_TYPELESS)
+        parameters.report_to(self._on_change)
 
     def on_timer(self, now_us: int) -> Sequence[Addressed]:
         """Report changes that were not made by PARAM_SET, and send the next batch of each list."""
@@ -120,8 +116,8 @@ class ParameterService(ListingService):
         """Time of the next batch of a list or of change reports."""
         return min(self._news_due_us, self.due_us) if self._changed else self.due_us
 
-    def on_change(self, name: str) -> None:
-        """Report a parameter that was changed other than by PARAM_SET to all partners."""
+    def _on_change(self, name: str) -> None:
+        """Report a changed parameter to all partners; `_set` does so itself."""
         self._changed[name] = None
 
     def take_by_value(self, partner: Partner) -> None:
@@ -148,7 +144,7 @@ class ParameterService(ListingService):
             index = ROW_INDEX_OF.get(name)
             if index is None:
                 raise ParameterError(f"there is no parameter {name!r}", ParameterProblem.UNKNOWN)  # noqa: TRY301  # one handler answers refusals
-            self._put(name, self._from_wire(index, message, partner))
+            self._parameters.set(name, self._from_wire(index, message, partner))
         except ParameterError as error:
             answers = reply(partner, _refusal(message, error.problem))
             if now_us - self._text_us >= TEXT_PERIOD_US:

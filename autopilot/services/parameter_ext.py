@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Message
 from autopilot.parameters.table import ROW_INDEX_OF, ROWS, ParameterError, ParameterProblem, ParameterSet
-from autopilot.services.parameter import ListingService, Setter, shortest, value_bytes
+from autopilot.services.parameter import ListingService, shortest, value_bytes
 from autopilot.services.service import Addressed, Partner, reply
 from autopilot.services.shaper import Room, always
 
@@ -22,10 +22,9 @@ _KINDS = {True: common.MAV_PARAM_EXT_TYPE_INT32, False: common.MAV_PARAM_EXT_TYP
 class ParameterExtService(ListingService):
     """The parameters in PARAM_EXT messages; changes are reported to the links by `ParameterService`."""
 
-    def __init__(self, parameters: ParameterSet, put: Setter, has_room: Room = always) -> None:
-        """``put`` changes a parameter and reports the change."""
+    def __init__(self, parameters: ParameterSet, has_room: Room = always) -> None:
         super().__init__(
-            parameters, put, has_room, PARAM_EXT_REQUEST_LIST=self._list,
+            parameters, has_room, PARAM_EXT_REQUEST_LIST=self._list,
             PARAM_EXT_REQUEST_READ=self._read, PARAM_EXT_SET=self._set,
         )  # fmt: skip
 
@@ -54,7 +53,7 @@ class ParameterExtService(ListingService):
             try:
                 if message.param_type != kind:
                     raise ParameterError(f"{message.param_id}: wrong type", ParameterProblem.TYPE)  # noqa: TRY301  # one handler answers refusals
-                self._put(message.param_id, _number(message, is_integer=ROWS[index].is_integer))
+                self._parameters.set(message.param_id, _number(message, is_integer=ROWS[index].is_integer))
             except ParameterError:
                 result = common.PARAM_ACK_VALUE_UNSUPPORTED
             value = self._bytes_of(index)

@@ -65,24 +65,17 @@ class Messaging:
         *,
         flight: FlightData,
         parameters: ParameterSet,
-        set_parameter: Callable[[str, float], None],
-        reset_parameters: Callable[[tuple[str, ...]], bool],
         pilot: Pilot,
         geofence: Geofence,
         offboard: OffboardService,
         manual: ManualControlService,
         plans: Mapping[PlanType, Plan],
     ) -> None:
-        """``set_parameter`` changes a parameter immediately; ``plans`` are the initial ones.
-
-        ``reset_parameters`` resets those with these prefixes to their defaults unless the vehicle is armed.
-        """
+        """``plans`` are the initial ones."""
         self._config = config
         self._system = config.instance + 1
         self._flight = flight
         self._parameters = parameters
-        self._set_parameter = set_parameter
-        self._reset_parameters = reset_parameters
         self._pilot = pilot
         self._geofence = geofence
         self.send_to_application: Callable[[Message, int], None] | None = None
@@ -134,8 +127,9 @@ class Messaging:
         """By link number, the last value passed to the streams."""
         self.not_addressed = dict.fromkeys(_OUTSIDE, 0)
         """Number of messages for other components, by link number."""
-        self._parameter_service = ParameterService(parameters, set_parameter, self.shapers.has_room)
+        self._parameter_service = ParameterService(parameters, self.shapers.has_room)
         self.services = self._make_services(offboard, manual)
+        parameters.report_to(lambda _: self._wake_services())
         self._chunks = Chunks()
         self._outgoing: list[Addressed] = []
         self._home_reported: Home | None = None
@@ -155,11 +149,6 @@ class Messaging:
         """Mark the streams of a new GPS fix as due."""
         for streams in self.streams.values():
             streams.on_new_data(common.MAVLINK_MSG_ID_GPS_RAW_INT)
-
-    def on_parameter(self, name: str) -> None:
-        """Report a changed parameter to all partners."""
-        self._parameter_service.on_change(name)
-        self.services.look_again()
 
     def on_saved(self, error: str | None) -> None:
         """Reply with the result of the file write that `take_save_request` started; None: success."""
@@ -265,7 +254,8 @@ class Messaging:
             self.streams,
             calibrate=calibration.command,
             save_parameters=self._request_save,
-            reset_parameters=self._reset_parameters,
+            parameters=parameters,
+            is_armed=lambda: self._flight.commander.armed,
         )
         self._commands = CommandService(flying.table | system.table)
         return Services(
@@ -285,7 +275,7 @@ class Messaging:
                 PlacesService(pilot.set_home, self.telemetry.motion.gps_global_origin),
                 calibration,
                 self._parameter_service,
-                ParameterExtService(parameters, self._set_parameter, has_room),
+                ParameterExtService(parameters, has_room),
                 FtpService(self.files, self._on_file_opened, has_room),
                 LogService(self.files, has_room),
             )

@@ -33,7 +33,7 @@ from autopilot.onboard.application import NOTHING, Application
 from autopilot.onboard.factory import make_application
 from autopilot.onboard.formation.messages import COMMANDS
 from autopilot.parameters.config import VehicleConfig
-from autopilot.parameters.table import ROWS, ParameterError, ParameterProblem, ParameterSet, Settings
+from autopilot.parameters.table import ParameterSet, Settings
 from autopilot.services.flight_data import FlightData
 from autopilot.services.manual_control import ManualControlService
 from autopilot.services.offboard import OffboardService
@@ -64,8 +64,6 @@ _TRUTH_INTERVAL_US = 5_000.0
 _MODE_DISARMED = common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 _MODE_ARMED = _MODE_DISARMED | common.MAV_MODE_FLAG_SAFETY_ARMED
 _LOCKSTEP_FLAG = 1
-_ONLY_AT_START = frozenset({"EKF2_GPS_DELAY"})
-"""Parameters that only take effect at the start: the GPS delay determines the estimator's buffer."""
 _HIL_STATE_QUATERNION = common.MAVLINK_MSG_ID_HIL_STATE_QUATERNION
 _TO_GROUND_TOO = frozenset({common.MAVLINK_MSG_ID_HEARTBEAT, common.MAVLINK_MSG_ID_NAMED_VALUE_INT})
 """Messages of the application about itself, which go to the simulator and the ground station."""
@@ -140,8 +138,6 @@ class Vehicle:
             config,
             flight=self.flight,
             parameters=self.parameters,
-            set_parameter=self.set_parameter,
-            reset_parameters=self.reset_parameters,
             pilot=self.pilot,
             geofence=self.monitor.geofence,
             offboard=self.offboard,
@@ -269,24 +265,6 @@ class Vehicle:
     def has_been_at(self, now_us: int) -> bool:
         """Return whether there was a step at that time or later; a step at that time is a repetition."""
         return self.has_begun and now_us <= self._clock.now_us
-
-    def set_parameter(self, name: str, value: float) -> None:
-        """Change a parameter, in effect immediately. Raises ParameterError, also if it cannot change now."""
-        if name in _ONLY_AT_START:
-            raise ParameterError(f"{name} can only be set at the start", ParameterProblem.READ_ONLY)
-        self.parameters.set(name, value)
-        self.messaging.on_parameter(name)
-
-    def reset_parameters(self, beginnings: tuple[str, ...]) -> bool:
-        """Reset all parameters with these prefixes to their defaults; return False if armed, as in PX4."""
-        if self.commander.armed:
-            return False
-        names = [
-            row.name for row in ROWS if row.name.startswith(beginnings) and row.name not in _ONLY_AT_START
-        ]
-        for name in self.parameters.reset(names):
-            self.messaging.on_parameter(name)
-        return True
 
     def troubles(self) -> dict[str, int]:
         """Return counts of errors that were handled."""

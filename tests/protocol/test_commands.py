@@ -205,12 +205,26 @@ def test_the_number_of_commands_in_progress_is_bounded():
     assert len(vehicle.service.finish(common.MAV_CMD_PREFLIGHT_STORAGE, ACCEPTED, 0)) == REMEMBERED_MAX
 
 
+@pytest.mark.parametrize(("what", "reset"), [(2.0, {"MPC_XY_P", "CAL_MAG0_ROT"}), (3.0, {"CAL_MAG0_ROT"})])
+def test_a_reset_restores_all_parameters_or_those_of_sensors(what, reset):
+    vehicle = Commanded()
+    parameters = vehicle.parameters
+    changed = {"MPC_XY_P": 1.5, "CAL_MAG0_ROT": 2.0}
+    before = {name: parameters.get(name) for name in changed}
+    for name, value in changed.items():
+        parameters.set(name, value)
+    assert vehicle.long(common.MAV_CMD_PREFLIGHT_STORAGE, what)[0] == ACCEPTED
+    assert {name for name in changed if parameters.get(name) == before[name]} == reset
+
+
 def test_parameters_are_not_reset_while_armed():
     vehicle = Commanded()
+    vehicle.parameters.set("MPC_XY_P", 1.5)
     assert vehicle.long(ARM, 1.0)[0] == ACCEPTED
     result, (text,) = vehicle.long(common.MAV_CMD_PREFLIGHT_STORAGE, 2.0)
     assert result == REFUSED
     assert text.text == "Parameter reset denied: armed"
+    assert vehicle.parameters.get("MPC_XY_P") == 1.5
 
 
 def test_offboard_is_requested_for_the_partner_before_the_mode_is_changed():

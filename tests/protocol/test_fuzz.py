@@ -116,7 +116,7 @@ def test_garbage_on_both_links_of_a_flying_vehicle_has_no_effect():
         for count in (counters.frames_bad_checksum, counters.frames_unknown, counters.frames_incompatible):
             assert count > port.sent_bytes / 1_000
     # and the digest detects a change
-    attacked.vehicle.set_parameter("COM_DISARM_LAND", 1.5)
+    attacked.vehicle.parameters.set("COM_DISARM_LAND", 1.5)
     assert digest(plain.vehicle, leave_out=NO_STATE) != digest(attacked.vehicle, leave_out=NO_STATE)
 
 

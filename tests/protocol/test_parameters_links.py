@@ -81,7 +81,7 @@ def test_all_parameters_arrive_and_are_equal_over_a_lossy_link(make):
     lost = 0
     for seed in range(SEEDS):
         station = make()
-        service = ParameterService(parameters, parameters.set)
+        service = ParameterService(parameters)
         outcome = play(service, station, seed=seed, **LINK)
         assert station.done, seed
         assert station.values == values, seed
@@ -92,7 +92,7 @@ def test_all_parameters_arrive_and_are_equal_over_a_lossy_link(make):
 def test_three_stations_are_served_concurrently():
     parameters = ParameterSet(Settings())
     stations = [make() for make in STATIONS]
-    play(ParameterService(parameters, parameters.set), *stations, seed=1, packed=True, **LINK)
+    play(ParameterService(parameters), *stations, seed=1, packed=True, **LINK)
     for station in stations:
         assert {index: name for index, (name, _) in station.values.items()} == {
             index: row.name for index, row in enumerate(ROWS)
@@ -134,6 +134,6 @@ def test_values_written_over_a_lossy_link_are_stored():
     for seed in range(SEEDS):
         parameters = ParameterSet(Settings())
         station = Writer(values)
-        play(ParameterService(parameters, parameters.set), station, seed=seed, **LINK)
+        play(ParameterService(parameters), station, seed=seed, **LINK)
         assert station.done
         assert {name: parameters.get(name) for name in values} == pytest.approx(values)

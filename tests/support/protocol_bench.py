@@ -10,6 +10,7 @@ from autopilot.commander.params import CommanderParams
 from autopilot.estimation.estimator import Estimator
 from autopilot.estimation.params import EstimatorParams
 from autopilot.mavlink.codec import Encoder, Parser, stamp
+from autopilot.parameters.table import ParameterSet, Settings
 from autopilot.services.actions_flight import FlightActions, FlightCommands
 from autopilot.services.actions_system import SystemCommands
 from autopilot.services.calibration import Calibration
@@ -60,6 +61,7 @@ class Commanded:
         self.refusal = None
         self.woken = 0
         self.has_file = True
+        self.parameters = ParameterSet(Settings())
         self.mission_items = 5
         self.calibration = Calibration(self.flight, wake=self._wake)
         flying = FlightCommands(
@@ -83,7 +85,8 @@ class Commanded:
             {0: self.streams},
             calibrate=self.calibration.command,
             save_parameters=lambda: self.has_file,
-            reset_parameters=self._reset,
+            parameters=self.parameters,
+            is_armed=lambda: self.commander.armed,
         )
         self.table = flying.table | system.table
         self.service = CommandService(self.table)
@@ -120,10 +123,6 @@ class Commanded:
             return self.refusal
 
         return act
-
-    def _reset(self, beginnings):
-        self.done.append(("reset", beginnings))
-        return not self.commander.armed
 
     def _wake(self):
         self.woken += 1

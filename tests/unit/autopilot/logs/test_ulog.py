@@ -101,7 +101,7 @@ def flown():
                 flight.command(common.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, *[float("nan")] * 4)
                 armed_us = now_us
             if now_us == 12_000_000:
-                flight.vehicle.set_parameter("MPC_XY_P", 1.25)
+                flight.vehicle.parameters.set("MPC_XY_P", 1.25)
         return Read(data), truth, flight.vehicle
 
 

@@ -218,7 +218,7 @@ def test_the_position_loops_gain_is_requested_and_used():
     app = w.apps[0]
     w.run_until(phase_is(FlightPhase.ON_STATION), limit_s=25.0)
     parameters = ParameterSet(Settings())
-    service = ParameterService(parameters, parameters.set)
+    service = ParameterService(parameters)
     reference, own = app._guidance._reference, app._own
     avoidance = app._guidance._avoidance
     original = avoidance.velocity_change_ne_m_s

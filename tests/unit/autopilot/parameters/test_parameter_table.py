@@ -56,11 +56,29 @@ def test_each_row_changes_its_setting_over_its_whole_range_and_no_other(paramete
     for value in (parameter.minimum, parameter.maximum):
         if (parameter.name, value) in NEVER:
             continue
-        parameters.set(parameter.name, value)
+        parameters = ParameterSet(Settings(), with_room(parameter.name) | {parameter.name: value})
         assert parameters.get(parameter.name) == pytest.approx(value, rel=1e-12)
         # the settings accept the whole range of the table
         assert msgspec.convert(msgspec.to_builtins(parameters.settings), Settings) == parameters.settings
-    assert {name: parameters.get(name) for name in others} == others
+        assert {name: parameters.get(name) for name in others} == others
+
+
+def test_each_change_is_in_effect_at_once_unless_only_at_the_start():
+    for parameter in TABLE:
+        parameters, reported = ParameterSet(Settings(), with_room(parameter.name)), []
+        parameters.report_to(reported.append)
+        value, before = parameter.maximum, parameters.get(parameter.name)
+        if (parameter.name, value) in NEVER:
+            value = parameter.minimum
+        if parameter.only_at_start:
+            with pytest.raises(ParameterError, match=f"{parameter.name} can only be set at the start"):
+                parameters.set(parameter.name, value)
+            parameters.reset([parameter.name])
+            assert (parameters.get(parameter.name), reported) == (before, [])
+        else:
+            parameters.set(parameter.name, value)
+            assert parameters.get(parameter.name) == pytest.approx(value, rel=1e-12)
+            assert reported == [parameter.name]
 
 
 @pytest.mark.parametrize(
@@ -181,8 +199,8 @@ def test_rows_of_both_kinds_are_sorted_by_name():
 def test_every_change_is_reported_to_stations():
     with Flight(vehicle_config()) as flight:
         flight.step()
-        flight.vehicle.set_parameter("MPC_XY_P", 1.2)
-        flight.vehicle.set_parameter("COM_RC_IN_MODE", 4.0)
+        flight.vehicle.parameters.set("MPC_XY_P", 1.2)
+        flight.vehicle.parameters.set("COM_RC_IN_MODE", 4.0)
         flight.step()
         reported = [message.param_id for _, message in flight.received if message.get_type() == "PARAM_VALUE"]
         assert set(reported) == {"MPC_XY_P", "COM_RC_IN_MODE"}

@@ -132,7 +132,7 @@ def texts(links):
 def test_saving_is_in_progress_until_the_file_is_written(tmp_path):
     path = tmp_path / "uav.params"
     with saving_host(path) as host:
-        host.vehicle.set_parameter("MPC_XY_P", 1.25)
+        host.vehicle.parameters.set("MPC_XY_P", 1.25)
         _, links = step(host, sensor(8_000), Addressed(ME, save()), Addressed(OTHER, save()))
         assert (results(links), results(links, OTHER)) == ([IN_PROGRESS], [IN_PROGRESS])
         assert parameter_file.load(path)["MPC_XY_P"] == 1.25

@@ -160,7 +160,7 @@ def test_a_mission_outside_the_fence_is_stored_and_not_flown():
         assert flight.command(common.MAV_CMD_DO_SET_MODE, *MISSION) != ACCEPTED
         assert upload(flight, fence(60.0), PlanType.FENCE) == common.MAV_MISSION_ACCEPTED
         for limit_m, expected in ((35.0, NO_MISSION), (0.0, NOT_STARTED)):
-            flight.vehicle.set_parameter("GF_MAX_HOR_DIST", limit_m)
+            flight.vehicle.parameters.set("GF_MAX_HOR_DIST", limit_m)
             flight.step()
             assert state(flight) == expected
         assert flight.command(common.MAV_CMD_MISSION_START) == ACCEPTED

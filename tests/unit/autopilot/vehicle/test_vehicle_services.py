@@ -251,10 +251,10 @@ def test_targets_outside_the_fence_are_refused_and_a_hold_on_its_way_out_stops()
         assert flight.texts()[-1] == "Reposition is outside geofence"
         flight.run(5.0)
         assert math.hypot(*data.state.pos_ned_m[:2]) < 1.5
-        flight.vehicle.set_parameter("GF_ACTION", 1.0)
+        flight.vehicle.parameters.set("GF_ACTION", 1.0)
         assert flight.command(common.MAV_CMD_DO_REPOSITION, -1.0, 1.0, 0.0, *place) == ACCEPTED
         assert flight.run(20.0, until=lambda: data.state.pos_ned_m[0] > 17.0)
-        flight.vehicle.set_parameter("GF_ACTION", 2.0)
+        flight.vehicle.parameters.set("GF_ACTION", 2.0)
         assert flight.run(1.0, until=lambda: flight.vehicle.commander.failsafe)
         assert flight.vehicle.commander.mode is FlightMode.HOLD
         flight.run(8.0)
@@ -322,7 +322,7 @@ def test_parameters_act_in_flight_and_are_saved_on_request():
             vehicle.pilot.controller._position.integral_ned_m_s2, integral_m_s2, atol=0.02
         )
         with pytest.raises(ParameterError, match="at the start"):
-            vehicle.set_parameter("EKF2_GPS_DELAY", 100.0)
+            vehicle.parameters.set("EKF2_GPS_DELAY", 100.0)
         before = vehicle.flight.state.pos_ned_m.copy()
         flight.run(2.0)
         assert np.abs(vehicle.flight.state.pos_ned_m - before).max() < 0.3
@@ -346,7 +346,7 @@ def test_parameters_are_reset_and_reported_on_the_ground():
         assert flight.command(common.MAV_CMD_PREFLIGHT_STORAGE, 3.0) == ACCEPTED
         assert vehicle.parameters.get("CAL_MAG0_ROT") == -1.0
         assert vehicle.parameters.get("MPC_XY_P") == 1.5
-        vehicle.set_parameter("CAL_MAG0_ROT", 2.0)
+        vehicle.parameters.set("CAL_MAG0_ROT", 2.0)
         flight.step()
         flight.received.clear()
         assert flight.command(common.MAV_CMD_PREFLIGHT_STORAGE, 2.0) == ACCEPTED
@@ -374,7 +374,7 @@ def test_sticks_for_another_vehicle_are_ignored():
 def test_arming_requires_the_charge_of_the_parameter():
     with flight_of(params={"COM_ARM_BAT_MIN": 0.9}) as flight:
         make_ready(flight)
-        flight.vehicle.set_parameter("BAT1_CAPACITY", 20.0)  # of which avionics have drawn some
+        flight.vehicle.parameters.set("BAT1_CAPACITY", 20.0)  # of which avionics have drawn some
         flight.run(8.0)
         assert flight.command(ARM, 1.0) == REFUSED
         assert flight.texts()[-1] == "Arming denied: battery below COM_ARM_BAT_MIN"
