@@ -1,11 +1,12 @@
 """Comparison of the batch solver with NEC2 on random formations, and of nec2c with PyNEC."""
 
 import math
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from antenna.analysis.patterns import Pattern
 from antenna.lab.formations import Disorder, draws
@@ -17,7 +18,7 @@ from antenna.solvers.interface import Accuracy
 from studies.antenna.checks import difference, said_missing, witness, worst
 from studies.antenna.figures import save_agreement
 from studies.antenna.plan import AntennaPlan
-from studies.common.report import Check, ReportTable, Section
+from studies.common.report import Check, ReportFigure, ReportTable, Section
 from studies.common.runner import Job, Results
 
 SEEN_DBI = -20.0
@@ -72,15 +73,6 @@ class AgreementCase(Struct, frozen=True, kw_only=True):
     """A formation with wires of two elements nearer than this is drawn again."""
     by_directivity: bool = False
     """Check directivity instead of the maximum, because NEC2's two programs disagree about the power."""
-
-
-class Lot(Struct, frozen=True, kw_only=True):
-    """Some formations of a case, solved by ``solver`` and by PyNEC."""
-
-    case: AgreementCase
-    solver: str
-    number: int
-    count: int
 
 
 class Compared(Struct, frozen=True, kw_only=True):
@@ -150,32 +142,23 @@ def jobs(plan: AntennaPlan) -> dict[str, list[Job]]:
     """Return the lots of all cases."""
     return {
         "batch": [
-            (compare, Lot(case=case, solver="batch", number=first, count=min(AT_A_TIME, count - first)))
+            partial(compare, case, "batch", number=first, count=min(AT_A_TIME, count - first))
             for case in CASES
             for count in [plan.formations if case.required else plan.other_formations]
             for first in range(0, count, AT_A_TIME)
         ],
-        "nec2c": [
-            (compare, Lot(case=case, solver="nec2c", number=0, count=plan.witness_formations))
-            for case in WITNESSED
-        ],
+        "nec2c": [partial(compare, case, "nec2c", count=plan.witness_formations) for case in WITNESSED],
     }
 
 
-def compare(lot: Lot) -> Compared | None:
-    """Draw formations and solve them with both solvers; None if one is not installed."""
-    ours = witness(_by(lot.case.config, lot.solver))
-    nec2 = witness(_by(lot.case.config, "nec2"))
+def compare(case: AgreementCase, solver: str, *, number: int = 0, count: int) -> Compared | None:
+    """Draw formations and solve them with ``solver`` and PyNEC; None if one is not installed."""
+    ours, nec2 = (witness(replace(case.config, backend=name)) for name in (solver, "nec2"))
     if ours is None or nec2 is None:
         return None
-    snapshots, redrawn = formations(lot.case, seed=1 + lot.number, count=lot.count)
-    limits_db = WITNESS_LIMITS_DB if lot.solver == "nec2c" else LIMITS_DB.get(ours.accuracy, UNCLAIMED_DB)
+    snapshots, redrawn = formations(case, seed=1 + number, count=count)
+    limits_db = WITNESS_LIMITS_DB if solver == "nec2c" else LIMITS_DB.get(ours.accuracy, UNCLAIMED_DB)
     return differences(ours.patterns(snapshots), nec2.patterns(snapshots), limits_db, redrawn=redrawn)
-
-
-def _by(config: AntennaConfig, solver: str) -> AntennaConfig:
-    fields = {name: getattr(config, name) for name in config.__struct_fields__}
-    return AntennaConfig(**fields | {"backend": solver})
 
 
 def formations(case: AgreementCase, *, seed: int, count: int) -> tuple[list[Snapshot], int]:
@@ -252,7 +235,7 @@ def together(lots: list[Compared]) -> Compared:
     )
 
 
-def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:
+def judge(plan: AntennaPlan, results: Results) -> Section:
     """Check the greatest difference of every case."""
     checks: list[Check] = []
     rows: dict[str, list[tuple[str, ...]]] = {"batch": [], "nec2c": []}
@@ -260,11 +243,11 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:
     absent: set[str] = set()
     for solver, cases in (("batch", CASES), ("nec2c", WITNESSED)):
         lots: dict[str, list[Compared]] = {}
-        for (_, lot), found in zip(jobs(plan)[solver], results[solver], strict=True):
+        for job, found in zip(jobs(plan)[solver], results[solver], strict=True):
             if found is None:
                 absent.add("nec2 (PyNEC), which all comparisons require" if solver == "batch" else "nec2c")
             else:
-                lots.setdefault(lot.case.name, []).append(found)
+                lots.setdefault(job.args[0].name, []).append(found)
         for case in cases:
             if case.name in lots:
                 whole = together(lots[case.name])
@@ -272,13 +255,11 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:
                 rows[solver].append(cells(case.name, whole))
                 if case.required and solver == "batch":
                     drawn.append((case.name, whole))
-    figures: tuple[tuple[str, str], ...] = ()
-    if images is not None and drawn:
-        save_agreement(
-            images / "antenna-agreement.png",
-            [(name, (of.maximum_db, of.pattern_db), of.limits_db) for name, of in drawn],
-        )
-        figures = (("antenna-agreement.png", "distribution of the formations' differences from NEC2"),)
+    shown = [(name, (of.maximum_db, of.pattern_db), of.limits_db) for name, of in drawn]
+    figure = ReportFigure(
+        "antenna-agreement.png", "distribution of the formations' differences from NEC2",
+        partial(save_agreement, cases=shown),
+    )  # fmt: skip
     return Section(
         title="Batch against NEC2",
         conditions=(
@@ -305,7 +286,7 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:
             )
             if rows[solver]
         ),
-        figures=figures,
+        figures=(figure,) if drawn else (),
     )  # fmt: skip
 
 
@@ -315,11 +296,7 @@ def requirements(name: str, of: Compared, *, by_directivity: bool = False) -> li
     return [
         difference(f"{name}: {judged}", worst(values_db), of.limits_db[0], "dB"),
         difference(f"{name}: pattern", worst(of.pattern_db), of.limits_db[1], "dB"),
-        *(
-            [Check(name=f"{name}: touch for one alone", value=of.disagreeing, at_most=0.0)]
-            if of.disagreeing
-            else []
-        ),
+        *([Check(f"{name}: touch for one alone", of.disagreeing, at_most=0.0)] if of.disagreeing else []),
     ]
 
 

@@ -3,7 +3,9 @@
 import math
 from collections.abc import Iterable
 
+from antenna.analysis.patterns import Pattern
 from antenna.model.config import AntennaConfig
+from antenna.model.geometry import ElementsTouch, Snapshot
 from antenna.solvers.interface import Backend, BackendUnavailable
 from antenna.solvers.selection import make_backend
 from studies.common.report import Check
@@ -16,7 +18,7 @@ def deviation(name: str, value: float, expected: float, tolerance: float, unit: 
 
 def difference(name: str, value: float, tolerance: float, unit: str) -> Check:
     """Return a check of a value whose expected value is 0."""
-    return Check(name=name, value=value, unit=unit, at_least=-tolerance, at_most=tolerance)
+    return Check(name, value, unit, at_least=-tolerance, at_most=tolerance)
 
 
 def worst(values: Iterable[float]) -> float:
@@ -33,6 +35,12 @@ def witness(config: AntennaConfig) -> Backend | None:
         return make_backend(config)
     except BackendUnavailable:
         return None
+
+
+def solve(snapshot: Snapshot, config: AntennaConfig) -> Pattern | ElementsTouch | None:
+    """Solve one array; None if the solver is not installed."""
+    solver = witness(config)
+    return None if solver is None else solver.patterns([snapshot])[0]
 
 
 def said_missing(names: Iterable[str]) -> str:

@@ -1,7 +1,8 @@
 """The ideal array: two NEC2 programs and the batch solver, closed forms and reference results."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from itertools import product
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from antenna.lab.hertzian import hertzian_pattern
 from antenna.model.config import AntennaConfig
 from antenna.model.geometry import Array, ElementsTouch, Snapshot, grid, upright
 from antenna.solvers.ports import MAIN_LOBE_DEG, feed
-from studies.antenna.checks import deviation, difference, row, said_missing, witness, worst
+from studies.antenna.checks import deviation, difference, row, said_missing, solve, worst
 from studies.antenna.closed_form import (
     directivity_dbi,
     hertzian_coupling,
@@ -24,7 +25,7 @@ from studies.antenna.closed_form import (
     policy_voltages,
 )
 from studies.antenna.plan import AntennaPlan
-from studies.common.report import Check, ReportTable, Section
+from studies.common.report import Check, ReportFigure, ReportTable, Section
 from studies.common.runner import Job, Results
 
 SOLVERS = ("nec2", "nec2c", "batch")
@@ -99,19 +100,20 @@ def long_config(wavelength_m: float, radius_m: float, solver: str) -> AntennaCon
 def jobs(plan: AntennaPlan) -> dict[str, list[Job]]:  # noqa: ARG001  # common signature
     """Return the jobs of all arrays, which do not depend on the plan."""
     return {
-        "short": [(_solve_ideal, short_config(w, s)) for w, s in product(WAVELENGTHS_M, SOLVERS)],
-        "long": [(_solve_ideal, long_config(*one)) for one in product(LONG_DBI, LONG_RADII_M, SOLVERS)],
-        "policies": [(_solve_policy, one) for one in product(LAYOUTS, POLICIES, SOLVERS)],
+        "short": [partial(_solve_ideal, short_config(w, s)) for w, s in product(WAVELENGTHS_M, SOLVERS)],
+        "long": [
+            partial(_solve_ideal, long_config(*one)) for one in product(LONG_DBI, LONG_RADII_M, SOLVERS)
+        ],
+        "policies": [partial(_solve_policy, *one) for one in product(LAYOUTS, POLICIES, SOLVERS)],
     }
 
 
 def _solve_ideal(config: AntennaConfig) -> Solved | None:
-    return solve(ideal(places(4, config.wavelength_m), config), config)
+    return _solve(ideal(places(4, config.wavelength_m), config), config)
 
 
-def _solve_policy(setting: tuple[str, str, str]) -> Solved | None:
+def _solve_policy(layout: str, policy: str, solver: str) -> Solved | None:
     """Solve short dipoles at 10 m with the voltages of a policy; the optimum includes mutual coupling."""
-    layout, policy, solver = setting
     config = AntennaConfig(backend=solver)  # type: ignore[arg-type]
     places_m = places(LAYOUTS[layout], config.wavelength_m)
     if policy == "optimum":
@@ -119,18 +121,15 @@ def _solve_policy(setting: tuple[str, str, str]) -> Solved | None:
     else:
         coupling = hertzian_coupling(places_m, config.wavelength_m)
         voltages = policy_voltages(policy, coupling, places_m, config.wavelength_m)
-    return solve(upright(places_m, voltages), config)
+    return _solve(upright(places_m, voltages), config)
 
 
-def solve(snapshot: Snapshot, config: AntennaConfig) -> Solved | None:
+def _solve(snapshot: Snapshot, config: AntennaConfig) -> Solved | None:
     """Solve one array without touching elements; None if the solver is not installed."""
-    solver = witness(config)
-    if solver is None:
-        return None
-    (pattern,) = solver.patterns([snapshot])
-    if isinstance(pattern, ElementsTouch):
-        raise pattern
-    return summary(pattern, keep=config == short_config(10.0, config.backend))
+    found = solve(snapshot, config)
+    if isinstance(found, ElementsTouch):
+        raise found
+    return None if found is None else summary(found, keep=config == short_config(10.0, config.backend))
 
 
 def summary(pattern: Pattern, *, keep: bool) -> Solved:
@@ -148,7 +147,7 @@ def summary(pattern: Pattern, *, keep: bool) -> Solved:
     )  # fmt: skip
 
 
-def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:  # noqa: ARG001  # common signature
+def judge(plan: AntennaPlan, results: Results) -> Section:  # noqa: ARG001  # common signature
     """Compare all arrays with their references."""
     short = dict(zip(product(WAVELENGTHS_M, SOLVERS), results["short"], strict=True))
     long = dict(zip(product(LONG_DBI, LONG_RADII_M, SOLVERS), results["long"], strict=True))
@@ -156,11 +155,10 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section: 
     checks, table = _of_short_dipoles(short)
     more, wires = _of_long_dipoles(long)
     last, feeds = _of_policies(policies)
-    figures: tuple[tuple[str, str], ...] = ()
     drawn = {s: short[10.0, s].pattern for s in ("nec2", "batch") if short[10.0, s] is not None}
-    if images is not None and drawn:
-        patterns_figure(drawn).savefig(images / "antenna-ideal.png", format="png", dpi=80)
-        figures = (("antenna-ideal.png", "pattern of the ideal formation by both solvers"),)
+    figure = ReportFigure(
+        "antenna-ideal.png", "pattern of the ideal formation by both solvers", partial(_draw, drawn)
+    )
     absent = [s for _, s in short if short[10.0, s] is None]
     return Section(
         title="The ideal array",
@@ -175,8 +173,12 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section: 
         ),
         checks=(*checks, *more, *last),
         tables=(table, wires, feeds),
-        figures=figures,
+        figures=(figure,) if drawn else (),
     )
+
+
+def _draw(patterns: Mapping[str, Pattern], path: Path) -> None:
+    patterns_figure(patterns).savefig(path, format="png", dpi=80)
 
 
 def _of_short_dipoles(short: dict[tuple[float, str], Solved | None]) -> tuple[list[Check], ReportTable]:
@@ -221,8 +223,7 @@ def _shape(name: str, found: Sequence[Solved]) -> list[Check]:
         )
     ] + [
         Check(
-            name=f"{name}: gain to -y, greatest", value=max(one.back_dbi for one in found), unit="dBi",
-            at_most=DEEP_NULL_DBI,
+            f"{name}: gain to -y, greatest", max(one.back_dbi for one in found), "dBi", at_most=DEEP_NULL_DBI
         )
     ]  # fmt: skip
 

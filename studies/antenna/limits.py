@@ -1,23 +1,23 @@
 """Limits of the solvers: too few segments, wires that nearly touch, power balance errors."""
 
 import math
-from pathlib import Path
+from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
 from msgspec import Struct
 
-from antenna.analysis.patterns import Pattern
 from antenna.lab.formations import ideal
 from antenna.model.config import AntennaConfig
 from antenna.model.geometry import ElementsTouch, Snapshot, along, upright
 from studies.antenna import near, power
 from studies.antenna.agreement import AgreementCase, Compared, differences, formations
-from studies.antenna.checks import difference, row, said_missing, witness, worst
+from studies.antenna.checks import difference, row, said_missing, solve, witness, worst
 from studies.antenna.figures import save_convergence
 from studies.antenna.ideal import EXACT_DBI, SOLVERS, places
 from studies.antenna.plan import AntennaPlan
-from studies.common.report import Check, ReportTable, Section
+from studies.common.report import Check, ReportFigure, ReportTable, Section
 from studies.common.runner import Job, Results
 
 SEGMENTS = (5, 7, 9, 11, 15, 21, 31, 41, 61)
@@ -71,15 +71,13 @@ def jobs(plan: AntennaPlan) -> dict[str, list[Job]]:
     """Return the jobs: random formations, and arrays that do not depend on the plan."""
     return {
         "long": [
-            (solve_ideal, long_config(wavelength_m, segments, solver))
+            partial(solve_ideal, long_config(wavelength_m, segments, solver))
             for wavelength_m in LONG_WAVELENGTHS_M for solver in ("nec2", "batch") for segments in SEGMENTS
         ],
-        "refined": [
-            (solve_refined, (*setting, plan.other_formations)) for setting in REFINED
-        ],
-        "short": [(solve_ideal, _config("nec2", segments=segments)) for segments in SHORT_SEGMENTS],
-        "near": [(solve_near, (solver, apart_m)) for apart_m in NEAR_M for solver in SOLVERS],
-        "touching": [(solve_touching, (solver, name)) for name in TOUCHING for solver in SOLVERS],
+        "refined": [partial(solve_refined, *setting, plan.other_formations) for setting in REFINED],
+        "short": [partial(solve_ideal, _config("nec2", segments=segments)) for segments in SHORT_SEGMENTS],
+        "near": [partial(solve_near, solver, apart_m) for apart_m in NEAR_M for solver in SOLVERS],
+        "touching": [partial(solve_touching, solver, name) for name in TOUCHING for solver in SOLVERS],
         "power": power.jobs(plan),
         **near.jobs(plan),
     }  # fmt: skip
@@ -87,12 +85,11 @@ def jobs(plan: AntennaPlan) -> dict[str, list[Job]]:
 
 def solve_ideal(config: AntennaConfig) -> LimitAnswer | None:
     """Solve the ideal array."""
-    return solve(ideal(places(4, config.wavelength_m), config), config)
+    return _answer(ideal(places(4, config.wavelength_m), config), config)
 
 
-def solve_refined(setting: tuple[float, int, int, int]) -> Compared | None:
+def solve_refined(wavelength_m: float, few: int, many: int, count: int) -> Compared | None:
     """Solve random formations of 5 m dipoles by NEC2 with few and with many segments."""
-    wavelength_m, few, many, count = setting
     configs = [long_config(wavelength_m, segments, "nec2") for segments in (few, many)]
     coarse, fine = (witness(config) for config in configs)
     if coarse is None or fine is None:
@@ -103,17 +100,14 @@ def solve_refined(setting: tuple[float, int, int, int]) -> Compared | None:
     return differences(*found, (math.inf, math.inf), redrawn=redrawn)
 
 
-def solve_near(setting: tuple[str, float]) -> LimitAnswer | None:
+def solve_near(solver: str, apart_m: float) -> LimitAnswer | None:
     """Solve two upright short dipoles fed in phase, at a distance along x."""
-    solver, apart_m = setting
-    return solve(
-        upright(np.array([[0.0, 0.0, 0.0], [apart_m, 0.0, 0.0]]), np.ones(2, complex)), _config(solver)
-    )
+    centres_m = np.array([[0.0, 0.0, 0.0], [apart_m, 0.0, 0.0]])
+    return _answer(upright(centres_m, np.ones(2, complex)), _config(solver))
 
 
-def solve_touching(setting: tuple[str, str]) -> LimitAnswer | None:
+def solve_touching(solver: str, name: str) -> LimitAnswer | None:
     """Solve two dipoles that touch, or of which one is in the ground."""
-    solver, name = setting
     axes = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
     second_m, height_m, fields = (0.0003, 0.0, 0.0), 0.0, {}
     if name == "one on the other":
@@ -125,31 +119,24 @@ def solve_touching(setting: tuple[str, str]) -> LimitAnswer | None:
     elif name == "through the ground":
         second_m, height_m, fields = (5.0, 0.0, 0.0), 0.02, {"ground": "perfect"}
     centres_m = np.array([(0.0, 0.0, height_m), second_m + np.array([0.0, 0.0, height_m])])
-    return solve(Snapshot(centres_m, along(axes), np.ones(2, complex)), _config(solver, **fields))
+    return _answer(Snapshot(centres_m, along(axes), np.ones(2, complex)), _config(solver, **fields))
 
 
-def solve(snapshot: Snapshot, config: AntennaConfig) -> LimitAnswer | None:
-    """Solve one array; None if the solver is not installed."""
-    solver = witness(config)
-    if solver is None:
+def _answer(snapshot: Snapshot, config: AntennaConfig) -> LimitAnswer | None:
+    found = solve(snapshot, config)
+    if isinstance(found, ElementsTouch):
+        return LimitAnswer(refusal=str(found), touching=(found.first, found.second))
+    if found is None:
         return None
-    (found,) = solver.patterns([snapshot])
-    if isinstance(found, Pattern):
-        return LimitAnswer(max_gain_dbi=found.max_gain_dbi, average_gain=found.average_gain)
-    assert isinstance(found, ElementsTouch)  # noqa: S101  no other result
-    return LimitAnswer(refusal=str(found), touching=(found.first, found.second))
+    return LimitAnswer(max_gain_dbi=found.max_gain_dbi, average_gain=found.average_gain)
 
 
-def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:
+def judge(plan: AntennaPlan, results: Results) -> Section:  # noqa: ARG001  # common signature
     """Check the known limits, and list the other results."""
-    requested = jobs(plan)
-    long = {
-        (c.wavelength_m, c.backend, c.segments): a
-        for (_, c), a in zip(requested["long"], results["long"], strict=True)
-    }
-    short = {c.segments: a for (_, c), a in zip(requested["short"], results["short"], strict=True)}
-    two = {key: a for (_, key), a in zip(requested["near"], results["near"], strict=True)}
-    touching = {key: a for (_, key), a in zip(requested["touching"], results["touching"], strict=True)}
+    long = dict(zip(product(LONG_WAVELENGTHS_M, ("nec2", "batch"), SEGMENTS), results["long"], strict=True))
+    short = dict(zip(SHORT_SEGMENTS, results["short"], strict=True))
+    two = dict(zip(product(NEAR_M, SOLVERS), results["near"], strict=True))
+    touching = dict(zip(product(TOUCHING, SOLVERS), results["touching"], strict=True))
     checks, table = _of_segments(long)
     further, refined = _of_refinement(results["refined"])
     more, balance = _of_balance(short)
@@ -157,20 +144,15 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:
     last, refusals = _of_touching(touching)
     faint, powers = power.judge(results["power"])
     meeting, crowds = near.judge(results)
-    figures: tuple[tuple[str, str], ...] = ()
-    if images is not None:
-        curves = {
-            f"{solver}, {wavelength_m:g} m": [
-                (n, found.max_gain_dbi)
-                for n in SEGMENTS
-                if (found := long[wavelength_m, solver, n]) is not None
-            ]
-            for wavelength_m in LONG_WAVELENGTHS_M for solver in ("nec2", "batch")
-        }  # fmt: skip
-        save_convergence(
-            images / "antenna-convergence.png", {name: points for name, points in curves.items() if points}
-        )
-        figures = (("antenna-convergence.png", "maximum gain of 5 m dipoles over their segments"),)
+    curves: dict[str, list[tuple[int, float]]] = {}
+    for (wavelength_m, solver, segments), found in long.items():
+        if found is not None:
+            curve = curves.setdefault(f"{solver}, {wavelength_m:g} m", [])
+            curve.append((segments, found.max_gain_dbi))
+    figure = ReportFigure(
+        "antenna-convergence.png", "maximum gain of 5 m dipoles over their segments",
+        partial(save_convergence, curves=curves),
+    )  # fmt: skip
     return Section(
         title="Known limits",
         conditions=(
@@ -179,11 +161,11 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:
             "fed in phase, at decreasing distance, by themselves and in an array; loops too wide for their "
             "places; and arrangements without a pattern, which every solver must reject with the same two "
             "elements. A lossless array radiates its input power, so its average gain is 1 up to the "
-            "solver's error.\n" + said_missing(s for s in SOLVERS if two[s, NEAR_M[0]] is None)
+            "solver's error.\n" + said_missing(s for s in SOLVERS if two[NEAR_M[0], s] is None)
         ),
         checks=(*checks, *further, *more, *faint, *close, *meeting, *last),
         tables=(table, refined, balance, powers, distances, *crowds, refusals),
-        figures=figures,
+        figures=(figure,),
     )
 
 
@@ -221,9 +203,7 @@ def _of_refinement(results: list[Compared | None]) -> tuple[list[Check], ReportT
         ))  # fmt: skip
         if (wavelength_m, few, many) == REFINED[0]:
             name = f"nec2, 5 m at 5 m, {few} to {many} segments: pattern, median; it has not converged"
-            checks.append(
-                Check(name=name, value=float(np.median(pattern_db)), unit="dB", at_least=UNCONVERGED_DB)
-            )
+            checks.append(Check(name, float(np.median(pattern_db)), "dB", at_least=UNCONVERGED_DB))
     return checks, ReportTable(
         caption="Random formations of dipoles of 5 m (0.5 m, 10 degrees), NEC2 with more segments less NEC2 "
         "with fewer. One reference states 0.94 dB from 9 to 21 segments at 5 m, but not of which quantity; "
@@ -253,17 +233,17 @@ def _of_balance(short: dict[int, LimitAnswer | None]) -> tuple[list[Check], Repo
     )
 
 
-def _of_near(two: dict[tuple[str, float], LimitAnswer | None]) -> tuple[list[Check], ReportTable]:
+def _of_near(two: dict[tuple[float, str], LimitAnswer | None]) -> tuple[list[Check], ReportTable]:
     checks, rows = [], []
     for solver in SOLVERS:
         balances = [
-            one.average_gain - 1.0 for m in NEAR_M if m >= BALANCED_M and (one := two[solver, m]) is not None
+            one.average_gain - 1.0 for m in NEAR_M if m >= BALANCED_M and (one := two[m, solver]) is not None
         ]
         if balances:
             name = f"{solver}, short dipoles {BALANCED_M:g} m apart or more: average gain, less 1, at worst"
             checks.append(difference(name, worst(balances), BALANCE, ""))
     for apart_m in NEAR_M:
-        found = [two[solver, apart_m] for solver in SOLVERS]
+        found = [two[apart_m, solver] for solver in SOLVERS]
         cells = [
             cell
             for one in found
@@ -279,12 +259,12 @@ def _of_near(two: dict[tuple[str, float], LimitAnswer | None]) -> tuple[list[Che
 def _of_touching(touching: dict[tuple[str, str], LimitAnswer | None]) -> tuple[list[Check], ReportTable]:
     checks, rows = [], []
     for name in TOUCHING:
-        found = {solver: one for solver in SOLVERS if (one := touching[solver, name]) is not None}
+        found = {solver: one for solver in SOLVERS if (one := touching[name, solver]) is not None}
         refused = [one.touching for one in found.values()]
         checks.append(
             Check(
-                name=f"solvers, of {len(refused)}, that refuse two dipoles by the same elements: {name}",
-                value=float(sum(pair is not None and pair == refused[0] for pair in refused)),
+                f"solvers, of {len(refused)}, that refuse two dipoles by the same elements: {name}",
+                float(sum(pair is not None and pair == refused[0] for pair in refused)),
                 at_least=float(len(refused)),
             )
         )  # fmt: skip

@@ -1,5 +1,7 @@
 """Elements that nearly touch: two of eight short dipoles, and loops too wide for their places."""
 
+from functools import partial
+
 import numpy as np
 from msgspec import Struct
 
@@ -13,7 +15,6 @@ from studies.antenna.agreement import (
     LOOP,
     AgreementCase,
     Compared,
-    Lot,
     cells,
     compare,
     differences,
@@ -49,11 +50,8 @@ class Pairs(Struct, frozen=True, kw_only=True):
 def jobs(plan: AntennaPlan) -> dict[str, list[Job]]:
     """Return one job for each distance and each loop."""
     return {
-        "pairs": [(solve_pairs, (apart_m, plan.other_formations)) for apart_m in APART_M],
-        "loops": [
-            (compare, Lot(case=_loops(round_m), solver="batch", number=0, count=plan.other_formations))
-            for round_m in ROUND_M
-        ],
+        "pairs": [partial(solve_pairs, apart_m, plan.other_formations) for apart_m in APART_M],
+        "loops": [partial(compare, _loops(m), "batch", count=plan.other_formations) for m in ROUND_M],
     }
 
 
@@ -76,12 +74,12 @@ def pairs(apart_m: float, count: int) -> list[Snapshot]:
     return found
 
 
-def solve_pairs(setting: tuple[float, int]) -> Pairs | None:
+def solve_pairs(apart_m: float, count: int) -> Pairs | None:
     """Solve formations of `pairs`; None without PyNEC."""
     nec2 = witness(AntennaConfig(backend="nec2"))
     if nec2 is None:
         return None
-    snapshots = pairs(*setting)
+    snapshots = pairs(apart_m, count)
     expected, others = nec2.patterns(snapshots), {}
     for name in OTHERS:
         solver = witness(AntennaConfig(backend=name))  # type: ignore[arg-type]
@@ -142,5 +140,5 @@ def _of_pairs(name: str, of: dict[float, Compared]) -> list[Check]:
             f"{title} {near}: directivity, at worst", worst(whole.directivity_db), whole.limits_db[0], "dB"
         ),
         difference(f"{title} {near}: pattern, at worst", worst(whole.pattern_db), whole.limits_db[1], "dB"),
-        Check(name=f"{title} {near}: refused by one alone", value=whole.disagreeing, at_most=0.0),
+        Check(f"{title} {near}: refused by one alone", whole.disagreeing, at_most=0.0),
     ]

@@ -1,14 +1,16 @@
 """Input power of very small dipoles, which NEC2's arithmetic does not resolve."""
 
 import math
+from functools import partial
 from itertools import product
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from antenna.model.config import AntennaConfig
 from antenna.model.geometry import upright
-from antenna.solvers.interface import Accuracy, Backend
+from antenna.solvers.interface import Accuracy
 from antenna.solvers.ports import ports
 from antenna.solvers.selection import make_backend
 from studies.antenna.agreement import LIMITS_DB, AgreementCase, Compared, differences, formations
@@ -41,27 +43,23 @@ class Balance(Struct, frozen=True, kw_only=True):
 
 def jobs(plan: AntennaPlan) -> list[Job]:
     """Return one job for each wavelength and number of segments."""
-    return [(solve, (*size, plan.other_formations)) for size in SIZES]
+    return [partial(solve, *size, plan.other_formations) for size in SIZES]
 
 
-def solve(setting: tuple[float, int, int]) -> Balance:
+def solve(wavelength_m: float, segments: int, count: int) -> Balance:
     """Solve formations of short dipoles (0.5 m, 10 degrees) with all installed solvers."""
-    wavelength_m, segments, count = setting
     config = AntennaConfig(wavelength_m=wavelength_m, segments=segments)
     snapshots, redrawn = formations(AgreementCase(name="power", config=config), seed=SEED, count=count)
     alone = ports(upright(np.zeros((1, 3)), np.ones(1, complex)), config)
     impedance_ohm = 1.0 / complex(alone.admittance_s[0, 0])
-    programs: dict[str, Backend] = {}
-    for name in PROGRAMS:
-        solver = witness(AntennaConfig(wavelength_m=wavelength_m, segments=segments, backend=name))  # type: ignore[arg-type]
-        if solver is not None:
-            programs[name] = solver
+    programs = {name: witness(replace(config, backend=name)) for name in PROGRAMS}
     ours, limits_db = make_backend(config).patterns(snapshots), (math.inf, math.inf)
     return Balance(
         resistance_of_reactance=impedance_ohm.real / abs(impedance_ohm.imag),
         programs={
             name: differences(solver.patterns(snapshots), ours, limits_db, redrawn=redrawn)
             for name, solver in programs.items()
+            if solver is not None
         },
         batch=differences(ours, ours, limits_db, redrawn=redrawn),
     )
@@ -81,12 +79,12 @@ def judge(results: list[Balance | None]) -> tuple[list[Check], ReportTable]:
             maximum_db = abs(worst(of[FAINTEST].maximum_db))
             title = f"{name} less batch, 0.05 m at {FAINTEST[0]:g} m: maximum, greatest; power is not certain"
             least_db = LIMITS_DB[Accuracy.SMALL_ELEMENTS][0]
-            checks.append(Check(name=title, value=maximum_db, unit="dB", at_least=least_db))
+            checks.append(Check(title, maximum_db, "dB", at_least=least_db))
     usual = [one.batch.average_gain for (_, n), one in found.items() if n == USUAL_SEGMENTS]
     if usual:
         gains = [value for one in usual for value in one]
         title = f"batch, {USUAL_SEGMENTS} segments, 10 to 40 m: average gain, greatest less least"
-        checks.append(Check(name=title, value=max(gains) - min(gains), at_most=STEADY))
+        checks.append(Check(title, max(gains) - min(gains), at_most=STEADY))
     return checks, _table(found)
 
 

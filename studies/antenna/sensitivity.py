@@ -1,10 +1,10 @@
 """Maximum gain with position errors: random formations compared with reference statistics."""
 
-import csv
 import math
+from functools import partial
 from itertools import islice
-from pathlib import Path
 
+import msgspec
 import numpy as np
 from msgspec import Struct
 
@@ -16,10 +16,10 @@ from studies.antenna.checks import difference, worst
 from studies.antenna.figures import save_sensitivity
 from studies.antenna.ideal import places
 from studies.antenna.plan import AntennaPlan
-from studies.common.report import Check, ReportTable, Section
+from studies.common.reference import reference_table
+from studies.common.report import Check, ReportFigure, ReportTable, Section
 from studies.common.runner import Job, Results
 
-REFERENCE = Path(__file__).parents[2] / "studies" / "reference" / "antenna_sensitivity.csv"
 TOLERANCE_DB = 0.05
 STANDARD_ERRORS = 2.0
 GRID_DEG = 2.0
@@ -55,14 +55,6 @@ class SensitivityReference(Struct, frozen=True, kw_only=True):
     std_db: float
 
 
-class Draw(Struct, frozen=True, kw_only=True):
-    """One kind of random formations; all kinds use the same draws, scaled."""
-
-    config: AntennaConfig
-    sigma_m: float
-    samples: int
-
-
 class Gains(Struct, frozen=True, kw_only=True):
     """Maximum gains in dBi (K,) of the formations that do not touch."""
 
@@ -82,45 +74,39 @@ class Moments(Struct, frozen=True, kw_only=True):
 
 def reference_rows() -> tuple[SensitivityReference, ...]:
     """Read the reference table."""
-    with REFERENCE.open(encoding="utf-8", newline="") as file:
-        return tuple(
-            SensitivityReference(**{name: float(value) for name, value in line.items()})
-            for line in csv.DictReader(file)
-        )
+    rows = reference_table("antenna_sensitivity.csv")
+    return tuple(msgspec.convert(row, SensitivityReference, strict=False) for row in rows)
 
 
 def jobs(plan: AntennaPlan) -> dict[str, list[Job]]:
     """Return the jobs of every reference row, every feeding policy, every point of the curve, every grid."""
     return {
         "table": [
-            (draw, Draw(
-                config=AntennaConfig(wavelength_m=one.wavelength_m, grid_deg=GRID_DEG),
+            partial(
+                draw, AntennaConfig(wavelength_m=one.wavelength_m, grid_deg=GRID_DEG),
                 sigma_m=one.sigma_m, samples=plan.samples,
-            ))
+            )
             for one in reference_rows()
         ],
-        "feeds": [
-            (draw, Draw(config=config, sigma_m=0.5, samples=plan.samples)) for config in _FEEDS.values()
-        ],
+        "feeds": [partial(draw, config, sigma_m=0.5, samples=plan.samples) for config in _FEEDS.values()],
         "curve": [
-            (draw, Draw(config=AntennaConfig(), sigma_m=10.0 * at, samples=plan.curve_samples))
+            partial(draw, AntennaConfig(), sigma_m=10.0 * at, samples=plan.curve_samples)
             for at in CURVE_LAMBDA
         ],
         "grids": [
-            (draw, Draw(config=AntennaConfig(grid_deg=step), sigma_m=0.5, samples=plan.samples))
+            partial(draw, AntennaConfig(grid_deg=step), sigma_m=0.5, samples=plan.samples)
             for step in GRIDS_DEG
         ],
     }  # fmt: skip
 
 
-def draw(kind: Draw) -> Gains:
-    """Solve random formations with the batch solver, some at a time."""
-    config = kind.config
+def draw(config: AntennaConfig, *, sigma_m: float, samples: int) -> Gains:
+    """Solve random formations with the batch solver, some at a time; all use the same draws, scaled."""
     solver = make_backend(config)
-    source = draws(places(4, config.wavelength_m), config, Disorder(sigma_m=kind.sigma_m, seed=SEED))
+    source = draws(places(4, config.wavelength_m), config, Disorder(sigma_m=sigma_m, seed=SEED))
     refined, on_grid, touching = [], [], 0
-    for first in range(0, kind.samples, AT_A_TIME):
-        for pattern in solver.patterns(list(islice(source, min(AT_A_TIME, kind.samples - first)))):
+    for first in range(0, samples, AT_A_TIME):
+        for pattern in solver.patterns(list(islice(source, min(AT_A_TIME, samples - first)))):
             if isinstance(pattern, ElementsTouch):
                 touching += 1
                 continue
@@ -142,7 +128,7 @@ def moments(gains_dbi: Array) -> Moments:
     return Moments(mean_dbi=mean, std_db=std, mean_error_db=std / math.sqrt(count), std_error_db=std_error)
 
 
-def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:
+def judge(plan: AntennaPlan, results: Results) -> Section:
     """Compare moments with those of the reference, and formations with each other."""
     rows, checks, cells = reference_rows(), [], []
     tables: list[Gains] = results["table"]
@@ -157,8 +143,8 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:
         ))  # fmt: skip
     checks.append(
         Check(
-            name="same σ/wavelength, same draws: greatest difference of a formation",
-            value=alike_db(rows, tables), unit="dB", at_most=SAME_DB,
+            "same σ/wavelength, same draws: greatest difference of a formation", alike_db(rows, tables), "dB",
+            at_most=SAME_DB,
         )
     )  # fmt: skip
     feeds = {name: moments(np.array(g.on_grid)) for name, g in zip(_FEEDS, results["feeds"], strict=True)}
@@ -169,25 +155,20 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:
             difference(f"{name}: mean, less {expected_dbi:g}", of.mean_dbi - expected_dbi, bound_db, "dB")
         )
     (best,) = make_backend(AntennaConfig()).patterns([ideal(places(4, 10.0), AntennaConfig())])
-    figures: tuple[tuple[str, str], ...] = ()
-    if images is not None and not isinstance(best, ElementsTouch):
-        curve = [moments(np.array(gains.refined)) for gains in results["curve"]]
-        save_sensitivity(
-            images / "antenna-sensitivity.png",
-            curve=[(at, of.mean_dbi, of.std_db) for at, of in zip(CURVE_LAMBDA, curve, strict=True)],
-            points=[(one.sigma_m / one.wavelength_m, one.mean_max_gain_dbi, one.std_db) for one in rows],
-            densities=[
-                (
-                    one.sigma_m / one.wavelength_m,
-                    f"{one.sigma_m:g} m at {one.wavelength_m:g} m",
-                    gains.refined,
-                )
-                for one, gains in zip(rows, tables, strict=True)
-                if one.sigma_m in DRAWN_SIGMA_M
-            ],
-            ideal_dbi=best.max_gain_dbi,
-        )
-        figures = (("antenna-sensitivity.png", "maximum gain over position errors, and its densities"),)
+    if isinstance(best, ElementsTouch):
+        raise best
+    curve = [moments(np.array(gains.refined)) for gains in results["curve"]]
+    figure = partial(
+        save_sensitivity,
+        curve=[(at, of.mean_dbi, of.std_db) for at, of in zip(CURVE_LAMBDA, curve, strict=True)],
+        points=[(one.sigma_m / one.wavelength_m, one.mean_max_gain_dbi, one.std_db) for one in rows],
+        densities=[
+            (one.sigma_m / one.wavelength_m, f"{one.sigma_m:g} m at {one.wavelength_m:g} m", gains.refined)
+            for one, gains in zip(rows, tables, strict=True)
+            if one.sigma_m in DRAWN_SIGMA_M
+        ],
+        ideal_dbi=best.max_gain_dbi,
+    )
     return Section(
         title="Position errors",
         conditions=(
@@ -219,7 +200,11 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:
             ),
             _grids(results["grids"]),
         ),
-        figures=figures,
+        figures=(
+            ReportFigure(
+                "antenna-sensitivity.png", "maximum gain over position errors, and its densities", figure
+            ),
+        ),
     )  # fmt: skip
 
 

@@ -2,7 +2,7 @@
 
 import math
 import os
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import msgspec
@@ -19,7 +19,7 @@ LEAST = {"speedup_short_dipole": 200.0, "speedup_5m_dipole": 40.0, "speedup_two_
 
 def jobs(plan: AntennaPlan) -> dict[str, list[Job]]:
     """Return one job, because nothing else may run at the same time."""
-    return {"benchmark": [(measure, plan.benchmark_s)]}
+    return {"benchmark": [partial(measure, plan.benchmark_s)]}
 
 
 def measure(seconds: float) -> dict[str, Any] | None:
@@ -33,7 +33,7 @@ def measure(seconds: float) -> dict[str, Any] | None:
     return fields
 
 
-def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:  # noqa: ARG001  # common signature
+def judge(plan: AntennaPlan, results: Results) -> Section:  # common signature
     """Check three fields, and list all."""
     (fields,) = results["benchmark"]
     cores = len(os.sched_getaffinity(0))
@@ -59,8 +59,7 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section: 
 def requirements(fields: dict[str, Any]) -> tuple[Check, ...]:
     """Return the checks of the required speed-ups; a missing field fails."""
     return tuple(
-        Check(name=name, value=float(fields.get(name, math.nan)), at_least=least)
-        for name, least in LEAST.items()
+        Check(name, float(fields.get(name, math.nan)), at_least=least) for name, least in LEAST.items()
     )
 
 

@@ -1,9 +1,7 @@
 """Values from the campaigns' tables and series: one `Cell` for each change, wavelength and wind."""
 
-import csv
-import io
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -207,31 +205,14 @@ def _mean(values: Sequence[float]) -> float | None:
     return sum(values) / len(values) if values else None
 
 
-def csv_text(cells: Iterable[Cell]) -> str:
-    """Return the cells as CSV, one row each; missing values are empty."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(CSV_COLUMNS)
-    for cell in cells:
-        writer.writerow([_written(value) for value in csv_row(cell).values()])
-    return text.getvalue()
-
-
-def csv_row(cell: Cell) -> Mapping[str, Any]:
-    """Return the values of a row by column."""
+def csv_row(cell: Cell) -> tuple[str | float | None, ...]:
+    """Return the values of `CSV_COLUMNS`."""
     found = cell.statistics
-    quantiles = {q: None if found is None else found.quantiles_dbi[q] for q in (0.05, 0.5, 0.95)}
-    values = (
+    quantiles = [None if found is None else found.quantiles_dbi[q] for q in (0.05, 0.5, 0.95)]
+    return (
         cell.case, cell.wavelength_m, cell.wind_n, cell.flights, cell.completed, cell.collided,
         len(cell.max_gain_dbi), cell.missing, cell.ideal_dbi, None if found is None else found.mean_dbi,
-        None if found is None else found.std_db, cell.between_flights_db, *quantiles.values(),
+        None if found is None else found.std_db, cell.between_flights_db, *quantiles,
         cell.peak_per_db, cell.shape_m, cell.shape_horizontal_m, cell.sigma_m, cell.busy_fraction,
         cell.ftm_requested, cell.ftm_completed, cell.ftm_error_std_m,
     )  # fmt: skip
-    return dict(zip(CSV_COLUMNS, values, strict=True))
-
-
-def _written(value: object) -> object:
-    if value is None:
-        return ""
-    return f"{value:.6g}" if isinstance(value, float) else value

@@ -23,21 +23,26 @@ from harness.campaign.store import FAILED, Store
 from harness.campaign.worker import sources_state
 from harness.launch import kernel_cache
 from harness.launch.interrupts import interruptible
-from studies.article import figures, page
-from studies.article.campaign_data import csv_text, read_cells
+from studies.article import page
+from studies.article.campaign_data import CSV_COLUMNS, csv_row, read_cells
 from studies.article.evidence import Evidence
 from studies.article.monte_carlo import WAVELENGTHS_M as DRAWN_M
 from studies.article.monte_carlo import WIND_PHIS_DEG, array_of, draw, frequency_mhz, ideal_gains, tilted
 from studies.article.patterns import read_pattern
 from studies.article.plan import FIGURE_WAVELENGTH_M, FIGURE_WIND_N, KEPT, QUICK, ArticlePlan, campaigns
 from studies.article.retained_flights import figure_flights, figure_patterns_of, kept_flights, separate
-from studies.article.setup_findings import IDEAL_DBI
 from studies.article.statements import StatementVerdict, count, judge_all
-from studies.common.command_line import WIDTH, progress_lines
-from studies.common.report import Section, figures_folder, figures_link, markdown, show, write
-from studies.common.standard_output import keep_stdout
+from studies.common.command_line import (
+    BAD_INPUT,
+    FINE,
+    INTERRUPTED,
+    keep_stdout,
+    progress_lines,
+    result_console,
+)
+from studies.common.report import Section, show, write_csv, write_page
 
-FINE, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+SOME_FAILED = 1
 PROGRAM = "reproduce_article"
 RUNS, QUICK_RUNS = Path("runs") / "article", Path("runs") / "article-quick"
 
@@ -172,27 +177,16 @@ def _measure(plan: ArticlePlan, tables: Mapping[str, Table], messages: Console) 
 
 def _write(results: page.Results, sections: Sequence[Section], out: Path, *, quick: bool) -> None:
     """Write page, figures and CSV; raises OSError."""
-    images, evidence = figures_folder(out), results.evidence
-    images.mkdir(parents=True, exist_ok=True)
-    figures.save_densities(images / page.FIGURE3, evidence.cells, evidence.winds_n, IDEAL_DBI)
-    figures.save_wind(images / page.WIND_FIGURE, evidence.cells, IDEAL_DBI)
-    figures.save_changes(images / page.CHANGES_FIGURE, evidence.cells, FIGURE_WIND_N, IDEAL_DBI)
-    figures.save_sigma(images / page.SIGMA_FIGURE, evidence.drawn, evidence.cells.values())
-    if results.figure is not None:
-        figures.save_patterns(images / page.FIGURE4, results.figure)
-        figures.save_patterns(images / page.MEANS, results.figure, mean=True)
-    (out / page.CSV_NAME).write_text(csv_text(evidence.cells.values()), encoding="utf-8")
+    write_csv(out / page.CSV_NAME, CSV_COLUMNS, map(csv_row, results.evidence.cells.values()))
     introduction = page.introduction(results, quick=quick)
-    text = markdown(sections, title=page.TITLE, introduction=introduction, figures=figures_link(out))
-    write(out / page.FILE_NAME, text)
+    write_page(out, page.FILE_NAME, sections, title=page.TITLE, introduction=introduction)
 
 
 def _print(
     results: page.Results, sections: Sequence[Section], out: Path | None, *, json: bool, stdout: TextIO
 ) -> None:
     if not json:
-        console = Console(file=stdout, highlight=False, width=None if stdout.isatty() else WIDTH)
-        show(console, sections, px4=False)
+        show(result_console(stdout), sections, px4=False)
         return
     found = count(results.judged)
     result = {

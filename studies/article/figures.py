@@ -1,5 +1,6 @@
 """The article's figures 3 and 4 from our flights, and further figures that explain them, as PNG files."""
 
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from antenna.analysis.statistics import gain_density
 from studies.article.campaign_data import Cell, Key
 from studies.article.monte_carlo import Drawn
 from studies.article.patterns import REGION_PHI_DEG, REGION_THETA_DEG
-from studies.article.plan import ARTICLE, CHANGES
+from studies.article.plan import ARTICLE, CHANGES, FIGURE_WIND_N
 from studies.article.retained_flights import FLOWN, FigurePatterns
 from studies.common.figures import DPI, new_figure, save
 
@@ -22,16 +23,17 @@ TAILS = 0.002
 """Share of the gains at either end that is outside the axis range"""
 
 
-def save_densities(path: Path, cells: Mapping[Key, Cell], winds_n: Sequence[float], ideal_dbi: float) -> None:
+def save_densities(path: Path, cells: Mapping[Key, Cell], ideal_dbi: float) -> None:
     """Plot figure 3: densities of the maximum gain by wavelength, a panel for each wind."""
-    panels = {f"{wind_n:g} N": _of(cells, ARTICLE, wind_n) for wind_n in sorted(winds_n, reverse=True)}
-    heights = [1.0 if wind_n > 0.0 else 0.6 for wind_n in sorted(winds_n, reverse=True)]
+    winds_n = sorted({wind_n for case, _, wind_n in cells if case == ARTICLE}, reverse=True)
+    panels = {f"{wind_n:g} N": _of(cells, ARTICLE, wind_n) for wind_n in winds_n}
+    heights = [1.0 if wind_n > 0.0 else 0.6 for wind_n in winds_n]
     _save_panels(path, panels, heights, ideal_dbi)
 
 
-def save_changes(path: Path, cells: Mapping[Key, Cell], wind_n: float, ideal_dbi: float) -> None:
-    """Plot densities in one wind, a panel for each flown change of the scenario."""
-    panels = {name: _of(cells, name, wind_n) for name in (ARTICLE, *CHANGES)}
+def save_changes(path: Path, cells: Mapping[Key, Cell], ideal_dbi: float) -> None:
+    """Plot densities in the wind of figure 4, a panel for each flown change of the scenario."""
+    panels = {name: _of(cells, name, FIGURE_WIND_N) for name in (ARTICLE, *CHANGES)}
     _save_panels(path, {name: found for name, found in panels.items() if found}, None, ideal_dbi)
 
 
@@ -92,18 +94,17 @@ def save_patterns(path: Path, patterns: FigurePatterns, *, mean: bool = False) -
     figure.savefig(path, dpi=DPI)
 
 
-def save_wind(path: Path, cells: Mapping[Key, Cell], ideal_dbi: float) -> None:
-    """Plot mean and deviation of the maximum gain against wind, by wavelength."""
+def save_wind(path: Path, cells: Sequence[Cell], ideal_dbi: float) -> None:
+    """Plot mean and deviation of the maximum gain against wind, by wavelength; ``cells`` is sorted."""
     figure = new_figure(9.0, 3.6)
     left, right = figure.subplots(1, 2)
-    of_article = [cell for cell in cells.values() if cell.case == ARTICLE and len(cell.max_gain_dbi)]
-    for wavelength_m in sorted({cell.wavelength_m for cell in of_article}):
-        row = sorted((c for c in of_article if c.wavelength_m == wavelength_m), key=lambda cell: cell.wind_n)
-        found = [cell.statistics for cell in row]
-        colour, winds_n = COLOURS.get(wavelength_m, "0.4"), [cell.wind_n for cell in row]
-        label = f"λ = {wavelength_m:g} m"
-        left.plot(winds_n, [each.mean_dbi for each in found if each], "o-", color=colour, label=label)
-        right.plot(winds_n, [each.std_db for each in found if each], "o-", color=colour, label=label)
+    for wavelength_m, row in itertools.groupby(cells, lambda cell: cell.wavelength_m):
+        found = [(cell.wind_n, cell.statistics) for cell in row if cell.statistics is not None]
+        winds_n = [wind_n for wind_n, _ in found]
+        style = {"color": COLOURS.get(wavelength_m, "0.4"), "label": f"λ = {wavelength_m:g} m"}
+        if found:
+            left.plot(winds_n, [each.mean_dbi for _, each in found], "o-", **style)
+            right.plot(winds_n, [each.std_db for _, each in found], "o-", **style)
     left.axhline(ideal_dbi, color="black", linestyle="--", linewidth=1.0, label="ideal")
     left.set(ylabel="Mean maximum gain (dB)")
     right.set(ylabel="Its standard deviation (dB)")

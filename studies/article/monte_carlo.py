@@ -4,6 +4,7 @@ Places, elements, grid and solver are those of the flown scenario.
 """
 
 import contextlib
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -24,9 +25,9 @@ from antenna.solvers.interface import BackendUnavailable
 from antenna.solvers.parallel import compute_patterns
 from antenna.solvers.ports import MAIN_LOBE_DEG
 from foundation.types import Array
-from harness.scenario.scenario import load
+from harness.report.flown_array import upright_snapshot
+from harness.scenario.scenario import Scenario, load
 from studies.article.plan import SCENARIO, WAVELENGTH
-from studies.article.snapshots import upright_array
 
 WIND_PHIS_DEG = (0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0)
 """Wind directions of the sweep; the wind blows towards phi."""
@@ -57,6 +58,15 @@ def array_of(wavelength_m: float, scenario: Path = SCENARIO) -> tuple[Snapshot, 
     """Return the array of all vehicles upright in their places at a wavelength, and its configuration."""
     loaded = load(scenario, (f"{WAVELENGTH}={float(wavelength_m)!r}",))
     return upright_array(loaded), loaded.antenna
+
+
+def upright_array(scenario: Scenario) -> Snapshot:
+    """Return the array of all vehicles upright in their initial places, in the antenna's frame.
+
+    Raises `ElementsTouch`, `NoFeed`.
+    """
+    heading_rad = math.radians(scenario.formation.heading_deg)
+    return upright_snapshot(scenario.places_ned_m(), heading_rad, scenario.antenna)
 
 
 def frequency_mhz(wavelength_m: float, scenario: Path = SCENARIO) -> float:

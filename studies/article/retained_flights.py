@@ -4,6 +4,7 @@ Each flight is solved three times: as flown, with upright vehicles at their flow
 in their places with their flown tilt. The differences separate the two causes.
 """
 
+import contextlib
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,19 +15,19 @@ from msgspec import Struct, structs
 from antenna.analysis.patterns import Pattern
 from antenna.analysis.statistics import pointing_errors_deg
 from antenna.model.config import AntennaConfig
-from antenna.model.geometry import Snapshot
+from antenna.model.geometry import ElementsTouch, Snapshot
 from antenna.solvers.parallel import compute_patterns
 from antenna.solvers.ports import MAIN_LOBE_DEG
 from foundation.types import Array
 from harness.campaign import Table
 from harness.records.flight import Flight
 from harness.records.tables import make_flight
-from harness.report.flown_array import FIGURE_GRID_DEG, gain_series, ideal_pattern
+from harness.report.flown_array import FIGURE_GRID_DEG, NoFeed, gain_series, ideal_pattern, snapshot_at
 from harness.report.formation_error import formation_error
 from harness.scenario.scenario import Scenario
+from studies.article.monte_carlo import upright_array
 from studies.article.patterns import PatternReading, mean_pattern, read_pattern
 from studies.article.plan import FIGURE_WAVELENGTH_M, FIGURE_WIND_N
-from studies.article.snapshots import snapshots_of, upright_array
 
 FLOWN, UPRIGHT, IN_PLACE = "flown", "upright", "in place"
 VARIANTS = (FLOWN, UPRIGHT, IN_PLACE)
@@ -190,6 +191,16 @@ def figure_flights(flights: Iterable[KeptFlight]) -> Iterator[KeptFlight]:
     """Yield the flights with wavelength and wind of the article's pattern."""
     of_figure = (FIGURE_WAVELENGTH_M, FIGURE_WIND_N)
     return (each for each in flights if (each.scenario.antenna.wavelength_m, each.wind_n) == of_figure)
+
+
+def snapshots_of(flight: Flight, config: AntennaConfig) -> dict[int, Snapshot]:
+    """Return the feedable arrays of the flight at ``config.snapshot_rate_hz``, by time in us."""
+    sampled = flight.sampled(config.snapshot_rate_hz)
+    found: dict[int, Snapshot] = {}
+    for t, time_us in enumerate(sampled.time_us.tolist()):
+        with contextlib.suppress(ElementsTouch, NoFeed):
+            found[time_us] = snapshot_at(sampled, t, config)
+    return found
 
 
 def figure_patterns_of(kept: KeptFlight) -> FigurePatterns | None:

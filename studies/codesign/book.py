@@ -1,6 +1,6 @@
 """All flights of an experiment by case and seed, with the queries for tables and figures."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 from msgspec import Struct
 
@@ -8,6 +8,15 @@ from studies.codesign.cases import CodesignCase, CodesignPlan
 from studies.codesign.measures import Measures
 from studies.codesign.results import CodesignFlown
 from studies.codesign.statistics import Interval, mean_interval, ratio_interval
+from studies.common.report import ReportTable
+
+COLUMNS = {
+    "shape m": ("shape_m", 3, 1.0), "estimates m": ("estimate_m", 3, 1.0), "control m": ("control_m", 3, 1.0),
+    "absolute m": ("absolute_m", 3, 1.0), "busy %": ("busy_fraction", 1, 100.0),
+    "sessions/s": ("sessions_per_s", 0, 1.0), "completed %": ("completed_fraction", 1, 100.0),
+    "beacons lost %": ("beacons_lost_fraction", 1, 100.0),
+}  # fmt: skip
+"""Field of `Measures`, digits and factor by column of a table."""
 
 
 class Book(Struct, frozen=True, kw_only=True):
@@ -62,9 +71,30 @@ class Book(Struct, frozen=True, kw_only=True):
         """Return the number of finished flights, with results or broken."""
         return sum(flown is not None for flown in self._flights(case))
 
-    def of_flights(self, number: int, case: CodesignCase) -> str:
-        """Format as ``number of flights``."""
-        return f"{number} of {len(self.flown(case))}"
+    def of_flights(self, count: Callable[[CodesignCase], int], case: CodesignCase) -> str:
+        """Format a count of this case as ``number of flights``."""
+        return f"{count(case)} of {len(self.flown(case))}"
+
+    def cell(self, case: CodesignCase, column: str) -> str:
+        """Return the mean of one of `COLUMNS` with its interval, as text."""
+        what, digits, factor = COLUMNS[column]
+        return self.mean(case, what).text(digits, factor=factor)
+
+    def means_table(
+        self,
+        keys: tuple[str, ...],
+        columns: tuple[str, ...],
+        rows: Iterable[tuple[*tuple[str, ...], CodesignCase]],
+    ) -> ReportTable:
+        """Return the means of `COLUMNS`: a row for each case, which follows its keys."""
+        return ReportTable(
+            caption="Means and 95 % confidence intervals.",
+            columns=(*keys, *columns, "collided"),
+            rows=tuple(
+                (*key, *(self.cell(case, column) for column in columns), self.of_flights(self.collided, case))
+                for *key, case in rows
+            ),
+        )
 
     def least(self, case: CodesignCase, what: str) -> str:
         """Return the smallest value over the flights, in metres, as text."""

@@ -20,12 +20,12 @@ NO_WORSE_MOST = 1.1
 def formed_check(book: Book, cases: Sequence[CodesignCase]) -> Check:
     """Check that enough flights of each case reached their formation; others have no results of it."""
     fewest = min(map(book.formed, cases))
-    return Check(name="flights that formed, fewest", value=float(fewest), at_least=float(SEEDS_LEAST))
+    return Check("flights that formed, fewest", float(fewest), at_least=float(SEEDS_LEAST))
 
 
 def pairs_check(what: str, count: int) -> Check:
     """Check that enough seeds have both flights."""
-    return Check(name=f"pairs of flights, {what}", value=float(count), at_least=float(SEEDS_LEAST))
+    return Check(f"pairs of flights, {what}", float(count), at_least=float(SEEDS_LEAST))
 
 
 def fewest_pairs_check(ratios: Sequence[Interval]) -> Check:
@@ -42,13 +42,10 @@ def sound_checks(book: Book, cases: Sequence[CodesignCase], by: str = "with FTM"
     missed = sum(book.begun(case) - book.formed(case) for case in cases)
     collided = sum(map(book.collided, cases))
     return (
+        Check(f"{by}: flights that broke or did not form", float(missed) if flown else math.nan, at_most=0.0),
         Check(
-            name=f"{by}: flights that broke or did not form", at_most=0.0,
-            value=float(missed) if flown else math.nan,
-        ),
-        Check(
-            name=f"{by}: flights with a collision", at_most=0.0,
-            value=float(collided) if any(map(book.flown, cases)) else math.nan,
+            f"{by}: flights with a collision", float(collided) if any(map(book.flown, cases)) else math.nan,
+            at_most=0.0,
         ),
     )  # fmt: skip
 
@@ -56,8 +53,8 @@ def sound_checks(book: Book, cases: Sequence[CodesignCase], by: str = "with FTM"
 def largest_shape_check(book: Book, cases: Sequence[CodesignCase], of_what: str) -> Check:
     """Check the mean shape error of every case against the limit with FTM in the article's scenario."""
     return Check(
-        name=f"shape error with FTM, {of_what}, largest mean", value=extreme(book, cases, "shape_m", np.max),
-        unit="m", at_most=SHAPE_MOST_M,
+        f"shape error with FTM, {of_what}, largest mean", extreme(book, cases, "shape_m", np.max), "m",
+        at_most=SHAPE_MOST_M,
     )  # fmt: skip
 
 

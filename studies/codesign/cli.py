@@ -23,13 +23,20 @@ from studies.codesign.factor_sections import judge_baselines, judge_beacon_perio
 from studies.codesign.introduction import command, introduction
 from studies.codesign.results import FLYING, campaign, known, make_runs, state
 from studies.codesign.sections import Judge, judge_wavelength, judge_wind_agents
-from studies.codesign.tables import write_csv
+from studies.codesign.tables import write_tables
 from studies.codesign.trouble_section import judge_trouble
-from studies.common.command_line import BAD_INPUT, Page, chosen, progress_lines, report_and_exit
-from studies.common.report import Section, figures_folder
-from studies.common.standard_output import keep_stdout
+from studies.common.command_line import (
+    BAD_INPUT,
+    INTERRUPTED,
+    JsonOption,
+    Page,
+    chosen,
+    keep_stdout,
+    progress_lines,
+    report_and_exit,
+)
+from studies.common.report import Section
 
-INTERRUPTED = 130
 DATA = Path("runs") / "codesign"
 STALE_HELP = "Accept stored flights of other source states."
 JUDGES: dict[str, Judge] = {
@@ -61,7 +68,7 @@ def codesign(
     workers: Annotated[int, typer.Option(help="Concurrent flights.", min=1)] = min(2, os.cpu_count() or 1),
     stale: Annotated[bool, typer.Option("--stale", help=STALE_HELP)] = False,  # noqa: FBT002
     retry: Annotated[bool, typer.Option("--retry", help="Repeat broken flights.")] = False,  # noqa: FBT002
-    json: Annotated[bool, typer.Option("--json", help="Print only the numbers, as JSON.")] = False,  # noqa: FBT002
+    json: JsonOption = False,  # noqa: FBT002
     out: Annotated[
         Path | None,
         typer.Option(
@@ -107,20 +114,17 @@ def codesign(
         if changed:
             messages.print("the sources changed during the run: its flights cannot be assigned to one state")
     book = Book(plan=plan, flights=flights)
-    images = None if out is None else figures_folder(out)
-    if images is not None:
-        images.mkdir(parents=True, exist_ok=True)
-    sections = [JUDGES[name](book, images) for name in JUDGES if name in names]
+    sections = [judge(book) for name, judge in JUDGES.items() if name in names]
     if estimated is not None:
         sections.insert(0, estimated)
     if out is not None:
-        write_csv(out, cases, book)
+        write_tables(out, cases, book)
     page = Page(
         file_name="codesign-results.md",
         title="Co-design: results",
         introduction=introduction(book, runs, made_by=made_by, changed=changed),
     )
-    report_and_exit(sections, page=page, out=out, json=json, stdout=stdout, px4=False)
+    report_and_exit(sections, page=page, out=out, json=json, stdout=stdout)
 
 
 def _study(plan: CodesignPlan, data: Path, *, workers: int, messages: Console) -> Section:

@@ -48,12 +48,8 @@ SETTINGS = (
 )
 
 
-def study(setting: Setting, runs: int) -> LocalisationResult:
-    """Run one study in the article's geometry, adapted to the number of UAVs."""
-    return localisation_study(**_arguments(setting, runs))
-
-
 def _arguments(setting: Setting, runs: int) -> dict[str, Any]:
+    """Return the arguments of a study in the article's geometry, adapted to the number of UAVs."""
     return {
         "places_ned_m": wind_agents("ftm", setting.agents, 5).scenario(CodesignPlan(), 1).places_ned_m(),
         "runs": runs,
@@ -72,7 +68,8 @@ def studies(
     ``done`` is called with the number of finished studies and their total. Returns all studies.
     """
     runs, sources, store = RUNS_PER_SEED * plan.seeds, _state(), Store(data)
-    digests = {setting: _digest(sources, _arguments(setting, runs)) for setting in SETTINGS}
+    arguments = {setting: _arguments(setting, runs) for setting in SETTINGS}
+    digests = {setting: _digest(sources, arguments[setting]) for setting in SETTINGS}
     found = {
         setting: msgspec.convert(stored.summary, LocalisationResult)
         for setting in SETTINGS
@@ -83,7 +80,7 @@ def studies(
     if not missing:
         return found
     with ProcessPoolExecutor(workers, mp_context=get_context(START_METHOD)) as pool:
-        waiting = {pool.submit(study, setting, runs): setting for setting in missing}
+        waiting = {pool.submit(localisation_study, **arguments[setting]): setting for setting in missing}
         for future in as_completed(waiting):
             setting, result = waiting[future], future.result()
             found[setting] = result
@@ -111,12 +108,12 @@ def judge_estimator(results: dict[Setting, LocalisationResult]) -> Section:
             "requirement applies to the article's geometry; others outside the band are marked.\n"
         ),
         checks=(
-            Check(name="runs", value=float(article.runs), at_least=float(RUNS_LEAST)),
+            Check("runs", float(article.runs), at_least=float(RUNS_LEAST)),
             Check(
-                name="relative position error over the Cramer-Rao bound, article's geometry",
-                value=article.filter_over_bound, at_most=OVER_BOUND_MOST,
+                "relative position error over the Cramer-Rao bound, article's geometry",
+                article.filter_over_bound, at_most=OVER_BOUND_MOST,
             ),
-            Check(name="its NEES", value=article.nees, at_least=low, at_most=high),
+            Check("its NEES", article.nees, at_least=low, at_most=high),
         ),
         tables=(
             ReportTable(

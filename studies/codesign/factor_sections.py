@@ -1,7 +1,7 @@
 """Judgement of the beacon, ranging and baseline cases: checks, tables and figures."""
 
 import math
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from studies.codesign.checks import (
     largest_shape_check,
     sound_checks,
 )
-from studies.common.report import Check, ReportTable, Section
+from studies.common.report import Check, ReportFigure, Section
 
 OFTEN_MS, SELDOM_MS = 50, 200
 """Beacon periods between which no difference is claimed."""
@@ -43,22 +43,16 @@ CONTROLS_LEAST = math.sqrt(0.5)
 """Shape error with true positions over that with FTM: control causes at least half of the mean square."""
 
 
-def judge_beacon_period(book: Book, images: Path | None) -> Section:
+def judge_beacon_period(book: Book) -> Section:
     """Compare beacon periods."""
     cases = [beacon_period(period_ms) for period_ms in BEACON_PERIODS_MS]
     sooner = book.ratio(beacon_period(SELDOM_MS), beacon_period(OFTEN_MS), "shape_m")
     later = book.ratio(cases[-1], BASE, "estimate_m")
-    if images is not None:
-        figures.save_beacons(
-            images / "codesign-beacons.png", BEACON_PERIODS_MS,
-            {
-                label: [book.mean(case, what) for case in cases]
-                for label, what in (
-                    ("shape error", "shape_m"), ("error of the estimates", "estimate_m"),
-                    ("control's part", "control_m"),
-                )
-            },
-        )  # fmt: skip
+    parts = {
+        "shape error": "shape_m", "error of the estimates": "estimate_m", "control's part": "control_m"
+    }  # fmt: skip
+    parts_m = {label: [book.mean(case, what) for case in cases] for label, what in parts.items()}
+    draw = partial(figures.save_beacons, periods_ms=BEACON_PERIODS_MS, parts_m=parts_m)
     return Section(
         title="Beacon period",
         conditions="8 UAVs with FTM in 5 N; each UAV ranges to all others once per second in all cases.\n",
@@ -68,34 +62,26 @@ def judge_beacon_period(book: Book, images: Path | None) -> Section:
             fewest_pairs_check((sooner, later)),
             largest_shape_check(book, cases, "any period"),
             Check(
-                name=f"shape error at {SELDOM_MS} ms over that at {OFTEN_MS} ms", value=sooner.value,
+                f"shape error at {SELDOM_MS} ms over that at {OFTEN_MS} ms", sooner.value,
                 at_most=NO_WORSE_MOST,
             ),
             Check(
-                name=f"error of the estimates at {BEACON_PERIODS_MS[-1]} ms over that at "
-                f"{BASE.beacon_period_ms} ms, lower end", value=later.low, at_least=1.0,
+                f"error of the estimates at {BEACON_PERIODS_MS[-1]} ms over that at "
+                f"{BASE.beacon_period_ms} ms, lower end",
+                later.low, at_least=1.0,
             ),
         ),
         tables=(
-            ReportTable(
-                caption="Means and 95 % confidence intervals.",
-                columns=("period ms", "shape m", "estimates m", "control m", "busy %", "collided"),
-                rows=tuple(
-                    (
-                        str(period_ms), book.mean(case, "shape_m").text(),
-                        book.mean(case, "estimate_m").text(), book.mean(case, "control_m").text(),
-                        book.mean(case, "busy_fraction").text(1, factor=100.0),
-                        book.of_flights(book.collided(case), case),
-                    )
-                    for period_ms, case in zip(BEACON_PERIODS_MS, cases, strict=True)
-                ),
+            book.means_table(
+                ("period ms",), ("shape m", "estimates m", "control m", "busy %"),
+                zip(map(str, BEACON_PERIODS_MS), cases, strict=True),
             ),
         ),
-        figures=_if_drawn(images, "codesign-beacons.png", "shape error against the beacon period"),
+        figures=(ReportFigure("codesign-beacons.png", "shape error against the beacon period", draw),),
     )  # fmt: skip
 
 
-def judge_ranging(book: Book, images: Path | None) -> Section:
+def judge_ranging(book: Book) -> Section:
     """Compare ranging policies: shape error against air time."""
     policies = {
         agents: [
@@ -104,17 +90,13 @@ def judge_ranging(book: Book, images: Path | None) -> Section:
         ]
         for agents, periods_s in FTM_PERIODS_S.items()
     }
-    if images is not None:
-        figures.save_ranging(
-            images / "codesign-ranging.png",
-            {
-                f"{agents} UAVs": [
-                    (name, book.mean(case, "busy_fraction"), book.mean(case, "shape_m"))
-                    for name, case in entries
-                ]
-                for agents, entries in policies.items()
-            },
-        )
+    points = {
+        f"{agents} UAVs": [
+            (name, book.mean(case, "busy_fraction"), book.mean(case, "shape_m")) for name, case in entries
+        ]
+        for agents, entries in policies.items()
+    }
+    draw = partial(figures.save_ranging, points=points)
     return Section(
         title="Ranging policy",
         conditions=(
@@ -125,27 +107,17 @@ def judge_ranging(book: Book, images: Path | None) -> Section:
         ),
         checks=_ranging_checks(book),
         tables=(
-            ReportTable(
-                caption="Means and 95 % confidence intervals.",
-                columns=(
-                    "UAVs", "policy", "shape m", "estimates m", "busy %", "sessions/s", "completed %",
-                    "collided",
-                ),
-                rows=tuple(
-                    (
-                        str(agents), name, book.mean(case, "shape_m").text(),
-                        book.mean(case, "estimate_m").text(),
-                        book.mean(case, "busy_fraction").text(1, factor=100.0),
-                        book.mean(case, "sessions_per_s").text(0),
-                        book.mean(case, "completed_fraction").text(1, factor=100.0),
-                        book.of_flights(book.collided(case), case),
-                    )
-                    for agents, entries in policies.items()
-                    for name, case in entries
+            book.means_table(
+                ("UAVs", "policy"), ("shape m", "estimates m", "busy %", "sessions/s", "completed %"),
+                (
+                    (str(agents), name, case)
+                    for agents, entries in policies.items() for name, case in entries
                 ),
             ),
         ),
-        figures=_if_drawn(images, "codesign-ranging.png", "shape error against the occupancy of the channel"),
+        figures=(
+            ReportFigure("codesign-ranging.png", "shape error against the occupancy of the channel", draw),
+        ),
     )  # fmt: skip
 
 
@@ -171,38 +143,37 @@ def _ranging_checks(book: Book) -> tuple[Check, ...]:
         fewest_pairs_check((shape_8, shape_16, busy_16, busy_often, shape_often)),
         largest_shape_check(book, cases, "any policy within the channel capacity"),
         Check(
-            name="share of ranging sessions that complete, any policy within the channel capacity, "
+            "share of ranging sessions that complete, any policy within the channel capacity, "
             "smallest mean",
-            value=extreme(book, cases, "completed_fraction", np.min), at_least=COMPLETED_LEAST,
+            extreme(book, cases, "completed_fraction", np.min), at_least=COMPLETED_LEAST,
         ),
         Check(
-            name="scheduled: occupancy of the channel over its configured share, largest",
-            value=float(np.max(shares)), at_most=SHARE_MOST,
+            "scheduled: occupancy of the channel over its configured share, largest", float(np.max(shares)),
+            at_most=SHARE_MOST,
         ),
         Check(
-            name="8 UAVs: shape error scheduled over all pairs once a second, lower end",
-            value=shape_8.low, at_most=1.0,
+            "8 UAVs: shape error scheduled over all pairs once a second, lower end", shape_8.low, at_most=1.0
         ),
         Check(
-            name="16 UAVs: shape error scheduled over all pairs once a second",
-            value=shape_16.value, at_most=NO_WORSE_MOST,
+            "16 UAVs: shape error scheduled over all pairs once a second", shape_16.value,
+            at_most=NO_WORSE_MOST,
         ),
         Check(
-            name="16 UAVs: occupancy of the channel scheduled over all pairs once a second",
-            value=busy_16.value, at_most=THRIFT_MOST,
+            "16 UAVs: occupancy of the channel scheduled over all pairs once a second", busy_16.value,
+            at_most=THRIFT_MOST,
         ),
         Check(
-            name="8 UAVs: occupancy of the channel, all pairs every 0.1 s over every second",
-            value=busy_often.value, at_least=WASTE_LEAST,
+            "8 UAVs: occupancy of the channel, all pairs every 0.1 s over every second", busy_often.value,
+            at_least=WASTE_LEAST,
         ),
         Check(
-            name="8 UAVs: shape error, all pairs every 0.1 s over every second",
-            value=shape_often.value, at_least=WASTED_LEAST,
+            "8 UAVs: shape error, all pairs every 0.1 s over every second", shape_often.value,
+            at_least=WASTED_LEAST,
         ),
     )  # fmt: skip
 
 
-def judge_baselines(book: Book, images: Path | None) -> Section:  # noqa: ARG001  # common signature
+def judge_baselines(book: Book) -> Section:
     """Compare sources of positions, one factor at a time."""
     cases = (
         ("true positions", TRUTH), ("FTM over an ideal channel", IDEAL),
@@ -222,46 +193,20 @@ def judge_baselines(book: Book, images: Path | None) -> Section:  # noqa: ARG001
             formed_check(book, (*held, GPS_ALONE)),
             *sound_checks(book, held, "with FTM or true positions"),
             fewest_pairs_check((truth, ideal)),
+            Check("shape error with true positions over that with FTM, lower end", truth.low, at_most=1.0),
+            Check("shape error with true positions over that with FTM", truth.value, at_least=CONTROLS_LEAST),
             Check(
-                name="shape error with true positions over that with FTM, lower end",
-                value=truth.low,
+                "shape error over an ideal channel over that over the emulated one, lower end", ideal.low,
                 at_most=1.0,
             ),
             Check(
-                name="shape error with true positions over that with FTM",
-                value=truth.value,
-                at_least=CONTROLS_LEAST,
-            ),
-            Check(
-                name="shape error over an ideal channel over that over the emulated one, lower end",
-                value=ideal.low,
-                at_most=1.0,
-            ),
-            Check(
-                name="shape error over the emulated channel over that over an ideal one",
-                value=emulated.value,
+                "shape error over the emulated channel over that over an ideal one", emulated.value,
                 at_most=NO_WORSE_MOST,
             ),
         ),
         tables=(
-            ReportTable(
-                caption="Means and 95 % confidence intervals.",
-                columns=("positions", "shape m", "estimates m", "control m", "absolute m", "collided"),
-                rows=tuple(
-                    (
-                        name,
-                        *(
-                            book.mean(case, what).text()
-                            for what in ("shape_m", "estimate_m", "control_m", "absolute_m")
-                        ),
-                        book.of_flights(book.collided(case), case),
-                    )
-                    for name, case in cases
-                ),
+            book.means_table(
+                ("positions",), ("shape m", "estimates m", "control m", "absolute m"), cases
             ),
         ),
-    )
-
-
-def _if_drawn(images: Path | None, name: str, shows: str) -> tuple[tuple[str, str], ...]:
-    return () if images is None else ((name, shows),)
+    )  # fmt: skip

@@ -22,6 +22,8 @@ GPS, FTM, OTHER = "#D55E00", "#0072B2", "#009E73"
 """Palette of Okabe and Ito, suitable for colour vision deficiency"""
 COLOURS = {"gps": GPS, "ftm": FTM}
 LABELS = {"gps": "GPS alone", "ftm": "with FTM"}
+Gains = Mapping[float, Mapping[tuple[str, float], Sequence[float]]]
+"""Maximum gains in dBi by wavelength, localisation and wind"""
 _MARKERS = ("o", "s", "^", "D")
 
 
@@ -109,9 +111,7 @@ def save_ranging(path: Path, points: Mapping[str, Sequence[tuple[str, Interval, 
     save(figure, path, margin=0.05)
 
 
-def save_gains(
-    path: Path, gains_dbi: Mapping[float, Mapping[tuple[str, float], Sequence[float]]], ideal_dbi: float
-) -> None:
+def save_gains(path: Path, gains_dbi: Gains, ideal_dbi: float) -> None:
     """Plot densities of the maximum gain, all instants of all flights: a panel for each wavelength.
 
     By localisation and wind.

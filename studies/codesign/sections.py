@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Callable, Sequence
-from pathlib import Path
+from functools import partial
+from itertools import product
 
 import numpy as np
 
@@ -20,8 +21,10 @@ from studies.codesign.cases import (
 )
 from studies.codesign.checks import SHAPE_MOST_M, formed_check, largest_shape_check, pairs_check, sound_checks
 from studies.codesign.sensitivity import IDEAL_DBI, expected_gain, per_axis_sigma_m, vertical_sigma_m
-from studies.common.report import Check, ReportTable, Section
+from studies.common.report import Check, ReportFigure, ReportTable, Section
 
+POSITIONS = ("gps", "ftm")
+WINDY_N = (2, 5)
 RATIO_LEAST = 5.0
 """Smallest ratio of the shape error with GPS alone to that with FTM"""
 TIGHT_M, TIGHT_WIND_N = 5.0, 2.0
@@ -30,57 +33,41 @@ GAIN_BACK_LEAST = 0.9
 """Share of the gain lost with GPS alone (dB) that FTM must recover"""
 TIGHT_COLLIDED_LEAST = 0.5
 """Share of flights at `TIGHT_M` that must collide with GPS alone; otherwise the case is not critical"""
-Judge = Callable[[Book, Path | None], Section]
+Judge = Callable[[Book], Section]
 
 
-def judge_wind_agents(book: Book, images: Path | None) -> Section:
+def judge_wind_agents(book: Book) -> Section:
     """Compare GPS alone with FTM over wind and number of vehicles."""
     shape, safety = [], []
-    for agents in AGENTS:
-        for wind_n in WINDS_N:
-            gps, ftm = (wind_agents(name, agents, wind_n) for name in ("gps", "ftm"))
-            setting = (str(agents), f"{wind_n:g}")
-            shape.append((
-                *setting, book.mean(gps, "shape_m").text(2), book.mean(ftm, "shape_m").text(),
-                book.ratio(gps, ftm, "shape_m").text(1), book.mean(ftm, "estimate_m").text(),
-                book.mean(ftm, "control_m").text(), book.mean(gps, "absolute_m").text(2),
-                book.mean(ftm, "absolute_m").text(2),
-            ))  # fmt: skip
-            safety.append((
-                *setting, *(book.of_flights(book.formed(case), case) for case in (gps, ftm)),
-                *(book.of_flights(book.collided(case), case) for case in (gps, ftm)),
-                *(book.least(case, "least_distance_m") for case in (gps, ftm)),
-                book.mean(ftm, "busy_fraction").text(1, factor=100.0),
-                book.mean(ftm, "sessions_per_s").text(0),
-                book.mean(ftm, "completed_fraction").text(1, factor=100.0),
-            ))  # fmt: skip
+    for agents, wind_n in product(AGENTS, WINDS_N):
+        gps, ftm = (wind_agents(name, agents, wind_n) for name in POSITIONS)
+        setting = (str(agents), f"{wind_n:g}")
+        shape.append((
+            *setting, book.mean(gps, "shape_m").text(2), book.cell(ftm, "shape m"),
+            book.ratio(gps, ftm, "shape_m").text(1), book.cell(ftm, "estimates m"),
+            book.cell(ftm, "control m"), book.mean(gps, "absolute_m").text(2),
+            book.mean(ftm, "absolute_m").text(2),
+        ))  # fmt: skip
+        safety.append((
+            *setting, *(book.of_flights(count, case) for count in (book.formed, book.collided)
+                        for case in (gps, ftm)),
+            *(book.least(case, "least_distance_m") for case in (gps, ftm)),
+            *(book.cell(ftm, column) for column in ("busy %", "sessions/s", "completed %")),
+        ))  # fmt: skip
     ratio = book.ratio(GPS_ALONE, BASE, "shape_m")
-    ftm_cases = [wind_agents("ftm", agents, wind_n) for agents in AGENTS for wind_n in WINDS_N]
+    ftm_cases = [wind_agents("ftm", *setting) for setting in product(AGENTS, WINDS_N)]
     ftm_cases = [case for case in ftm_cases if not case.last or book.begun(case)]
-    drawn: tuple[tuple[str, str], ...] = ()
-    if images is not None:
-        figures.save_wind(
-            images / "codesign-wind.png", WINDS_N,
-            {
-                agents: {
-                    name: [book.mean(wind_agents(name, agents, wind_n), "shape_m") for wind_n in WINDS_N]
-                    for name in ("gps", "ftm")
-                }
-                for agents in AGENTS
-            },
-        )  # fmt: skip
-        shape_m, busy = (
-            {
-                name: [book.mean(wind_agents(name, agents, 5), what) for agents in AGENTS]
-                for name in ("gps", "ftm")
-            }
-            for what in ("shape_m", "busy_fraction")
-        )
-        figures.save_agents(images / "codesign-agents.png", AGENTS, shape_m, busy)
-        drawn = (
-            ("codesign-wind.png", "shape error against wind, GPS alone and with FTM"),
-            ("codesign-agents.png", "shape error and channel occupancy against the number of UAVs in 5 N"),
-        )
+    by_wind = {
+        agents: {
+            name: [book.mean(wind_agents(name, agents, wind_n), "shape_m") for wind_n in WINDS_N]
+            for name in POSITIONS
+        }
+        for agents in AGENTS
+    }
+    shape_m, busy = (
+        {name: [book.mean(wind_agents(name, agents, 5), what) for agents in AGENTS] for name in POSITIONS}
+        for what in ("shape_m", "busy_fraction")
+    )
     return Section(
         title="GPS alone against ranging: wind and number of UAVs",
         conditions=(
@@ -97,12 +84,11 @@ def judge_wind_agents(book: Book, images: Path | None) -> Section:
             *sound_checks(book, ftm_cases),
             pairs_check("GPS alone and FTM", ratio.count),
             Check(
-                name="shape error with FTM, 8 UAVs, 5 N, mean", value=book.mean(BASE, "shape_m").value,
-                unit="m", at_most=SHAPE_MOST_M,
+                "shape error with FTM, 8 UAVs, 5 N, mean", book.mean(BASE, "shape_m").value, "m",
+                at_most=SHAPE_MOST_M,
             ),
             Check(
-                name="shape error with GPS alone over that with FTM, same case", value=ratio.value,
-                at_least=RATIO_LEAST,
+                "shape error with GPS alone over that with FTM, same case", ratio.value, at_least=RATIO_LEAST
             ),
             largest_shape_check(book, ftm_cases, "all flown winds and numbers of UAVs"),
         ),
@@ -125,41 +111,41 @@ def judge_wind_agents(book: Book, images: Path | None) -> Section:
                 rows=tuple(safety),
             ),
         ),
-        figures=drawn,
+        figures=(
+            ReportFigure(
+                "codesign-wind.png", "shape error against wind, GPS alone and with FTM",
+                partial(figures.save_wind, winds_n=WINDS_N, shape_m=by_wind),
+            ),
+            ReportFigure(
+                "codesign-agents.png",
+                "shape error and channel occupancy against the number of UAVs in 5 N",
+                partial(figures.save_agents, agents=AGENTS, shape_m=shape_m, busy=busy),
+            ),
+        ),
     )  # fmt: skip
 
 
-def judge_wavelength(book: Book, images: Path | None) -> Section:
+def judge_wavelength(book: Book) -> Section:
     """Compare the antenna gain with GPS alone and with FTM."""
     rows = []
-    for wavelength_m in WAVELENGTHS_M:
-        for wind_n in (2, 5):
-            for name in ("gps", "ftm"):
-                case = wavelength(name, wavelength_m, wind_n)
-                rows.append((
-                    f"{wavelength_m:g}", f"{wind_n:g}", figures.LABELS[name], *_gain_cells(book, case),
-                    book.of_flights(book.formed(case), case), book.of_flights(book.collided(case), case),
-                    book.least(case, "least_distance_m"),
-                ))  # fmt: skip
-    tight, tight_gps = (wavelength(name, TIGHT_M, TIGHT_WIND_N) for name in ("ftm", "gps"))
-    settings = [(wavelength_m, wind_n) for wavelength_m in WAVELENGTHS_M for wind_n in (2, 5)]
-    ftm_cases = [wavelength("ftm", *setting) for setting in settings]
-    gps_cases = [wavelength("gps", *setting) for setting in settings]
-    drawn: tuple[tuple[str, str], ...] = ()
-    if images is not None:
-        figures.save_gains(
-            images / "codesign-gain.png",
-            {
-                wavelength_m: {
-                    (name, wind_n): _all_gains_dbi(book, wavelength(name, wavelength_m, wind_n))
-                    for name in ("gps", "ftm")
-                    for wind_n in (2, 5)
-                }
-                for wavelength_m in WAVELENGTHS_M
-            },
-            IDEAL_DBI,
-        )
-        drawn = (("codesign-gain.png", "densities of the maximum gain at λ = 5 and 10 m"),)
+    for wavelength_m, wind_n, name in product(WAVELENGTHS_M, WINDY_N, POSITIONS):
+        case = wavelength(name, wavelength_m, wind_n)
+        rows.append((
+            f"{wavelength_m:g}", f"{wind_n:g}", figures.LABELS[name], *_gain_cells(book, case),
+            book.of_flights(book.formed, case), book.of_flights(book.collided, case),
+            book.least(case, "least_distance_m"),
+        ))  # fmt: skip
+    tight_gps, tight = (wavelength(name, TIGHT_M, TIGHT_WIND_N) for name in POSITIONS)
+    gps_cases, ftm_cases = (
+        [wavelength(name, *setting) for setting in product(WAVELENGTHS_M, WINDY_N)] for name in POSITIONS
+    )
+    gains_dbi: figures.Gains = {
+        wavelength_m: {
+            (name, wind_n): _all_gains_dbi(book, wavelength(name, wavelength_m, wind_n))
+            for name, wind_n in product(POSITIONS, WINDY_N)
+        }
+        for wavelength_m in WAVELENGTHS_M
+    }
     return Section(
         title="The antenna at two wavelengths",
         conditions=(
@@ -178,23 +164,22 @@ def judge_wavelength(book: Book, images: Path | None) -> Section:
             formed_check(book, ftm_cases),
             *sound_checks(book, ftm_cases),
             Check(
-                name=f"λ = {TIGHT_M:g} m, {TIGHT_WIND_N:g} N, FTM: flights with a collision",
-                value=_of_any(book, tight, book.collided), at_most=0.0,
+                f"λ = {TIGHT_M:g} m, {TIGHT_WIND_N:g} N, FTM: flights with a collision",
+                _of_any(book, tight, book.collided), at_most=0.0,
             ),
             Check(
-                name=f"λ = {TIGHT_M:g} m, {TIGHT_WIND_N:g} N, FTM: flights that did not form",
-                value=_of_any(book, tight, lambda case: len(book.flown(case)) - book.formed(case)),
-                at_most=0.0,
+                f"λ = {TIGHT_M:g} m, {TIGHT_WIND_N:g} N, FTM: flights that did not form",
+                _of_any(book, tight, lambda case: len(book.flown(case)) - book.formed(case)), at_most=0.0,
             ),
             Check(
-                name=f"λ = {TIGHT_M:g} m, {TIGHT_WIND_N:g} N, GPS alone: share of flights with a collision",
-                value=_of_any(book, tight_gps, book.collided) / max(len(book.flown(tight_gps)), 1),
+                f"λ = {TIGHT_M:g} m, {TIGHT_WIND_N:g} N, GPS alone: share of flights with a collision",
+                _of_any(book, tight_gps, book.collided) / max(len(book.flown(tight_gps)), 1),
                 at_least=TIGHT_COLLIDED_LEAST,
             ),
             Check(
-                name="share of the gain lost with GPS alone that FTM recovers, in dB, smallest",
-                value=float(np.min([
-                    _recovered(book, *cases) for cases in zip(gps_cases, ftm_cases, strict=True)
+                "share of the gain lost with GPS alone that FTM recovers, in dB, smallest",
+                float(np.min([
+                _recovered(book, *cases) for cases in zip(gps_cases, ftm_cases, strict=True)
                 ])),
                 at_least=GAIN_BACK_LEAST,
             ),
@@ -203,7 +188,7 @@ def judge_wavelength(book: Book, images: Path | None) -> Section:
             ReportTable(
                 caption="Maximum gain, dBi (ideal formation: "
                 f"{IDEAL_DBI:.2f}), and the gain expected for the position error. At λ = {TIGHT_M:g} m and "
-                f"{TIGHT_WIND_N:g} N, {book.of_flights(book.collided(tight_gps), tight_gps)} flights with "
+                f"{TIGHT_WIND_N:g} N, {book.of_flights(book.collided, tight_gps)} flights with "
                 "GPS alone have a collision.",
                 columns=(
                     "λ m", "wind N", "positions by", "mean max gain dBi", "std dB", "σ horizontal m",
@@ -212,7 +197,12 @@ def judge_wavelength(book: Book, images: Path | None) -> Section:
                 rows=tuple(rows),
             ),
         ),
-        figures=drawn,
+        figures=(
+            ReportFigure(
+                "codesign-gain.png", "densities of the maximum gain at λ = 5 and 10 m",
+                partial(figures.save_gains, gains_dbi=gains_dbi, ideal_dbi=IDEAL_DBI),
+            ),
+        ),
     )  # fmt: skip
 
 

@@ -28,6 +28,10 @@ FIX_DELAY_US = 120_000
 """Delay from the instant of a fix to its reception."""
 SESSION_US = 20_000
 """Delay from the instant of a distance to its availability at the initiator."""
+RANGING_PERIOD_S = 1.0
+"""Period of all pairs, which are spread evenly over it."""
+SESSION_STD_M = 0.03
+"""Standard deviation of a distance, in addition to the model's floor."""
 SWAY_STD_M, SWAY_TIME_CONSTANT_S = 0.3, 1.5
 """Motion of the UAVs about their places due to wind, per axis."""
 
@@ -143,12 +147,8 @@ class SimulatedFlight:
         station = message.station
         if message.odometry_us >= 0:
             at = message.odometry_us // GRID_US
-            filter_.on_odometry(
-                station,
-                message.odometry_us,
-                self.odometry_ned_m[at, station].tolist(),
-                self.vel_ned_m_s[at, station].tolist(),
-            )
+            odometry_ned_m, vel_ned_m_s = self.odometry_ned_m[at, station], self.vel_ned_m_s[at, station]
+            filter_.on_odometry(station, message.odometry_us, odometry_ned_m.tolist(), vel_ned_m_s.tolist())
         if message.fix_us >= 0:
             filter_.on_fix(
                 station, message.fix_us, self.fix_ned_m[message.fix_us // GRID_US, station].tolist()
@@ -167,8 +167,6 @@ def simulate(
     own: int = 0,
     model: LocalisationModel | None = None,
     scheduled: bool = False,
-    ranging_period_s: float = 1.0,
-    session_std_m: float = 0.03,
     trouble: Trouble = NO_TROUBLE,
 ) -> SimulatedFlight:
     """Draw a simulated flight.
@@ -180,8 +178,6 @@ def simulate(
         own: the receiving station.
         model: sensor errors; the defaults of the filter if None.
         scheduled: each pair is measured by one end only, otherwise by both.
-        ranging_period_s: period of all pairs, which are spread evenly over it.
-        session_std_m: standard deviation of a distance, in addition to the model's floor.
         trouble: additional faults.
 
     """
@@ -220,15 +216,7 @@ def simulate(
         fix_ned_m[round(trouble.gps_off_since_s / dt_s) :, station] += off_ned_m
     fix_ned_m += rng.normal(0.0, model.gps_white_std_m, fix_ned_m.shape)
 
-    distances = _distances(
-        pos_ned_m,
-        rng,
-        model,
-        scheduled=scheduled,
-        period_s=ranging_period_s,
-        session_std_m=session_std_m,
-        trouble=trouble,
-    )
+    distances = _distances(pos_ned_m, rng, model, scheduled=scheduled, trouble=trouble)
     messages = _messages(steps, count, own, distances, rng, trouble)
     return SimulatedFlight(
         model, places_ned_m, own, pos_ned_m, vel_ned_m_s, odometry_ned_m, fix_ned_m, tuple(messages)
@@ -250,14 +238,7 @@ def _smoothed(path: Array, time_constant_s: float) -> Array:
 
 
 def _distances(
-    pos_ned_m: Array,
-    rng: np.random.Generator,
-    model: LocalisationModel,
-    *,
-    scheduled: bool,
-    period_s: float,
-    session_std_m: float,
-    trouble: Trouble,
+    pos_ned_m: Array, rng: np.random.Generator, model: LocalisationModel, *, scheduled: bool, trouble: Trouble
 ) -> list[Ranged]:
     """Return all measured distances, sorted by time: the pairs in a fixed random order, evenly spread."""
     steps, count, _ = pos_ned_m.shape
@@ -265,11 +246,11 @@ def _distances(
     if scheduled:
         pairs = [(i, j) for i, j in pairs if owner(i, j, count) == i]
     pairs = [pairs[k] for k in rng.permutation(len(pairs))]
-    std_m = float(np.hypot(session_std_m, model.range_floor_std_m))
+    std_m = float(np.hypot(SESSION_STD_M, model.range_floor_std_m))
     found = []
-    for m in range(int(len(pairs) * (steps - 1) * GRID_US * 1e-6 / period_s)):
+    for m in range(int(len(pairs) * (steps - 1) * GRID_US * 1e-6 / RANGING_PERIOD_S)):
         i, j = pairs[m % len(pairs)]
-        at = int((m + 1) * period_s * 1e6 / len(pairs)) // GRID_US
+        at = int((m + 1) * RANGING_PERIOD_S * 1e6 / len(pairs)) // GRID_US
         # The number of draws is constant, so that a fault changes nothing else.
         kept, blocked, excess, noise = rng.random(), rng.random(), rng.exponential(), rng.standard_normal()
         if kept < trouble.loss:
@@ -279,7 +260,7 @@ def _distances(
             distance_m += trouble.nlos_mean_m * excess
         if at * GRID_US >= trouble.liars_since_s * 1e6:
             distance_m += trouble.liars_m.get(i, 0.0)
-        found.append(Ranged(i, j, at * GRID_US, distance_m, session_std_m))
+        found.append(Ranged(i, j, at * GRID_US, distance_m, SESSION_STD_M))
     return found
 
 

@@ -1,14 +1,13 @@
 """Write the experiment as CSV: one row for each flight, and one row of means with intervals for each case."""
 
-import csv
-import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from studies.codesign.book import Book
 from studies.codesign.cases import CodesignCase
 from studies.codesign.measures import Measures
+from studies.common.report import write_csv
 
 SETTINGS = (
     "localisation", "agents", "wind_n", "wavelength_m", "beacon_period_ms", "ranging", "ftm_period_s",
@@ -27,9 +26,8 @@ MEANS = (
 )  # fmt: skip
 
 
-def write_csv(out: Path, cases: Iterable[CodesignCase], book: Book) -> None:
+def write_tables(out: Path, cases: Iterable[CodesignCase], book: Book) -> None:
     """Write ``codesign-flights.csv`` and ``codesign-cases.csv`` into the folder, which is created."""
-    out.mkdir(parents=True, exist_ok=True)
     distinct = list({case.name: case for case in cases}.values())
     flights = [
         [case.name, seed, *_settings(case), *([getattr(each, name) for name in NUMBERS])]
@@ -37,7 +35,7 @@ def write_csv(out: Path, cases: Iterable[CodesignCase], book: Book) -> None:
         for seed, each in enumerate(book.measures(case), start=1)
         if each is not None
     ]
-    _write(out / "codesign-flights.csv", ["case", "seed", *SETTINGS, *NUMBERS], flights)
+    write_csv(out / "codesign-flights.csv", ["case", "seed", *SETTINGS, *NUMBERS], flights)
     rows = []
     for case in distinct:
         means = [book.mean(case, name) for name in MEANS]
@@ -46,21 +44,8 @@ def write_csv(out: Path, cases: Iterable[CodesignCase], book: Book) -> None:
             *(value for mean in means for value in (mean.value, mean.low, mean.high)),
         ])  # fmt: skip
     bounds = [f"{name}{part}" for name in MEANS for part in ("", "_low", "_high")]
-    _write(out / "codesign-cases.csv", ["case", *SETTINGS, "flights", "formed", "collided", *bounds], rows)
+    write_csv(out / "codesign-cases.csv", ["case", *SETTINGS, "flights", "formed", "collided", *bounds], rows)
 
 
 def _settings(case: CodesignCase) -> list[Any]:
     return [getattr(case, name) for name in SETTINGS]
-
-
-def _write(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows([[_cell(value) for value in row] for row in rows])
-
-
-def _cell(value: Any) -> Any:  # noqa: ANN401  any value of a table
-    if isinstance(value, float):
-        return "" if math.isnan(value) else f"{value:.6g}"
-    return value

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 
@@ -36,8 +36,9 @@ from studies.codesign.trouble import (
     judge_liar,
     shape_over_time_m,
 )
-from studies.common.report import Check, ReportTable, Section
+from studies.common.report import Check, ReportFigure, ReportTable, Section
 
+MEANS = ("shape m", "estimates m", "completed %", "beacons lost %")
 GROWTH_MOST = 1.5
 RECOVERY_MOST_S = 10.0
 PULL_MOST_M = 0.3
@@ -47,7 +48,7 @@ LOSS_SEEN, COMPLETED_MOST = 0.28, 0.75
 """Smallest share of lost beacons, and largest share of completed ranging sessions, likewise"""
 
 
-def judge_trouble(book: Book, images: Path | None) -> Section:
+def judge_trouble(book: Book) -> Section:
     """Check the requirements for a failing radio and for biased ranging."""
     plan, cut_case = book.plan, cut(book.plan)
     shapes_m = _shapes_over_time(book, cut_case)
@@ -58,19 +59,15 @@ def judge_trouble(book: Book, images: Path | None) -> Section:
     }
     cases = (BASE, LOSSY, cut_case, liar_in_flight(plan), LIAR_FROM_START)
     growth = book.ratio(LOSSY, BASE, "shape_m")
-    if images is not None:
-        length = min((len(shape_m) for shape_m in shapes_m), default=0)
-        together_m = np.empty((len(shapes_m), length))
-        for row, shape_m in zip(together_m, shapes_m, strict=True):
-            row[:] = shape_m[:length]
-        figures.save_cut(
-            images / "codesign-cut.png",
-            np.asarray(TRACK_PERIOD_S * np.arange(length), dtype=np.float64),
-            together_m,
-            cut_at_s=plan.cut_s,
-            cut_s=plan.cut_s,
-            usual_m=float(np.mean([each.before_m for each in cuts])) if cuts else math.nan,
-        )
+    length = min((len(shape_m) for shape_m in shapes_m), default=0)
+    draw = partial(
+        figures.save_cut,
+        time_s=TRACK_PERIOD_S * np.arange(float(length)),
+        shape_m=np.array([shape_m[:length] for shape_m in shapes_m]),
+        cut_at_s=plan.cut_s,
+        cut_s=plan.cut_s,
+        usual_m=float(np.mean([each.before_m for each in cuts])) if cuts else math.nan,
+    )
     return Section(
         title="Losses, a channel outage, biased ranging",
         conditions=_conditions(plan),
@@ -80,64 +77,57 @@ def judge_trouble(book: Book, images: Path | None) -> Section:
             pairs_check("with and without losses", growth.count),
             *(pairs_check(f"with and without ranging bias {since}", len(of)) for since, of in pulls.items()),
             Check(
-                name="losses: share of the beacons lost at the hosts", at_least=LOSS_SEEN,
-                value=book.mean(LOSSY, "beacons_lost_fraction").value,
+                "losses: share of the beacons lost at the hosts",
+                book.mean(LOSSY, "beacons_lost_fraction").value, at_least=LOSS_SEEN,
             ),
             Check(
-                name="losses: share of ranging sessions that complete", at_most=COMPLETED_MOST,
-                value=book.mean(LOSSY, "completed_fraction").value,
+                "losses: share of ranging sessions that complete",
+                book.mean(LOSSY, "completed_fraction").value, at_most=COMPLETED_MOST,
             ),
             Check(
-                name=f"{DROPPED:.0%} of beacons and distances lost: growth of the shape error",
-                value=growth.value, at_most=GROWTH_MOST,
+                f"{DROPPED:.0%} of beacons and distances lost: growth of the shape error", growth.value,
+                at_most=GROWTH_MOST,
             ),
             Check(
-                name="outage: time without any distance, shortest", unit="s", at_least=CUT_SEEN * plan.cut_s,
-                value=min(_known(book.values(cut_case, "longest_silence_s")), default=math.nan),
+                "outage: time without any distance, shortest",
+                min(_known(book.values(cut_case, "longest_silence_s")), default=math.nan), "s",
+                at_least=CUT_SEEN * plan.cut_s,
             ),
             Check(
-                name="outage: flights with a collision",
-                value=float(book.collided(cut_case)) if book.flown(cut_case) else math.nan,
-                at_most=0.0,
+                "outage: flights with a collision",
+                float(book.collided(cut_case)) if book.flown(cut_case) else math.nan, at_most=0.0,
             ),
             Check(
-                name="outage: recovery after the channel's return, slowest",
-                value=max((each.recovery_s for each in cuts), default=math.nan), unit="s",
-                at_most=RECOVERY_MOST_S,
+                "outage: recovery after the channel's return, slowest",
+                max((each.recovery_s for each in cuts), default=math.nan), "s", at_most=RECOVERY_MOST_S,
             ),
             Check(
-                name="ranging bias: error of the measured distances, median, smallest", unit="m",
-                value=min(_lies_m(book, plan), default=math.nan), at_least=LIE_SEEN * LIE_M,
+                "ranging bias: error of the measured distances, median, smallest",
+                min(_lies_m(book, plan), default=math.nan), "m", at_least=LIE_SEEN * LIE_M,
             ),
             Check(
-                name="ranging bias in flight: displacement of another in the shape over "
-                f"{PULL_WINDOW_S:g} s, "
+                "ranging bias in flight: displacement of another in the shape over "
+                f"{PULL_WINDOW_S:g} s, largest",
+                _worst(pulls["in flight"], "displacement_m"), "m", at_most=PULL_MOST_M,
+            ),
+            Check(
+                f"ranging bias in flight: displacement of another in space over {PULL_WINDOW_S:g} s, "
                 "largest",
-                value=_worst(pulls["in flight"], "displacement_m"), unit="m", at_most=PULL_MOST_M,
+                _worst(pulls["in flight"], "moved_m"), "m", at_most=PULL_MOST_M,
             ),
             Check(
-                name=f"ranging bias in flight: displacement of another in space over {PULL_WINDOW_S:g} s, "
-                "largest",
-                value=_worst(pulls["in flight"], "moved_m"), unit="m", at_most=PULL_MOST_M,
-            ),
-            Check(
-                name="ranging bias from the start: lasting displacement of another in the shape, largest",
-                value=_worst(pulls["from the start"], "lasting_m"), unit="m", at_most=PULL_MOST_M,
+                "ranging bias from the start: lasting displacement of another in the shape, largest",
+                _worst(pulls["from the start"], "lasting_m"), "m", at_most=PULL_MOST_M,
             ),
         ),
         tables=(
             ReportTable(
                 caption="Shape error with losses, m: means and 95 % confidence intervals; growth by pairs.",
-                columns=(
-                    "lost", "shape m", "estimates m", "completed %", "beacons lost %", "growth", "collided",
-                ),
+                columns=("lost", *MEANS, "growth", "collided"),
                 rows=tuple(
                     (
-                        f"{case.drop_fraction:.0%}", book.mean(case, "shape_m").text(),
-                        book.mean(case, "estimate_m").text(),
-                        book.mean(case, "completed_fraction").text(1, factor=100.0),
-                        book.mean(case, "beacons_lost_fraction").text(1, factor=100.0),
-                        growth.text(2) if case is LOSSY else "1", book.of_flights(book.collided(case), case),
+                        f"{case.drop_fraction:.0%}", *(book.cell(case, column) for column in MEANS),
+                        growth.text(2) if case is LOSSY else "1", book.of_flights(book.collided, case),
                     )
                     for case in (BASE, LOSSY)
                 ),
@@ -145,9 +135,9 @@ def judge_trouble(book: Book, images: Path | None) -> Section:
             _cut_table(book, cut_case, cuts),
             _liar_table(pulls),
         ),
-        figures=()
-        if images is None
-        else (("codesign-cut.png", "shape error over time through a channel outage"),),
+        figures=(
+            ReportFigure("codesign-cut.png", "shape error over time through a channel outage", draw),
+        ),
     )  # fmt: skip
 
 
@@ -223,7 +213,7 @@ def _cut_table(book: Book, case: CodesignCase, cuts: Sequence[CutResult]) -> Rep
         rows=((
             cell("before_m"), cell("during_m"), cell("after_m"), cell("recovery_s"),
             f"{recovered} of {len(cuts)}", largest("largest_during_m"), largest("largest_after_m"),
-            f"{sum(each.left for each in cuts)} of {len(cuts)}", book.of_flights(book.collided(case), case),
+            f"{sum(each.left for each in cuts)} of {len(cuts)}", book.of_flights(book.collided, case),
             book.least(case, "least_distance_formed_m"),
         ),),
     )  # fmt: skip
@@ -250,14 +240,8 @@ def _liar_table(pulls: dict[str, list[Pull]]) -> ReportTable:
         "and their common translation and rotation, m and degrees; displacements, translation and rotation "
         "as mean of the flights and worst flight.",
         columns=(
-            "bias",
-            "shape without",
-            "shape with",
-            "displaced in the shape",
-            "lasting",
-            "displaced in space",
-            "centre shifted",
-            "turned °",
+            "bias", "shape without", "shape with", "displaced in the shape", "lasting", "displaced in space",
+            "centre shifted", "turned °",
         ),
         rows=tuple(rows),
-    )
+    )  # fmt: skip

@@ -1,9 +1,11 @@
-"""Shared parts of the validations' command lines. Exit status: 0 all checks met, 1 not all, 2 bad input."""
+"""Shared parts of the studies' command lines. Exit status: 0 all checks met, 1 not all, 2 bad input."""
 
 import contextlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import NoReturn, TextIO, TypeVar
+from typing import Annotated, Generic, NoReturn, TextIO, TypeVar
 
 import msgspec
 import typer
@@ -11,21 +13,69 @@ from msgspec import Struct
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from studies.common.report import Section, figures_folder, figures_link, markdown, show, write
+from harness.launch import kernel_cache
+from studies.common.report import Section, show, write_csv, write_page
 from studies.common.runner import Subject, run_subjects
 
-FINE, MISSED, BAD_INPUT = 0, 1, 2
+FINE, MISSED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 WIDTH = 120
 """Columns of the output if it is not a terminal."""
+CHECK_FIELDS = ("name", "value", "unit", "at_least", "at_most")
+JsonOption = Annotated[bool, typer.Option("--json", help="Print only the numbers, as JSON.")]
 P = TypeVar("P")
 
 
 class Page(Struct, frozen=True, kw_only=True):
-    """File name, title and introduction of a validation's page."""
+    """File name, title and introduction of a study's page."""
 
     file_name: str
     title: str
     introduction: str
+    csv_name: str | None = None
+    """File of all checks with all digits"""
+
+
+class Validation(Struct, Generic[P], frozen=True, kw_only=True):
+    """A study that measures some subjects and compares them with requirements."""
+
+    program: str
+    page: Page
+    subjects: dict[str, Subject[P]]
+    """In the order of the page"""
+    stages: tuple[tuple[str, ...], ...] = ()
+    """Order of execution: a stage starts when the one before is complete; by default all are one stage"""
+    has_kernels: bool = True
+    has_bullet: bool = False
+    """Whether PyBullet is used, which prints on standard output"""
+    px4: bool = False
+    """Include the numbers of a real PX4"""
+
+    def run(self, plan: P, only: str, *, out: Path | None, json: bool) -> NoReturn:
+        """Measure the subjects in ``--only``, report them and exit with the status of the checks."""
+        messages = Console(stderr=True, highlight=False)
+        names = chosen(self.program, only, self.subjects, messages)
+        if self.has_kernels:
+            kernel_cache.prepare(messages.print)
+        stdout = keep_stdout() if self.has_bullet else sys.stdout
+        judged: dict[str, Section] = {}
+        for stage in self.stages or (tuple(self.subjects),):
+            subjects = {name: self.subjects[name] for name in stage if name in names}
+            if subjects:
+                with progress_lines(messages) as note:
+                    judged |= run_subjects(plan, subjects, progress=note)
+        sections = [judged[name] for name in self.subjects if name in judged]
+        report_and_exit(sections, page=self.page, out=out, json=json, stdout=stdout, px4=self.px4)
+
+
+def keep_stdout() -> TextIO:
+    """Return a stream for the results, and redirect standard output to standard error.
+
+    Bullet prints a line on standard output, at its import or when the process ends.
+    """
+    sys.stdout.flush()
+    stdout = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    return stdout
 
 
 def chosen(program: str, only: str, names: Iterable[str], messages: Console) -> list[str]:
@@ -57,41 +107,36 @@ def progress_lines(messages: Console) -> Iterator[Callable[[str, int, int], None
         yield note
 
 
-def run_with_progress(
-    plan: P, subjects: Mapping[str, Subject[P]], *, out: Path | None, messages: Console
-) -> list[Section]:
-    """Run all subjects with a progress line for each; figures are written to ``images`` in ``out``."""
-    with progress_lines(messages) as note:
-        images = None if out is None else figures_folder(out)
-        return run_subjects(plan, subjects, images=images, progress=note)
-
-
 def report_and_exit(
-    sections: list[Section], *, page: Page, out: Path | None, json: bool, stdout: TextIO, px4: bool
+    sections: list[Section], *, page: Page, out: Path | None, json: bool, stdout: TextIO, px4: bool = False
 ) -> NoReturn:
-    """Write the page if ``out`` is given, print the result and exit with the status of the checks.
-
-    ``px4``: include the numbers of a real PX4.
-    """
+    """Write the page if ``out`` is given, print the result and exit with the status of the checks."""
+    checks = [(section, check) for section in sections for check in section.checks]
     if out is not None:
-        text = markdown(sections, title=page.title, introduction=page.introduction, figures=figures_link(out))
-        write(out / page.file_name, text)
+        write_page(out, page.file_name, sections, title=page.title, introduction=page.introduction)
+        if page.csv_name is not None:
+            rows = [
+                (section.title, *(getattr(check, name) for name in CHECK_FIELDS), check.passed)
+                for section, check in checks
+            ]
+            write_csv(out / page.csv_name, ("section", *CHECK_FIELDS, "met"), rows, all_digits=True)
     if json:
-        print(msgspec.json.encode(_numbers(sections, px4=px4)).decode(), file=stdout)
+        fields = (*CHECK_FIELDS, *(("px4",) if px4 else ()))
+        numbers = [
+            {"section": section.title, **{name: getattr(check, name) for name in fields}, "met": check.passed}
+            for section, check in checks
+        ]
+        print(msgspec.json.encode(numbers).decode(), file=stdout)
     else:
-        console = Console(file=stdout, highlight=False, width=None if stdout.isatty() else WIDTH)
-        show(console, sections, px4=px4)
-    met = all(check.passed for section in sections for check in section.checks)
-    raise typer.Exit(FINE if met else MISSED)
+        show(result_console(stdout), sections, px4=px4)
+    raise typer.Exit(FINE if all(check.passed for _, check in checks) else MISSED)
 
 
-def _numbers(sections: list[Section], *, px4: bool) -> list[dict[str, object]]:
-    return [
-        {
-            "section": section.title, "name": check.name, "value": check.value, "unit": check.unit,
-            "at_least": check.at_least, "at_most": check.at_most, **({"px4": check.px4} if px4 else {}),
-            "met": check.passed,
-        }
-        for section in sections
-        for check in section.checks
-    ]  # fmt: skip
+def result_console(stdout: TextIO) -> Console:
+    """Return a console for tables."""
+    return Console(file=stdout, highlight=False, width=None if stdout.isatty() else WIDTH)
+
+
+def repeated_command(script: str, *options: tuple[str, bool]) -> str:
+    """Return the command of a script with those options that are set."""
+    return " ".join([f"python scripts/{script}", *(text for text, is_set in options if is_set)])

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from pathlib import Path
+from functools import partial
 from typing import Any, Generic, TypeVar
 
 from msgspec import Struct
@@ -13,8 +13,8 @@ WORKERS = 2
 P = TypeVar("P")
 """Plan: number and length of the measurements."""
 
-Job = tuple[Callable[[Any], Any], Any]
-"""A function at module level, because it is pickled for another process, and its argument."""
+Job = partial[Any]
+"""Of a function at module level, because it is pickled for another process."""
 Results = dict[str, list[Any]]
 
 
@@ -22,17 +22,13 @@ class Subject(Struct, Generic[P], frozen=True):
     """Subject that can be validated by itself: its jobs by group, and the judgement of their results."""
 
     jobs: Callable[[P], dict[str, list[Job]]]
-    judge: Callable[[P, Results, Path | None], Section]
-    """Arguments: plan, results in the order of the jobs, folder for figures or None"""
+    judge: Callable[[P, Results], Section]
+    """Arguments: plan, results in the order of the jobs"""
 
 
 def run_subjects(
-    plan: P,
-    subjects: Mapping[str, Subject[P]],
-    *,
-    images: Path | None,
-    progress: Callable[[str, int, int], None],
-) -> list[Section]:
+    plan: P, subjects: Mapping[str, Subject[P]], *, progress: Callable[[str, int, int], None]
+) -> dict[str, Section]:
     """Run the jobs of the subjects and judge their results.
 
     ``progress`` is called with the subject, the number of its finished jobs and their total.
@@ -44,8 +40,8 @@ def run_subjects(
             groups = subject.jobs(plan)
             results[name] = {group: [None] * len(jobs) for group, jobs in groups.items()}
             for group, jobs in groups.items():
-                for index, (function, argument) in enumerate(jobs):
-                    waiting[pool.submit(function, argument)] = (name, group, index)
+                for index, job in enumerate(jobs):
+                    waiting[pool.submit(job)] = (name, group, index)
         total = {name: sum(map(len, results[name].values())) for name in subjects}
         done = dict.fromkeys(subjects, 0)
         for future in as_completed(waiting):
@@ -53,6 +49,4 @@ def run_subjects(
             results[name][group][index] = future.result()
             done[name] += 1
             progress(name, done[name], total[name])
-    if images is not None:
-        images.mkdir(parents=True, exist_ok=True)
-    return [subject.judge(plan, results[name], images) for name, subject in subjects.items()]
+    return {name: subject.judge(plan, results[name]) for name, subject in subjects.items()}

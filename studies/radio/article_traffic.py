@@ -28,9 +28,8 @@ class Step(Struct, frozen=True, kw_only=True):
     at_us: int
     to_us: int
     batches: tuple[TxBatch, ...]
-    pos_ned_m: Array
-    vel_ned_m_s: Array
-    q_ned_frd: Array
+    motion: tuple[Array, Array, Array]
+    """Positions NED (n, 3), velocities NED (n, 3) and attitudes (n, 4)"""
 
 
 def emulator_of(scenario: Scenario) -> Emulator:
@@ -57,15 +56,8 @@ def record(scenario: Scenario, seconds: float) -> list[Step]:
             for i, application in enumerate(applications)
             if (items := application.traffic.due(application.own, now_us, now_us + step_us, ranging=True))
         )
-        pos_ned_m, vel_ned_m_s, q_ned_frd = _motion(places_ned_m, 1e-6 * now_us)
-        step = Step(
-            at_us=now_us,
-            to_us=now_us + step_us,
-            batches=batches,
-            pos_ned_m=pos_ned_m,
-            vel_ned_m_s=vel_ned_m_s,
-            q_ned_frd=q_ned_frd,
-        )
+        motion = _motion(places_ned_m, 1e-6 * now_us)
+        step = Step(at_us=now_us, to_us=now_us + step_us, batches=batches, motion=motion)
         steps.append(step)
         arrived.append(advance(emulator, step))
     return steps
@@ -75,12 +67,9 @@ def advance(emulator: Emulator, step: Step) -> dict[int, list[RxItem]]:
     """Submit the transmissions of a step and simulate it; return the received items by station."""
     for batch in step.batches:
         emulator.submit(batch)
+    pos_ned_m, vel_ned_m_s, q_ned_frd = step.motion
     return emulator.advance(
-        to_us=step.to_us,
-        at_us=step.at_us,
-        pos_ned_m=step.pos_ned_m,
-        vel_ned_m_s=step.vel_ned_m_s,
-        q_ned_frd=step.q_ned_frd,
+        to_us=step.to_us, at_us=step.at_us, pos_ned_m=pos_ned_m, vel_ned_m_s=vel_ned_m_s, q_ned_frd=q_ned_frd
     )
 
 
@@ -110,7 +99,7 @@ class _Application:
 
 
 def _motion(places_ned_m: Array, time_s: float) -> tuple[Array, Array, Array]:
-    """Positions (n, 3), velocities (n, 3) and attitudes (n, 4) of vehicles that sway independently."""
+    """Return `Step.motion` of vehicles that sway independently."""
     stations = len(places_ned_m)
     phases = np.arange(3 * stations).reshape(stations, 3) + 2.0 * math.pi * SWAY_HZ * time_s
     half_rad = 0.5 * TILT_RAD * np.sin(phases[:, 0])

@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from unittest import mock
 
 from msgspec import Struct
 
@@ -158,9 +159,7 @@ class _Packed(Struct, frozen=True, kw_only=True):
     at_us: int
     to_us: int
     batches: tuple[bytes, ...]
-    pos_ned_m: bytes
-    vel_ned_m_s: bytes
-    q_ned_frd: bytes
+    motion: tuple[bytes, ...]
 
 
 def _packed(steps: Sequence[Step]) -> list[_Packed]:
@@ -169,9 +168,7 @@ def _packed(steps: Sequence[Step]) -> list[_Packed]:
             at_us=step.at_us,
             to_us=step.to_us,
             batches=tuple(map(encode, step.batches)),
-            pos_ned_m=pack_rows(step.pos_ned_m),
-            vel_ned_m_s=pack_rows(step.vel_ned_m_s),
-            q_ned_frd=pack_rows(step.q_ned_frd),
+            motion=tuple(map(pack_rows, step.motion)),
         )
         for step in steps
     ]
@@ -183,18 +180,17 @@ def _play_messages(scenario: Scenario, steps: Sequence[_Packed]) -> None:
         if not packed.batches and emulator.next_event_us > packed.to_us:
             continue
         batches = [decode(TxBatch, message) for message in packed.batches]
-        pos_ned_m = unpack_rows(packed.pos_ned_m, stations=stations, columns=3)
-        vel_ned_m_s = unpack_rows(packed.vel_ned_m_s, stations=stations, columns=3)
-        q_ned_frd = unpack_rows(packed.q_ned_frd, stations=stations, columns=4)
+        pos_ned_m, vel_ned_m_s, q_ned_frd = (
+            unpack_rows(rows, stations=stations, columns=columns)
+            for rows, columns in zip(packed.motion, (3, 3, 4), strict=True)
+        )
         if pos_ned_m is None or vel_ned_m_s is None or q_ned_frd is None:
             raise RuntimeError("messages that this benchmark encoded cannot be decoded")
         step = Step(
             at_us=packed.at_us,
             to_us=packed.to_us,
             batches=tuple(batch for batch in batches if batch is not None),
-            pos_ned_m=pos_ned_m,
-            vel_ned_m_s=vel_ned_m_s,
-            q_ned_frd=q_ned_frd,
+            motion=(pos_ned_m, vel_ned_m_s, q_ned_frd),
         )
         for station, items in advance(emulator, step).items():
             encode(RxBatch(station=station, release_us=packed.to_us, items=tuple(items)))
@@ -222,13 +218,8 @@ def _scheduling() -> Iterator[_Intervals]:
         intervals.append((time_ns, times_ns.copy()))
         times_ns.clear()
 
-    try:
-        for name, function in (("at", noted_at), ("run_until", noted_run_until)):
-            setattr(EventQueue, name, function)
+    with mock.patch.multiple(EventQueue, at=noted_at, run_until=noted_run_until):
         yield intervals
-    finally:
-        for name, original in (("at", schedule), ("run_until", run_until)):
-            setattr(EventQueue, name, original)
 
 
 def _play_empty(intervals: _Intervals) -> None:

@@ -12,7 +12,8 @@ from rich.console import Console
 from rich.table import Table
 
 from harness.scenario.scenario import ScenarioError, load
-from studies.common.command_line import BAD_INPUT, FINE, MISSED
+from studies.codesign.cases import ARTICLE
+from studies.common.command_line import BAD_INPUT, FINE, MISSED, JsonOption
 from studies.radio.bench import (
     FASTER_LIMIT,
     REAL_TIME_LIMIT,
@@ -23,8 +24,6 @@ from studies.radio.bench import (
     bench_saturated,
 )
 from studies.radio.saturation_section import MODES
-
-ARTICLE = Path(__file__).parents[2] / "scenarios" / "article.toml"
 
 bench_radio_app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -43,7 +42,7 @@ def bench_radio(
     ] = None,
     scenario: Annotated[Path, typer.Option(help="Scenario whose traffic is replayed.")] = ARTICLE,
     repeats: Annotated[int, typer.Option(help="Number of repetitions; the medians count.", min=1)] = 3,
-    json: Annotated[bool, typer.Option("--json", help="Print only the numbers, as JSON.")] = False,  # noqa: FBT002
+    json: JsonOption = False,  # noqa: FBT002
 ) -> None:
     """Measure the run time of the emulated radio, and its speed relative to a peer program."""
     messages = Console(stderr=True, highlight=False)

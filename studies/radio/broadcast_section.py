@@ -1,12 +1,10 @@
 """Periodic broadcasts compared with ns-3."""
 
 import math
-from pathlib import Path
+from functools import partial
 
-from msgspec import Struct
-
-from netsim.lab.broadcast import BroadcastResult, broadcast
-from studies.common.report import Check, ReportTable, Section
+from netsim.lab.broadcast import broadcast
+from studies.common.report import Check, ReportFigure, ReportTable, Section
 from studies.common.runner import Job, Results
 from studies.radio.figures import save_broadcast
 from studies.radio.peers import Broadcasts, ns3_broadcasts, ns3_phase_draws
@@ -26,33 +24,23 @@ LEAST_RATIO = 0.05
 """Below this delivery ratio the delay is not compared."""
 
 
-class _Run(Struct, frozen=True, kw_only=True):
-    row: Broadcasts
-    seed: int
-
-
-def _broadcast(run: _Run) -> BroadcastResult:
-    row = run.row
-    return broadcast(
-        stations=row.stations,
-        payload_bytes=row.payload_bytes,
-        period_s=row.period_s,
-        jitter_s=row.jitter_s,
-        seconds=SAME_INSTANT_S if row.jitter_s == 0.0 else row.seconds,
-        seed=run.seed,
-    )
-
-
 def jobs(plan: RadioPlan) -> dict[str, list[Job]]:
     """Return the jobs of every row, as many ticks as in ns-3's run, the longest runs first."""
     rows = sorted(_rows(plan), key=lambda row: -row.stations * row.stations / row.period_s)
     return {
-        _key(row): [(_broadcast, _Run(row=row, seed=seed)) for seed in range(1, _seeds(plan, row) + 1)]
+        _key(row): [
+            partial(
+                broadcast, stations=row.stations, payload_bytes=row.payload_bytes, period_s=row.period_s,
+                jitter_s=row.jitter_s, seconds=SAME_INSTANT_S if row.jitter_s == 0.0 else row.seconds,
+                seed=seed,
+            )
+            for seed in range(1, _seeds(plan, row) + 1)
+        ]
         for row in rows
-    }
+    }  # fmt: skip
 
 
-def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
+def judge(plan: RadioPlan, results: Results) -> Section:
     """Compare delivery ratio and mean delay of every row."""
     checks, cells = [], []
     rows = _rows(plan)
@@ -65,7 +53,7 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
         spare_ms = SURE * difference_error(delays_ms[key], reference_ms) if _is_drawn(row) else 0.0
         checks.append(
             Check(
-                name=f"{name}: delivered", value=ratios[key].value,
+                f"{name}: delivered", ratios[key].value,
                 at_least=max(reference.value - RATIO_TOLERANCE - spare, 0.0),
                 at_most=min(reference.value + RATIO_TOLERANCE + spare, 1.0),
             )
@@ -73,7 +61,7 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
         if reference.value > LEAST_RATIO:
             checks.append(
                 Check(
-                    name=f"{name}: mean delay", value=delays_ms[key].value, unit="ms",
+                    f"{name}: mean delay", delays_ms[key].value, "ms",
                     at_least=(1.0 - DELAY_TOLERANCE) * reference_ms.value - spare_ms,
                     at_most=(1.0 + DELAY_TOLERANCE) * reference_ms.value + spare_ms,
                 )
@@ -84,14 +72,8 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
             name, str(len(results[key])), f"{ratios[key].text(4)} ({reference.text(4)})",
             delay, f"{p95_ms.value:.2f}" if row.mean_delay_ms else "",
         ))  # fmt: skip
-    figures: tuple[tuple[str, str], ...] = ()
-    if images is not None:
-        save_broadcast(
-            images / "radio-broadcast.png",
-            [(row, (ratios[_key(row)], delays_ms[_key(row)]), theirs(row)) for row in rows],
-            long_s=LONG_PERIOD_S,
-        )
-        figures = (("radio-broadcast.png", "delivery and delay of broadcasts, compared with ns-3"),)
+    shown = [(row, (ratios[_key(row)], delays_ms[_key(row)]), theirs(row)) for row in rows]
+    draw = partial(save_broadcast, rows=shown, long_s=LONG_PERIOD_S)
     return Section(
         title="Periodic broadcasts",
         conditions=(
@@ -116,7 +98,9 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
                 rows=tuple(cells),
             ),
         ),
-        figures=figures,
+        figures=(
+            ReportFigure("radio-broadcast.png", "delivery and delay of broadcasts, compared with ns-3", draw),
+        ),
     )
 
 

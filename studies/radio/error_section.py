@@ -1,5 +1,7 @@
 """Packet error rates compared with ns-3's models."""
 
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +9,7 @@ from msgspec.structs import replace
 
 from netsim.phy.errors import packet_error_rate
 from netsim.phy.modes import phy_mode
-from studies.common.report import Check, ReportTable, Section
+from studies.common.report import Check, ReportFigure, ReportTable, Section
 from studies.common.runner import Job, Results
 from studies.radio.figures import save_error_rates
 from studies.radio.peers import ErrorCurve, ns3_error_curves
@@ -22,7 +24,7 @@ DRAWN_POINTS = 701
 
 def jobs(plan: RadioPlan) -> dict[str, list[Job]]:  # noqa: ARG001  # common signature
     """Return one job for each of ns-3's curves: our rates at the same signal-to-noise ratios."""
-    return {"curves": [(_rates, curve) for curve in ns3_error_curves()]}
+    return {"curves": [partial(_rates, curve) for curve in ns3_error_curves()]}
 
 
 def _rates(curve: ErrorCurve) -> tuple[float, ...]:
@@ -32,7 +34,7 @@ def _rates(curve: ErrorCurve) -> tuple[float, ...]:
     )
 
 
-def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:  # noqa: ARG001  # common signature
+def judge(plan: RadioPlan, results: Results) -> Section:  # noqa: ARG001  # common signature
     """Compare the signal-to-noise ratios at which the curves reach 10 %."""
     curves = ns3_error_curves()
     rates: list[tuple[float, ...]] = results["curves"]
@@ -43,22 +45,12 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:  #
         allowed_db = TOLERANCE_DB[curve.model]
         checks.append(
             Check(
-                name=f"{curve.mode}, {curve.width_mhz} MHz, {curve.frame_bytes} B: SNR at PER {TARGET:g}",
-                value=our_db, unit="dB", at_least=their_db - allowed_db, at_most=their_db + allowed_db,
+                f"{curve.mode}, {curve.width_mhz} MHz, {curve.frame_bytes} B: SNR at PER {TARGET:g}", our_db,
+                "dB", at_least=their_db - allowed_db, at_most=their_db + allowed_db,
             )
         )  # fmt: skip
         cells[curve.mode, curve.frame_bytes] = f"{our_db:.2f} ({their_db:.2f}; {our_db - their_db:+.2f})"
     lengths = sorted({curve.frame_bytes for curve in curves})
-    figures: tuple[tuple[str, str], ...] = ()
-    if images is not None:
-        drawn = [
-            (curve, fine_db, _rates(replace(curve, snr_db=fine_db)))
-            for curve in curves
-            if curve.frame_bytes == DRAWN_BYTES
-            for fine_db in [tuple(np.linspace(curve.snr_db[0], curve.snr_db[-1], DRAWN_POINTS).tolist())]
-        ]
-        save_error_rates(images / "radio-per.png", drawn)
-        figures = (("radio-per.png", "packet error rates of all modes, compared with ns-3"),)
     return Section(
         title="Packet error rates",
         conditions=(
@@ -81,5 +73,20 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:  #
                 ),
             ),
         ),
-        figures=figures,
+        figures=(
+            ReportFigure(
+                "radio-per.png",
+                "packet error rates of all modes, compared with ns-3",
+                partial(_draw, curves=curves),
+            ),
+        ),
     )
+
+
+def _draw(path: Path, curves: Sequence[ErrorCurve]) -> None:
+    drawn = []
+    for curve in curves:
+        if curve.frame_bytes == DRAWN_BYTES:
+            fine_db = tuple(np.linspace(curve.snr_db[0], curve.snr_db[-1], DRAWN_POINTS).tolist())
+            drawn.append((curve, fine_db, _rates(replace(curve, snr_db=fine_db))))
+    save_error_rates(path, drawn)

@@ -136,13 +136,8 @@ def save_mesh(path: Path, periods: Mapping[float, Sequence[Mesh]]) -> None:
         shares, delays = grid[0][column], grid[1][column]
         counts = [mesh.stations for mesh in row]
         shares.plot(counts, [mesh.requested for mesh in row], "k--", linewidth=1.0, label="requested")
-        shares.plot(
-            counts,
-            [min(1.0 / mesh.requested, 1.0) for mesh in row],
-            "k:",
-            linewidth=1.0,
-            label="fits",
-        )
+        fits = [min(1.0 / mesh.requested, 1.0) for mesh in row]
+        shares.plot(counts, fits, "k:", linewidth=1.0, label="fits")
         for label, marker, means in (
             ("sessions completed", "o", [mesh.completed for mesh in row]),
             ("round trips", "^", [mesh.round_trips for mesh in row]),

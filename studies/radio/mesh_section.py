@@ -1,12 +1,11 @@
 """Fine Time Measurement between all pairs compared with the air time that it needs."""
 
-from pathlib import Path
+from functools import partial
 
 import numpy as np
-from msgspec import Struct
 
 from netsim.lab.ranging import MeshResult, range_mesh
-from studies.common.report import Check, ReportTable, Section
+from studies.common.report import Check, ReportFigure, ReportTable, Section
 from studies.common.runner import Job, Results
 from studies.radio.figures import save_mesh
 from studies.radio.plan import RadioPlan
@@ -24,44 +23,27 @@ the same time."""
 DELAYED = 3.0
 
 
-class _Run(Struct, frozen=True, kw_only=True):
-    stations: int
-    period_s: float
-    seconds: float
-    seed: int
-
-
-def _range_mesh(run: _Run) -> MeshResult:
-    return range_mesh(
-        stations=run.stations,
-        period_s=run.period_s,
-        seconds=run.seconds,
-        ftms_per_burst=FRAMES,
-        seed=run.seed,
-    )
-
-
 def jobs(plan: RadioPlan) -> dict[str, list[Job]]:
     """Return the jobs of every number of stations with every seed, the longest runs first."""
     return {
         _key(period_s, stations): [
-            (_range_mesh, _Run(stations=stations, period_s=period_s, seconds=plan.mesh_s, seed=seed))
+            partial(
+                range_mesh, stations=stations, period_s=period_s, seconds=plan.mesh_s, ftms_per_burst=FRAMES,
+                seed=seed,
+            )
             for seed in range(1, plan.seeds + 1)
         ]
         for stations in range(plan.mesh_stations, 1, -1)
         for period_s in PERIODS_S
-    }
+    }  # fmt: skip
 
 
-def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
+def judge(plan: RadioPlan, results: Results) -> Section:
     """Check the completed round trips against the available air time."""
     counts = range(2, plan.mesh_stations + 1)
     periods = {period_s: [_means(results[_key(period_s, n)]) for n in counts] for period_s in PERIODS_S}
     checks = [check for period_s, row in periods.items() for check in _checks(period_s, row)]
-    figures: tuple[tuple[str, str], ...] = ()
-    if images is not None:
-        save_mesh(images / "radio-ftm-mesh.png", periods)
-        figures = (("radio-ftm-mesh.png", "completion, occupancy and delay of ranging between all pairs"),)
+    shows = "completion, occupancy and delay of ranging between all pairs"
     return Section(
         title="Fine Time Measurement of all pairs",
         conditions=(
@@ -89,7 +71,7 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
                 rows=tuple(_cells(period_s, mesh) for period_s, row in periods.items() for mesh in row),
             ),
         ),
-        figures=figures,
+        figures=(ReportFigure("radio-ftm-mesh.png", shows, partial(save_mesh, periods=periods)),),
     )  # fmt: skip
 
 
@@ -99,16 +81,16 @@ def _checks(period_s: float, row: list[Mesh]) -> list[Check]:
     for mesh in row:
         name = f"n = {mesh.stations} every {period_s:g} s"
         if mesh.requested <= FITS:
-            checks.append(Check(name=f"{name}: completed", value=mesh.completed.value, at_least=COMPLETED))
+            checks.append(Check(f"{name}: completed", mesh.completed.value, at_least=COMPLETED))
         elif mesh.requested >= FULL:
             checks += [
                 Check(
-                    name=f"{name}: share of the requested round trips", value=mesh.round_trips.value,
+                    f"{name}: share of the requested round trips", mesh.round_trips.value,
                     at_least=(1.0 - LOST) / mesh.requested, at_most=(1.0 + SHARED) / mesh.requested,
                 ),
                 Check(
-                    name=f"{name}: delay over that of two stations",
-                    value=mesh.delay_ms.value / row[0].delay_ms.value, at_least=DELAYED,
+                    f"{name}: delay over that of two stations", mesh.delay_ms.value / row[0].delay_ms.value,
+                    at_least=DELAYED,
                 ),
             ]  # fmt: skip
     return checks

@@ -1,16 +1,14 @@
 """Reference results for the same traffic: tables in studies/reference; its README states their origin."""
 
-import csv
-from collections.abc import Iterator, Mapping
-from pathlib import Path
+from collections.abc import Mapping
 from typing import TypeVar
 
 import msgspec
 from msgspec import Struct
 
 from netsim.model.config import BandwidthMhz, Mode
+from studies.common.reference import reference_table
 
-REFERENCE = Path(__file__).parents[2] / "studies" / "reference"
 NS3_PAYLOAD_OVERHEAD_BYTES = 8 + 20 + 8
 """UDP, IPv4 and LLC/SNAP headers around a UDP payload."""
 BIANCHI_PACKET_BYTES = 1500
@@ -62,21 +60,21 @@ def ns3_saturation() -> list[Saturated]:
     """Return runs of ns-3 3.37: 802.11a, UDP, control frames at 6 Mbit/s."""
     return [
         _read({**row, "rate_mbps": row["rate"].removeprefix("OfdmRate").removesuffix("Mbps")}, Saturated)
-        for row in _rows("ns3_saturation.csv")
+        for row in reference_table("ns3_saturation.csv")
     ]
 
 
 def bianchi() -> list[Saturated]:
     """Return the values of Bianchi's model in ns-3's own test, for packets of `BIANCHI_PACKET_BYTES`."""
     fixed = {"rts": False, "payload_bytes": BIANCHI_PACKET_BYTES}
-    return [_read({**row, **fixed}, Saturated) for row in _rows("bianchi.csv")]
+    return [_read({**row, **fixed}, Saturated) for row in reference_table("bianchi.csv")]
 
 
 def ns3_broadcasts() -> list[Broadcasts]:
     """Return runs of ns-3 3.37: 802.11a at 6 Mbit/s, UDP."""
     return [
         _read({**row, "seconds": _broadcast_seconds(float(row["period_s"]))}, Broadcasts)
-        for row in _rows("ns3_broadcast.csv")
+        for row in reference_table("ns3_broadcast.csv")
     ]
 
 
@@ -86,7 +84,7 @@ def ns3_phase_draws() -> dict[tuple[int, float], list[tuple[float, float]]]:
     For rows with phases drawn once and periods so short that the result depends on the phases.
     """
     draws: dict[tuple[int, float], list[tuple[float, float]]] = {}
-    for row in _rows("ns3_broadcast_phases.csv"):
+    for row in reference_table("ns3_broadcast_phases.csv"):
         key = (int(row["n"]), float(row["period_s"]))
         draws.setdefault(key, []).append((float(row["delivery_ratio"]), float(row["mean_delay_ms"])))
     return draws
@@ -100,7 +98,7 @@ def _broadcast_seconds(period_s: float) -> float:
 def ns3_error_curves() -> list[ErrorCurve]:
     """Return ns-3 3.37's error models: NIST for non-HT modes, tables of link simulations for VHT."""
     points: dict[tuple[str, int, int], list[tuple[float, float]]] = {}
-    for row in _rows("ns3_per.csv"):
+    for row in reference_table("ns3_per.csv"):
         column = "per_table" if row["mode"].startswith("vht") else "per_nist"
         key = (row["mode"], int(row["width_mhz"]), int(row["bytes"]))
         points.setdefault(key, []).append((float(row["snr_db"]), float(row[column])))
@@ -120,8 +118,3 @@ def ns3_error_curves() -> list[ErrorCurve]:
 def _read(row: Mapping[str, object], kind: type[T]) -> T:
     """Return a row of a table, whose texts are converted to the types of the fields."""
     return msgspec.convert({**row, "stations": row["n"]}, kind, strict=False)
-
-
-def _rows(name: str) -> Iterator[dict[str, str]]:
-    with (REFERENCE / name).open(encoding="utf-8", newline="") as file:
-        yield from csv.DictReader(file)

@@ -1,14 +1,13 @@
 """Fine Time Measurement of one pair compared with its reference figures."""
 
 import math
-from pathlib import Path
+from functools import partial
 
 import numpy as np
-from msgspec import Struct
 
 from netsim.lab.ranging import FtmResultSummary, range_pair
 from netsim.model.config import BandwidthMhz, Mode
-from studies.common.report import Check, ReportTable, Section
+from studies.common.report import Check, ReportFigure, ReportTable, Section
 from studies.common.runner import Job, Results
 from studies.radio.figures import save_ranging
 from studies.radio.plan import RadioPlan
@@ -33,47 +32,29 @@ AIRTIMES_MS: tuple[tuple[BandwidthMhz, Mode, float], ...] = (
 AIRTIME_TOLERANCE = 0.05
 
 
-class _Pair(Struct, frozen=True, kw_only=True):
-    width_mhz: BandwidthMhz
-    ftms_per_burst: int = FRAMES
-    sessions: int
-    mode: Mode | None = None
-    seed: int = 1
-
-
-def _range_pair(pair: _Pair) -> FtmResultSummary:
-    return range_pair(
-        distance_m=30.0,
-        width_mhz=pair.width_mhz,
-        sessions=pair.sessions,
-        ftms_per_burst=pair.ftms_per_burst,
-        bias_m=BIAS_M,
-        mode=pair.mode,
-        seed=pair.seed,
-    )
-
-
 def jobs(plan: RadioPlan) -> dict[str, list[Job]]:
     """Return the jobs: every width with every seed, every burst length, every air time."""
+    pair = partial(range_pair, distance_m=30.0, bias_m=BIAS_M)
     groups: dict[str, list[Job]] = {
         f"width/{width}": [
-            (_range_pair, _Pair(width_mhz=width, sessions=BIAS_SESSIONS, seed=seed))
+            partial(pair, width_mhz=width, sessions=BIAS_SESSIONS, ftms_per_burst=FRAMES, seed=seed)
             for seed in range(1, plan.seeds + 1)
         ]
         for width in WIDTHS
     }
     for width in (20, 80):
         groups[f"frames/{width}"] = [
-            (_range_pair, _Pair(width_mhz=width, ftms_per_burst=frames, sessions=plan.sessions, seed=100))
+            partial(pair, width_mhz=width, sessions=plan.sessions, ftms_per_burst=frames, seed=100)
             for frames in FRAMES_PER_BURST
         ]
     groups["airtime"] = [
-        (_range_pair, _Pair(width_mhz=width, sessions=100, mode=mode)) for width, mode, _ in AIRTIMES_MS
+        partial(pair, width_mhz=width, sessions=100, ftms_per_burst=FRAMES, mode=mode, seed=1)
+        for width, mode, _ in AIRTIMES_MS
     ]
     return groups
 
 
-def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
+def judge(plan: RadioPlan, results: Results) -> Section:
     """Check bias, sigma, averaging and air time."""
     checks, rows = [], []
     for width in WIDTHS:
@@ -82,19 +63,13 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
         trip = mean_of([run.round_trip_std_m for run in runs])
         checks.append(
             Check(
-                name=f"{width} MHz: mean error less bias, worst of {len(runs)} x {BIAS_SESSIONS} sessions",
-                value=1e2 * max(map(abs, errors_m)), unit="cm", at_most=1e2 * BIAS_LIMIT_M,
+                f"{width} MHz: mean error less bias, worst of {len(runs)} x {BIAS_SESSIONS} sessions",
+                1e2 * max(map(abs, errors_m)), "cm", at_most=1e2 * BIAS_LIMIT_M,
             )
         )  # fmt: skip
         if width in ROUND_TRIP_M:
-            reference_m = ROUND_TRIP_M[width]
-            checks.append(
-                Check(
-                    name=f"{width} MHz: sigma of a round trip", value=trip.value, unit="m",
-                    at_least=(1.0 - SIGMA_TOLERANCE) * reference_m,
-                    at_most=(1.0 + SIGMA_TOLERANCE) * reference_m,
-                )
-            )  # fmt: skip
+            name = f"{width} MHz: sigma of a round trip"
+            checks.append(Check.near(name, trip.value, ROUND_TRIP_M[width], SIGMA_TOLERANCE, "m"))
         rows.append((
             str(width), mean_of([1e2 * error_m for error_m in errors_m]).text(2), trip.text(4),
             mean_of([run.error_std_m for run in runs]).text(4), str(sum(run.failed for run in runs)),
@@ -107,32 +82,20 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
         trip_m = float(np.sqrt(np.mean(np.square(scatters_m)))) if scatters_m else math.nan
         spreads[width] = (trip_m, [_known(run.error_std_m) for run in runs])
         for frames, run in zip(FRAMES_PER_BURST, runs, strict=True):
-            checks.append(
-                Check(
-                    name=f"{width} MHz, {frames} frames: error's sigma over round trip's / √{frames - 1}",
-                    value=_known(run.error_std_m) * math.sqrt(frames - 1) / trip_m,
-                    at_least=1.0 - SIGMA_TOLERANCE, at_most=1.0 + SIGMA_TOLERANCE,
-                )
-            )  # fmt: skip
+            name = f"{width} MHz, {frames} frames: error's sigma over round trip's / √{frames - 1}"
+            ratio = _known(run.error_std_m) * math.sqrt(frames - 1) / trip_m
+            checks.append(Check.near(name, ratio, 1.0, SIGMA_TOLERANCE))
     for (width, mode, airtime_ms), run in zip(AIRTIMES_MS, results["airtime"], strict=True):
-        checks.append(
-            Check(
-                name=f"{width} MHz, {mode}: air time of a session", value=run.airtime_ms, unit="ms",
-                at_least=(1.0 - AIRTIME_TOLERANCE) * airtime_ms,
-                at_most=(1.0 + AIRTIME_TOLERANCE) * airtime_ms,
-            )
-        )  # fmt: skip
+        name = f"{width} MHz, {mode}: air time of a session"
+        checks.append(Check.near(name, run.airtime_ms, airtime_ms, AIRTIME_TOLERANCE, "ms"))
     all_runs = [run for group in results.values() for run in group]
     checks.append(
         Check(
-            name=f"sessions that failed, of {sum(run.failed + run.completed for run in all_runs)}",
-            value=sum(run.failed for run in all_runs), at_most=0.0,
+            f"sessions that failed, of {sum(run.failed + run.completed for run in all_runs)}",
+            sum(run.failed for run in all_runs), at_most=0.0,
         )
     )  # fmt: skip
-    figures: tuple[tuple[str, str], ...] = ()
-    if images is not None:
-        save_ranging(images / "radio-ftm.png", frames=FRAMES_PER_BURST, spreads=spreads)
-        figures = (("radio-ftm.png", "ranging error over the frames of a burst"),)
+    draw = partial(save_ranging, frames=FRAMES_PER_BURST, spreads=spreads)
     return Section(
         title="Fine Time Measurement of one pair",
         conditions=(
@@ -155,7 +118,7 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
                 rows=tuple(rows),
             ),
         ),
-        figures=figures,
+        figures=(ReportFigure("radio-ftm.png", "ranging error over the frames of a burst", draw),),
     )  # fmt: skip
 
 

@@ -1,13 +1,11 @@
 """Saturated stations compared with ns-3 and Bianchi's model."""
 
 from collections.abc import Sequence
-from pathlib import Path
-
-from msgspec import Struct
+from functools import partial
 
 from netsim.lab.saturation import SaturationResult, saturate
 from netsim.model.config import Mode
-from studies.common.report import Check, ReportTable, Section
+from studies.common.report import Check, ReportFigure, ReportTable, Section
 from studies.common.runner import Job, Results
 from studies.radio.figures import save_saturation
 from studies.radio.peers import BIANCHI_PACKET_BYTES, BIANCHI_UDP_BYTES, Saturated, bianchi, ns3_saturation
@@ -18,26 +16,6 @@ TOLERANCE = 0.03
 MODES: dict[int, Mode] = {6: "ofdm6", 24: "ofdm24", 54: "ofdm54"}
 
 
-class _Run(Struct, frozen=True, kw_only=True):
-    stations: int
-    rts: bool
-    rate_mbps: int
-    payload_bytes: int
-    seconds: float
-    seed: int
-
-
-def _saturate(run: _Run) -> SaturationResult:
-    return saturate(
-        stations=run.stations,
-        rts=run.rts,
-        mode=MODES[run.rate_mbps],
-        payload_bytes=run.payload_bytes,
-        seconds=run.seconds,
-        seed=run.seed,
-    )
-
-
 def jobs(plan: RadioPlan) -> dict[str, list[Job]]:
     """Return the jobs of every row of both references with each seed."""
     groups: dict[str, list[Job]] = {}
@@ -45,44 +23,28 @@ def jobs(plan: RadioPlan) -> dict[str, list[Job]]:
         payload_bytes = BIANCHI_UDP_BYTES if name == "bianchi" else row.payload_bytes
         seconds = plan.packets * 8 * payload_bytes / (row.throughput_mbps * 1e6)
         groups[_key(name, row)] = [
-            (
-                _saturate,
-                _Run(
-                    stations=row.stations, rts=row.rts, rate_mbps=row.rate_mbps, payload_bytes=payload_bytes,
-                    seconds=seconds, seed=seed,
-                ),
+            partial(
+                saturate, stations=row.stations, rts=row.rts, mode=MODES[row.rate_mbps],
+                payload_bytes=payload_bytes, seconds=seconds, seed=seed,
             )
             for seed in range(1, plan.seeds + 1)
         ]  # fmt: skip
     return groups
 
 
-def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
+def judge(plan: RadioPlan, results: Results) -> Section:
     """Compare the mean throughput of every row."""
     ours = {key: mean_of([_payload_mbps(key, result) for result in group]) for key, group in results.items()}
     rows = _rows(plan)
     checks = tuple(
-        Check(
-            name=f"{_LABELS[name]}, {row.rate_mbps} Mbit/s{', RTS' if row.rts else ''}, n = {row.stations}",
-            value=ours[_key(name, row)].value,
-            unit="Mbit/s",
-            at_least=(1.0 - TOLERANCE) * row.throughput_mbps,
-            at_most=(1.0 + TOLERANCE) * row.throughput_mbps,
+        Check.near(
+            f"{_LABELS[name]}, {_column(row.rate_mbps, row.rts)}, n = {row.stations}",
+            ours[_key(name, row)].value, row.throughput_mbps, TOLERANCE, "Mbit/s",
         )
         for name, row in rows
-    )
-    figures: tuple[tuple[str, str], ...] = ()
-    if images is not None:
-        save_saturation(
-            images / "radio-saturation.png",
-            [(name, row, ours[_key(name, row)]) for name, row in rows],
-        )
-        figures = (
-            (
-                "radio-saturation.png",
-                "throughput of saturated stations, compared with ns-3 and Bianchi's model",
-            ),
-        )
+    )  # fmt: skip
+    shows = "throughput of saturated stations, compared with ns-3 and Bianchi's model"
+    draw = partial(save_saturation, rows=[(name, row, ours[_key(name, row)]) for name, row in rows])
     worst = max(abs(_deviation(ours[_key(name, row)], row)) for name, row in rows)
     collisions = {key: mean_of([r.collisions_fraction for r in group]) for key, group in results.items()}
     return Section(
@@ -106,7 +68,7 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
             )
             for name, label in _LABELS.items()
         ),
-        figures=figures,
+        figures=(ReportFigure("radio-saturation.png", shows, draw),),
     )
 
 

@@ -1,10 +1,10 @@
 """Upset recovery and control allocation against their requirements."""
 
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 
-from studies.common.report import Check, ReportTable, Section
+from studies.common.report import Check, ReportFigure, ReportTable, Section
 from studies.common.runner import Job, Results
 from studies.vehicle.allocation import AllocationResult, check_allocation
 from studies.vehicle.figures import save_upsets
@@ -31,31 +31,30 @@ _ALLOCATION_SEED = 1
 def upset_jobs(plan: VehiclePlan) -> dict[str, list[Job]]:
     """Return the recoveries of the controller and the upsets of the complete vehicle."""
     return {
-        "recover": [(recover, seed) for seed in range(plan.recoveries)],
-        "throw": [(throw, seed) for seed in range(plan.throws)],
+        "recover": [partial(recover, seed) for seed in range(plan.recoveries)],
+        "throw": [partial(throw, seed) for seed in range(plan.throws)],
     }
 
 
-def judge_upsets(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
+def judge_upsets(plan: VehiclePlan, results: Results) -> Section:
     """Check the slowest recoveries."""
     recoveries: list[Upset] = results["recover"]
     catches: list[Catch] = results["throw"]
     checks = (
         Check(
-            name="controller: upright, slowest", value=max(case.upright_s for case in recoveries), unit="s",
-            at_most=LIMIT_S,
+            "controller: upright, slowest", max(case.upright_s for case in recoveries), "s", at_most=LIMIT_S
         ),
         Check(
-            name="whole vehicle: thrust axis aligned with its setpoint, slowest",
-            value=max(case.aligned_s for case in catches), unit="s", at_most=LIMIT_S,
+            "whole vehicle: thrust axis aligned with its setpoint, slowest",
+            max(case.aligned_s for case in catches), "s", at_most=LIMIT_S,
         ),
         Check(
-            name=f"whole vehicle: tilt below {TILT_LIMIT_DEG + UPRIGHT_DEG:.0f}°, slowest",
-            value=max(case.within_limit_s for case in catches), unit="s", at_most=LIMIT_S,
+            f"whole vehicle: tilt below {TILT_LIMIT_DEG + UPRIGHT_DEG:.0f}°, slowest",
+            max(case.within_limit_s for case in catches), "s", at_most=LIMIT_S,
         ),
         Check(
-            name="whole vehicle: distance from its position at the end, worst",
-            value=max(case.away_m for case in catches), unit="m", at_most=0.5,
+            "whole vehicle: distance from its position at the end, worst",
+            max(case.away_m for case in catches), "m", at_most=0.5,
         ),
     )  # fmt: skip
     columns: list[tuple[str, list[float]]] = [
@@ -68,14 +67,10 @@ def judge_upsets(plan: VehiclePlan, results: Results, images: Path | None) -> Se
         ("vehicle: height lost, m", [case.sunk_m for case in catches]),
         ("vehicle: attitude estimate's greatest error, deg", [case.attitude_error_deg for case in catches]),
     ]
-    figures: tuple[tuple[str, str], ...] = ()
-    if images is not None:
-        save_upsets(
-            images / "validation-upsets.png", period_s=TRACE_EVERY * STEP_S,
-            tilts_deg=np.array([case.tilt_deg for case in recoveries]), limit_s=LIMIT_S,
-            upright_deg=UPRIGHT_DEG,
-        )  # fmt: skip
-        figures = (("validation-upsets.png", "tilt over time from random attitudes and rates"),)
+    draw = partial(
+        save_upsets, period_s=TRACE_EVERY * STEP_S, limit_s=LIMIT_S, upright_deg=UPRIGHT_DEG,
+        tilts_deg=np.array([case.tilt_deg for case in recoveries]),
+    )  # fmt: skip
     return Section(
         title="Upsets",
         conditions=(
@@ -101,20 +96,18 @@ def judge_upsets(plan: VehiclePlan, results: Results, images: Path | None) -> Se
                 ),
             ),
         ),
-        figures=figures,
+        figures=(
+            ReportFigure("validation-upsets.png", "tilt over time from random attitudes and rates", draw),
+        ),
     )
 
 
 def allocation_jobs(plan: VehiclePlan) -> dict[str, list[Job]]:
     """Return one job, which takes some seconds."""
-    return {"all": [(_check_allocation, plan.demands)]}
+    return {"all": [partial(check_allocation, plan.demands, _ALLOCATION_SEED)]}
 
 
-def _check_allocation(demands: int) -> AllocationResult:
-    return check_allocation(demands, _ALLOCATION_SEED)
-
-
-def judge_allocation(plan: VehiclePlan, results: Results, images: Path | None) -> Section:  # noqa: ARG001  # common signature
+def judge_allocation(plan: VehiclePlan, results: Results) -> Section:  # noqa: ARG001  # common signature
     """Check the worst of all demands."""
     worst: AllocationResult = results["all"][0]
     return Section(
@@ -126,23 +119,18 @@ def judge_allocation(plan: VehiclePlan, results: Results, images: Path | None) -
             "keep their direction.\n"
         ),
         checks=(
-            Check(name="lowest control", value=worst.lowest_control, at_least=0.0),
-            Check(name="highest control", value=worst.highest_control, at_most=1.0),
+            Check("lowest control", worst.lowest_control, at_least=0.0),
+            Check("highest control", worst.highest_control, at_most=1.0),
             Check(
-                name="achievable roll and pitch torque that was not produced", value=worst.lost_torque_n_m,
-                unit="N m", at_most=ROUNDING_N_M,
-            ),
-            Check(
-                name="direction of torque that is not achievable", value=worst.turned_rad, unit="rad",
+                "achievable roll and pitch torque that was not produced", worst.lost_torque_n_m, "N m",
                 at_most=ROUNDING_N_M,
             ),
             Check(
-                name="torque produced against torque reported", value=worst.misreported_n_m, unit="N m",
-                at_most=ROUNDING_N_M,
+                "direction of torque that is not achievable", worst.turned_rad, "rad", at_most=ROUNDING_N_M
             ),
             Check(
-                name="thrust added for torque without airmode", value=worst.added_thrust,
-                at_most=1e-12,
+                "torque produced against torque reported", worst.misreported_n_m, "N m", at_most=ROUNDING_N_M
             ),
+            Check("thrust added for torque without airmode", worst.added_thrust, at_most=1e-12),
         ),
     )  # fmt: skip

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from harness.launch import kernel_cache
-from studies.common.standard_output import keep_stdout
+from studies.common.command_line import JsonOption, keep_stdout
 from studies.vehicle.bench import LIMIT_US, StepCost, measure, measure_without_compiler, record_flight
 
 bench_app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
@@ -18,7 +18,7 @@ bench_app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 def bench(
     seconds: Annotated[float, typer.Option(help="Length of the flight.", min=20.0)] = 60.0,
     repeats: Annotated[int, typer.Option(help="Number of passes; the fastest counts.", min=1)] = 3,
-    json: Annotated[bool, typer.Option("--json", help="Print only the numbers, as JSON.")] = False,  # noqa: FBT002
+    json: JsonOption = False,  # noqa: FBT002
 ) -> None:
     """Replay a recorded flight to a vehicle and print the time of its steps in microseconds."""
     messages = Console(stderr=True, highlight=False)

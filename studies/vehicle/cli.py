@@ -5,16 +5,11 @@ from typing import Annotated
 
 import typer
 from msgspec.structs import replace
-from rich.console import Console
 
-from harness.launch import kernel_cache
-from studies.common.command_line import BAD_INPUT, Page, chosen, report_and_exit, run_with_progress
+from studies.common.command_line import JsonOption, Page, Validation
 from studies.common.runner import Subject
-from studies.common.standard_output import keep_stdout
 from studies.vehicle import attitude_sections, estimation_section, hover_section, move_section
 from studies.vehicle.plan import QUICK, VehiclePlan
-
-__all__ = ["BAD_INPUT", "validate_app"]
 
 SUBJECTS: dict[str, Subject[VehiclePlan]] = {
     "px4": Subject(hover_section.px4_jobs, hover_section.judge_px4),
@@ -32,7 +27,13 @@ swarm, in one process (`studies.vehicle.solo`). All numbers are produced by
 which repeats all flights in some minutes on two cores; with `--out docs/results` it writes this page and
 its figures. All flights are determined by their seeds: the same sources give the same numbers.
 """
-PAGE = Page(file_name="validation.md", title="Validation of one vehicle", introduction=INTRODUCTION)
+VALIDATION = Validation(
+    program="validate_vehicle",
+    page=Page(file_name="validation.md", title="Validation of one vehicle", introduction=INTRODUCTION),
+    subjects=SUBJECTS,
+    has_bullet=True,
+    px4=True,
+)
 
 validate_app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -44,19 +45,13 @@ def validate(
         str, typer.Option(help=f"Some of {', '.join(SUBJECTS)}.", metavar="NAME,NAME")
     ] = ",".join(SUBJECTS),
     seeds: Annotated[int | None, typer.Option(help="Flights of each condition.", min=1)] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print only the numbers, as JSON.")] = False,  # noqa: FBT002
+    json: JsonOption = False,  # noqa: FBT002
     out: Annotated[
         Path | None, typer.Option(help="Folder for validation.md and images/; without it no file is written.")
     ] = None,
 ) -> None:
     """Measure the flight performance of one vehicle against its requirements and a real PX4."""
-    messages = Console(stderr=True, highlight=False)
-    names = chosen("validate_vehicle", only, SUBJECTS, messages)
     plan = QUICK if quick else VehiclePlan()
     if seeds is not None:
         plan = replace(plan, seeds=seeds)
-    kernel_cache.prepare(messages.print)
-    stdout = keep_stdout()
-    subjects = {name: SUBJECTS[name] for name in names}
-    sections = run_with_progress(plan, subjects, out=out, messages=messages)
-    report_and_exit(sections, page=PAGE, out=out, json=json, stdout=stdout, px4=True)
+    VALIDATION.run(plan, only, out=out, json=json)

@@ -1,11 +1,11 @@
 """The estimator against its requirements; the computation is in `studies.vehicle.estimation`."""
 
 import math
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 
-from studies.common.report import Check, ReportTable, Section
+from studies.common.report import Check, ReportFigure, ReportTable, Section
 from studies.common.runner import Job, Results
 from studies.vehicle.estimation import (
     MEASUREMENTS,
@@ -31,24 +31,16 @@ HEADING_LIMIT_DEG = 10.0
 def jobs(plan: VehiclePlan) -> dict[str, list[Job]]:
     """Return the jobs; consistency has one job for each seed, because its runs share the draws."""
     return {
-        "consistency": [(_consistency, (plan.estimator_runs, seed)) for seed in CAMPAIGN_SEEDS],
-        "outage": [(outage_drift_m, seed) for seed in range(plan.seeds)],
-        "compass": [(_turned_compass, seed) for seed in range(max(plan.seeds // 2, 1))],
+        "consistency": [partial(consistency, runs=plan.estimator_runs, seed=seed) for seed in CAMPAIGN_SEEDS],
+        "outage": [partial(outage_drift_m, seed) for seed in range(plan.seeds)],
+        "compass": [partial(wrong_compass, seed, math.pi) for seed in range(max(plan.seeds // 2, 1))],
     }
 
 
-def _consistency(runs_and_seed: tuple[int, int]) -> Consistency:
-    runs, seed = runs_and_seed
-    return consistency(runs=runs, seed=seed)
-
-
-def _turned_compass(seed: int) -> WrongCompass:
-    return wrong_compass(seed, math.pi)
-
-
-def judge(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
+def judge(plan: VehiclePlan, results: Results) -> Section:
     """Check consistency, whiteness, drift in an outage and a compass turned by 180 degrees."""
     campaigns: list[Consistency] = results["consistency"]
+    by_seed = list(zip(CAMPAIGN_SEEDS, campaigns, strict=True))
     found = pooled(campaigns)
     drifts_m: list[float] = results["outage"]
     compasses: list[WrongCompass] = results["compass"]
@@ -56,7 +48,7 @@ def judge(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
         _nees_check(group, label, one)
         for group in REQUIRED
         for label, one in (
-            *((f"seed {seed}", one) for seed, one in zip(CAMPAIGN_SEEDS, campaigns, strict=True)),
+            *((f"seed {seed}", one) for seed, one in by_seed),
             ("all seeds", found),
         )
     ]
@@ -65,8 +57,8 @@ def judge(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
         white = whiteness(found.innovations[name])
         checks.append(
             Check(
-                name=f"innovations of {name}: greatest autocorrelation",
-                value=white.greatest,
+                f"innovations of {name}: greatest autocorrelation",
+                white.greatest,
                 at_most=white.greatest_limit,
             )
         )
@@ -76,29 +68,18 @@ def judge(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
         ))  # fmt: skip
     caught_s = [math.inf if case.caught_s is None else case.caught_s for case in compasses]
     checks += [
+        Check("drift in 10 s without GPS, calm hover, worst", max(drifts_m), "m", at_most=DRIFT_LIMIT_M),
         Check(
-            name="drift in 10 s without GPS, calm hover, worst", value=max(drifts_m), unit="m",
-            at_most=DRIFT_LIMIT_M,
+            "compass turned by 180°: detected after motion begins, slowest", max(caught_s), "s",
+            at_most=CAUGHT_LIMIT_S,
         ),
         Check(
-            name="compass turned by 180°: detected after motion begins, slowest", value=max(caught_s),
-            unit="s", at_most=CAUGHT_LIMIT_S,
-        ),
-        Check(
-            name="compass turned by 180°: heading at the end, worst rms",
-            value=math.degrees(max(case.heading_error_rad for case in compasses)), unit="deg",
-            at_most=HEADING_LIMIT_DEG,
+            "compass turned by 180°: heading at the end, worst rms",
+            math.degrees(max(case.heading_error_rad for case in compasses)), "deg", at_most=HEADING_LIMIT_DEG,
         ),
     ]  # fmt: skip
-    figures: tuple[tuple[str, str], ...] = ()
-    if images is not None:
-        save_nees(
-            images / "validation-nees.png",
-            time_s=found.time_s,
-            means={group: found.mean(group) for group in found.nees},
-            band=found.band(),
-        )
-        figures = (("validation-nees.png", "normalised estimation errors over time, mean of the runs"),)
+    means = {group: found.mean(group) for group in found.nees}
+    draw = partial(save_nees, time_s=found.time_s, means=means, band=found.band())
     return Section(
         title="Estimator",
         conditions=(
@@ -121,8 +102,7 @@ def judge(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
                 caption="NEES per degree of freedom of all groups (in brackets its 95 % band), by seed:",
                 columns=("seed", *found.nees),
                 rows=tuple(
-                    (str(seed), *(_nees_cell(one, group) for group in found.nees))
-                    for seed, one in zip(CAMPAIGN_SEEDS, campaigns, strict=True)
+                    (str(seed), *(_nees_cell(one, group) for group in one.nees)) for seed, one in by_seed
                 ),
             ),
             ReportTable(
@@ -132,8 +112,7 @@ def judge(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
                 ),
                 columns=("seed", *found.nees),
                 rows=tuple(
-                    (str(seed), *(f"{one.inside(group):.2f}" for group in found.nees))
-                    for seed, one in zip(CAMPAIGN_SEEDS, campaigns, strict=True)
+                    (str(seed), *(f"{one.inside(group):.2f}" for group in one.nees)) for seed, one in by_seed
                 ),
             ),
             ReportTable(
@@ -147,19 +126,22 @@ def judge(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
                 rows=tuple(
                     (name, *(f"{value:.3g}" for value in np.quantile(values, (0.5, 1.0))))
                     for name, values in (
-                        ("drift, m", drifts_m),
-                        ("compass error detected after, s", caught_s),
+                        ("drift, m", drifts_m), ("compass error detected after, s", caught_s),
                     )
                 ),
             ),
         ),
-        figures=figures,
-    )
+        figures=(
+            ReportFigure(
+                "validation-nees.png", "normalised estimation errors over time, mean of the runs", draw
+            ),
+        ),
+    )  # fmt: skip
 
 
 def _nees_check(group: str, label: str, found: Consistency) -> Check:
     mean, (low, high) = found.overall(group)
-    return Check(name=f"{group}: NEES per degree of freedom, {label}", value=mean, at_least=low, at_most=high)
+    return Check(f"{group}: NEES per degree of freedom, {label}", mean, at_least=low, at_most=high)
 
 
 def _nees_cell(found: Consistency, group: str) -> str:

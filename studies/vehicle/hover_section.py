@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 from msgspec import Struct
@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from autopilot.estimation.atmosphere import GRAVITY_M_S2
 from harness.world.sensors.config import PROFILES
-from studies.common.report import Check, ReportTable, Section
+from studies.common.report import Check, ReportFigure, ReportTable, Section
 from studies.common.runner import Job, Results
 from studies.vehicle.figures import save_against_px4, save_hover_error
 from studies.vehicle.hover import TRACE_EVERY, Hover, HoverResult, Sensors, fly_hover
@@ -64,7 +64,7 @@ _SENSOR_LABELS: dict[Sensors, str] = {
 
 
 def _jobs(hovers: Iterable[Hover]) -> list[Job]:
-    return [(fly_hover, hover) for hover in hovers]
+    return [partial(fly_hover, hover) for hover in hovers]
 
 
 def px4_jobs(plan: VehiclePlan) -> dict[str, list[Job]]:
@@ -72,27 +72,21 @@ def px4_jobs(plan: VehiclePlan) -> dict[str, list[Job]]:
     groups = {
         f"{row.name}/{observer}": _jobs(
             Hover(
-                seed=seed,
-                mean_n=row.mean_n,
-                gust_rms_n=row.gust_rms_n,
-                imu_noise=row.imu_noise,
-                plant="plain",
-                observer=observer,
-                px4_estimator=True,
-                measure_s=plan.measure_s,
+                seed=seed, mean_n=row.mean_n, gust_rms_n=row.gust_rms_n, imu_noise=row.imu_noise,
+                plant="plain", observer=observer, px4_estimator=True, measure_s=plan.measure_s,
             )
             for seed in range(max(plan.seeds // 2, 1))
         )
         for row in PX4_ROWS
         for observer in (False, True)
-    }
+    }  # fmt: skip
     groups[OUR_ESTIMATOR] = _jobs(
-        replace(hover, px4_estimator=False) for _, hover in groups[f"{PX4_ROWS[0].name}/{False}"]
+        replace(job.args[0], px4_estimator=False) for job in groups[f"{PX4_ROWS[0].name}/{False}"]
     )
     return groups
 
 
-def judge_px4(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
+def judge_px4(plan: VehiclePlan, results: Results) -> Section:
     """Compare the 3-D rms of every row."""
     checks, rows = [], []
     ours, observed = (
@@ -100,16 +94,8 @@ def judge_px4(plan: VehiclePlan, results: Results, images: Path | None) -> Secti
         for observer in (False, True)
     )
     for i, row in enumerate(PX4_ROWS):
-        checks.append(
-            Check(
-                name=f"{row.name}: 3-D rms",
-                value=float(ours[i].mean()),
-                unit="m",
-                px4=f"{row.total_m:g} m",
-                at_least=(1.0 - TOLERANCE) * row.total_m,
-                at_most=(1.0 + TOLERANCE) * row.total_m,
-            )
-        )
+        name, rms_m, px4 = f"{row.name}: 3-D rms", float(ours[i].mean()), f"{row.total_m:g} m"
+        checks.append(Check.near(name, rms_m, row.total_m, TOLERANCE, "m", px4=px4))
         for observer in (False, True):
             flights: list[HoverResult] = results[f"{row.name}/{observer}"]
             rows.append((
@@ -118,14 +104,11 @@ def judge_px4(plan: VehiclePlan, results: Results, images: Path | None) -> Secti
             ))  # fmt: skip
     ours_alone: list[HoverResult] = results[OUR_ESTIMATOR]
     rows.insert(1, (OUR_ESTIMATOR, *_summary(ours_alone), ""))
-    figures: tuple[tuple[str, str], ...] = ()
-    if images is not None:
-        save_against_px4(
-            images / "validation-px4.png", names=[row.name.replace(", ", ",\n") for row in PX4_ROWS],
-            px4_m=np.array([row.total_m for row in PX4_ROWS]), ours_m=ours, observed_m=observed,
-            tolerance=TOLERANCE,
-        )  # fmt: skip
-        figures = (("validation-px4.png", "rms about the setpoint, compared with a real PX4"),)
+    draw = partial(
+        save_against_px4, names=[row.name.replace(", ", ",\n") for row in PX4_ROWS],
+        px4_m=np.array([row.total_m for row in PX4_ROWS]), ours_m=ours, observed_m=observed,
+        tolerance=TOLERANCE,
+    )  # fmt: skip
     return Section(
         title="Hover as a real PX4",
         conditions=(
@@ -146,7 +129,9 @@ def judge_px4(plan: VehiclePlan, results: Results, images: Path | None) -> Secti
                 rows=tuple(rows),
             ),
         ),
-        figures=figures,
+        figures=(
+            ReportFigure("validation-px4.png", "rms about the setpoint, compared with a real PX4", draw),
+        ),
     )
 
 
@@ -169,29 +154,26 @@ def hover_jobs(plan: VehiclePlan) -> dict[str, list[Job]]:
         )
         for name, mean_n, gust_n, sensors in _CONDITIONS
     }
-    _, shown = groups["5 N ± 1 N/table"][0]
+    shown: Hover = groups["5 N ± 1 N/table"][0].args[0]
     groups["without"] = _jobs([replace(shown, observer=False)])
     return groups
 
 
-def judge_hover(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
+def judge_hover(plan: VehiclePlan, results: Results) -> Section:
     """Check what the observer is for; what is asked is asked of the first two conditions."""
     windy, calm = results["5 N ± 1 N/table"], results["calm/table"]
     consumer = {wind: results[f"{wind}/consumer"] for wind in ("5 N ± 1 N", "calm")}
     checks = (
-        Check(name="5 N ± 1 N: 3-D rms", value=_mean(windy, "total_m"), unit="m", at_most=WINDY_LIMIT_M),
-        Check(name="calm: 3-D rms", value=_mean(calm, "total_m"), unit="m", at_most=CALM_LIMIT_M),
+        Check("5 N ± 1 N: 3-D rms", _mean(windy, "total_m"), "m", at_most=WINDY_LIMIT_M),
+        Check("calm: 3-D rms", _mean(calm, "total_m"), "m", at_most=CALM_LIMIT_M),
         Check(
-            name="5 N ± 1 N: attitude estimate, rms", value=_mean(windy, "attitude_deg"), unit="deg",
+            "5 N ± 1 N: attitude estimate, rms", _mean(windy, "attitude_deg"), "deg",
             at_most=ATTITUDE_LIMIT_DEG,
         ),
-        Check(
-            name="calm: attitude estimate, rms", value=_mean(calm, "attitude_deg"), unit="deg",
-            at_most=ATTITUDE_LIMIT_DEG,
-        ),
+        Check("calm: attitude estimate, rms", _mean(calm, "attitude_deg"), "deg", at_most=ATTITUDE_LIMIT_DEG),
         *(
             Check(
-                name=f"{wind}, consumer: tilt estimate, rms", value=_mean(flights, "tilt_deg"), unit="deg",
+                f"{wind}, consumer: tilt estimate, rms", _mean(flights, "tilt_deg"), "deg",
                 at_most=unobservable_tilt_deg(len(flights)),
             )
             for wind, flights in consumer.items()
@@ -200,21 +182,15 @@ def judge_hover(plan: VehiclePlan, results: Results, images: Path | None) -> Sec
     rows = []
     for name, _, _, sensors in _CONDITIONS:
         flights: list[HoverResult] = results[f"{name}/{sensors}"]
-        totals = [flight.total_m for flight in flights]
+        axes, spread, estimate = _summary(flights)
         rows.append((
-            f"{name}, {_SENSOR_LABELS[sensors]}", _axes(flights),
-            f"{np.mean(totals):.3f} ± {np.std(totals):.3f}",
-            f"{_mean(flights, 'controlled_m'):.3f}", f"{_mean(flights, 'estimate_m'):.3f}",
-            f"{_mean(flights, 'attitude_deg'):.2f}", f"{_mean(flights, 'tilt_deg'):.2f}",
+            f"{name}, {_SENSOR_LABELS[sensors]}", axes, spread, f"{_mean(flights, 'controlled_m'):.3f}",
+            estimate, f"{_mean(flights, 'attitude_deg'):.2f}", f"{_mean(flights, 'tilt_deg'):.2f}",
         ))  # fmt: skip
-    figures: tuple[tuple[str, str], ...] = ()
-    if images is not None:
-        save_hover_error(
-            images / "validation-hover.png", period_s=TRACE_EVERY * STEP_S,
-            without=np.array(results["without"][0].trace_m), with_observer=np.array(windy[0].trace_m),
-            required_m=WINDY_LIMIT_M,
-        )  # fmt: skip
-        figures = (("validation-hover.png", "distance from the setpoint over time in the same wind"),)
+    draw = partial(
+        save_hover_error, period_s=TRACE_EVERY * STEP_S, required_m=WINDY_LIMIT_M,
+        without=np.array(results["without"][0].trace_m), with_observer=np.array(windy[0].trace_m),
+    )  # fmt: skip
     return Section(
         title="Hover with the disturbance observer",
         conditions=(
@@ -234,19 +210,17 @@ def judge_hover(plan: VehiclePlan, results: Results, images: Path | None) -> Sec
             ReportTable(
                 caption="Metres and degrees, rms:",
                 columns=(
-                    "wind, sensors",
-                    "north east down",
-                    "3-D ± spread",
-                    "own",
-                    "estimate",
-                    "attitude",
-                    "tilt",
+                    "wind, sensors", "north east down", "3-D ± spread", "own", "estimate", "attitude", "tilt",
                 ),
                 rows=tuple(rows),
             ),
         ),
-        figures=figures,
-    )
+        figures=(
+            ReportFigure(
+                "validation-hover.png", "distance from the setpoint over time in the same wind", draw
+            ),
+        ),
+    )  # fmt: skip
 
 
 def unobservable_tilt_deg(flights: int) -> float:
@@ -270,8 +244,5 @@ def _summary(flights: list[HoverResult]) -> tuple[str, str, str]:
     """Return the rms per axis, the 3-D rms with its spread, and the estimation error, as text."""
     totals = [flight.total_m for flight in flights]
     spread = f"{np.mean(totals):.3f} ± {np.std(totals):.3f}"
-    return _axes(flights), spread, f"{_mean(flights, 'estimate_m'):.3f}"
-
-
-def _axes(flights: list[HoverResult]) -> str:
-    return " ".join(f"{value:.3f}" for value in np.mean([flight.axes_m for flight in flights], axis=0))
+    axes = " ".join(f"{value:.3f}" for value in np.mean([flight.axes_m for flight in flights], axis=0))
+    return axes, spread, f"{_mean(flights, 'estimate_m'):.3f}"

@@ -1,18 +1,16 @@
 """Step responses of position and velocity against their requirements."""
 
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 
 from autopilot.control import ControlParams
-from studies.common.report import Check, ReportTable, Section
+from studies.common.report import Check, ReportFigure, ReportTable, Section
 from studies.common.runner import Job, Results
 from studies.vehicle.figures import save_steps
 from studies.vehicle.moves import (
     TRACE_S,
-    Move,
     MoveResponse,
-    VelocityStep,
     allowed_s,
     band_of,
     fly_move,
@@ -37,17 +35,15 @@ def jobs(plan: VehiclePlan) -> dict[str, list[Job]]:
     """Return the jobs of each step on every seed; the mean over the seeds suppresses the noise."""
     seeds = range(plan.seeds)
     groups: dict[str, list[Job]] = {
-        f"{distance_m:g} m": [(fly_move, Move(seed=seed, distance_m=distance_m)) for seed in seeds]
+        f"{distance_m:g} m": [partial(fly_move, seed, distance_m) for seed in seeds]
         for distance_m in DISTANCES_M
     }
     for name, vel_ned_m_s in VELOCITIES:
-        groups[name] = [
-            (fly_velocity_step, VelocityStep(seed=seed, vel_ned_m_s=vel_ned_m_s)) for seed in seeds
-        ]
+        groups[name] = [partial(fly_velocity_step, seed, vel_ned_m_s) for seed in seeds]
     return groups
 
 
-def judge(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
+def judge(plan: VehiclePlan, results: Results) -> Section:
     """Check overshoot and settling time."""
     limits = ControlParams().trajectory
     checks, rows = [], []
@@ -57,42 +53,25 @@ def judge(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
         response = respond(results[name], band=band_of(distance_m))
         moves.append((name, response, allowed_s(distance_m, limits)))
         checks += [
-            Check(
-                name=f"{name}: overshoot",
-                value=100.0 * response.overshoot,
-                unit="%",
-                at_most=100.0 * OVERSHOOT,
-            ),
-            Check(name=f"{name}: settled", value=response.settled_s, unit="s", at_most=moves[-1][2]),
+            _overshoot_check(name, response, OVERSHOOT),
+            Check(f"{name}: settled", response.settled_s, "s", at_most=moves[-1][2]),
         ]
         rows.append((
             name, f"{minimum_time_s(distance_m, limits):.2f} s", f"{response.settled_s:.2f} s",
-            f"{100.0 * response.overshoot:.1f} %", f"{100.0 * response.worst_overshoot:.1f} %",
+            *_overshoot_cells(response),
         ))  # fmt: skip
     velocities: list[tuple[str, MoveResponse]] = []
     for name, _ in VELOCITIES:
         response = respond(results[name], band=0.05)
         velocities.append((name, response))
-        checks.append(
-            Check(
-                name=f"{name}: overshoot",
-                value=100.0 * response.overshoot,
-                unit="%",
-                at_most=100.0 * VELOCITY_OVERSHOOT,
-            )
-        )
-        rows.append((
-            name, "", "", f"{100.0 * response.overshoot:.1f} %", f"{100.0 * response.worst_overshoot:.1f} %",
-        ))  # fmt: skip
-    figures: tuple[tuple[str, str], ...] = ()
-    if images is not None:
-        save_steps(
-            images / "validation-steps.png",
-            period_s=TRACE_S,
-            moves=[(name, np.array(response.trace), limit_s) for name, response, limit_s in moves],
-            velocities=[(name, np.array(response.trace)) for name, response in velocities],
-        )
-        figures = (("validation-steps.png", "responses to steps of position and velocity"),)
+        checks.append(_overshoot_check(name, response, VELOCITY_OVERSHOOT))
+        rows.append((name, "", "", *_overshoot_cells(response)))
+    draw = partial(
+        save_steps,
+        period_s=TRACE_S,
+        moves=[(name, np.array(response.trace), limit_s) for name, response, limit_s in moves],
+        velocities=[(name, np.array(response.trace)) for name, response in velocities],
+    )
     return Section(
         title="Steps",
         conditions=(
@@ -111,5 +90,13 @@ def judge(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
                 rows=tuple(rows),
             ),
         ),
-        figures=figures,
+        figures=(ReportFigure("validation-steps.png", "responses to steps of position and velocity", draw),),
     )
+
+
+def _overshoot_check(name: str, response: MoveResponse, limit: float) -> Check:
+    return Check(f"{name}: overshoot", 100.0 * response.overshoot, "%", at_most=100.0 * limit)
+
+
+def _overshoot_cells(response: MoveResponse) -> tuple[str, str]:
+    return f"{100.0 * response.overshoot:.1f} %", f"{100.0 * response.worst_overshoot:.1f} %"

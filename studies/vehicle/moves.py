@@ -12,6 +12,7 @@ from msgspec import Struct
 
 from autopilot.control import ControlParams, PositionTrajectory
 from autopilot.control.params import TrajectoryParams
+from autopilot.parameters.config import Vector
 from foundation.types import Array
 from studies.vehicle.hover import SENSORS
 from studies.vehicle.solo import STEP_S, Solo, solo_config
@@ -26,20 +27,6 @@ BAND_M = 0.1
 BAND_FRACTION = 0.05
 """Settled: within 5 % of the step or 0.1 m, whichever is larger."""
 _SETTLE_S = 5.0
-
-
-class Move(Struct, frozen=True, kw_only=True):
-    """Conditions of one flight: a position step."""
-
-    seed: int
-    distance_m: float
-
-
-class VelocityStep(Struct, frozen=True, kw_only=True):
-    """Conditions of one flight: an unshaped velocity step from rest."""
-
-    seed: int
-    vel_ned_m_s: tuple[float, float, float]
 
 
 class MoveResponse(Struct, frozen=True, kw_only=True):
@@ -76,37 +63,37 @@ def allowed_s(distance_m: float, limits: TrajectoryParams | None = None) -> floa
     return 1.15 * minimum_time_s(distance_m, limits or ControlParams().trajectory) + 1.0
 
 
-def fly_move(move: Move) -> Array:
+def fly_move(seed: int, distance_m: float) -> Array:
     """Fly a position step; return the distance over the commanded distance, (T,), every `TRACE_S`."""
     limits = ControlParams().trajectory
-    course_rad = _course_rad(move.seed)
+    course_rad = float(np.random.default_rng([seed, 3]).uniform(-math.pi, math.pi))
     along = np.array((math.cos(course_rad), math.sin(course_rad), 0.0))
     hover = np.array((0.0, 0.0, -HEIGHT_M))
-    with _hovering(move.seed) as solo:
+    with _hovering(seed) as solo:
         solo.set_position(*hover.tolist())
         solo.offboard()
         solo.run(_SETTLE_S + LEAD_S)
         start_s = solo.now_s
         reference = PositionTrajectory(limits)
         reference.reset(hover, yaw_rad=0.0)
-        for _ in range(round((allowed_s(move.distance_m, limits) + 5.0) / TRACE_S)):
-            reached = reference.update(hover + move.distance_m * along, TRACE_S)
+        for _ in range(round((allowed_s(distance_m, limits) + 5.0) / TRACE_S)):
+            reached = reference.update(hover + distance_m * along, TRACE_S)
             solo.set_reference(reached)
             solo.run(TRACE_S)
         track = solo.track.after(start_s)
-    return np.asarray((track.pos_ned_m[::TRACE_EVERY] - hover) @ along / move.distance_m)
+    return np.asarray((track.pos_ned_m[::TRACE_EVERY] - hover) @ along / distance_m)
 
 
-def fly_velocity_step(step: VelocityStep) -> Array:
-    """Fly a velocity step; return the speed over the commanded speed, (T,), every `TRACE_S`, for 8 s."""
-    commanded = np.array(step.vel_ned_m_s)
+def fly_velocity_step(seed: int, vel_ned_m_s: Vector) -> Array:
+    """Fly an unshaped velocity step from rest; return 8 s of speed over command, (T,), every `TRACE_S`."""
+    commanded = np.array(vel_ned_m_s)
     speed_m_s = float(np.linalg.norm(commanded))
-    with _hovering(step.seed) as solo:
+    with _hovering(seed) as solo:
         solo.set_velocity(0.0, 0.0, 0.0)
         solo.offboard()
         solo.run(_SETTLE_S + LEAD_S)
         start_s = solo.now_s
-        solo.set_velocity(*step.vel_ned_m_s)
+        solo.set_velocity(*vel_ned_m_s)
         solo.run(8.0)
         track = solo.track.after(start_s)
     return np.asarray(track.vel_ned_m_s[::TRACE_EVERY] @ commanded / speed_m_s**2)
@@ -137,7 +124,3 @@ def _hovering(seed: int) -> Solo:
     solo = Solo(config, sensors=sensors, seed=np.random.SeedSequence([seed, 2]))
     solo.take_off(HEIGHT_M)
     return solo
-
-
-def _course_rad(seed: int) -> float:
-    return float(np.random.default_rng([seed, 3]).uniform(-math.pi, math.pi))

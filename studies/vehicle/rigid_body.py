@@ -82,39 +82,23 @@ class Iris:
         noise_seed: int | None = None,
     ) -> None:  # fmt: skip
         self._state = np.zeros(13)
-        self._state[2] = -height_m
-        self._state[6:10] = (1.0, 0.0, 0.0, 0.0) if q_ned_frd is None else q_ned_frd
+        self.pos_ned_m, self.vel_ned_m_s = self._state[0:3], self._state[3:6]
+        """(3,) relative to the start; down is 0 on the ground. These four are views of the state."""
+        self.q_ned_frd, self.omega_frd_rad_s = self._state[6:10], self._state[10:13]
+        """(4,) wxyz; (3,)"""
+        self.pos_ned_m[2] = -height_m
+        self.q_ned_frd[:] = (1.0, 0.0, 0.0, 0.0) if q_ned_frd is None else q_ned_frd
         if omega_frd_rad_s is not None:
-            self._state[10:13] = omega_frd_rad_s
+            self.omega_frd_rad_s[:] = omega_frd_rad_s
         self._speed = np.full(4, 806.7 if height_m > 0.0 else 100.0)
         self._acc = np.zeros(3)
         self._noise = None if noise_seed is None else np.random.default_rng(noise_seed)
         self.time_us = 0
 
     @property
-    def pos_ned_m(self) -> Array:
-        """(3,) relative to the start; down is 0 on the ground."""
-        return self._state[0:3]
-
-    @property
-    def vel_ned_m_s(self) -> Array:
-        """(3,)."""
-        return self._state[3:6]
-
-    @property
-    def q_ned_frd(self) -> Array:
-        """(4,) wxyz."""
-        return self._state[6:10]
-
-    @property
-    def omega_frd_rad_s(self) -> Array:
-        """(3,)."""
-        return self._state[10:13]
-
-    @property
     def on_ground(self) -> bool:
         """Whether the vehicle is on the ground."""
-        return bool(self._state[2] >= 0.0)
+        return bool(self.pos_ned_m[2] >= 0.0)
 
     def step(self, controls: Array, force_ned_n: Array) -> None:
         """Advance by `DT_S` with constant motor controls (4,) and force (3,) at the centre of mass."""

@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import common
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.hil import TO_VEHICLE, HilActuatorControls, HilEncoder, HilParser
 from autopilot.mavlink.modes import FlightMode, mode_from_custom
-from autopilot.parameters.config import AutopilotConfig, Devices, OnboardConfig, Vector, VehicleConfig
+from autopilot.parameters.config import AutopilotConfig, Devices, OnboardConfig, VehicleConfig
 from autopilot.services.service import GROUND_STATION, Partner, reply
 from autopilot.vehicle.vehicle import StepOutput, Vehicle
 from foundation.types import Array, TrajectorySetpoint
@@ -263,19 +263,17 @@ class Solo:
 
     def set_position(self, north_m: float, east_m: float, down_m: float) -> None:
         """Stream this offboard setpoint from now on, in the estimator's frame, heading north."""
-        self._setpoint = _target(_POSITION_ONLY, (north_m, east_m, down_m), (0.0, 0.0, 0.0))
+        self._setpoint = _target(_POSITION_ONLY, north_m, east_m, down_m, *[0.0] * 7)
 
     def set_velocity(self, north_m_s: float, east_m_s: float, down_m_s: float) -> None:
         """Stream this offboard setpoint from now on, heading north."""
-        self._setpoint = _target(_VELOCITY_ONLY, (0.0, 0.0, 0.0), (north_m_s, east_m_s, down_m_s))
+        self._setpoint = _target(_VELOCITY_ONLY, *[0.0] * 3, north_m_s, east_m_s, down_m_s, *[0.0] * 4)
 
     def set_reference(self, setpoint: TrajectorySetpoint) -> None:
         """Stream this offboard setpoint, starting with the next step; all three groups must be set."""
         groups = (setpoint.pos_ned_m, setpoint.vel_ned_m_s, setpoint.acc_ned_m_s2)
         values = [value for group in groups if group is not None for value in map(float, group)]
-        self._setpoint = common.MAVLink_set_position_target_local_ned_message(
-            0, 1, 1, common.MAV_FRAME_LOCAL_NED, _YAW_RATE_IGNORED, *values, setpoint.yaw_rad or 0.0, 0.0
-        )
+        self._setpoint = _target(_YAW_RATE_IGNORED, *values, setpoint.yaw_rad or 0.0)
         self.send(self._setpoint)
 
     def take_off(self, height_m: float) -> None:
@@ -356,9 +354,8 @@ class Solo:
                     self.modes.append((self.now_us, *seen))
 
 
-def _target(mask: int, pos_ned_m: Vector, vel_ned_m_s: Vector) -> Message:
-    acc_ned_m_s2, yaw_rad, yaw_rate_rad_s = (0.0, 0.0, 0.0), 0.0, 0.0
+def _target(mask: int, *values: float) -> Message:
+    """Return a setpoint from position, velocity, acceleration (NED) and yaw: ten values."""
     return common.MAVLink_set_position_target_local_ned_message(
-        0, 1, 1, common.MAV_FRAME_LOCAL_NED, mask, *pos_ned_m, *vel_ned_m_s, *acc_ned_m_s2,
-        yaw_rad, yaw_rate_rad_s,
-    )  # fmt: skip
+        0, 1, 1, common.MAV_FRAME_LOCAL_NED, mask, *values, 0.0
+    )

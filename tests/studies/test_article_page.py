@@ -1,7 +1,5 @@
 """Tests of plan, measures, page and command line of the reproduction, without flights (10 s)."""
 
-import csv
-import io
 import json
 import math
 import sys
@@ -25,7 +23,7 @@ from harness.records.flight import Flight
 from harness.report import flown_array
 from studies.article import cli, page
 from studies.article import retained_flights as kept_module
-from studies.article.campaign_data import CSV_COLUMNS, csv_text, read_cells
+from studies.article.campaign_data import CSV_COLUMNS, csv_row, read_cells
 from studies.article.evidence import Evidence
 from studies.article.monte_carlo import WIND_PHIS_DEG, draw, ideal_gains
 from studies.article.plan import (
@@ -127,11 +125,10 @@ def test_cell_has_all_instants_of_its_seeds():
     assert [run.seed for run in first.runs] == [1, 2]
     assert first.between_flights_db is None  # one flight has gains
     assert first.sigma_m == pytest.approx(0.13 / math.sqrt(2.0 - 3.0 / 8.0))  # 16 degrees of freedom less 3
-    row = next(csv.DictReader(io.StringIO(csv_text([first]))))
-    assert tuple(row) == CSV_COLUMNS
-    assert (row["mean_dbi"], row["q50_dbi"], row["missing"]) == ("12.5", "12.5", "1")
-    assert row["channel_busy_fraction"] == ""
-    assert row["between_flights_db"] == ""
+    row = dict(zip(CSV_COLUMNS, csv_row(first), strict=True))
+    assert (row["mean_dbi"], row["q50_dbi"], row["missing"]) == (12.5, 12.5, 1)
+    assert row["channel_busy_fraction"] is None
+    assert row["between_flights_db"] is None
 
 
 def test_deviation_between_flights_is_that_of_their_means():
@@ -142,8 +139,8 @@ def test_deviation_between_flights_is_that_of_their_means():
     )  # fmt: skip
     cell = read_cells(made)[ARTICLE, 5.0, 0.0]
     assert cell.between_flights_db == pytest.approx(math.sqrt(0.5))
-    row = next(csv.DictReader(io.StringIO(csv_text([cell]))))
-    assert float(row["between_flights_db"]) == pytest.approx(math.sqrt(0.5), rel=1e-5)
+    row = dict(zip(CSV_COLUMNS, csv_row(cell), strict=True))
+    assert row["between_flights_db"] == cell.between_flights_db
     assert cell.of([2]).max_gain_dbi.tolist() == [12.0, 14.0]
 
 
@@ -321,7 +318,7 @@ def test_page_is_written_if_all_flights_failed(results, tmp_path):
     cli._write(bare, page.sections(bare), tmp_path, quick=False)
     text = (tmp_path / page.FILE_NAME).read_text(encoding="utf-8")
     assert "| 5 | 0 | 0 of 2 | 0 | 0 | 0 | – |" in text
-    assert (tmp_path / "images" / page.FIGURE3).exists()
+    assert (tmp_path / "images" / "article-figure3.png").exists()
 
 
 def test_evidence_is_read_from_the_tables(monkeypatch):
@@ -364,7 +361,7 @@ def test_json_is_one_object_with_all_verdicts(command, monkeypatch, results, tmp
     found = results
     monkeypatch.setattr(cli, "_fly", lambda *_, **__: {})
     monkeypatch.setattr(cli, "_measure", lambda *_: found)
-    monkeypatch.setattr(cli, "figures", Mock())  # drawn in other tests
+    monkeypatch.setattr(page, "figures", Mock())  # drawn in other tests
     ended = command("--quick", "--json", "--out", str(tmp_path))
     said = json.loads(ended.stdout)
     assert [each["name"] for each in said["statements"]] == [each.name for each in STATEMENTS]

@@ -24,6 +24,7 @@ from studies.codesign.cases import (
 from studies.codesign.measures import TRACK_PERIOD_S, Measures
 from studies.codesign.results import CodesignFlown
 from studies.codesign.study import LocalisationResult
+from studies.common.report import draw_figures
 
 PLAN = CodesignPlan(seeds=10, duration_s=30.0)
 
@@ -101,8 +102,8 @@ def made_up(
     return Book(plan=plan, flights=flights)
 
 
-def judged(book, images=None):
-    return {name: judge(book, images) for name, judge in cli.JUDGES.items()}
+def judged(book):
+    return {name: judge(book) for name, judge in cli.JUDGES.items()}
 
 
 def missed(sections):
@@ -110,9 +111,10 @@ def missed(sections):
 
 
 def test_campaign_within_all_limits_passes_and_is_drawn(tmp_path):
-    sections = judged(made_up(PLAN), tmp_path)
+    sections = judged(made_up(PLAN))
+    draw_figures(sections.values(), tmp_path)
     assert missed(sections) == []
-    drawn = [name for section in sections.values() for name, _ in section.figures]
+    drawn = [figure.file_name for section in sections.values() for figure in section.figures]
     assert len(drawn) == 6
     assert all((tmp_path / name).stat().st_size > 10_000 for name in drawn)
     checks = {check.name: check for section in sections.values() for check in section.checks}
@@ -256,7 +258,7 @@ def test_group_with_broken_flights_fails(name):
     broken = {
         key: replace(flown, measures=None, broken="no vehicle is left") for key, flown in book.flights.items()
     }
-    section = cli.JUDGES[name](replace(book, flights=broken), None)
+    section = cli.JUDGES[name](replace(book, flights=broken))
     assert section.checks
     assert all(not check.passed for check in section.checks)
     held = [case for case in groups(PLAN)[name] if case.localisation != "gps" and not case.last]
@@ -264,7 +266,7 @@ def test_group_with_broken_flights_fails(name):
         key = (case.name, 3)
         bumped = replace(book.flights[key], measures=replace(book.flights[key].measures, collisions=1))
         for changed, expected in ((broken[key], "broke or did not form"), (bumped, "with a collision")):
-            worse = cli.JUDGES[name](replace(book, flights=dict(book.flights) | {key: changed}), None)
+            worse = cli.JUDGES[name](replace(book, flights=dict(book.flights) | {key: changed}))
             assert any(expected in check.name and not check.passed for check in worse.checks), case.name
 
 
@@ -334,20 +336,21 @@ def test_collision_at_five_metres_fails():
 
 def test_without_flights_every_check_fails(tmp_path):
     """Missing values are NaN and raise no exception."""
-    sections = judged(Book(plan=PLAN, flights={}), tmp_path)
+    sections = judged(Book(plan=PLAN, flights={}))
+    draw_figures(sections.values(), tmp_path)
     checks = [check for section in sections.values() for check in section.checks]
     assert len(missed(sections)) == len(checks) > 10
 
 
-def fake_study(setting, runs):
+def fake_study(*, places_ned_m, runs, trouble, batch, **_):
     """Ten runs of 8 UAVs have 130 degrees of freedom: the mean NEES of a consistent filter is 13.
 
     With losses it is above its band, with 4 UAVs below it.
     """
-    nees = 9.9 if setting.agents == 4 else 16.1 if setting.loss else 14.0
+    nees = 9.9 if len(places_ned_m) == 4 else 16.1 if trouble.loss else 14.0
     return LocalisationResult(
         runs=runs, bound_m=0.1,
-        filter_m=0.149 if setting.batch else 0.2, batch_m=0.12 if setting.batch else None, predicted_m=0.1,
+        filter_m=0.149 if batch else 0.2, batch_m=0.12 if batch else None, predicted_m=0.1,
         nees=nees, nees_band=(10.0, 16.0),
     )  # fmt: skip
 
@@ -355,7 +358,7 @@ def fake_study(setting, runs):
 def test_studies_are_stored_by_state_and_number_of_runs(tmp_path, monkeypatch):
     """Only the article's geometry must be within 1.5 times the bound."""
     monkeypatch.setattr(estimator_section, "START_METHOD", "fork")
-    monkeypatch.setattr(estimator_section, "study", fake_study)
+    monkeypatch.setattr(estimator_section, "localisation_study", fake_study)
     seen = []
 
     def run_studies(plan):
@@ -375,10 +378,10 @@ def test_studies_are_stored_by_state_and_number_of_runs(tmp_path, monkeypatch):
     assert [row["expected"] for row in cells] == ["13", "13", "13", "5", "29"]
     assert (cells[0]["filter predicts"], cells[0]["batch over bound"]) == ("0.100", "1.20")
     assert "distances of the last 4 s" in section.conditions
-    monkeypatch.setattr(estimator_section, "study", None)  # no study is repeated ...
+    monkeypatch.setattr(estimator_section, "localisation_study", None)  # no study is repeated ...
     assert run_studies(CodesignPlan(seeds=1)) == first
     assert seen == [(5, 5)]
-    monkeypatch.setattr(estimator_section, "study", fake_study)
+    monkeypatch.setattr(estimator_section, "localisation_study", fake_study)
     assert run_studies(CodesignPlan(seeds=2)) != first  # ... except with another number of runs
     enough = estimator_section.judge_estimator(run_studies(CodesignPlan(seeds=10)))
     assert [check.passed for check in enough.checks] == [True, True, True]

@@ -2,9 +2,11 @@
 
 import json
 import math
+import pickle
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,12 +18,22 @@ from typer.testing import CliRunner
 from autopilot.control.allocation import effectiveness
 from autopilot.control.params import AllocationParams
 from harness.world.sensors.config import PROFILES
-from studies.common.report import Check, ReportTable, Section, figures_folder, figures_link, markdown
+from studies.common.command_line import BAD_INPUT
+from studies.common.report import (
+    Check,
+    ReportFigure,
+    ReportTable,
+    Section,
+    figures_folder,
+    figures_link,
+    markdown,
+    write_csv,
+)
 from studies.common.runner import run_subjects
 from studies.vehicle import estimation_section
 from studies.vehicle.allocation import RANGE_N, _is_achievable, check_allocation
 from studies.vehicle.bench import _PARTS, _StopWatch, measure, record_flight
-from studies.vehicle.cli import BAD_INPUT, SUBJECTS, validate_app
+from studies.vehicle.cli import SUBJECTS, validate_app
 from studies.vehicle.estimation import EPOCH_S, MEASUREMENTS, STATES, Consistency, WrongCompass, pooled
 from studies.vehicle.hover import Hover, fly_hover
 from studies.vehicle.hover_section import unobservable_tilt_deg
@@ -50,7 +62,7 @@ def test_page():
         conditions="In wind.\n",
         checks=(check(0.12345, at_most=0.2), replace(check(3.0, at_least=0.1, at_most=0.2), px4="0.18 m")),
         tables=(ReportTable(caption="More:", columns=("a", "b"), rows=(("1", "2"),)),),
-        figures=(("x.png", "a figure"),),
+        figures=(ReportFigure("x.png", "a figure", Path.touch),),
     )
     page = markdown([section], introduction="All of it.\n")
     assert "| what | measured | PX4 | required | met |\n" in page
@@ -63,13 +75,22 @@ def test_page():
 def test_figures_are_in_the_shared_folder_if_it_exists(tmp_path):
     out = tmp_path / "docs" / "results"
     assert figures_folder(out) == out / "images"
-    assert figures_link(out) == figures_link(None) == "images"
+    assert figures_link(out) == "images"
     (tmp_path / "docs" / "images").mkdir(parents=True)
     assert figures_folder(out) == tmp_path / "docs" / "images"
     assert figures_link(out) == "../images"
-    section = Section(title="Hover", conditions="", checks=(), figures=(("x.png", "a figure"),))
+    figure = ReportFigure("x.png", "a figure", Path.touch)
+    section = Section(title="Hover", conditions="", checks=(), figures=(figure,))
     page = markdown([section], introduction="", figures=figures_link(out))
     assert page.endswith("![a figure](../images/x.png)\n")
+
+
+def test_tables_have_six_digits_and_empty_cells(tmp_path):
+    rows = [["x", 1.23456789, math.nan, None, 7]]
+    write_csv(tmp_path / "new" / "a.csv", ("name", "value", "nan", "none", "count"), rows)
+    assert (tmp_path / "new" / "a.csv").read_bytes() == b"name,value,nan,none,count\nx,1.23457,,,7\n"
+    write_csv(tmp_path / "b.csv", ("value",), [[1.23456789]], all_digits=True)
+    assert (tmp_path / "b.csv").read_bytes() == b"value\n1.23456789\n"
 
 
 def test_achievable_torques_agree_with_a_linear_programme():
@@ -91,21 +112,20 @@ def test_allocation_of_random_demands():
     assert max(worst.lost_torque_n_m, worst.turned_rad, worst.misreported_n_m, worst.added_thrust) < 1e-9
 
 
-def test_subjects_are_judged_by_the_results_of_their_jobs(tmp_path):
+def test_subjects_are_judged_by_the_results_of_their_jobs():
     """Only allocation is fast; the jobs of the other subjects must be picklable."""
     seen = []
-    (section,) = run_subjects(
+    judged = run_subjects(
         replace(QUICK, demands=500),
         {"allocation": SUBJECTS["allocation"]},
-        images=tmp_path,
         progress=lambda *counts: seen.append(counts),
     )
     assert seen == [("allocation", 1, 1)]
-    assert all(one.passed for one in section.checks)
+    assert all(one.passed for one in judged["allocation"].checks)
     for subject in SUBJECTS.values():
         jobs = [job for group in subject.jobs(QUICK).values() for job in group]
         assert jobs
-        assert all(function.__module__.startswith("studies.vehicle") for function, _ in jobs)
+        assert pickle.dumps(jobs)
 
 
 def drawn_campaign(seed, *, overconfidence=1.0, runs=20, epochs=90):
@@ -123,7 +143,7 @@ def drawn_campaign(seed, *, overconfidence=1.0, runs=20, epochs=90):
 def nees_checks(campaigns):
     compass = WrongCompass(caught_s=2.0, heading_error_rad=0.0, resets=1)
     results = {"consistency": campaigns, "outage": [1.0], "compass": [compass]}
-    section = estimation_section.judge(QUICK, results, None)
+    section = estimation_section.judge(QUICK, results)
     return [one for one in section.checks if "NEES" in one.name], section
 
 

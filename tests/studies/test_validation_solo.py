@@ -11,8 +11,6 @@ from harness.world.sensors.config import SensorsConfig
 from studies.vehicle.hover import HEIGHT_M, TRACE_EVERY, Hover, fly_hover, measure, track_hover
 from studies.vehicle.moves import (
     TRACE_S,
-    Move,
-    VelocityStep,
     allowed_s,
     band_of,
     fly_move,
@@ -195,7 +193,7 @@ def test_response_is_evaluated_by_its_mean():
 
 def test_move_of_the_whole_vehicle():
     """One flight with noise of centimetres in hover, which is negligible for a step of 5 m."""
-    trace = fly_move(Move(seed=0, distance_m=5.0))
+    trace = fly_move(0, 5.0)
     response = respond([trace], band=band_of(5.0))
     assert abs(trace[0]) < 0.02
     assert response.overshoot <= 0.05
@@ -203,7 +201,7 @@ def test_move_of_the_whole_vehicle():
 
 
 def test_velocity_step_of_the_whole_vehicle():
-    trace = fly_velocity_step(VelocityStep(seed=0, vel_ned_m_s=(0.0, 0.0, -2.0)))
+    trace = fly_velocity_step(0, (0.0, 0.0, -2.0))
     assert abs(trace[0]) < 0.05
     assert trace[-1] == pytest.approx(1.0, abs=0.05)
     assert trace.max() <= 1.1
