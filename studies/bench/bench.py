@@ -147,13 +147,9 @@ def bench(plan: BenchPlan, note: Callable[[str], None]) -> FlightBench:
             failure = f"{_uavs(agents)}: {'interrupted' if broken_off else error}"
             break
     return FlightBench(
-        machine=machine,
-        duration_s=plan.duration_s,
-        repeats=plan.repeats,
-        runs=tuple(runs),
-        failure=failure,
+        machine=machine, duration_s=plan.duration_s, repeats=plan.repeats, runs=tuple(runs), failure=failure,
         broken_off=broken_off,
-    )
+    )  # fmt: skip
 
 
 def _run(plan: BenchPlan, agents: int, note: Callable[[str], None]) -> BenchRun:
@@ -242,14 +238,10 @@ def _flight(plan: BenchPlan, agents: int, *, profile_from_s: float | None = None
     # created here, so that it is removed even if the flight's launcher is killed
     with tempfile.TemporaryDirectory(prefix="coflight-bench-", ignore_cleanup_errors=True) as folder:
         job = FlightJob(
-            scenario=str(plan.scenario_for(agents)),
-            agents=agents,
-            seed=plan.seed,
-            duration_s=plan.duration_s,
-            folder=f"{folder}/run",
-            wall_launched_s=time.monotonic(),
+            scenario=str(plan.scenario_for(agents)), agents=agents, seed=plan.seed,
+            duration_s=plan.duration_s, folder=f"{folder}/run", wall_launched_s=time.monotonic(),
             profile_from_s=profile_from_s,
-        )
+        )  # fmt: skip
         return _measured("studies.bench.flight", job, FlightCost)
 
 

@@ -60,14 +60,9 @@ def fly(job: FlightJob) -> FlightCost:
         last = _mark(swarm)
         uss_mb, pss_mb = _memory_mb(swarm)
     return FlightCost(
-        startup_s=startup_s,
-        formed_s=formed_s,
-        whole=_span(first, last),
-        steady=_span(formed, last),
-        uss_mb=uss_mb,
-        pss_mb=pss_mb,
-        profile=swarm.profile,
-    )
+        startup_s=startup_s, formed_s=formed_s, whole=_span(first, last), steady=_span(formed, last),
+        uss_mb=uss_mb, pss_mb=pss_mb, profile=swarm.profile,
+    )  # fmt: skip
 
 
 def _check_complete(swarm: Swarm) -> None:

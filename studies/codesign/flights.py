@@ -21,11 +21,8 @@ def fly(scenario: Scenario, folder: Path, *, faults: Iterable[AnyFault], gains: 
     summary = one_process.fly(scenario, folder, faults_in_formation=faults)
     formed_s = summary["formed_s"]
     measures = measure(
-        read_tables(RunFolder(folder), scenario),
-        scenario,
-        formed_us=None if formed_s is None else round(formed_s * 1e6),
-        wall_s=summary["wall_s"],
-        gains=gains,
-    )
+        read_tables(RunFolder(folder), scenario), scenario,
+        formed_us=None if formed_s is None else round(formed_s * 1e6), wall_s=summary["wall_s"], gains=gains,
+    )  # fmt: skip
     kept = {name: summary[name] for name in ("scenario", "seed", "status", "reason")}
     return kept | {"measures": msgspec.to_builtins(measures)}

@@ -20,13 +20,10 @@ def command(plan: CodesignPlan, only: Sequence[str] = (), *, quick: bool = False
     """Return the command that generates the page, without folders; ``only`` is empty for all groups."""
     usual = QUICK if quick else CodesignPlan()
     return repeated_command(
-        "experiment_codesign.py",
-        ("--quick", quick),
-        (f"--only {','.join(only)}", bool(only)),
+        "experiment_codesign.py", ("--quick", quick), (f"--only {','.join(only)}", bool(only)),
         (f"--seeds {plan.seeds}", plan.seeds != usual.seeds),
-        (f"--duration {plan.duration_s:g}", plan.duration_s != usual.duration_s),
-        ("--stale", stale),
-    )
+        (f"--duration {plan.duration_s:g}", plan.duration_s != usual.duration_s), ("--stale", stale),
+    )  # fmt: skip
 
 
 def introduction(book: Book, runs: Sequence[Run], *, made_by: str, changed: bool = False) -> str:

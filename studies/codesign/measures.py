@@ -122,16 +122,12 @@ class FlightTables:
         air = (self.air_us >= begin_us) & (self.air_us <= end_us)
         sessions = (self.session_us > begin_us) & (self.session_us <= end_us)
         return replace(
-            self,
-            flown=self.flown.at(np.flatnonzero((time_us >= begin_us) & (time_us <= end_us))),
-            air_us=self.air_us[air],
-            busy_ns=self.busy_ns[air],
-            session_us=self.session_us[sessions],
-            session_ok=self.session_ok[sessions],
-            session_by=self.session_by[sessions],
+            self, flown=self.flown.at(np.flatnonzero((time_us >= begin_us) & (time_us <= end_us))),
+            air_us=self.air_us[air], busy_ns=self.busy_ns[air], session_us=self.session_us[sessions],
+            session_ok=self.session_ok[sessions], session_by=self.session_by[sessions],
             session_error_m=self.session_error_m[sessions],
             collisions_us=tuple(time_us for time_us in self.collisions_us if begin_us <= time_us <= end_us),
-        )
+        )  # fmt: skip
 
     @property
     def in_the_air(self) -> NDArray[np.bool_]:

@@ -85,10 +85,7 @@ def known(
 def _read(run: Run, flown: Flown) -> CodesignFlown:
     measures = flown.summary.get("measures")
     return CodesignFlown(
-        case=run.case,
-        seed=run.seed,
-        digest=flown.digest,
+        case=run.case, seed=run.seed, digest=flown.digest,
         measures=None if measures is None else msgspec.convert(measures, Measures),
-        broken=flown.reason if measures is None else None,
-        state=flown.state,
-    )
+        broken=flown.reason if measures is None else None, state=flown.state,
+    )  # fmt: skip

@@ -60,15 +60,9 @@ def ratio_interval(above: Sequence[float | None], below: Sequence[float | None])
     if np.ptp(pairs[:, 0] - ratio * pairs[:, 1]) < _ALIKE:  # every resample has this ratio
         return Interval(ratio, ratio, ratio, len(pairs))
     found = bootstrap(
-        (pairs[:, 0], pairs[:, 1]),
-        _ratio,
-        paired=True,
-        vectorized=True,
-        n_resamples=RESAMPLES,
-        confidence_level=CONFIDENCE,
-        method="BCa",
-        rng=np.random.default_rng(_SEED),
-    ).confidence_interval
+        (pairs[:, 0], pairs[:, 1]), _ratio, paired=True, vectorized=True, n_resamples=RESAMPLES,
+        confidence_level=CONFIDENCE, method="BCa", rng=np.random.default_rng(_SEED),
+    ).confidence_interval  # fmt: skip
     return Interval(ratio, float(found.low), float(found.high), len(pairs))
 
 

@@ -55,13 +55,9 @@ def localisation_run(
     rng = np.random.default_rng(seed)
     count = len(places_ned_m)
     flight = simulate(
-        places_ned_m=places_ned_m,
-        duration_s=duration_s,
-        rng=rng,
-        own=int(rng.integers(count)),
-        trouble=trouble,
-        scheduled=scheduled,
-    )
+        places_ned_m=places_ned_m, duration_s=duration_s, rng=rng, own=int(rng.integers(count)),
+        trouble=trouble, scheduled=scheduled,
+    )  # fmt: skip
     filter_ = flight.filtered()
     truth_m, odometry_m = flight.pos_ned_m[-1, :, :2], flight.odometry_ned_m[-1, :, :2]
     found_m = odometry_m + filter_.state.reshape(count, -1)[:, :2]
@@ -124,11 +120,6 @@ def localisation_study(
     freedom = runs * (2 * len(places_ned_m) - 3)
     low, high = (chi2.ppf((0.025, 0.975), freedom) / runs).tolist()
     return LocalisationResult(
-        runs=runs,
-        bound_m=bound_m,
-        filter_m=filter_m,
-        batch_m=batch_m if batch else None,
-        predicted_m=predicted_m,
-        nees=float(means[4]),
-        nees_band=(low, high),
-    )
+        runs=runs, bound_m=bound_m, filter_m=filter_m, batch_m=batch_m if batch else None,
+        predicted_m=predicted_m, nees=float(means[4]), nees_band=(low, high),
+    )  # fmt: skip

@@ -61,13 +61,10 @@ def judge_trouble(book: Book) -> Section:
     growth = book.ratio(LOSSY, BASE, "shape_m")
     length = min((len(shape_m) for shape_m in shapes_m), default=0)
     draw = partial(
-        figures.save_cut,
-        time_s=TRACK_PERIOD_S * np.arange(float(length)),
-        shape_m=np.array([shape_m[:length] for shape_m in shapes_m]),
-        cut_at_s=plan.cut_s,
-        cut_s=plan.cut_s,
+        figures.save_cut, time_s=TRACK_PERIOD_S * np.arange(float(length)),
+        shape_m=np.array([shape_m[:length] for shape_m in shapes_m]), cut_at_s=plan.cut_s, cut_s=plan.cut_s,
         usual_m=float(np.mean([each.before_m for each in cuts])) if cuts else math.nan,
-    )
+    )  # fmt: skip
     return Section(
         title="Losses, a channel outage, biased ranging",
         conditions=_conditions(plan),

@@ -83,12 +83,9 @@ class _Application:
         north_m, east_m, down_m = place_ned_m.tolist()
         self.own.odometry_ned_m = (north_m, east_m, down_m)
         self.traffic = Traffic(
-            station=station,
-            stations=scenario.agents,
-            config=config.onboard,
-            devices=config.devices,
+            station=station, stations=scenario.agents, config=config.onboard, devices=config.devices,
             rng=np.random.default_rng([scenario.run.seed, station]),
-        )
+        )  # fmt: skip
 
     def receive(self, item: RxItem, now_us: int) -> None:
         if isinstance(item, Delivery):

@@ -103,17 +103,12 @@ def bench_saturated(
     process, alone = _median(processes), _median(runs)
     other = _median(peers) if peers else None
     return SaturatedCost(
-        stations=stations,
-        rate_mbps=rate_mbps,
-        process=process,
-        run=alone,
-        floor=_median(floors),
-        events=sum(len(times_ns) for _, times_ns in intervals) / simulated_s,
-        peer=other,
+        stations=stations, rate_mbps=rate_mbps, process=process, run=alone, floor=_median(floors),
+        events=sum(len(times_ns) for _, times_ns in intervals) / simulated_s, peer=other,
         faster_wall=other.wall_s / process.wall_s if other else None,
         faster_cpu=other.cpu_s / process.cpu_s if other else None,
         faster_run=other.cpu_s / alone.cpu_s if other else None,
-    )
+    )  # fmt: skip
 
 
 def bench_article(scenario: Scenario, *, seconds: float, repeats: int) -> ArticleCost:
@@ -128,14 +123,10 @@ def bench_article(scenario: Scenario, *, seconds: float, repeats: int) -> Articl
         with_messages.append(_cost(lambda: _play_messages(scenario, messages), seconds))
         floors.append(_cost(lambda: _play_empty(intervals), seconds))
     return ArticleCost(
-        stations=scenario.agents,
-        emulator=_median(alone),
-        with_messages=_median(with_messages),
-        floor=_median(floors),
-        events=sum(len(times_ns) for _, times_ns in intervals) / seconds,
-        frames=frames / seconds,
-        steps_run=steps_run / len(steps),
-    )
+        stations=scenario.agents, emulator=_median(alone), with_messages=_median(with_messages),
+        floor=_median(floors), events=sum(len(times_ns) for _, times_ns in intervals) / seconds,
+        frames=frames / seconds, steps_run=steps_run / len(steps),
+    )  # fmt: skip
 
 
 def play(scenario: Scenario, steps: Sequence[Step]) -> tuple[int, int]:

@@ -52,13 +52,9 @@ def bench_radio(
     try:
         swarm = load(scenario)
         saturated = bench_saturated(
-            stations=stations,
-            rate_mbps=rate_mbps,
-            seconds=seconds,
-            peer=shlex.split(peer),
-            peer_s=peer_seconds or seconds,
-            repeats=repeats,
-        )
+            stations=stations, rate_mbps=rate_mbps, seconds=seconds, peer=shlex.split(peer),
+            peer_s=peer_seconds or seconds, repeats=repeats,
+        )  # fmt: skip
         article = bench_article(swarm, seconds=2.0 * seconds, repeats=repeats)
     except (ScenarioError, OSError, subprocess.CalledProcessError) as error:
         messages.print(f"bench_radio: {error}")

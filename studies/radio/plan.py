@@ -24,12 +24,6 @@ class RadioPlan(Struct, frozen=True, kw_only=True):
 
 
 QUICK_RADIO = RadioPlan(
-    seeds=1,
-    stations=16,
-    packets=2_000,
-    datagrams=8_000,
-    phase_seeds=2,
-    sessions=500,
-    mesh_stations=8,
+    seeds=1, stations=16, packets=2_000, datagrams=8_000, phase_seeds=2, sessions=500, mesh_stations=8,
     mesh_s=1.0,
-)
+)  # fmt: skip

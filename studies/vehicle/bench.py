@@ -233,9 +233,6 @@ def _no_collection() -> Iterator[None]:
 
 def _config() -> VehicleConfig:
     return VehicleConfig(
-        run_id="bench",
-        instance=0,
-        seed=7,
-        onboard=OnboardConfig(localisation="gps"),
+        run_id="bench", instance=0, seed=7, onboard=OnboardConfig(localisation="gps"),
         places_ned_m=((0.0, 0.0, -5.0),),
-    )
+    )  # fmt: skip

@@ -132,14 +132,10 @@ def matched_noise(rng: np.random.Generator) -> Noise:
     """Draw sensor noises and biases with the statistics in `MATCHED_PARAMS`, bias random walks included."""
     _, _, gyro_walk_psd, accel_walk_psd = MATCHED_PARAMS.process_noise_psd
     return Noise(
-        gps_bias_m=0.0,
-        gps_pos_m=1.5,
-        gps_vel_down_ratio=1.5,
-        gyro_bias_rad_s=rng.normal(0.0, 0.005, 3),
+        gps_bias_m=0.0, gps_pos_m=1.5, gps_vel_down_ratio=1.5, gyro_bias_rad_s=rng.normal(0.0, 0.005, 3),
         accel_bias_m_s2=rng.normal(0.0, MATCHED_PARAMS.accel_bias_init_m_s2, 3),
-        gyro_bias_walk_rad_s=gyro_walk_psd**0.5,
-        accel_bias_walk_m_s2=accel_walk_psd**0.5,
-    )
+        gyro_bias_walk_rad_s=gyro_walk_psd**0.5, accel_bias_walk_m_s2=accel_walk_psd**0.5,
+    )  # fmt: skip
 
 
 def consistency(
@@ -191,13 +187,9 @@ def _evaluate(flight: SimulatedFlight) -> tuple[Array, Array, dict[str, Array], 
     feed(estimator, flight, sample)
     state = estimator.state
     origin_m = geodetic_to_ned(
-        state.origin_lat_deg,
-        state.origin_lon_deg,
-        state.origin_alt_m,
-        origin_lat_deg=SITE.latitude_deg,
-        origin_lon_deg=SITE.longitude_deg,
-        origin_alt_m=SITE.altitude_m,
-    )
+        state.origin_lat_deg, state.origin_lon_deg, state.origin_alt_m, origin_lat_deg=SITE.latitude_deg,
+        origin_lon_deg=SITE.longitude_deg, origin_alt_m=SITE.altitude_m,
+    )  # fmt: skip
     origin_m[2] = -ground_m
     nees = np.array([_nees(flight, horizon_us, x, cov, origin_m) for horizon_us, x, cov in seen])
     refused = sum(getattr(estimator.fusion, name).refused for name in MEASUREMENTS)
@@ -257,14 +249,11 @@ def whiteness(runs: list[Array]) -> Whiteness:
     square_low, square_high = chi2.ppf((0.025, 0.975), count) / count
     by_lag = values.reshape(len(runs), LAGS, -1).mean(axis=(0, 2))
     return Whiteness(
-        inside=float(np.mean(np.abs(values) < bounds)),
-        tested=tested,
-        band=(float(low), float(high)),
+        inside=float(np.mean(np.abs(values) < bounds)), tested=tested, band=(float(low), float(high)),
         mean_square=float(np.mean(np.concatenate([series.ravel() for series in runs]) ** 2)),
-        mean_square_band=(float(square_low), float(square_high)),
-        greatest=float(np.abs(by_lag).max()),
+        mean_square_band=(float(square_low), float(square_high)), greatest=float(np.abs(by_lag).max()),
         greatest_limit=float(norm.isf(0.025 / LAGS) / np.sqrt(count)),
-    )
+    )  # fmt: skip
 
 
 def outage_drift_m(seed: int, *, outage_s: float = 10.0) -> float:

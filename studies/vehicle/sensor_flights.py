@@ -149,18 +149,12 @@ def _fixes(
     )
     fixes = {
         int(step): GpsFix(
-            time_us=round(time_s[step] * 1e6),
-            fix_type=3,
-            lat_deg=float(lat_deg[k]),
-            lon_deg=float(lon_deg[k]),
-            alt_m=float(alt_m[k]),
-            vel_ned_m_s=measured_m_s[k],
-            eph_m=noise.gps_eph_m,
-            epv_m=2.5,
-            satellites=10,
+            time_us=round(time_s[step] * 1e6), fix_type=3, lat_deg=float(lat_deg[k]),
+            lon_deg=float(lon_deg[k]), alt_m=float(alt_m[k]), vel_ned_m_s=measured_m_s[k],
+            eph_m=noise.gps_eph_m, epv_m=2.5, satellites=10,
         )
         for k, step in enumerate(steps)
-    }
+    }  # fmt: skip
     return fixes, bias_m
 
 

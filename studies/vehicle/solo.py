@@ -112,14 +112,10 @@ def solo_config(
 ) -> VehicleConfig:
     """Return the configuration of a single vehicle without the on-board application."""
     return VehicleConfig(
-        run_id="solo",
-        instance=0,
-        seed=seed,
-        onboard=OnboardConfig(enabled=False, localisation="gps"),
-        autopilot=AutopilotConfig(params=params or {}),
-        devices=Devices(gps_delay_s=gps_delay_s),
+        run_id="solo", instance=0, seed=seed, onboard=OnboardConfig(enabled=False, localisation="gps"),
+        autopilot=AutopilotConfig(params=params or {}), devices=Devices(gps_delay_s=gps_delay_s),
         places_ned_m=((0.0, 0.0, -5.0),),
-    )
+    )  # fmt: skip
 
 
 class Solo:
@@ -146,12 +142,9 @@ class Solo:
         self._standing_height_m = plant.standing_height_m
         self._wind = GustyWind(wind, 1, np.random.default_rng(seed))
         self._sensors = SensorSuite(
-            config=sensors if sensors is not None else SensorsConfig(),
-            site=config.site,
-            vehicles=1,
-            step_us=STEP_US,
-            seed=seed,
-        )
+            config=sensors if sensors is not None else SensorsConfig(), site=config.site, vehicles=1,
+            step_us=STEP_US, seed=seed,
+        )  # fmt: skip
         self._imu_noise = imu_noise
         self._hil = SensorEncoder()
         self._parser = HilParser(*TO_VEHICLE)

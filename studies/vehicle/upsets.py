@@ -140,12 +140,9 @@ def _true_state(solo: Solo) -> EstimatorState:
     """Return the truth as an estimate, for the controller that causes the upset."""
     truth = solo.world.truth
     return estimate(
-        pos_ned_m=truth.pos_ned_m[0],
-        vel_ned_m_s=truth.vel_ned_m_s[0],
-        q_ned_frd=truth.q_ned_frd[0],
-        omega_frd_rad_s=truth.omega_frd_rad_s[0],
-        acc_ned_m_s2=truth.acc_ned_m_s2[0],
-    )
+        pos_ned_m=truth.pos_ned_m[0], vel_ned_m_s=truth.vel_ned_m_s[0], q_ned_frd=truth.q_ned_frd[0],
+        omega_frd_rad_s=truth.omega_frd_rad_s[0], acc_ned_m_s2=truth.acc_ned_m_s2[0],
+    )  # fmt: skip
 
 
 def _up_ned(q_ned_frd: Array) -> Array:
