@@ -9,18 +9,7 @@ from antenna.model.clearance import CREDIBLE
 from antenna.model.config import AntennaConfig
 from antenna.model.geometry import Snapshot
 from antenna.solvers.interface import Accuracy
-from studies.antenna.agreement import (
-    COLUMNS,
-    LIMITS_DB,
-    LOOP,
-    AgreementCase,
-    Compared,
-    cells,
-    compare,
-    differences,
-    formations,
-    together,
-)
+from studies.antenna import agreement
 from studies.antenna.checks import difference, witness, worst
 from studies.antenna.plan import AntennaPlan
 from studies.common.report import Check, ReportTable
@@ -37,13 +26,13 @@ STEEPEST = 0.3
 SEED = 3
 ROUND_M = (5.0, 10.0, 12.0)
 """Circumferences of loops with twelve sides, at 10 m."""
-WIDE_LOOP_DB = LIMITS_DB[Accuracy.LARGE_ELEMENTS][0]
+WIDE_LOOP_DB = agreement.LIMITS_DB[Accuracy.LARGE_ELEMENTS][0]
 
 
 class Pairs(Struct, frozen=True, kw_only=True):
     """Formations with two elements near each other, solved by all solvers."""
 
-    others: dict[str, Compared]
+    others: dict[str, agreement.Compared]
     """Installed solvers less PyNEC; rejected formations count as touching"""
 
 
@@ -51,19 +40,23 @@ def jobs(plan: AntennaPlan) -> dict[str, list[Job]]:
     """Return one job for each distance and each loop."""
     return {
         "pairs": [partial(solve_pairs, apart_m, plan.other_formations) for apart_m in APART_M],
-        "loops": [partial(compare, _loops(m), "batch", count=plan.other_formations) for m in ROUND_M],
+        "loops": [
+            partial(agreement.compare, _loops(m), "batch", count=plan.other_formations) for m in ROUND_M
+        ],
     }
 
 
-def _loops(round_m: float) -> AgreementCase:
-    return AgreementCase(
-        name=f"loops of {round_m:g} m", config=AntennaConfig(**LOOP | {"element_length_m": round_m})
+def _loops(round_m: float) -> agreement.AgreementCase:
+    return agreement.AgreementCase(
+        name=f"loops of {round_m:g} m", config=AntennaConfig(**agreement.LOOP | {"element_length_m": round_m})
     )
 
 
 def pairs(apart_m: float, count: int) -> list[Snapshot]:
     """Return random formations of short dipoles (0.5 m, 10 degrees) with one element moved near another."""
-    snapshots, _ = formations(AgreementCase(name="pairs", config=AntennaConfig()), seed=SEED, count=count)
+    snapshots, _ = agreement.formations(
+        agreement.AgreementCase(name="pairs", config=AntennaConfig()), seed=SEED, count=count
+    )
     rng = np.random.default_rng(SEED)
     found = []
     for snapshot in snapshots:
@@ -84,8 +77,8 @@ def solve_pairs(apart_m: float, count: int) -> Pairs | None:
     for name in OTHERS:
         solver = witness(AntennaConfig(backend=name))  # type: ignore[arg-type]
         if solver is not None:
-            limits_db = LIMITS_DB[Accuracy.SMALL_ELEMENTS]
-            others[name] = differences(solver.patterns(snapshots), expected, limits_db, redrawn=0)
+            limits_db = agreement.LIMITS_DB[Accuracy.SMALL_ELEMENTS]
+            others[name] = agreement.differences(solver.patterns(snapshots), expected, limits_db, redrawn=0)
     return Pairs(others=others)
 
 
@@ -100,7 +93,7 @@ def judge(results: Results) -> tuple[list[Check], list[ReportTable]]:
             checks += _of_pairs(name, of)
         for apart_m, one in found.items():
             if name in one.others:
-                rows.append(cells(f"{name}, {1e3 * apart_m:g} mm", one.others[name]))
+                rows.append(agreement.cells(f"{name}, {1e3 * apart_m:g} mm", one.others[name]))
     least, most = CREDIBLE
     tables = [
         ReportTable(
@@ -110,7 +103,7 @@ def judge(results: Results) -> tuple[list[Check], list[ReportTable]]:
             f"solution that radiates less than {least:g} or more than {most:g} of the input power; it is "
             "counted under touch. For all other formations the solvers agree, except for the last digits "
             f"of the power if the dipoles are nearer than their length of {1e3 * FULLY_M:g} mm:",
-            columns=COLUMNS, rows=tuple(rows),
+            columns=agreement.COLUMNS, rows=tuple(rows),
         )
     ] if rows else []  # fmt: skip
     loops = [(m, one) for m, one in zip(ROUND_M, results["loops"], strict=True) if one is not None]
@@ -124,13 +117,13 @@ def judge(results: Results) -> tuple[list[Check], list[ReportTable]]:
             "accuracy for loops of more than a tenth of a wavelength. The limit of the maximum is still that "
             "of large elements:"
         )
-        named = tuple(cells(_loops(round_m).name, one) for round_m, one in loops)
-        tables.append(ReportTable(caption=caption, columns=COLUMNS, rows=named))
+        named = tuple(agreement.cells(_loops(round_m).name, one) for round_m, one in loops)
+        tables.append(ReportTable(caption=caption, columns=agreement.COLUMNS, rows=named))
     return checks, tables
 
 
-def _of_pairs(name: str, of: dict[float, Compared]) -> list[Check]:
-    whole, title = together(list(of.values())), f"{name} less nec2, two dipoles of 0.05 m"
+def _of_pairs(name: str, of: dict[float, agreement.Compared]) -> list[Check]:
+    whole, title = agreement.together(list(of.values())), f"{name} less nec2, two dipoles of 0.05 m"
     maximum_db = [value for apart_m, one in of.items() if apart_m >= FULLY_M for value in one.maximum_db]
     near = f"{1e3 * APART_M[-1]:g} to {1e3 * APART_M[0]:g} mm apart"
     far = f"{1e3 * FULLY_M:g} to {1e3 * APART_M[0]:g} mm apart"

@@ -7,20 +7,12 @@ import numpy as np
 
 from antenna.analysis.statistics import pointing_errors_deg
 from antenna.solvers.ports import MAIN_LOBE_DEG
+from studies.article import plan
 from studies.article.campaign_data import Cell
 from studies.article.comparison import ComparedEstimate, has_shape, jackknife, shape_m
 from studies.article.evidence import Evidence, Missing
 from studies.article.finding import Finding, by_margins
 from studies.article.monte_carlo import BACKENDS
-from studies.article.plan import (
-    ARTICLE,
-    CROWDED,
-    CROWDED_FTM_PERIOD_S,
-    FIGURE_WAVELENGTH_M,
-    FIGURE_WIND_N,
-    GPS,
-    UNCROWDED,
-)
 
 IDEAL_DBI, IDEAL_WITHIN_DB = 13.26, 0.01
 AXIS_WITHIN_DEG = 1.0
@@ -130,7 +122,7 @@ def _exponential(variances: Sequence[float], losses_db: Sequence[float]) -> tupl
 
 def distances_to_all(evidence: Evidence) -> Finding:
     """Measure the share of completed ranging sessions in the article's flights."""
-    cells = [cell for (case, _, _), cell in evidence.cells.items() if case == ARTICLE]
+    cells = [cell for (case, _, _), cell in evidence.cells.items() if case == plan.ARTICLE]
     requested = sum(cell.ftm_requested for cell in cells)
     if not requested:
         raise Missing("no session was requested")
@@ -154,7 +146,7 @@ def ftm_corrects_gps(evidence: Evidence) -> Finding:
     """Compare the shape errors with and without ranging at λ 10 m for the same seeds."""
     margins, words = {}, []
     for wind_n in evidence.winds_n:
-        keys = [(case, FIGURE_WAVELENGTH_M, wind_n) for case in (ARTICLE, GPS)]
+        keys = [(case, plan.FIGURE_WAVELENGTH_M, wind_n) for case in (plan.ARTICLE, plan.GPS)]
         if keys[1] not in evidence.cells:
             continue
         margins[f"{wind_n:g} N"] = evidence.shape(
@@ -166,7 +158,7 @@ def ftm_corrects_gps(evidence: Evidence) -> Finding:
             f"{wind_n:g} N {ftm.text()} m, GPS alone {gps.text(2)} m, ratio {ratio.text()} ({_of(ratio)})"
         )
     if not margins:
-        raise Missing(f"no flights with GPS alone at λ {FIGURE_WAVELENGTH_M:g} m")
+        raise Missing(f"no flights with GPS alone at λ {plan.FIGURE_WAVELENGTH_M:g} m")
     return by_margins(margins, found="shape error: " + "; ".join(words), unit=" m")
 
 
@@ -176,7 +168,7 @@ def _of(estimate: ComparedEstimate) -> str:
 
 def contention_harms(evidence: Evidence) -> Finding:
     """Compare the shape errors with an idle and a busy channel for the same seeds and flight time."""
-    keys = [(case, FIGURE_WAVELENGTH_M, FIGURE_WIND_N) for case in (CROWDED, UNCROWDED)]
+    keys = [(case, plan.FIGURE_WAVELENGTH_M, plan.FIGURE_WIND_N) for case in (plan.CROWDED, plan.UNCROWDED)]
     margin = evidence.shape(keys, lambda crowded, usual: shape_m(crowded) - CROWDED_GROWTH * shape_m(usual))
     growth = evidence.shape(keys, lambda crowded, usual: shape_m(crowded) / shape_m(usual))
     seeds = {each.seed for each in evidence.flown(keys[0]).runs if has_shape(each)}
@@ -199,7 +191,8 @@ def _contention_text(crowded: Cell, usual: Cell, growth: ComparedEstimate) -> st
         None: "their benefit and the effect of contention are about equal",
     }[ComparedEstimate(value=growth.value - 1.0, error=growth.error, flights=growth.flights).positive]
     return (
-        f"With ranging every {CROWDED_FTM_PERIOD_S:g} s {lost:.2%} of the sessions fail, and {times:.1f} "
-        f"times as many return a distance: {balance}. [codesign-results.md](codesign-results.md), ranging "
-        "policy, contains sixteen UAVs whose requests exceed the channel's capacity."
+        f"With ranging every {plan.CROWDED_FTM_PERIOD_S:g} s {lost:.2%} of the sessions fail, and "
+        f"{times:.1f} times as many return a distance: {balance}. "
+        "[codesign-results.md](codesign-results.md), ranging policy, contains sixteen UAVs whose requests "
+        "exceed the channel's capacity."
     )

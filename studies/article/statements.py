@@ -126,8 +126,7 @@ STATEMENTS = (
     Statement(
         name="contention", said="Much contention for the channel harms the control of positions.",
         criterion=f"the shape error grows by a factor of at least {setup.CROWDED_GROWTH:g} if each UAV "
-        "ranges "
-        "to every other one ten times as often, for the same seeds and flight time",
+        "ranges to every other one ten times as often, for the same seeds and flight time",
         measure=setup.contention_harms,
         known=f"shape errors with ranging every 0.1 s and every second, 8 UAVs in 5 N: {_CODESIGN}",
     ),
@@ -139,8 +138,7 @@ STATEMENTS = (
     Statement(
         name="near flat", said="In 5 N the density of λ = 5 m is nearly flat.",
         criterion=f"its peak is at most {gain.FLAT_PER_DB:g} per dB, and at most {gain.FLAT_OF_LONG:g} of "
-        "the "
-        "peak of λ = 10 m",
+        "the peak of λ = 10 m",
         measure=gain.near_flat, known=f"{_GAINS}; {_DRAWS}",
     ),
     Statement(
@@ -167,8 +165,7 @@ STATEMENTS = (
     Statement(
         name="angular deviation", said="The reason is that strong wind deviates the array's angles.",
         criterion=f"at λ = 10 m, tilt alone (vehicles in their places) causes at least {wind.TILT_SHARE:g} "
-        "of "
-        "the loss from no wind to 5 N",
+        "of the loss from no wind to 5 N",
         measure=wind.by_angles,
     ),
     Statement(
@@ -179,8 +176,7 @@ STATEMENTS = (
     Statement(
         name="alike", said="From 10 m on the effect of wind is about the same.",
         criterion=f"the losses of their means in 5 N agree within {wind.EFFECT_ALIKE_DB:g} dB, and the "
-        "means in "
-        f"5 N within {gain.ALIKE_WITHIN_DB:g} dB",
+        f"means in 5 N within {gain.ALIKE_WITHIN_DB:g} dB",
         measure=wind.long_are_alike,
     ),
     Statement(
@@ -198,8 +194,7 @@ STATEMENTS = (
     Statement(
         name="lower throughout", said="The gain is lower throughout the pattern.",
         criterion=f"at the median instant it is lower in at least {pattern.LOWER_SHARE:.0%} of the "
-        "directions "
-        "with an ideal gain above -10 dBi",
+        "directions with an ideal gain above -10 dBi",
         measure=pattern.lower_throughout,
     ),
     Statement(

@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from studies.codesign import figures
+from studies.codesign import checks, figures
 from studies.codesign.book import Book
 from studies.codesign.cases import (
     BASE,
@@ -17,14 +17,6 @@ from studies.codesign.cases import (
     all_pairs,
     beacon_period,
     scheduled,
-)
-from studies.codesign.checks import (
-    NO_WORSE_MOST,
-    extreme,
-    fewest_pairs_check,
-    formed_check,
-    largest_shape_check,
-    sound_checks,
 )
 from studies.common.report import Check, ReportFigure, Section
 
@@ -57,13 +49,13 @@ def judge_beacon_period(book: Book) -> Section:
         title="Beacon period",
         conditions="8 UAVs with FTM in 5 N; each UAV ranges to all others once per second in all cases.\n",
         checks=(
-            formed_check(book, cases),
-            *sound_checks(book, cases),
-            fewest_pairs_check((sooner, later)),
-            largest_shape_check(book, cases, "any period"),
+            checks.formed_check(book, cases),
+            *checks.sound_checks(book, cases),
+            checks.fewest_pairs_check((sooner, later)),
+            checks.largest_shape_check(book, cases, "any period"),
             Check(
                 f"shape error at {SELDOM_MS} ms over that at {OFTEN_MS} ms", sooner.value,
-                at_most=NO_WORSE_MOST,
+                at_most=checks.NO_WORSE_MOST,
             ),
             Check(
                 f"error of the estimates at {BEACON_PERIODS_MS[-1]} ms over that at "
@@ -138,14 +130,14 @@ def _ranging_checks(book: Book) -> tuple[Check, ...]:
         for case in map(scheduled, FTM_PERIODS_S)
     ]
     return (
-        formed_check(book, cases),
-        *sound_checks(book, cases),
-        fewest_pairs_check((shape_8, shape_16, busy_16, busy_often, shape_often)),
-        largest_shape_check(book, cases, "any policy within the channel capacity"),
+        checks.formed_check(book, cases),
+        *checks.sound_checks(book, cases),
+        checks.fewest_pairs_check((shape_8, shape_16, busy_16, busy_often, shape_often)),
+        checks.largest_shape_check(book, cases, "any policy within the channel capacity"),
         Check(
             "share of ranging sessions that complete, any policy within the channel capacity, "
             "smallest mean",
-            extreme(book, cases, "completed_fraction", np.min), at_least=COMPLETED_LEAST,
+            checks.extreme(book, cases, "completed_fraction", np.min), at_least=COMPLETED_LEAST,
         ),
         Check(
             "scheduled: occupancy of the channel over its configured share, largest", float(np.max(shares)),
@@ -156,7 +148,7 @@ def _ranging_checks(book: Book) -> tuple[Check, ...]:
         ),
         Check(
             "16 UAVs: shape error scheduled over all pairs once a second", shape_16.value,
-            at_most=NO_WORSE_MOST,
+            at_most=checks.NO_WORSE_MOST,
         ),
         Check(
             "16 UAVs: occupancy of the channel scheduled over all pairs once a second", busy_16.value,
@@ -190,9 +182,9 @@ def judge_baselines(book: Book) -> Section:
             "has no contention, collisions or fading; time stamps keep their errors.\n"
         ),
         checks=(
-            formed_check(book, (*held, GPS_ALONE)),
-            *sound_checks(book, held, "with FTM or true positions"),
-            fewest_pairs_check((truth, ideal)),
+            checks.formed_check(book, (*held, GPS_ALONE)),
+            *checks.sound_checks(book, held, "with FTM or true positions"),
+            checks.fewest_pairs_check((truth, ideal)),
             Check("shape error with true positions over that with FTM, lower end", truth.low, at_most=1.0),
             Check("shape error with true positions over that with FTM", truth.value, at_least=CONTROLS_LEAST),
             Check(
@@ -201,7 +193,7 @@ def judge_baselines(book: Book) -> Section:
             ),
             Check(
                 "shape error over the emulated channel over that over an ideal one", emulated.value,
-                at_most=NO_WORSE_MOST,
+                at_most=checks.NO_WORSE_MOST,
             ),
         ),
         tables=(

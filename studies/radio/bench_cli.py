@@ -14,15 +14,7 @@ from rich.table import Table
 from harness.scenario.scenario import ScenarioError, load
 from studies.codesign.cases import ARTICLE
 from studies.common.command_line import BAD_INPUT, FINE, MISSED, JsonOption
-from studies.radio.bench import (
-    FASTER_LIMIT,
-    REAL_TIME_LIMIT,
-    ArticleCost,
-    RadioCost,
-    SaturatedCost,
-    bench_article,
-    bench_saturated,
-)
+from studies.radio import bench
 from studies.radio.saturation_section import MODES
 
 bench_radio_app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
@@ -51,11 +43,11 @@ def bench_radio(
         raise typer.Exit(BAD_INPUT)
     try:
         swarm = load(scenario)
-        saturated = bench_saturated(
+        saturated = bench.bench_saturated(
             stations=stations, rate_mbps=rate_mbps, seconds=seconds, peer=shlex.split(peer),
             peer_s=peer_seconds or seconds, repeats=repeats,
         )  # fmt: skip
-        article = bench_article(swarm, seconds=2.0 * seconds, repeats=repeats)
+        article = bench.bench_article(swarm, seconds=2.0 * seconds, repeats=repeats)
     except (ScenarioError, OSError, subprocess.CalledProcessError) as error:
         messages.print(f"bench_radio: {error}")
         raise typer.Exit(BAD_INPUT) from None
@@ -65,11 +57,11 @@ def bench_radio(
         console = Console(file=sys.stdout, highlight=False, width=110)
         console.print(_saturated_table(saturated))
         console.print(_article_table(article, swarm.name))
-    slow = saturated.faster_wall is not None and saturated.faster_wall < FASTER_LIMIT
-    raise typer.Exit(MISSED if slow or article.with_messages.cpu_s > REAL_TIME_LIMIT else FINE)
+    slow = saturated.faster_wall is not None and saturated.faster_wall < bench.FASTER_LIMIT
+    raise typer.Exit(MISSED if slow or article.with_messages.cpu_s > bench.REAL_TIME_LIMIT else FINE)
 
 
-def _saturated_table(cost: SaturatedCost) -> Table:
+def _saturated_table(cost: bench.SaturatedCost) -> Table:
     table = Table(
         title=f"{cost.stations} saturated stations at {cost.rate_mbps} Mbit/s, per simulated second",
         title_justify="left",
@@ -85,7 +77,7 @@ def _saturated_table(cost: SaturatedCost) -> Table:
     return table
 
 
-def _article_table(cost: ArticleCost, name: str) -> Table:
+def _article_table(cost: bench.ArticleCost, name: str) -> Table:
     table = Table(
         title=(
             f"{cost.stations} UAVs' traffic ({name}): {cost.frames:.0f} frames a second, "
@@ -98,9 +90,9 @@ def _article_table(cost: ArticleCost, name: str) -> Table:
     table.add_row("emulator", *_cells(cost.emulator))
     table.add_row("with messages", *_cells(cost.with_messages))
     table.add_row(f"Python's event queue only ({cost.events:.0f} events)", *_cells(cost.floor))
-    table.add_row("limit", "", f"{REAL_TIME_LIMIT:.4f}", "")
+    table.add_row("limit", "", f"{bench.REAL_TIME_LIMIT:.4f}", "")
     return table
 
 
-def _cells(cost: RadioCost) -> tuple[str, str, str]:
+def _cells(cost: bench.RadioCost) -> tuple[str, str, str]:
     return f"{cost.wall_s:.4f}", f"{cost.cpu_s:.4f}", f"{1.0 / cost.wall_s:.1f}"

@@ -6,23 +6,11 @@ import numpy as np
 
 from studies.common.report import Check, ReportFigure, ReportTable, Section
 from studies.common.runner import Job, Results
+from studies.vehicle import upsets
 from studies.vehicle.allocation import AllocationResult, check_allocation
 from studies.vehicle.figures import save_upsets
 from studies.vehicle.plan import VehiclePlan
 from studies.vehicle.solo import STEP_S
-from studies.vehicle.upsets import (
-    ALIGNED_DEG,
-    CATCH_S,
-    LIMIT_S,
-    RATE_MAX_RAD_S,
-    TILT_LIMIT_DEG,
-    TRACE_EVERY,
-    UPRIGHT_DEG,
-    Catch,
-    Upset,
-    recover,
-    throw,
-)
 
 ROUNDING_N_M = 1e-9
 _ALLOCATION_SEED = 1
@@ -31,26 +19,27 @@ _ALLOCATION_SEED = 1
 def upset_jobs(plan: VehiclePlan) -> dict[str, list[Job]]:
     """Return the recoveries of the controller and the upsets of the complete vehicle."""
     return {
-        "recover": [partial(recover, seed) for seed in range(plan.recoveries)],
-        "throw": [partial(throw, seed) for seed in range(plan.throws)],
+        "recover": [partial(upsets.recover, seed) for seed in range(plan.recoveries)],
+        "throw": [partial(upsets.throw, seed) for seed in range(plan.throws)],
     }
 
 
 def judge_upsets(plan: VehiclePlan, results: Results) -> Section:
     """Check the slowest recoveries."""
-    recoveries: list[Upset] = results["recover"]
-    catches: list[Catch] = results["throw"]
+    recoveries: list[upsets.Upset] = results["recover"]
+    catches: list[upsets.Catch] = results["throw"]
     checks = (
         Check(
-            "controller: upright, slowest", max(case.upright_s for case in recoveries), "s", at_most=LIMIT_S
+            "controller: upright, slowest", max(case.upright_s for case in recoveries), "s",
+            at_most=upsets.LIMIT_S,
         ),
         Check(
             "whole vehicle: thrust axis aligned with its setpoint, slowest",
-            max(case.aligned_s for case in catches), "s", at_most=LIMIT_S,
+            max(case.aligned_s for case in catches), "s", at_most=upsets.LIMIT_S,
         ),
         Check(
-            f"whole vehicle: tilt below {TILT_LIMIT_DEG + UPRIGHT_DEG:.0f}°, slowest",
-            max(case.within_limit_s for case in catches), "s", at_most=LIMIT_S,
+            f"whole vehicle: tilt below {upsets.TILT_LIMIT_DEG + upsets.UPRIGHT_DEG:.0f}°, slowest",
+            max(case.within_limit_s for case in catches), "s", at_most=upsets.LIMIT_S,
         ),
         Check(
             "whole vehicle: distance from its position at the end, worst",
@@ -68,22 +57,22 @@ def judge_upsets(plan: VehiclePlan, results: Results) -> Section:
         ("vehicle: attitude estimate's greatest error, deg", [case.attitude_error_deg for case in catches]),
     ]
     draw = partial(
-        save_upsets, period_s=TRACE_EVERY * STEP_S, limit_s=LIMIT_S, upright_deg=UPRIGHT_DEG,
-        tilts_deg=np.array([case.tilt_deg for case in recoveries]),
+        save_upsets, period_s=upsets.TRACE_EVERY * STEP_S, limit_s=upsets.LIMIT_S,
+        upright_deg=upsets.UPRIGHT_DEG, tilts_deg=np.array([case.tilt_deg for case in recoveries]),
     )  # fmt: skip
     return Section(
         title="Upsets",
         conditions=(
             f"Controller: {plan.recoveries} starts at 30 m in random attitudes, first those that are upside "
-            f"down, with rates of up to {RATE_MAX_RAD_S:g} rad/s. The plant is a 6-DOF Iris with the "
+            f"down, with rates of up to {upsets.RATE_MAX_RAD_S:g} rad/s. The plant is a 6-DOF Iris with the "
             "inertial sensors' noise, and level flight is commanded. The vehicle is upright when its tilt "
-            f"stays below {UPRIGHT_DEG:g} degrees. Whole vehicle: {plan.throws} upsets with the estimator "
-            "in the loop, from position hold at 30 m: for 0.15 to 0.9 s a second controller flies its "
-            "motors towards a random attitude and then releases them. Position hold tilts the vehicle to "
-            f"brake the speed gained, so here the thrust axis must stay within {ALIGNED_DEG:g} degrees of "
-            f"the position controller's setpoint, and {CATCH_S:g} s later the vehicle must be back at its "
-            f"position. The {ALIGNED_DEG:g} degrees are a choice of this study: the setpoint moves during "
-            "braking, and an alignment within 10 degrees takes up to 2.3 s.\n"
+            f"stays below {upsets.UPRIGHT_DEG:g} degrees. Whole vehicle: {plan.throws} upsets with the "
+            "estimator in the loop, from position hold at 30 m: for 0.15 to 0.9 s a second controller flies "
+            "its motors towards a random attitude and then releases them. Position hold tilts the vehicle "
+            f"to brake the speed gained, so here the thrust axis must stay within {upsets.ALIGNED_DEG:g} "
+            f"degrees of the position controller's setpoint, and {upsets.CATCH_S:g} s later the vehicle must "
+            f"be back at its position. The {upsets.ALIGNED_DEG:g} degrees are a choice of this study: the "
+            "setpoint moves during braking, and an alignment within 10 degrees takes up to 2.3 s.\n"
         ),
         checks=checks,
         tables=(

@@ -7,17 +7,7 @@ import numpy as np
 
 from studies.common.report import Check, ReportFigure, ReportTable, Section
 from studies.common.runner import Job, Results
-from studies.vehicle.estimation import (
-    MEASUREMENTS,
-    SETTLED_S,
-    Consistency,
-    WrongCompass,
-    consistency,
-    outage_drift_m,
-    pooled,
-    whiteness,
-    wrong_compass,
-)
+from studies.vehicle import estimation
 from studies.vehicle.figures import save_nees
 from studies.vehicle.plan import VehiclePlan
 
@@ -31,19 +21,23 @@ HEADING_LIMIT_DEG = 10.0
 def jobs(plan: VehiclePlan) -> dict[str, list[Job]]:
     """Return the jobs; consistency has one job for each seed, because its runs share the draws."""
     return {
-        "consistency": [partial(consistency, runs=plan.estimator_runs, seed=seed) for seed in CAMPAIGN_SEEDS],
-        "outage": [partial(outage_drift_m, seed) for seed in range(plan.seeds)],
-        "compass": [partial(wrong_compass, seed, math.pi) for seed in range(max(plan.seeds // 2, 1))],
+        "consistency": [
+            partial(estimation.consistency, runs=plan.estimator_runs, seed=seed) for seed in CAMPAIGN_SEEDS
+        ],
+        "outage": [partial(estimation.outage_drift_m, seed) for seed in range(plan.seeds)],
+        "compass": [
+            partial(estimation.wrong_compass, seed, math.pi) for seed in range(max(plan.seeds // 2, 1))
+        ],
     }
 
 
 def judge(plan: VehiclePlan, results: Results) -> Section:
     """Check consistency, whiteness, drift in an outage and a compass turned by 180 degrees."""
-    campaigns: list[Consistency] = results["consistency"]
+    campaigns: list[estimation.Consistency] = results["consistency"]
     by_seed = list(zip(CAMPAIGN_SEEDS, campaigns, strict=True))
-    found = pooled(campaigns)
+    found = estimation.pooled(campaigns)
     drifts_m: list[float] = results["outage"]
-    compasses: list[WrongCompass] = results["compass"]
+    compasses: list[estimation.WrongCompass] = results["compass"]
     checks = [
         _nees_check(group, label, one)
         for group in REQUIRED
@@ -53,8 +47,8 @@ def judge(plan: VehiclePlan, results: Results) -> Section:
         )
     ]
     rows = []
-    for name in MEASUREMENTS:
-        white = whiteness(found.innovations[name])
+    for name in estimation.MEASUREMENTS:
+        white = estimation.whiteness(found.innovations[name])
         checks.append(
             Check(
                 f"innovations of {name}: greatest autocorrelation",
@@ -86,15 +80,15 @@ def judge(plan: VehiclePlan, results: Results) -> Section:
             "Consistency is tested with data that match the filter's model: for each of the seeds "
             f"{', '.join(map(str, CAMPAIGN_SEEDS))} a campaign of {plan.estimator_runs} Monte Carlo runs of "
             "a figure of eight, with white sensor noises and bias random walks of the configured size, "
-            f"evaluated from {SETTLED_S:g} s on. The normalised estimation error squared (NEES) is the mean "
-            "over all runs and epochs of a campaign and must be inside the two-sided 95 % chi-squared band "
-            "of that mean. The epochs of a run are correlated, so the band uses the effective number of "
-            "epochs that follows from their autocorrelation. Each seed must be inside, and so must all runs "
-            "together; a consistent filter misses one of these bands in about one of four draws of the "
-            "seeds. The innovations of all seeds are white if the greatest of their mean autocorrelations "
-            "at 20 lags is below the 95 % limit for all lags together. Further tests: "
-            f"{len(drifts_m)} GPS outages, and {len(compasses)} flights with a compass that is turned by "
-            "180 degrees from the start.\n"
+            f"evaluated from {estimation.SETTLED_S:g} s on. The normalised estimation error squared (NEES) "
+            "is the mean over all runs and epochs of a campaign and must be inside the two-sided 95 % "
+            "chi-squared band of that mean. The epochs of a run are correlated, so the band uses the "
+            "effective number of epochs that follows from their autocorrelation. Each seed must be inside, "
+            "and so must all runs together; a consistent filter misses one of these bands in about one of "
+            "four draws of the seeds. The innovations of all seeds are white if the greatest of their mean "
+            "autocorrelations at 20 lags is below the 95 % limit for all lags together. Further tests: "
+            f"{len(drifts_m)} GPS outages, and {len(compasses)} flights with a compass that is turned by 180 "
+            "degrees from the start.\n"
         ),
         checks=tuple(checks),
         tables=(
@@ -139,12 +133,12 @@ def judge(plan: VehiclePlan, results: Results) -> Section:
     )  # fmt: skip
 
 
-def _nees_check(group: str, label: str, found: Consistency) -> Check:
+def _nees_check(group: str, label: str, found: estimation.Consistency) -> Check:
     mean, (low, high) = found.overall(group)
     return Check(f"{group}: NEES per degree of freedom, {label}", mean, at_least=low, at_most=high)
 
 
-def _nees_cell(found: Consistency, group: str) -> str:
+def _nees_cell(found: estimation.Consistency, group: str) -> str:
     mean, (low, high) = found.overall(group)
     outside = "" if low <= mean <= high else ", outside"
     return f"{mean:.3f} ({low:.3f} to {high:.3f}){outside}"
