@@ -8,13 +8,13 @@ import contextlib
 import os
 import platform
 import signal
-import statistics
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from statistics import median
 from typing import TypeVar
 
 import msgspec
@@ -184,24 +184,18 @@ def summarise(
     profiled: FlightCost,
 ) -> BenchRun:
     """Return medians of the repeats, and processor time by part with the shares of the profiled flight."""
-    cpu_s = {
-        kind: statistics.median(flight.steady.cpu_s_per_simulated_s.get(kind, 0.0) for flight in flights)
-        for kind in flights[0].steady.cpu_s_per_simulated_s
-    }
-    uss_mb = {
-        kind: statistics.median(flight.uss_mb.get(kind, 0.0) for flight in flights)
-        for kind in flights[0].uss_mb
-    }
+    cpu_s = _medians([flight.steady.cpu_s_per_simulated_s for flight in flights])
+    uss_mb = _medians([flight.uss_mb for flight in flights])
     formed_s = [flight.formed_s for flight in flights if flight.formed_s is not None]
     return BenchRun(
         agents=agents,
         scenario=scenario,
-        real_time_factor=_median(flight.steady.real_time_factor for flight in flights),
-        whole_real_time_factor=_median(flight.whole.real_time_factor for flight in flights),
-        floor_real_time_factor=_median(floor.lockstep.real_time_factor for floor in floors),
-        echo_real_time_factor=_median(floor.echo.real_time_factor for floor in floors),
+        real_time_factor=median(flight.steady.real_time_factor for flight in flights),
+        whole_real_time_factor=median(flight.whole.real_time_factor for flight in flights),
+        floor_real_time_factor=median(floor.lockstep.real_time_factor for floor in floors),
+        echo_real_time_factor=median(floor.echo.real_time_factor for floor in floors),
         cpu_s_per_simulated_s=cpu_s,
-        floor_cpu_s_per_simulated_s=_median(
+        floor_cpu_s_per_simulated_s=median(
             floor.lockstep.server_cpu_s_per_simulated_s + floor.lockstep.vehicles_cpu_s_per_simulated_s
             for floor in floors
         ),
@@ -217,17 +211,17 @@ def summarise(
         queueing_fraction={kind: of_kind.queueing_fraction for kind, of_kind in profiled.profile.items()},
         uss_mb_per_uav=uss_mb[VEHICLES],
         uss_mb=uss_mb,
-        pss_mb=_median(flight.pss_mb for flight in flights),
-        startup_s=_median(flight.startup_s for flight in flights),
-        formed_s=statistics.median(formed_s) if formed_s else None,
+        pss_mb=median(flight.pss_mb for flight in flights),
+        startup_s=median(flight.startup_s for flight in flights),
+        formed_s=median(formed_s) if formed_s else None,
         other_processors=max(flight.steady.other_processors for flight in flights),
         flights=tuple(flights),
         floors=tuple(floors),
     )
 
 
-def _median(values: Iterable[float]) -> float:
-    return statistics.median(values)
+def _medians(by_kind: Sequence[dict[str, float]]) -> dict[str, float]:
+    return {kind: median(each.get(kind, 0.0) for each in by_kind) for kind in by_kind[0]}
 
 
 def _floor(agents: int, wall_s: float) -> FloorCost:

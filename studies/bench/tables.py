@@ -38,10 +38,7 @@ def sheets(found: FlightBench) -> tuple[Sheet, ...]:
                 ("with take-off", *(_factor(run.whole_real_time_factor) for run in runs)),
                 ("floor: bare processes", *(_factor(run.floor_real_time_factor) for run in runs)),
                 ("floor: bytes alone", *(_factor(run.echo_real_time_factor) for run in runs)),
-                (
-                    "processors busy with other processes",
-                    *(f"{run.other_processors:.1f}" for run in runs),
-                ),
+                ("processors busy with other processes", *(f"{run.other_processors:.1f}" for run in runs)),
             ),
         ),
         Sheet(
@@ -73,15 +70,10 @@ def _processor_rows(runs: Sequence[BenchRun]) -> Iterator[tuple[str, ...]]:
     for kind in _kinds(runs):
         yield (_name(kind), *(_ms(run.cpu_s_per_simulated_s.get(kind, 0.0)) for run in runs))
         listed, rest = _parts(runs, kind)
-        for part in listed:
-            spent = (run.parts_cpu_s_per_simulated_s.get(kind, {}).get(part, 0.0) for run in runs)
-            yield (f"{INDENT}{part}", *map(_ms, spent))
-        if rest:
-            sums = (
-                sum(run.parts_cpu_s_per_simulated_s.get(kind, {}).get(part, 0.0) for part in rest)
-                for run in runs
-            )
-            yield (f"{INDENT}{', '.join(rest)}", *map(_ms, sums))
+        spent = [run.parts_cpu_s_per_simulated_s.get(kind, {}) for run in runs]
+        for parts in (*([part] for part in listed), *([rest] if rest else [])):
+            sums = (sum(of_run.get(part, 0.0) for part in parts) for of_run in spent)
+            yield (f"{INDENT}{', '.join(parts)}", *map(_ms, sums))
     yield ("all", *(_ms(_whole(run)) for run in runs))
     yield (
         "us of processor time per step and UAV",

@@ -8,6 +8,8 @@ computed for the inverse J^-1 with the matrix inversion lemma. The expectation o
 the simulated motion.
 """
 
+from collections import defaultdict
+
 import numpy as np
 
 from studies.codesign.simulated import GRID_US, Array, Ranged, SimulatedFlight
@@ -39,24 +41,23 @@ def posterior_bound(flight: SimulatedFlight) -> Array:
     cov = np.diag(np.tile((_FLAT_M2, _FLAT_M2, height_m2, *bias_m2), count))
 
     fixes, distances = flight.known()
-    fixes_at: dict[int, list[int]] = {}
+    fixes_at, distances_at = defaultdict[int, list[int]](list), defaultdict[int, list[Ranged]](list)
     for time_us, station in fixes:
-        fixes_at.setdefault(time_us // GRID_US, []).append(station)
-    distances_at: dict[int, list[Ranged]] = {}
+        fixes_at[time_us // GRID_US].append(station)
     for item in distances:
-        distances_at.setdefault(item.time_us // GRID_US, []).append(item)
+        distances_at[item.time_us // GRID_US].append(item)
     for at in range(len(flight.pos_ned_m)):
         if at:
             cov *= np.outer(kept, kept)
             cov[np.diag_indices(size)] += added
         rows, variances = [], []
-        for station in fixes_at.get(at, ()):
+        for station in fixes_at[at]:
             for a in range(3):
                 row = np.zeros(size)
                 row[PER_UAV * station + a] = row[PER_UAV * station + 3 + a] = 1.0
                 rows.append(row)
                 variances.append(model.gps_white_std_m**2)
-        for item in distances_at.get(at, ()):
+        for item in distances_at[at]:
             between_m = flight.pos_ned_m[at, item.initiator] - flight.pos_ned_m[at, item.responder]
             row = np.zeros(size)
             row[PER_UAV * item.initiator : PER_UAV * item.initiator + 3] = between_m

@@ -8,7 +8,7 @@ from scipy.stats import chi2
 from autopilot.onboard.localisation.kernels import STATES
 from studies.codesign.batch import batch_optimum
 from studies.codesign.bounds import aligned_error_m, posterior_bound, shape_basis
-from studies.codesign.simulated import Array, Trouble, simulate
+from studies.codesign.simulated import NO_TROUBLE, Array, SimulatedFlight, Trouble, simulate
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,25 +39,12 @@ class LocalisationResult:
         return None if self.batch_m is None else self.batch_m / self.bound_m
 
 
-def localisation_run(
-    places_ned_m: Array,
-    seed: np.random.SeedSequence,
-    *,
-    duration_s: float,
-    trouble: Trouble,
-    scheduled: bool,
-    batch: bool,
-) -> tuple[float, float, float, float, float]:
+def _squares(flight: SimulatedFlight, *, batch: bool) -> tuple[float, float, float, float, float]:
     """Return mean squares of one run: bound, filter, batch optimum (NaN if not ``batch``), predicted; NEES.
 
     All use the odometry of the last instant, so that only the estimators are compared.
     """
-    rng = np.random.default_rng(seed)
-    count = len(places_ned_m)
-    flight = simulate(
-        places_ned_m=places_ned_m, duration_s=duration_s, rng=rng, own=int(rng.integers(count)),
-        trouble=trouble, scheduled=scheduled,
-    )  # fmt: skip
+    count = len(flight.places_ned_m)
     filter_ = flight.filtered()
     truth_m, odometry_m = flight.pos_ned_m[-1, :, :2], flight.odometry_ned_m[-1, :, :2]
     found_m = odometry_m + filter_.state.reshape(count, -1)[:, :2]
@@ -90,7 +77,7 @@ def localisation_study(
     runs: int,
     seed: int,
     duration_s: float = 20.0,
-    trouble: Trouble | None = None,
+    trouble: Trouble = NO_TROUBLE,
     scheduled: bool = False,
     batch: bool = True,
 ) -> LocalisationResult:
@@ -106,16 +93,14 @@ def localisation_study(
         batch: compute the batch optimum too.
 
     """
-    trouble = trouble or Trouble()
-    squares = np.array(
-        [
-            localisation_run(
-                places_ned_m, run, duration_s=duration_s, trouble=trouble, scheduled=scheduled, batch=batch
-            )
-            for run in np.random.SeedSequence(seed).spawn(runs)
-        ]
-    )
-    means = squares.mean(axis=0)
+    squares = []
+    for rng in map(np.random.default_rng, np.random.SeedSequence(seed).spawn(runs)):
+        flight = simulate(
+            places_ned_m=places_ned_m, duration_s=duration_s, rng=rng,
+            own=int(rng.integers(len(places_ned_m))), trouble=trouble, scheduled=scheduled,
+        )  # fmt: skip
+        squares.append(_squares(flight, batch=batch))
+    means = np.mean(squares, axis=0)
     bound_m, filter_m, batch_m, predicted_m = np.sqrt(means[:4]).tolist()
     freedom = runs * (2 * len(places_ned_m) - 3)
     low, high = (chi2.ppf((0.025, 0.975), freedom) / runs).tolist()
