@@ -14,8 +14,7 @@ LEAST_DB = 1e-5
 
 
 def save_agreement(
-    path: Path,
-    cases: Sequence[tuple[str, tuple[Sequence[float], Sequence[float]], tuple[float, float]]],
+    path: Path, cases: Sequence[tuple[str, tuple[Sequence[float], Sequence[float]], tuple[float, float]]]
 ) -> None:
     """Plot cumulative shares of formations over the difference: (case, (maximum, pattern), limits), dB."""
     figure = new_figure(10.0, 4.2)

@@ -247,9 +247,7 @@ def from_main_lobe_deg(found: Solved) -> float:
     return math.degrees(2.0 * math.asin(min(float(chord) / 2.0, 1.0)))
 
 
-def _of_long_dipoles(
-    long: dict[tuple[float, float, str], Solved | None],
-) -> tuple[list[Check], ReportTable]:
+def _of_long_dipoles(long: dict[tuple[float, float, str], Solved | None]) -> tuple[list[Check], ReportTable]:
     checks, rows = [], []
     for wavelength_m, radius_m in product(LONG_DBI, LONG_RADII_M):
         reference_dbi, tolerance_db = LONG_DBI[wavelength_m]
@@ -270,9 +268,7 @@ def _of_long_dipoles(
     )
 
 
-def _of_policies(
-    policies: dict[tuple[str, str, str], Solved | None],
-) -> tuple[list[Check], ReportTable]:
+def _of_policies(policies: dict[tuple[str, str, str], Solved | None]) -> tuple[list[Check], ReportTable]:
     checks, rows, wavelength_m = [], [], 10.0
     apart_db: dict[str, list[float]] = {solver: [] for solver in SOLVERS}
     for (kind, policy), reference_dbi in REFERENCE_DBI.items():

@@ -157,8 +157,11 @@ def _solve(kept: KeptFlight) -> _Solved | None:
     }
     if not all(len(each.patterns) for each in series.values()):
         return None
+    scenario = kept.scenario
+    heading_rad = math.radians(scenario.formation.heading_deg)
     return _Solved(
-        seed=kept.scenario.run.seed, ideal_dbi=_ideal_dbi(kept.scenario),
+        seed=scenario.run.seed,
+        ideal_dbi=ideal_pattern(scenario.places_ned_m(), heading_rad, scenario.antenna).max_gain_dbi,
         max_gain_dbi={name: each.max_gain_dbi for name, each in series.items()},
         tilts_rad=tilts_rad(kept.flight.q_ned_frd)[kept.flight.alive],
         turned_rad=formation_error(kept.flight).yaw_rad,
@@ -176,11 +179,6 @@ def _separation(wavelength_m: float, wind_n: float, group: Sequence[_Solved]) ->
         turned_rms_deg=math.degrees(_rms([each.turned_rad for each in group])),
         pointing_rms_deg=_rms([each.pointing_deg for each in group]),
     )  # fmt: skip
-
-
-def _ideal_dbi(scenario: Scenario) -> float:
-    heading_rad = math.radians(scenario.formation.heading_deg)
-    return ideal_pattern(scenario.places_ned_m(), heading_rad, scenario.antenna).max_gain_dbi
 
 
 def _rms(parts: Sequence[Array]) -> float:

@@ -1,10 +1,11 @@
-"""Measures of a flight from the tables of its run folder, and its track at a low rate.
+"""Flights of the experiment: their measures from the tables of the run folder, and a track at a low rate.
 
 The formation of these flights does not move, so the desired places are those of the scenario.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -13,8 +14,8 @@ import pyarrow.parquet as pq
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from antenna.model.config import AntennaConfig
 from foundation.types import Array
+from harness.launch import one_process
 from harness.launch.processes import RADIO
 from harness.records.flight import Flight
 from harness.records.run_folder import RunFolder
@@ -22,6 +23,7 @@ from harness.records.tables import read_flight
 from harness.report.flown_array import gain_series
 from harness.report.formation_error import formation_error
 from harness.scenario.scenario import Scenario
+from harness.world.faults import AnyFault
 
 TRACK_PERIOD_S = 0.2
 GAIN_RATE_HZ = 1.0
@@ -202,7 +204,9 @@ def measure(
     if len(sound.flown):
         numbers |= _errors(sound.flown)
         if gains:
-            numbers["gain_dbi"] = _gains(sound.flown, scenario.antenna)
+            antenna = msgspec.structs.replace(scenario.antenna, snapshot_rate_hz=GAIN_RATE_HZ)
+            gains_dbi = gain_series(sound.flown, antenna).max_gain_dbi
+            numbers["gain_dbi"] = tuple(round(float(gain_dbi), 4) for gain_dbi in gains_dbi)
     return Measures(**numbers)
 
 
@@ -262,6 +266,17 @@ def _track_mm(flight: Flight) -> tuple[tuple[int, ...], ...]:
     return tuple(map(tuple, rows))
 
 
-def _gains(flown: Flight, antenna: AntennaConfig) -> tuple[float, ...]:
-    series = gain_series(flown, msgspec.structs.replace(antenna, snapshot_rate_hz=GAIN_RATE_HZ))
-    return tuple(round(float(gain_dbi), 4) for gain_dbi in series.max_gain_dbi)
+def fly(scenario: Scenario, folder: Path, *, faults: Iterable[AnyFault], gains: bool) -> dict[str, Any]:
+    """Fly with faults that are injected in formation; return the summary with only the flight's measures.
+
+    See `harness.campaign.store.Flying`. A formation that is not reached is a valid result. Raises as
+    `one_process.fly`.
+    """
+    summary = one_process.fly(scenario, folder, faults_in_formation=faults)
+    formed_s = summary["formed_s"]
+    measures = measure(
+        read_tables(RunFolder(folder), scenario), scenario,
+        formed_us=None if formed_s is None else round(formed_s * 1e6), wall_s=summary["wall_s"], gains=gains,
+    )  # fmt: skip
+    kept = {name: summary[name] for name in ("scenario", "seed", "status", "reason")}
+    return kept | {"measures": msgspec.to_builtins(measures)}

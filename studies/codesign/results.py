@@ -16,9 +16,7 @@ from harness.campaign.worker import sources_state
 from studies.codesign.cases import ARTICLE, CodesignCase, CodesignPlan
 from studies.codesign.measures import Measures
 
-FLYING = Flying(
-    "studies.codesign.flights:fly", ("studies/codesign/flights.py", "studies/codesign/measures.py")
-)
+FLYING = Flying("studies.codesign.measures:fly", ("studies/codesign/measures.py",))
 
 
 class CodesignFlown(Struct, frozen=True, kw_only=True):

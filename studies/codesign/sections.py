@@ -141,7 +141,11 @@ def judge_wavelength(book: Book) -> Section:
     )
     gains_dbi: figures.Gains = {
         wavelength_m: {
-            (name, wind_n): _all_gains_dbi(book, wavelength(name, wavelength_m, wind_n))
+            (name, wind_n): [
+                gain
+                for flight in book.flown(wavelength(name, wavelength_m, wind_n))
+                for gain in flight.gain_dbi
+            ]
             for name, wind_n in product(POSITIONS, WINDY_N)
         }
         for wavelength_m in WAVELENGTHS_M
@@ -237,7 +241,3 @@ def _pooled_sigma(
     """Return the sigma that corresponds to the mean square over the flights; None without a flight."""
     known = [each for each in rms_m if each is not None]
     return sigma(float(np.sqrt(np.mean(np.square(known)))), vehicles) if known else None
-
-
-def _all_gains_dbi(book: Book, case: CodesignCase) -> list[float]:
-    return [gain_dbi for flight in book.flown(case) for gain_dbi in flight.gain_dbi]

@@ -71,9 +71,12 @@ def bianchi() -> list[Saturated]:
 
 
 def ns3_broadcasts() -> list[Broadcasts]:
-    """Return runs of ns-3 3.37: 802.11a at 6 Mbit/s, UDP."""
+    """Return runs of ns-3 3.37: 802.11a at 6 Mbit/s, UDP.
+
+    With these lengths, one for each of two sets, the ns-3 program reproduces the rows of the table exactly.
+    """
     return [
-        _read({**row, "seconds": _broadcast_seconds(float(row["period_s"]))}, Broadcasts)
+        _read({**row, "seconds": 60.0 if float(row["period_s"]) == 0.1 else 20.0}, Broadcasts)
         for row in reference_table("ns3_broadcast.csv")
     ]
 
@@ -88,11 +91,6 @@ def ns3_phase_draws() -> dict[tuple[int, float], list[tuple[float, float]]]:
         key = (int(row["n"]), float(row["period_s"]))
         draws.setdefault(key, []).append((float(row["delivery_ratio"]), float(row["mean_delay_ms"])))
     return draws
-
-
-def _broadcast_seconds(period_s: float) -> float:
-    """Return the length of ns-3's run; with it the ns-3 program reproduces the rows of the table exactly."""
-    return 60.0 if period_s == 0.1 else 20.0  # two sets of runs
 
 
 def ns3_error_curves() -> list[ErrorCurve]:

@@ -2,6 +2,7 @@
 
 import math
 from functools import partial
+from itertools import product
 
 import numpy as np
 
@@ -38,14 +39,13 @@ def judge(plan: VehiclePlan, results: Results) -> Section:
     found = estimation.pooled(campaigns)
     drifts_m: list[float] = results["outage"]
     compasses: list[estimation.WrongCompass] = results["compass"]
-    checks = [
-        _nees_check(group, label, one)
-        for group in REQUIRED
-        for label, one in (
-            *((f"seed {seed}", one) for seed, one in by_seed),
-            ("all seeds", found),
+    checks = []
+    labelled = [*((f"seed {seed}", one) for seed, one in by_seed), ("all seeds", found)]
+    for group, (label, one) in product(REQUIRED, labelled):
+        mean, (low, high) = one.overall(group)
+        checks.append(
+            Check(f"{group}: NEES per degree of freedom, {label}", mean, at_least=low, at_most=high)
         )
-    ]
     rows = []
     for name in estimation.MEASUREMENTS:
         white = estimation.whiteness(found.innovations[name])
@@ -131,11 +131,6 @@ def judge(plan: VehiclePlan, results: Results) -> Section:
             ),
         ),
     )  # fmt: skip
-
-
-def _nees_check(group: str, label: str, found: estimation.Consistency) -> Check:
-    mean, (low, high) = found.overall(group)
-    return Check(f"{group}: NEES per degree of freedom, {label}", mean, at_least=low, at_most=high)
 
 
 def _nees_cell(found: estimation.Consistency, group: str) -> str:

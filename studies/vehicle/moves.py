@@ -10,8 +10,9 @@ import math
 import numpy as np
 from msgspec import Struct
 
-from autopilot.control import ControlParams, PositionTrajectory
+from autopilot.control import ControlParams
 from autopilot.control.params import TrajectoryParams
+from autopilot.navigation.guide import Guide
 from autopilot.parameters.config import Vector
 from foundation.types import Array
 from studies.vehicle.hover import SENSORS
@@ -74,11 +75,11 @@ def fly_move(seed: int, distance_m: float) -> Array:
         solo.offboard()
         solo.run(_SETTLE_S + LEAD_S)
         start_s = solo.now_s
-        reference = PositionTrajectory(limits)
-        reference.reset(hover, yaw_rad=0.0)
+        reference = Guide(limits)
+        reference.reset(hover, vel_ned_m_s=np.zeros(3), yaw_rad=0.0)
+        reference.go_to(hover + distance_m * along)
         for _ in range(round((allowed_s(distance_m, limits) + 5.0) / TRACE_S)):
-            reached = reference.update(hover + distance_m * along, TRACE_S)
-            solo.set_reference(reached)
+            solo.set_reference(reference.update(TRACE_S))
             solo.run(TRACE_S)
         track = solo.track.after(start_s)
     return np.asarray((track.pos_ned_m[::TRACE_EVERY] - hover) @ along / distance_m)

@@ -12,8 +12,7 @@ import pytest
 from netsim.phy.errors import packet_error_rate
 from netsim.phy.modes import phy_mode
 from netsim.phy.vht_tables import vht_counts
-from studies.link_tables.coding import encode
-from studies.link_tables.link_level import Link, amplitudes, interleaver, sent_positions
+from studies.link_tables.link_level import Link, amplitudes, encode, interleaver, sent_positions
 from studies.link_tables.tables import rows
 
 VHT = [f"vht_mcs{i}" for i in range(10)]
