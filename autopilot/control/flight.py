@@ -153,14 +153,7 @@ class FlightController:
         self._takeoff.reset()
         self._controls[:] = 0.0
 
-    def update(
-        self,
-        state: EstimatorState,
-        setpoint: Setpoint,
-        *,
-        dt_s: float,
-        landed: bool,
-    ) -> list[float]:
+    def update(self, state: EstimatorState, setpoint: Setpoint, *, dt_s: float, landed: bool) -> list[float]:
         """Return the motor controls (4,), 0..1, for the next ``dt_s`` (> 0).
 
         Controls are in the order of the airframe's rotors. Call it at every inertial sample: rates and

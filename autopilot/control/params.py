@@ -210,7 +210,7 @@ class TrajectoryParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class ControlParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Settings of `FlightController` and `PositionTrajectory`."""
+    """Settings of `FlightController` and of the references that it follows."""
 
     position: PositionParams = PositionParams()
     disturbance: DisturbanceParams = DisturbanceParams()

@@ -16,15 +16,7 @@ import numpy as np
 from autopilot.estimation import atmosphere, kernels
 from autopilot.estimation.alignment import Aligned, Alignment
 from autopilot.estimation.clock import Clock
-from autopilot.estimation.fusion import (
-    HEIGHT_RESET_US,
-    HOLD_PERIOD_US,
-    NEVER_US,
-    Aid,
-    Fusion,
-    Jump,
-    Origin,
-)
+from autopilot.estimation.fusion import HEIGHT_RESET_US, HOLD_PERIOD_US, NEVER_US, Aid, Fusion, Jump, Origin
 from autopilot.estimation.horizon import NOT_FINITE, DelayedHorizon
 from autopilot.estimation.params import EstimatorParams
 from foundation.geometry.rotations import quat_conjugate, quat_multiply
@@ -214,10 +206,7 @@ class Estimator:
             self._ground_altitude_m = aligned.baro_altitude_m
         aligned.x[kernels.POS + 2] = self._ground_altitude_m - aligned.baro_altitude_m
         self.filter = DelayedHorizon(
-            aligned.x,
-            aligned.cov,
-            time_us=self.clock.estimate_us,
-            delay_us=self._params.gps_delay_us,
+            aligned.x, aligned.cov, time_us=self.clock.estimate_us, delay_us=self._params.gps_delay_us
         )
         self.fusion = Fusion(
             self._params, self.filter, ground_altitude_m=self._ground_altitude_m, origin=self._origin
@@ -337,22 +326,8 @@ def _unknown_state() -> EstimatorState:
     """Return a state in which nothing is valid, level and at rest."""
     zero = np.zeros(3)
     return EstimatorState(
-        q_ned_frd=np.array((1.0, 0.0, 0.0, 0.0)),
-        vel_ned_m_s=zero,
-        pos_ned_m=zero,
-        omega_frd_rad_s=zero,
-        acc_ned_m_s2=zero,
-        gyro_bias_rad_s=zero,
-        accel_bias_m_s2=zero,
-        pos_std_m=zero,
-        vel_std_m_s=zero,
-        attitude_std_rad=zero,
-        origin_lat_deg=0.0,
-        origin_lon_deg=0.0,
-        origin_alt_m=0.0,
-        attitude_valid=False,
-        velocity_valid=False,
-        position_valid=False,
-        height_valid=False,
-        reset_counter=0,
-    )
+        q_ned_frd=np.array((1.0, 0.0, 0.0, 0.0)), vel_ned_m_s=zero, pos_ned_m=zero, omega_frd_rad_s=zero,
+        acc_ned_m_s2=zero, gyro_bias_rad_s=zero, accel_bias_m_s2=zero, pos_std_m=zero, vel_std_m_s=zero,
+        attitude_std_rad=zero, origin_lat_deg=0.0, origin_lon_deg=0.0, origin_alt_m=0.0, reset_counter=0,
+        attitude_valid=False, velocity_valid=False, position_valid=False, height_valid=False,
+    )  # fmt: skip

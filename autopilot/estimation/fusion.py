@@ -170,8 +170,8 @@ class Fusion:
             )
             compass.disturbed = disturbed != 0
             self.barometer.note(altitude_m, 0.0, pair_us)
-            self._judge_heading(pair_us, heading_ratio)
-            self._judge_height(pair_us, down_m, height_ratio)
+            self._record_heading(pair_us, heading_ratio)
+            self._record_height(pair_us, down_m, height_ratio)
             self.done = (sound != 0, tilt_var_rad2)
         return horizon_us
 
@@ -185,9 +185,9 @@ class Fusion:
             x, cov, field_frd_gauss, self._field_ned, self._field_checks, self._heading_var_rad2,
             self._params.heading_gate, self._bias_limits, not compass.faulty,
         )  # fmt: skip
-        return self._judge_heading(time_us, ratio)
+        return self._record_heading(time_us, ratio)
 
-    def _judge_heading(self, time_us: int, ratio: float) -> bool:
+    def _record_heading(self, time_us: int, ratio: float) -> bool:
         """Record a heading measurement; reset to it if it was rejected for long."""
         compass = self.compass
         if not (compass.disturbed or compass.faulty) and self.heading.record(ratio, time_us):
@@ -221,9 +221,9 @@ class Fusion:
         ratio = self._take_in(
             self.height, kernels.POS + 2, np.array((down_m,)), self._baro_var, self._params.baro_gate
         )
-        return self._judge_height(time_us, down_m, ratio)
+        return self._record_height(time_us, down_m, ratio)
 
-    def _judge_height(self, time_us: int, down_m: float, ratio: float) -> bool:
+    def _record_height(self, time_us: int, down_m: float, ratio: float) -> bool:
         """Record a height measurement; reset to it if it was rejected for long."""
         taken = self.height.record(ratio, time_us)
         if not taken and self.height.absent(time_us, HEIGHT_RESET_US):
@@ -289,17 +289,7 @@ class Fusion:
             return False
         if self.held_pos_m is None:
             self.held_pos_m = delayed.x[kernels.POS : kernels.POS + 2].copy()
-        kernels.fuse_direct(
-            delayed.x,
-            delayed.cov,
-            kernels.POS,
-            self.held_pos_m,
-            self._hold_var,
-            math.inf,
-            self._bias_limits,
-            np.empty(2),
-            np.empty(2),
-        )
+        self._take_in(Aiding.of(2), kernels.POS, self.held_pos_m, self._hold_var, math.inf)
         return True
 
     # -- resets
@@ -329,17 +319,8 @@ class Fusion:
         delayed.reset(kernels.VEL + 2, fix.vel_ned_m_s[2:], self._vel_var[2:])
         self.jumps |= Jump.VELOCITY
         if not velocity_taken:
-            ratio = kernels.fuse_direct(
-                delayed.x,
-                delayed.cov,
-                kernels.VEL,
-                fix.vel_ned_m_s[:2],
-                self._vel_var[:2],
-                self._params.gps_vel_gate,
-                self._bias_limits,
-                np.empty(2),
-                np.empty(2),
-            )
+            gate = self._params.gps_vel_gate
+            ratio = self._take_in(Aiding.of(2), kernels.VEL, fix.vel_ned_m_s[:2], self._vel_var[:2], gate)
             velocity_taken = bool(ratio < 1.0)
             if velocity_taken:
                 velocity.accepted_us = measured_us
@@ -401,16 +382,9 @@ class Fusion:
     def _take_in(self, aiding: Aiding, first: int, measured: Array, variance: Array, gate: float) -> float:
         """Fuse a measurement of the states from ``first``; return its test ratio."""
         ratio: float = kernels.fuse_direct(
-            self._delayed.x,
-            self._delayed.cov,
-            first,
-            measured,
-            variance,
-            gate,
-            self._bias_limits,
-            aiding.innovation,
-            aiding.innovation_var,
-        )
+            self._delayed.x, self._delayed.cov, first, measured, variance, gate, self._bias_limits,
+            aiding.innovation, aiding.innovation_var,
+        )  # fmt: skip
         return ratio
 
     def _is_usable(self, fix: GpsFix) -> bool:

@@ -220,16 +220,9 @@ def update(
 
 @njit(cache=True)
 def fuse_direct(
-    x: Array,
-    cov: Array,
-    first: int,
-    measured: Array,
-    variance: Array,
-    gate: float,
-    bias_limits: Array,
-    innovation: Array,
-    innovation_var: Array,
-) -> float:
+    x: Array, cov: Array, first: int, measured: Array, variance: Array, gate: float, bias_limits: Array,
+    innovation: Array, innovation_var: Array,
+) -> float:  # fmt: skip
     """Fuse a measurement (n,) of ``x[first : first + n]`` completely or not at all; return the test ratio.
 
     The ratio is the greatest |innovation| / (gate x its standard deviation). At 1 or more only ``innovation``
@@ -278,15 +271,9 @@ def heading_innovation(x: Array, field_frd: Array, field_ned: Array) -> float:
 
 @njit(cache=True)
 def fuse_heading(
-    x: Array,
-    cov: Array,
-    innovation: float,
-    field_ned: Array,
-    variance: float,
-    gate: float,
-    bias_limits: Array,
-    take: bool,  # noqa: FBT001 - compiled code takes no keyword-only arguments
-) -> tuple[float, float]:
+    x: Array, cov: Array, innovation: float, field_ned: Array, variance: float, gate: float,
+    bias_limits: Array, take: bool,  # noqa: FBT001 - compiled code takes no keyword-only arguments
+) -> tuple[float, float]:  # fmt: skip
     """Fuse an angle of ``heading_innovation`` unless its test ratio is 1 or more or ``take`` is false.
 
     Return the ratio and the innovation's variance.

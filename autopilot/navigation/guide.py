@@ -1,10 +1,9 @@
 """Jerk-limited reference of the automatic modes along the legs of a path.
 
-Like `autopilot.control.trajectory` it uses, along a line, the greatest jerk after which it can still stop at
-the goal. Here the line belongs to the leg and is constant: the motion along it and the two motions across it
-are independent, so each comes to rest in minimum time from any initial motion. (A line that is recomputed at
-every step from the reference to its target turns with the motion across it; near the target the reference may
-then circle around it.)
+The line of a leg is constant: the motion along it and the two motions across it are independent, and each
+comes to rest in minimum time from any initial motion (`autopilot.control.trajectory`). (A line that is
+recomputed at every step from the reference to its target turns with the motion across it; near the target the
+reference may then circle around it.)
 """
 
 import math

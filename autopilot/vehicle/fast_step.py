@@ -62,14 +62,9 @@ def within_limits(limits: np.void, time_us: int, horizon_us: int, aids: int) -> 
 
 @njit(cache=True)
 def inertial_step(
-    size: int,
-    incoming: Octets,
-    answer: Octets,
-    shared: Records,
-    horizon: Records,
-    samples: Records,
-    cascade: Records,
-) -> bool:
+    size: int, incoming: Octets, answer: Octets,
+    shared: Records, horizon: Records, samples: Records, cascade: Records,
+) -> bool:  # fmt: skip
     """Process ``size`` received bytes if they are a fast step, and write the reply.
 
     Returns False, with nothing changed, if they are not. ``incoming`` and ``answer`` contain frames starting

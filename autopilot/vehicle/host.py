@@ -98,11 +98,7 @@ class Host:
                 yield complete
 
     def step(
-        self,
-        simulator_messages: list[Message],
-        *,
-        link_messages: Links,
-        link_active: tuple[bool, ...],
+        self, simulator_messages: list[Message], *, link_messages: Links, link_active: tuple[bool, ...]
     ) -> tuple[bytes, Links]:
         """Run one step; return the bytes for the simulator and the messages for the links.
 

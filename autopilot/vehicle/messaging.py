@@ -93,10 +93,7 @@ class Messaging:
             epoch_unix_us=config.epoch_unix_us,
         )
         self.missions = MissionProgress(
-            pilot.navigator.mission.runner,
-            self.plans,
-            flight.commander,
-            is_valid=lambda: pilot.mission_valid,
+            pilot.navigator.mission.runner, self.plans, flight.commander, is_valid=lambda: pilot.mission_valid
         )
         self._clocks = (PingService(flight), TimesyncService(flight))
         self.files = FileStore()

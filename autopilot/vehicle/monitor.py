@@ -11,7 +11,6 @@ from autopilot.commander.battery import BatteryMonitor, BatterySimulator, Batter
 from autopilot.commander.failsafe import US_PER_S, Cause
 from autopilot.commander.failure_detector import AttitudeFailure, FailureDetector
 from autopilot.commander.geofence import Breach, Geofence, Origin
-from autopilot.commander.params import CommanderParams
 from autopilot.estimation.sensor_input import TIMEOUTS_US, SensorInput
 from autopilot.mavlink.codec import Message
 from autopilot.parameters.table import ParameterSet
@@ -56,17 +55,10 @@ class Monitor:
         self._aligned = False
         """Whether the attitude was valid once; a later loss is an estimator failure."""
         self._parameters = parameters
-        self._set_params(settings.commander)
-        parameters.subscribe(self._set_params, "commander")
         parameters.subscribe(self.battery.set_params, "battery")
         parameters.subscribe(self._pack.set_params, "battery_sim", "battery")
         parameters.subscribe(self.geofence.set_params, "geofence")
         parameters.subscribe(self.failures.set_params, "failure_detector")
-
-    def _set_params(self, params: CommanderParams) -> None:
-        self._commander_params = params
-        self._offboard_loss_us = round(params.offboard_loss_s * US_PER_S)
-        self._manual_loss_us = round(params.manual_loss_s * US_PER_S)
 
     def on_message(self, message: Message, now_us: int) -> None:
         """Record the heartbeat of a ground station."""
@@ -91,11 +83,11 @@ class Monitor:
         if now_us >= self._slow_us:
             self._slow_us = now_us + SLOW_PERIOD_US
             self._update_slow(flight)
-        flight.conditions, flight.causes = self._judge(flight, now_us, has_mission=has_mission)
+        flight.conditions, flight.causes = self._evaluate(flight, now_us, has_mission=has_mission)
 
-    def _judge(self, flight: FlightData, now_us: int, *, has_mission: bool) -> tuple[int, int]:
+    def _evaluate(self, flight: FlightData, now_us: int, *, has_mission: bool) -> tuple[int, int]:
         """Return conditions and causes."""
-        state, slow = flight.state, self._slow_conditions
+        state, slow, params = flight.state, self._slow_conditions, self._parameters.settings.commander
         causes = self._slow_causes | _OF_BATTERY[self.battery.warning]
         conditions = self._sensors.conditions(now_us) | slow & _CHARGE
         if now_us - flight.clock.estimate_us <= _IMU_TIMEOUT_US:  # otherwise the estimate is outdated
@@ -109,10 +101,10 @@ class Monitor:
                 conditions |= _POSITION & slow
         if flight.home is not None:
             conditions |= _HOME
-        if self._offboard.is_fresh(now_us, self._offboard_loss_us):
+        if self._offboard.is_fresh(now_us, round(params.offboard_loss_s * US_PER_S)):
             conditions |= _SETPOINTS
         if self._manual.sticks is not None:
-            if self._manual.is_fresh(now_us, self._manual_loss_us):
+            if self._manual.is_fresh(now_us, round(params.manual_loss_s * US_PER_S)):
                 conditions |= _MANUAL
             else:
                 causes |= _MANUAL_LOST
@@ -135,7 +127,7 @@ class Monitor:
 
     def _update_slow(self, flight: FlightData) -> None:
         """Evaluate what tolerates a delay of 0.1 s."""
-        params, state = self._commander_params, flight.state
+        params, state = self._parameters.settings.commander, flight.state
         north_m, east_m, _ = state.pos_std_m.tolist()
         vel_north_m_s, vel_east_m_s, _ = state.vel_std_m_s.tolist()
         conditions = 0
@@ -161,7 +153,7 @@ class Monitor:
         state = flight.state
         origin = Origin(state.origin_lat_deg, state.origin_lon_deg, state.origin_alt_m)
         home_ned_m = None if flight.home is None else flight.home.pos_ned_m
-        terminates = self._commander_params.geofence_action == _TERMINATE
+        terminates = self._parameters.settings.commander.geofence_action == _TERMINATE
         if not self.geofence.params.predict or terminates:  # never terminate because of a predicted breach
             return self.geofence.check(state.pos_ned_m, home_ned_m, origin)
         return self.geofence.check_braking(

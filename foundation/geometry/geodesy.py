@@ -72,11 +72,7 @@ def geodetic_to_ned(
 
 
 def ned_to_geodetic(
-    pos_ned_m: ArrayLike,
-    *,
-    origin_lat_deg: float,
-    origin_lon_deg: float,
-    origin_alt_m: float,
+    pos_ned_m: ArrayLike, *, origin_lat_deg: float, origin_lon_deg: float, origin_alt_m: float
 ) -> tuple[Array, Array, Array]:
     """Return latitude, longitude (degrees) and altitude (metres), each (...), of NED positions (..., 3).
 

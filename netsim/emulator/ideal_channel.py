@@ -216,10 +216,7 @@ class IdealRadio:
             return
         if job.rates is not None:
             job.mode = job.rates.mode_for(
-                job.destination,
-                frame_bytes=job.frame_bytes,
-                failures=job.failures,
-                now_ns=self._queue.now_ns,
+                job.destination, frame_bytes=job.frame_bytes, failures=job.failures, now_ns=self._queue.now_ns
             )
         sent = self._send(job)
         self._queue.at(sent.end_ns + sent.delays_ns.item(job.destination), self._on_arrived, (exchange, sent))

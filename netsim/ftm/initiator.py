@@ -79,10 +79,7 @@ class Initiator:
     """Sessions that one station initiates."""
 
     def __init__(
-        self,
-        port: Port,
-        nlos_generator: np.random.Generator,
-        on_result: Callable[[Ranging], None],
+        self, port: Port, nlos_generator: np.random.Generator, on_result: Callable[[Ranging], None]
     ) -> None:
         self._port = port
         self._queue = port.queue

@@ -75,11 +75,7 @@ def reflected_coupling(
     strength_a, strength_b = _strength(cosine_a), _strength(cosine_b)
     both = strength_a * strength_b / _PEAK**0.5
     vertical = (ray.sine * ahead_a + ray.cosine * up_a) * (ray.cosine * up_b - ray.sine * ahead_b)
-    return (
-        both * vertical,
-        both * side_a * side_b,
-        _unpolarised(strength_a, cosine_a, strength_b, cosine_b),
-    )
+    return (both * vertical, both * side_a * side_b, _unpolarised(strength_a, cosine_a, strength_b, cosine_b))
 
 
 def unpolarised_source_coupling(direction_ned: Doubles, to_axes: Doubles) -> Doubles:

@@ -13,8 +13,9 @@ from control_fixtures import DT_S, Gusts, Iris, estimate, fly, hover_errors
 from msgspec.structs import replace
 from paths import ROOT, SUPPORT
 
-from autopilot.control import ControlParams, FlightController, PositionTrajectory
+from autopilot.control import ControlParams, FlightController
 from autopilot.control.params import DisturbanceParams, PositionParams
+from autopilot.navigation.guide import Guide
 from foundation.types import AttitudeSetpoint, TrajectorySetpoint
 
 PARAMS = ControlParams()
@@ -47,22 +48,29 @@ def test_observer_holds_against_gusts():
     assert rms_m(PARAMS, mean_n=0.0, gust_rms_n=0.0, seeds=(0,)) <= 0.02
 
 
+def guide_at(pos_ned_m, target_ned_m, yaw_rad=None):
+    """Return a reference at rest that moves to a target."""
+    guide = Guide(PARAMS.trajectory)
+    guide.reset(pos_ned_m.copy(), vel_ned_m_s=np.zeros(3), yaw_rad=0.0)
+    guide.go_to(target_ned_m, yaw_rad=yaw_rad)
+    return guide
+
+
 @pytest.mark.parametrize(
     ("distance_m", "minimum_s"),
-    # jerk 4 m/s^3, acceleration 3 m/s^2, speed 5 m/s: derived in test_control_trajectory
+    # jerk 4 m/s^3, acceleration 3 m/s^2, speed 5 m/s: derived in test_guide
     [(1.0, 2.0), (5.0, 3.44), (20.0, 6.42)],
 )
 def test_moves_overshoot_little_and_settle(distance_m, minimum_s):
     iris = Iris(height_m=10.0)
     controller = FlightController(PARAMS)
-    trajectory = PositionTrajectory(PARAMS.trajectory)
     for _ in range(500):
         iris.step(fly(controller, iris, hold(10.0)), CALM)
-    trajectory.reset(iris.pos_ned_m.copy(), yaw_rad=0.0)
     target = iris.pos_ned_m + np.array((distance_m, 0.0, 0.0))
+    guide = guide_at(iris.pos_ned_m, target)
     error = []
     for _ in range(3000):
-        setpoint = trajectory.update(target, DT_S, vehicle_pos_ned_m=iris.pos_ned_m)
+        setpoint = guide.update(DT_S, vehicle_pos_ned_m=iris.pos_ned_m)
         iris.step(fly(controller, iris, setpoint), CALM)
         error.append(iris.pos_ned_m[0] - target[0])
     assert max(error) <= 0.05 * distance_m
@@ -257,12 +265,10 @@ def first_controls():
     """Return the controls after 50 steps that use every kernel."""
     iris = Iris(height_m=5.0, noise_seed=1)
     controller = FlightController(PARAMS)
-    trajectory = PositionTrajectory(PARAMS.trajectory)
-    trajectory.reset(np.array((0.0, 0.0, -5.0)), yaw_rad=0.0)
+    guide = guide_at(np.array((0.0, 0.0, -5.0)), np.array((3.0, 2.0, -7.0)), yaw_rad=1.0)
     controls = []
     for _ in range(50):
-        setpoint = trajectory.update(np.array((3.0, 2.0, -7.0)), DT_S, yaw_rad=1.0)
-        controls.append(fly(controller, iris, setpoint))
+        controls.append(fly(controller, iris, guide.update(DT_S)))
         iris.step(controls[-1], np.array((3.0, 1.0, 0.0)))
     return np.array(controls)
 
