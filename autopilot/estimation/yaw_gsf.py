@@ -224,8 +224,9 @@ def fuse_velocity(
     total = 0.0
     for i in range(MODELS):
         if dt_s > LONGEST_GAP_S:
-            covs[i, :2, :] = 0.0
-            covs[i, :, :2] = 0.0
+            for row in range(2):
+                for column in range(3):
+                    covs[i, row, column] = covs[i, column, row] = 0.0
             covs[i, 0, 0] = covs[i, 1, 1] = vel_var
             covs[i, 2, 2] = min(covs[i, 2, 2] + AZIMUTH_PSD_RAD2_S * dt_s, AZIMUTH_VAR_MAX_RAD2)
             models[i, 0], models[i, 1] = vel_ne_m_s[0], vel_ne_m_s[1]

@@ -21,16 +21,18 @@ from autopilot.estimation.sensor_input import BARO_FIELDS, IMU_FIELDS, MAG_FIELD
 from autopilot.mavlink.frame import FIRST, HEADER_BYTES, PAYLOAD, Octets, payload_bytes, seal
 from autopilot.mavlink.hil import HilMessage, HilSensor, unpack
 from autopilot.mavlink.hil_schema import HIL_ACTUATOR_CONTROLS, HIL_SENSOR
+from foundation.kernels.inner import constant
 from foundation.kernels.records import Records
 from netsim.wire.lockstep import BATCH_HANDED_OVER
 
-_SENSOR, _SENSOR_ID, _SENSOR_EXTRA = HIL_SENSOR.dtype, HIL_SENSOR.message_id, HIL_SENSOR.crc_extra
+_SENSOR_ID, _SENSOR_EXTRA = constant(HIL_SENSOR.message_id), constant(HIL_SENSOR.crc_extra)
+_SENSOR = HIL_SENSOR.dtype
 _SENSOR_END = PAYLOAD + HIL_SENSOR.payload_bytes
 _UPDATED = HIL_SENSOR.offset("fields_updated")
 _LEAST_BYTES, _MOST_BYTES = _UPDATED + 1, _UPDATED + 2
 """Payload lengths of HIL_SENSOR: trailing zeros are truncated; ``fields_updated`` needs one or two bytes,
 ``id`` none."""
-_ANSWER, _ANSWER_EXTRA = HIL_ACTUATOR_CONTROLS.dtype, HIL_ACTUATOR_CONTROLS.crc_extra
+_ANSWER, _ANSWER_EXTRA = HIL_ACTUATOR_CONTROLS.dtype, constant(HIL_ACTUATOR_CONTROLS.crc_extra)
 _ANSWER_END = PAYLOAD + HIL_ACTUATOR_CONTROLS.payload_bytes
 _AIDS = MAG_FIELDS | BARO_FIELDS
 _HANDED_OVER = HEADER_BYTES + HIL_ACTUATOR_CONTROLS.offset("flags") + 4

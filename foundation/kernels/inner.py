@@ -1,9 +1,10 @@
-"""The decorator of functions that only kernels call."""
+"""Functions that only kernels call, and constants that kernels pass to them."""
 
 import os
 from collections.abc import Callable
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NoReturn, TypeVar, cast
 
+import numpy as np
 from numba.core.registry import CPUDispatcher
 
 F = TypeVar("F", bound=Callable[..., object])
@@ -28,3 +29,8 @@ def inner(function: F) -> F:
     dispatcher: Any = _Inner(function, targetoptions=dict(_OPTIONS))
     dispatcher.enable_caching()
     return dispatcher  # type: ignore[no-any-return]
+
+
+def constant(value: int) -> int:
+    """Return a number as a NumPy integer; as a literal, a kernel is compiled again for each value of it."""
+    return cast("int", np.int64(value))

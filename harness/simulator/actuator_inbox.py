@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import common
 from autopilot.mavlink.frame import FIRST, PAYLOAD, Octets, payload_bytes
 from autopilot.mavlink.hil import HilActuatorControls
 from autopilot.mavlink.hil_schema import HIL_ACTUATOR_CONTROLS
+from foundation.kernels.inner import constant
 from foundation.types import Array
 from netsim.wire.lockstep import BATCH_HANDED_OVER
 
@@ -20,8 +21,9 @@ BUFFER_BYTES = 250
 """Buffer of one vehicle; longer input is received in parts."""
 ANSWER_BYTES = HIL_ACTUATOR_CONTROLS.frame_bytes
 """Length of a whole frame."""
-_ANSWER, _ANSWER_ID = HIL_ACTUATOR_CONTROLS.dtype, HIL_ACTUATOR_CONTROLS.message_id
-_ANSWER_EXTRA, _PAYLOAD_BYTES = HIL_ACTUATOR_CONTROLS.crc_extra, HIL_ACTUATOR_CONTROLS.payload_bytes
+_ANSWER, _PAYLOAD_BYTES = HIL_ACTUATOR_CONTROLS.dtype, HIL_ACTUATOR_CONTROLS.payload_bytes
+_ANSWER_ID = constant(HIL_ACTUATOR_CONTROLS.message_id)
+_ANSWER_EXTRA = constant(HIL_ACTUATOR_CONTROLS.crc_extra)
 _ARMED = common.MAV_MODE_FLAG_SAFETY_ARMED
 
 CONNECTION_STATE = np.dtype(

@@ -24,6 +24,7 @@ from autopilot.mavlink.frame import (
     seal,
 )
 from autopilot.mavlink.hil_schema import HIL_SENSOR, MessageSchema
+from foundation.kernels.inner import constant
 from foundation.types import Array
 
 SIMULATOR_SYSTEM_ID = 0
@@ -43,6 +44,9 @@ def encode_rows(schema: MessageSchema, rows: NDArray[np.void], sequence: int) ->
     data = frames.tobytes()
     starts = range(0, n * longest, longest)
     return [data[start : start + length] for start, length in zip(starts, lengths.tolist(), strict=True)]
+
+
+_AFTER_MAGIC = constant(1)
 
 
 @njit(cache=True)
@@ -65,13 +69,13 @@ def make_frames(
         frame[:HEADER_BYTES].view(HEADER)[0]["length"] = length
         for at in range(length):
             frame[HEADER_BYTES + at] = payloads[row, at]
-        crc = checksum(frame, 1, end, crc_extra)  # all but the magic byte
+        crc = checksum(frame, _AFTER_MAGIC, end, crc_extra)
         frame[end] = crc & 0xFF
         frame[end + 1] = crc >> 8
         lengths[row] = end + CHECKSUM_BYTES
 
 
-_SENSOR, _SENSOR_EXTRA = HIL_SENSOR.dtype, HIL_SENSOR.crc_extra
+_SENSOR, _SENSOR_EXTRA = HIL_SENSOR.dtype, constant(HIL_SENSOR.crc_extra)
 _SENSOR_END = PAYLOAD + HIL_SENSOR.payload_bytes
 _END = PAYLOAD + HIL_SENSOR.offset("fields_updated") + 1
 """End of HIL_SENSOR's payload if ``fields_updated`` is below 256: all later bytes are zero."""

@@ -15,7 +15,7 @@ def gauss_markov_path(start: Array, kept: float, step_std: float | Array, fresh:
     ``fresh`` (steps, ...) are normal draws of unit variance; ``step_std`` is broadcast over the components.
     """
     rows = len(fresh), start.size
-    std = np.broadcast_to(step_std, start.shape).ravel()
+    std = np.array(np.broadcast_to(step_std, start.shape)).ravel()  # writable, as `start`
     path: Array = _path(start.ravel(), float(kept), std, np.ascontiguousarray(fresh).reshape(rows))
     return path.reshape(fresh.shape)
 

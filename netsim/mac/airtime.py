@@ -3,12 +3,14 @@
 The functions are compiled and work on the tables of `netsim.model.tables`.
 """
 
-from foundation.kernels.inner import inner
+from foundation.kernels.inner import constant, inner
 from netsim.mac.access_parameters import SIFS_NS
 from netsim.model import tables as t
 from netsim.model.records import MediumHeader
 from netsim.phy.frames import ACK_BYTES, CTS_BYTES, GROUP, RTS_BYTES
 from netsim.phy.modes import SERVICE_AND_TAIL_BITS, SYMBOL_NS, VHT_DELIMITER_BYTES
+
+_ACK, _CTS, _RTS = constant(ACK_BYTES), constant(CTS_BYTES), constant(RTS_BYTES)
 
 
 @inner
@@ -26,7 +28,7 @@ def response_ns(air: MediumHeader, job: int) -> int:
     if t.job(air, job).to == GROUP:
         return 0
     mode = t.mode(air, t.job(air, job).mode).response_mode
-    return SIFS_NS + duration_ns(air, mode, ACK_BYTES)
+    return SIFS_NS + duration_ns(air, mode, _ACK)
 
 
 @inner
@@ -40,7 +42,7 @@ def data_ns(air: MediumHeader, job: int) -> int:
 def cts_ns(air: MediumHeader) -> int:
     """Return the air time of a CTS."""
     mode = t.mode(air, air.control_mode).response_mode
-    return duration_ns(air, mode, CTS_BYTES)
+    return duration_ns(air, mode, _CTS)
 
 
 @inner
@@ -48,5 +50,5 @@ def exchange_ns(air: MediumHeader, job: int) -> int:
     """Return the duration of a job's exchange, RTS and CTS included."""
     if not t.job(air, job).rts:
         return data_ns(air, job)
-    rts_ns = duration_ns(air, air.control_mode, RTS_BYTES)
+    rts_ns = duration_ns(air, air.control_mode, _RTS)
     return rts_ns + SIFS_NS + cts_ns(air) + SIFS_NS + data_ns(air, job)

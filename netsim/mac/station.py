@@ -18,7 +18,7 @@ Not modelled: fragmentation, power save, aggregation, block acknowledgement, CF-
 The functions are compiled and work on the tables of `netsim.model.tables`.
 """
 
-from foundation.kernels.inner import inner
+from foundation.kernels.inner import constant, inner
 from netsim.mac.access_parameters import CCA_NS, SIFS_NS, SLOT_NS
 from netsim.mac.airtime import cts_ns, data_ns, duration_ns, exchange_ns, response_ns
 from netsim.mac.contention import drop_expired, fail, freeze, give_up, resume, succeeded, unwatch, win
@@ -36,6 +36,7 @@ RESPONSE_TIMEOUT_NS = SIFS_NS + SLOT_NS + NON_HT_PREAMBLE_NS
 """Time from the end of a frame to the latest begin of its CTS or ACK (10.3.2.9)."""
 NEIGHBOUR_LIFETIME_NS = 1_000_000_000
 
+_RTS, _RTS_BYTES = constant(c.RTS), constant(RTS_BYTES)
 # State of an exchange. SENDING: the frame itself is on the air or follows after SIFS; no response is awaited.
 IDLE, AWAITING_CTS, SENDING, AWAITING_ACK = range(4)
 
@@ -105,7 +106,7 @@ def begin(air: MediumHeader, fading: Doubles, q: int) -> None:
         send_job(air, fading, q)
         return
     t.station(air, station).phase = AWAITING_CTS
-    rts = _frame(air, c.RTS, station, target, air.control_mode, RTS_BYTES)
+    rts = _frame(air, _RTS, station, target, air.control_mode, _RTS_BYTES)
     sent, cts_end_ns = t.signal(air, rts), SIFS_NS + cts_ns(air)
     sent.nav_ns = cts_end_ns + SIFS_NS + data_ns(air, job)
     sent.lapse_ns = cts_end_ns + SIFS_NS + NON_HT_PREAMBLE_NS + 2 * SLOT_NS

@@ -59,8 +59,8 @@ def drop_next(air: MediumHeader) -> None:
     """Remove the next event."""
     count = air.events - 1
     air.events = count
-    _swap(air, 0, count)
     i = 0
+    _swap(air, i, count)
     while 2 * i + 1 < count:
         child = 2 * i + 1
         if child + 1 < count and _comes_before(air, child + 1, child):
