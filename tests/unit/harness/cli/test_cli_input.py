@@ -10,8 +10,11 @@ from msgspec import structs
 from rich.console import Console
 
 from foundation.processes.child_protocol import Ready
+from harness.cli import progress as progress_display
 from harness.cli.fly import BAD_INPUT, FINE, main
 from harness.cli.progress import LineDisplay, LiveDisplay, Pace, describe, fleet, headline, summary_table
+from harness.launch.kernel_cache import CompileProgress
+from harness.launch.processes import Compiling
 from harness.launch.supervisor import Exited
 from harness.simulator.messages import Collision, Formed, Progress, VehicleLost, VehicleSilent, VehicleTruth
 
@@ -193,3 +196,18 @@ def test_summary_table_shows_values_and_dashes_for_missing_ones() -> None:
     assert "10 sent, 1 collided, 2 lost to noise" in text
     assert "4 of 5 completed" in text
     assert "5.0%" in text
+
+
+def test_plain_lines_report_compiling_every_ten_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
+    wall_s = 100.0
+    monkeypatch.setattr(progress_display.time, "monotonic", lambda: wall_s)
+    screen = io.StringIO()
+    display = LineDisplay(Console(file=screen))
+    for done in (3, 4, 5):
+        packages = {"vehicles": CompileProgress(done, 10), "radio": CompileProgress(0, 0)}
+        display.on_message(Compiling(packages=packages))
+        wall_s += progress_display.COMPILING_LINE_PERIOD_S / 2.0
+    assert screen.getvalue().splitlines() == [
+        "compiled kernels: vehicles 3 of 10, radio loading",
+        "compiled kernels: vehicles 5 of 10, radio loading",
+    ]
