@@ -256,7 +256,7 @@ class PlanTransfer:
 
     def _finish(self, upload: Upload, answer: Sequence[Addressed], now_us: int) -> None:
         self._upload, self._finished = None, upload
-        upload.ended_us, upload.answer = now_us, answer
+        upload.ended_us, upload.answer, upload.items = now_us, answer, []
         upload.repeats_us = [now_us + after_us for after_us in REPEAT_US] if answer else []
 
     # ---- reading: stateless apart from plan versions, since the reader requests each item

@@ -63,7 +63,10 @@ class _Stream:
 
 
 class MessageStreams:
-    """The periodic messages of one link. Without a listener only the heartbeat is built."""
+    """The periodic messages of one link. Without a listener only the heartbeat is built.
+
+    A builder is looked up when its message is due, so ``builders`` may be extended after construction.
+    """
 
     def __init__(self, builders: Mapping[int, Builder], rates_hz: Mapping[int, float]) -> None:
         self._active = True

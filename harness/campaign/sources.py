@@ -19,13 +19,13 @@ _SHOWN = {"antenna/analysis/gain_figures.py", "harness/report/figures.py", "harn
 
 
 def read_sources(root: Path, *, measured_by: Collection[str]) -> dict[str, bytes]:
-    """Read the modules that affect a flight or its results, by their sorted paths below ``root``.
+    """Read the modules and tables that affect a flight or its results, by their sorted paths below ``root``.
 
     ``measured_by``: further modules of other folders, as paths below ``root``. Raises OSError.
     """
     sources = {}
     for package in _FLOWN_PACKAGES:
-        for path in sorted((root / package).rglob("*.py")):
+        for path in sorted((*(root / package).rglob("*.py"), *(root / package).rglob("*.csv"))):
             name = path.relative_to(root).as_posix()
             if name not in _SHOWN and not name.startswith(_NOT_FLOWN):
                 sources[name] = path.read_bytes()
@@ -35,9 +35,12 @@ def read_sources(root: Path, *, measured_by: Collection[str]) -> dict[str, bytes
 
 
 def hash_code(sources: Mapping[str, bytes]) -> str:
-    """Return the hash of the code, without comments, docstrings and layout; raises SyntaxError."""
+    """Return the hash of tables and of code without comments, docstrings and layout; raises SyntaxError."""
     content = _libraries()
     for name, source in sources.items():
+        if not name.endswith(".py"):
+            content.update(name.encode() + b"\0" + source)
+            continue
         tree = ast.parse(source)
         for node in ast.walk(tree):
             body = getattr(node, "body", None)

@@ -26,7 +26,7 @@ from numba import njit
 from netsim.phy.interfaces import ErrorModel
 from netsim.phy.modes import PhyMode
 from netsim.phy.path_loss import Doubles
-from netsim.phy.vht_tables import vht_counts
+from netsim.phy.vht_tables import VHT_COUNTS
 
 # Information weights c_d of the code 133/171 (octal) and its punctured forms (Haccoun and Begin, 1989;
 # Frenger et al., 1999):
@@ -90,7 +90,7 @@ def _counted_hazard(mode: PhyMode) -> Callable[[float], float]:
     extrapolated up to the hazard of a random decision. In the last rows, where few frames were lost, and
     above, it is the soft-decision bound, scaled to the total count of lost frames in these rows.
     """
-    rows = vht_counts(mode.name)
+    rows = VHT_COUNTS[mode.name]
     snrs_db = [row[0] for row in rows]
     logs = [log(-log1p(-lost / frames) / (8 * frame_bytes)) for _, frame_bytes, frames, lost in rows]
     slope = (logs[_END_ROWS] - logs[0]) / (snrs_db[_END_ROWS] - snrs_db[0])

@@ -8,17 +8,17 @@ were not, or after 20000 frames.
 import csv
 from importlib.resources import files
 
-from netsim.model.config import Mode
-
 Row = tuple[float, int, int, int]
 """Signal-to-noise ratio in dB, bytes of a frame, frames sent, frames lost."""
 
 
-def vht_counts(mode: Mode) -> list[Row]:
-    """Return the rows of a VHT mode in order of the ratio."""
-    lines = (files("netsim.phy") / "vht_tables.csv").read_text("utf-8").splitlines()
-    return [
-        (float(snr_db), int(frame_bytes), int(frames), int(lost))
-        for name, snr_db, frame_bytes, frames, lost in csv.reader(lines)
-        if name == mode
-    ]
+def _read() -> dict[str, list[Row]]:
+    counts: dict[str, list[Row]] = {}
+    for row in csv.DictReader((files("netsim.phy") / "vht_tables.csv").read_text("utf-8").splitlines()):
+        counted = float(row["snr_db"]), int(row["frame_bytes"]), int(row["frames"]), int(row["lost"])
+        counts.setdefault(row["mode"], []).append(counted)
+    return counts
+
+
+VHT_COUNTS = _read()
+"""Rows by mode, in order of the ratio."""

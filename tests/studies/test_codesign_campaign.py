@@ -12,7 +12,8 @@ from typer.testing import CliRunner
 from harness.campaign.store import FAILED, CampaignError, Flown, Store
 from harness.launch import one_process
 from harness.launch.processes import SwarmError, SwarmTimeoutError
-from studies.codesign import cli, flights
+from studies.codesign import cli
+from studies.codesign import measures as flown_measures
 from studies.codesign.book import Book
 from studies.codesign.cases import BASE, GPS_ALONE, LOSSY, QUICK, CodesignPlan, all_pairs, cut
 from studies.codesign.introduction import command, introduction
@@ -131,14 +132,14 @@ def test_flight_with_an_infrastructure_failure_is_broken(tmp_path, monkeypatch):
                 pass
 
         monkeypatch.setattr(one_process, "OneProcessSwarm", Silent)
-        monkeypatch.setattr(flights, "read_tables", lambda *_: None)
-        monkeypatch.setattr(flights, "measure", lambda *_, **__: measures())
+        monkeypatch.setattr(flown_measures, "read_tables", lambda *_: None)
+        monkeypatch.setattr(flown_measures, "measure", lambda *_, **__: measures())
         if reason is None:
-            summary = flights.fly(run.scenario, tmp_path, **run.options)
+            summary = flown_measures.fly(run.scenario, tmp_path, **run.options)
             assert (summary["status"], summary["measures"]["down"]) == (status, 0)
         else:
             with pytest.raises(SwarmError, match=reason):
-                flights.fly(run.scenario, tmp_path, **run.options)
+                flown_measures.fly(run.scenario, tmp_path, **run.options)
 
 
 # ---- the command line

@@ -11,7 +11,7 @@ import pytest
 
 from netsim.phy.errors import packet_error_rate
 from netsim.phy.modes import phy_mode
-from netsim.phy.vht_tables import vht_counts
+from netsim.phy.vht_tables import VHT_COUNTS
 from studies.link_tables.link_level import Link, amplitudes, encode, interleaver, sent_positions
 from studies.link_tables.tables import rows
 
@@ -187,4 +187,4 @@ def test_a_simulation_of_other_lengths_agrees_with_the_tables(name, frame_bytes,
 
 
 def test_committed_table_is_reproduced_by_its_seed():
-    assert next(rows(phy_mode("vht_mcs0", 80), seed=1)) == vht_counts("vht_mcs0")[0]
+    assert next(rows(phy_mode("vht_mcs0", 80), seed=1)) == VHT_COUNTS["vht_mcs0"][0]

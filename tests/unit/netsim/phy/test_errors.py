@@ -10,7 +10,7 @@ from paths import REFERENCE as REFERENCE_FOLDER
 
 from netsim.phy.errors import error_model, hard_decision_bound, packet_error_rate, soft_decision_bound
 from netsim.phy.modes import phy_mode
-from netsim.phy.vht_tables import vht_counts
+from netsim.phy.vht_tables import VHT_COUNTS
 
 VHT = [f"vht_mcs{i}" for i in range(10)]
 NON_HT = [f"ofdm{rate}" for rate in (6, 9, 12, 18, 24, 36, 48, 54)]
@@ -109,7 +109,7 @@ def test_hazard_of_vht_matches_the_counts(name):
     """In every row up to the last dB; there in all its rows together, each within four standard errors."""
     mode = phy_mode(name, 80)
     hazard = error_model(mode).hazard_per_bit
-    rows = vht_counts(name)
+    rows = VHT_COUNTS[name]
     for snr_db, frame_bytes, frames, lost in rows[:-4]:
         counted = -math.log1p(-lost / frames) / (8 * frame_bytes)
         assert hazard(linear(snr_db)) == pytest.approx(counted, rel=1e-6)
@@ -121,8 +121,8 @@ def test_hazard_of_vht_matches_the_counts(name):
 
 @pytest.mark.parametrize("name", VHT)
 def test_counts_range_from_certain_loss_to_one_in_a_thousand(name):
-    _, short_bytes, short_frames, short_lost = vht_counts(name)[0]
-    _, long_bytes, long_frames, long_lost = vht_counts(name)[-1]
+    _, short_bytes, short_frames, short_lost = VHT_COUNTS[name][0]
+    _, long_bytes, long_frames, long_lost = VHT_COUNTS[name][-1]
     assert short_bytes == 32
     assert long_bytes == 1458
     assert 0.95 < short_lost / short_frames < 1.0
@@ -133,7 +133,7 @@ def test_counts_range_from_certain_loss_to_one_in_a_thousand(name):
 def test_hazard_is_extrapolated_beyond_the_counts(name):
     """Above, its slope in e-folds per dB goes on growing with the ratio; far below, the decoder guesses."""
     hazard = error_model(phy_mode(name, 80)).hazard_per_bit
-    last_db = vht_counts(name)[-1][0]
+    last_db = VHT_COUNTS[name][-1][0]
     before, at, after = (math.log(hazard(linear(last_db + d))) for d in (-1.0, 0.0, 1.0))
     assert before - at < at - after < 1.9 * (before - at)
     assert hazard(0.0) == hazard(linear(-10.0)) == pytest.approx(math.log(2.0))
