@@ -31,6 +31,7 @@ Generate = Callable[..., ir.Value]
 """Generates the code of an intrinsic: (context, builder, signature, values)"""
 _UNCOMPILED = os.environ.get("NUMBA_DISABLE_JIT", "0") != "0"
 _WORDS = {int: np.int64, bool: np.int64, float: np.float64}
+_DTYPES: dict[type, np.dtype[np.void]] = {}
 
 
 def record_dtype(record: type) -> np.dtype[np.void]:
@@ -38,7 +39,12 @@ def record_dtype(record: type) -> np.dtype[np.void]:
 
     A field with several elements is annotated with ``Annotated[NDArray[...], shape]``, where the array's
     type is that of the elements; a field that is a record, with its class.
+
+    There is one dtype for a class: Numba recognises an array by the identity of its dtype, but compares
+    another one that is equal field by field, 5 us at each call of a kernel.
     """
+    if record in _DTYPES:
+        return _DTYPES[record]
     fields: list[tuple[Any, ...]] = []
     for name, hint in get_type_hints(record, include_extras=True).items():
         if hint in _WORDS:
@@ -48,7 +54,7 @@ def record_dtype(record: type) -> np.dtype[np.void]:
         else:
             array, shape = get_args(hint)
             fields.append((name, get_args(get_args(array)[1])[0], shape))
-    return np.dtype((np.record, np.dtype(fields, align=True)))
+    return _DTYPES.setdefault(record, np.dtype((np.record, np.dtype(fields, align=True))))
 
 
 def new_records(record: type, count: int = 1) -> Records:

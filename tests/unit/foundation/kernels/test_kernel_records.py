@@ -11,7 +11,7 @@ import pytest
 from numba import njit
 from numpy.typing import NDArray
 
-from foundation.kernels.records import opener, record_dtype, table
+from foundation.kernels.records import new_records, opener, record_dtype, table
 
 PROGRAM = "from tests_of_records import changed; print(changed().tolist())"
 
@@ -83,3 +83,9 @@ def test_compiled_and_plain_code_change_the_same_bytes(disabled, tmp_path):
         [sys.executable, "-c", PROGRAM], env=environment, capture_output=True, text=True, check=True
     )
     assert done.stdout.strip() == str(changed().tolist())
+
+
+def test_dtype_of_a_class_is_one_object():
+    """Numba recognises an array by the identity of its dtype."""
+    assert record_dtype(Row) is record_dtype(Row)
+    assert new_records(Row).dtype is record_dtype(Row)
