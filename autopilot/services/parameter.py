@@ -5,6 +5,7 @@ PARAM_ERROR, a set also by a STATUSTEXT with the reason. A list begins with _HAS
 names and values: a station whose cached values match sends it back, which ends the list.
 """
 
+import abc
 import struct
 from collections.abc import Sequence
 
@@ -40,7 +41,7 @@ class _HashValue(common.MAVLink_param_value_message):  # type: ignore[misc]  # p
     unpacker = struct.Struct("<IHH16sB")
 
 
-class ListingService(Service):
+class ListingService(Service, abc.ABC):
     """Base of the parameter protocols: reads one value, and sends lists in batches to several partners."""
 
     def __init__(self, parameters: ParameterSet, has_room: Room, **handlers: Handler) -> None:
@@ -83,8 +84,9 @@ class ListingService(Service):
             return reply(partner, self._value(index))
         return reply(partner, _refusal(message, ParameterProblem.UNKNOWN, index=message.param_index))
 
+    @abc.abstractmethod
     def _value(self, index: int) -> Message:
-        raise NotImplementedError
+        """Return the message with the value at an index."""
 
 
 class ParameterService(ListingService):

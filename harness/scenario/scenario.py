@@ -150,9 +150,9 @@ class PortsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
                 other = getattr(self, second)
                 port = max(begin, other)
                 if begin and other and port < min(begin + agents, other + count):
-                    whose = f" of UAV {port - other}" if count > 1 else ""
+                    of_uav = f" of UAV {port - other}" if count > 1 else ""
                     raise ValueError(
-                        f"ports.{first} of UAV {port - begin} and ports.{second}{whose} are both {port}; "
+                        f"ports.{first} of UAV {port - begin} and ports.{second}{of_uav} are both {port}; "
                         f"expected the ports of {agents} vehicles to be apart from others"
                     )
 

@@ -81,16 +81,16 @@ def seen_from(
 
 @njit(cache=True, inline="always")
 def relative_stds(
-    cov: Array, own: int, pos_ned_m: Array, whose: Flags, added_m2: float, out_m: Array
+    cov: Array, own: int, pos_ned_m: Array, chosen: Flags, added_m2: float, out_m: Array
 ) -> None:
     """Fill out_m (N,) with one sigma of each position relative to UAV ``own``, along their horizontal line.
 
-    pos_ned_m is (N, 3); added_m2 is added to each variance. UAVs not in ``whose`` (N,) and the own one get 0.
+    pos_ned_m is (N, 3); added_m2 is added to each variance. UAVs not ``chosen`` (N,) and the own one get 0.
     """
     line_m = np.zeros(3)
     out_m[:] = 0.0
     for j in range(pos_ned_m.shape[0]):
-        if j == own or not whose[j]:
+        if j == own or not chosen[j]:
             continue
         line_m[0], line_m[1] = pos_ned_m[own, 0] - pos_ned_m[j, 0], pos_ned_m[own, 1] - pos_ned_m[j, 1]
         if line_m[0] == 0.0 and line_m[1] == 0.0:

@@ -140,9 +140,9 @@ def receive_beacons(
 
 
 @njit(cache=True)
-def all_held(stations: Stations, whose: NDArray[np.int64], since_us: int) -> bool:
-    """Return whether all stations of ``whose`` that fly have reported support by distances since a time."""
-    for station in whose:
+def all_held(stations: Stations, chosen: NDArray[np.int64], since_us: int) -> bool:
+    """Return whether all ``chosen`` stations that fly have reported support by distances since a time."""
+    for station in chosen:
         other = stations[station]
         flies = FlightPhase.TAKE_OFF <= other["phase"] < FlightPhase.LANDED
         if flies and other["held_us"] <= since_us:
@@ -206,9 +206,9 @@ class NeighbourTable:
             if heard_us >= 0
         }
 
-    def all_held(self, whose: NDArray[np.int64], since_us: int) -> bool:
-        """Return whether all of ``whose`` (stations) that fly have reported support since a time."""
-        return bool(all_held(self.stations, whose, since_us))
+    def all_held(self, chosen: NDArray[np.int64], since_us: int) -> bool:
+        """Return whether all ``chosen`` stations that fly have reported support since a time."""
+        return bool(all_held(self.stations, chosen, since_us))
 
     @property
     def bad_beacons(self) -> int:
