@@ -20,7 +20,8 @@ WALL_LIMIT_S = 60.0
 
 def test_bench_reports_speed_floor_parts_memory_and_start_up():
     command = [sys.executable, str(BENCH), "--quick", "--agents", "1,2", "--duration", "1", "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert [run["agents"] for run in found["runs"]] == [1, 2]
     assert found["machine"]["processors"] >= 1
