@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from harness.launch.swarm import Swarm
     from harness.launch.truth import SwarmTruth
     from harness.scenario.scenario import Scenario, ScenarioError
-    from harness.scenario.scenario import load as load_scenario
+    from harness.scenario.scenario_file import load as load_scenario
     from harness.world.physics.interface import Physics
     from netsim.emulator.interface import NetworkEmulator
     from netsim.phy.interfaces import ErrorModel, Fading, Propagation
@@ -57,7 +57,7 @@ _PLACES = {
     "SwarmError": "harness.launch.processes:SwarmError",
     "SwarmTimeoutError": "harness.launch.processes:SwarmTimeoutError",
     "SwarmTruth": "harness.launch.truth:SwarmTruth",
-    "load_scenario": "harness.scenario.scenario:load",
+    "load_scenario": "harness.scenario.scenario_file:load",
 }
 
 

@@ -18,6 +18,7 @@ from autopilot.navigation import plan_items
 from autopilot.navigation.plan_checks import NO_FRAME, PER_DEGREE
 from autopilot.navigation.plan_items import float32
 from autopilot.navigation.plan_store import CAPACITY, PlanType, Refused, WireItem
+from foundation.text_file import TextFileError, read_text
 
 _JUMP = common.MAV_CMD_DO_JUMP
 _INT_MAX = 2**31 - 1
@@ -55,11 +56,9 @@ class Plans(NamedTuple):
 def load(path: Path) -> str:
     """Return a file's text. Raises PlanFileError, also if `loads` rejects it."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise PlanFileError(f"{path}: no such plan file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise PlanFileError(f"{path}: cannot be read: {error}") from None
+        text = read_text(path)
+    except TextFileError as error:
+        raise PlanFileError(str(error)) from None
     try:
         loads(text)
     except PlanFileError as error:

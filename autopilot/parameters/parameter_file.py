@@ -32,6 +32,7 @@ from autopilot.parameters.table import (
     Row,
     check_range,
 )
+from foundation.text_file import TextFileError, read_text
 
 INT32, REAL32 = "6", "9"
 FIELDS = ("vehicle", "component", "name", "value", "type")
@@ -87,10 +88,9 @@ def load(path: Path) -> dict[str, float]:
 def load_known(path: Path) -> ParsedParameters:
     """Values of a file that may contain unknown parameters. Raises ParameterFileError."""
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise ParameterFileError(f"{path}: cannot be read: {reason}") from None
+        text = read_text(path)
+    except TextFileError as error:
+        raise ParameterFileError(str(error)) from None
     return parse(text, str(path))
 
 

@@ -20,12 +20,15 @@ _SETTINGS = {
     "distributed.admin.large-graph-warning-threshold": "1GB",
     # a run that kills its worker is flown again alone by `running`, to identify the cause
     "distributed.scheduler.allowed-failures": 0,
+    # the processes' HTTP servers, which do not use TLS, answer no request
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
 }
 _QUIET = logging.CRITICAL + 1
 """Above all levels: errors of the library are reported by coflight instead."""
 _ADDRESS = re.compile(r"(tcp|tls)://[^\s/]+:[0-9]{1,5}")
 _NO_DASHBOARD = {"dashboard": False, "dashboard_address": f"{LOOPBACK}:0"}
-"""Without an address the scheduler would bind port 8787 for an empty page."""
+"""Its page would be open to all users of the machine. Without an address the scheduler binds port 8787."""
 
 
 def check_address(scheduler: str | None) -> None:
@@ -36,13 +39,14 @@ def check_address(scheduler: str | None) -> None:
 
 @contextlib.contextmanager
 def connected(
-    *, workers: int, scheduler: str | None, folder: Path, dashboard: str | None, note: Callable[[str], None]
+    *, workers: int, scheduler: str | None, folder: Path, note: Callable[[str], None]
 ) -> Iterator[Any]:
     """Yield a client of the scheduler at an address, or of a local cluster that ends with the block.
 
-    The local cluster has ``workers`` processes that fly one run at a time each, in ``folder``; all its
-    sockets are on the loopback interface, and a worker ends when this process ends for any reason.
-    ``dashboard`` is the address of its status page. Raises CampaignError, or CompileError.
+    The local cluster has ``workers`` processes that fly one run at a time each, in ``folder``; a worker ends
+    when this process ends for any reason. All its sockets are on the loopback interface, which all users of
+    the machine reach: its processes accept only peers with the key of this cluster (TLS), which is held in
+    memory. Raises CampaignError, or CompileError.
     """
     check_address(scheduler)
     with contextlib.ExitStack() as stack:
@@ -64,8 +68,9 @@ def connected(
                     memory_limit=0,  # otherwise workers above their share of the memory are ended
                     processes=True,
                     host=LOOPBACK,
-                    dashboard_address=dashboard,
-                    scheduler_kwargs={} if dashboard else _NO_DASHBOARD,
+                    security=library.Security.temporary(),
+                    dashboard_address=None,
+                    scheduler_kwargs=_NO_DASHBOARD,
                     local_directory=str(folder),
                     silence_logs=_QUIET,
                     preload=["harness.campaign.worker"],

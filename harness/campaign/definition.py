@@ -33,7 +33,7 @@ from harness.campaign.store import CampaignError
 from harness.campaign.values import flat, plain, spread, toml_text
 from harness.scenario import packaged
 from harness.scenario.scenario import Scenario, ScenarioError
-from harness.scenario.scenario import load as load_scenario
+from harness.scenario.scenario_file import load as load_scenario
 from harness.scenario.validation_errors import explain
 
 SEED_PATH = "run.seed"

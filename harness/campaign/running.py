@@ -47,7 +47,6 @@ def run(
     workers: int | None = None,
     scheduler: str | None = None,
     retry: bool = False,
-    dashboard: str | None = None,
     progress: Callable[[Landed], None] | None = None,
     note: Callable[[str], None] | None = None,
     flying: Flying = PLAIN_FLIGHT,
@@ -61,7 +60,6 @@ def run(
         workers: processes of this machine; by default as many as it has processors.
         scheduler: address of a dask scheduler, whose workers are used instead.
         retry: fly failed runs again.
-        dashboard: address of the local cluster's status page, such as ``127.0.0.1:8787``.
         progress: called for every run that ends.
         note: called with a line before an operation that takes long.
         flying: the function that flies and measures a run.
@@ -81,7 +79,6 @@ def run(
                 workers=workers or os.cpu_count() or 1,
                 scheduler=scheduler,
                 folder=store.flying,
-                dashboard=dashboard,
                 note=note or (lambda _line: None),
             ) as client:
                 for landed, kept in _fly(client, campaign, missing, store, flying):

@@ -27,7 +27,6 @@ from harness.launch import kernel_cache
 from harness.launch.interrupts import interruptible
 
 FINE, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
-DASHBOARD = "127.0.0.1:8787"
 WIDTH = 120
 """Columns without a terminal."""
 
@@ -59,17 +58,14 @@ def campaign(
     ] = None,
     retry: Annotated[bool, typer.Option("--retry", help="Fly failed runs again.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="List the runs without flying them.")] = False,
-    dashboard: Annotated[
-        bool, typer.Option("--dashboard", help=f"Show the workers at http://{DASHBOARD} (needs bokeh).")
-    ] = False,
     json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> int:
     """Fly every combination of a campaign file, and write one table of the results."""
     try:
         plan = load(file, settings or (), keep or ())
         out = out or Path("runs") / plan.name
-        if scheduler is not None and (workers is not None or dashboard):
-            raise CampaignError("--scheduler: it has its own workers and dashboard")
+        if scheduler is not None and workers is not None:
+            raise CampaignError("--scheduler: it has its own workers, so --workers cannot be given")
         check_address(scheduler)
         if dry_run:
             _print_plan(plan, out, retry=retry, json=json)
@@ -86,7 +82,6 @@ def campaign(
                 workers=workers,
                 scheduler=scheduler,
                 retry=retry,
-                dashboard=DASHBOARD if dashboard else None,
                 progress=display.on_landed,
                 note=display.note,
             )

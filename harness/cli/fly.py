@@ -22,7 +22,8 @@ from harness.launch.interrupts import interruptible
 from harness.launch.processes import SetupError, SwarmError
 from harness.launch.profiling import profile_table
 from harness.launch.swarm import Swarm
-from harness.scenario.scenario import Scenario, ScenarioError, load
+from harness.scenario.scenario import Scenario, ScenarioError
+from harness.scenario.scenario_file import load
 from harness.world.faults import MOST_TIME_S
 
 FINE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130

@@ -36,7 +36,8 @@ from harness.launch.processes import (
 )
 from harness.launch.truth import SwarmTruth
 from harness.records.run_folder import RunFolder
-from harness.scenario.scenario import Scenario, load
+from harness.scenario.scenario import Scenario
+from harness.scenario.scenario_file import load
 from harness.simulator.messages import (
     InjectFault,
     Pause,

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from antenna.model.deck import DeckError, read_element
+from foundation.text_file import TextFileError, read_text
 
 
 class ElementFileError(ValueError):
@@ -21,10 +22,9 @@ def with_deck(table: dict[str, Any], folder: Path) -> dict[str, Any]:
         return table
     path = folder / file
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is no text"
-        raise ElementFileError(f"{path}: cannot be read: {reason}") from None
+        text = read_text(path)
+    except TextFileError as error:
+        raise ElementFileError(str(error)) from None
     try:
         read_element(text)
     except DeckError as error:

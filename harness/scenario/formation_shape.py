@@ -14,6 +14,7 @@ from msgspec import Meta, Struct
 
 from antenna.model.geometry import grid
 from autopilot.parameters.config import AnyMotion
+from foundation.text_file import TextFileError, read_text
 from foundation.types import Array
 
 Spacing = Annotated[float, Meta(gt=0.0, le=1000.0)]
@@ -117,10 +118,9 @@ def with_points(table: dict[str, Any], folder: Path) -> dict[str, Any]:
 def read_points(path: Path) -> tuple[tuple[float, float, float], ...]:
     """Read a file of places; raises FormationFileError."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is no text"
-        raise FormationFileError(f"{path}: cannot be read: {reason}") from None
+        text = read_text(path)
+    except TextFileError as error:
+        raise FormationFileError(str(error)) from None
     rows = csv.reader(text.splitlines(), strict=True, skipinitialspace=True)
     points: list[tuple[float, float, float]] = []
     header: list[str] | None = None

@@ -6,12 +6,9 @@ this object as JSON from the run folder.
 """
 
 import math
-import tomllib
-from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from ipaddress import IPv4Address
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
@@ -19,7 +16,6 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from antenna.model.config import AntennaConfig
-from autopilot.navigation.plan_file import PlanFileError
 from autopilot.onboard.formation import formation_plan
 from autopilot.onboard.formation.formation_plan import FormationPlan
 from autopilot.parameters.config import (
@@ -34,12 +30,9 @@ from autopilot.parameters.config import (
     VehicleConfig,
     VehiclePorts,
 )
-from autopilot.parameters.parameter_file import ParameterFileError
-from harness.scenario import autopilot_settings, element_file, formation_shape, packaged
-from harness.scenario.element_file import ElementFileError
-from harness.scenario.formation_shape import FormationConfig, FormationFileError
-from harness.scenario.validation_errors import explain
-from harness.world.faults import EXPECTED, MOST_TIME_S, AnyFault, check
+from harness.scenario import autopilot_settings, formation_shape
+from harness.scenario.formation_shape import FormationConfig
+from harness.world.faults import MOST_TIME_S, AnyFault, check
 from harness.world.physics.environment import EnvironmentConfig
 from harness.world.sensors.config import SensorsConfig
 from harness.world.wind import WindConfig
@@ -48,8 +41,6 @@ from netsim.ftm.stamps import distance_m, round_trip_std_ps
 from netsim.model.config import RadioConfig
 
 _UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-ARRAYS_OF_TABLES = ("faults", "wind.gusts")
-_EXPECTED = {**EXPECTED, r"formation\.motion\.kind": "one of track, racetrack"}
 
 
 class ScenarioError(ValueError):
@@ -305,87 +296,3 @@ LONGEST_SESSION_S = REMEMBERED_S - SESSION_S
 """Longest time from the first to the last burst of a ranging session; the rest is for queue and beacons."""
 MIN_SPACING_M = 0.8
 """Least distance between two places: an Iris measures 0.55 m across its rotors."""
-
-
-def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
-    """Read a scenario file and apply ``path=value`` overrides.
-
-    Values are in TOML's notation (bare words are strings); ``faults.0.uav`` is a field of the first fault.
-
-    Raises ScenarioError with one line that names the file or override, the field's path and the error.
-    """
-    path = packaged.find(path)
-    try:
-        table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        names = ", ".join(name for name in packaged.names() if "/" not in name)
-        raise ScenarioError(f"{path}: no such scenario file; scenarios by name: {names}") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"{path}: cannot be read: {error}") from None
-    except tomllib.TOMLDecodeError as error:
-        raise ScenarioError(f"{path}: not TOML: {error}") from None
-    table.setdefault("name", path.stem)
-    for override in overrides:
-        _override(table, override)
-    try:
-        if isinstance(formation := table.get("formation"), dict):
-            table["formation"] = formation_shape.with_points(formation, path.parent)
-        if isinstance(antenna := table.get("antenna"), dict):
-            table["antenna"] = element_file.with_deck(antenna, path.parent)
-        scenario = msgspec.convert(table, Scenario)
-        autopilot = autopilot_settings.with_parameter_file(scenario.autopilot, path.parent)
-        autopilot = autopilot_settings.with_plan_file(autopilot, path.parent)
-    except msgspec.ValidationError as error:
-        raise ScenarioError(f"{path}: {explain(error, _EXPECTED)}") from None
-    except FormationFileError as error:
-        raise ScenarioError(f"{path}: formation.file: {error}") from None
-    except ElementFileError as error:
-        raise ScenarioError(f"{path}: antenna.element_file: {error}") from None
-    except PlanFileError as error:
-        raise ScenarioError(f"{path}: autopilot.plan_file: {error}") from None
-    except ParameterFileError as error:
-        raise ScenarioError(f"{path}: autopilot.params_file: {error}") from None
-    try:
-        links = autopilot_settings.with_signing_key(scenario.links, path.parent)
-    except ValueError as error:
-        raise ScenarioError(f"{path}: links.signing_key_file: {error}") from None
-    try:
-        return msgspec.structs.replace(scenario, autopilot=autopilot, links=links)
-    except ValueError as error:  # contents of the files conflict with other settings
-        raise ScenarioError(f"{path}: {error}") from None
-
-
-def _override(table: dict[str, Any], override: str) -> None:
-    """Set one field in the nested table and create missing tables; entries of arrays count from 0."""
-    path, equals, text = override.partition("=")
-    keys = [key.strip() for key in path.split(".")]
-    if not equals or not all(keys):
-        raise ScenarioError(f"--set {override}: expected PATH=VALUE, such as wind.mean_n=2")
-    try:
-        value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        value = text.strip()
-    container: Any = table
-    for depth, key in enumerate(keys):
-        where = ".".join(keys[:depth])
-        if isinstance(container, list):
-            index = _index(container, key, where, override)
-            if depth == len(keys) - 1:
-                container[index] = value
-            else:
-                container = container[index]
-        elif not isinstance(container, dict):
-            raise ScenarioError(f"--set {override}: {where} is a value, not a table")
-        elif depth == len(keys) - 1:
-            container[key] = value
-        else:
-            missing: Any = [] if ".".join(keys[: depth + 1]) in ARRAYS_OF_TABLES else {}
-            container = container.setdefault(key, missing)
-
-
-def _index(entries: list[Any], key: str, where: str, override: str) -> int:
-    """Parse a path's key as the index of an existing entry."""
-    if not (key.isdecimal() and int(key) < len(entries)):
-        numbers = f"numbers 0 to {len(entries) - 1}" if entries else "none"
-        raise ScenarioError(f"--set {override}: {where} has no entry {key}; there are {numbers}")
-    return int(key)

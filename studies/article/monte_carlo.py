@@ -26,7 +26,8 @@ from antenna.solvers.parallel import compute_patterns
 from antenna.solvers.ports import MAIN_LOBE_DEG
 from foundation.types import Array
 from harness.report.flown_array import upright_snapshot
-from harness.scenario.scenario import Scenario, load
+from harness.scenario.scenario import Scenario
+from harness.scenario.scenario_file import load
 from studies.article.plan import SCENARIO, WAVELENGTH
 
 WIND_PHIS_DEG = (0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0)

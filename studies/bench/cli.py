@@ -9,7 +9,8 @@ from rich.console import Console
 
 from harness.launch.interrupts import interruptible
 from harness.launch.kernel_cache import CompileError
-from harness.scenario.scenario import ScenarioError, load
+from harness.scenario.scenario import ScenarioError
+from harness.scenario.scenario_file import load
 from studies.bench.bench import BenchError, BenchPlan, bench, to_json
 from studies.bench.tables import markdown, sheets, terminal_table
 

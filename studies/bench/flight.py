@@ -22,7 +22,8 @@ from harness.launch.interrupts import interruptible
 from harness.launch.processes import SwarmError, uav
 from harness.launch.profiling import kind_of
 from harness.launch.swarm import Swarm, SwarmTimeoutError
-from harness.scenario.scenario import ScenarioError, load
+from harness.scenario.scenario import ScenarioError
+from harness.scenario.scenario_file import load
 from harness.simulator.messages import VehicleLost
 from studies.bench.flight_job import LAUNCHER, FlightCost, FlightJob, Span
 

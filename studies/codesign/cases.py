@@ -10,7 +10,8 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from harness.launch.swarm import CUT_DB
-from harness.scenario.scenario import Scenario, load
+from harness.scenario.scenario import Scenario
+from harness.scenario.scenario_file import load
 from harness.world.faults import AnyFault, RadioAttenuation, RangingBias
 
 ARTICLE = Path(__file__).parents[2] / "scenarios" / "article.toml"

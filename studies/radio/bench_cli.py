@@ -11,7 +11,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from harness.scenario.scenario import ScenarioError, load
+from harness.scenario.scenario import ScenarioError
+from harness.scenario.scenario_file import load
 from studies.codesign.cases import ARTICLE
 from studies.common.command_line import BAD_INPUT, FINE, MISSED, JsonOption
 from studies.radio import bench

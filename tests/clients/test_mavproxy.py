@@ -3,7 +3,7 @@
 import pytest
 from swarms import ROOT, failures, findings
 
-from harness.scenario.scenario import load
+from harness.scenario.scenario_file import load
 
 pytestmark = [pytest.mark.clients, pytest.mark.timeout(300)]
 

@@ -18,7 +18,7 @@ from pymavlink import mavutil  # noqa: TID251  the client that the tests are abo
 
 from harness.launch.resources import ResourceError, bind
 from harness.launch.swarm import SwarmError, SwarmTimeoutError
-from harness.scenario.scenario import load
+from harness.scenario.scenario_file import load
 from harness.simulator.messages import VehicleLost, VehicleSilent
 
 pytestmark = pytest.mark.multiprocess

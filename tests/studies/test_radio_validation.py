@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from typer.testing import CliRunner
 
 from autopilot.onboard.radio.beacon import HEADER_BYTES, RANGE_BYTES
-from harness.scenario.scenario import load
+from harness.scenario.scenario_file import load
 from netsim.lab.broadcast import BroadcastResult
 from netsim.lab.ranging import FtmResultSummary, MeshResult
 from netsim.lab.saturation import SaturationResult

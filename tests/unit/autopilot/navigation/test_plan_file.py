@@ -31,7 +31,7 @@ from autopilot.parameters.config import (
 )
 from foundation.geometry.geodesy import geodetic_to_ned
 from harness.scenario.scenario import ScenarioError
-from harness.scenario.scenario import load as load_scenario
+from harness.scenario.scenario_file import load as load_scenario
 
 LAT, LON = 47.397742, 8.545594
 

@@ -15,7 +15,7 @@ from harness.campaign import Campaign, CampaignError, Case, load, run
 from harness.campaign.definition import expand
 from harness.campaign.values import MOST_VALUES, flat, spread, toml_text
 from harness.cli import campaign as cli
-from harness.scenario.scenario import load as load_scenario
+from harness.scenario.scenario_file import load as load_scenario
 
 ARTICLE = ROOT / "scenarios" / "article.toml"
 

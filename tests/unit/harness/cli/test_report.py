@@ -7,7 +7,7 @@ from paths import SCENARIOS
 
 from harness.cli import report
 from harness.launch.one_process import OneProcessSwarm
-from harness.scenario.scenario import load
+from harness.scenario.scenario_file import load
 
 
 @pytest.fixture(scope="module")

@@ -33,7 +33,7 @@ from harness.records.run_folder import RunFolder
 from harness.records.tables import flight_of, read_flight
 from harness.report import antenna_report, report
 from harness.report.flown_array import gain_series
-from harness.scenario.scenario import load
+from harness.scenario.scenario_file import load
 from harness.simulator.emulator_client import EmulatorClient
 from harness.simulator.in_process_links import InProcessEmulatorLine, InProcessRadio
 from harness.simulator.messages import Progress, VehicleLost

@@ -12,7 +12,8 @@ from autopilot.mavlink.codec import Parser
 from autopilot.parameters.config import VehicleConfig
 from harness.launch import px4
 from harness.launch.px4 import Px4Error
-from harness.scenario.scenario import ScenarioError, load
+from harness.scenario.scenario import ScenarioError
+from harness.scenario.scenario_file import load
 from harness.simulator.hil import RC_PERIOD_US, SensorEncoder
 from harness.world import esc
 from harness.world.sensors.config import PROFILES, SensorsConfig

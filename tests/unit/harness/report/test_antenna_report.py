@@ -20,7 +20,7 @@ from harness.records.flight import Flight
 from harness.records.run_folder import RunFolder
 from harness.report import antenna_report
 from harness.report.report import LOGS
-from harness.scenario.scenario import load
+from harness.scenario.scenario_file import load
 
 ARTICLE = SCENARIOS / "article.toml"
 SMALL = (

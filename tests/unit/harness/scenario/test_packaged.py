@@ -6,7 +6,7 @@ import pytest
 
 from harness.campaign import load as load_campaign
 from harness.scenario import packaged
-from harness.scenario.scenario import load
+from harness.scenario.scenario_file import load
 
 
 @pytest.mark.parametrize("name", [name for name in packaged.names() if "/" not in name])

@@ -7,7 +7,8 @@ from paths import ROOT
 
 from autopilot.onboard.formation.formation_plan import FormationPlan
 from autopilot.vehicle.vehicle import Vehicle
-from harness.scenario.scenario import Scenario, ScenarioError, load
+from harness.scenario.scenario import Scenario, ScenarioError
+from harness.scenario.scenario_file import load
 
 ARTICLE = ROOT / "scenarios" / "article.toml"
 

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from paths import ROOT
 
-from harness.scenario.scenario import Scenario, ScenarioError, load
+from harness.scenario.scenario import Scenario, ScenarioError
+from harness.scenario.scenario_file import load
 
 ARTICLE = ROOT / "scenarios" / "article.toml"
 

@@ -11,7 +11,7 @@ from autopilot.mavlink.codec import stamp
 from autopilot.mavlink.components import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
 from harness.records.run_folder import PhysicsConfig, RunFolder
 from harness.report.report import RunOutcome, finish
-from harness.scenario.scenario import load
+from harness.scenario.scenario_file import load
 from harness.simulator.actuator_inbox import ActuatorInbox
 from harness.simulator.messages import FormationMoves
 from harness.simulator.motion_start import agreed, flown_start_us, since_start_s, start_us

@@ -12,7 +12,7 @@ from world_truth import truth_with
 from autopilot.mavlink.hil import HilActuatorControls
 from foundation.records.record_log import read
 from harness.records.run_folder import PhysicsConfig, RunFolder
-from harness.scenario.scenario import load
+from harness.scenario.scenario_file import load
 from harness.simulator.actuator_inbox import ActuatorInbox
 from harness.simulator.simulation import Simulation
 from harness.simulator.truth_record import TRUTH_RECORD
