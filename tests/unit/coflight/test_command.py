@@ -60,7 +60,7 @@ def test_fly_refuses_an_unknown_scenario_and_names_those_there_are(
 ) -> None:
     assert main(["fly", "artikel"]) == BAD_INPUT
     line = capsys.readouterr().err.splitlines()[-1]
-    assert line.startswith("coflight: artikel: no such scenario file; scenarios by name: article, ")
+    assert line.startswith("coflight: artikel: there is no such file; scenarios by name: article, ")
 
 
 def test_scenarios_lists_the_files_of_the_folder(capsys: pytest.CaptureFixture[str]) -> None:

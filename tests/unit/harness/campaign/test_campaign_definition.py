@@ -278,7 +278,8 @@ def test_a_missing_or_invalid_file_is_one_line(tmp_path):
     missing = tmp_path / "campaign.toml"
     missing.write_text('scenario = "nowhere.toml"')
     with pytest.raises(
-        CampaignError, match=r"campaign\.toml: case 'campaign': .*nowhere\.toml: no such scenario"
+        CampaignError,
+        match=r"campaign\.toml: case 'campaign': .*nowhere\.toml: there is no such file",
     ):
         expand(load(missing), state="")
     assert "not TOML" in refused(tmp_path, "seeds = ")
