@@ -2,7 +2,7 @@
 
     python cluster_stranger.py PORT...
 
-If it is started by root it becomes the user ``nobody`` first. It tries each port with and without TLS, by the
+If it is started by root it takes an unprivileged user id first. It tries each port with and without TLS, by the
 operations that scheduler, workers and nannies offer, and asks for a page by HTTP. Prints one JSON object: by
 port the user id of the process that ran the function, or None, and the HTTP status, or None.
 """
@@ -17,7 +17,7 @@ from distributed import Security
 from distributed.comm import connect
 from distributed.protocol.pickle import dumps
 
-NOBODY = 65_534
+UNPRIVILEGED_ID = 65_534
 LIMIT_S = 5.0
 OPERATIONS = ("run", "run_function")
 
@@ -73,7 +73,7 @@ if __name__ == "__main__":
     asyncio.run(ran_by("tcp://127.0.0.1:9", Security.temporary(), "run"))  # loads all modules while it may
     if os.getuid() == 0:
         os.setgroups([])
-        os.setgid(NOBODY)
-        os.setuid(NOBODY)
+        os.setgid(UNPRIVILEGED_ID)
+        os.setuid(UNPRIVILEGED_ID)
     tried = asyncio.run(_try_all([int(text) for text in sys.argv[1:]]))
     sys.stdout.write(json.dumps({"uid": os.getuid(), "ports": tried}) + "\n")
