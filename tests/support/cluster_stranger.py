@@ -2,8 +2,8 @@
 
     python cluster_stranger.py PORT...
 
-If it is started by root it takes an unprivileged user id first. It tries each port with and without TLS, by the
-operations that scheduler, workers and nannies offer, and asks for a page by HTTP. Prints one JSON object: by
+If root starts it, it takes an unprivileged user id first. It tries each port with and without TLS, by the
+operations that scheduler, workers and nannies offer, and requests a page by HTTP. Prints one JSON object: by
 port the user id of the process that ran the function, or None, and the HTTP status, or None.
 """
 

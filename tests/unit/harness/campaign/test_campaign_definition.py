@@ -273,7 +273,7 @@ def test_an_override_has_precedence_over_the_file_but_not_over_compared_values(t
 
 
 def test_a_missing_or_invalid_file_is_one_line(tmp_path):
-    with pytest.raises(CampaignError, match=r"nowhere\.toml: no such campaign file"):
+    with pytest.raises(CampaignError, match=r"nowhere\.toml: there is no such file; campaigns by name"):
         load(tmp_path / "nowhere.toml")
     missing = tmp_path / "campaign.toml"
     missing.write_text('scenario = "nowhere.toml"')
