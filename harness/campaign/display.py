@@ -1,10 +1,11 @@
 """Progress display of a campaign: a bar with rate and remaining time, and a line for every failed run."""
 
 import time
+from collections.abc import Callable, Iterable
 from typing import Self
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TaskID, TextColumn
+from rich.console import Console, RenderableType
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
 from rich.text import Text
 
 from foundation.durations import duration_text
@@ -63,15 +64,18 @@ class CampaignPace:
         return None if self._left_s is None else max(0.0, self._left_s - (wall_s - self._wall_landed_s[-1]))
 
 
-class _State(ProgressColumn):
-    """Rate, failed runs, elapsed and remaining time."""
+class _Bar(Progress):
+    """A bar with the number of runs, above a line of ``state``."""
 
-    def __init__(self, display: "CampaignDisplay") -> None:
-        super().__init__()
-        self._display = display
+    def __init__(self, console: Console, state: Callable[[], str]) -> None:
+        self._state = state
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+        super().__init__(*columns, console=console, disable=not console.is_terminal, transient=True)
 
-    def render(self, task: Task) -> Text:
-        return Text(self._display.state(time.monotonic(), last=task.finished), overflow="ellipsis")
+    def get_renderables(self) -> Iterable[RenderableType]:
+        """Yield the bar and the line."""
+        yield self.make_tasks_table(self.tasks)
+        yield Text(self._state(), no_wrap=True, overflow="ellipsis")
 
 
 class CampaignDisplay:
@@ -85,12 +89,9 @@ class CampaignDisplay:
         self._pace = CampaignPace(time.monotonic())
         self.failed = 0
         """Number of failed runs"""
+        self._last = False
         self._wall_next_s = time.monotonic() + LINE_PERIOD_S
-        bar = BarColumn(bar_width=None)
-        columns = (TextColumn("{task.description}"), bar, MofNCompleteColumn(), _State(self))
-        self._progress = Progress(
-            *columns, console=console, disable=not console.is_terminal, transient=True, expand=True
-        )
+        self._progress = _Bar(console, lambda: self.state(time.monotonic()))
         self._task: TaskID = self._progress.add_task(campaign.name, total=total, completed=kept)
 
     def __enter__(self) -> Self:
@@ -109,16 +110,16 @@ class CampaignDisplay:
             self.failed += 1
             self.note(f"{landed.run.describe(self._campaign)}: {landed.flown.reason}")
         self._progress.advance(self._task)
-        last = landed.done == landed.total
-        if not self._console.is_terminal and (wall_s >= self._wall_next_s or last):
+        self._last = landed.done == landed.total
+        if not self._console.is_terminal and (wall_s >= self._wall_next_s or self._last):
             self._wall_next_s = wall_s + LINE_PERIOD_S
-            self.note(f"{landed.done} of {landed.total} flown, {self.state(wall_s, last=last)}")
+            self.note(f"{landed.done} of {landed.total} flown, {self.state(wall_s)}")
 
-    def state(self, wall_s: float, *, last: bool) -> str:
-        """Return rate, failed runs, elapsed and, except after the ``last`` run, remaining wall time."""
+    def state(self, wall_s: float) -> str:
+        """Return rate, failed runs, elapsed and, except after the last run, remaining wall time."""
         parts = [self._pace.rate_text(), f"{self.failed} failed" if self.failed else ""]
         parts.append(f"{duration_text(self._pace.elapsed_s(wall_s))} elapsed")
-        parts.append("" if last else f"{duration_text(self._pace.left_s(wall_s))} left")
+        parts.append("" if self._last else f"{duration_text(self._pace.left_s(wall_s))} left")
         return ", ".join(filter(None, parts))
 
     def note(self, line: str) -> None:

@@ -143,7 +143,7 @@ class Lag:
         if least_s <= LAG_SHARE * half_s:
             return None
         self._advised = True
-        reached = "" if factor is None else f": it reaches {factor:.2g} x real time"
+        reached = "" if factor is None else f": it reaches {factor:.2f} x real time"
         return (
             f"this machine is too slow for the requested speed{reached}; fly fewer vehicles (--agents), "
             "choose a lower --speed, or close other programs"
