@@ -199,7 +199,7 @@ def _fly(
             if keyboard.listening:
                 display.note(_keys(swarm, until_interrupted=until_interrupted))
             if forms:
-                display.begin(Stage(f"forming, then {run.duration_s:g} s", forming=True))
+                display.begin(Stage(f"forming (then {run.duration_s:g} s)", forming=True))
                 swarm.run_until_formed(timeout_s=run.reach_timeout_s)
             if until_interrupted:
                 display.begin(Stage("holding until Ctrl-C"))

@@ -172,7 +172,7 @@ def shown_live(display_stage: Stage | None, *messages: Message, width: int = 80)
         display.begin(display_stage)
     for message in messages:
         display.on_message(message)
-    before = screen.tell()
+    before = len(screen.getvalue())
     display._live.refresh()
     last = screen.getvalue()[before:]
     display.close()
