@@ -402,8 +402,6 @@ class Swarm:
         else:
             status = "completed" if self._not_formed is None else "not_formed"
         reasons = (processes.failure, lost) if processes.failure is not None else (self._not_formed,)
-        if status == "held":
-            reasons = ()  # the end of the run was no failure
         nondeterminism = processes.nondeterminism(self._killed)
         if ended_by_user:
             nondeterminism.append("it was interrupted by its user" if interrupted else "its user ended it")
@@ -411,7 +409,7 @@ class Swarm:
             nondeterminism.append(self._broken_off)
         outcome = report.RunOutcome(
             status=status,
-            reason="; ".join(dict.fromkeys(filter(None, reasons))) or None,
+            reason=None if status == "held" else "; ".join(dict.fromkeys(filter(None, reasons))) or None,
             command=tuple(sys.argv),
             speed=self._speed,
             started_utc=self._started_utc,

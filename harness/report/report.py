@@ -154,20 +154,20 @@ def draw_again(folder: RunFolder, scenario: Scenario, *, formed_us: int | None) 
 
 
 def _window(whole: Flight, formed_us: int | None, scenario: Scenario) -> Flight:
-    """Return the part of the flight after the formation was reached; none of a run that does not form.
+    """Return the part of the flight after the formation was reached; nothing of a hold.
 
     In a hold the formation is reached when the released vehicles are on station. A ground station may fly the
     others, and these too at any time.
     """
-    begin_us = formed_us if formed_us is not None and scenario.forms else np.iinfo(np.int64).max
+    begin_us = np.iinfo(np.int64).max if formed_us is None or scenario.onboard.hold else formed_us
     return whole.at(np.flatnonzero(whole.time_us >= begin_us))
 
 
 def _antenna(window: Flight, scenario: Scenario) -> Aperture:
-    """Return the results of the antenna in formation; only a note for a run that does not form."""
-    if scenario.forms:
-        return antenna_report.measure(window, scenario)
-    return Aperture(note="no formation was asked for")
+    """Return the results of the antenna in formation; only a note for a hold."""
+    if scenario.onboard.hold:
+        return Aperture(note="a hold has no formation")
+    return antenna_report.measure(window, scenario)
 
 
 def _formation(error: FormationError | None) -> dict[str, float | None]:
