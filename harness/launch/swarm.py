@@ -379,10 +379,11 @@ class Swarm:
         """Return, after the stop, a line for each running process and each port of this swarm: none."""
         return self._processes.leftovers()
 
-    def summary(self, *, draw: bool = True, interrupted: bool = False) -> dict[str, Any]:
+    def summary(self, *, draw: bool = True, interrupted: bool = False, held: bool = False) -> dict[str, Any]:
         """Stop, write tables, manifest, summary and, with ``draw``, figures; returns the summary.
 
-        ``interrupted`` marks a run that its user interrupted. Raises OSError if the folder cannot be written.
+        ``interrupted`` marks a run that its user interrupted before its end, ``held`` one without an end,
+        which its user ended. Raises OSError if the folder cannot be written.
         """
         if self._summary is not None:
             return self._summary
@@ -390,24 +391,25 @@ class Swarm:
         from harness.report import report  # noqa: PLC0415  the analysis is slow to import: not before the flight
 
         processes = self._processes
-        if not interrupted:
+        ended_by_user = interrupted or held
+        if not ended_by_user:
             processes.prepare_report()
         lost = processes.records_lost
-        if interrupted and lost is None:
-            status = "interrupted"
+        if ended_by_user and lost is None:
+            status = "interrupted" if interrupted else "held"
         elif processes.failure is not None:
             status = "failed"
         else:
             status = "completed" if self._not_formed is None else "not_formed"
         reasons = (processes.failure, lost) if processes.failure is not None else (self._not_formed,)
         nondeterminism = processes.nondeterminism(self._killed)
-        if interrupted:
-            nondeterminism.append("it was interrupted by its user")
+        if ended_by_user:
+            nondeterminism.append("it was interrupted by its user" if interrupted else "its user ended it")
         elif self._broken_off is not None:
             nondeterminism.append(self._broken_off)
         outcome = report.RunOutcome(
             status=status,
-            reason="; ".join(dict.fromkeys(filter(None, reasons))) or None,
+            reason=None if status == "held" else "; ".join(dict.fromkeys(filter(None, reasons))) or None,
             command=tuple(sys.argv),
             speed=self._speed,
             started_utc=self._started_utc,

@@ -294,6 +294,11 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         )
 
     @property
+    def forms(self) -> bool:
+        """Whether all UAVs fly to the formation by themselves; otherwise no formation is asked for."""
+        return self.onboard.enabled and not self.onboard.hold
+
+    @property
     def record_period_us(self) -> int:
         """Period of the flight log, a whole number of steps."""
         steps = max(1, round(1e6 / self.run.record_rate_hz / self.run.step_us))
