@@ -65,7 +65,7 @@ def predict(scenario: Scenario) -> Prediction:
                 uav=uav, members=len(members), shape_std_m=shape_std_m, width_m=width_m(places_ned_m[members])
             )
         )
-        if len(members) == scenario.agents:  # the same for all others
+        if among.sum() == scenario.agents * (scenario.agents - 1):  # all are linked: the same for all others
             break
     return max(everywhere, key=lambda each: each.shape_std_m)
 
@@ -126,8 +126,9 @@ def _remedies(scenario: Scenario) -> Iterator[str]:
             if _localises(scenario, formation={"columns": columns}):
                 yield f"--set formation.columns={columns}"
                 break
-        for agents in range(count + 1, shape.columns * shape.rows + 1):
-            if _localises(scenario, agents=agents):
+        places = shape.columns * shape.rows
+        for agents in (count + 1, count + 2, places):
+            if count < agents <= places and _localises(scenario, agents=agents):
                 yield f"--agents {agents}"
                 break
     elif _localises(scenario, formation={"shape": "ring"}):

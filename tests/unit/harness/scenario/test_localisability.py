@@ -136,6 +136,21 @@ def test_nothing_is_said_where_take_off_does_not_wait(setting):
     assert warning(load("article", ["agents=3", setting])) is None
 
 
+def test_options_with_which_the_scenario_is_invalid_are_not_advised():
+    """Rows 0.5 m apart are too near each other."""
+    text = warning(load("article", ["agents=3", "formation.endfire_spacing_lambda=0.05"]))
+    assert "use --set onboard.localisation=gps (" in text
+
+
+def test_a_star_of_distances_determines_no_shape():
+    """The UAV in the middle is the only neighbour of each of the others."""
+    star = "[[0,0,0],[20,0,0],[-20,0,0],[0,20,0],[0,-20,0]]"
+    places = ["agents=5", "formation.shape=file", f"formation.points_m={star}"]
+    assert predict(load("article", places)).localises
+    text = warning(load("article", [*places, "onboard.neighbours=1"]))
+    assert "the distances between all 5 UAVs determine their shape to 1.16 m only" in text
+
+
 def test_the_page_of_the_warning_exists():
     path, _, anchor = PAGE.partition("#")
     headings = re.findall(r"^#+ (.+)$", (ROOT / path).read_text(encoding="utf-8"), re.MULTILINE)
