@@ -1,6 +1,6 @@
 """The Python API: a swarm of real processes under program control.
 
-    with Swarm("scenarios/article.toml", agents=3, speed="max") as swarm:
+    with Swarm("scenarios/article.toml", agents=3, overrides=["formation.columns=2"]) as swarm:
         swarm.run_until_formed(timeout_s=60)
         swarm.cut_channel()
         swarm.run_for(10)
@@ -28,6 +28,7 @@ from harness.launch import ground_links, profiling
 from harness.launch.processes import (
     Message,
     Processes,
+    ProcessNotice,
     RunEvent,
     SetupError,
     SwarmError,
@@ -36,6 +37,7 @@ from harness.launch.processes import (
 )
 from harness.launch.truth import SwarmTruth
 from harness.records.run_folder import RunFolder
+from harness.scenario import localisability
 from harness.scenario.scenario import Scenario
 from harness.scenario.scenario_file import load
 from harness.simulator.messages import (
@@ -69,8 +71,9 @@ class Swarm:
     which is deleted with this object. ``ports``: ``"free"`` uses any free ports and sends to no ground
     station; ``"scenario"`` uses the scenario's ports, each plus ``port_offset``. ``wall_limit_s``: run
     methods raise SwarmTimeoutError after this wall time since the start. ``on_message`` receives the messages
-    of the processes and their ends, on the thread that runs the swarm. ``profile_from_s``: simulated time
-    from which the processes are profiled, for `profile`.
+    of the processes and their ends, on the thread that runs the swarm, and before the first a warning if
+    ranging does not determine the formation's shape. ``profile_from_s``: simulated time from which the
+    processes are profiled, for `profile`.
 
     Raises ScenarioError for an invalid scenario.
     """
@@ -115,6 +118,7 @@ class Swarm:
         self._processes = self._make_processes(
             self.scenario, self._folder, wall_limit_s=wall_limit_s, on_message=on_message
         )
+        self._on_message = on_message or (lambda _: None)
         self._truth: SwarmTruth | None = None
         self._links = contextlib.ExitStack()
         self._interventions: list[str] = []
@@ -147,6 +151,8 @@ class Swarm:
         if self._started_utc:
             raise SwarmError("a swarm is started once")
         self._started_utc = datetime.now(UTC).isoformat(timespec="seconds")
+        if (text := localisability.warning(self.scenario)) is not None:
+            self._on_message(ProcessNotice(text=text))
         try:
             self._processes.start()
             self._run(RunUntil(time_us=0))  # no simulation: waits for the vehicles to connect

@@ -206,6 +206,17 @@ def test_a_killed_vehicle_is_lost_from_the_next_step_on_and_the_others_fly_on(tm
     assert (sent_s < 3.0 + 0.02).all()  # except a frame that was being sent
 
 
+@pytest.mark.parametrize("columns", [4, 2])
+def test_a_line_is_warned_of_once_before_the_flight_and_a_triangle_is_not(columns, tmp_path):
+    messages = []
+    flown = scenario(f"formation.columns={columns}", agents=3)
+    with OneProcessSwarm(flown, out=tmp_path / "run", on_message=messages.append) as swarm:
+        swarm.run(until_s=0.1)
+    warned = [message for message in messages if getattr(message, "text", "").startswith("warning: ")]
+    assert len(warned) == (columns == 4)
+    assert not warned or messages[0] is warned[0]
+
+
 def uav_logs(swarm):
     return [swarm.path / "raw" / f"uav-{i}.bin" for i in range(swarm.scenario.agents)]
 
