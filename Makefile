@@ -1,7 +1,9 @@
 # coflight: `make swarm` flies, `make test` tests; each does all of its own set-up.
-PYTHON ?= python3.11
+# interpreter of the environment; none: python3.11
+PYTHON ?=
 VENV := .venv
 BIN := $(VENV)/bin
+ENVIRONMENT := $(VENV)/.python
 STAMP := $(VENV)/.set-up
 DEV := $(VENV)/.set-up-dev
 CLIENTS := $(VENV)/.set-up-clients
@@ -28,8 +30,12 @@ help:
 
 setup: $(DEV)
 
-$(STAMP): pyproject.toml requirements.lock
-	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+# looks at the interpreters each time, and writes the file only if the environment is new
+$(ENVIRONMENT): ALWAYS
+	@sh scripts/make_environment.sh $(VENV) '$(PYTHON)'
+ALWAYS:
+
+$(STAMP): pyproject.toml requirements.lock $(ENVIRONMENT)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --requirement requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable '.[nec2]'
 	@touch $@
