@@ -68,8 +68,10 @@ def resolved(uv: Path, lock: Lock, before: list[Lock], work: Path, *, upgrade: b
     """
     present = work / lock.name
     present.write_bytes((ROOT / lock.name).read_bytes())
+    major, minor, *_ = sys.version_info
     command = [
-        str(uv), "pip", "compile", "--quiet", "--python-version", "3.11", "--python-platform", "linux",
+        str(uv), "pip", "compile", "--quiet", "--python-version", f"{major}.{minor}",
+        "--python-platform", "linux",
         "--generate-hashes", "--no-header", "--no-annotate", "--output-file", str(present), *lock.options,
     ]  # fmt: skip
     for each in before:
@@ -116,7 +118,7 @@ def main() -> int:
         work = Path(name)
         venv.create(work / "env", with_pip=True)
         python = work / "env" / "bin" / "python"
-        install = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", UV]
+        install = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", UV]
         status = subprocess.run(install, check=False).returncode
         if status:
             return status
