@@ -9,9 +9,10 @@ import pytest
 from msgspec import structs
 from rich.console import Console
 
+from foundation.exit_status import BAD_INPUT, FINE
 from foundation.processes.child_protocol import Ready
 from harness.cli import progress as progress_display
-from harness.cli.fly import BAD_INPUT, FINE, main
+from harness.cli.fly import main
 from harness.cli.progress import LineDisplay, LiveDisplay, Pace, describe, fleet, headline, summary_table
 from harness.launch.kernel_cache import CompileProgress
 from harness.launch.processes import Compiling
