@@ -53,7 +53,7 @@ STATUSES: Mapping[str, Mapping[int, str]] = {
     },
     "campaign": {
         FINE: "No run has failed; with `--dry-run` the runs are listed.",
-        FAILED: "Some runs failed, or the cluster did; the table has the others.",
+        FAILED: "Some runs failed, as the table states, or the cluster did.",
         BAD_INPUT: _WRONG,
         INTERRUPTED: _CONTINUES,
     },
@@ -70,7 +70,7 @@ STATUSES: Mapping[str, Mapping[int, str]] = {
     "study antenna": _CHECKS,
     "study codesign": {**_CHECKS, INTERRUPTED: _CONTINUES},
     "study article": {
-        FINE: "All flights are complete, whatever the statements' verdicts.",
+        FINE: "All flights are complete, whatever the verdicts on the statements.",
         FAILED: "Some flights failed.",
         BAD_INPUT: _WRONG,
         INTERRUPTED: _CONTINUES,
@@ -82,7 +82,7 @@ STATUSES: Mapping[str, Mapping[int, str]] = {
         BAD_INPUT: "The folder is not of a run that has ended, or there is no antenna at that time.",
         INTERRUPTED: _STOPPED,
     },
-    "scenarios": {FINE: "The names are listed."},
+    "scenarios": {FINE: "The names are listed.", BAD_INPUT: "It takes no arguments."},
 }
 """Meaning of each status, by command."""
 SUMMARY = {
@@ -104,7 +104,7 @@ SUMMARY = {
     "ftm": "ranging sessions: `requested`, `completed`, `failed`, `error_mean_m`, `error_std_m`",
     "max_gain_dbi": "maximum gain: `ideal`, `mean`, `std`, `patterns`, `missing`, `backend`, `accuracy`",
     "collisions": "number of collisions",
-    "deterministic": "whether nothing of the outside has entered the flight",
+    "deterministic": "whether the flight depends on nothing but scenario, seed and sources",
     "log_sha256": "hash of the logs: equal for equal flights",
 }
 """Keys of the summary of a run, with their meanings; ``profile`` is added by ``--profile``."""
@@ -122,7 +122,9 @@ def _keys(kind: type[Struct]) -> tuple[str, ...]:
     return kind.__struct_fields__
 
 
-_CHECK_FIELDS = "a list: `section`, `name`, `value`, `unit`, `at_least`, `at_most`, `met`"
+_CHECK_FIELDS = (
+    "a list: `section`, `name`, `value`, `unit`, `at_least`, `at_most`, `met`, and `px4` of `study vehicle`"
+)
 RESULTS = (
     Result("radio saturation", _keys(SaturationResult)),
     Result("radio broadcast", _keys(BroadcastResult)),

@@ -45,7 +45,7 @@ def status_of(command):
 def test_every_command_has_its_statuses():
     commands = [name for name in COMMANDS if name != "study"] + [f"study {name}" for name in STUDIES]
     assert sorted(STATUSES) == sorted(commands)
-    assert all(FINE in meanings for meanings in STATUSES.values())
+    assert all({FINE, BAD_INPUT} <= set(meanings) for meanings in STATUSES.values())
 
 
 @pytest.mark.parametrize("command", STATUSES)
