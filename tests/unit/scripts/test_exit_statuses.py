@@ -1,13 +1,16 @@
 """The documented exit statuses and JSON keys, by calling the commands; flights are in tests/multiprocess."""
 
 import json
+import sys
 from unittest.mock import Mock
 
 import pytest
 
 from coflight.command import COMMANDS, STUDIES, main
-from foundation.exit_status import BAD_INPUT, FINE, INTERRUPTED
+from foundation.exit_status import BAD_INPUT, FAILED, FINE, INTERRUPTED
 from reference.exit_statuses import RESULTS, STATUSES
+from studies.vehicle import bench_cli
+from studies.vehicle.bench import StepCost
 
 KEYS = {each.command: set(each.keys) for each in RESULTS}
 WRONG = {
@@ -91,3 +94,15 @@ def test_interrupted(command, called, capsys, tmp_path, monkeypatch):
     monkeypatch.setattr(called, Mock(side_effect=KeyboardInterrupt))
     assert status_of(command) == INTERRUPTED
     assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(("step_us", "expected"), [(1.0, FINE), (1e6, FAILED)])
+def test_cost_of_a_vehicle(step_us, expected, capsys, monkeypatch):
+    cost = StepCost(step_us=step_us, floor_us=0.5, parts_us={}, longest_us=step_us)
+    monkeypatch.setattr(bench_cli, "kernel_cache", Mock())
+    monkeypatch.setattr(bench_cli, "keep_stdout", lambda: sys.stdout)
+    monkeypatch.setattr(bench_cli, "record_flight", Mock())
+    for name in ("measure", "measure_without_compiler"):
+        monkeypatch.setattr(bench_cli, name, Mock(return_value=cost))
+    assert status_of("study vehicle-cost --json") == expected
+    assert set(json.loads(capsys.readouterr().out)) == KEYS["study vehicle-cost"]
