@@ -16,6 +16,7 @@ import msgspec
 import typer
 from rich.console import Console
 
+from foundation.exit_status import BAD_INPUT, FAILED, FINE, INTERRUPTED
 from harness.cli.keyboard import Keyboard
 from harness.cli.progress import FlightDisplay, Stage, display_for, summary_table
 from harness.launch.interrupts import interruptible
@@ -26,7 +27,6 @@ from harness.scenario.scenario import ScenarioError
 from harness.scenario.scenario_file import load
 from harness.world.faults import MOST_TIME_S
 
-FINE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 SLOWEST, FASTEST = 1.0 / 64.0, 64.0
 """Speeds that keys lead to: at the first a step takes 0.25 s; few machines keep the other."""
 

@@ -7,7 +7,8 @@ from importlib import import_module
 import pytest
 
 import coflight
-from coflight.command import BAD_INPUT, COMMANDS, STUDIES, Command, main
+from coflight.command import COMMANDS, STUDIES, Command, main
+from foundation.exit_status import BAD_INPUT
 from harness.scenario import packaged
 
 HEAVY = ("numba", "numpy", "typer", "rich", "msgspec", "matplotlib", "pybullet", "zenoh")

@@ -16,6 +16,7 @@ from msgspec.structs import replace
 from paths import SCENARIOS
 
 from antenna.solvers.interface import BackendUnavailable
+from foundation import exit_status
 from harness.campaign import Campaign, CampaignError, load, running, sources
 from harness.campaign.definition import expand
 from harness.campaign.flights import fly_task
@@ -162,14 +163,14 @@ def test_the_runs_of_a_command_are_computed_once(tmp_path, monkeypatch):
     made = []
     monkeypatch.setattr(cli, "expand", lambda *args, **named: made.append(0) or expand(*args, **named))
     monkeypatch.setattr(running, "expand", cli.expand)
-    assert cli.main(complete_campaign(tmp_path)) == cli.FINE
+    assert cli.main(complete_campaign(tmp_path)) == exit_status.FINE
     assert len(made) == 1
 
 
 def test_a_schedulers_address_is_checked_without_missing_runs(tmp_path, capfd):
     command = complete_campaign(tmp_path)
     for more in ([], ["--dry-run"]):
-        assert cli.main([*command, "--scheduler", "bogus", *more]) == cli.BAD_INPUT
+        assert cli.main([*command, "--scheduler", "bogus", *more]) == exit_status.BAD_INPUT
         line = "campaign: bogus: expected the address of a dask scheduler, tcp://HOST:PORT\n"
         assert capfd.readouterr() == ("", line)
     with pytest.raises(CampaignError, match="bogus: expected the address"):

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from harness.cli.fly import BAD_INPUT, FINE, main
+from foundation.exit_status import BAD_INPUT, FINE
+from harness.cli.fly import main
 
 
 @pytest.fixture

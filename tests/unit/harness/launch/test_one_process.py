@@ -24,8 +24,9 @@ from paths import SCENARIOS
 
 from autopilot.logs.vehicle_record import VEHICLE_RECORD
 from autopilot.vehicle.vehicle import Vehicle
+from foundation.exit_status import FINE
 from foundation.records.record_log import BLOCK_ROWS
-from harness.cli.fly import FINE, main
+from harness.cli.fly import main
 from harness.launch import kernel_cache
 from harness.launch.one_process import OneProcessSwarm, fly
 from harness.launch.processes import SwarmError
