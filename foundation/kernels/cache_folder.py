@@ -1,4 +1,4 @@
-"""Folder of the cache of compiled kernels, one for each state of their sources.
+"""Folder of the cache of compiled kernels, one for each state of their sources and each processor model.
 
 Numba's cache only checks the source file of a kernel: a kernel that calls another module's kernel would not
 be recompiled when that one changes. So each state of the sources has a separate folder, named by a hash, as
@@ -14,6 +14,7 @@ import contextlib
 import hashlib
 import importlib.metadata
 import os
+import platform
 import re
 import sys
 from functools import cache
@@ -21,7 +22,9 @@ from pathlib import Path
 
 PACKAGES = ("foundation", "antenna", "netsim", "autopilot", "harness", "coflight", "studies")
 VARIABLE = "NUMBA_CACHE_DIR"
+PROCESSOR = Path("/proc/cpuinfo")
 _DECORATED = re.compile(rb"^@(njit|inner)\b", re.MULTILINE)
+_MODEL = re.compile(r"^(?:model name|flags|CPU part|Features)\s*:.*$", re.MULTILINE)
 _IMPORT = re.compile(rf"^\s*from ((?:{'|'.join(PACKAGES)})(?:\.\w+)*) import\b", re.MULTILINE)
 
 
@@ -55,8 +58,8 @@ def environment() -> dict[str, str]:
 def digest(root: Path) -> str:
     """Return the hash of everything that compiled code of the packages below ``root`` depends on.
 
-    These are the modules with kernels, the warm-ups, the coflight modules that they import, their location
-    and the compiler.
+    These are the modules with kernels, the warm-ups, the coflight modules that they import, their location,
+    the compiler and the processor.
     """
     root = root.resolve()
     pending = {
@@ -71,10 +74,25 @@ def digest(root: Path) -> str:
         seen.add(path)
         pending |= _imports(path, root) - seen
     versions = [importlib.metadata.version(name) for name in ("numba", "llvmlite", "numpy")]
-    content = hashlib.sha256(" ".join([str(root), sys.version, *versions]).encode())
+    content = hashlib.sha256(" ".join([str(root), sys.version, *versions, _processor()]).encode())
     for path in sorted(seen):
         content.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
     return content.hexdigest()[:16]
+
+
+def _processor() -> str:
+    """Return model and instruction sets of the processor that the compiler generates code for.
+
+    A cache that another machine has filled, in CI or in a container's image, would else count as complete.
+    """
+    named = [os.environ.get(name, "") for name in ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES")]
+    try:
+        with PROCESSOR.open(encoding="utf-8", errors="replace") as file:
+            text = file.read(16_384)  # the first processor, not all of a large machine
+    except OSError:
+        text = ""
+    models = dict(line.split(":", 1) for line in reversed(_MODEL.findall(text)))
+    return " ".join([platform.machine(), *named, *(models[name] for name in sorted(models))])
 
 
 def _imports(path: Path, root: Path) -> set[Path]:

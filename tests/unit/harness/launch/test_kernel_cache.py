@@ -54,6 +54,33 @@ def test_a_change_elsewhere_keeps_it(root):
     assert digest(root) == before
 
 
+CPUINFO = """\
+processor	: 0
+model name	: {model}
+cpu MHz		: {mhz}
+flags		: fpu {flags}
+
+processor	: 1
+model name	: {model}
+flags		: fpu {flags}
+"""
+
+
+def test_another_processor_has_its_own(root, tmp_path, monkeypatch):
+    """Also from a cache that was filled elsewhere: the compiler rejects its code, so it is not complete."""
+    monkeypatch.setattr(cache_folder, "PROCESSOR", tmp_path / "cpuinfo")
+
+    def digest_on(model, flags="avx2", mhz=2600):
+        (tmp_path / "cpuinfo").write_text(CPUINFO.format(model=model, flags=flags, mhz=mhz))
+        return digest(root)
+
+    first = digest_on("one")
+    assert digest_on("one", mhz=3100) == first
+    assert len({first, digest_on("another"), digest_on("one", flags="avx2 avx512f")}) == 3
+    (tmp_path / "cpuinfo").unlink()
+    assert digest(root) == digest(root)
+
+
 def test_another_checkout_with_the_same_content_has_its_own(root, tmp_path_factory):
     other = tmp_path_factory.mktemp("elsewhere") / "checkout"
     shutil.copytree(root, other)
