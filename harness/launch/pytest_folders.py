@@ -27,8 +27,8 @@ class RunPlace(NamedTuple):
 
     @property
     def is_empty(self) -> bool:
-        """Whether no run was written."""
-        return [path.name for path in self.path.iterdir()] == [_CLAIM]
+        """Whether it holds no run, or the test has removed it."""
+        return not self.path.exists() or {path.name for path in self.path.iterdir()} <= {_CLAIM}
 
     def keep(self) -> None:
         """Release the folder with its content."""

@@ -285,10 +285,10 @@ def test_kernels_are_compiled_once_before_the_tests_and_it_is_said(
 
     monkeypatch.setattr(kernel_cache, "prepare", prepare)
     code = """
-    def test_first(): pass
-    def test_dynamic(request): request.getfixturevalue("coflight_settings")
-    """
-    uses = code + "    def test_second(coflight_settings): pass\n"
+def test_first(): pass
+def test_dynamic(request): request.getfixturevalue("coflight_settings")
+"""
+    uses = code + "def test_second(coflight_settings): pass\n"
     done = run(uses, "-v", "-p", "no:terminalprogress")
     done.assert_outcomes(passed=3)
     said = ["coflight: compiling the kernels", "compiled kernels: radio 3 of 40"]

@@ -1,6 +1,7 @@
 """Folders of the runs of tests: names, claims, what is replaced and what is removed."""
 
 import fcntl
+import shutil
 from pathlib import Path
 
 import pytest
@@ -58,6 +59,14 @@ def test_a_folder_in_use_is_left_to_its_swarm(tmp_path):
     assert theirs.exists()
     for place in places:
         place.remove()
+
+
+def test_a_folder_that_its_test_has_removed_is_empty(tmp_path):
+    place = claim(tmp_path, NODEID)
+    shutil.rmtree(place.path)
+    assert place.is_empty
+    place.keep()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_descriptors_are_closed(tmp_path):
