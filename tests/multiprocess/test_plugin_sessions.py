@@ -74,6 +74,20 @@ def test_interrupt_ends_the_compilation_with_its_processes(
     assert said in (errors if workers else output).splitlines()
 
 
+def test_compilation_is_said_despite_the_capture_of_output(pytester: pytest.Pytester) -> None:
+    pytester.makeconftest(
+        """
+        from harness.launch import kernel_cache
+
+        kernel_cache.prepare = lambda note, on_progress: note("compiling the kernels")
+        """
+    )
+    pytester.makepyfile(test_user="def test_late(request): request.getfixturevalue('coflight_settings')\n")
+    done = pytester.runpytest_subprocess(timeout=120.0)
+    done.assert_outcomes(passed=1)
+    assert done.outlines.count("coflight: compiling the kernels") == 1
+
+
 @pytest.mark.parametrize("kind", [Swarm, OneProcessSwarm])
 def test_compilation_does_not_count_as_wall_time(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, kind: type[Swarm]
