@@ -1,6 +1,6 @@
 """``coflight report RUN``: the results of a run that has ended, and its figures drawn again.
 
-Exit status: 0 fine, 2 no such run or tables of another version, with one line on stderr.
+Exit status: 0 fine, 2 no such run or tables of another version, with one line on stderr, 130 interrupted.
 """
 
 import sys
@@ -12,11 +12,10 @@ import msgspec
 import typer
 from rich.console import Console
 
+from foundation.exit_status import BAD_INPUT, FINE
 from harness.cli.progress import summary_table
 from harness.records.run_folder import NotARun, RunFolder, read_scenario
 from harness.report.report import draw_again
-
-FINE, BAD_INPUT = 0, 2
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -57,14 +56,14 @@ def _summary(folder: RunFolder) -> dict[str, Any]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     try:
-        app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False)
+        status = app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False)
     except typer.TyperException as error:
         return _refuse(error.format_message())
     except NotARun as error:
         return _refuse(str(error))
     except OSError as error:
         return _refuse(f"{error.filename}: {error.strerror}" if error.filename else str(error))
-    return FINE
+    return status if isinstance(status, int) else FINE
 
 
 def _refuse(line: str) -> int:
