@@ -24,6 +24,7 @@ from typing import Self
 from msgspec import Struct
 
 from foundation.kernels.cache_folder import PACKAGES, VARIABLE, digest, environment, folder, own_base
+from harness.launch.interrupts import interrupts_deferred
 
 __all__ = [
     "PACKAGES", "VARIABLE", "CompileError", "CompileProgress", "Compilers", "digest", "environment", "folder",
@@ -174,9 +175,10 @@ class Compilers:
     def __init__(self, names: Iterable[str] = (), *, in_background: bool = False) -> None:
         self._compilers: list[_Compiler] = []
         with contextlib.ExitStack() as stack:
-            for name in names:
-                self._compilers.append(_Compiler(name, in_background=in_background))
-                stack.callback(self._compilers[-1].end)
+            with interrupts_deferred():  # Ctrl-C ends each process that was started
+                for name in names:
+                    self._compilers.append(_Compiler(name, in_background=in_background))
+                    stack.callback(self._compilers[-1].end)
             self._close = stack.pop_all().close
 
     def __enter__(self) -> Self:

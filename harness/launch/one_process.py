@@ -22,6 +22,7 @@ import os
 import queue
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
@@ -64,6 +65,8 @@ NAME = "one process"
 """Name of the process in manifest and logs."""
 RUN_ID = "one-process"
 """Prefix of the radio's Zenoh keys, which are not used here."""
+MANY = "use Swarm (in pytest: --coflight-processes many)"
+"""Advice after a request that one process cannot fulfil."""
 STOP_LIMIT_S = 10.0
 """Wall time that the flight has to end its step and write its data."""
 
@@ -209,7 +212,8 @@ class _Processes(Processes):
         if self._px4:
             raise SetupError("autopilot.kind: a PX4 is a process of its own, so one process cannot hold it")
         use_kernel_cache()
-        kernel_cache.prepare(self._note)
+        kernel_cache.prepare(self._note, self._on_compiled)
+        self._wall_start_s = time.monotonic()
         folder = RunFolder.create(self._folder.path)
         radio = _read(folder.write_radio_config(scenario, run_id=RUN_ID), ServerConfig)
         physics = _read(folder.write_physics_config(scenario, run_id=RUN_ID), PhysicsConfig)
@@ -295,7 +299,12 @@ class OneProcessSwarm(Swarm):
 
     def mavlink(self, instance: int) -> Any:  # noqa: ANN401  see `Swarm.mavlink`
         """Raise SwarmError: the vehicles have no links to the outside."""
-        raise SwarmError(f"{uav(instance)} has no link to the outside in a swarm of one process")
+        raise SwarmError(f"{uav(instance)} has no link to the outside in a swarm of one process: {MANY}")
+
+    @property
+    def addresses(self) -> tuple[str, ...]:
+        """Raise SwarmError as `mavlink`."""
+        raise SwarmError(f"there are no addresses in a swarm of one process: {MANY}")
 
 
 def fly(

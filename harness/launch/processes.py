@@ -92,8 +92,8 @@ def supervised(config: Path) -> tuple[str, ...]:
 class Processes:
     """Physics server, 802.11 emulator and one process per vehicle, forked by the prefork server.
 
-    ``wall_limit_s`` limits the run's wall time from `start` on; ``on_message`` receives every message that is
-    taken from the queue, on the caller's thread.
+    ``wall_limit_s`` limits the run's wall time from `start` on, without the compilation of kernels;
+    ``on_message`` receives every message that is taken from the queue, on the caller's thread.
     """
 
     def __init__(
@@ -170,7 +170,6 @@ class Processes:
         Raises SetupError for a port, a folder or file descriptors that are not available, and SwarmError for
         a process that fails.
         """
-        self._wall_start_s = time.monotonic()
         try:
             self._running = True
             self._start()
@@ -204,6 +203,7 @@ class Processes:
         allow_descriptors(len((PHYSICS, RADIO, PREFORK)) + len(vehicles) + len(self._px4))
         self._check_ports()
         self._kernels = kernel_cache.prepare_flight(self._note, self._on_compiled)
+        self._wall_start_s = time.monotonic()
         with contextlib.ExitStack() as sockets:
             base = scenario.ports.simulator_tcp
             listeners = [

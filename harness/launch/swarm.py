@@ -70,10 +70,10 @@ class Swarm:
     ``speed``: simulated over wall time, or ``"max"``. ``out``: the run's folder; by default a temporary one,
     which is deleted with this object. ``ports``: ``"free"`` uses any free ports and sends to no ground
     station; ``"scenario"`` uses the scenario's ports, each plus ``port_offset``. ``wall_limit_s``: run
-    methods raise SwarmTimeoutError after this wall time since the start. ``on_message`` receives the messages
-    of the processes and their ends, on the thread that runs the swarm, and before the first a warning if
-    ranging does not determine the formation's shape. ``profile_from_s``: simulated time from which the
-    processes are profiled, for `profile`.
+    methods raise SwarmTimeoutError after this wall time since the start, in which the compilation of kernels
+    does not count. ``on_message`` receives the messages of the processes and their ends, on the thread that
+    runs the swarm, and before the first a warning if ranging does not determine the formation's shape.
+    ``profile_from_s``: simulated time from which the processes are profiled, for `profile`.
 
     Raises ScenarioError for an invalid scenario.
     """
