@@ -5,6 +5,7 @@ Drawn with matplotlib's objects only: no window, no global state.
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 from matplotlib import colormaps
@@ -34,7 +35,7 @@ DOTTED_POINTS = 60
 """Largest number of points of a line that are marked."""
 STACKED_ASPECT = 0.7
 """Largest height over width of a map above the heights; a taller one is beside them."""
-_BELOW = "outside lower center"
+_BELOW: Final = "outside lower center"
 
 
 def save(figure: Figure, path: Path, title: str) -> list[str]:
@@ -46,9 +47,11 @@ def save(figure: Figure, path: Path, title: str) -> list[str]:
     figure.suptitle(title, parse_math=False)
     figure.set_dpi(DPI)
     png, pdf = (path.with_name(f"{path.name}.{suffix}") for suffix in FORMATS)
-    FigureCanvasAgg(figure).print_png(png)
+    as_png: Any = FigureCanvasAgg(figure)  # its methods have no types
+    as_png.print_png(png)
     figure.set_layout_engine("none")  # the layout of the first file is that of the second
-    FigureCanvasPdf(figure).print_pdf(pdf, metadata={"CreationDate": None})
+    as_pdf: Any = FigureCanvasPdf(figure)
+    as_pdf.print_pdf(pdf, metadata={"CreationDate": None})
     return [png.name, pdf.name]
 
 
@@ -62,7 +65,9 @@ def tracks_figure(flight: Flight, wind: WindConfig) -> Figure:
     moves = bool((flight.desired_pos_ned_m != flight.desired_pos_ned_m[0]).any())
     on_the_way = np.linspace(0, len(flight) - 1, SHOWN_ON_THE_WAY).astype(int)
     size = 4 if moves else 6
-    cross = {"linestyle": "none", "marker": "+", "markersize": 2 * size, "markeredgewidth": 0.3 * size}
+    cross: dict[str, Any] = {
+        "linestyle": "none", "marker": "+", "markersize": 2 * size, "markeredgewidth": 0.3 * size,
+    }  # fmt: skip
     for i, colour in enumerate(_colours(flight.alive.shape[1])):
         north_m, east_m, down_m = (
             np.ma.array(flight.pos_ned_m[:, i, axis], mask=~flight.alive[:, i]) for axis in range(3)
