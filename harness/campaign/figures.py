@@ -32,7 +32,7 @@ LONG_NAMES = 28
 """Number of letters of all names of an axis from which they are slanted."""
 DODGE = 0.015
 """Distance of points of neighbouring lines over the range of the axis, unless there are many."""
-_COLUMNS = 3
+MOST_COLUMNS = 3
 _NO_NUMBERS = (pa.types.is_boolean, pa.types.is_string)
 
 
@@ -100,8 +100,8 @@ def factor_figure(rows: pa.Table, factor: str) -> Figure | None:
         lines = {"": np.arange(len(shown))}
     places, is_number = _places(rows.column(factor))
     style = "o-" if is_number else "o"
-    columns = min(_COLUMNS, len(quantities))
-    panel_rows = -(-len(quantities) // columns)
+    panel_rows = -(-len(quantities) // MOST_COLUMNS)
+    columns = -(-len(quantities) // panel_rows)
     figure = Figure(figsize=(4.0 * columns + 0.6, 3.2 * panel_rows + 1.5), layout="constrained")
     panels = figure.subplots(panel_rows, columns, squeeze=False).ravel()
     for axes, quantity in zip(panels, quantities, strict=False):

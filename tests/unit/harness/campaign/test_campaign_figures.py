@@ -167,7 +167,5 @@ def test_report_shows_a_campaign_and_draws_it_again(folder, capsys):
 def test_another_table_is_one_line(tmp_path, capsys):
     pq.write_table(pa.table({"x": [1]}), tmp_path / "table.parquet")
     assert report.main([str(tmp_path), "--figures"]) == report.BAD_INPUT
-    line = (
-        f"coflight: {tmp_path}/table.parquet: no campaign of this version wrote it: fly the campaign again\n"
-    )
-    assert capsys.readouterr().err == line
+    reason = "no campaign of this version wrote it: fly the campaign again"
+    assert capsys.readouterr().err == f"coflight: {tmp_path}/table.parquet: {reason}\n"
