@@ -33,6 +33,9 @@ LONG_NAMES = 28
 DODGE = 0.015
 """Distance of points of neighbouring lines over the range of the axis, unless there are many."""
 MOST_COLUMNS = 3
+LEAST_WIDTH_IN = 7.0
+LETTERS_PER_IN, LETTERS_OF_A_LINE = 12, 9
+"""Letters of the legend in an inch, and the room of a line's sample in letters."""
 _NO_NUMBERS = (pa.types.is_boolean, pa.types.is_string)
 
 
@@ -102,7 +105,8 @@ def factor_figure(rows: pa.Table, factor: str) -> Figure | None:
     style = "o-" if is_number else "o"
     panel_rows = -(-len(quantities) // MOST_COLUMNS)
     columns = -(-len(quantities) // panel_rows)
-    figure = Figure(figsize=(4.0 * columns + 0.6, 3.2 * panel_rows + 1.5), layout="constrained")
+    width_in = max(4.0 * columns + 0.6, LEAST_WIDTH_IN)
+    figure = Figure(figsize=(width_in, 3.2 * panel_rows + 1.5), layout="constrained")
     panels = figure.subplots(panel_rows, columns, squeeze=False).ravel()
     for axes, quantity in zip(panels, quantities, strict=False):
         for number, (label, of_line) in enumerate(lines.items()):
@@ -117,8 +121,10 @@ def factor_figure(rows: pa.Table, factor: str) -> Figure | None:
         _tick(axes, places, is_number=is_number)
     for axes in panels[len(quantities) :]:
         axes.set_axis_off()
+    fitting = int(LETTERS_PER_IN * width_in) // (max(map(len, lines)) + LETTERS_OF_A_LINE)
     legend = figure.legend(
-        *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize="small",
+        *panels[0].get_legend_handles_labels(), loc="outside lower center", fontsize="small",
+        ncols=max(1, min(fitting, len(lines))),
         title=_caption(rows, shown, others, pooled=bool(pooled)), title_fontsize="small",
     )  # fmt: skip
     for text in (*legend.get_texts(), legend.get_title()):
@@ -208,4 +214,4 @@ def _caption(rows: pa.Table, shown: pa.Table, others: Sequence[str], *, pooled: 
     missing = Counter(rows.column("status").to_pylist())[FAILED]
     if missing:
         parts.append(f"{missing} failed run{'s' if missing > 1 else ''} left out")
-    return "; ".join(parts)
+    return f"{'; '.join(parts[:2])}\n{'; '.join(parts[2:])}".strip()

@@ -86,9 +86,15 @@ def tracks_figure(flight: Flight, wind: WindConfig) -> Figure:
             plan.plot(
                 east_m[first], north_m[first], "s", markeredgecolor=colour, color="white", markersize=size
             )
-            marker = "o" if last == len(flight) - 1 else "X"  # a cross at the position of a loss
+            # a cross at the position of a loss
+            marker, marker_size = ("o", size) if last == len(flight) - 1 else ("X", size + 3)
             plan.plot(
-                east_m[last], north_m[last], marker, color=colour, markeredgecolor="black", markersize=size
+                east_m[last],
+                north_m[last],
+                marker,
+                color=colour,
+                markeredgecolor="black",
+                markersize=marker_size,
             )
     plan.set(xlabel="East (m)", ylabel="North (m)", title="Tracks")
     plan.set_aspect("equal", adjustable="datalim")
@@ -103,7 +109,7 @@ def tracks_figure(flight: Flight, wind: WindConfig) -> Figure:
         Line2D([], [], color="black", linestyle="--", linewidth=1.0, label="desired"),
     ]
     if not flight.alive[-1].all():
-        marks.insert(2, _mark("X", "lost", size, color="0.6", markeredgecolor="black"))
+        marks.insert(2, _mark("X", "lost", size + 3, color="0.6", markeredgecolor="black"))
     if moves:
         interval_s = (time_s[-1] - time_s[0]) / (SHOWN_ON_THE_WAY - 1)
         marks.insert(1, _mark("o", f"every {interval_s:.3g} s", 3, color="0.3"))

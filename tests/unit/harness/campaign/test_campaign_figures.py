@@ -73,7 +73,7 @@ def test_failed_runs_are_left_out_and_counted():
     figure = factor_figure(rows, "wind.mean_n")
     np.testing.assert_allclose(_points(figure.axes[0])[0][1], [1.3, 3.0 + (0.1 + 0.3 + 0.4) / 3.0])
     title, _ = _caption(figure)
-    assert title.endswith("6 runs, 4 seeds; 2 failed runs left out")
+    assert title.endswith("6 runs, 4 seeds\n2 failed runs left out")
     assert factor_figure(_table(seeds=1, failed=(0,)), "case") is None  # no run has results
 
 
@@ -81,7 +81,7 @@ def test_another_factor_has_a_line_for_each_value():
     rows = _table(**{"wind.mean_n": [0, 2, 5], "onboard.localisation": ["gps", "ftm"]})
     by_wind, by_word = (factor_figure(rows, factor) for factor in factors(rows))
     title, lines = _caption(by_wind)
-    assert "; a line for each onboard.localisation" in title
+    assert "\na line for each onboard.localisation" in title
     assert lines == ["onboard.localisation = gps", "onboard.localisation = ftm"]
     gps, ftm = _points(by_wind.axes[0])
     np.testing.assert_allclose(gps[1] + 2.0, ftm[1])
@@ -97,7 +97,7 @@ def test_too_many_lines_are_pooled():
     rows = _table(**{"wind.mean_n": winds_n, "agents": [4, 8]})
     figure = factor_figure(rows, "agents")
     title, lines = _caption(figure)
-    assert "; pooled over wind.mean_n" in title
+    assert "\npooled over wind.mean_n" in title
     assert lines == ["all runs"]
     ((x, y, _),) = _points(figure.axes[0])
     np.testing.assert_allclose(x, [4, 8])
@@ -143,14 +143,20 @@ def test_every_factor_has_both_files_beside_the_table(folder):
     assert {name: (folder / name).read_bytes() for name in FILES} == before
 
 
-def test_nothing_covers_a_panel(folder):
-    figure = factor_figure(pq.read_table(folder / "table.parquet"), "wind.mean_n")
+LONG = {"onboard.localisation": ["gps", "ftm"], "radio.broadcast_rts": [True, False], "agents": [4, 8]}
+
+
+@pytest.mark.parametrize("others", [{}, {"onboard.localisation": ["gps", "ftm"]}, LONG])
+def test_nothing_covers_a_panel_or_is_cut_off(others):
+    figure = factor_figure(_table(failed=(1,), **{"wind.mean_n": [0, 2], **others}), "wind.mean_n")
     figure.suptitle("Campaign")
     renderer = FigureCanvasAgg(figure).get_renderer()
     figure.draw(renderer)
     (legend,) = figure.legends
     boxes = [axes.get_tightbbox(renderer) for axes in figure.axes]
-    assert not any(legend.get_window_extent(renderer).overlaps(box) for box in boxes)
+    around = legend.get_window_extent(renderer)
+    assert not any(around.overlaps(box) for box in boxes)
+    assert 0.0 <= around.x0 < around.x1 <= figure.bbox.x1
     assert not any(one.overlaps(other) for one, other in itertools.combinations(boxes, 2))
 
 
