@@ -8,28 +8,43 @@ from typing import cast
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
+from matplotlib.lines import Line2D
 from matplotlib.projections.polar import PolarAxes
 
 from antenna.analysis.features import main_lobe
 from antenna.analysis.patterns import HALF_POWER_DB, Pattern
-from antenna.analysis.statistics import Envelope, gain_density, gain_statistics, gain_towards_dbi
+from antenna.analysis.statistics import (
+    Envelope,
+    gain_density,
+    gain_statistics,
+    gain_towards_dbi,
+    refined_gain_dbi,
+)
 from antenna.model.geometry import Array
 
 GAIN_RANGE_DBI = (-30.0, 18.0)
 """Colour range of a pattern, as in the article."""
 GAIN_STEP_DB = 6.0
+DRAWN_STEP_DEG = 0.5
+"""Step of a drawn pattern: a null narrower than the step would look like a string of beads."""
+OUTLINE = "half power of the main lobe (3 dB below its maximum)"
 CUT_FLOOR_DBI = -20.0
 """Gain at the centre of a polar cut; lower gains are drawn there."""
 
 
 def patterns_figure(patterns: Mapping[str, Pattern]) -> Figure:
-    """Return a figure with one panel per pattern, titled by key and maximum, on one colour scale."""
-    figure = Figure(figsize=(5.2 * len(patterns) + 1.0, 3.9), layout="constrained")
+    """Return a figure with one panel per pattern, titled by key and maximum, on one colour scale.
+
+    Main lobes are outlined at half power, as a legend says, unless no grid resolves its lobe.
+    """
+    figure = Figure(figsize=(5.2 * len(patterns) + 1.0, 4.2), layout="constrained")
     panels = figure.subplots(1, len(patterns), sharey=True, squeeze=False)[0]
+    outlined = False
     for axes, (title, pattern) in zip(panels, patterns.items(), strict=True):
         image = draw_pattern(axes, pattern)
+        outlined |= _outline_main_lobe(axes, pattern)
         axes.set_title(
             f"{title}: {pattern.max_gain_dbi:.2f} dBi at θ {pattern.max_theta_deg:.0f}°,"
             f" φ {pattern.max_phi_deg:.0f}°"
@@ -37,6 +52,9 @@ def patterns_figure(patterns: Mapping[str, Pattern]) -> Figure:
     panels[0].set_ylabel("θ from zenith (°)")
     ticks = np.arange(GAIN_RANGE_DBI[0], GAIN_RANGE_DBI[1] + 0.1, GAIN_STEP_DB)
     figure.colorbar(image, ax=list(panels), label="Gain (dBi)", ticks=ticks, extend="min", pad=0.02)
+    if outlined:
+        line = Line2D([], [], color="black", linewidth=1.5, label=OUTLINE)
+        figure.legend(handles=[line], loc="outside lower center", fontsize="small")
     return figure
 
 
@@ -63,7 +81,7 @@ def gain_density_figure(series: Mapping[str, Array], ideal_dbi: float | None) ->
     axes.set(xlabel="Maximum gain (dBi)", ylabel="Probability density (1/dB)")
     axes.set_ylim(bottom=0.0)
     axes.grid(alpha=0.3)
-    axes.legend(loc="upper left", fontsize="small")
+    figure.legend(loc="outside lower center", ncols=3, fontsize="small")
     return figure
 
 
@@ -155,32 +173,33 @@ def meridian_cut(theta_deg: Array, gain_dbi: Array) -> tuple[Array, Array]:
     return np.append(theta_deg, 180.0 + theta_deg[1:]), np.append(down, up[1:])
 
 
-def draw_pattern(axes: Axes, pattern: Pattern) -> QuadMesh:
-    """Draw the gain over phi and theta with the main lobe outlined in black; return the image."""
-    phi_deg = np.append(pattern.phi_deg, 360.0)
-    gain_dbi = np.column_stack([pattern.gain_dbi, pattern.gain_dbi[:, 0]])
+def draw_pattern(axes: Axes, pattern: Pattern) -> AxesImage:
+    """Draw the gain over phi and theta, interpolated to `DRAWN_STEP_DEG`; return the image."""
+    theta_deg, phi_deg, gain_dbi = refined_gain_dbi(pattern, DRAWN_STEP_DEG)
     low_dbi, high_dbi = GAIN_RANGE_DBI
-    image = axes.pcolormesh(
-        phi_deg, pattern.theta_deg, np.clip(gain_dbi, low_dbi, high_dbi),
-        vmin=low_dbi, vmax=high_dbi, cmap="turbo", shading="gouraud", rasterized=True,
+    half_theta_deg, half_phi_deg = theta_deg[1] / 2.0, phi_deg[1] / 2.0
+    image = axes.imshow(
+        np.clip(gain_dbi, low_dbi, high_dbi), vmin=low_dbi, vmax=high_dbi, cmap="viridis", aspect="auto",
+        origin="lower", interpolation="bilinear",
+        extent=(-half_phi_deg, 360.0 + half_phi_deg, -half_theta_deg, 180.0 + half_theta_deg),
     )  # fmt: skip
-    _outline_main_lobe(axes, pattern)
     axes.set(xlim=(0.0, 360.0), ylim=(0.0, 180.0), xlabel="φ from broadside axis (°)")
     axes.set_xticks(np.arange(0, 361, 45))
     axes.set_yticks(np.arange(0, 181, 45))
     return image
 
 
-def _outline_main_lobe(axes: Axes, pattern: Pattern) -> None:
+def _outline_main_lobe(axes: Axes, pattern: Pattern) -> bool:
     """Draw the half-power contour of the main lobe only: other lobes are lowered below the level first.
 
-    Nothing is drawn for a lobe that the grid does not resolve.
+    Returns False and draws nothing for a lobe that the grid does not resolve.
     """
     level_dbi, lobe = pattern.max_gain_dbi - HALF_POWER_DB, main_lobe(pattern)
     if not lobe.any():
-        return
+        return False
     others = (pattern.gain_dbi >= level_dbi) & ~lobe
     gain_dbi = np.where(others, level_dbi - HALF_POWER_DB, np.maximum(pattern.gain_dbi, GAIN_RANGE_DBI[0]))
     turns_deg = np.concatenate([pattern.phi_deg + turn_deg for turn_deg in (-360.0, 0.0, 360.0)])
     three_turns_dbi = np.tile(gain_dbi, (1, 3))
     axes.contour(turns_deg, pattern.theta_deg, three_turns_dbi, [level_dbi], colors="black", linewidths=1.5)
+    return True

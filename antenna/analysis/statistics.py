@@ -1,5 +1,6 @@
 """Statistics of many patterns: density of maximum gain, gain in one direction, pointing, mean, envelope."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -199,6 +200,42 @@ def gain_towards_dbi(patterns: Sequence[Pattern], theta_deg: float, phi_deg: flo
     near_phi = [p.phi_gain_dbi[rows[:, None], column_of] for p in patterns]
     gains = from_dbi(np.array(near, float)) + from_dbi(np.array(near_phi, float))
     return np.asarray(to_dbi(np.maximum((gains * weights).sum(axis=(1, 2)), 0.0)), float)
+
+
+def refined_gain_dbi(pattern: Pattern, step_deg: float) -> tuple[Array, Array, Array]:
+    """Return theta (T',), phi (P',) from 0 to 360, both included, and the total gain (T', P') between them.
+
+    The directions are at most ``step_deg`` apart; interpolated and continued as in `gain_towards_dbi`, and
+    at most the pattern's maximum.
+    """
+    times = math.ceil(float(pattern.theta_deg[1]) / step_deg - 1e-9)
+    gain, grounded, half = pattern.gain, _ends_at_horizon(pattern), _AROUND // 2
+    intervals, turn = len(gain) - 1, gain.shape[1]
+    if grounded:
+        rows = np.arange(intervals + 1)
+        gain = gain[np.minimum(rows, intervals - rows)]
+    over = np.roll(gain, turn // 2, axis=1)  # across a pole
+    gain = np.concatenate([over[half:0:-1], gain, over[-2 : -half - 2 : -1]])
+    gain = np.take(gain, np.arange(-half, turn + half + 1), axis=1, mode="wrap")
+    gain = _between(_between(gain, times).T, times).T
+    theta_deg = np.linspace(0.0, 180.0, intervals * times + 1)
+    gain_dbi = np.minimum(to_dbi(np.maximum(gain, 0.0)), pattern.max_gain_dbi)
+    if grounded:
+        gain_dbi[theta_deg > 90.0] = FLOOR_DBI
+    return theta_deg, np.linspace(0.0, 360.0, turn * times + 1), gain_dbi
+
+
+def _between(rows: Array, times: int) -> Array:
+    """Return rows at ``times`` points per interval, without the half of `_AROUND` nodes at each end."""
+    intervals = len(rows) - 1 - _AROUND
+    fine = np.empty((intervals * times + 1, rows.shape[1]))
+    for part in range(times):
+        nodes, weights = _lagrange(_AROUND // 2 + part / times)
+        part_of_fine = fine[part::times]
+        part_of_fine[:] = 0.0
+        for node, weight in zip(nodes.tolist(), weights.tolist(), strict=True):
+            part_of_fine += weight * rows[node : node + len(part_of_fine)]
+    return fine
 
 
 def _ends_at_horizon(pattern: Pattern) -> bool:

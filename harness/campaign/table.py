@@ -22,6 +22,9 @@ from harness.campaign.values import toml_text
 _LEFT_OUT = {"scenario", "seed", "status", "reason", "wall_s", "real_time_factor"}
 """Omitted fields of the summary: those of other columns, and those that depend on the machine"""
 
+CAMPAIGN_KEY, SCENARIO_KEY = b"campaign", b"scenario"
+"""Metadata of the Parquet file: names of the campaign and of its scenario's file"""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Table:
@@ -47,7 +50,9 @@ class Table:
 
 def write_table(campaign: Campaign, runs: Sequence[Run], flown: Mapping[str, Flown], store: Store) -> Table:
     """Write the table of runs, whose digests are all in ``flown``, as Parquet and CSV; raises OSError."""
-    rows = make_rows(campaign, runs, flown)
+    rows = make_rows(campaign, runs, flown).replace_schema_metadata(
+        {CAMPAIGN_KEY: campaign.name, SCENARIO_KEY: campaign.scenario.stem}
+    )
     parquet, csv = io.BytesIO(), io.BytesIO()
     pq.write_table(rows, parquet, compression="zstd")
     pyarrow.csv.write_csv(rows, csv)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Annotated
 
 import msgspec
+import pyarrow as pa
 import typer
 from rich.console import Console
 from rich.table import Table as Shown
@@ -20,8 +21,7 @@ from harness.campaign.cluster import check_address
 from harness.campaign.definition import KEPT, Campaign, Run, expand, load
 from harness.campaign.display import CampaignDisplay
 from harness.campaign.running import known, run
-from harness.campaign.store import FAILED, CampaignError, ClusterError, Flown, Store
-from harness.campaign.table import Table
+from harness.campaign.store import FAILED, TABLES, CampaignError, ClusterError, Flown, Store
 from harness.campaign.values import toml_text
 from harness.campaign.worker import sources_state
 from harness.launch import kernel_cache
@@ -60,7 +60,7 @@ def campaign(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="List the runs without flying them.")] = False,
     json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> int:
-    """Fly every combination of a campaign file, and write one table of the results."""
+    """Fly every combination of a campaign file, and write one table of the results with its figures."""
     try:
         plan = load(file, settings or (), keep or ())
         out = out or Path("runs") / plan.name
@@ -85,9 +85,12 @@ def campaign(
                 progress=display.on_landed,
                 note=display.note,
             )
+        from harness.campaign.figures import draw_table  # noqa: PLC0415  slow to import, needed at the end
+
+        drawn = draw_table(table.parquet)
     except KeyboardInterrupt:
         raise BrokenOff from None
-    fine = _print_table(table, flown_now=len(missing), json=json)
+    fine = print_table(table.rows, out, drawn, flown_now=len(missing), json=json)
     return exit_status.FINE if fine and not display.failed else exit_status.FAILED
 
 
@@ -99,21 +102,23 @@ def _planned(plan: Campaign, out: Path, *, retry: bool) -> tuple[list[Run], dict
     return runs, *known(plan, runs, Store(out), retry=retry)
 
 
-def _print_table(table: Table, *, flown_now: int, json: bool) -> bool:
-    """Print the numbers of runs by status; returns whether no run has failed."""
-    counts = Counter(table.column("status"))
+def print_table(rows: pa.Table, folder: Path, figures: Sequence[str], *, flown_now: int, json: bool) -> bool:
+    """Print the numbers of runs by status, and the files; returns whether no run has failed."""
+    counts = Counter(rows.column("status").to_pylist())
+    tables = [str(folder / name) for name in TABLES]
+    drawn = [str(folder / name) for name in figures]
     if json:
         result = {
-            "runs": len(table.runs),
+            "runs": len(rows),
             "flown": flown_now,
             **{status: counts.get(status, 0) for status in ("completed", "not_formed", FAILED)},
-            "parquet": str(table.parquet),
-            "csv": str(table.csv),
+            **dict(zip(("parquet", "csv"), tables, strict=True)),
+            "figures": drawn,
         }
         _print_json(result)
     else:
         ends = ", ".join(f"{count} {status.replace('_', ' ')}" for status, count in sorted(counts.items()))
-        sys.stdout.write(f"{len(table.runs)} runs: {ends}\n{table.parquet}\n{table.csv}\n")
+        sys.stdout.write("\n".join([f"{len(rows)} runs: {ends}", *tables, *drawn]) + "\n")
     return not counts.get(FAILED)
 
 

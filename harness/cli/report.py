@@ -1,4 +1,4 @@
-"""``coflight report RUN``: the results of a run that has ended, and its figures drawn again.
+"""``coflight report RUN``: the results of a run or campaign that has ended, and its figures drawn again.
 
 Exit status: 0 fine, 2 no such run or tables of another version, with one line on stderr, 130 interrupted.
 """
@@ -9,10 +9,14 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
+import pyarrow.parquet as pq
 import typer
 from rich.console import Console
 
 from foundation.exit_status import BAD_INPUT, FINE
+from harness.campaign.figures import draw_table
+from harness.campaign.store import TABLES
+from harness.cli.campaign import print_table
 from harness.cli.progress import summary_table
 from harness.records.run_folder import NotARun, RunFolder, read_scenario
 from harness.report.report import draw_again
@@ -22,12 +26,15 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 @app.command()
 def report(
-    run: Annotated[Path, typer.Argument(help="Folder of a run that has ended.", metavar="RUN")],
+    run: Annotated[Path, typer.Argument(help="Folder of a run or campaign that has ended.", metavar="RUN")],
     *,
     figures: Annotated[bool, typer.Option("--figures", help="Draw the figures again.")] = False,
     json: Annotated[bool, typer.Option("--json", help="The summary alone on stdout.")] = False,
 ) -> None:
-    """Show what came out of a run."""
+    """Show what came out of a run or campaign."""
+    if (run / TABLES[0]).exists():
+        _report_campaign(run, figures=figures, json=json)
+        return
     folder = RunFolder(run)
     scenario = read_scenario(folder)
     summary = _summary(folder)
@@ -42,6 +49,15 @@ def report(
         sys.stdout.write(folder.summary.read_text(encoding="utf-8"))
     else:
         Console(highlight=False).print(summary_table(summary))
+
+
+def _report_campaign(folder: Path, *, figures: bool, json: bool) -> None:
+    path = folder / TABLES[0]
+    try:
+        drawn = draw_table(path) if figures else []
+        print_table(pq.read_table(path), folder, drawn, flown_now=0, json=json)
+    except (KeyError, ValueError):
+        raise NotARun(f"{path}: no campaign of this version wrote it: fly the campaign again") from None
 
 
 def _summary(folder: RunFolder) -> dict[str, Any]:

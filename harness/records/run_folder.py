@@ -4,7 +4,8 @@ manifest.json summary.json events.jsonl      what ran, results, events
 flight.parquet radio.parquet ftm.parquet      truth and estimates, every frame, every ranging session
 air.parquet                                   channel occupancy over time
 gains.parquet antenna.nec patterns.nc         antenna: gains over time, median instant as NEC deck, patterns
-figures/*.png  logs/*.log  config/*.json       figures, the processes' messages, their settings
+figures/*.png *.pdf                           figures, each in both formats
+logs/*.log  config/*.json                     the processes' messages, their settings
 uav-0.params uav-0.ulg ...                    parameters that a ground station saved, ULog
 raw/                                          binary logs during the run
 """

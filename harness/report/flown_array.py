@@ -21,7 +21,7 @@ ELEMENT_TO_FRD = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """An element's axes on its vehicle: x to the right, y forward, z up, as the antenna's for an upright
 vehicle."""
 FIGURE_GRID_DEG = 1.5
-"""Grid of patterns in figures: with a wider one lines of low gain look like beads."""
+"""Grid of patterns in figures, between which they are interpolated: fine enough for nulls."""
 
 
 class NoFeed(Exception):

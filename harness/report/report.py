@@ -13,9 +13,11 @@ import msgspec
 import numpy as np
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
+from matplotlib.figure import Figure
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from antenna.analysis.gain_figures import gain_density_figure, patterns_figure
 from foundation.records.record_log import read
 from harness.launch.profiling import KindProfile
 from harness.records.flight import Flight
@@ -139,7 +141,8 @@ def finish(
 def draw_again(folder: RunFolder, scenario: Scenario, *, formed_us: int | None) -> list[str]:
     """Draw the figures of a run that was reported, from its tables; returns their names.
 
-    Patterns are computed again. Raises OSError, and KeyError or ValueError for tables of another scenario.
+    The manifest lists them. Patterns are computed again. Raises OSError, and KeyError or ValueError for
+    tables of another scenario.
     """
     whole = read_flight(folder, scenario)
     window = _window(whole, formed_us, scenario)
@@ -150,7 +153,9 @@ def draw_again(folder: RunFolder, scenario: Scenario, *, formed_us: int | None) 
     occupancy = _occupancy(air["time_us"].to_numpy(), air["busy_ns"].to_numpy())
     drawn = Drawn(whole, window, error, _antenna(window, scenario), occupancy, error_m)
     folder.figures.mkdir(exist_ok=True)
-    return _draw(folder, scenario, drawn)
+    written = _draw(folder, scenario, drawn)
+    _write_json(folder.manifest, msgspec.json.decode(folder.manifest.read_bytes()) | {"figures": written})
+    return written
 
 
 def _window(whole: Flight, formed_us: int | None, scenario: Scenario) -> Flight:
@@ -274,25 +279,27 @@ def _write_json(path: Path, content: dict[str, Any]) -> None:
 
 
 def _draw(folder: RunFolder, scenario: Scenario, drawn: Drawn) -> list[str]:
-    """Draw every figure for which the run has data; returns their names."""
-    at = folder.figures
+    """Write every figure for which the run has data; returns the names of the files."""
     whole, window, error, antenna, (time_us, busy_fraction), error_m = drawn
+    made: dict[str, Figure] = {}
     if len(whole):
-        figures.save_tracks(at / "tracks.png", whole)
+        made["tracks"] = figures.tracks_figure(whole, scenario.wind)
     if error is not None:
-        figures.save_formation_error(at / "formation_error.png", window.time_us, error)
+        made["formation_error"] = figures.formation_error_figure(window.time_us, error)
     gains, ideal = antenna.series, antenna.ideal
     if gains is not None and ideal is not None and len(gains.patterns):
-        figures.save_gain_density(at / "gain_density.png", {"flown": gains.max_gain_dbi}, ideal.max_gain_dbi)
+        made["gain_density"] = gain_density_figure({"flown": gains.max_gain_dbi}, ideal.max_gain_dbi)
         places_ned_m, heading_rad = scenario.places_ned_m(), antenna_report.heading_rad(scenario)
-        figures.save_patterns(
-            at / "patterns.png", *figure_patterns(gains, places_ned_m, heading_rad, scenario.antenna)
-        )
+        perfect, flown = figure_patterns(gains, places_ned_m, heading_rad, scenario.antenna)
+        made["patterns"] = patterns_figure({"Ideal": perfect, "Flown": flown})
     if len(time_us):
-        figures.save_channel_occupancy(at / "channel.png", time_us, busy_fraction)
+        made["channel"] = figures.channel_figure(time_us, busy_fraction)
     if len(error_m):
-        figures.save_ftm_errors(at / "ftm_error.png", error_m)
-    return sorted(path.name for path in at.glob("*.png"))
+        made["ftm_error"] = figures.ftm_error_figure(error_m)
+    title = f"{scenario.name}, seed {scenario.run.seed}"
+    return sorted(
+        file for name, figure in made.items() for file in figures.save(figure, folder.figures / name, title)
+    )
 
 
 def _occupancy(

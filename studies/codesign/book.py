@@ -4,10 +4,11 @@ from collections.abc import Callable, Iterable, Mapping
 
 from msgspec import Struct
 
+from harness.campaign.intervals import Interval, mean_interval
 from studies.codesign.cases import CodesignCase, CodesignPlan
 from studies.codesign.measures import Measures
 from studies.codesign.results import CodesignFlown
-from studies.codesign.statistics import Interval, mean_interval, ratio_interval
+from studies.codesign.statistics import ratio_interval
 from studies.common.report import ReportTable
 
 COLUMNS = {

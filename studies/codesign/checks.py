@@ -5,9 +5,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from harness.campaign.intervals import Interval
 from studies.codesign.book import Book
 from studies.codesign.cases import CodesignCase
-from studies.codesign.statistics import Interval
 from studies.common.report import Check
 
 SHAPE_MOST_M = 0.25

@@ -15,7 +15,7 @@ from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
 from antenna.analysis.statistics import gain_density
 from foundation.types import Array
-from studies.codesign.statistics import Interval
+from harness.campaign.intervals import Interval
 from studies.common.figures import new_figure, save
 
 GPS, FTM, OTHER = "#D55E00", "#0072B2", "#009E73"

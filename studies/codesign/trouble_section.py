@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 
 from foundation.types import Array
+from harness.campaign.intervals import mean_interval
 from studies.codesign import figures
 from studies.codesign.book import Book
 from studies.codesign.cases import (
@@ -23,7 +24,6 @@ from studies.codesign.cases import (
 )
 from studies.codesign.checks import formed_check, pairs_check, sound_checks
 from studies.codesign.measures import TRACK_PERIOD_S
-from studies.codesign.statistics import mean_interval
 from studies.codesign.trouble import (
     PULL_WINDOW_S,
     RECOVERED_FACTOR,

@@ -140,7 +140,7 @@ def test_tables_have_truth_and_estimates(flown):
 def test_all_figures_are_drawn(flown):
     names = {path.name for path in (flown["folder"] / "figures").iterdir()}
     expected = ("channel", "formation_error", "ftm_error", "gain_density", "patterns", "tracks")
-    assert names == {f"{name}.png" for name in expected}
+    assert names == {f"{name}.{suffix}" for name in expected for suffix in ("png", "pdf")}
     assert not (flown["folder"] / "raw").exists()
 
 

@@ -12,6 +12,7 @@ from antenna.model.geometry import Snapshot, grid
 from antenna.solvers.interface import BackendUnavailable
 from antenna.solvers.selection import make_backend
 from autopilot.onboard.radio.scheduled_ranging import owner
+from harness.campaign.intervals import mean_interval
 from harness.launch import swarm
 from harness.records.flight import Flight
 from harness.world.faults import RadioAttenuation, RangingBias
@@ -30,7 +31,7 @@ from studies.codesign.cases import (
 from studies.codesign.measures import TRACK_PERIOD_S, FlightTables, measure
 from studies.codesign.sensitivity import expected_gain, per_axis_sigma_m, vertical_sigma_m
 from studies.codesign.simulated import simulate
-from studies.codesign.statistics import mean_interval, ratio_interval
+from studies.codesign.statistics import ratio_interval
 from studies.codesign.trouble import judge_cut, judge_liar, shape_errors_ne_m, shape_over_time_m
 
 PLAN = CodesignPlan(seeds=10, duration_s=30.0)

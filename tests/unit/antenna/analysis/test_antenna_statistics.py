@@ -15,6 +15,7 @@ from antenna.analysis.statistics import (
     gain_towards_dbi,
     pointing_errors_deg,
     pointing_statistics,
+    refined_gain_dbi,
 )
 from antenna.lab.hertzian import hertzian_pattern
 from antenna.model.geometry import Snapshot, along
@@ -173,6 +174,22 @@ def test_gain_over_ground_is_smooth_up_to_the_horizon_and_none_below():
         exact = 2.0 * 10.0 ** (float(gain_dbi(both, LAMBDA_M, theta_deg, phi_deg)) / 10.0)
         assert found == pytest.approx(exact, abs=2e-3 * greatest)
     assert gain_towards_dbi([pattern], 91.0, 90.0).tolist() == [FLOOR_DBI]
+
+
+@pytest.mark.parametrize("image", [False, True])
+def test_refined_gains_are_those_towards_their_directions(image):
+    """Exact on the grid, and between as for single directions; none below the horizon over ground."""
+    array = perturbed(np.random.default_rng(5), LAMBDA_M, tilt_rad=0.3)
+    raised = Snapshot(array.centres_m + np.array([0.0, 0.0, 4.0]), array.rotations, array.voltages)
+    pattern = hertzian_pattern(raised, LAMBDA_M, grid_deg=6.0, image=image)
+    theta_deg, phi_deg, refined_dbi = refined_gain_dbi(pattern, 2.0)
+    assert (theta_deg[1], theta_deg[-1], phi_deg[1], phi_deg[-1]) == pytest.approx((2.0, 180.0, 2.0, 360.0))
+    np.testing.assert_allclose(refined_dbi[::3, :-1:3], pattern.gain_dbi, atol=1e-9)
+    np.testing.assert_array_equal(refined_dbi[:, -1], refined_dbi[:, 0])
+    for t, p in [(0, 7), (1, 178), (44, 46), (45, 45), (61, 100), (90, 11)]:
+        towards_dbi = gain_towards_dbi([pattern], theta_deg[t], phi_deg[p])[0]
+        assert refined_dbi[t, p] == pytest.approx(towards_dbi, abs=1e-6)
+    assert (refined_dbi[theta_deg > 90.0] == FLOOR_DBI).all() == image
 
 
 def test_gain_of_no_patterns_is_empty():

@@ -6,6 +6,7 @@ from matplotlib.contour import QuadContourSet
 
 from antenna.analysis.gain_figures import (
     CUT_FLOOR_DBI,
+    OUTLINE,
     cuts_figure,
     envelope_figure,
     gain_density_figure,
@@ -34,8 +35,10 @@ def test_patterns_share_a_colour_scale_and_outline_their_lobes():
     assert first.get_title() == "Ideal: 13.28 dBi at θ 90°, φ 90°"
     assert flown.get_title() == "Flown: 13.28 dBi at θ 90°, φ 110°"
     assert colour_bar.get_ylabel() == "Gain (dBi)"
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == [OUTLINE]
     for axes in (first, flown):
-        assert axes.collections[0].get_clim() == (-30.0, 18.0)
+        assert axes.images[0].get_clim() == (-30.0, 18.0)
+        assert axes.images[0].get_cmap().name == "viridis"
         assert sum(isinstance(artist, QuadContourSet) for artist in axes.collections) == 1
     (outline,) = (artist for artist in flown.collections if isinstance(artist, QuadContourSet))
     in_panel = [path for path in outline.get_paths()[0].to_polygons() if 0.0 <= path[:, 0].mean() < 360.0]
@@ -43,11 +46,21 @@ def test_patterns_share_a_colour_scale_and_outline_their_lobes():
     assert in_panel[0][:, 0].mean() == pytest.approx(110.0, abs=2.0)
 
 
+def test_a_null_is_drawn_without_gaps():
+    """Along the first null beside the main lobe every drawn direction is low, not only those of the grid."""
+    panel, _ = patterns_figure({"Ideal": _pattern(step_deg=1.5)}).axes
+    image = panel.images[0].get_array()
+    step_deg = 360.0 / (image.shape[1] - 1)
+    beside = image[:, round(95.0 / step_deg) : round(125.0 / step_deg)]
+    lowest_dbi = beside[round(60.0 / step_deg) : round(120.0 / step_deg)].min(axis=1)
+    assert lowest_dbi.max() < -20.0
+
+
 def test_gain_density_shows_every_series_also_a_constant_one():
     rng = np.random.default_rng(6)
     figure = gain_density_figure({"2 N": rng.normal(12.0, 0.3, 50), "calm": np.full(50, 13.2)}, 13.26)
     (axes,) = figure.axes
-    labels = [text.get_text() for text in axes.get_legend().get_texts()]
+    labels = [text.get_text() for text in axes.figure.legends[0].get_texts()]
     assert labels[0].startswith("2 N: 1")
     assert labels[1:] == ["calm: 13.20 ± 0.00 dBi", "ideal: 13.26 dBi"]
 
@@ -55,13 +68,15 @@ def test_gain_density_shows_every_series_also_a_constant_one():
 def test_gain_density_has_the_deviation_of_gain_statistics():
     """Of 11, 12 and 13 dBi it is 1 dB, K - 1 in the denominator, and not sqrt(2 / 3)."""
     (axes,) = gain_density_figure({"three": np.array([11.0, 12.0, 13.0])}, None).axes
-    labels = [text.get_text() for text in axes.get_legend().get_texts()]
+    labels = [text.get_text() for text in axes.figure.legends[0].get_texts()]
     assert labels == ["three: 12.00 ± 1.00 dBi"]  # and no ideal, where there is none
 
 
 def test_unresolved_lobe_has_no_outline():
     """15 degrees wide, 9 degrees from the nearest direction."""
-    panel, _ = patterns_figure({"Coarse": _pattern(9.0, step_deg=18.0)}).axes
+    figure = patterns_figure({"Coarse": _pattern(9.0, step_deg=18.0)})
+    panel, _ = figure.axes
+    assert not figure.legends
     assert not any(isinstance(artist, QuadContourSet) for artist in panel.collections)
 
 

@@ -33,12 +33,16 @@ def test_it_shows_the_summary_that_the_flight_showed(run, capsys):
 
 def test_figures_are_drawn_again_as_they_were(run, capsys):
     before = {path.name: path.read_bytes() for path in (run / "figures").iterdir()}
-    assert {"patterns.png", "tracks.png", "channel.png", "ftm_error.png"} <= before.keys()
+    assert {"patterns.png", "tracks.png", "channel.png", "ftm_error.png", "patterns.pdf"} <= before.keys()
+    manifest = json.loads((run / "manifest.json").read_text())
+    assert manifest["figures"] == sorted(before)
+    (run / "manifest.json").write_text(json.dumps(manifest | {"figures": []}))  # as of a run without figures
     for name in before:
         (run / "figures" / name).unlink()
     assert report.main([str(run), "--figures"]) == exit_status.FINE
     after = {path.name: path.read_bytes() for path in (run / "figures").iterdir()}
     assert after == before
+    assert json.loads((run / "manifest.json").read_text()) == manifest
     assert "drawn into" in capsys.readouterr().err
 
 
