@@ -91,16 +91,14 @@ def finish(
     Raises OSError if the folder cannot be written.
     """
     plan, start_us = scenario.plan(), flown_start_us(folder.events)
-    records = write_tables(
-        folder, scenario.agents, lambda time_us: plan.places(since_start_s(time_us, start_us))
-    )
+    records = write_tables(folder, scenario, lambda time_us: plan.places(since_start_s(time_us, start_us)))
     sessions = read(folder.raw_sessions, SESSION_LOG)
     hashes = {name: _sha256(folder.path / name) for name in LOGS}
     whole = flight_of(records, plan, start_us=start_us)
     window = _window(whole, outcome.formed_us)
     error = formation_error(window) if len(window) else None
     antenna = antenna_report.measure(window, scenario)
-    antenna_report.write(folder, antenna, scenario.antenna)
+    antenna_report.write(folder, antenna, scenario)
     summary = {
         "scenario": scenario.name,
         "seed": scenario.run.seed,

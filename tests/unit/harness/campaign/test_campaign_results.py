@@ -4,6 +4,7 @@ import csv
 import errno
 import importlib.metadata
 import io
+import json
 import os
 import subprocess
 import sys
@@ -33,7 +34,8 @@ from harness.scenario.scenario_file import load as load_scenario
 
 ARTICLE = SCENARIOS / "article.toml"
 KEEPING = (
-    "__init__", "cluster", "definition", "running", "sources", "store", "table", "values", "worker",
+    "__init__", "cluster", "columns", "definition", "running", "sources", "store", "table", "values",
+    "worker",
 )  # fmt: skip
 """Modules of campaigns that do not affect flights and results"""
 SMALL = (
@@ -217,6 +219,12 @@ def test_the_table_has_the_campaigns_order_every_number_and_no_wall_time(tmp_pat
     assert columns["rms.late"] == [None, None, 2, None]
     assert columns["vehicles_lost"] == [1, None, 1, 1]
     assert str(rows.schema.field("rms.late").type) == "int64"
+    assert rows.schema.metadata[b"campaign"] == b"one"
+    stated = {field.name: field.metadata for field in rows.schema}
+    assert stated["wind.mean_n"][b"unit"] == b"N"
+    assert stated["wind.mean_n"][b"description"].endswith(b".")
+    assert json.loads(stated["status"][b"values"]).keys() == {"completed", "not_formed", "failed"}
+    assert b"description" not in stated["rms.deep.er"]
     with table.csv.open() as file:
         lines = list(csv.DictReader(file))
     assert [line["reason"] for line in lines] == ["", 'a "bad", end', "", ""]

@@ -190,7 +190,7 @@ def test_a_formation_that_is_no_antenna_has_only_no_gains(tmp_path, settings, no
     assert numbers["note"].startswith("the ideal formation: ")
     assert note in numbers["note"]
     folder = RunFolder(tmp_path)
-    antenna_report.write(folder, found, scenario.antenna)
+    antenna_report.write(folder, found, scenario)
     gains = pq.read_table(folder.gains)
     assert all(note in reason for reason in gains["missing"].to_pylist())
     assert gains["max_gain_dbi"].to_pylist() == gains["pointing_error_deg"].to_pylist() == [None] * 3
@@ -204,18 +204,16 @@ def test_without_the_solver_there_is_a_note_and_no_file(tmp_path, monkeypatch):
     numbers = antenna_report.numbers(found)
     assert (numbers["ideal"], numbers["backend"], numbers["accuracy"]) == (None, None, None)
     assert "nec2c" in numbers["note"]
-    antenna_report.write(RunFolder(tmp_path), found, scenario.antenna)
+    antenna_report.write(RunFolder(tmp_path), found, scenario)
     assert not list(tmp_path.iterdir())
 
 
 def test_a_formation_that_was_not_reached_has_an_ideal_pattern_and_a_table_without_rows(tmp_path):
-    scenario = load(ARTICLE)
+    scenario = load(ARTICLE, ["antenna.keep_patterns=true"])
     found = antenna_report.measure(_standing(scenario, 0), scenario)
     numbers = antenna_report.numbers(found)
     assert numbers["ideal"] == pytest.approx(13.262, abs=0.001)
     assert numbers["note"] == "the formation was not reached"
-    antenna_report.write(
-        RunFolder(tmp_path), found, msgspec.structs.replace(AntennaConfig(), keep_patterns=True)
-    )
+    antenna_report.write(RunFolder(tmp_path), found, scenario)
     assert pq.read_table(tmp_path / "gains.parquet").num_rows == 0
     assert [path.name for path in tmp_path.iterdir()] == ["gains.parquet"]
