@@ -36,6 +36,7 @@ from harness.launch.processes import (
 )
 from harness.launch.truth import SwarmTruth
 from harness.records.run_folder import RunFolder
+from harness.records.versions import Checkout, checkout
 from harness.scenario.scenario import Scenario
 from harness.scenario.scenario_file import load
 from harness.simulator.messages import (
@@ -121,6 +122,7 @@ class Swarm:
         self._killed: set[int] = set()
         self._stands = False
         self._started_utc = ""
+        self._checkout: Checkout | None = None
         self._wall_running_s = 0.0
         self._not_formed: str | None = None
         self._broken_off: str | None = None
@@ -147,6 +149,7 @@ class Swarm:
         if self._started_utc:
             raise SwarmError("a swarm is started once")
         self._started_utc = datetime.now(UTC).isoformat(timespec="seconds")
+        self._checkout = checkout()
         try:
             self._processes.start()
             self._run(RunUntil(time_us=0))  # no simulation: waits for the vehicles to connect
@@ -411,6 +414,7 @@ class Swarm:
             command=tuple(sys.argv),
             speed=self._speed,
             started_utc=self._started_utc,
+            checkout=self._checkout,
             wall_s=self._wall_running_s,
             simulated_us=processes.finished.get("physics", {}).get("time_us", processes.simulated_us),
             formed_us=processes.formed_us,

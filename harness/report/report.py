@@ -21,7 +21,7 @@ from harness.launch.profiling import KindProfile
 from harness.records.flight import Flight
 from harness.records.run_folder import RunFolder
 from harness.records.tables import flight_of, read_flight, write_tables
-from harness.records.versions import DISTRIBUTIONS, versions
+from harness.records.versions import DISTRIBUTIONS, Checkout, versions
 from harness.report import antenna_report, figures
 from harness.report.antenna_report import Aperture
 from harness.report.flown_array import figure_patterns
@@ -55,6 +55,8 @@ class RunOutcome(Struct, frozen=True, kw_only=True):
     speed: float
     """Requested speed, simulated over wall time; 0: as fast as possible."""
     started_utc: str
+    checkout: Checkout | None = None
+    """State of coflight's checkout at the start"""
     wall_s: float
     """Wall time from the first step to the last."""
     simulated_us: int
@@ -240,6 +242,7 @@ def _manifest(
         "ground_messages": outcome.ground_messages,
         "processes": [msgspec.to_builtins(process) for process in outcome.processes],
         "versions": {"python": platform.python_version(), **versions(DISTRIBUTIONS)},
+        "checkout": msgspec.to_builtins(outcome.checkout),
         "platform": platform.platform(),
         "antenna": None if antenna.solver is None else asdict(antenna.solver),
         "logs_sha256": hashes,
