@@ -26,6 +26,9 @@ the vehicles' clocks, `run.epoch_utc`), `origin_latitude_deg`, `origin_longitude
 JSON object of the meanings of an enumeration's values. The version of coflight is in manifest.json instead:
 equal runs of two versions have equal tables.
 
+`coflight export RUN --wide flight.csv` (or `.parquet`, which keeps the metadata) writes the flight with one
+row per instant and a group of columns for each UAV, such as `uav0.pos_ned_m.n`.
+
 ```python
 import pyarrow.parquet as pq
 

@@ -3,12 +3,16 @@
 import json
 
 import numpy as np
+import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from paths import SCENARIOS
 
+from harness.cli import export
 from harness.launch.one_process import fly
 from harness.records.run_folder import RunFolder
+from harness.records.wide import widen
 from harness.scenario.scenario_file import load
 
 SETTINGS = (
@@ -78,3 +82,71 @@ def test_bits_of_causes_are_all_described(run):
     assert bits == [2**k for k in range(len(bits))]
     causes = pq.read_table(run.flight)["causes"].to_numpy()
     assert not np.any(causes & ~np.uint32(sum(bits)))
+
+
+# ---- the wide form
+
+
+def exported(run, target, capsys):
+    """Return status and error line of an export in wide form."""
+    status = export.main([str(run.path), "--wide", str(target)])
+    return status, capsys.readouterr().err
+
+
+def test_the_wide_form_has_every_value_of_every_vehicle(run, tmp_path, capsys):
+    flight, path = pq.read_table(run.flight).to_pandas(), tmp_path / "wide.parquet"
+    assert exported(run, path, capsys) == (export.FINE, "")
+    wide = pq.read_table(path).to_pandas()
+    assert len(wide.columns) == 1 + 4 * (len(flight.columns) - 2)
+    for uav, group in flight.groupby("uav"):
+        of_vehicle = wide[["time_us", *(name for name in wide if name.startswith(f"uav{uav}."))]]
+        of_vehicle.columns = [name.removeprefix(f"uav{uav}.") for name in of_vehicle]
+        pd.testing.assert_frame_equal(of_vehicle, group.drop(columns="uav").reset_index(drop=True))
+
+
+def test_the_wide_form_keeps_the_metadata_in_parquet(run, tmp_path, capsys):
+    exported(run, tmp_path / "wide.parquet", capsys)
+    schema, long = pq.read_schema(tmp_path / "wide.parquet"), pq.read_schema(run.flight)
+    assert schema.metadata == long.metadata | {b"row": b"a recorded instant (`run.record_rate_hz`)"}
+    assert stated(schema, "uav3.vel_ned_m_s.e") == stated(long, "vel_ned_m_s.e")
+
+
+def test_the_wide_form_as_csv_has_the_same_numbers(run, tmp_path, capsys):
+    for name in ("wide.csv", "wide.parquet"):
+        assert exported(run, tmp_path / name, capsys)[0] == export.FINE
+    wide = pq.read_table(tmp_path / "wide.parquet").to_pandas()
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "wide.csv"), wide, check_dtype=False)
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [[(0, 0), (0, 1), (4, 0)], [(0, 1), (0, 0)], [(0, 0), (4, 1)], [(0, 0), (0, 0), (4, 0)]],
+    ids=["incomplete", "out of order", "of two instants", "twice"],
+)
+def test_a_table_whose_instants_lack_vehicles_has_no_wide_form(rows):
+    time_us, uav = zip(*rows, strict=True)
+    with pytest.raises(ValueError, match="an instant lacks a vehicle"):
+        widen(pa.table({"time_us": time_us, "uav": pa.array(uav, pa.int16()), "alive": [True] * len(rows)}))
+
+
+def test_an_empty_flight_has_an_empty_wide_form(run):
+    wide = widen(pq.read_table(run.flight).slice(0, 0))
+    assert (wide.num_rows, wide.column_names) == (0, ["time_us"])
+
+
+def test_a_refused_export_is_one_line_and_status_2(run, tmp_path, capsys):
+    def refused(*arguments):
+        assert export.main([str(argument) for argument in arguments]) == export.BAD_INPUT
+        line = capsys.readouterr().err
+        assert line.count("\n") == 1
+        return line
+
+    before = run.flight.read_bytes()
+    assert "ends in .parquet or .csv" in refused(run.path, "--wide", tmp_path / "wide.xlsx")
+    assert "the run's own table" in refused(run.path, "--wide", run.flight)
+    assert "no run that has ended" in refused(tmp_path, "--wide", tmp_path / "wide.csv")
+    assert "No such file" in refused(run.path, "--wide", tmp_path / "nowhere" / "wide.csv")
+    assert "either --time" in refused(run.path)
+    assert "either --time" in refused(run.path, "--time", 5, "--wide", tmp_path / "wide.csv")
+    assert "--out" in refused(run.path, "--wide", tmp_path / "wide.csv", "--out", tmp_path / "x")
+    assert run.flight.read_bytes() == before

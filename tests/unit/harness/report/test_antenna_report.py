@@ -13,8 +13,8 @@ import xarray as xr
 from paths import SCENARIOS
 
 from antenna.model.config import AntennaConfig
-from harness.cli import export_deck
-from harness.cli.export_deck import DeckRefused, deck_at
+from harness.cli import export
+from harness.cli.export import DeckRefused, deck_at
 from harness.launch.one_process import fly
 from harness.records.flight import Flight
 from harness.records.run_folder import RunFolder
@@ -108,7 +108,7 @@ def test_every_run_has_the_deck_of_its_median_instant(run):
 
 def test_a_refused_deck_is_one_line_and_status_2(run, tmp_path, capsys):
     def refused(*arguments):
-        assert export_deck.main([str(argument) for argument in arguments]) == export_deck.BAD_INPUT
+        assert export.main([str(argument) for argument in arguments]) == export.BAD_INPUT
         line = capsys.readouterr().err
         assert line.count("\n") == 1
         return line
@@ -132,7 +132,7 @@ def test_a_refused_deck_is_one_line_and_status_2(run, tmp_path, capsys):
     manifest["scenario"]["antenna"]["wires"] = 1
     other.manifest.write_text(json.dumps(manifest))
     assert "of another version: scenario.antenna: unknown key `wires`" in refused(tmp_path, "--time", 5)
-    assert export_deck.main([str(run.path), "--time", "5"]) == export_deck.FINE
+    assert export.main([str(run.path), "--time", "5"]) == export.FINE
     assert capsys.readouterr().out == deck_at(run.path, 5.0)
 
 
