@@ -202,6 +202,47 @@ RADIO = TableKind(
         "lost_to_noise": Column(description="Intended receivers that lost it to noise."),
     },
 )
+RECEPTIONS = TableKind(
+    name="receptions",
+    description="Receptions of frames, with `radio.log_receptions` only.",
+    row="a frame of radio.parquet at a station other than its transmitter, in the order of frame and station",
+    columns={
+        "frame": Column(description="Number of the frame's row in radio.parquet, from 0."),
+        "start_ns": Column(
+            description="First sample at the antenna of the transmitter, as in radio.parquet."
+        ),
+        "source": Column(description="Number of the transmitting station."),
+        "receiver": Column(description="Number of the receiving station."),
+        "rx_power_dbm": Column(
+            description="Received power, with fading; -inf beyond 4.8 km, where no frame arrives."
+        ),
+        "sinr_db": Column(
+            description="Least ratio during the frame of its power to noise and all signals of others; NaN "
+            "on the ideal channel, which has no noise."
+        ),
+        "outcome": Column(
+            description="Outcome as counted in radio.parquet.",
+            values={
+                "not_addressed": "not an intended receiver",
+                "delivered": "an intended receiver received it",
+                "collided": "an intended receiver lost it to other signals on the channel",
+                "lost_to_noise": "an intended receiver lost it to noise, or to its distance",
+                "radio_off": "the radio of the station is off",
+            },
+        ),
+        "reception": Column(
+            description="What the receiver did with it, addressed or not.",
+            values={
+                "received": "received without errors",
+                "errors": "received with errors, by noise or other signals",
+                "below_sensitivity": "weaker than `radio.cca_preamble_dbm`",
+                "transmitting": "the station itself sent during the frame",
+                "missed": "not detected among other signals, or given up or ignored for another frame",
+                "radio_off": "the radio of the station is off",
+            },
+        ),
+    },
+)
 FTM = TableKind(
     name="ftm",
     description="Results of ranging.",

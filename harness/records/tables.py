@@ -26,7 +26,8 @@ from harness.report.flown_array import GainSeries
 from harness.scenario.scenario import Scenario
 from harness.simulator.motion_start import flown_start_us, since_start_s
 from harness.simulator.truth_record import AIR_RECORD, TRUTH_RECORD
-from netsim.emulator.log_layout import FRAME_LOG, SESSION_LOG
+from netsim.emulator.log_layout import FRAME_LOG, RECEPTION_LOG, SESSION_LOG
+from netsim.phy.receptions import OUTCOMES, STATES
 
 
 def write_tables(
@@ -51,7 +52,20 @@ def write_tables(
         (folder.air, columns.AIR, read(folder.raw_air, AIR_RECORD)),
     ):
         _write(target, columns.describe(_table(records), kind, about))
+    if scenario.radio.log_receptions:
+        table = receptions_table(read(folder.raw_receptions, RECEPTION_LOG))
+        _write(folder.receptions, columns.describe(table, columns.RECEPTIONS, about))
     return flight
+
+
+def receptions_table(records: NDArray[Any]) -> pa.Table:
+    """Return rows of `RECEPTION_LOG` as the table ``receptions.parquet``, with names instead of codes."""
+    table = _table(records)
+    for name, texts in (("outcome", OUTCOMES), ("reception", STATES)):
+        codes = pa.array(np.ascontiguousarray(records[name]).astype(np.int32))
+        named = pa.DictionaryArray.from_arrays(codes, pa.array(texts))
+        table = table.set_column(table.schema.get_field_index(name), name, named)
+    return table
 
 
 def flight_of(records: NDArray[Any], plan: FormationPlan, *, start_us: int | None) -> Flight:

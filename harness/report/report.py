@@ -96,6 +96,9 @@ def finish(
     records = write_tables(folder, scenario, lambda time_us: plan.places(since_start_s(time_us, start_us)))
     sessions = read(folder.raw_sessions, SESSION_LOG)
     hashes = {name: _sha256(folder.path / name) for name in LOGS}
+    log_sha256 = hashlib.sha256("".join(hashes.values()).encode()).hexdigest()
+    if folder.receptions.exists():
+        hashes[folder.receptions.name] = _sha256(folder.receptions)
     whole = flight_of(records, plan, start_us=start_us)
     window = _window(whole, outcome.formed_us)
     error = formation_error(window) if len(window) else None
@@ -119,7 +122,7 @@ def finish(
         "max_gain_dbi": antenna_report.numbers(antenna),
         "collisions": sum(b'"event":"collision"' in line for line in folder.events.read_bytes().splitlines()),
         "deterministic": not outcome.nondeterminism,
-        "log_sha256": hashlib.sha256("".join(hashes.values()).encode()).hexdigest(),
+        "log_sha256": log_sha256,
     }
     if outcome.profile:
         summary["profile"] = msgspec.to_builtins(outcome.profile)

@@ -5,10 +5,10 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from harness.campaign.columns import IDENTIFICATION, RESULTS
-from harness.records.columns import AIR, FLIGHT, FTM, GAINS, RADIO, Column, TableKind
+from harness.records.columns import AIR, FLIGHT, FTM, GAINS, RADIO, RECEPTIONS, Column, TableKind
 from harness.records.tables import FLIGHT_RECORD, GAIN_TYPES, column_names
 from harness.simulator.truth_record import AIR_RECORD
-from netsim.emulator.log_layout import FRAME_LOG, SESSION_LOG
+from netsim.emulator.log_layout import FRAME_LOG, RECEPTION_LOG, SESSION_LOG
 from reference.markdown import UndocumentedError, table
 
 INTRODUCTION = """# Tables of a run
@@ -48,7 +48,10 @@ instead of the entries of a run.
 HEAD = ("column", "type", "unit", "frame", "meaning")
 _NAMES = {"double": "float64", "string": "text"}
 """Names of Arrow's types that NumPy calls otherwise"""
-LAYOUTS = ((FLIGHT, FLIGHT_RECORD), (RADIO, FRAME_LOG), (FTM, SESSION_LOG), (AIR, AIR_RECORD))
+LAYOUTS = (
+    (FLIGHT, FLIGHT_RECORD), (RADIO, FRAME_LOG), (RECEPTIONS, RECEPTION_LOG), (FTM, SESSION_LOG),
+    (AIR, AIR_RECORD),
+)  # fmt: skip
 """Tables that are made of records"""
 
 
@@ -57,6 +60,8 @@ def tables_page() -> str:
     parts = [INTRODUCTION]
     for kind, layout in LAYOUTS:
         types = {name: _type(layout[name]) for name in layout.names or ()}
+        if kind is RECEPTIONS:
+            types |= {"outcome": "text", "reception": "text"}  # codes in the log
         parts += _section(kind, types, {name: _columns(layout, name) for name in types})
     parts += _section(
         GAINS, {name: _NAMES.get(str(each), str(each)) for name, each in GAIN_TYPES.items()}, {}

@@ -1,5 +1,6 @@
 """Tables of one short flight: what their metadata state, against the values (10 s)."""
 
+import hashlib
 import json
 
 import numpy as np
@@ -18,9 +19,9 @@ from harness.scenario.scenario_file import load
 SETTINGS = (
     "agents=4", "formation.columns=2", "formation.rows=2", "formation.height_m=2", "run.duration_s=1",
     "antenna.snapshot_rate_hz=4", "run.seed=7", "site.latitude_deg=50.5",
-    "run.epoch_utc=2027-01-01T01:00:00+01:00",
+    "radio.log_receptions=true", "run.epoch_utc=2027-01-01T01:00:00+01:00",
 )  # fmt: skip
-TABLES = ("flight", "radio", "ftm", "air", "gains")
+TABLES = ("flight", "radio", "receptions", "ftm", "air", "gains")
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +67,15 @@ def test_fields_state_units_and_frames(run):
 
 @pytest.mark.parametrize(
     ("name", "field"),
-    [("radio", "kind"), ("radio", "mode"), ("ftm", "status"), ("flight", "mode"), ("flight", "phase")],
+    [
+        ("radio", "kind"),
+        ("radio", "mode"),
+        ("receptions", "outcome"),
+        ("receptions", "reception"),
+        ("ftm", "status"),
+        ("flight", "mode"),
+        ("flight", "phase"),
+    ],
 )
 def test_every_value_of_an_enumeration_has_a_meaning(run, name, field):
     table = pq.read_table(run.path / f"{name}.parquet", columns=[field])
@@ -82,6 +91,22 @@ def test_bits_of_causes_are_all_described(run):
     assert bits == [2**k for k in range(len(bits))]
     causes = pq.read_table(run.flight)["causes"].to_numpy()
     assert not np.any(causes & ~np.uint32(sum(bits)))
+
+
+def test_receptions_join_with_their_frames(run):
+    """One row per frame and other station, with the counts and times of the frame's row."""
+    radio, receptions = pq.read_table(run.radio).to_pandas(), pq.read_table(run.receptions).to_pandas()
+    assert len(receptions) == 3 * len(radio)
+    joined = receptions.merge(radio, left_on="frame", right_index=True, suffixes=("", "_of_frame"))
+    assert (joined["start_ns"] == joined["start_ns_of_frame"]).all()
+    assert (joined["source"] == joined["source_of_frame"]).all()
+    for outcome in ("delivered", "collided", "lost_to_noise"):
+        counted = receptions[receptions["outcome"] == outcome].groupby("frame").size()
+        assert (counted.reindex(radio.index, fill_value=0) == radio[outcome]).all()
+    unicast = joined[(joined["destination"] >= 0) & (joined["outcome"] != "not_addressed")]
+    assert (unicast["receiver"] == unicast["destination"]).all()
+    hashes = json.loads(run.manifest.read_text())["logs_sha256"]
+    assert hashes["receptions.parquet"] == hashlib.sha256(run.receptions.read_bytes()).hexdigest()
 
 
 # ---- the wide form
