@@ -37,7 +37,9 @@ COMMANDS = {
     "antenna": Command("compute antenna patterns alone", "antenna.lab.cli", "main"),
     "bench": Command("measure what flying costs", "studies.bench.cli", "bench_app"),
     "study": Command("measure vehicle, radio, antenna or formation against references", __name__, "study"),
-    "export": Command("write the antenna of a run as a NEC deck", "harness.cli.export_deck", "main"),
+    "export": Command(
+        "write the antenna of a run as a NEC deck, or its flight", "harness.cli.export", "main"
+    ),
     "scenarios": Command("list the scenarios that come with coflight", __name__, "list_scenarios"),
 }
 STUDIES = {

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from harness.records.versions import FLOWN_WITH, versions
 
-ROOT = Path(__file__).parents[2]
 _FLOWN_PACKAGES = ("foundation", "antenna", "netsim", "autopilot", "harness")
 _NOT_FLOWN = ("antenna/lab/", "netsim/lab/", "harness/campaign/", "harness/cli/")
 """Folders that do not affect a flight, except modules that compute its results."""

@@ -15,9 +15,11 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 
+from harness.campaign.columns import kind_of
 from harness.campaign.definition import Campaign, Run
 from harness.campaign.store import TABLES, Flown, Store, write_whole
 from harness.campaign.values import toml_text
+from harness.records.columns import describe
 
 _LEFT_OUT = {"scenario", "seed", "status", "reason", "wall_s", "real_time_factor"}
 """Omitted fields of the summary: those of other columns, and those that depend on the machine"""
@@ -63,7 +65,7 @@ def write_table(campaign: Campaign, runs: Sequence[Run], flown: Mapping[str, Flo
 
 
 def make_rows(campaign: Campaign, runs: Sequence[Run], flown: Mapping[str, Flown]) -> pa.Table:
-    """Return the runs as a table."""
+    """Return the runs, at least one, as a table with the metadata of `harness.records.columns.describe`."""
     ended = [flown[run.digest] for run in runs]
     columns: dict[str, list[Any]] = {"case": [run.case for run in runs]}
     for number, path in enumerate(campaign.sweep):
@@ -75,7 +77,9 @@ def make_rows(campaign: Campaign, runs: Sequence[Run], flown: Mapping[str, Flown
     measured = [dict(_measured(each.summary)) for each in ended]
     for name in dict.fromkeys(name for each in measured for name in each):
         columns.setdefault(name, [each.get(name) for each in measured])
-    return pa.table({name: _array(name, values) for name, values in columns.items()})
+    rows = pa.table({name: _array(name, values) for name, values in columns.items()})
+    kind = kind_of(columns, campaign.sweep, runs[0].scenario)
+    return describe(rows, kind, {"campaign": campaign.name})
 
 
 def _measured(summary: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:

@@ -8,8 +8,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from harness.campaign.sources import ROOT, hash_bytes, hash_code, read_sources
+from harness.campaign.sources import hash_bytes, hash_code, read_sources
 from harness.campaign.store import ClusterError, Flown, Task
+from harness.records.versions import ROOT
 
 _STDOUT, _STDERR = 1, 2
 _MEASURED_BY = ("harness/campaign/flights.py",)

@@ -37,6 +37,7 @@ from harness.launch.processes import (
 )
 from harness.launch.truth import SwarmTruth
 from harness.records.run_folder import RunFolder
+from harness.records.versions import Checkout, checkout
 from harness.scenario import localisability
 from harness.scenario.scenario import Scenario
 from harness.scenario.scenario_file import load
@@ -125,6 +126,7 @@ class Swarm:
         self._killed: set[int] = set()
         self._stands = False
         self._started_utc = ""
+        self._checkout: Checkout | None = None
         self._wall_running_s = 0.0
         self._not_formed: str | None = None
         self._broken_off: str | None = None
@@ -153,6 +155,7 @@ class Swarm:
         self._started_utc = datetime.now(UTC).isoformat(timespec="seconds")
         if (text := localisability.warning(self.scenario)) is not None:
             self._on_message(ProcessNotice(text=text))
+        self._checkout = checkout()
         try:
             self._processes.start()
             self._run(RunUntil(time_us=0))  # no simulation: waits for the vehicles to connect
@@ -419,6 +422,7 @@ class Swarm:
             command=tuple(sys.argv),
             speed=self._speed,
             started_utc=self._started_utc,
+            checkout=self._checkout,
             wall_s=self._wall_running_s,
             simulated_us=processes.finished.get("physics", {}).get("time_us", processes.simulated_us),
             formed_us=processes.formed_us,

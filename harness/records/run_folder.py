@@ -3,6 +3,7 @@
 manifest.json summary.json events.jsonl      what ran, results, events
 flight.parquet radio.parquet ftm.parquet      truth and estimates, every frame, every ranging session
 air.parquet                                   channel occupancy over time
+receptions.parquet                            each frame at each station (radio.log_receptions)
 gains.parquet antenna.nec patterns.nc         antenna: gains over time, median instant as NEC deck, patterns
 figures/*.png *.pdf                           figures, each in both formats
 logs/*.log  config/*.json                     the processes' messages, their settings
@@ -53,6 +54,7 @@ class RunFolder:
         self.patterns = path / "patterns.nc"
         self.raw_truth, self.raw_air = self.raw / "truth.bin", self.raw / "air.bin"
         self.capture = path / "radio.pcapng"
+        self.receptions, self.raw_receptions = path / "receptions.parquet", self.raw / "receptions.bin"
         self.raw_frames, self.raw_sessions = self.raw / "frames.bin", self.raw / "sessions.bin"
 
     @classmethod
@@ -84,6 +86,7 @@ class RunFolder:
             radio=scenario.radio,
             frame_log_path=str(self.raw_frames),
             session_log_path=str(self.raw_sessions),
+            reception_log_path=str(self.raw_receptions) if scenario.radio.log_receptions else None,
             capture_path=str(self.capture) if scenario.radio.capture else None,
             profile_from_us=self._profile_from_us,
         )

@@ -19,17 +19,19 @@ from antenna.solvers.ports import MAIN_LOBE_DEG
 from autopilot.logs.vehicle_record import VEHICLE_RECORD
 from autopilot.onboard.formation.formation_plan import FormationPlan
 from foundation.records.record_log import read
+from harness.records import columns
 from harness.records.flight import Flight
 from harness.records.run_folder import RunFolder
 from harness.report.flown_array import GainSeries
 from harness.scenario.scenario import Scenario
 from harness.simulator.motion_start import flown_start_us, since_start_s
 from harness.simulator.truth_record import AIR_RECORD, TRUTH_RECORD
-from netsim.emulator.log_layout import FRAME_LOG, SESSION_LOG
+from netsim.emulator.log_layout import FRAME_LOG, RECEPTION_LOG, SESSION_LOG
+from netsim.phy.receptions import OUTCOMES, STATES
 
 
 def write_tables(
-    folder: RunFolder, agents: int, desired: Callable[[NDArray[np.int64]], NDArray[np.float64]]
+    folder: RunFolder, scenario: Scenario, desired: Callable[[NDArray[np.int64]], NDArray[np.float64]]
 ) -> NDArray[Any]:
     """Write the Parquet files from the raw logs.
 
@@ -39,17 +41,31 @@ def write_tables(
     """
     flight = merge(
         read(folder.raw_truth, TRUTH_RECORD),
-        [read(folder.raw_vehicle(i), VEHICLE_RECORD) for i in range(agents)],
+        [read(folder.raw_vehicle(i), VEHICLE_RECORD) for i in range(scenario.agents)],
     )
     flight["desired_pos_ned_m"] = desired(flight["time_us"][:, 0])
-    _write(folder.flight, flight.ravel())
-    for target, raw, dtype in (
-        (folder.radio, folder.raw_frames, FRAME_LOG),
-        (folder.ftm, folder.raw_sessions, SESSION_LOG),
-        (folder.air, folder.raw_air, AIR_RECORD),
+    about = columns.origin(scenario)
+    for target, kind, records in (
+        (folder.flight, columns.FLIGHT, flight.ravel()),
+        (folder.radio, columns.RADIO, read(folder.raw_frames, FRAME_LOG)),
+        (folder.ftm, columns.FTM, read(folder.raw_sessions, SESSION_LOG)),
+        (folder.air, columns.AIR, read(folder.raw_air, AIR_RECORD)),
     ):
-        _write(target, read(raw, dtype))
+        _write(target, columns.describe(_table(records), kind, about))
+    if scenario.radio.log_receptions:
+        table = receptions_table(read(folder.raw_receptions, RECEPTION_LOG))
+        _write(folder.receptions, columns.describe(table, columns.RECEPTIONS, about))
     return flight
+
+
+def receptions_table(records: NDArray[Any]) -> pa.Table:
+    """Return rows of `RECEPTION_LOG` as the table ``receptions.parquet``, with names instead of codes."""
+    table = _table(records)
+    for name, texts in (("outcome", OUTCOMES), ("reception", STATES)):
+        codes = pa.array(np.ascontiguousarray(records[name]).astype(np.int32))
+        named = pa.DictionaryArray.from_arrays(codes, pa.array(texts))
+        table = table.set_column(table.schema.get_field_index(name), name, named)
+    return table
 
 
 def flight_of(records: NDArray[Any], plan: FormationPlan, *, start_us: int | None) -> Flight:
@@ -69,16 +85,16 @@ def flight_of(records: NDArray[Any], plan: FormationPlan, *, start_us: int | Non
     )
 
 
-def make_flight(columns: pa.Table, scenario: Scenario, *, start_us: int | None) -> Flight:
+def make_flight(table: pa.Table, scenario: Scenario, *, start_us: int | None) -> Flight:
     """Return the flight of a run's table ``flight.parquet``; ``start_us`` as in `flight_of`.
 
     Raises KeyError or ValueError for a table of another scenario.
     """
     kind = np.dtype([(name, FLIGHT_RECORD[name]) for name in _ANALYSED])
-    records = np.empty(columns.num_rows, dtype=kind)
+    records = np.empty(table.num_rows, dtype=kind)
     for name in _ANALYSED:
         for column, values in _columns(name, records[name]):
-            values[:] = columns.column(column).to_numpy()
+            values[:] = table.column(column).to_numpy()
     return flight_of(records.reshape(-1, scenario.agents), scenario.plan(), start_us=start_us)
 
 
@@ -87,12 +103,8 @@ def read_flight(folder: RunFolder, scenario: Scenario) -> Flight:
     return make_flight(pq.read_table(folder.flight), scenario, start_us=flown_start_us(folder.events))
 
 
-def write_gains(path: Path, series: GainSeries) -> None:
-    """Write the antenna's maximum gain over time, one row per instant.
-
-    ``max_theta_deg`` and ``max_phi_deg`` are its direction in the antenna's frame, ``pointing_error_deg`` the
-    angle from it to +y. Without a pattern these are null, and ``missing`` is the reason.
-    """
+def write_gains(path: Path, series: GainSeries, scenario: Scenario) -> None:
+    """Write the antenna's maximum gain over time, one row per instant: the columns of `columns.GAINS`."""
     names = ("max_gain_dbi", "max_theta_deg", "max_phi_deg")
     errors_deg = pointing_errors_deg(series.patterns, *MAIN_LOBE_DEG).tolist()
     rows: dict[int, tuple[float | str | None, ...]] = {
@@ -102,12 +114,9 @@ def write_gains(path: Path, series: GainSeries) -> None:
         )
     }
     rows |= {instant.time_us: (None, None, None, None, instant.reason) for instant in series.missing}
-    times_us = sorted(rows)
-    columns = {"time_us": pa.array(times_us, pa.int64())}
-    for k, name in enumerate((*names, "pointing_error_deg", "missing")):
-        kind = pa.string() if name == "missing" else pa.float64()
-        columns[name] = pa.array([rows[time_us][k] for time_us in times_us], kind)
-    pq.write_table(pa.table(columns), path, compression="zstd")
+    filled = [dict(zip(GAIN_TYPES, (time_us, *rows[time_us]), strict=True)) for time_us in sorted(rows)]
+    table = pa.Table.from_pylist(filled, schema=pa.schema(GAIN_TYPES))
+    _write(path, columns.describe(table, columns.GAINS, columns.origin(scenario)))
 
 
 def merge(truth: NDArray[Any], vehicles: list[NDArray[Any]]) -> NDArray[Any]:
@@ -146,15 +155,25 @@ FLIGHT_RECORD = np.dtype(
 """Truth, estimates, and desired position by the formation's plan."""
 _ANALYSED = ("time_us", "pos_ned_m", "q_ned_frd", "desired_pos_ned_m", "alive", "onboard_pos_ned_m")
 """Fields of which a `Flight` consists"""
+GAIN_TYPES = {
+    "time_us": pa.int64(), "max_gain_dbi": pa.float64(), "max_theta_deg": pa.float64(),
+    "max_phi_deg": pa.float64(), "pointing_error_deg": pa.float64(), "missing": pa.string(),
+}  # fmt: skip
+"""Types of the columns of ``gains.parquet`` by name"""
 
 
-def _write(path: Path, records: NDArray[Any]) -> None:
+def _table(records: NDArray[Any]) -> pa.Table:
+    """Return records (rows,) as a table with a column for each component of a field."""
     arrays = {
         column: _array(np.ascontiguousarray(values))
         for name in records.dtype.names or ()
         for column, values in _columns(name, records[name])
     }
-    pq.write_table(pa.table(arrays), path, compression="zstd")
+    return pa.table(arrays)
+
+
+def _write(path: Path, table: pa.Table) -> None:
+    pq.write_table(table, path, compression="zstd")
 
 
 def _columns(name: str, values: NDArray[Any]) -> Iterator[tuple[str, NDArray[Any]]]:

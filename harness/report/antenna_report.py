@@ -11,7 +11,6 @@ from typing import Any
 from antenna.analysis.patterns import Pattern
 from antenna.analysis.statistics import gain_statistics
 from antenna.model.array_deck import deck_of
-from antenna.model.config import AntennaConfig
 from antenna.model.geometry import ElementsTouch
 from antenna.solvers.interface import BackendUnavailable
 from antenna.solvers.nec2c import Nec2cFailed
@@ -99,15 +98,15 @@ def numbers(aperture: Aperture) -> dict[str, Any]:
     }
 
 
-def write(folder: RunFolder, aperture: Aperture, config: AntennaConfig) -> None:
+def write(folder: RunFolder, aperture: Aperture, scenario: Scenario) -> None:
     """Write the series of gains, the median instant as a NEC deck and, with ``keep_patterns``, all patterns.
 
     Writes nothing without a solver, and no deck and patterns without a pattern. Raises OSError.
     """
-    series = aperture.series
+    series, config = aperture.series, scenario.antenna
     if series is None or aperture.solver is None:
         return
-    write_gains(folder.gains, series)
+    write_gains(folder.gains, series, scenario)
     if not series.patterns:
         return
     median = series.median_index

@@ -23,7 +23,7 @@ from harness.launch.profiling import KindProfile
 from harness.records.flight import Flight
 from harness.records.run_folder import RunFolder
 from harness.records.tables import flight_of, read_flight, write_tables
-from harness.records.versions import DISTRIBUTIONS, versions
+from harness.records.versions import DISTRIBUTIONS, Checkout, versions
 from harness.report import antenna_report, figures
 from harness.report.antenna_report import Aperture
 from harness.report.flown_array import figure_patterns
@@ -57,6 +57,8 @@ class RunOutcome(Struct, frozen=True, kw_only=True):
     speed: float
     """Requested speed, simulated over wall time; 0: as fast as possible."""
     started_utc: str
+    checkout: Checkout | None = None
+    """State of coflight's checkout at the start"""
     wall_s: float
     """Wall time from the first step to the last."""
     simulated_us: int
@@ -93,16 +95,17 @@ def finish(
     Raises OSError if the folder cannot be written.
     """
     plan, start_us = scenario.plan(), flown_start_us(folder.events)
-    records = write_tables(
-        folder, scenario.agents, lambda time_us: plan.places(since_start_s(time_us, start_us))
-    )
+    records = write_tables(folder, scenario, lambda time_us: plan.places(since_start_s(time_us, start_us)))
     sessions = read(folder.raw_sessions, SESSION_LOG)
     hashes = {name: _sha256(folder.path / name) for name in LOGS}
+    log_sha256 = hashlib.sha256("".join(hashes.values()).encode()).hexdigest()
+    if folder.receptions.exists():
+        hashes[folder.receptions.name] = _sha256(folder.receptions)
     whole = flight_of(records, plan, start_us=start_us)
     window = _window(whole, outcome.formed_us, scenario)
     error = formation_error(window) if len(window) else None
     antenna = _antenna(window, scenario)
-    antenna_report.write(folder, antenna, scenario.antenna)
+    antenna_report.write(folder, antenna, scenario)
     summary = {
         "scenario": scenario.name,
         "seed": scenario.run.seed,
@@ -121,7 +124,7 @@ def finish(
         "max_gain_dbi": antenna_report.numbers(antenna),
         "collisions": sum(b'"event":"collision"' in line for line in folder.events.read_bytes().splitlines()),
         "deterministic": not outcome.nondeterminism,
-        "log_sha256": hashlib.sha256("".join(hashes.values()).encode()).hexdigest(),
+        "log_sha256": log_sha256,
     }
     if outcome.profile:
         summary["profile"] = msgspec.to_builtins(outcome.profile)
@@ -258,6 +261,7 @@ def _manifest(
         "ground_messages": outcome.ground_messages,
         "processes": [msgspec.to_builtins(process) for process in outcome.processes],
         "versions": {"python": platform.python_version(), **versions(DISTRIBUTIONS)},
+        "checkout": msgspec.to_builtins(outcome.checkout),
         "platform": platform.platform(),
         "antenna": None if antenna.solver is None else asdict(antenna.solver),
         "logs_sha256": hashes,

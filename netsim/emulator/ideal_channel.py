@@ -19,12 +19,14 @@ from netsim.emulator.records import FrameRecord
 from netsim.mac.access_parameters import SIFS_NS
 from netsim.mac.jobs import GroupReception, Job, JobOutcome, OnGroupFrame, Reception, Upper
 from netsim.mac.station import RESPONSE_TIMEOUT_NS
+from netsim.model import codes as c
 from netsim.model.config import RadioConfig
 from netsim.model.event_queue import EventQueue
 from netsim.model.tables import Integers
 from netsim.phy.frames import ACK_BYTES, GROUP, KINDS, Frame, FrameKind, Transmission
 from netsim.phy.modes import MODE_NAMES, response_mode
 from netsim.phy.propagation import Links
+from netsim.phy.receptions import OUTCOMES, Receptions, without_noise
 
 
 def undisturbed(config: RadioConfig) -> RadioConfig:
@@ -56,6 +58,7 @@ class IdealChannel:
         self._frames: list[tuple[int, ...]] = []
         """Rows since the last `take_frames`."""
         self._links = links
+        self._logs_receptions = config.log_receptions
         self._least_mw = 10.0 ** (config.cca_preamble_dbm / 10.0)
         self.radios: list[IdealRadio] = []
 
@@ -78,7 +81,16 @@ class IdealChannel:
         what = frame.source, frame.destination, kind, mode, frame.frame_bytes, frame.seq
         self._frames.append((transmission.start_ns, transmission.end_ns, *what, *map(len, ends)))
         if self._on_ended is not None:
+            if self._logs_receptions:
+                transmission.receptions = self._receptions(transmission)
             self._on_ended(transmission)
+
+    def _receptions(self, transmission: Transmission) -> Receptions:
+        """Return the receptions of a frame; a station that is not addressed receives it if it is in range."""
+        outcomes = np.array([radio.silent for radio in self.radios]) * OUTCOMES.index("radio_off")
+        outcomes[transmission.delivered] = c.DELIVERED
+        outcomes[transmission.lost_to_noise] = c.LOST
+        return without_noise(transmission.powers_mw, self._least_mw, outcomes)
 
     def frames_sent(self) -> list[int]:
         """Return the number of ended frames by kind."""

@@ -1,4 +1,4 @@
-"""Row layouts of the emulator's binary logs: the fields of `netsim.emulator.records`, in the same order."""
+"""Row layouts of the emulator's binary logs, which `netsim.emulator.records` fills in the same order."""
 
 import numpy as np
 
@@ -19,3 +19,12 @@ SESSION_LOG = np.dtype(
     ]
 )  # fmt: skip
 """One `netsim.ftm.initiator.Ranging`: the result of a ranging request."""
+
+RECEPTION_LOG = np.dtype(
+    [
+        ("frame", "i8"), ("start_ns", "i8"), ("source", "i4"), ("receiver", "i4"),
+        ("rx_power_dbm", "f4"), ("sinr_db", "f4"), ("outcome", "u1"), ("reception", "u1"),
+    ]
+)  # fmt: skip
+"""A frame at one station: the frame's number among the rows of `FRAME_LOG`, and the codes of
+`netsim.phy.receptions.OUTCOMES` and ``STATES``."""

@@ -7,10 +7,10 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from netsim.emulator.log_layout import FRAME_LOG
+from netsim.emulator.log_layout import FRAME_LOG, RECEPTION_LOG
 from netsim.ftm.initiator import Ranging
 from netsim.model.tables import Integers
-from netsim.phy.frames import KINDS
+from netsim.phy.frames import KINDS, Transmission
 from netsim.phy.modes import MODE_NAMES
 
 
@@ -82,6 +82,24 @@ def frame_log_rows(frames: Integers) -> NDArray[np.void]:
         rows[field] = frames[:, column]
     rows["kind"], rows["mode"] = _KIND_BYTES[frames[:, _KIND]], _MODE_BYTES[frames[:, _MODE]]
     return rows
+
+
+def reception_log_rows(number: int, transmission: Transmission) -> NDArray[np.void]:
+    """Return `RECEPTION_LOG` rows of a frame by receiver, none without `Transmission.receptions`.
+
+    ``number`` is the frame's number since the start of the run.
+    """
+    receptions = transmission.receptions
+    if receptions is None:
+        return np.empty(0, RECEPTION_LOG)
+    rows = np.empty(len(transmission.powers_mw), RECEPTION_LOG)
+    rows["frame"], rows["start_ns"], rows["source"] = number, transmission.start_ns, transmission.source
+    rows["receiver"] = np.arange(len(rows))
+    with np.errstate(divide="ignore"):  # no power beyond the range limit: -inf
+        rows["rx_power_dbm"] = 10.0 * np.log10(transmission.powers_mw)
+        rows["sinr_db"] = 10.0 * np.log10(receptions.sinr)
+    rows["outcome"], rows["reception"] = receptions.outcomes, receptions.states
+    return np.delete(rows, transmission.source)
 
 
 def frame_records(frames: Integers) -> list[FrameRecord]:

@@ -17,8 +17,8 @@ from foundation.records.record_log import RecordLog
 from netsim.capture.pcapng_writer import Capture
 from netsim.emulator.emulator import Emulator
 from netsim.emulator.interface import NetworkEmulator
-from netsim.emulator.log_layout import FRAME_LOG, SESSION_LOG
-from netsim.emulator.records import frame_log_rows
+from netsim.emulator.log_layout import FRAME_LOG, RECEPTION_LOG, SESSION_LOG
+from netsim.emulator.records import frame_log_rows, reception_log_rows
 from netsim.model.config import ServerConfig
 from netsim.phy.frames import Transmission
 from netsim.phy.propagation import is_possible
@@ -53,11 +53,12 @@ class EmulatorService:
         self.stations = config.stations + len(radio.guests)
         """Number of vehicles and guests."""
         self._guests_pos_ned_m = np.array([guest.pos_ned_m for guest in radio.guests]).reshape(-1, 3)
+        observed = config.capture_path is not None or config.reception_log_path is not None
         self._emulator = Emulator(
             config=radio,
             stations=self.stations,
             seed=np.random.SeedSequence([config.seed, STREAM]),
-            on_transmission=None if config.capture_path is None else self._on_transmission,
+            on_transmission=self._on_transmission if observed else None,
         )
         self._submitted: list[TxBatch] = []
         self._silent: frozenset[Station] = frozenset()
@@ -66,6 +67,9 @@ class EmulatorService:
         self._capture: Capture | None = None
         self._frame_log: RecordLog | None = None
         self._session_log: RecordLog | None = None
+        self._reception_log: RecordLog | None = None
+        self._ended = 0
+        """Number of frames that have ended, for the log of receptions."""
         self._files = contextlib.ExitStack()
 
     def open_logs(self) -> None:
@@ -75,6 +79,10 @@ class EmulatorService:
             self._frame_log = keep(contextlib.closing(RecordLog(config.frame_log_path, FRAME_LOG)))
         if config.session_log_path is not None:
             self._session_log = keep(contextlib.closing(RecordLog(config.session_log_path, SESSION_LOG)))
+        if config.reception_log_path is not None:
+            self._reception_log = keep(
+                contextlib.closing(RecordLog(config.reception_log_path, RECEPTION_LOG))
+            )
         if config.capture_path is not None:
             capture = Capture(config.capture_path, config=config.radio, comment=f"seed {config.seed}")
             self._capture = keep(contextlib.closing(capture))
@@ -111,6 +119,9 @@ class EmulatorService:
     def _on_transmission(self, transmission: Transmission) -> None:
         if self._capture is not None:
             self._capture.append(transmission)
+        if self._reception_log is not None:
+            self._reception_log.append_array(reception_log_rows(self._ended, transmission))
+            self._ended += 1
 
     def missing(self, request: Advance) -> set[Station]:
         """Return the senders of an interval whose batches are missing or incomplete."""

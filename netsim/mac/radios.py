@@ -27,6 +27,7 @@ from netsim.phy.frames import KINDS, Frame, Transmission
 from netsim.phy.modes import MODE_NAMES, phy_mode
 from netsim.phy.path_loss import Doubles
 from netsim.phy.propagation import Links
+from netsim.phy.receptions import receptions_of
 
 KIND_ROWS = {kind: row for row, kind in enumerate(KINDS)}
 OUTCOMES = list(JobOutcome)
@@ -342,10 +343,13 @@ class Radios:
             sequence=int(signal.sequence),
             body=None if job is None else job.body,
         )
+        delivered, collided, lost = (
+            (outcomes == each).nonzero()[0].tolist() for each in (c.DELIVERED, c.COLLIDED, c.LOST)
+        )
         transmission = Transmission(
             frame, int(signal.start_ns), paths["power_mw"].copy(), paths["delay_ns"].copy(),
-            int(signal.longest_delay_ns),
-            *((outcomes == each).nonzero()[0].tolist() for each in (c.DELIVERED, c.COLLIDED, c.LOST)),
+            int(signal.longest_delay_ns), delivered, collided, lost,
+            receptions_of(tables, ended) if self._config.log_receptions else None,
         )  # fmt: skip
         loop.release(self._block, ended)
         if self._on_ended is not None:

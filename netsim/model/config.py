@@ -186,6 +186,8 @@ class RadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Stations of other programs: tables ``[[radio.guests]]``."""
     capture: bool = False
     """Write every frame with a radiotap header to radio.pcapng, for Wireshark."""
+    log_receptions: bool = False
+    """Write every frame's reception at every station to receptions.parquet."""
 
 
 class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -202,6 +204,8 @@ class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     radio: RadioConfig = RadioConfig()
     frame_log_path: str | None = None
     session_log_path: str | None = None
+    reception_log_path: str | None = None
+    """Used with ``radio.log_receptions``."""
     capture_path: str | None = None
     profile_from_us: Annotated[int, Meta(ge=0)] | None = None
     """Simulated time from which the process profiles its CPU time; None: never."""

@@ -7,6 +7,7 @@ from msgspec import Struct
 from netsim.model.tables import Integers
 from netsim.phy.modes import PhyMode
 from netsim.phy.path_loss import Doubles
+from netsim.phy.receptions import Receptions
 
 GROUP = -1
 """Destination of a group frame."""
@@ -69,6 +70,8 @@ class Transmission(Struct):
     collided: list[int] = []
     """Intended receivers that would have received it without other signals."""
     lost_to_noise: list[int] = []
+    receptions: Receptions | None = None
+    """At all stations, with ``radio.log_receptions``."""
 
     @property
     def source(self) -> int:

@@ -4,30 +4,17 @@ import inspect
 import re
 from collections.abc import Iterable, Sequence
 
-UNITS = {
-    "m_sqrt_s": "m/√s", "gauss": "gauss", "rad_s": "rad/s", "m_s2": "m/s²", "m_s": "m/s", "s_m": "S/m",
-    "bytes_s": "byte/s", "bytes": "byte", "lambda": "wavelength", "fraction": "1", "dbm": "dBm", "dbi": "dBi",
-    "db": "dB", "deg": "°", "rad": "rad", "mhz": "MHz", "khz": "kHz", "hz": "Hz", "ppm": "ppm", "ps": "ps",
-    "ns": "ns", "us": "µs", "ms": "ms", "mbps": "Mbit/s", "s": "s", "m": "m", "n": "N", "k": "K",
-}  # fmt: skip
-"""By the end of a name, the longest ends first."""
-FRAMES = {"ned": "NED", "frd": "FRD"}
+from foundation.unit_names import frame_of, unit_of
 
 
 class UndocumentedError(RuntimeError):
     """Something that the reference has to describe has no description in the code."""
 
 
-def unit_of(name: str) -> str:
-    """Return the unit, and the frame of a vector, that a name's end states; empty without one."""
-    words = name.split("_")
-    for count in range(min(3, len(words) - 1), 0, -1):
-        if (unit := UNITS.get("_".join(words[-count:]))) is not None:
-            break
-    else:
-        return ""
-    frame = next((FRAMES[word] for word in words if word in FRAMES), "")
-    return f"{unit}, {frame}" if frame else unit
+def unit_and_frame(name: str) -> str:
+    """Return the unit, and the frame of a vector, that a name states; empty without a unit."""
+    unit = unit_of(name)
+    return ", ".join(filter(None, (unit, frame_of(name)))) if unit else ""
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

@@ -30,7 +30,7 @@ from msgspec.inspect import (
 from foundation.docstrings import field_docstrings
 from harness.campaign.values import toml_text
 from harness.scenario.scenario import Scenario
-from reference.markdown import UndocumentedError, one_line, table, unit_of
+from reference.markdown import UndocumentedError, one_line, table, unit_and_frame
 
 SCHEMA_FILE = "scenario.schema.json"
 NO_BREAK = "\u00a0"
@@ -130,7 +130,7 @@ def _rows(path: str, info: StructType) -> Iterator[tuple[str, ...]]:
             )
         inner, repeated = _unwrapped(each.type)
         kind = ("array of tables" if repeated else "table") if inner else _type(each.type)
-        unit = "" if inner else unit_of(each.name)
+        unit = "" if inner else unit_and_frame(each.name)
         yield (
             f"`{_join(path, each.encode_name)}`", kind, unit, "" if inner else _range(each.type),
             _default(each, info, is_table=bool(inner)), one_line(texts[each.name]),

@@ -86,7 +86,7 @@ def test_json_is_one_object_with_the_documented_keys(command, capsys, tmp_path, 
         ("antenna pattern", "antenna.lab.cli.formation"),
         ("bench", "studies.bench.cli.load"),
         ("study radio", "studies.common.command_line.run_subjects"),
-        ("export run --time 1", "harness.cli.export_deck.read_scenario"),
+        ("export run --time 1", "harness.cli.export.read_scenario"),
     ],
 )
 def test_interrupted(command, called, capsys, tmp_path, monkeypatch):

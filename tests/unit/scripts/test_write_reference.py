@@ -1,5 +1,6 @@
 """The generated reference against the code that it describes, and the schema against the scenarios."""
 
+import dataclasses
 import json
 import re
 import subprocess
@@ -8,18 +9,18 @@ import tomllib
 from datetime import datetime
 
 import msgspec
-import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from msgspec import Struct
 from paths import ROOT
 
-from harness.records.tables import FLIGHT_RECORD, write_gains
-from harness.report.flown_array import GainSeries
+from harness.records.columns import AIR
+from harness.records.tables import FLIGHT_RECORD, GAIN_TYPES
 from harness.scenario.scenario import Scenario
-from reference import scenario_fields
-from reference.markdown import UndocumentedError, paragraphs, table, unit_of
-from reference.run_tables import GAINS, tables_page
+from harness.simulator.truth_record import AIR_RECORD
+from netsim.emulator.log_layout import FRAME_LOG
+from reference import run_tables, scenario_fields
+from reference.markdown import UndocumentedError, paragraphs, table, unit_and_frame
+from reference.run_tables import tables_page
 from reference.scenario_fields import scenario_page, scenario_schema
 from write_reference import outdated
 
@@ -135,15 +136,18 @@ def test_the_schema_refuses_what_the_scenario_refuses(text):
     assert errors(tomllib.loads(text), SCHEMA) != []
 
 
-def test_every_column_has_a_row(tmp_path):
+def test_every_column_has_a_row():
     page = tables_page()
-    for name in FLIGHT_RECORD.names:
+    for name in (*FLIGHT_RECORD.names, *GAIN_TYPES, *FRAME_LOG.names):
         assert f"| `{name}`" in page
-    series = GainSeries(
-        time_us=np.zeros(0, np.int64), max_gain_dbi=np.zeros(0), snapshots=(), patterns=(), missing=()
-    )
-    write_gains(tmp_path / "gains.parquet", series)
-    assert pq.read_table(tmp_path / "gains.parquet").column_names == list(GAINS)
+
+
+def test_a_column_without_a_description_is_an_error(monkeypatch):
+    columns = {name: column for name, column in AIR.columns.items() if name != "busy_ns"}
+    layouts = ((dataclasses.replace(AIR, columns=columns), AIR_RECORD),)
+    monkeypatch.setattr(run_tables, "LAYOUTS", layouts)
+    with pytest.raises(UndocumentedError, match="air: busy_ns"):
+        tables_page()
 
 
 def test_outdated_pages(tmp_path):
@@ -166,7 +170,7 @@ def test_outdated_pages(tmp_path):
     ],
 )  # fmt: skip
 def test_units(name, unit):
-    assert unit_of(name) == unit
+    assert unit_and_frame(name) == unit
 
 
 def test_markdown():

@@ -4,6 +4,7 @@ import csv
 import errno
 import importlib.metadata
 import io
+import json
 import os
 import subprocess
 import sys
@@ -31,7 +32,8 @@ from harness.scenario.scenario_file import load as load_scenario
 
 ARTICLE = SCENARIOS / "article.toml"
 KEEPING = (
-    "__init__", "cluster", "definition", "running", "sources", "store", "table", "values", "worker",
+    "__init__", "cluster", "columns", "definition", "running", "sources", "store", "table", "values",
+    "worker",
 )  # fmt: skip
 """Modules of campaigns that do not affect flights and results"""
 SMALL = (
@@ -215,6 +217,12 @@ def test_the_table_has_the_campaigns_order_every_number_and_no_wall_time(tmp_pat
     assert columns["rms.late"] == [None, None, 2, None]
     assert columns["vehicles_lost"] == [1, None, 1, 1]
     assert str(rows.schema.field("rms.late").type) == "int64"
+    assert rows.schema.metadata[b"campaign"] == b"one"
+    stated = {field.name: field.metadata for field in rows.schema}
+    assert stated["wind.mean_n"][b"unit"] == b"N"
+    assert stated["wind.mean_n"][b"description"].endswith(b".")
+    assert json.loads(stated["status"][b"values"]).keys() == {"completed", "not_formed", "failed"}
+    assert not stated["rms.deep.er"]  # a result of another function
     with table.csv.open() as file:
         lines = list(csv.DictReader(file))
     assert [line["reason"] for line in lines] == ["", 'a "bad", end', "", ""]
@@ -336,7 +344,7 @@ FLOWN_FILES = (
 )  # fmt: skip
 OTHER_FILES = (
     "antenna/lab/cli.py", "antenna/analysis/gain_figures.py", "harness/cli/campaign.py", "harness/cli/fly.py",
-    "harness/cli/export_deck.py", "harness/report/figures.py", "harness/cli/progress.py",
+    "harness/cli/export.py", "harness/report/figures.py", "harness/cli/progress.py",
     "harness/launch/pytest_plugin.py", "studies/vehicle/page.py",
 )  # fmt: skip
 MEASURED_BY = ("harness/campaign/flights.py",)

@@ -14,8 +14,8 @@ from paths import SCENARIOS
 
 from antenna.model.config import AntennaConfig
 from foundation import exit_status
-from harness.cli import export_deck
-from harness.cli.export_deck import DeckRefused, deck_at
+from harness.cli import export
+from harness.cli.export import DeckRefused, deck_at
 from harness.launch.one_process import fly
 from harness.records.flight import Flight
 from harness.records.run_folder import RunFolder
@@ -109,7 +109,7 @@ def test_every_run_has_the_deck_of_its_median_instant(run):
 
 def test_a_refused_deck_is_one_line_and_status_2(run, tmp_path, capsys):
     def refused(*arguments):
-        assert export_deck.main([str(argument) for argument in arguments]) == exit_status.BAD_INPUT
+        assert export.main([str(argument) for argument in arguments]) == exit_status.BAD_INPUT
         line = capsys.readouterr().err
         assert line.count("\n") == 1
         return line
@@ -133,7 +133,7 @@ def test_a_refused_deck_is_one_line_and_status_2(run, tmp_path, capsys):
     manifest["scenario"]["antenna"]["wires"] = 1
     other.manifest.write_text(json.dumps(manifest))
     assert "of another version: scenario.antenna: unknown key `wires`" in refused(tmp_path, "--time", 5)
-    assert export_deck.main([str(run.path), "--time", "5"]) == exit_status.FINE
+    assert export.main([str(run.path), "--time", "5"]) == exit_status.FINE
     assert capsys.readouterr().out == deck_at(run.path, 5.0)
 
 
@@ -191,7 +191,7 @@ def test_a_formation_that_is_no_antenna_has_only_no_gains(tmp_path, settings, no
     assert numbers["note"].startswith("the ideal formation: ")
     assert note in numbers["note"]
     folder = RunFolder(tmp_path)
-    antenna_report.write(folder, found, scenario.antenna)
+    antenna_report.write(folder, found, scenario)
     gains = pq.read_table(folder.gains)
     assert all(note in reason for reason in gains["missing"].to_pylist())
     assert gains["max_gain_dbi"].to_pylist() == gains["pointing_error_deg"].to_pylist() == [None] * 3
@@ -205,18 +205,16 @@ def test_without_the_solver_there_is_a_note_and_no_file(tmp_path, monkeypatch):
     numbers = antenna_report.numbers(found)
     assert (numbers["ideal"], numbers["backend"], numbers["accuracy"]) == (None, None, None)
     assert "nec2c" in numbers["note"]
-    antenna_report.write(RunFolder(tmp_path), found, scenario.antenna)
+    antenna_report.write(RunFolder(tmp_path), found, scenario)
     assert not list(tmp_path.iterdir())
 
 
 def test_a_formation_that_was_not_reached_has_an_ideal_pattern_and_a_table_without_rows(tmp_path):
-    scenario = load(ARTICLE)
+    scenario = load(ARTICLE, ["antenna.keep_patterns=true"])
     found = antenna_report.measure(_standing(scenario, 0), scenario)
     numbers = antenna_report.numbers(found)
     assert numbers["ideal"] == pytest.approx(13.262, abs=0.001)
     assert numbers["note"] == "the formation was not reached"
-    antenna_report.write(
-        RunFolder(tmp_path), found, msgspec.structs.replace(AntennaConfig(), keep_patterns=True)
-    )
+    antenna_report.write(RunFolder(tmp_path), found, scenario)
     assert pq.read_table(tmp_path / "gains.parquet").num_rows == 0
     assert [path.name for path in tmp_path.iterdir()] == ["gains.parquet"]

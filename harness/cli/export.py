@@ -1,4 +1,4 @@
-"""Exports the swarm's antenna at an instant of a run as a NEC deck for nec2c and xnec2c.
+"""Exports a run: the antenna at an instant as a NEC deck for nec2c and xnec2c, or the flight in wide form.
 
 Exit status: 0 success, 2 bad input or no antenna at that time, with one line on stderr, 130
 interrupted.
@@ -20,6 +20,7 @@ from antenna.solvers.selection import make_backend
 from foundation.exit_status import BAD_INPUT, FINE
 from harness.records.run_folder import NotARun, RunFolder, read_scenario
 from harness.records.tables import read_flight
+from harness.records.wide import FORMATS, write_wide
 from harness.report.flown_array import NoFeed, describe_touch, living, snapshot_at
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
@@ -29,19 +30,61 @@ class DeckRefused(Exception):
     """There is no deck; the text is the reason in one line."""
 
 
+class FlightRefused(Exception):
+    """There is no flight to export; the text is the reason in one line."""
+
+
 @app.command()
 def export(
     run: Annotated[Path, typer.Argument(help="Folder of a run that has ended.", metavar="RUN")],
     *,
-    time: Annotated[float, typer.Option(help="Simulated seconds since the start.", metavar="S")],
-    out: Annotated[Path | None, typer.Option(help="File; stdout without it.", metavar="FILE")] = None,
+    time: Annotated[
+        float | None,
+        typer.Option(
+            help="Write the antenna with its feeds at the recorded instant nearest to this time, in simulated"
+            " seconds since the start, as a NEC deck.",
+            metavar="S",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="File of the deck; stdout without it.", metavar="FILE")
+    ] = None,
+    wide: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write flight.parquet with one row per instant and a group of columns for each UAV, such as"
+            " uav0.pos_ned_m.n, to this file. Parquet keeps the descriptions of the columns.",
+            metavar="FILE.parquet|FILE.csv",
+        ),
+    ] = None,
 ) -> None:
-    """Write the antenna with its feeds at the recorded instant nearest to a time as a NEC deck."""
-    deck = deck_at(run, time)
-    if out is None:
-        sys.stdout.write(deck)
-    else:
-        out.write_text(deck, encoding="ascii")
+    """Write a run: the antenna at an instant (--time) as a NEC deck, or its flight in wide form (--wide)."""
+    if (time is None) == (wide is None):
+        raise typer.BadParameter("give either --time, for a NEC deck, or --wide, for the flight")
+    if wide is not None:
+        if out is not None:
+            raise typer.BadParameter("--out is the file of the deck of --time; --wide names its own file")
+        _write_flight(run, wide)
+    elif time is not None:
+        deck = deck_at(run, time)
+        if out is None:
+            sys.stdout.write(deck)
+        else:
+            out.write_text(deck, encoding="ascii")
+
+
+def _write_flight(run: Path, target: Path) -> None:
+    flight = RunFolder(run).flight
+    if not flight.is_file():
+        raise NotARun(f"{run}: no run that has ended: it has no {flight.name}")
+    if target.suffix not in FORMATS:
+        raise FlightRefused(f"--wide {target}: expected a name that ends in {' or '.join(FORMATS)}")
+    if target.resolve() == flight.resolve():
+        raise FlightRefused(f"--wide {target}: this is the run's own table; name another file")
+    try:
+        write_wide(flight, target)
+    except (KeyError, ValueError) as error:
+        raise FlightRefused(f"{flight}: not the flight of a run: {error.args[0]}") from None
 
 
 def deck_at(run: Path, time_s: float) -> str:
@@ -80,7 +123,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         status = app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False)
     except typer.TyperException as error:
         return _refuse(error.format_message())
-    except (DeckRefused, NotARun) as error:
+    except (DeckRefused, FlightRefused, NotARun) as error:
         return _refuse(str(error))
     except OSError as error:
         return _refuse(f"{error.filename}: {error.strerror}" if error.filename else str(error))
