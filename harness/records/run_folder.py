@@ -84,6 +84,7 @@ class RunFolder:
             frame_log_path=str(self.raw_frames),
             session_log_path=str(self.raw_sessions),
             capture_path=str(self.capture) if scenario.radio.capture else None,
+            epoch_unix_us=scenario.run.epoch_unix_us,
             profile_from_us=self._profile_from_us,
         )
         return self.write_config("radio", config)

@@ -78,7 +78,16 @@ class IdealChannel:
         what = frame.source, frame.destination, kind, mode, frame.frame_bytes, frame.seq
         self._frames.append((transmission.start_ns, transmission.end_ns, *what, *map(len, ends)))
         if self._on_ended is not None:
+            transmission.received = [i for i in range(self._stations) if self._in_range(transmission, i)]
             self._on_ended(transmission)
+
+    def _in_range(self, transmission: Transmission, station: int) -> bool:
+        """Whether a station's radio receives a frame, addressed to it or not."""
+        return (
+            station != transmission.source
+            and not self.radios[station].silent
+            and transmission.powers_mw.item(station) >= self._least_mw
+        )
 
     def frames_sent(self) -> list[int]:
         """Return the number of ended frames by kind."""

@@ -311,9 +311,7 @@ class Radios:
     def _report_group_frame(self, job: Job | None, frame: int, source: int, end_ns: int) -> None:
         """Report a group frame that has just ended to its receivers."""
         seq, body = (0, None) if job is None else (job.seq, job.body)
-        stations = [
-            station for station, outcome in enumerate(self._outcomes.tolist()) if outcome == c.RECEIVED
-        ]
+        stations = _stations(self._outcomes.tolist(), c.RECEIVED)
         delays_ns, powers_mw = self._delays_ns[frame].tolist(), self._powers_mw[frame].tolist()
         self._on_group_frame(
             GroupReception(
@@ -330,7 +328,8 @@ class Radios:
         """Report the frame that has ended, and free its row."""
         tables = self.tables
         ended = int(tables.air["ended_frame"][0])
-        signal, paths, outcomes = tables.signals[ended], tables.paths[ended], tables.ends["receiver_outcome"]
+        signal, paths = tables.signals[ended], tables.paths[ended]
+        outcomes, intended = self._outcomes.tolist(), tables.ends["receiver_outcome"].tolist()
         frame = Frame(
             kind=KINDS[signal.kind],
             source=int(signal.source),
@@ -345,11 +344,17 @@ class Radios:
         transmission = Transmission(
             frame, int(signal.start_ns), paths["power_mw"].copy(), paths["delay_ns"].copy(),
             int(signal.longest_delay_ns),
-            *((outcomes == each).nonzero()[0].tolist() for each in (c.DELIVERED, c.COLLIDED, c.LOST)),
+            *(_stations(intended, outcome) for outcome in (c.DELIVERED, c.COLLIDED, c.LOST)),
+            *(_stations(outcomes, outcome) for outcome in (c.RECEIVED, c.BROKE)),
         )  # fmt: skip
         loop.release(self._block, ended)
         if self._on_ended is not None:
             self._on_ended(transmission)
+
+
+def _stations(outcomes: list[int], outcome: int) -> list[int]:
+    """Return the stations with an outcome of a frame, from the outcomes by station."""
+    return [station for station, each in enumerate(outcomes) if each == outcome]
 
 
 def _draw_ahead(used_by: Integers, draws: Doubles, streams: list[FloatStream]) -> None:

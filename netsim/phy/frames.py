@@ -69,6 +69,10 @@ class Transmission(Struct):
     collided: list[int] = []
     """Intended receivers that would have received it without other signals."""
     lost_to_noise: list[int] = []
+    received: list[int] = []
+    """All stations that received it, addressed or not."""
+    received_in_error: list[int] = []
+    """All stations that received it with errors, addressed or not; they were locked on to it at its end."""
 
     @property
     def source(self) -> int:
