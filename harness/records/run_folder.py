@@ -3,6 +3,7 @@
 manifest.json summary.json events.jsonl      what ran, results, events
 flight.parquet radio.parquet ftm.parquet      truth and estimates, every frame, every ranging session
 air.parquet                                   channel occupancy over time
+radio.pcapng coflight_beacon.lua              capture of the channel, Wireshark's dissector of beacons
 gains.parquet antenna.nec patterns.nc         antenna: gains over time, median instant as NEC deck, patterns
 figures/*.png  logs/*.log  config/*.json       figures, the processes' messages, their settings
 uav-0.params uav-0.ulg ...                    parameters that a ground station saved, ULog
@@ -14,6 +15,7 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
+from harness.records import beacon_dissector
 from harness.scenario.scenario import Scenario
 from harness.scenario.validation_errors import explain
 from netsim.model.config import ServerConfig
@@ -52,6 +54,7 @@ class RunFolder:
         self.patterns = path / "patterns.nc"
         self.raw_truth, self.raw_air = self.raw / "truth.bin", self.raw / "air.bin"
         self.capture = path / "radio.pcapng"
+        self.dissector = path / beacon_dissector.FILE_NAME
         self.raw_frames, self.raw_sessions = self.raw / "frames.bin", self.raw / "sessions.bin"
 
     @classmethod
@@ -72,7 +75,12 @@ class RunFolder:
         return self.raw / f"uav-{instance}.bin"
 
     def write_radio_config(self, scenario: Scenario, *, run_id: str) -> Path:
-        """Write the settings of the 802.11 emulator's process; returns the path."""
+        """Write the settings of the 802.11 emulator's process; returns the path.
+
+        If it writes a capture, Wireshark's dissector of beacons is also written.
+        """
+        if scenario.radio.capture:
+            self.dissector.write_text(beacon_dissector.dissector(), encoding="utf-8")
         config = ServerConfig(
             run_id=run_id,
             host=scenario.ports.host,
