@@ -4,6 +4,7 @@ manifest.json summary.json events.jsonl      what ran, results, events
 flight.parquet radio.parquet ftm.parquet      truth and estimates, every frame, every ranging session
 air.parquet                                   channel occupancy over time
 receptions.parquet                            each frame at each station (radio.log_receptions)
+radio.pcapng coflight_beacon.lua              capture of the channel, Wireshark's dissector of beacons
 gains.parquet antenna.nec patterns.nc         antenna: gains over time, median instant as NEC deck, patterns
 figures/*.png *.pdf                           figures, each in both formats
 logs/*.log  config/*.json                     the processes' messages, their settings
@@ -16,6 +17,7 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
+from harness.records import beacon_dissector
 from harness.scenario.scenario import Scenario
 from harness.scenario.validation_errors import explain
 from netsim.model.config import ServerConfig
@@ -55,6 +57,7 @@ class RunFolder:
         self.raw_truth, self.raw_air = self.raw / "truth.bin", self.raw / "air.bin"
         self.capture = path / "radio.pcapng"
         self.receptions, self.raw_receptions = path / "receptions.parquet", self.raw / "receptions.bin"
+        self.dissector = path / beacon_dissector.FILE_NAME
         self.raw_frames, self.raw_sessions = self.raw / "frames.bin", self.raw / "sessions.bin"
 
     @classmethod
@@ -75,7 +78,12 @@ class RunFolder:
         return self.raw / f"uav-{instance}.bin"
 
     def write_radio_config(self, scenario: Scenario, *, run_id: str) -> Path:
-        """Write the settings of the 802.11 emulator's process; returns the path."""
+        """Write the settings of the 802.11 emulator's process; returns the path.
+
+        If it writes a capture, Wireshark's dissector of beacons is also written.
+        """
+        if scenario.radio.capture:
+            self.dissector.write_text(beacon_dissector.dissector(), encoding="utf-8")
         config = ServerConfig(
             run_id=run_id,
             host=scenario.ports.host,
@@ -88,6 +96,7 @@ class RunFolder:
             session_log_path=str(self.raw_sessions),
             reception_log_path=str(self.raw_receptions) if scenario.radio.log_receptions else None,
             capture_path=str(self.capture) if scenario.radio.capture else None,
+            epoch_unix_us=scenario.run.epoch_unix_us,
             profile_from_us=self._profile_from_us,
         )
         return self.write_config("radio", config)

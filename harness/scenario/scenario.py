@@ -41,6 +41,7 @@ from netsim.ftm.stamps import distance_m, round_trip_std_ps
 from netsim.model.config import RadioConfig
 
 _UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_EPOCH_END = datetime(2500, 1, 1, tzinfo=UTC)
 
 
 class ScenarioError(ValueError):
@@ -65,11 +66,13 @@ class RunConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     record_rate_hz: Annotated[float, Meta(ge=0.001, le=250.0)] = 25.0
     """Rows per simulated second and vehicle in the flight log."""
     epoch_utc: Annotated[datetime, Meta(tz=True)] = datetime(2026, 1, 1, tzinfo=UTC)
-    """Date of simulated time 0 for the vehicles' clocks; the flight does not depend on it."""
+    """Date of simulated time 0 for the vehicles' clocks and captures; the flight does not depend on it."""
 
     def __post_init__(self) -> None:
         if self.epoch_utc < _UNIX_EPOCH:
             raise ValueError("epoch_utc is before 1970, which MAVLink's clocks cannot represent")
+        if self.epoch_utc >= _EPOCH_END:
+            raise ValueError("epoch_utc is in 2500 or later; captures represent dates up to 2554")
 
     @property
     def epoch_unix_us(self) -> int:

@@ -33,7 +33,7 @@ def section_header(*, application: str, comment: str = "") -> bytes:
 
 
 def interface_description(*, link_type: int, name: str, description: str) -> bytes:
-    """Return the description block of interface 0, which all packets refer to; its times are nanoseconds."""
+    """Return the description block of the next interface, from 0, whose packets have times in nanoseconds."""
     options = (
         _option(_IF_NAME, name.encode())
         + _option(_IF_DESCRIPTION, description.encode())
@@ -42,13 +42,14 @@ def interface_description(*, link_type: int, name: str, description: str) -> byt
     return _block(_INTERFACE_DESCRIPTION, _INTERFACE_BODY.pack(link_type, 0, 0), options)
 
 
-def enhanced_packet(time_ns: int, packet: bytes, *, comment: str = "") -> bytes:
-    """Return the block of one complete packet, captured at ``time_ns`` on interface 0."""
+def enhanced_packet(time_ns: int, packet: bytes, *, interface: int = 0, comment: str = "") -> bytes:
+    """Return the block of one complete packet of an interface; ``time_ns`` is UNIX time, below 2^64."""
     size = len(packet)
     gap = bytes(-size % 4)
     options = _option(_COMMENT, comment.encode()) + _END_OF_OPTIONS if comment else b""
     length = _PACKET_FIXED_BYTES + size + len(gap) + len(options)
-    head = _PACKET_HEAD.pack(_ENHANCED_PACKET, length, 0, time_ns >> 32, time_ns & 0xFFFFFFFF, size, size)
+    times = time_ns >> 32, time_ns & 0xFFFFFFFF
+    head = _PACKET_HEAD.pack(_ENHANCED_PACKET, length, interface, *times, size, size)
     return b"".join((head, packet, gap, options, _U32.pack(length)))
 
 

@@ -1,6 +1,12 @@
-"""Write all transmissions of a channel to a pcapng file, ordered by start time."""
+"""Write all transmissions of a channel to a pcapng file, ordered by time, as sent or as received.
+
+A packet's time is the UNIX time of its simulated time, in 64 bits of nanoseconds. The interface option
+if_tsoffset would state the epoch once, but it counts whole seconds, and several readers of pcapng ignore it.
+The simulated time is in the radiotap header.
+"""
 
 from heapq import heappop, heappush
+from math import log10
 from pathlib import Path
 
 from netsim.capture.ieee80211 import mpdu
@@ -13,6 +19,7 @@ from netsim.capture.pcapng_blocks import (
 from netsim.capture.radiotap import Radiotap
 from netsim.model.config import RadioConfig
 from netsim.phy.frames import Frame, FrameKind, Transmission
+from netsim.phy.propagation import thermal_noise_mw
 
 HOLD_NS = 7_000_000
 """Time for which a frame is held back, since frames that began before it may end later.
@@ -24,36 +31,58 @@ CHUNK_BYTES = 1 << 16
 WRITE_PERIOD_NS = 1_000_000_000
 """Simulated time after which pending blocks are written whatever their size."""
 _SEQUENCE_NUMBERS = 4096
+_FCS_BYTES = 4
+_INVERTED = bytes(range(255, -1, -1))
 _NUMBERED = frozenset({FrameKind.DATA, FrameKind.FTM_REQUEST, FrameKind.FTM})
 
 
 class Capture:
     """A capture file of all frames of the channel, including those that no station received.
 
-    A packet's time is the simulated time at which its preamble leaves the transmitter's antenna. A comment
-    names the receivers that a frame did not reach. The bytes depend only on the transmissions, not on when
-    they are written. The file is valid at any time. Raises OSError, with the path, if it cannot be created or
-    written.
+    A packet's time is the time at which its preamble leaves the transmitter's antenna; ``epoch_unix_us`` is
+    that of simulated time 0. A comment names the receivers that a frame did not reach. If ``config.capture``
+    is "receivers", every station has an interface: of the ``vehicles``, then of the guests. It has the
+    station's own frames, and those that its radio was locked on to until their end, at the time at which
+    their preamble arrives. Of a frame received with errors, the bytes are those sent, since the emulator
+    determines errors but not their positions, and the FCS is inverted.
+
+    The bytes depend only on the transmissions, not on when they are written. The file is valid at any time.
+    Raises OSError, with the path, if it cannot be created or written.
     """
 
-    def __init__(self, path: str | Path, *, config: RadioConfig, comment: str = "") -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        config: RadioConfig,
+        vehicles: int = 0,
+        epoch_unix_us: int = 0,
+        comment: str = "",
+    ) -> None:
         self._path = str(path)
+        self._epoch_ns = 1_000 * epoch_unix_us
+        self._of_receivers = config.capture == "receivers"
         self._file = Path(path).open("wb", buffering=0)  # noqa: SIM115 - closed by close()
         self._frequency_mhz = config.frequency_mhz
         self._power_dbm = config.tx_power_dbm
         self._power_of_dbm = {
             each.station: each.tx_power_dbm for each in config.stations if each.tx_power_dbm is not None
         }
-        self._radiotap: dict[tuple[str, int, int], Radiotap] = {}
+        self._noise_dbm = 10.0 * log10(thermal_noise_mw(config.bandwidth_mhz, config.noise_figure_db))
+        self._sent: dict[tuple[str, int, int], Radiotap] = {}
+        """Headers by mode, bandwidth and transmitter."""
+        self._received: dict[tuple[str, int, int, bool], Radiotap] = {}
+        """Headers by mode, bandwidth, signal in dBm and whether there are errors."""
         self._newest_sequence: dict[int, int] = {}
         self._held: list[tuple[int, int, bytes]] = []
-        """Heap of (start, source, block); a station sends one frame at a time."""
+        """Heap of (time, station, block); a station sends one frame at a time."""
         self._chunk = bytearray(section_header(application="coflight", comment=comment))
-        self._chunk += interface_description(
-            link_type=LINKTYPE_IEEE802_11_RADIOTAP,
-            name="radio",
-            description=f"emulated channel, {config.bandwidth_mhz} MHz wide at {config.frequency_mhz:g} MHz",
-        )
+        names = [f"uav {i}" for i in range(vehicles)] + [guest.name for guest in config.guests]
+        channel = f"emulated channel, {config.bandwidth_mhz} MHz wide at {config.frequency_mhz:g} MHz"
+        for name in names if self._of_receivers else ["radio"]:
+            self._chunk += interface_description(
+                link_type=LINKTYPE_IEEE802_11_RADIOTAP, name=name, description=channel
+            )
         self._write_due_ns = WRITE_PERIOD_NS
         try:
             self._write()
@@ -65,9 +94,16 @@ class Capture:
         """Add a transmission that has ended; transmissions are added in order of their end."""
         frame = transmission.frame
         start_ns = transmission.start_ns
-        packet = self._header(frame, start_ns) + mpdu(frame, retry=self._is_retry(frame))
+        content = mpdu(frame, retry=self._is_retry(frame))
         comment = _losses(transmission) if transmission.collided or transmission.lost_to_noise else ""
-        heappush(self._held, (start_ns, frame.source, enhanced_packet(start_ns, packet, comment=comment)))
+        self._hold(start_ns, frame.source, self._header(frame, start_ns) + content, comment)
+        if self._of_receivers:
+            for station in transmission.received:
+                self._hold_received(transmission, station, content, bad_fcs=False)
+            if transmission.received_in_error:
+                content = content[:-_FCS_BYTES] + content[-_FCS_BYTES:].translate(_INVERTED)
+                for station in transmission.received_in_error:
+                    self._hold_received(transmission, station, content, bad_fcs=True)
         self.settle(transmission.end_ns)
 
     def settle(self, now_ns: int) -> None:
@@ -94,14 +130,40 @@ class Capture:
         finally:
             self._file.close()
 
+    def _hold(self, time_ns: int, station: int, packet: bytes, comment: str = "") -> None:
+        interface = station if self._of_receivers else 0
+        block = enhanced_packet(self._epoch_ns + time_ns, packet, interface=interface, comment=comment)
+        heappush(self._held, (time_ns, station, block))
+
+    def _hold_received(
+        self, transmission: Transmission, station: int, content: bytes, *, bad_fcs: bool
+    ) -> None:
+        """Add a frame as a station's radio received it."""
+        mode = transmission.frame.mode
+        signal_dbm = round(10.0 * log10(transmission.powers_mw.item(station)))
+        key = (mode.name, mode.bandwidth_mhz, signal_dbm, bad_fcs)
+        radiotap = self._received.get(key)
+        if radiotap is None:
+            radiotap = Radiotap(
+                mode,
+                frequency_mhz=self._frequency_mhz,
+                power_dbm=signal_dbm,
+                noise_dbm=self._noise_dbm,
+                bad_fcs=bad_fcs,
+            )
+            self._received[key] = radiotap
+        arrival_ns = transmission.start_ns + transmission.delays_ns.item(station)
+        self._hold(arrival_ns, station, radiotap.header(arrival_ns) + content)
+
     def _header(self, frame: Frame, start_ns: int) -> bytes:
+        """Return the radiotap header of a frame as sent."""
         mode = frame.mode
         key = (mode.name, mode.bandwidth_mhz, frame.source)
-        radiotap = self._radiotap.get(key)
+        radiotap = self._sent.get(key)
         if radiotap is None:
             power_dbm = self._power_of_dbm.get(frame.source, self._power_dbm)
             radiotap = Radiotap(mode, frequency_mhz=self._frequency_mhz, power_dbm=power_dbm)
-            self._radiotap[key] = radiotap
+            self._sent[key] = radiotap
         return radiotap.header(start_ns)
 
     def _is_retry(self, frame: Frame) -> bool:

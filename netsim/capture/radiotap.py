@@ -1,22 +1,24 @@
-"""Encode radiotap headers: a captured frame's time, mode, channel and transmit power.
+"""Encode radiotap headers: a captured frame's time, mode, channel and power.
 
-The capture contains every transmission, without reception errors. The monitor has no position, so there is
-no signal strength; the power is the transmitter's. The channel frequency is the centre frequency (a driver
-reports that of the primary 20 MHz channel, which the emulator does not model). A non-HT frame on a wider
-channel, duplicated in every 20 MHz, has only the rate field.
+A frame as sent has the transmitter's power and no signal strength. A frame as received has signal strength
+and noise, in whole dBm, and a flag if it was received with errors. The channel frequency is the centre
+frequency (a driver reports that of the primary 20 MHz channel, which the emulator does not model). A non-HT
+frame on a wider channel, duplicated in every 20 MHz, has only the rate field.
 
-There are two times. TSFT is the time of the first bit of the MPDU, in whole microseconds. The timestamp
-field is the beginning of the preamble, in nanoseconds. Wireshark reads TSFT as the end of a frame unless its
-preference wlan_radio.tsf_at_end is off. Source: radiotap.org, "defined fields"; a field is aligned to its own
-size, counted from the header's first byte.
+There are two times, both simulated. TSFT is the time of the first bit of the MPDU, in whole microseconds. The
+timestamp field is the beginning of the preamble, in nanoseconds. Wireshark reads TSFT as the end of a frame
+unless its preference wlan_radio.tsf_at_end is off. Source: radiotap.org, "defined fields"; a field is aligned
+to its own size, counted from the header's first byte.
 """
 
 from struct import Struct as Layout
 
 from netsim.phy.modes import PhyMode
 
-_TSFT, _FLAGS, _RATE, _CHANNEL, _TX_POWER, _VHT, _TIMESTAMP = (1 << bit for bit in (0, 1, 2, 3, 10, 21, 22))
-_FLAGS_FCS_AT_END = 0x10
+_TSFT, _FLAGS, _RATE, _CHANNEL, _SIGNAL, _NOISE, _TX_POWER, _VHT, _TIMESTAMP = (
+    1 << bit for bit in (0, 1, 2, 3, 5, 6, 10, 21, 22)
+)
+_FLAGS_FCS_AT_END, _FLAGS_BAD_FCS = 0x10, 0x40
 _CHANNEL_OFDM, _CHANNEL_2_GHZ, _CHANNEL_5_GHZ = 0x0040, 0x0080, 0x0100
 _BAND_5_GHZ_FROM_MHZ = 4_900.0
 _BAND_2_GHZ_MHZ = (2_400.0, 2_500.0)
@@ -30,18 +32,32 @@ _NANOSECONDS, _START_OF_PREAMBLE = 2, 1 << 4
 _ACCURACY_NS, _ACCURACY_KNOWN = 1, 0x02
 
 _HEAD = Layout("<BBHI")
-_PROPERTIES = Layout("<BBHHbx")
-"""Flags; rate, or a gap before the channel; frequency and flags of the channel; power, and a gap."""
+_PROPERTIES = Layout("<BBHHbb")
+"""Flags; rate, or a gap before the channel; frequency and flags of the channel; the transmit power and a gap,
+or signal and noise."""
 _VHT_FIELD = Layout("<HBB4sBBH4x")
 _TIME = Layout("<Q")
 _TIMESTAMP_TAIL = Layout("<HBB").pack(_ACCURACY_NS, _NANOSECONDS | _START_OF_PREAMBLE, _ACCURACY_KNOWN)
 
 
 class Radiotap:
-    """Headers of the frames that one transmitter sends in one mode; only their times differ."""
+    """Headers of the frames of one mode and power; only their times differ.
 
-    def __init__(self, mode: PhyMode, *, frequency_mhz: float, power_dbm: float) -> None:
-        present = _TSFT | _FLAGS | _CHANNEL | _TX_POWER | _TIMESTAMP | (_VHT if mode.vht else _RATE)
+    ``power_dbm`` is the transmit power or, with the ``noise_dbm`` of a receiver, the received power;
+    ``bad_fcs`` marks frames received with errors.
+    """
+
+    def __init__(
+        self,
+        mode: PhyMode,
+        *,
+        frequency_mhz: float,
+        power_dbm: float,
+        noise_dbm: float | None = None,
+        bad_fcs: bool = False,
+    ) -> None:
+        present = _TSFT | _FLAGS | _CHANNEL | _TIMESTAMP | (_VHT if mode.vht else _RATE)
+        present |= _TX_POWER if noise_dbm is None else _SIGNAL | _NOISE
         self._preamble_ns = mode.preamble_ns
         channel_flags = _CHANNEL_OFDM
         if frequency_mhz >= _BAND_5_GHZ_FROM_MHZ:
@@ -49,11 +65,12 @@ class Radiotap:
         elif _BAND_2_GHZ_MHZ[0] <= frequency_mhz <= _BAND_2_GHZ_MHZ[1]:
             channel_flags |= _CHANNEL_2_GHZ
         self._properties = _PROPERTIES.pack(
-            _FLAGS_FCS_AT_END,
+            _FLAGS_FCS_AT_END | _FLAGS_BAD_FCS if bad_fcs else _FLAGS_FCS_AT_END,
             0 if mode.vht else mode.bits_per_symbol // 2,  # rate / 500 kbit/s, as a symbol lasts 4 us
             min(round(frequency_mhz), _FREQUENCY_MAX_MHZ),
             channel_flags,
-            max(-_POWER_MAX_DBM, min(round(power_dbm), _POWER_MAX_DBM)),
+            _whole_dbm(power_dbm),
+            0 if noise_dbm is None else _whole_dbm(noise_dbm),
         )
         if mode.vht:
             mcs = int(mode.name.removeprefix("vht_mcs"))
@@ -64,6 +81,10 @@ class Radiotap:
         self._head = _HEAD.pack(0, 0, length, present)
 
     def header(self, start_ns: int) -> bytes:
-        """Return the header of a frame whose preamble begins at ``start_ns``."""
+        """Return the header of a frame whose preamble begins at the simulated time ``start_ns``."""
         mpdu_us = (start_ns + self._preamble_ns) // 1_000
         return self._head + _TIME.pack(mpdu_us) + self._properties + _TIME.pack(start_ns) + _TIMESTAMP_TAIL
+
+
+def _whole_dbm(power_dbm: float) -> int:
+    return max(-_POWER_MAX_DBM, min(round(power_dbm), _POWER_MAX_DBM))

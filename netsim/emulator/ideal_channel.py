@@ -58,7 +58,7 @@ class IdealChannel:
         self._frames: list[tuple[int, ...]] = []
         """Rows since the last `take_frames`."""
         self._links = links
-        self._logs_receptions = config.log_receptions
+        self._reports_receptions = config.reports_receptions
         self._least_mw = 10.0 ** (config.cca_preamble_dbm / 10.0)
         self.radios: list[IdealRadio] = []
 
@@ -81,7 +81,7 @@ class IdealChannel:
         what = frame.source, frame.destination, kind, mode, frame.frame_bytes, frame.seq
         self._frames.append((transmission.start_ns, transmission.end_ns, *what, *map(len, ends)))
         if self._on_ended is not None:
-            if self._logs_receptions:
+            if self._reports_receptions:
                 transmission.receptions = self._receptions(transmission)
             self._on_ended(transmission)
 

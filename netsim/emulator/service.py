@@ -84,7 +84,13 @@ class EmulatorService:
                 contextlib.closing(RecordLog(config.reception_log_path, RECEPTION_LOG))
             )
         if config.capture_path is not None:
-            capture = Capture(config.capture_path, config=config.radio, comment=f"seed {config.seed}")
+            capture = Capture(
+                config.capture_path,
+                config=config.radio,
+                vehicles=config.stations,
+                epoch_unix_us=config.epoch_unix_us,
+                comment=f"seed {config.seed}",
+            )
             self._capture = keep(contextlib.closing(capture))
 
     def close(self) -> None:

@@ -26,14 +26,16 @@ def with_guests(radio: RadioConfig, stations: int, radius_m: float) -> RadioConf
 def serve_in_real_time(config: ServerConfig, *, speed: float) -> None:
     """Serve until Ctrl-C, after one line with endpoint and stations.
 
-    Raises TransportError, OSError, ValueError.
+    Simulated time 0 is the present time of the host's clock, which captures show. Raises TransportError,
+    OSError, ValueError.
     """
+    wall_start_s = time.monotonic()
+    config = msgspec.structs.replace(config, epoch_unix_us=time.time_ns() // 1_000)
     pause = threading.Event()
     with contextlib.closing(Server(config)) as server:
         names = ", ".join(guest.name for guest in config.radio.guests)
         sys.stdout.write(f"{server.endpoint} stations {names}\n")
         sys.stdout.flush()
-        wall_start_s = time.monotonic()
         to_us = 0
         while True:
             to_us += STEP_US

@@ -349,7 +349,7 @@ class Radios:
         transmission = Transmission(
             frame, int(signal.start_ns), paths["power_mw"].copy(), paths["delay_ns"].copy(),
             int(signal.longest_delay_ns), delivered, collided, lost,
-            receptions_of(tables, ended) if self._config.log_receptions else None,
+            receptions_of(tables, ended) if self._config.reports_receptions else None,
         )  # fmt: skip
         loop.release(self._block, ended)
         if self._on_ended is not None:

@@ -184,10 +184,17 @@ class RadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Settings of single stations: tables ``[[radio.stations]]``."""
     guests: tuple[GuestConfig, ...] = ()
     """Stations of other programs: tables ``[[radio.guests]]``."""
-    capture: bool = False
-    """Write every frame with a radiotap header to radio.pcapng, for Wireshark."""
+    capture: Literal["medium", "receivers"] | bool = False
+    """Write all frames with radiotap headers to radio.pcapng, for Wireshark. True or "medium": every frame
+    once, as sent. "receivers": an interface per station with the frames that it sent and received, with their
+    signal strength there."""
     log_receptions: bool = False
     """Write every frame's reception at every station to receptions.parquet."""
+
+    @property
+    def reports_receptions(self) -> bool:
+        """Whether each frame's reception at each station is needed: for the log, or for a capture."""
+        return self.log_receptions or self.capture == "receivers"
 
 
 class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -207,5 +214,7 @@ class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     reception_log_path: str | None = None
     """Used with ``radio.log_receptions``."""
     capture_path: str | None = None
+    epoch_unix_us: Annotated[int, Meta(ge=0, lt=16_725_225_600_000_000)] = 0
+    """Date of simulated time 0 in captures, before 2500: 64 bits of nanoseconds end in 2554."""
     profile_from_us: Annotated[int, Meta(ge=0)] | None = None
     """Simulated time from which the process profiles its CPU time; None: never."""

@@ -7,7 +7,7 @@ from msgspec import Struct
 from netsim.model.tables import Integers
 from netsim.phy.modes import PhyMode
 from netsim.phy.path_loss import Doubles
-from netsim.phy.receptions import Receptions
+from netsim.phy.receptions import ERRORS, RECEIVED, Receptions
 
 GROUP = -1
 """Destination of a group frame."""
@@ -71,7 +71,23 @@ class Transmission(Struct):
     """Intended receivers that would have received it without other signals."""
     lost_to_noise: list[int] = []
     receptions: Receptions | None = None
-    """At all stations, with ``radio.log_receptions``."""
+    """At all stations, with ``RadioConfig.reports_receptions``."""
+
+    @property
+    def received(self) -> list[int]:
+        """All stations that received it, addressed or not; none without `receptions`."""
+        return self._stations_in(RECEIVED)
+
+    @property
+    def received_in_error(self) -> list[int]:
+        """All stations that were locked on to it at its end and received errors, addressed or not."""
+        return self._stations_in(ERRORS)
+
+    def _stations_in(self, state: int) -> list[int]:
+        if self.receptions is None:
+            return []
+        stations = (self.receptions.states == state).nonzero()[0].tolist()
+        return [station for station in stations if station != self.frame.source]
 
     @property
     def source(self) -> int:

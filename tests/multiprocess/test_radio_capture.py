@@ -4,6 +4,8 @@ Without tshark these tests are skipped; tests/unit/netsim/capture reads the byte
 """
 
 import contextlib
+import math
+import os
 import shutil
 import subprocess
 from collections import Counter
@@ -26,6 +28,8 @@ STATIONS = 5
 PLACES_NED_M = np.array([(0.0, 12.0 * i, -10.0) for i in range(STATIONS)])
 STEP_US = 4_000
 END_US = 600_000
+EPOCH_UNIX_US = 1_767_225_600_000_000
+"""2026-01-01 00:00 UTC."""
 PAYLOAD = b"coflight beacon "
 SUBTYPES = {"rts": 0x1B, "cts": 0x1C, "ack": 0x1D, "data": 0x20, "ftm_request": 0x0D, "ftm": 0x0D}
 """Type and subtype of every kind in Wireshark's combined number."""
@@ -37,15 +41,24 @@ CHECK = ("wlan.check_checksum:TRUE", "ip.check_checksum:TRUE", "udp.check_checks
 class Run:
     """Five stations broadcast at nearly the same times, with RTS and CTS, and range to each other."""
 
-    def __init__(self, path):
-        self.path = path
+    def __init__(self, folder):
+        self.path, self.receivers_path = folder / "radio.pcapng", folder / "receivers.pcapng"
         self.transmissions = []
-        config = RadioConfig(queue_lifetime_us=50_000)
-        with contextlib.closing(Capture(path, config=config, comment="seed 5")) as capture:
+        config = RadioConfig(queue_lifetime_us=50_000, log_receptions=True)
+        of_receivers = RadioConfig(queue_lifetime_us=50_000, capture="receivers")
+        with (
+            contextlib.closing(Capture(self.path, config=config, comment="seed 5")) as capture,
+            contextlib.closing(
+                Capture(
+                    self.receivers_path, config=of_receivers, vehicles=STATIONS, epoch_unix_us=EPOCH_UNIX_US
+                )
+            ) as capture_of_receivers,
+        ):
 
             def take(transmission):
                 self.transmissions.append(transmission)
                 capture.append(transmission)
+                capture_of_receivers.append(transmission)
 
             self.emulator = Emulator(
                 config=config, stations=STATIONS, seed=np.random.SeedSequence(5), on_transmission=take
@@ -73,7 +86,7 @@ class Run:
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    return Run(tmp_path_factory.mktemp("capture") / "radio.pcapng")
+    return Run(tmp_path_factory.mktemp("capture"))
 
 
 def tshark(path, *fields, condition="", preferences=CHECK):
@@ -85,7 +98,9 @@ def tshark(path, *fields, condition="", preferences=CHECK):
         command += ["-Y", condition]
     for field in fields:
         command += ["-e", field]
-    result = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    result = subprocess.run(
+        command, capture_output=True, text=True, check=True, timeout=120, env=os.environ | {"TZ": "UTC"}
+    )
     return [line.split("\t") for line in result.stdout.splitlines()]
 
 
@@ -207,3 +222,31 @@ def test_ranging_frames_are_dissected_to_their_fields(run):
         granted += parameters.status == Status.SUCCESSFUL
     assert granted > 20
     assert measured > 100
+
+
+def test_stations_interfaces_have_dates_signals_and_frames_with_errors(run):
+    """A frame with errors has a wrong FCS and the flag of it; all others have neither.
+
+    Wireshark calls a frame with a wrong FCS malformed if it checks the FCS.
+    """
+    rows = tshark(
+        run.receivers_path, "frame.interface_name", "frame.time_epoch", "radiotap.dbm_antsignal",
+        "radiotap.dbm_antnoise", "radiotap.flags.badfcs", "wlan.fcs.status",
+    )  # fmt: skip
+    expected = []
+    for each in run.transmissions:
+        expected.append((f"uav {each.source}", EPOCH_UNIX_US * 1_000 + each.start_ns, "", "", "0", "1"))
+        for stations, flag, status in ((each.received, "0", "1"), (each.received_in_error, "1", "0")):
+            for station in stations:
+                time_ns = EPOCH_UNIX_US * 1_000 + each.start_ns + each.delays_ns.item(station)
+                level = str(round(10 * math.log10(each.powers_mw[station])))
+                expected.append((f"uav {station}", time_ns, level, "-88", flag, status))
+    found = [(name, int(time_s.replace(".", "")), *rest) for name, time_s, *rest in rows]
+    assert sorted(found) == sorted(expected)
+    assert [time_ns for _, time_ns, *_ in found] == sorted(time_ns for _, time_ns, *_ in found)
+    assert sum(row[4] == "1" for row in found) > 20
+    dates = tshark(run.receivers_path, "frame.time", condition="frame.number == 1")
+    assert dates[0][0].startswith("Jan  1, 2026 00:00:00.000")
+    malformed = tshark(run.receivers_path, "radiotap.flags.badfcs", condition="_ws.malformed")
+    assert malformed == [["1"]] * sum(row[4] == "1" for row in found)
+    assert tshark(run.receivers_path, "frame.number", condition="_ws.malformed", preferences=()) == []

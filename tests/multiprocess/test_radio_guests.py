@@ -7,8 +7,10 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 
 import pytest
+from netsim_pcapng import interfaces
 from paths import ROOT
 
 from netsim.transport.guest import Guest
@@ -67,6 +69,22 @@ def wait_for(radio, kind):
             if isinstance(item, kind):
                 return item
     pytest.fail(f"no {kind.__name__} within {DEADLINE_S} s")
+
+
+def test_a_capture_has_the_dates_of_the_hosts_clock_and_the_stations_names(tmp_path):
+    path, settings = tmp_path / "air.pcapng", tmp_path / "radio.json"
+    settings.write_text('{"capture": "receivers"}')
+    begun_ns = time.time_ns()
+    with laboratory("--capture", str(path), "--settings", str(settings)) as (endpoint, server):
+        with Guest(endpoint, name="s0") as one, Guest(endpoint, name="s2") as other:
+            one.broadcast(b"dated")
+            assert wait_for(other, Delivery).payload == b"dated"
+        server.send_signal(signal.SIGINT)
+        server.wait(DEADLINE_S)
+    names, found = interfaces(path.read_bytes())
+    assert names == ["s0", "s1", "s2"]
+    assert {interface for interface, *_ in found} == {0, 1, 2}
+    assert all(begun_ns < time_ns < time.time_ns() for _, time_ns, *_ in found)
 
 
 def test_documentation_has_programs_with_and_without_coflight():

@@ -76,8 +76,9 @@ class Air:
         seed: int = 1,
     ) -> None:
         config = RadioConfig(
-            bandwidth_mhz=20, rician_k_db=None, control_mode=control_mode, queue_frames=10, access=access
-        )
+            bandwidth_mhz=20, rician_k_db=None, control_mode=control_mode, queue_frames=10, access=access,
+            log_receptions=True,
+        )  # fmt: skip
         streams = RandomStreams(np.random.SeedSequence(seed))
         self.queue = EventQueue()
         self.transmissions: list[Transmission] = []

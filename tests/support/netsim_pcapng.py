@@ -60,15 +60,27 @@ def options(content):
 
 
 def packets(content):
-    """Return (time_ns, bytes, comment or None) of every packet."""
-    found = []
-    for kind, body in blocks(content)[2:]:
+    """Return (time_ns, bytes, comment or None) of every packet of a file with one interface."""
+    names, found = interfaces(content)
+    assert len(names) == 1
+    return [packet for _, *packet in found]
+
+
+def interfaces(content):
+    """Return the interfaces' names and (interface, time_ns, bytes, comment or None) of every packet."""
+    names, found = [], []
+    for kind, body in blocks(content)[1:]:
+        if kind == 1:
+            assert not found
+            names.append(options(body[8:])[2].decode())
+            continue
         assert kind == 6
         interface, high, low, size, original = struct.unpack_from("<5I", body)
-        assert (interface, size) == (0, original)
+        assert size == original
+        assert interface < len(names)
         rest = options(body[20 + size + -size % 4 :])
-        found.append((high << 32 | low, body[20 : 20 + size], rest.get(1)))
-    return found
+        found.append((interface, high << 32 | low, body[20 : 20 + size], rest.get(1)))
+    return names, found
 
 
 def radiotap(packet):

@@ -87,6 +87,20 @@ def test_the_logs_do_not_depend_on_the_division_into_runs(tmp_path):
     assert whole["log_sha256"] == parts["log_sha256"]
 
 
+def test_captures_do_not_change_the_logs_and_are_reproducible(tmp_path):
+    def flown(name, *settings):
+        summary = fly(scenario(*settings), tmp_path / name, until_s=3.5)
+        capture = RunFolder(tmp_path / name).capture
+        return summary["log_sha256"], capture.read_bytes() if capture.exists() else None
+
+    log, nothing = flown("off")
+    assert nothing is None
+    medium, receivers = flown("medium", "radio.capture=true"), flown("receivers", "radio.capture=receivers")
+    assert medium[0] == receivers[0] == log
+    assert len(receivers[1]) > len(medium[1]) > 0
+    assert flown("again", "radio.capture=receivers") == receivers
+
+
 @pytest.mark.parametrize(
     "setting",
     [

@@ -433,6 +433,7 @@ def test_vehicles_settings_have_the_date_of_time_0():
     )
     for wrong, message in [
         ("1969-12-31T23:59:59Z", "run: epoch_utc is before 1970"),
+        ("2500-01-01T00:00:00Z", "run: epoch_utc is in 2500 or later"),
         ("2026-01-01T00:00:00", "run.epoch_utc: expected `datetime` with a timezone"),
         ("yesterday", "run.epoch_utc: invalid RFC3339"),
     ]:

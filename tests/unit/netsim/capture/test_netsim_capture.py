@@ -4,23 +4,29 @@ The whole file takes 2 s.
 """
 
 import errno
+import math
 import resource
 import struct
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from netsim_air import A, Air, B, C
-from netsim_pcapng import OFDM24, blocks, datagram, options, packets, radiotap, transmission
+from netsim_pcapng import OFDM24, blocks, datagram, interfaces, options, packets, radiotap, transmission
 from netsim_swarm import Swarm
 
 from netsim.capture.ieee80211 import mpdu
 from netsim.capture.pcapng_writer import CHUNK_BYTES, HOLD_NS, WRITE_PERIOD_NS, Capture
-from netsim.model.config import RadioConfig, StationConfig
+from netsim.emulator.service import EmulatorService
+from netsim.model.config import GuestConfig, RadioConfig, ServerConfig, StationConfig
 from netsim.phy.frames import Frame, FrameKind
 from netsim.phy.modes import phy_mode
+from netsim.phy.propagation import thermal_noise_mw
+from netsim.wire.lockstep import Advance, pack_rows
+from netsim.wire.messages import Broadcast, Delivery, TxBatch
 
 CONFIG = RadioConfig(bandwidth_mhz=20)
 NON_HT = ("ofdm6", "ofdm9", "ofdm12", "ofdm18", "ofdm24", "ofdm36", "ofdm48", "ofdm54")
@@ -284,3 +290,138 @@ def test_equal_runs_give_equal_bytes(tmp_path):
     assert one == broadcasts(tmp_path / "again", 1)
     assert one != broadcasts(tmp_path / "2", 2)
     assert len(packets(one)) > 400
+
+
+# --- dates and receivers
+
+EPOCH_UNIX_US = 4_102_444_800_000_001
+"""A microsecond into 2100, beyond 32 bits of seconds."""
+
+
+def test_packet_times_count_from_the_epoch_and_radiotap_times_from_the_start(tmp_path):
+    path = tmp_path / "radio.pcapng"
+    capture = Capture(path, config=CONFIG, epoch_unix_us=EPOCH_UNIX_US)
+    capture.append(transmission(datagram(), 5_000_000_123))
+    capture.close()
+    ((time_ns, packet, _),) = packets(path.read_bytes())
+    assert time_ns == 1_000 * EPOCH_UNIX_US + 5_000_000_123
+    fields, _ = radiotap(packet)
+    assert (fields["timestamp"][0], fields["tsft"]) == (5_000_000_123, (5_000_020,))
+
+
+def of_receivers(path, transmissions, **settings):
+    config = RadioConfig(bandwidth_mhz=20, capture="receivers", **settings)
+    capture = Capture(path, config=config, vehicles=4, epoch_unix_us=EPOCH_UNIX_US)
+    for each in transmissions:
+        capture.append(each)
+    capture.close()
+    return interfaces(path.read_bytes())
+
+
+def test_every_station_has_an_interface_with_its_own_and_its_received_frames(tmp_path):
+    """B receives A 7 dB weaker than C does and 300 ns later; D is below the preamble's threshold."""
+    powers_dbm = {(A, B): -62.0, (A, C): -55.0, (A, 3): -83.0}
+    air = Air(4, powers_dbm=powers_dbm, delays_ns={(A, B): 500, (A, C): 200, (A, 3): 900})
+    air.send(0, A)
+    air.send(5_000, B, C)  # D, which is not addressed, also receives it and the ACK
+    air.run()
+    guests = (GuestConfig(name="tower", pos_ned_m=(0.0, 0.0, 0.0)),)
+    names, found = of_receivers(tmp_path / "radio.pcapng", air.transmissions, guests=guests)
+    assert names == ["uav 0", "uav 1", "uav 2", "uav 3", "tower"]
+    assert [time_ns for _, time_ns, *_ in found] == sorted(time_ns for _, time_ns, *_ in found)
+    (first, data, ack) = sorted(air.transmissions, key=lambda each: each.start_ns)
+    noise_dbm = round(10 * math.log10(thermal_noise_mw(20, 7.0)))
+    seen = []
+    for interface, time_ns, packet, _ in found:
+        fields, frame = radiotap(packet)
+        level = fields.get("signal", (None,))[0]
+        assert fields.get("noise") == (None if level is None else (noise_dbm,))
+        assert ("tx_power" in fields) == (level is None)
+        assert time_ns == 1_000 * EPOCH_UNIX_US + fields["timestamp"][0]
+        seen.append((interface, frame, fields["timestamp"][0], level))
+    expected = [(A, first, 0, None), (C, first, 200, -55), (B, first, 500, -62)]
+    expected += [(B, data, 0, None), (A, data, 0, -50), (C, data, 0, -50), (3, data, 0, -50)]
+    expected += [(C, ack, 0, None), (A, ack, 0, -50), (B, ack, 0, -50), (3, ack, 0, -50)]
+    assert sorted(seen, key=lambda row: (row[2], row[0])) == sorted(
+        ((at, mpdu(sent.frame), sent.start_ns + delay_ns, level) for at, sent, delay_ns, level in expected),
+        key=lambda row: (row[2], row[0]),
+    )
+
+
+def test_a_frame_received_with_errors_is_flagged_and_its_fcs_is_inverted(tmp_path):
+    """13 dB above the noise a preamble is detected, and the payload at 54 Mbit/s is not received."""
+    noise_dbm = 10 * math.log10(thermal_noise_mw(20, 7.0))
+    air = Air(3, powers_dbm={(A, B): noise_dbm + 13.0})
+    air.send(0, A, mode="ofdm54", frame_bytes=1_500)
+    air.run()
+    (sent,) = air.transmissions
+    assert (sent.received, sent.received_in_error) == ([C], [B])
+    _, found = of_receivers(tmp_path / "radio.pcapng", air.transmissions)
+    (_, intact), (_, broken), (_, good) = (radiotap(packet) for _, _, packet, _ in found)
+    flags = {interface: radiotap(packet)[0]["flags"][0] for interface, _, packet, _ in found}
+    assert flags == {A: 0x10, B: 0x50, C: 0x10}
+    assert intact == good == mpdu(sent.frame)
+    assert broken[:-4] == intact[:-4]
+    assert bytes(a ^ b for a, b in zip(broken[-4:], intact[-4:], strict=True)) == b"\xff" * 4
+
+
+@pytest.mark.parametrize("channel", ["emulated", "ideal"])
+def test_signals_are_those_that_the_hosts_receive(channel, tmp_path):
+    """Of the whole service, with fading on the emulated channel; station 4 is out of range of most."""
+    radio = RadioConfig(channel=channel, capture="receivers", broadcast_rts=False, host_jitter_us=0)
+    path = tmp_path / "radio.pcapng"
+    config = ServerConfig(
+        run_id="test", stations=5, seed=3, radio=radio, capture_path=str(path), epoch_unix_us=EPOCH_UNIX_US
+    )
+    places_ned_m = np.array([(0.0, each, -10.0) for each in (0.0, 9.0, 30.0, 80.0, 400.0)])
+    service = EmulatorService(config)
+    service.open_logs()
+    delivered = set()
+    for step in range(60):
+        sender = step % 5
+        items = (Broadcast(seq=step, at_us=4_000 * step, payload=bytes([step])),)
+        service.submit(TxBatch(station=sender, now_us=4_000 * step, items=items))
+        arrived = service.advance(request(4_000 * step, places_ned_m))
+        delivered |= {
+            (station, item.payload[0], round(item.rssi_dbm))
+            for station, batch in arrived.items()
+            for item in batch.items
+            if isinstance(item, Delivery)
+        }
+    service.close()
+    names, found = interfaces(path.read_bytes())
+    assert len(names) == 5
+    captured_of = set()
+    for interface, time_ns, packet, _ in found:
+        fields, frame = radiotap(packet)
+        assert time_ns == 1_000 * EPOCH_UNIX_US + fields["timestamp"][0]
+        if "signal" in fields and not fields["flags"][0] & 0x40:
+            captured_of.add((interface, frame[60], fields["signal"][0]))
+    assert captured_of == delivered
+    assert len({level for *_, level in delivered}) > 3
+    assert {station for station, *_ in delivered} >= {0, 1, 2, 3}
+
+
+def request(at_us, places_ned_m):
+    count = len(places_ned_m)
+    return Advance(
+        to_us=at_us + 4_000,
+        release_us=at_us + 4_000,
+        at_us=at_us,
+        pos_ned_m=pack_rows(places_ned_m),
+        vel_ned_m_s=pack_rows(np.zeros((count, 3))),
+        q_ned_frd=pack_rows(np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))),
+        extra_attenuation_db=0.0,
+    )
+
+
+def test_the_kind_of_capture_does_not_change_the_medium(tmp_path):
+    """The transmitters' interfaces together hold what the capture of the medium holds."""
+    air = Air(3)
+    for number in range(5):
+        air.send(2_000 * number, number % 3, frame_bytes=200)
+    air.run()
+    medium = captured(air, tmp_path / "medium")
+    _, found = of_receivers(tmp_path / "receivers", air.transmissions)
+    sent = [packet for _, _, packet, _ in found if "tx_power" in radiotap(packet)[0]]
+    assert sent == [packet for _, packet, _ in medium]

@@ -198,6 +198,21 @@ def test_a_vht_frame_has_its_mcs_and_width(width_mhz, code):
         assert fields["tx_power"] == (-3,)
 
 
+@pytest.mark.parametrize("name", ["ofdm6", "vht_mcs4"])
+def test_a_received_frame_has_signal_and_noise_and_no_transmit_power(name):
+    mode = phy_mode(name, 80)
+    for bad_fcs, flags in ((False, 0x10), (True, 0x50)):
+        header = Radiotap(
+            mode, frequency_mhz=5210.0, power_dbm=-71.4, noise_dbm=-87.97, bad_fcs=bad_fcs
+        ).header(1_000)
+        fields, rest = radiotap(header)
+        assert rest == b""
+        assert (fields["signal"], fields["noise"], fields["flags"]) == ((-71,), (-88,), (flags,))
+        assert fields["timestamp"] == (1_000, 1, 0x12, 0x02)
+        assert "tx_power" not in fields
+        assert ("vht" in fields) == mode.vht
+
+
 def test_a_channel_is_of_its_band():
     for frequency_mhz, shown in (
         (2412.0, (2412, 0x00C0)),
