@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from msgspec.structs import replace
-from paths import SCENARIOS
+from paths import ROOT, SCENARIOS
 
 from antenna.solvers.interface import BackendUnavailable
 from foundation import exit_status
@@ -397,8 +397,8 @@ def test_every_module_that_a_flight_loads_is_hashed_except_drawing():
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     ).stdout
     paths = {Path(line) for line in result.splitlines() if line.endswith(".py")}
-    loaded = {path.relative_to(sources.ROOT).as_posix() for path in paths}
-    flown = sources.read_sources(sources.ROOT, measured_by=_MEASURED_BY).keys()
+    loaded = {path.relative_to(ROOT).as_posix() for path in paths}
+    flown = sources.read_sources(ROOT, measured_by=_MEASURED_BY).keys()
     assert len(loaded & flown) > 100
     kept_by = {f"harness/campaign/{name}.py" for name in KEEPING}
     assert loaded - flown == {"antenna/analysis/gain_figures.py", "harness/report/figures.py", *kept_by}

@@ -10,6 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 from paths import SCENARIOS
 
+from foundation import exit_status
 from harness.cli import export
 from harness.launch.one_process import fly
 from harness.records.run_folder import RunFolder
@@ -120,7 +121,7 @@ def exported(run, target, capsys):
 
 def test_the_wide_form_has_every_value_of_every_vehicle(run, tmp_path, capsys):
     flight, path = pq.read_table(run.flight).to_pandas(), tmp_path / "wide.parquet"
-    assert exported(run, path, capsys) == (export.FINE, "")
+    assert exported(run, path, capsys) == (exit_status.FINE, "")
     wide = pq.read_table(path).to_pandas()
     assert len(wide.columns) == 1 + 4 * (len(flight.columns) - 2)
     for uav, group in flight.groupby("uav"):
@@ -138,7 +139,7 @@ def test_the_wide_form_keeps_the_metadata_in_parquet(run, tmp_path, capsys):
 
 def test_the_wide_form_as_csv_has_the_same_numbers(run, tmp_path, capsys):
     for name in ("wide.csv", "wide.parquet"):
-        assert exported(run, tmp_path / name, capsys)[0] == export.FINE
+        assert exported(run, tmp_path / name, capsys)[0] == exit_status.FINE
     wide = pq.read_table(tmp_path / "wide.parquet").to_pandas()
     pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "wide.csv"), wide, check_dtype=False)
 
@@ -161,7 +162,7 @@ def test_an_empty_flight_has_an_empty_wide_form(run):
 
 def test_a_refused_export_is_one_line_and_status_2(run, tmp_path, capsys):
     def refused(*arguments):
-        assert export.main([str(argument) for argument in arguments]) == export.BAD_INPUT
+        assert export.main([str(argument) for argument in arguments]) == exit_status.BAD_INPUT
         line = capsys.readouterr().err
         assert line.count("\n") == 1
         return line

@@ -72,7 +72,7 @@ def test_counts_of_receptions_are_those_of_the_frames(seed, rts, silent, interfe
 @settings(max_examples=6, deadline=None)
 @given(seed=st.integers(0, 2**31))
 def test_the_sinr_is_that_of_the_other_frames_on_the_air(seed):
-    """Total power at every begin of a signal during the frame, from the frames alone; and who sends."""
+    """The greatest total power at a begin of another frame, and which stations send, from the frames."""
     _, seen = flown(seed)
     noise_mw = thermal_noise_mw(80, 7.0)
     overlapped = 0
