@@ -15,8 +15,9 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 
+from foundation.records.whole_file import write_whole
 from harness.campaign.definition import Campaign, Run
-from harness.campaign.store import TABLES, Flown, Store, write_whole
+from harness.campaign.store import TABLES, Flown, Store
 from harness.campaign.values import toml_text
 
 _LEFT_OUT = {"scenario", "seed", "status", "reason", "wall_s", "real_time_factor"}

@@ -18,12 +18,13 @@ from msgspec.structs import replace
 from paths import SCENARIOS
 
 from antenna.solvers.interface import BackendUnavailable
+from foundation.records.whole_file import write_whole
 from harness.campaign import Campaign, CampaignError, load, running, sources
 from harness.campaign.definition import expand
 from harness.campaign.display import CampaignPace, duration_text
 from harness.campaign.flights import fly_task
 from harness.campaign.running import known
-from harness.campaign.store import FAILED, Flown, Store, Task, write_whole
+from harness.campaign.store import FAILED, Flown, Store, Task
 from harness.campaign.table import make_rows, write_table
 from harness.campaign.worker import _MEASURED_BY, sources_state
 from harness.cli import campaign as cli
@@ -149,6 +150,13 @@ def test_a_folder_has_one_campaign_at_a_time_which_cleans_up_after_a_killed_one(
     (tmp_path / "file").touch()
     with pytest.raises(CampaignError, match="cannot be a campaign's folder"):
         Store(tmp_path / "file")
+
+
+def test_folder_with_other_content_is_refused_and_stays_as_it_is(tmp_path):
+    (tmp_path / "notes.txt").touch()
+    with pytest.raises(CampaignError, match=r"holds notes\.txt, and a campaign needs a folder.* --out"):
+        Store(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
 def complete_campaign(tmp_path):

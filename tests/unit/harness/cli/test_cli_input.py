@@ -57,6 +57,8 @@ def test_missing_file_is_named(capsys: pytest.CaptureFixture[str]) -> None:
         (["--speed", "inf"], ["'inf'", "'max'"]),
         (["--port-offset", "61000"], ["simulator_tcp", "61000"]),
         (["--port-offset", "-1"], ["offset of -1", "0 or more"]),
+        (["--port-offset", "many"], ["'many'", "'auto'"]),
+        (["--out", ""], ["--out", "empty"]),
         (["--hold", "--one-process"], ["--hold", "one process"]),
         (["--profile", "--one-process"], ["--profile", "one process"]),
         (["--no-such-option"], ["--no-such-option"]),
