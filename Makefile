@@ -1,14 +1,18 @@
 # coflight: `make swarm` flies, `make test` tests; each does all of its own set-up.
-PYTHON ?= python3.11
+# interpreter of the environment; none: python3.11
+PYTHON ?=
 VENV := .venv
 BIN := $(VENV)/bin
+ENVIRONMENT := $(VENV)/.python
 STAMP := $(VENV)/.set-up
 DEV := $(VENV)/.set-up-dev
 CLIENTS := $(VENV)/.set-up-clients
 DOCS := $(VENV)/.set-up-docs
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+LOCKED := $(PIP) --require-hashes --requirement
 ARGS ?=
 
-.PHONY: help setup swarm wheel test test-clients validate validate-radio validate-antenna codesign campaign article antenna bench bench-radio docs lint format clean
+.PHONY: help setup swarm wheel test test-clients validate validate-radio validate-antenna codesign campaign article antenna bench bench-radio docs lock lint format clean
 help:
 	@echo "make swarm [ARGS='--duration 20 --seed 3']   fly scenarios/article.toml"
 	@echo "make test  [ARGS='-k radio']                 run the tests"
@@ -24,18 +28,24 @@ help:
 	@echo "make bench-radio [ARGS='--peer COMMAND']      measure what the radio costs"
 	@echo "make docs                                    build the documentation site into build/site"
 	@echo "make wheel                                   build the wheel, install it elsewhere and fly with it"
-	@echo "make lint | format | setup | clean"
+	@echo "make lock [ARGS=--upgrade]                   write the lock files with the hashes of all packages"
+	@echo "make setup [PYTHON=/path/to/python3.11]      make the environment .venv; the targets above do it too"
+	@echo "make lint | format | clean"
 
 setup: $(DEV)
 
-$(STAMP): pyproject.toml requirements.lock
-	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --requirement requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable '.[nec2]'
+# looks at the interpreters each time, and writes the file only if the environment is new
+$(ENVIRONMENT): ALWAYS
+	@sh scripts/make_environment.sh $(VENV) '$(PYTHON)'
+ALWAYS:
+
+$(STAMP): pyproject.toml requirements.lock $(ENVIRONMENT)
+	$(LOCKED) requirements.lock
+	$(PIP) --no-deps --no-build-isolation --editable '.[nec2]'
 	@touch $@
 
 $(DEV): requirements-dev.lock $(STAMP)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --requirement requirements-dev.lock
+	$(LOCKED) requirements-dev.lock --no-deps
 	@touch $@
 
 swarm: $(STAMP)
@@ -49,7 +59,7 @@ test: $(DEV)
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder $(ARGS)
 
 $(CLIENTS): requirements-clients.lock $(DEV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --requirement requirements-clients.lock
+	$(LOCKED) requirements-clients.lock --no-deps
 	@touch $@
 
 # one after the other, as each keeps pace with the wall clock; in all no longer than this
@@ -85,12 +95,15 @@ bench-radio: $(STAMP)
 	$(BIN)/python scripts/bench_radio.py $(ARGS)
 
 $(DOCS): requirements-docs.lock $(STAMP)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --requirement requirements-docs.lock
+	$(LOCKED) requirements-docs.lock --no-deps
 	@touch $@
 
 docs: $(DOCS)
 	$(BIN)/python scripts/write_reference.py --check
 	$(BIN)/mkdocs build --strict
+
+lock: $(ENVIRONMENT)
+	$(BIN)/python scripts/refresh_locks.py $(ARGS)
 
 # paths that are checked for words kept for people; none: all
 PLAIN :=

@@ -2,7 +2,7 @@
 
     from coflight import Swarm
 
-    with Swarm("article", agents=3) as swarm:
+    with Swarm("article", agents=3, overrides=["formation.columns=2"]) as swarm:
         swarm.run_until_formed(timeout_s=60)
 
 `Swarm`, `OneProcessSwarm`, `Scenario`, `load_scenario`, the errors that they raise and the protocols of parts

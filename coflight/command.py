@@ -10,11 +10,11 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, NamedTuple
 
+from foundation.exit_status import BAD_INPUT, FINE
 from foundation.kernels import cache_folder
 from harness.launch.interrupts import exiting_at_once
 from harness.scenario import packaged
 
-BAD_INPUT = 2
 USAGE = "usage: coflight COMMAND [ARGUMENTS]   (coflight COMMAND --help)"
 
 
@@ -63,10 +63,13 @@ def study(arguments: Sequence[str]) -> int:
     return _dispatch("coflight study", STUDIES, usage, arguments)
 
 
-def list_scenarios(_arguments: Sequence[str]) -> int:
-    """Print the names of the packaged scenarios and campaigns, one a line; returns 0."""
+def list_scenarios(arguments: Sequence[str]) -> int:
+    """Print the names of the packaged scenarios and campaigns, one a line; returns the exit status."""
+    if unknown := [each for each in arguments if each != "--help"]:
+        print(f"coflight scenarios: {unknown[0]}: it takes no arguments", file=sys.stderr)
+        return BAD_INPUT
     print(*packaged.names(), sep="\n")
-    return 0
+    return FINE
 
 
 def _dispatch(program: str, commands: dict[str, Command], usage: str, arguments: Sequence[str]) -> int:
@@ -74,10 +77,10 @@ def _dispatch(program: str, commands: dict[str, Command], usage: str, arguments:
     if name in {"--help", "-h", "help"}:
         width = max(map(len, commands))
         print(usage, "", *(f"  {word:{width}}  {each.summary}" for word, each in commands.items()), sep="\n")
-        return 0
+        return FINE
     if name == "--version":
         print(f"coflight {_version()}")
-        return 0
+        return FINE
     if name not in commands:
         words = ", ".join(commands)
         print(f"{program}: there is no command {name!r}; expected one of {words}", file=sys.stderr)
@@ -88,7 +91,7 @@ def _dispatch(program: str, commands: dict[str, Command], usage: str, arguments:
     with exiting_at_once(f"{program} {name}: broken off before the start"):
         called: Callable[..., Any] = getattr(import_module(command.module), command.function)
     status = called([*command.first, *rest])
-    return status if isinstance(status, int) else 0
+    return status if isinstance(status, int) else FINE
 
 
 def _version() -> str:

@@ -20,6 +20,7 @@ from harness.cli.fly import app as fly_app
 from harness.cli.report import app as report_app
 from netsim.lab.cli import app as wifi_app
 from reference.commands import commands_page
+from reference.exit_statuses import statuses_page
 from reference.python_api import python_page
 from reference.run_tables import tables_page
 from reference.scenario_fields import SCHEMA_FILE, scenario_page, scenario_schema
@@ -63,6 +64,7 @@ def main() -> int:
         "scenario.md": scenario_page(),
         SCHEMA_FILE: scenario_schema(),
         "command-line.md": commands_page(APPLICATIONS),
+        "exit-status.md": statuses_page(),
         "tables.md": tables_page(),
         "python-api.md": python_page(),
     }

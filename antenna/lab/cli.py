@@ -24,8 +24,8 @@ from antenna.model.deck import DeckError, read_element
 from antenna.model.geometry import Array, ElementsTouch
 from antenna.solvers.interface import BackendUnavailable
 from antenna.solvers.parallel import WorkerError
+from foundation.exit_status import BAD_INPUT, FINE, INTERRUPTED
 
-FINE, BAD_INPUT, INTERRUPTED = 0, 2, 130
 DECK_LIMIT_BYTES = 1_000_000
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, no_args_is_help=True)

@@ -17,7 +17,7 @@ from autopilot.onboard.application import NOTHING, Estimate, OnboardOutput
 from autopilot.onboard.formation import messages
 from autopilot.onboard.formation.avoidance import FRESH_US
 from autopilot.onboard.formation.commands import CommandSender
-from autopilot.onboard.formation.flight_phases import LOCALISE_TIMEOUT_US, FlightSequence, Situation
+from autopilot.onboard.formation.flight_phases import FlightSequence, Situation
 from autopilot.onboard.formation.formation_control import Level
 from autopilot.onboard.formation.formation_plan import FormationPlan
 from autopilot.onboard.formation.guidance import SETPOINT_PERIOD_US, Guidance
@@ -25,7 +25,7 @@ from autopilot.onboard.formation.own_state import OwnState
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.localisation.common_frame import CommonFrame
 from autopilot.onboard.localisation.localisation import CooperativeLocalisation
-from autopilot.onboard.localisation.model import LocalisationModel
+from autopilot.onboard.localisation.model import LOCALISE_TIMEOUT_US, SHAPE_STD_M, LocalisationModel
 from autopilot.onboard.localisation.ranging_health import Support
 from autopilot.onboard.localisation.uncertainty import Others
 from autopilot.onboard.radio.beacon import Fix, GpsError
@@ -100,7 +100,7 @@ class OnboardApp:
         self._commands = CommandSender(target_system=station + 1)
         self._flight = FlightSequence(
             commands=self._commands, on_station_tolerance_m=config.on_station_tolerance_m,
-            on_station_hold_s=config.on_station_hold_s, held=config.hold,
+            on_station_hold_s=config.on_station_hold_s, held=config.hold, shortfall=self._shortfall,
         )  # fmt: skip
         self._own = OwnState(site=site, gps_delay_s=devices.gps_delay_s)
         self._support = Support(
@@ -375,6 +375,10 @@ class OnboardApp:
         if self._flight.phase is not FlightPhase.LOCALISING or not self.localisation.located.all():
             return math.inf
         return self.localisation.shape_std_m(now_us)
+
+    def _shortfall(self, now_us: int) -> str:
+        """Why the formation is not localised, for the message at the time-out of take-off."""
+        return "" if self.localisation is None else self.localisation.shortfall(now_us, SHAPE_STD_M)
 
     def _distance_variance_m2(self, peer: int) -> float | None:
         row = self._near.rows[peer]

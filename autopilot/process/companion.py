@@ -31,6 +31,7 @@ from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.parameters.config import VehicleConfig
 from autopilot.process.companion_radio import CompanionRadio
 from autopilot.process.warm_up import warm_up
+from autopilot.services.status import Chunks
 from foundation.kernels.warm_up import WarmUpError
 from foundation.processes.child_protocol import Finished, Ready, Stop, commands, emit
 from netsim.wire.messages import RxItem, TxItem
@@ -91,6 +92,7 @@ class Companion:
         self._has_origin = False
         self._replies: list[Message] = []
         self._reports: list[Message] = []
+        self._chunks = Chunks()
 
     @property
     def is_due(self) -> bool:
@@ -129,7 +131,12 @@ class Companion:
         self._tick_us = now_us + TICK_US
         self.app.on_radio(radio_items, now_us)
         output = self.app.on_timer(now_us)
-        requested = (m.to_wire() if isinstance(m, PositionTarget) else m for m in output.mavlink)
+        requested: list[Message] = []
+        for item in output.mavlink:
+            if isinstance(item, PositionTarget):
+                requested.append(item.to_wire())
+            else:
+                requested += self._chunks.split(item)
         mavlink, self._replies = [*self._replies, *requested], []
         if now_us >= self._origin_us:
             self._origin_us = now_us + (ORIGIN_KNOWN_PERIOD_US if self._has_origin else ORIGIN_PERIOD_US)

@@ -34,7 +34,9 @@ _NO_DASHBOARD = {"dashboard": False, "dashboard_address": f"{LOOPBACK}:0"}
 def check_address(scheduler: str | None) -> None:
     """Check the address of a scheduler. Raises CampaignError."""
     if scheduler is not None and not _ADDRESS.fullmatch(scheduler):
-        raise CampaignError(f"{scheduler}: expected the address of a dask scheduler, tcp://HOST:PORT")
+        raise CampaignError(
+            f"--scheduler {scheduler}: expected the address of a dask scheduler, tcp://HOST:PORT"
+        )
 
 
 @contextlib.contextmanager

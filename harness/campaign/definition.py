@@ -20,7 +20,6 @@ All resulting scenarios are loaded and validated before the first flight.
 import hashlib
 import itertools
 import math
-import tomllib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -29,11 +28,13 @@ import msgspec
 from msgspec import Meta, Struct, structs
 from msgspec.structs import force_setattr, replace
 
+from foundation.text_file import TextFileError
 from harness.campaign.store import CampaignError
 from harness.campaign.values import flat, plain, spread, toml_text
 from harness.scenario import packaged
 from harness.scenario.scenario import Scenario, ScenarioError
 from harness.scenario.scenario_file import load as load_scenario
+from harness.scenario.scenario_file import read_table
 from harness.scenario.validation_errors import explain
 
 SEED_PATH = "run.seed"
@@ -185,13 +186,10 @@ def load(path: str | Path, overrides: Sequence[str] = (), keep: Iterable[str] = 
     """
     path = packaged.find(path)
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise CampaignError(f"{path}: no such campaign file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise CampaignError(f"{path}: cannot be read: {error}") from None
-    except tomllib.TOMLDecodeError as error:
-        raise CampaignError(f"{path}: not TOML: {error}") from None
+        table = read_table(path)
+    except TextFileError as error:
+        names = ", ".join(name for name in packaged.names() if "/" in name)
+        raise CampaignError(f"{error}; campaigns by name: {names}") from None
     try:
         file = msgspec.convert(table, _File)
         return Campaign(

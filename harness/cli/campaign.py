@@ -15,6 +15,7 @@ import typer
 from rich.console import Console
 from rich.table import Table as Shown
 
+from foundation import exit_status
 from harness.campaign.cluster import check_address
 from harness.campaign.definition import KEPT, Campaign, Run, expand, load
 from harness.campaign.display import CampaignDisplay
@@ -27,7 +28,6 @@ from harness.cli.out_option import out_folder
 from harness.launch import kernel_cache
 from harness.launch.interrupts import interruptible
 
-FINE, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 WIDTH = 120
 """Columns without a terminal."""
 
@@ -75,7 +75,7 @@ def campaign(
         check_address(scheduler)
         if dry_run:
             _print_plan(plan, out, retry=retry, json=json)
-            return FINE
+            return exit_status.FINE
         messages = Console(stderr=True, highlight=False)
         runs, _, missing = _planned(plan, out, retry=retry)
         total = len({each.digest for each in runs})
@@ -94,7 +94,7 @@ def campaign(
     except KeyboardInterrupt:
         raise BrokenOff from None
     fine = _print_table(table, flown_now=len(missing), json=json)
-    return FINE if fine and not display.failed else SOME_FAILED
+    return exit_status.FINE if fine and not display.failed else exit_status.FAILED
 
 
 def _planned(plan: Campaign, out: Path, *, retry: bool) -> tuple[list[Run], dict[str, Flown], list[Run]]:
@@ -162,20 +162,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         status, line = _ending(error)
         if line:
             sys.stderr.write(f"campaign: {line}\n")
-    return status if isinstance(status, int) else FINE
+    return status if isinstance(status, int) else exit_status.FINE
 
 
 def _ending(error: BaseException) -> tuple[int, str]:
     match error:
         case ClusterError() | kernel_cache.CompileError():
-            return SOME_FAILED, str(error)
+            return exit_status.FAILED, str(error)
         case CampaignError():
-            return BAD_INPUT, str(error)
+            return exit_status.BAD_INPUT, str(error)
         case typer.TyperException():
-            return BAD_INPUT, error.format_message()
+            return exit_status.BAD_INPUT, error.format_message()
         case BrokenOff() | KeyboardInterrupt() | typer.Abort():
-            return INTERRUPTED, "broken off: the same command goes on from here"
+            return exit_status.INTERRUPTED, "broken off: the same command goes on from here"
         case SystemExit():  # the reader of the output has closed it
-            return SOME_FAILED, ""
+            return exit_status.FAILED, ""
         case _:
-            return SOME_FAILED, f"{type(error).__name__}: {error}".rstrip(": ").splitlines()[0]
+            return exit_status.FAILED, f"{type(error).__name__}: {error}".rstrip(": ").splitlines()[0]

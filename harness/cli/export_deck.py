@@ -1,6 +1,7 @@
 """Exports the swarm's antenna at an instant of a run as a NEC deck for nec2c and xnec2c.
 
-Exit status: 0 success, 2 bad input or no antenna at that time, with one line on stderr.
+Exit status: 0 success, 2 bad input or no antenna at that time, with one line on stderr, 130
+interrupted.
 """
 
 import sys
@@ -16,11 +17,10 @@ from antenna.model.geometry import ElementsTouch
 from antenna.solvers.interface import BackendUnavailable
 from antenna.solvers.nec2c import Nec2cFailed
 from antenna.solvers.selection import make_backend
+from foundation.exit_status import BAD_INPUT, FINE
 from harness.records.run_folder import NotARun, RunFolder, read_scenario
 from harness.records.tables import read_flight
 from harness.report.flown_array import NoFeed, describe_touch, living, snapshot_at
-
-FINE, BAD_INPUT = 0, 2
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -77,14 +77,14 @@ def deck_at(run: Path, time_s: float) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     try:
-        app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False)
+        status = app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False)
     except typer.TyperException as error:
         return _refuse(error.format_message())
     except (DeckRefused, NotARun) as error:
         return _refuse(str(error))
     except OSError as error:
         return _refuse(f"{error.filename}: {error.strerror}" if error.filename else str(error))
-    return FINE
+    return status if isinstance(status, int) else FINE
 
 
 def _refuse(line: str) -> int:

@@ -16,19 +16,19 @@ import msgspec
 import typer
 from rich.console import Console
 
+from foundation.exit_status import BAD_INPUT, FAILED, FINE, INTERRUPTED
 from harness.cli.keyboard import Keyboard
 from harness.cli.out_option import out_folder
-from harness.cli.progress import FlightDisplay, display_for, summary_table
+from harness.cli.progress import FlightDisplay, Stage, display_for, summary_table
 from harness.launch.interrupts import interruptible
 from harness.launch.processes import SetupError, SwarmError, describe
 from harness.launch.profiling import profile_table
 from harness.launch.swarm import Swarm
 from harness.records.run_folder import RunFolder
-from harness.scenario.scenario import Scenario, ScenarioError
+from harness.scenario.scenario import ScenarioError
 from harness.scenario.scenario_file import load
 from harness.world.faults import MOST_TIME_S
 
-FINE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 SLOWEST, FASTEST = 1.0 / 64.0, 64.0
 """Speeds that keys lead to: at the first a step takes 0.25 s; few machines keep the other."""
 
@@ -137,11 +137,11 @@ def fly(
     try:
         plan = load(scenario, [*(settings or []), *overrides])
         out = out or Path("runs") / f"{plan.name}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
-        waits = _waits(plan)
+        waits = plan.onboard.hold
         if one_process:
             _check_one_process(waits=waits, profile=profile)
         factor = _speed(speed or ("1" if waits else "max"))
-        display = display_for(messages)
+        display = display_for(messages, forms=plan.forms)
         if one_process:
             from harness.launch.one_process import OneProcessSwarm  # noqa: PLC0415  loads the physics, which prints a line
 
@@ -159,18 +159,13 @@ def fly(
         endless = waits and duration is None
         broken_off = _fly(swarm, display, until_interrupted=endless)
         display.close()
-        _report(swarm, broken_off, messages, as_json=json, interruption_is_fine=endless)
+        _report(swarm, broken_off, messages, as_json=json, endless=endless)
     except BaseException as error:  # noqa: BLE001  every end has its status
         if display is not None:
             display.close()
         if debug:
             traceback.print_exc()
         raise _failure(error) from None
-
-
-def _waits(plan: Scenario) -> bool:
-    """Whether the UAVs wait for a ground station."""
-    return plan.onboard.enabled and plan.onboard.hold
 
 
 def _check_one_process(*, waits: bool, profile: bool) -> None:
@@ -195,6 +190,16 @@ def _on_key(key: str, swarm: Swarm, display: FlightDisplay) -> None:
             display.note(f"speed {swarm.speed:g}")
 
 
+def _keys(swarm: Swarm, *, until_interrupted: bool) -> str:
+    """Return a line with the keys that have an effect."""
+    keys = ["space pauses and goes on"]
+    if swarm.speed != "max":
+        keys.append("+ and - change the speed")
+    if until_interrupted:
+        keys.append("Ctrl-C ends the hold and writes the results")
+    return "; ".join(keys)
+
+
 def _fly(
     swarm: Swarm, display: FlightDisplay, *, until_interrupted: bool
 ) -> SwarmError | KeyboardInterrupt | None:
@@ -208,18 +213,25 @@ def _fly(
         raise ExitFailure(INTERRUPTED, line) from None
     processes = "one process is" if len(swarm.pids) == 1 else f"{len(swarm.pids)} processes are"
     display.note(f"{processes} ready")
-    waits = _waits(swarm.scenario)
-    for line in swarm.addresses if waits else ():
+    holds, forms = swarm.scenario.onboard.hold, swarm.scenario.forms
+    for line in swarm.addresses if holds else ():
         display.note(line)
     try:
         with Keyboard(
             lambda key: _on_key(key, swarm, display)
         ) as keyboard:  # from here on keys have an effect
             if keyboard.listening:
-                display.note("space pauses and goes on; + and - change the speed")
-            if swarm.scenario.onboard.enabled and not waits:  # else the ground station flies
+                display.note(_keys(swarm, until_interrupted=until_interrupted))
+            if forms:
+                display.begin(Stage(f"forming (then {run.duration_s:g} s)", forming=True))
                 swarm.run_until_formed(timeout_s=run.reach_timeout_s)
-            swarm.run_for(MOST_TIME_S if until_interrupted else run.duration_s)
+            if until_interrupted:
+                display.begin(Stage("holding until Ctrl-C"))
+                swarm.run_for(MOST_TIME_S)
+            else:
+                name = "holding" if holds else "in formation" if forms else "flying"
+                display.begin(Stage(name, end_s=swarm.truth.t_s + run.duration_s))
+                swarm.run_for(run.duration_s)
     except (SwarmError, KeyboardInterrupt) as error:
         return error
     finally:
@@ -235,16 +247,18 @@ def _report(
     messages: Console,
     *,
     as_json: bool,
-    interruption_is_fine: bool,
+    endless: bool,
 ) -> None:
     """Turn the records into results and show them; raises ``broken_off`` in the end.
 
-    Ctrl-C is how a run ends that goes on until then. Raises ExitFailure without results.
+    Ctrl-C is how an ``endless`` hold ends. Raises ExitFailure without results.
     """
     interrupted = isinstance(broken_off, KeyboardInterrupt)
     messages.print("writing down what was flown" if interrupted else "computing patterns and figures")
     try:
-        summary = swarm.summary(draw=not interrupted, interrupted=interrupted)
+        summary = swarm.summary(
+            draw=not interrupted, interrupted=interrupted and not endless, held=interrupted and endless
+        )
     except KeyboardInterrupt:
         raise ExitFailure(INTERRUPTED, f"broken off: {_left(swarm.path)}") from None
     except Exception as error:  # the cause of the end has precedence
@@ -266,7 +280,7 @@ def _report(
         raise broken_off
     if swarm.records_lost is not None:
         raise SwarmError(swarm.records_lost)
-    if broken_off is not None and not interruption_is_fine:
+    if broken_off is not None and not endless:
         line = f"broken off: every process is stopped, the records are kept in {swarm.path}"
         raise ExitFailure(INTERRUPTED, line)
 

@@ -15,12 +15,11 @@ import msgspec
 import typer
 from rich.console import Console
 
+from foundation.exit_status import BAD_INPUT, FINE, INTERRUPTED
 from harness.cli.progress import summary_table
 from harness.launch.interrupts import interruptible
 from harness.records.run_folder import NotARun, RunFolder, read_scenario
 from harness.report.report import draw_again, finish_later
-
-FINE, BAD_INPUT, INTERRUPTED = 0, 2, 130
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -65,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     try:
         with interruptible():
-            app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False)
+            status = app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False)
     except (KeyboardInterrupt, typer.Abort):
         sys.stderr.write("coflight: broken off: the same command starts again\n")
         return INTERRUPTED
@@ -75,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _refuse(str(error))
     except OSError as error:
         return _refuse(f"{error.filename}: {error.strerror}" if error.filename else str(error))
-    return FINE
+    return status if isinstance(status, int) else FINE
 
 
 def _refuse(line: str) -> int:

@@ -2,7 +2,7 @@
 
     summary = fly(load("scenarios/article.toml", ["run.seed=7"]), Path("runs/seed-7"))
 
-    with OneProcessSwarm("scenarios/article.toml", agents=4) as swarm:
+    with OneProcessSwarm("scenarios/article.toml", agents=4, overrides=["formation.columns=2"]) as swarm:
         swarm.run_until_formed(timeout_s=120)
         swarm.degrade_channel(20.0)
         swarm.run_for(10)

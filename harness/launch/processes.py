@@ -41,7 +41,7 @@ _ENVIRONMENT = {
 
 
 class ProcessNotice(Struct, frozen=True, kw_only=True):
-    """A message of the launcher itself before an operation that takes long."""
+    """A message of the launcher itself: a warning, or what it does before an operation that takes long."""
 
     text: str
 

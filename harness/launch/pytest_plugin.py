@@ -4,7 +4,7 @@ Every test run with coflight installed loads this module, so it imports little b
 requests a swarm. A test calls the fixture once per swarm:
 
     def test_hover(swarm):
-        flight = swarm("scenarios/article.toml", agents=3)
+        flight = swarm("scenarios/article.toml", agents=3, overrides=["formation.columns=2"])
         flight.run_until_formed(timeout_s=60)
 
 In addition to `harness.launch.swarm.Swarm` it sets a wall-time limit, adds the ends of the processes' logs to

@@ -1,6 +1,6 @@
 """The Python API: a swarm of real processes under program control.
 
-    with Swarm("scenarios/article.toml", agents=3, speed="max") as swarm:
+    with Swarm("scenarios/article.toml", agents=3, overrides=["formation.columns=2"]) as swarm:
         swarm.run_until_formed(timeout_s=60)
         swarm.cut_channel()
         swarm.run_for(10)
@@ -29,6 +29,7 @@ from harness.launch.interrupts import interrupts_deferred
 from harness.launch.processes import (
     Message,
     Processes,
+    ProcessNotice,
     RunEvent,
     SetupError,
     SwarmError,
@@ -39,6 +40,7 @@ from harness.launch.processes import (
 from harness.launch.truth import SwarmTruth
 from harness.records.run_folder import RunFolder
 from harness.report import outcome
+from harness.scenario import localisability
 from harness.scenario.scenario import Scenario
 from harness.scenario.scenario_file import load
 from harness.simulator.messages import (
@@ -74,8 +76,9 @@ class Swarm:
     station; ``"scenario"`` uses the scenario's ports, each plus ``port_offset``, which ``"auto"`` chooses: 0,
     or the first multiple of 1000 with which all ports are free. ``wall_limit_s``: run
     methods raise SwarmTimeoutError after this wall time since the start. ``on_message`` receives the messages
-    of the processes and their ends, on the thread that runs the swarm. ``profile_from_s``: simulated time
-    from which the processes are profiled, for `profile`.
+    of the processes and their ends, on the thread that runs the swarm, and before the first a warning if
+    ranging does not determine the formation's shape. ``profile_from_s``: simulated time from which the
+    processes are profiled, for `profile`.
 
     Raises ScenarioError for an invalid scenario.
     """
@@ -124,6 +127,7 @@ class Swarm:
             on_message=on_message,
             search_ports=port_offset == "auto",
         )
+        self._on_message = on_message or (lambda _: None)
         self._truth: SwarmTruth | None = None
         self._links = contextlib.ExitStack()
         self._interventions: list[str] = []
@@ -157,6 +161,8 @@ class Swarm:
         if self._started_utc:
             raise SwarmError("a swarm is started once")
         self._started_utc = datetime.now(UTC).isoformat(timespec="seconds")
+        if (text := localisability.warning(self.scenario)) is not None:
+            self._on_message(ProcessNotice(text=text))
         try:
             self._processes.start()
             self.scenario = self._processes.scenario
@@ -404,21 +410,22 @@ class Swarm:
         """Return, after the stop, a line for each running process and each port of this swarm: none."""
         return self._processes.leftovers()
 
-    def summary(self, *, draw: bool = True, interrupted: bool = False) -> dict[str, Any]:
+    def summary(self, *, draw: bool = True, interrupted: bool = False, held: bool = False) -> dict[str, Any]:
         """Stop, write tables, manifest, summary and, with ``draw``, figures; returns the summary.
 
-        ``interrupted`` marks a run that its user interrupted. Raises OSError if the folder cannot be written.
+        ``interrupted`` marks a run that its user interrupted before its end, ``held`` one without an end,
+        which its user ended. Raises OSError if the folder cannot be written.
         """
         if self._summary is not None:
             return self._summary
         self.stop()
-        ended = self._outcome(interrupted=interrupted)
+        ended = self._outcome(interrupted=interrupted, held=held)
         with interrupts_deferred(), contextlib.suppress(OSError):  # on a full disk that of the start is kept
             outcome.write_outcome(self._folder, ended)
         from harness.report import report  # noqa: PLC0415  the analysis is slow to import: not before the flight
 
         try:
-            if not interrupted:
+            if not interrupted and not held:
                 self._processes.prepare_report()
             with self._folder.held():
                 self._summary = report.finish(self._folder, self.scenario, ended, draw=draw)
@@ -426,25 +433,25 @@ class Swarm:
             self._folder.release()  # also for ``coflight report``, after an error
         return self._summary
 
-    def _outcome(self, *, interrupted: bool) -> outcome.RunOutcome:
+    def _outcome(self, *, interrupted: bool, held: bool) -> outcome.RunOutcome:
         """Return how the flight ended."""
-        processes = self._processes
+        processes, ended_by_user = self._processes, interrupted or held
         lost = processes.records_lost
-        if interrupted and lost is None:
-            status = "interrupted"
+        if ended_by_user and lost is None:
+            status = "interrupted" if interrupted else "held"
         elif processes.failure is not None:
             status = "failed"
         else:
             status = "completed" if self._not_formed is None else "not_formed"
         reasons = (processes.failure, lost) if processes.failure is not None else (self._not_formed,)
         nondeterminism = processes.nondeterminism(self._killed)
-        if interrupted:
-            nondeterminism.append("it was interrupted by its user")
+        if ended_by_user:
+            nondeterminism.append("it was interrupted by its user" if interrupted else "its user ended it")
         elif self._broken_off is not None:
             nondeterminism.append(self._broken_off)
         return outcome.RunOutcome(
             status=status,
-            reason="; ".join(dict.fromkeys(filter(None, reasons))) or None,
+            reason=None if status == "held" else "; ".join(dict.fromkeys(filter(None, reasons))) or None,
             command=tuple(sys.argv),
             speed=self._speed,
             started_utc=self._started_utc,

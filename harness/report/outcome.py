@@ -24,7 +24,7 @@ class RunOutcome(Struct, frozen=True, kw_only=True):
     """Data of a run from its launcher."""
 
     status: str
-    """``completed``, ``not_formed``, ``failed`` or ``interrupted``."""
+    """``completed``, ``not_formed``, ``failed``, ``interrupted``, or ``held``: a hold that its user ended."""
     reason: str | None = None
     command: tuple[str, ...]
     speed: float

@@ -88,9 +88,9 @@ def _write_tables(folder: RunFolder, scenario: Scenario, outcome: RunOutcome) ->
     sessions = read(folder.raw_sessions, SESSION_LOG)
     hashes = {name: _sha256(folder.path / name) for name in LOGS}
     whole = flight_of(records, plan, start_us=start_us)
-    window = _window(whole, outcome.formed_us)
+    window = _window(whole, outcome.formed_us, scenario)
     error = formation_error(window) if len(window) else None
-    antenna = antenna_report.measure(window, scenario)
+    antenna = _antenna(window, scenario)
     antenna_report.write(folder, antenna, scenario.antenna)
     summary = {
         "scenario": scenario.name,
@@ -164,21 +164,32 @@ def draw_again(folder: RunFolder, scenario: Scenario, *, formed_us: int | None) 
     Patterns are computed again. Raises OSError, and KeyError or ValueError for tables of another scenario.
     """
     whole = read_flight(folder, scenario)
-    window = _window(whole, formed_us)
+    window = _window(whole, formed_us, scenario)
     error = formation_error(window) if len(window) else None
     air, sessions = pq.read_table(folder.air), pq.read_table(folder.ftm)
     completed = sessions.filter(pc.equal(sessions["status"], "ok"))
     error_m = completed["distance_m"].to_numpy() - completed["true_distance_m"].to_numpy()
     occupancy = _occupancy(air["time_us"].to_numpy(), air["busy_ns"].to_numpy())
-    drawn = Drawn(whole, window, error, antenna_report.measure(window, scenario), occupancy, error_m)
+    drawn = Drawn(whole, window, error, _antenna(window, scenario), occupancy, error_m)
     folder.figures.mkdir(exist_ok=True)
     return _draw(folder, scenario, drawn)
 
 
-def _window(whole: Flight, formed_us: int | None) -> Flight:
-    """Return the part of the flight after the formation was reached."""
-    begin_us = formed_us if formed_us is not None else np.iinfo(np.int64).max
+def _window(whole: Flight, formed_us: int | None, scenario: Scenario) -> Flight:
+    """Return the part of the flight after the formation was reached; nothing of a hold.
+
+    In a hold the formation is reached when the released vehicles are on station. A ground station may fly the
+    others, and these too at any time.
+    """
+    begin_us = np.iinfo(np.int64).max if formed_us is None or scenario.onboard.hold else formed_us
     return whole.at(np.flatnonzero(whole.time_us >= begin_us))
+
+
+def _antenna(window: Flight, scenario: Scenario) -> Aperture:
+    """Return the results of the antenna in formation; only a note for a hold."""
+    if scenario.onboard.hold:
+        return Aperture(note="a hold has no formation")
+    return antenna_report.measure(window, scenario)
 
 
 def _formation(error: FormationError | None) -> dict[str, float | None]:

@@ -68,7 +68,10 @@ def places_ned_m(config: FormationConfig, agents: int, wavelength_m: float) -> A
     """
     xyz_m = _places_m(config, agents, wavelength_m)
     if not np.abs(xyz_m).max() <= FARTHEST_M:
-        raise ValueError(f"formation: {agents} places do not fit within {FARTHEST_M:g} m")
+        raise ValueError(
+            f"formation: {agents} places do not fit within {FARTHEST_M:g} m; reduce agents, the formation's"
+            " spacing or antenna.wavelength_m"
+        )
     height_m = config.height_m + xyz_m[:, 2]
     lowest = int(height_m.argmin())
     if height_m[lowest] < LOWEST_M:

@@ -102,6 +102,14 @@ class PortsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     radio_tcp: Port = 7447
     """Port of the 802.11 emulator's Zenoh router."""
 
+    def __post_init__(self) -> None:
+        try:
+            IPv4Address(self.host)
+        except ValueError:
+            raise ValueError(
+                f"host: {self.host!r} is no IPv4 address; expected one of this machine, such as 127.0.0.1"
+            ) from None
+
     def numbers(self) -> dict[str, int]:
         """Return the ports and bases by their fields' names, without other fields of the table."""
         return {name: value for name, value in msgspec.structs.asdict(self).items() if isinstance(value, int)}
@@ -284,6 +292,11 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             log_path=log_path,
             record_period_us=self.record_period_us,
         )
+
+    @property
+    def forms(self) -> bool:
+        """Whether all UAVs fly to the formation by themselves; otherwise no formation is asked for."""
+        return self.onboard.enabled and not self.onboard.hold
 
     @property
     def record_period_us(self) -> int:

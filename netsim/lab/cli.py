@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from foundation.exit_status import BAD_INPUT, FINE, INTERRUPTED
 from netsim.lab.broadcast import broadcast as run_broadcast
 from netsim.lab.ranging import MeshResult, range_mesh, range_pair
 from netsim.lab.saturation import UNLIMITED, saturate
@@ -22,8 +23,6 @@ from netsim.model.config import BandwidthMhz, Mode, RadioConfig, ServerConfig
 from netsim.phy.errors import packet_error_rate
 from netsim.phy.frames import MAX_MSDU_BYTES, UDP_OVERHEAD_BYTES
 from netsim.phy.modes import phy_mode
-
-FINE, BAD_INPUT, INTERRUPTED = 0, 2, 130
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, no_args_is_help=True)
 

@@ -15,6 +15,7 @@ import typer
 from msgspec.structs import replace
 from rich.console import Console
 
+from foundation import exit_status
 from harness.campaign import Campaign, CampaignError, ClusterError, Table, run
 from harness.campaign.definition import expand
 from harness.campaign.display import CampaignDisplay
@@ -33,16 +34,12 @@ from studies.article.plan import FIGURE_WAVELENGTH_M, FIGURE_WIND_N, KEPT, QUICK
 from studies.article.retained_flights import figure_flights, figure_patterns_of, kept_flights, separate
 from studies.article.statements import StatementVerdict, count, judge_all
 from studies.common.command_line import (
-    BAD_INPUT,
-    FINE,
-    INTERRUPTED,
     keep_stdout,
     progress_lines,
     result_console,
 )
 from studies.common.report import Section, show, write_csv, write_page
 
-SOME_FAILED = 1
 PROGRAM = "reproduce_article"
 RUNS, QUICK_RUNS = Path("runs") / "article", Path("runs") / "article-quick"
 
@@ -92,22 +89,22 @@ def article(
             _print(results, sections, out, json=json, stdout=stdout)
     except KeyboardInterrupt:
         messages.print("interrupted: the same command continues from here")
-        raise typer.Exit(INTERRUPTED) from None
+        raise typer.Exit(exit_status.INTERRUPTED) from None
     except Exception as error:  # noqa: BLE001  every error has a status and a line
         status, line = _ending(error)
         messages.print(f"{PROGRAM}: {line}", soft_wrap=True, markup=False)
         raise typer.Exit(status) from None
-    raise typer.Exit(SOME_FAILED if results.broken else FINE)
+    raise typer.Exit(exit_status.FAILED if results.broken else exit_status.FINE)
 
 
 def _ending(error: Exception) -> tuple[int, str]:
     match error:
         case ClusterError() | kernel_cache.CompileError() | OSError():
-            return SOME_FAILED, str(error)
+            return exit_status.FAILED, str(error)
         case CampaignError():
-            return BAD_INPUT, str(error)
+            return exit_status.BAD_INPUT, str(error)
         case _:
-            return SOME_FAILED, f"{type(error).__name__}: {error}".rstrip(": ").splitlines()[0]
+            return exit_status.FAILED, f"{type(error).__name__}: {error}".rstrip(": ").splitlines()[0]
 
 
 def _fly(

@@ -7,6 +7,7 @@ from typing import Annotated, NoReturn
 import typer
 from rich.console import Console
 
+from foundation.exit_status import BAD_INPUT, FAILED, INTERRUPTED
 from harness.launch.interrupts import interruptible
 from harness.launch.kernel_cache import CompileError
 from harness.scenario.scenario import ScenarioError
@@ -14,7 +15,6 @@ from harness.scenario.scenario_file import load
 from studies.bench.bench import BenchError, BenchPlan, bench, to_json
 from studies.bench.tables import markdown, sheets, terminal_table
 
-FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130
 AGENTS, QUICK_AGENTS = "1,8,16,32,64", "1,8"
 DURATION_S, QUICK_DURATION_S = 20.0, 4.0
 REPEATS, QUICK_REPEATS = 3, 1

@@ -18,6 +18,7 @@ import msgspec
 import psutil
 from msgspec import Struct
 
+from foundation.exit_status import BAD_INPUT, FINE, INTERRUPTED
 from harness.launch.interrupts import interruptible
 from harness.launch.processes import SwarmError, uav
 from harness.launch.profiling import kind_of
@@ -27,7 +28,6 @@ from harness.scenario.scenario_file import load
 from harness.simulator.messages import VehicleLost
 from studies.bench.flight_job import LAUNCHER, FlightCost, FlightJob, Span
 
-INTERRUPTED = 130
 _MB = 1e6
 
 
@@ -133,12 +133,12 @@ def main(arguments: Sequence[str]) -> int:
             cost = fly(msgspec.json.decode(arguments[0], type=FlightJob))
     except (ScenarioError, SwarmError, psutil.NoSuchProcess) as error:
         sys.stderr.write(f"{error}\n")
-        return 2
+        return BAD_INPUT
     except KeyboardInterrupt:
         sys.stderr.write("interrupted\n")
         return INTERRUPTED
     sys.stdout.write(msgspec.json.encode(cost).decode() + "\n")
-    return 0
+    return FINE
 
 
 if __name__ == "__main__":

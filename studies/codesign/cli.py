@@ -11,6 +11,7 @@ import typer
 from msgspec.structs import replace
 from rich.console import Console
 
+from foundation.exit_status import BAD_INPUT, INTERRUPTED
 from harness.campaign.display import CampaignDisplay
 from harness.campaign.running import run
 from harness.campaign.store import CampaignError, Store
@@ -26,8 +27,6 @@ from studies.codesign.sections import Judge, judge_wavelength, judge_wind_agents
 from studies.codesign.tables import write_tables
 from studies.codesign.trouble_section import judge_trouble
 from studies.common.command_line import (
-    BAD_INPUT,
-    INTERRUPTED,
     JsonOption,
     Page,
     chosen,

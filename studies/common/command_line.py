@@ -13,15 +13,15 @@ from msgspec import Struct
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
+from foundation.exit_status import BAD_INPUT, FAILED, FINE
 from harness.launch import kernel_cache
 from studies.common.report import Section, show, write_csv, write_page
 from studies.common.runner import Subject, run_subjects
 
-FINE, MISSED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 WIDTH = 120
 """Columns of the output if it is not a terminal."""
 CHECK_FIELDS = ("name", "value", "unit", "at_least", "at_most")
-JsonOption = Annotated[bool, typer.Option("--json", help="Print only the numbers, as JSON.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print only the numbers, as one JSON object.")]
 P = TypeVar("P")
 
 
@@ -126,10 +126,10 @@ def report_and_exit(
             {"section": section.title, **{name: getattr(check, name) for name in fields}, "met": check.passed}
             for section, check in checks
         ]
-        print(msgspec.json.encode(numbers).decode(), file=stdout)
+        print(msgspec.json.encode({"checks": numbers}).decode(), file=stdout)
     else:
         show(result_console(stdout), sections, px4=px4)
-    raise typer.Exit(FINE if all(check.passed for _, check in checks) else MISSED)
+    raise typer.Exit(FINE if all(check.passed for _, check in checks) else FAILED)
 
 
 def result_console(stdout: TextIO) -> Console:

@@ -11,10 +11,11 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from foundation.exit_status import BAD_INPUT, FAILED, FINE
 from harness.scenario.scenario import ScenarioError
 from harness.scenario.scenario_file import load
 from studies.codesign.cases import ARTICLE
-from studies.common.command_line import BAD_INPUT, FINE, MISSED, JsonOption
+from studies.common.command_line import JsonOption
 from studies.radio import bench
 from studies.radio.saturation_section import MODES
 
@@ -59,7 +60,7 @@ def bench_radio(
         console.print(_saturated_table(saturated))
         console.print(_article_table(article, swarm.name))
     slow = saturated.faster_wall is not None and saturated.faster_wall < bench.FASTER_LIMIT
-    raise typer.Exit(MISSED if slow or article.with_messages.cpu_s > bench.REAL_TIME_LIMIT else FINE)
+    raise typer.Exit(FAILED if slow or article.with_messages.cpu_s > bench.REAL_TIME_LIMIT else FINE)
 
 
 def _saturated_table(cost: bench.SaturatedCost) -> Table:

@@ -7,6 +7,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from foundation.exit_status import FAILED, FINE
 from harness.launch import kernel_cache
 from studies.common.command_line import JsonOption, keep_stdout
 from studies.vehicle.bench import LIMIT_US, StepCost, measure, measure_without_compiler, record_flight
@@ -36,7 +37,7 @@ def bench(
     else:
         steps = len(recording.stream) - recording.armed_from
         Console(file=stdout, highlight=False, width=100).print(_table(costs, steps))
-    raise typer.Exit(0 if costs["streams off"].step_us <= LIMIT_US else 1)
+    raise typer.Exit(FINE if costs["streams off"].step_us <= LIMIT_US else FAILED)
 
 
 def _table(costs: dict[str, StepCost], steps: int) -> Table:

@@ -1,5 +1,6 @@
 """Flights at wall-clock pace: pause, hold and release, steady and changed speed, heartbeats."""
 
+import json
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -8,6 +9,7 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import common
+from swarms import AGENTS, Held
 
 from harness.launch.swarm import Swarm
 from harness.simulator.messages import Progress
@@ -135,7 +137,39 @@ def test_held_uavs_range_and_stay_until_release(held) -> None:
     truth = swarm.run_until(lambda truth: truth.vehicles[0].phase == "on station", timeout_s=60.0)
     assert truth.vehicles[1].phase == "held"
     assert not truth.vehicles[1].armed
-    assert swarm.summary(draw=False)["ftm"]["completed"] > 0
+    summary = swarm.summary(draw=False)
+    assert summary["ftm"]["completed"] > 0
+    # the released vehicle alone is a reached formation; the other is not at fault for standing below it
+    assert summary["formed_s"] is not None
+    assert_no_formation(summary)
+
+
+def assert_no_formation(summary: dict[str, Any]) -> None:
+    """Check that nothing is reported of a formation that was not asked for."""
+    assert set(summary["formation_rms_m"].values()) == {None}
+    kinds = ("absolute_rms_m", "shape_rms_m")
+    assert {vehicle[kind] for vehicle in summary["vehicles"] for kind in kinds} == {None}
+    assert (summary["max_gain_dbi"]["mean"], summary["max_gain_dbi"]["ideal"]) == (None, None)
+
+
+def test_a_hold_without_applications_waits_at_the_walls_pace_until_ctrl_c(tmp_path) -> None:
+    options = ("--set", "onboard.enabled=false", "--set", "run.duration_s=0.5")
+    swarm = Held(tmp_path / "run", *options)
+    try:
+        wall_begin_s = time.monotonic()
+        swarm.start()
+        line = swarm.await_time(2.0)  # beyond run.duration_s
+        assert time.monotonic() - wall_begin_s > 1.5
+        manifest = swarm.end()
+    finally:
+        swarm.kill()
+    assert "holding until Ctrl-C" in line
+    assert f"{AGENTS} disarmed" in line
+    assert not any("error" in line for line in swarm.log_lines)
+    assert (manifest["status"], manifest["reason"], manifest["speed"]) == ("held", None, 1.0)
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["status"] == "held"
+    assert_no_formation(summary)
 
 
 def test_pace_is_steady_and_delays_are_not_made_up(held) -> None:

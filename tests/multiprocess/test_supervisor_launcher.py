@@ -29,7 +29,7 @@ SUMMARY = """{
     "frames": {"sent": 0, "delivered": 0, "collided": 0, "lost_to_noise": 0}, "log_sha256": "0",
     "ftm": {"requested": 0, "completed": 0, "failed": 0, "error_mean_m": None, "error_std_m": None},
     "max_gain_dbi": {"ideal": None, "mean": None, "std": None}, "vehicles": [],
-    "pids": [process.pid for process in outcome.processes],
+    "pids": [process.pid for process in outcome.processes], "speed": outcome.speed,
 }"""
 LAUNCHER = f"""
 import shutil, sys, types
@@ -61,7 +61,7 @@ def folder(tmp_path: Path) -> Path:
         "companion_remote_udp",
     )
     ports = "".join(f"{base} = 0\n" for base in (*bases, "radio_tcp"))
-    for name in ("fine", "never-formed", "physics-fails", "physics-dies-at-last", "interrupted"):
+    for name in ("fine", "never-formed", "physics-fails", "physics-dies-at-last", "interrupted", "held"):
         path = tmp_path / f"{name}.toml"
         path.write_text(f'name = "{name}"\nagents = 2\n[run]\nreach_timeout_s = 5.0\n[ports]\n{ports}')
     return tmp_path
@@ -202,6 +202,27 @@ def test_ctrl_c_stops_all_processes_and_keeps_the_records(folder: Path) -> None:
     summary = json.loads(launched.stdout)
     assert summary["status"] == "interrupted"
     assert not any(psutil.pid_exists(pid) for pid in summary["pids"])
+
+
+@pytest.mark.parametrize("enabled", ["true", "false"])
+def test_ctrl_c_is_how_a_hold_ends(folder: Path, enabled: str) -> None:
+    options = ["--hold", "--set", f"onboard.enabled={enabled}", "--set", "run.duration_s=1"]
+    launched = launch(folder, "held.toml", *options, "--json")
+    assert launched.returncode == 0
+    assert "coflight:" not in launched.stderr
+    summary = json.loads(launched.stdout)
+    assert (summary["status"], summary["reason"], summary["speed"]) == ("held", None, 1.0)
+    assert summary["simulated_s"] >= 3.0  # beyond run.duration_s
+    assert not any(psutil.pid_exists(pid) for pid in summary["pids"])
+
+
+def test_hold_with_a_duration_is_completed_at_its_end_and_interrupted_before(folder: Path) -> None:
+    launched = launch(folder, "held.toml", "--hold", "--duration", "2", "--json")
+    assert launched.returncode == 0
+    assert json.loads(launched.stdout)["status"] == "completed"
+    launched = launch(folder, "held.toml", "--hold", "--duration", "1e6", "--json")
+    assert launched.returncode == 130
+    assert json.loads(launched.stdout)["status"] == "interrupted"
 
 
 def take_terminal() -> None:

@@ -359,7 +359,7 @@ def test_page_table_and_exit_status_follow_the_checks(monkeypatch, tmp_path, at_
         cli.validate_antenna_app, ["--only", "ideal", "--quick", "--json", "--out", str(tmp_path / "out")]
     )
     assert result.exit_code == status, result.output
-    (number,) = json.loads(result.stdout)
+    (number,) = json.loads(result.stdout)["checks"]
     assert (number["section"], number["value"], number["met"]) == ("Roots", 2.0, status == 0)
     page = (tmp_path / "out" / "antenna-validation.md").read_text(encoding="utf-8")
     assert page.startswith("# Validation of the antenna\n")

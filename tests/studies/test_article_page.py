@@ -17,10 +17,12 @@ from typer.testing import CliRunner
 
 from antenna.solvers.nec2c import Nec2cFailed
 from antenna.solvers.parallel import WorkerError, compute_patterns
+from foundation import exit_status
 from harness.campaign import CampaignError
 from harness.campaign.definition import expand
 from harness.records.flight import Flight
 from harness.report import flown_array
+from reference.exit_statuses import RESULTS
 from studies.article import cli, page
 from studies.article import retained_flights as kept_module
 from studies.article.campaign_data import CSV_COLUMNS, csv_row, read_cells
@@ -364,21 +366,22 @@ def test_json_is_one_object_with_all_verdicts(command, monkeypatch, results, tmp
     monkeypatch.setattr(page, "figures", Mock())  # drawn in other tests
     ended = command("--quick", "--json", "--out", str(tmp_path))
     said = json.loads(ended.stdout)
+    assert [set(said)] == [set(each.keys) for each in RESULTS if each.command == "study article"]
     assert [each["name"] for each in said["statements"]] == [each.name for each in STATEMENTS]
     assert said["agree"] + said["differ"] + said["not_told_apart"] + said["not_measured"] == len(STATEMENTS)
     assert Path(said["page"]).exists()
-    assert (said["failed"], ended.exit_code) == (1, cli.SOME_FAILED)
+    assert (said["failed"], ended.exit_code) == (1, exit_status.FAILED)
 
 
 @pytest.mark.parametrize(
     ("error", "status", "line"),
     [
-        (CampaignError("no room"), cli.BAD_INPUT, "no room"),
-        (OSError(28, "No space left"), cli.SOME_FAILED, "[Errno 28] No space left"),
-        (Nec2cFailed("nec2c: no\ngains"), cli.SOME_FAILED, "Nec2cFailed: nec2c: no"),
-        (WorkerError("a worker died"), cli.SOME_FAILED, "WorkerError: a worker died"),
-        (pa.ArrowInvalid("not Parquet"), cli.SOME_FAILED, "ArrowInvalid: not Parquet"),
-        (ValueError(), cli.SOME_FAILED, "ValueError"),
+        (CampaignError("no room"), exit_status.BAD_INPUT, "no room"),
+        (OSError(28, "No space left"), exit_status.FAILED, "[Errno 28] No space left"),
+        (Nec2cFailed("nec2c: no\ngains"), exit_status.FAILED, "Nec2cFailed: nec2c: no"),
+        (WorkerError("a worker died"), exit_status.FAILED, "WorkerError: a worker died"),
+        (pa.ArrowInvalid("not Parquet"), exit_status.FAILED, "ArrowInvalid: not Parquet"),
+        (ValueError(), exit_status.FAILED, "ValueError"),
     ],
 )
 @pytest.mark.parametrize("step", ["_fly", "_measure"])
@@ -400,12 +403,12 @@ def test_interruption_states_that_the_same_command_continues(command, monkeypatc
 
     monkeypatch.setattr(cli, "_fly", fly)
     ended = command()
-    assert ended.exit_code == cli.INTERRUPTED
+    assert ended.exit_code == exit_status.INTERRUPTED
     assert "the same command continues" in ended.stderr
 
 
 @pytest.mark.parametrize("arguments", [("--seeds", "0"), ("--duration", "1"), ("--workers", "0")])
 def test_bad_numbers_are_rejected_before_the_first_flight(command, arguments):
     ended = command(*arguments)
-    assert ended.exit_code == cli.BAD_INPUT
+    assert ended.exit_code == exit_status.BAD_INPUT
     assert arguments[0] in ended.stderr

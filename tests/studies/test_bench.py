@@ -11,10 +11,11 @@ from pymavlink.dialects.v20 import common as mavlink
 from typer.testing import CliRunner
 
 from autopilot.mavlink.hil import HilActuatorControls, HilParser, HilSensor
+from foundation.exit_status import FAILED, INTERRUPTED
 from harness.launch.profiling import VEHICLES, KindProfile
 from studies.bench import bench, floor
 from studies.bench.bench import BenchPlan, FlightBench, HostMachine, summarise, to_json
-from studies.bench.cli import FAILED, INTERRUPTED, bench_app
+from studies.bench.cli import bench_app
 from studies.bench.flight_job import LAUNCHER, FlightCost, Span
 from studies.bench.floor_job import FloorCost, FloorJob, FloorSpeed
 from studies.bench.tables import markdown, sheets, terminal_table

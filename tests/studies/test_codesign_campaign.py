@@ -9,6 +9,7 @@ import pytest
 from msgspec.structs import replace
 from typer.testing import CliRunner
 
+from foundation import exit_status
 from harness.campaign.store import FAILED, CampaignError, Flown, Store
 from harness.launch import one_process
 from harness.launch.processes import SwarmError, SwarmTimeoutError
@@ -19,7 +20,6 @@ from studies.codesign.cases import BASE, GPS_ALONE, LOSSY, QUICK, CodesignPlan, 
 from studies.codesign.introduction import command, introduction
 from studies.codesign.measures import Measures
 from studies.codesign.results import CodesignFlown, known, make_runs
-from studies.common.command_line import BAD_INPUT, FINE, MISSED
 
 PLAN = CodesignPlan(seeds=10, duration_s=30.0)
 
@@ -86,7 +86,7 @@ def test_folder_is_locked_for_one_campaign(tmp_path, monkeypatch):
         with pytest.raises(CampaignError, match="another campaign"), Store(tmp_path).alone():
             pass
         result = run_cli("--only", "baselines", "--data", tmp_path)
-        assert result.exit_code == BAD_INPUT
+        assert result.exit_code == exit_status.BAD_INPUT
         assert "another campaign" in " ".join(result.stderr.split())  # the line may be wrapped
 
 
@@ -172,7 +172,7 @@ def test_second_run_flies_nothing_and_writes_the_same_page(tmp_path, no_flying, 
     monkeypatch.setattr(cli, "keep_stdout", lambda: sys.stdout)
     arguments = ("--only", "baselines", "--data", tmp_path / "data", "--out", tmp_path / "docs")
     first = run_cli(*arguments)
-    assert first.exit_code == MISSED, first.output
+    assert first.exit_code == exit_status.FAILED, first.output
     assert len(no_flying) == 4 * 10
     page = (tmp_path / "docs" / "codesign-results.md").read_text()
     assert "    python scripts/experiment_codesign.py --only baselines --out docs/results\n" in page
@@ -190,14 +190,14 @@ def test_second_run_flies_nothing_and_writes_the_same_page(tmp_path, no_flying, 
         means = {row["case"]: row for row in csv.DictReader(file)}
     assert (means[BASE.name]["flights"], means[GPS_ALONE.name]["flights"]) == ("9", "10")
     second = run_cli(*arguments)
-    assert second.exit_code == MISSED
+    assert second.exit_code == exit_status.FAILED
     assert len(no_flying) == 40
     assert (tmp_path / "docs" / "codesign-results.md").read_text() == page
     retried = run_cli(*arguments, "--retry")
-    assert retried.exit_code == FINE
+    assert retried.exit_code == exit_status.FINE
     assert [(run.case, run.seed) for run in no_flying[40:]] == [(BASE.name, 2)]
     longer = run_cli(*arguments, "--duration", 40)
-    assert longer.exit_code == FINE
+    assert longer.exit_code == exit_status.FINE
     assert len(no_flying) == 40 + 1 + 40
 
 
@@ -248,8 +248,8 @@ def test_page_names_its_command():
 def test_json_has_the_checks_and_failed_ones_set_the_exit_status(tmp_path, monkeypatch):
     monkeypatch.setattr(cli, "keep_stdout", lambda: sys.stdout)
     result = run_cli("--only", "wind_agents", "--quick", "--json", "--data", tmp_path)
-    assert result.exit_code == MISSED
-    numbers = {each["name"]: each for each in json.loads(result.stdout)}
+    assert result.exit_code == exit_status.FAILED
+    numbers = {each["name"]: each for each in json.loads(result.stdout)["checks"]}
     assert numbers["shape error with FTM, 8 UAVs, 5 N, mean"]["met"] is True
     assert numbers["shape error with GPS alone over that with FTM, same case"]["value"] == pytest.approx(1.0)
     assert numbers["shape error with GPS alone over that with FTM, same case"]["at_least"] == 5.0
@@ -257,6 +257,6 @@ def test_json_has_the_checks_and_failed_ones_set_the_exit_status(tmp_path, monke
 
 def test_unknown_group_is_a_one_line_error():
     result = run_cli("--only", "wind_agents,nonsense")
-    assert result.exit_code == BAD_INPUT
+    assert result.exit_code == exit_status.BAD_INPUT
     assert "nonsense" in result.stderr
     assert result.stderr.count("\n") <= 2

@@ -11,6 +11,7 @@ from scipy.optimize import brentq
 from typer.testing import CliRunner
 
 from autopilot.onboard.radio.beacon import HEADER_BYTES, RANGE_BYTES
+from foundation.exit_status import BAD_INPUT, FINE
 from harness.scenario.scenario_file import load
 from netsim.lab.broadcast import BroadcastResult
 from netsim.lab.ranging import FtmResultSummary, MeshResult
@@ -19,7 +20,6 @@ from netsim.model.event_queue import EventQueue
 from netsim.phy.frames import DATA_OVERHEAD_BYTES, UDP_OVERHEAD_BYTES
 from netsim.phy.modes import phy_mode, response_mode
 from netsim.wire.messages import Broadcast, FtmRequest
-from studies.common.command_line import BAD_INPUT, FINE
 from studies.common.report import draw_figures
 from studies.radio import broadcast_section, error_section, mesh_section, ranging_section, saturation_section
 from studies.radio.article_traffic import record
@@ -331,7 +331,7 @@ def test_unknown_subject_is_a_one_line_error():
 def test_json_prints_only_numbers_and_the_page_is_written(tmp_path):
     result = CliRunner().invoke(validate_radio_app, ["--only", "per", "--json", "--out", str(tmp_path)])
     assert result.exit_code == FINE, result.stdout
-    numbers = json.loads(result.stdout)
+    numbers = json.loads(result.stdout)["checks"]
     assert len(numbers) == len(ns3_error_curves())
     assert {number["met"] for number in numbers} == {True}
     assert "px4" not in numbers[0]

@@ -17,8 +17,8 @@ from typer.testing import CliRunner
 
 from autopilot.control.allocation import effectiveness
 from autopilot.control.params import AllocationParams
+from foundation.exit_status import BAD_INPUT
 from harness.world.sensors.config import PROFILES
-from studies.common.command_line import BAD_INPUT
 from studies.common.report import (
     Check,
     ReportFigure,
@@ -209,7 +209,7 @@ def test_script_prints_only_json():
         capture_output=True, text=True, check=False, timeout=200,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert {one["met"] for one in json.loads(done.stdout)} == {True}
+    assert {one["met"] for one in json.loads(done.stdout)["checks"]} == {True}
 
 
 def test_stop_watch_subtracts_nested_parts():

@@ -96,6 +96,8 @@ def physics(config: dict[str, Any], listeners: list[socket.socket]) -> None:
             if fault == "physics-hangs" and time_us >= 1_000_000:
                 signal.pause()
             time_us += STEP_US
+            if fault == "held" and time_us == FORMED_US:
+                os.kill(os.getppid(), signal.SIGINT)
             if time_us == FORMED_US and fault != "never-formed":
                 emit(Formed(time_us=time_us))
                 if command.stop_when_formed:

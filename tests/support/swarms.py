@@ -47,6 +47,7 @@ class Held:
         self._options = options
         self.log_lines: list[str] = []
         self._ready = threading.Event()
+        self._news = threading.Condition()
         self._process: subprocess.Popen[str] | None = None
 
     def start(self) -> None:
@@ -58,8 +59,6 @@ class Held:
             str(ROOT / "scenarios" / "article.toml"),
             "--agents",
             str(AGENTS),
-            "--speed",
-            "1",
             "--hold",
         ]
         command += ["--port-offset", str(port_offset), "--out", str(self.folder), *self._options]
@@ -74,10 +73,24 @@ class Held:
     def _read(self) -> None:
         assert self._process is not None and self._process.stderr is not None  # noqa: PT018
         for line in self._process.stderr:
-            self.log_lines.append(line.rstrip())
+            with self._news:
+                self.log_lines.append(line.rstrip())
+                self._news.notify_all()
             if line.startswith("uav 0, system 1:"):  # the first of the addresses: all have started
                 self._ready.set()
         self._ready.set()
+
+    def await_time(self, time_s: float) -> str:
+        """Wait until a line of progress has this simulated time; return the line."""
+
+        def found() -> str | None:
+            times = ((re.match(r"t = ([\d.]+) s, ", line), line) for line in self.log_lines)
+            return next((line for match, line in times if match and float(match[1]) >= time_s), None)
+
+        with self._news:
+            line = self._news.wait_for(found, START_S)
+        assert line is not None, self.log_lines
+        return line
 
     def end(self) -> dict[str, Any]:
         """End the run by SIGINT; return its manifest."""

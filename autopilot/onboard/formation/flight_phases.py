@@ -7,15 +7,16 @@ the same speed over the corrected position. A UAV does not take off before the f
 is known to `SHAPE_STD_M`, or `LOCALISE_TIMEOUT_US` has passed. A held flight waits before all that.
 """
 
+from collections.abc import Callable
+
 from msgspec import Struct
 
 from autopilot.mavlink.modes import FlightMode
 from autopilot.onboard.formation.commands import ARM, OFFBOARD, CommandSender, take_off
 from autopilot.onboard.formation.own_state import OwnState
 from autopilot.onboard.formation.phases import FlightPhase
+from autopilot.onboard.localisation.model import LOCALISE_TIMEOUT_US, SHAPE_STD_M
 
-SHAPE_STD_M = 0.35
-LOCALISE_TIMEOUT_US = 10_000_000
 TAKE_OFF_HEIGHT_M = 2.5
 HAND_OVER_HEIGHT_M = 0.5
 """Lowest height at which the vehicle certainly flies: below it wind and GPS errors move it unchecked."""
@@ -37,17 +38,22 @@ class Situation(Struct, frozen=True, kw_only=True):
 
 
 class FlightSequence:
-    """The phases of one UAV's flight, in the order of `FlightPhase`."""
+    """The phases of one UAV's flight, in the order of `FlightPhase`.
+
+    ``shortfall`` returns why the shape is not known at a time, for the message at the time-out.
+    """
 
     def __init__(
-        self, *, commands: CommandSender, on_station_tolerance_m: float, on_station_hold_s: float, held: bool
-    ) -> None:
+        self, *, commands: CommandSender, on_station_tolerance_m: float, on_station_hold_s: float, held: bool,
+        shortfall: Callable[[int], str],
+    ) -> None:  # fmt: skip
         self.phase = FlightPhase.WAITING
         self.held = held
         """The flight must not begin yet; clearing it releases the flight."""
         self.texts: list[str] = []
         """Messages for the ground station; the owner sends and removes them."""
         self._commands = commands
+        self._shortfall = shortfall
         self._tolerance_m = on_station_tolerance_m
         self._hold_us = on_station_hold_s * 1e6
         self._phase_since_us = 0
@@ -84,7 +90,11 @@ class FlightSequence:
                 if situation.shape_std_m < SHAPE_STD_M:
                     return FlightPhase.ARMING
                 if now_us - self._phase_since_us > LOCALISE_TIMEOUT_US:
-                    self.texts.append("formation not localised: taking off all the same")
+                    waited_s = LOCALISE_TIMEOUT_US // 1_000_000
+                    self.texts.append(
+                        f"formation not localised in {waited_s} s: {self._shortfall(now_us)}; "
+                        "taking off with the accuracy of GPS"
+                    )
                     return FlightPhase.ARMING
             case FlightPhase.ARMING:
                 self._commands.request(ARM, now_us)

@@ -25,6 +25,7 @@ from autopilot.onboard.localisation.members import new_filter, new_members
 from autopilot.onboard.localisation.model import SILENCE_US, LocalisationModel
 from autopilot.onboard.localisation.receivers import Receivers, clear, rate
 from autopilot.onboard.localisation.reference_geometry import ReferenceGeometry, shape_std_m
+from autopilot.onboard.localisation.shortfall import shortfall
 from autopilot.onboard.localisation.tracks import EXTRAPOLATED_S, Tracks, odometry_at
 from autopilot.onboard.localisation.trust import ELSEWHERE_LIMIT, Trust, distrust
 from autopilot.onboard.localisation.uncertainty import SEEN, Others, seen_from, variance_between
@@ -264,6 +265,14 @@ class CooperativeLocalisation:
     def shape_std_m(self, now_us: int) -> float:
         """Return the expected rms shape error, m, of the located UAVs present; see `reference_geometry`."""
         return shape_std_m(self.positions_ned_m(now_us), self.cov, self._members(now_us))
+
+    def shortfall(self, now_us: int, limit_m: float) -> str:
+        """Return why the shape is not known to ``limit_m``; see `shortfall`."""
+        measured = self._distances.pairs["newest_us"] >= 0
+        return shortfall(
+            own=self.own, present=self._present(now_us), measured=measured | measured.T, located=self.located,
+            places_ned_m=self._places_ned_m, shape_std_m=self.shape_std_m(now_us), limit_m=limit_m,
+        )  # fmt: skip
 
     def _present(self, now_us: int) -> Flags:
         """Return (N,) whether a UAV's newest odometry is at most `SILENCE_US` old."""

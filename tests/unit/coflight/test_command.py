@@ -7,7 +7,8 @@ from importlib import import_module
 import pytest
 
 import coflight
-from coflight.command import BAD_INPUT, COMMANDS, STUDIES, Command, main
+from coflight.command import COMMANDS, STUDIES, Command, main
+from foundation.exit_status import BAD_INPUT
 from harness.scenario import packaged
 
 HEAVY = ("numba", "numpy", "typer", "rich", "msgspec", "matplotlib", "pybullet", "zenoh")
@@ -60,7 +61,7 @@ def test_fly_refuses_an_unknown_scenario_and_names_those_there_are(
 ) -> None:
     assert main(["fly", "artikel"]) == BAD_INPUT
     line = capsys.readouterr().err.splitlines()[-1]
-    assert line.startswith("coflight: artikel: no such scenario file; scenarios by name: article, ")
+    assert line.startswith("coflight: artikel: there is no such file; scenarios by name: article, ")
 
 
 def test_scenarios_lists_the_files_of_the_folder(capsys: pytest.CaptureFixture[str]) -> None:

@@ -261,7 +261,7 @@ def test_a_scenario_refers_to_a_plan_file_next_to_it(tmp_path):
 @pytest.mark.parametrize(
     ("toml", "words"),
     [
-        ('plan_file = "nowhere.plan"', "nowhere.plan: no such plan file"),
+        ('plan_file = "nowhere.plan"', "nowhere.plan: there is no such file"),
         ('plan_file = "flight.toml"', "flight.toml: not JSON"),
         ('plan_file = "site.plan"\nmission = [{command = "land"}]', "mission: also defined in the plan file"),
         (
@@ -283,7 +283,7 @@ def test_a_lone_vehicle_starts_with_a_plan_file(tmp_path):
     (tmp_path / "site.plan").write_text(json.dumps(SAMPLE))
     config = lone_vehicle(0, 1.0, None, tmp_path / "site.plan")
     assert len(site_plan.plans(config.autopilot, config.site)[PlanType.MISSION].items) == 7
-    with pytest.raises(PlanFileError, match=r"nowhere.plan: no such plan file"):
+    with pytest.raises(PlanFileError, match=r"nowhere.plan: there is no such file"):
         lone_vehicle(0, 1.0, None, tmp_path / "nowhere.plan")
 
 

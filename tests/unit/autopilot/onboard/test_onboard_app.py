@@ -127,7 +127,10 @@ def test_another_mode_is_respected_until_offboard_is_selected_again():
 def joining():
     """Return a flight in phase JOINING and offboard mode, and its state."""
     commands = CommandSender(target_system=1)
-    flight = FlightSequence(commands=commands, on_station_tolerance_m=0.7, on_station_hold_s=2.0, held=False)
+    flight = FlightSequence(
+        commands=commands, on_station_tolerance_m=0.7, on_station_hold_s=2.0, held=False,
+        shortfall=lambda _: "",
+    )  # fmt: skip
     flight.phase = FlightPhase.JOINING
     own = OwnState(site=SITE, gps_delay_s=0.12)
     own.armed, own.mode = True, FlightMode.OFFBOARD
@@ -168,7 +171,19 @@ def test_without_distances_it_takes_off_after_the_timeout_with_a_message():
     w.run_until(phase_is(FlightPhase.ON_STATION), limit_s=20.0)
     for app, autopilot in zip(w.apps, w.autopilots, strict=True):
         assert not any(app.estimate(w.now_us).correction_ned_m)
-        assert [text for _, text in autopilot.texts] == ["formation not localised: taking off all the same"]
+        ((_, text),) = autopilot.texts
+        assert text.startswith("formation not localised in 10 s: beacons of 0 of 1 other UAVs received; ")
+
+
+def test_a_line_takes_off_after_the_timeout_and_names_the_geometry():
+    w = world(((0.0, -8.5, -8.0), (0.0, 0.0, -8.0), (0.0, 8.5, -8.0)))
+    w.run_until(phase_is(FlightPhase.LOCALISING), limit_s=1.5)
+    w.run_until(phase_is(FlightPhase.ARMING), limit_s=10.2)
+    w.run(0.1)
+    for autopilot in w.autopilots:
+        ((_, text),) = autopilot.texts
+        assert text.startswith("formation not localised in 10 s: ranging determines its shape to ")
+        assert "(places within 0.0 m of a line)" in text
 
 
 def test_uavs_that_answer_are_located_before_take_off_at_a_long_ranging_period():

@@ -173,10 +173,10 @@ def test_parameters_of_other_components_are_not_applied(tmp_path):
 
 
 def test_an_unreadable_file_is_a_one_line_error(tmp_path):
-    with pytest.raises(ParameterFileError, match="cannot be read: No such file"):
+    with pytest.raises(ParameterFileError, match=r"absent\.params: there is no such file"):
         load(tmp_path / "absent.params")
     (tmp_path / "binary.params").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ParameterFileError, match="cannot be read: not UTF-8 text"):
+    with pytest.raises(ParameterFileError, match=r"binary\.params: it is not text"):
         load(tmp_path / "binary.params")
 
 

@@ -9,6 +9,8 @@ from pymavlink.dialects.v20 import common
 from autopilot.logs.companion_record import CompanionLog
 from autopilot.logs.vehicle_record import VEHICLE_RECORD
 from autopilot.mavlink.codec import Encoder, Parser, stamp
+from autopilot.onboard.application import OnboardOutput
+from autopilot.onboard.formation.messages import warning
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.parameters.config import VehicleConfig
 from autopilot.process.companion import CALL_PERIOD_S, LONGEST_LEAP_US, TICK_US, Companion
@@ -125,6 +127,18 @@ def test_the_origin_is_requested_each_second_until_it_is_known():
     assert (request.target_system, request.target_component, request.param1) == (SYSTEM, 1, 49.0)
     companion.on_message(from_px4(origin()))
     assert sum(map(len, map(requests, fly(companion, 35_000, begin_ms=5_010)))) in {3, 4}
+
+
+def test_long_texts_are_sent_in_chunks_of_one_id():
+    """A STATUSTEXT holds 50 bytes; PX4 forwards each to the ground station."""
+    companion = Companion(config())
+    companion.on_message(from_px4(attitude(100)))
+    text = "formation not localised in 10 s: beacons of 0 of 7 other UAVs received"
+    companion.app.on_timer = lambda _: OnboardOutput([warning(text)], ())
+    sent = [m for m in companion.on_timer(()).mavlink if m.get_type() == "STATUSTEXT"]
+    assert "".join(message.text for message in sent) == text
+    assert [(message.id, message.chunk_seq) for message in sent] == [(1, 0), (1, 1)]
+    assert all(message.get_srcComponent() == 191 for message in sent)
 
 
 def test_px4s_mode_and_the_own_phase_are_reported_to_the_simulator_with_their_sources():

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from paths import ROOT
 
+from foundation import exit_status
 from harness.campaign import Campaign, CampaignError, Case, load, run
 from harness.campaign.definition import expand
 from harness.campaign.values import MOST_VALUES, flat, spread, toml_text
@@ -273,12 +274,13 @@ def test_an_override_has_precedence_over_the_file_but_not_over_compared_values(t
 
 
 def test_a_missing_or_invalid_file_is_one_line(tmp_path):
-    with pytest.raises(CampaignError, match=r"nowhere\.toml: no such campaign file"):
+    with pytest.raises(CampaignError, match=r"nowhere\.toml: there is no such file; campaigns by name"):
         load(tmp_path / "nowhere.toml")
     missing = tmp_path / "campaign.toml"
     missing.write_text('scenario = "nowhere.toml"')
     with pytest.raises(
-        CampaignError, match=r"campaign\.toml: case 'campaign': .*nowhere\.toml: no such scenario"
+        CampaignError,
+        match=r"campaign\.toml: case 'campaign': .*nowhere\.toml: there is no such file",
     ):
         expand(load(missing), state="")
     assert "not TOML" in refused(tmp_path, "seeds = ")
@@ -286,13 +288,13 @@ def test_a_missing_or_invalid_file_is_one_line(tmp_path):
 
 def test_a_dry_run_lists_the_runs_and_creates_nothing(tmp_path, capfd):
     path = write(tmp_path, "seeds = 2\n[sweep]\nwind.mean_n = [0, 5]")
-    assert cli.main([str(path), "--out", str(tmp_path / "out"), "--dry-run", "--json"]) == cli.FINE
+    assert cli.main([str(path), "--out", str(tmp_path / "out"), "--dry-run", "--json"]) == exit_status.FINE
     plan = json.loads(capfd.readouterr().out)
     assert [(run["wind.mean_n"], run["seed"]) for run in plan["runs"]] == [(0, 1), (0, 2), (5, 1), (5, 2)]
     assert {run["status"] for run in plan["runs"]} == {"to be flown"}
     assert plan["to_be_flown"] == 4
     assert not (tmp_path / "out").exists()
-    assert cli.main([str(path), "--set", "wind.mean_n=1"]) == cli.BAD_INPUT
+    assert cli.main([str(path), "--set", "wind.mean_n=1"]) == exit_status.BAD_INPUT
     assert capfd.readouterr().err == f"campaign: {path}: --set wind.mean_n=1: sweep says that\n"
     with pytest.raises(CampaignError, match="nonsense: expected the address of a dask scheduler"):
         run(load(path), out=tmp_path / "out", scheduler="nonsense")

@@ -1,4 +1,4 @@
-"""Results of a campaign: stored runs, their table, and the remaining time."""
+"""Results of a campaign: stored runs and their table."""
 
 import csv
 import errno
@@ -12,16 +12,14 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from msgspec.structs import replace
 from paths import SCENARIOS
 
 from antenna.solvers.interface import BackendUnavailable
+from foundation import exit_status
 from foundation.records.whole_file import write_whole
 from harness.campaign import Campaign, CampaignError, load, running, sources
 from harness.campaign.definition import expand
-from harness.campaign.display import CampaignPace, duration_text
 from harness.campaign.flights import fly_task
 from harness.campaign.running import known
 from harness.campaign.store import FAILED, Flown, Store, Task
@@ -173,14 +171,14 @@ def test_the_runs_of_a_command_are_computed_once(tmp_path, monkeypatch):
     made = []
     monkeypatch.setattr(cli, "expand", lambda *args, **named: made.append(0) or expand(*args, **named))
     monkeypatch.setattr(running, "expand", cli.expand)
-    assert cli.main(complete_campaign(tmp_path)) == cli.FINE
+    assert cli.main(complete_campaign(tmp_path)) == exit_status.FINE
     assert len(made) == 1
 
 
 def test_a_schedulers_address_is_checked_without_missing_runs(tmp_path, capfd):
     command = complete_campaign(tmp_path)
     for more in ([], ["--dry-run"]):
-        assert cli.main([*command, "--scheduler", "bogus", *more]) == cli.BAD_INPUT
+        assert cli.main([*command, "--scheduler", "bogus", *more]) == exit_status.BAD_INPUT
         line = "campaign: bogus: expected the address of a dask scheduler, tcp://HOST:PORT\n"
         assert capfd.readouterr() == ("", line)
     with pytest.raises(CampaignError, match="bogus: expected the address"):
@@ -404,29 +402,3 @@ def test_every_module_that_a_flight_loads_is_hashed_except_drawing():
     assert len(loaded & flown) > 100
     kept_by = {f"harness/campaign/{name}.py" for name in KEEPING}
     assert loaded - flown == {"antenna/analysis/gain_figures.py", "harness/report/figures.py", *kept_by}
-
-
-# ---- the remaining time
-
-
-@given(
-    each_s=st.floats(0.1, 1e4), start_s=st.floats(0.0, 1e3), total=st.integers(4, 1000), data=st.data(),
-)  # fmt: skip
-def test_the_remaining_time_is_extrapolated_from_the_rate_so_far(each_s, start_s, total, data):
-    """One run every ``each_s``, the first later: after k of n the time of (n - k) remains, counting down."""
-    pace = CampaignPace(5.0)
-    assert pace.left_s(5.0) is None
-    done = data.draw(st.integers(4, total))
-    for number in range(1, done + 1):
-        now_s = 5.0 + start_s + number * each_s
-        pace.landed(total, now_s)
-    about = {"rel": 1e-6, "abs": 1e-6 * total}
-    assert pace.left_s(now_s) == pytest.approx((total - done) * each_s, **about)
-    later_s = max(0.0, (total - done - 0.5) * each_s)
-    assert pace.left_s(now_s + each_s / 2) == pytest.approx(later_s, **about)
-    assert pace.left_s(now_s + 2 * total * each_s) == 0.0
-
-
-def test_durations_are_in_words():
-    texts = [duration_text(seconds) for seconds in (None, 0.0, 59.4, 59.6, 250.0, 3599.7, 11_100.0)]
-    assert texts == ["?", "0 s", "59 s", "1 min 00 s", "4 min 10 s", "1 h 00 min", "3 h 05 min"]

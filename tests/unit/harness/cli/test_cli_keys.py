@@ -8,6 +8,7 @@ import pytest
 
 from harness.cli import fly as cli
 from harness.cli.fly import FASTEST, SLOWEST
+from harness.cli.progress import Stage
 from harness.launch.one_process import OneProcessSwarm
 from harness.launch.processes import PHYSICS, SwarmError
 from harness.launch.supervisor import Supervisor, SupervisorError
@@ -79,17 +80,29 @@ def test_keys_are_enabled_when_every_process_is_ready(monkeypatch):
 
     swarm = SimpleNamespace(
         scenario=SimpleNamespace(
-            name="small", agents=1, onboard=SimpleNamespace(enabled=False, hold=False),
+            name="small", agents=1, onboard=SimpleNamespace(hold=False), forms=False,
             run=SimpleNamespace(seed=1, duration_s=5.0),
         ),
-        path="out", pids={"physics": 1}, forced=(),
+        path="out", pids={"physics": 1}, forced=(), speed="max", truth=SimpleNamespace(t_s=0.004),
         start=lambda: order.append("start"), stop=lambda: order.append("stop"),
         run_for=lambda _: order.append("run"),
     )  # fmt: skip
     monkeypatch.setattr(cli, "Keyboard", Keys)
-    display = SimpleNamespace(note=lambda line: order.append("hint") if "space" in line else None)
+    display = SimpleNamespace(
+        note=lambda line: order.append("hint") if "space" in line else None,
+        begin=order.append,
+    )
     assert cli._fly(swarm, display, until_interrupted=False) is None
-    assert order == ["start", "keys", "hint", "run", "stop"]
+    assert order == ["start", "keys", "hint", Stage("flying", end_s=5.004), "run", "stop"]
+
+
+@pytest.mark.parametrize(("speed", "offered"), [("max", False), (2.0, True)])
+def test_only_keys_with_an_effect_are_offered(speed, offered):
+    line = cli._keys(SimpleNamespace(speed=speed), until_interrupted=False)
+    assert "space" in line
+    assert ("+ and -" in line) is offered
+    assert "Ctrl-C" not in line
+    assert "Ctrl-C ends the hold" in cli._keys(SimpleNamespace(speed=1.0), until_interrupted=True)
 
 
 def test_a_command_before_the_physics_server_is_ready_is_refused_and_does_not_fail_the_run(tmp_path):

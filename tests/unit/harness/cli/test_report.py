@@ -5,6 +5,7 @@ import json
 import pytest
 from paths import SCENARIOS
 
+from foundation import exit_status
 from harness.cli import report
 from harness.launch.one_process import OneProcessSwarm
 from harness.scenario.scenario_file import load
@@ -22,11 +23,11 @@ def run(tmp_path_factory):
 
 
 def test_it_shows_the_summary_that_the_flight_showed(run, capsys):
-    assert report.main([str(run)]) == report.FINE
+    assert report.main([str(run)]) == exit_status.FINE
     shown = capsys.readouterr().out
     summary = json.loads((run / "summary.json").read_text())
     assert summary["log_sha256"][:16] in shown
-    assert report.main([str(run), "--json"]) == report.FINE
+    assert report.main([str(run), "--json"]) == exit_status.FINE
     assert json.loads(capsys.readouterr().out) == summary
 
 
@@ -35,14 +36,14 @@ def test_figures_are_drawn_again_as_they_were(run, capsys):
     assert {"patterns.png", "tracks.png", "channel.png", "ftm_error.png"} <= before.keys()
     for name in before:
         (run / "figures" / name).unlink()
-    assert report.main([str(run), "--figures"]) == report.FINE
+    assert report.main([str(run), "--figures"]) == exit_status.FINE
     after = {path.name: path.read_bytes() for path in (run / "figures").iterdir()}
     assert after == before
     assert "drawn into" in capsys.readouterr().err
 
 
 def test_a_folder_without_a_run_is_one_line(tmp_path, capsys):
-    assert report.main([str(tmp_path)]) == report.BAD_INPUT
+    assert report.main([str(tmp_path)]) == exit_status.BAD_INPUT
     line = f"coflight: {tmp_path}: no run that has ended: it has no manifest.json\n"
     assert capsys.readouterr().err == line
 
@@ -50,6 +51,6 @@ def test_a_folder_without_a_run_is_one_line(tmp_path, capsys):
 @pytest.mark.parametrize(("content", "reason"), [("{", "not JSON"), ("{}", "of another version")])
 def test_a_manifest_that_cannot_be_read_is_one_line(content, reason, tmp_path, capsys):
     (tmp_path / "manifest.json").write_text(content)
-    assert report.main([str(tmp_path)]) == report.BAD_INPUT
+    assert report.main([str(tmp_path)]) == exit_status.BAD_INPUT
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"coflight: {tmp_path}/manifest.json: {reason}")

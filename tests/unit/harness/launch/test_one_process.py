@@ -24,8 +24,9 @@ from paths import SCENARIOS
 
 from autopilot.logs.vehicle_record import VEHICLE_RECORD
 from autopilot.vehicle.vehicle import Vehicle
+from foundation.exit_status import FINE
 from foundation.records.record_log import BLOCK_ROWS
-from harness.cli.fly import FINE, main
+from harness.cli.fly import main
 from harness.launch import kernel_cache
 from harness.launch.one_process import OneProcessSwarm, fly
 from harness.launch.processes import SwarmError
@@ -204,6 +205,17 @@ def test_a_killed_vehicle_is_lost_from_the_next_step_on_and_the_others_fly_on(tm
     frames = radio_table(tmp_path / "run")
     sent_s = np.array(frames["start_ns"])[np.array(frames["source"]) == 1] * 1e-9
     assert (sent_s < 3.0 + 0.02).all()  # except a frame that was being sent
+
+
+@pytest.mark.parametrize("columns", [4, 2])
+def test_a_line_is_warned_of_once_before_the_flight_and_a_triangle_is_not(columns, tmp_path):
+    messages = []
+    flown = scenario(f"formation.columns={columns}", agents=3)
+    with OneProcessSwarm(flown, out=tmp_path / "run", on_message=messages.append) as swarm:
+        swarm.run(until_s=0.1)
+    warned = [message for message in messages if getattr(message, "text", "").startswith("warning: ")]
+    assert len(warned) == (columns == 4)
+    assert not warned or messages[0] is warned[0]
 
 
 def uav_logs(swarm):

@@ -13,6 +13,7 @@ import xarray as xr
 from paths import SCENARIOS
 
 from antenna.model.config import AntennaConfig
+from foundation import exit_status
 from harness.cli import export_deck
 from harness.cli.export_deck import DeckRefused, deck_at
 from harness.launch.one_process import fly
@@ -108,7 +109,7 @@ def test_every_run_has_the_deck_of_its_median_instant(run):
 
 def test_a_refused_deck_is_one_line_and_status_2(run, tmp_path, capsys):
     def refused(*arguments):
-        assert export_deck.main([str(argument) for argument in arguments]) == export_deck.BAD_INPUT
+        assert export_deck.main([str(argument) for argument in arguments]) == exit_status.BAD_INPUT
         line = capsys.readouterr().err
         assert line.count("\n") == 1
         return line
@@ -132,7 +133,7 @@ def test_a_refused_deck_is_one_line_and_status_2(run, tmp_path, capsys):
     manifest["scenario"]["antenna"]["wires"] = 1
     other.manifest.write_text(json.dumps(manifest))
     assert "of another version: scenario.antenna: unknown key `wires`" in refused(tmp_path, "--time", 5)
-    assert export_deck.main([str(run.path), "--time", "5"]) == export_deck.FINE
+    assert export_deck.main([str(run.path), "--time", "5"]) == exit_status.FINE
     assert capsys.readouterr().out == deck_at(run.path, 5.0)
 
 

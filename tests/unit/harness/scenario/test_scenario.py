@@ -281,7 +281,6 @@ def test_a_wrong_field_is_named(override, message):
         load(ARTICLE, [override])
     text = str(caught.value)
     assert message.lower() in text.lower()
-    assert "\n" not in text
 
 
 def companion_ports(scenario):
@@ -376,14 +375,14 @@ def test_a_vehicle_is_not_an_entry():
 
 
 def test_a_missing_a_broken_and_a_binary_file_are_named(tmp_path):
-    with pytest.raises(ScenarioError, match=r"nowhere\.toml: no such scenario file"):
+    with pytest.raises(ScenarioError, match=r"nowhere\.toml: there is no such file"):
         load(tmp_path / "nowhere.toml")
     broken = tmp_path / "broken.toml"
     broken.write_text("agents = = 3\n")
     with pytest.raises(ScenarioError, match=r"broken\.toml: not TOML"):
         load(broken)
     broken.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ScenarioError, match=r"broken\.toml: cannot be read"):
+    with pytest.raises(ScenarioError, match=r"broken\.toml: it is not text"):
         load(broken)
 
 

@@ -104,7 +104,7 @@ def test_a_deck_is_named_by_an_override_as_well(tmp_path):
         ("CE nothing\n", (), "a.nec: line 1: the deck has no wires"),
         (MONOPOLE[:-15], (), "a.nec: line 3: the deck has no source"),
         ("", (), "a.nec: line 0: the deck has no wires"),
-        (b"\xff\xfe\x00", (), "a.nec: cannot be read: it is no text"),
+        (b"\xff\xfe\x00", (), "a.nec: it is not text"),
         (MONOPOLE, ("segments = 9",), "element_file: only for element_kind deck, not dipole"),
         (MONOPOLE, ('element_kind = "helix"',), "antenna.element_kind: invalid enum value 'helix'"),
     ],
@@ -119,7 +119,7 @@ def test_errors_in_an_elements_deck_are_named(tmp_path, text, settings, message)
 
 def test_a_missing_deck_is_named(tmp_path):
     with pytest.raises(
-        ScenarioError, match=r"v\.toml: antenna\.element_file: .*b\.nec: cannot be read: No such"
+        ScenarioError, match=r"v\.toml: antenna\.element_file: .*b\.nec: there is no such file"
     ):
         _with_deck(tmp_path, MONOPOLE, overrides=["antenna.element_file=b.nec"])
     with pytest.raises(ScenarioError, match="element_file: element_kind deck requires"):
@@ -130,10 +130,10 @@ def test_a_missing_deck_is_named(tmp_path):
 
 def test_a_missing_and_a_binary_file_of_places_are_named(tmp_path):
     _with_file(tmp_path, "x_m,y_m\n0,0\n0,5\n5,0\n")
-    with pytest.raises(ScenarioError, match=r"formation\.file: .*w\.csv: cannot be read: No such file"):
+    with pytest.raises(ScenarioError, match=r"formation\.file: .*w\.csv: there is no such file"):
         load(tmp_path / "v.toml", ["formation.file=w.csv"])
     (tmp_path / "w.csv").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ScenarioError, match=r"w\.csv: cannot be read: it is no text"):
+    with pytest.raises(ScenarioError, match=r"w\.csv: it is not text"):
         load(tmp_path / "v.toml", ["formation.file=w.csv"])
     with pytest.raises(ScenarioError, match=r"formation\.file: no file for 8 vehicles"):
         load(ARTICLE, ["formation.shape=file"])
