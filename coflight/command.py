@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from foundation.exit_status import BAD_INPUT, FINE
 from foundation.kernels import cache_folder
+from harness.launch.interrupts import exiting_at_once
 from harness.scenario import packaged
 
 USAGE = "usage: coflight COMMAND [ARGUMENTS]   (coflight COMMAND --help)"
@@ -89,7 +90,8 @@ def _dispatch(program: str, commands: dict[str, Command], usage: str, arguments:
     command = commands[name]
     os.environ.update(cache_folder.environment())  # read when numba is imported, which the module may do
     sys.argv = [f"{program} {name}", *rest]  # usage lines name the command
-    called: Callable[..., Any] = getattr(import_module(command.module), command.function)
+    with exiting_at_once(f"{program} {name}: broken off before the start"):
+        called: Callable[..., Any] = getattr(import_module(command.module), command.function)
     status = called([*command.first, *rest])
     return status if isinstance(status, int) else FINE
 

@@ -12,7 +12,6 @@ lock                               held by the campaign that uses the folder
 import contextlib
 import fcntl
 import hashlib
-import os
 import shutil
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -21,6 +20,8 @@ from typing import Any, Literal
 import msgspec
 from msgspec import Struct, structs
 
+from foundation.records.whole_file import write_whole
+from harness.records.run_folder import NAME_ANOTHER, listed, names_in
 from harness.scenario.scenario import Scenario
 
 FAILED: Literal["failed"] = "failed"
@@ -94,16 +95,24 @@ def failed(task: Task, reason: str) -> Flown:
 
 
 class Store:
-    """Runs in a folder, which is created. Raises CampaignError if that fails."""
+    """Runs in a folder, which is created. Raises CampaignError if that fails, or if it has other content."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.flying = folder / "flying"
         self._runs = folder / "runs"
         try:
+            names = names_in(folder)
+            if names and self._runs.name not in names:
+                raise CampaignError(
+                    f"{folder.resolve()} holds {listed(names)}, and a campaign needs a folder of its own: "
+                    f"{NAME_ANOTHER}"
+                )
             self._runs.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise CampaignError(f"{folder}: cannot be a campaign's folder: {error.strerror}") from None
+            raise CampaignError(
+                f"{folder}: cannot be a campaign's folder: {error.strerror}; {NAME_ANOTHER}"
+            ) from None
 
     @contextlib.contextmanager
     def alone(self) -> Iterator[None]:
@@ -174,18 +183,3 @@ class Store:
     def series_path(self, digest: str, name: str) -> Path:
         """Return the path of a stored series."""
         return self._runs / f"{digest}.{name}.parquet"
-
-
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a file atomically: readers find the new or the old content."""
-    temporary = path.with_name(f".{path.name}")
-    try:
-        with temporary.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except OSError:
-        with contextlib.suppress(OSError):
-            temporary.unlink()  # frees space on a full disk
-        raise

@@ -15,9 +15,10 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 
+from foundation.records.whole_file import write_whole
 from harness.campaign.columns import kind_of
 from harness.campaign.definition import Campaign, Run
-from harness.campaign.store import TABLES, Flown, Store, write_whole
+from harness.campaign.store import TABLES, Flown, Store
 from harness.campaign.values import toml_text
 from harness.records.columns import describe
 

@@ -24,6 +24,7 @@ from harness.campaign.running import known, run
 from harness.campaign.store import FAILED, TABLES, CampaignError, ClusterError, Flown, Store
 from harness.campaign.values import toml_text
 from harness.campaign.worker import sources_state
+from harness.cli.out_option import out_folder
 from harness.launch import kernel_cache
 from harness.launch.interrupts import interruptible
 
@@ -41,7 +42,12 @@ class BrokenOff(Exception):
 def campaign(
     file: Annotated[Path, typer.Argument(help="TOML file of the campaign.", metavar="CAMPAIGN")],
     *,
-    out: Annotated[Path | None, typer.Option(help="Folder for runs and table; default runs/NAME.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for runs and table; default runs/NAME.", parser=out_folder, metavar="FOLDER"
+        ),
+    ] = None,
     workers: Annotated[
         int | None, typer.Option(help="Processes that fly; default one per processor.", min=1, max=1024)
     ] = None,

@@ -18,11 +18,13 @@ from rich.console import Console
 
 from foundation.exit_status import BAD_INPUT, FAILED, FINE, INTERRUPTED
 from harness.cli.keyboard import Keyboard
+from harness.cli.out_option import out_folder
 from harness.cli.progress import FlightDisplay, Stage, display_for, summary_table
 from harness.launch.interrupts import interruptible
-from harness.launch.processes import SetupError, SwarmError
+from harness.launch.processes import SetupError, SwarmError, describe
 from harness.launch.profiling import profile_table
 from harness.launch.swarm import Swarm
+from harness.records.run_folder import RunFolder
 from harness.scenario.scenario import ScenarioError
 from harness.scenario.scenario_file import load
 from harness.world.faults import MOST_TIME_S
@@ -53,6 +55,15 @@ def _speed(text: str) -> float | Literal["max"]:
     return factor
 
 
+def _port_offset(text: str) -> int | Literal["auto"]:
+    if text == "auto":
+        return "auto"
+    try:
+        return int(text)
+    except ValueError:
+        raise typer.BadParameter(f"{text!r}: expected a number, or 'auto'") from None
+
+
 @app.command()
 def fly(
     scenario: Annotated[
@@ -80,15 +91,25 @@ def fly(
         int | None, typer.Option(help="Number of UAVs: the first places of the formation.")
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for what comes out; default runs/NAME-DATE-TIME.")
+        Path | None,
+        typer.Option(
+            help="New or empty folder for what comes out; default runs/NAME-DATE-TIME.",
+            parser=out_folder,
+            metavar="FOLDER",
+        ),
     ] = None,
     settings: Annotated[
         list[str] | None,
         typer.Option("--set", help="Override a field of the scenario.", metavar="PATH=VALUE"),
     ] = None,
     port_offset: Annotated[
-        int, typer.Option(help="Added to every port, for a second swarm on one machine: 1000, 2000 ...")
-    ] = 0,
+        str | None,
+        typer.Option(
+            help="Added to every port, for a second swarm on one machine: 1000, 2000 ...; 'auto', the default"
+            " without --hold, is 0, or the first thousand with which all ports are free.",
+            metavar="auto|N",
+        ),
+    ] = None,
     one_process: Annotated[
         bool,
         typer.Option(
@@ -121,7 +142,6 @@ def fly(
             _check_one_process(waits=waits, profile=profile)
         factor = _speed(speed or ("1" if waits else "max"))
         display = display_for(messages, forms=plan.forms)
-        before = _files(out)
         if one_process:
             from harness.launch.one_process import OneProcessSwarm  # noqa: PLC0415  loads the physics, which prints a line
 
@@ -132,14 +152,14 @@ def fly(
                 speed=factor,
                 out=out,
                 ports="scenario",
-                port_offset=port_offset,
+                port_offset=_port_offset(port_offset or ("0" if waits else "auto")),
                 on_message=display.on_message,
                 profile_from_s=0.0 if profile else None,
             )
         endless = waits and duration is None
         broken_off = _fly(swarm, display, until_interrupted=endless)
         display.close()
-        _report(swarm, broken_off, messages, before=before, as_json=json, endless=endless)
+        _report(swarm, broken_off, messages, as_json=json, endless=endless)
     except BaseException as error:  # noqa: BLE001  every end has its status
         if display is not None:
             display.close()
@@ -186,7 +206,11 @@ def _fly(
     """Start, form, hold and stop. Returns what broke it off, if there are records all the same."""
     run = swarm.scenario.run
     display.note(f"{swarm.scenario.name}: {swarm.scenario.agents} UAVs, seed {run.seed}, into {swarm.path}")
-    swarm.start()
+    try:
+        swarm.start()
+    except KeyboardInterrupt:
+        line = "broken off during the start: no process is left, and nothing was written"
+        raise ExitFailure(INTERRUPTED, line) from None
     processes = "one process is" if len(swarm.pids) == 1 else f"{len(swarm.pids)} processes are"
     display.note(f"{processes} ready")
     holds, forms = swarm.scenario.onboard.hold, swarm.scenario.forms
@@ -222,13 +246,12 @@ def _report(
     broken_off: SwarmError | KeyboardInterrupt | None,
     messages: Console,
     *,
-    before: dict[str, int],
     as_json: bool,
     endless: bool,
 ) -> None:
     """Turn the records into results and show them; raises ``broken_off`` in the end.
 
-    ``before`` are the `_files` that its folder held before. Ctrl-C is how an ``endless`` hold ends.
+    Ctrl-C is how an ``endless`` hold ends. Raises ExitFailure without results.
     """
     interrupted = isinstance(broken_off, KeyboardInterrupt)
     messages.print("writing down what was flown" if interrupted else "computing patterns and figures")
@@ -236,10 +259,14 @@ def _report(
         summary = swarm.summary(
             draw=not interrupted, interrupted=interrupted and not endless, held=interrupted and endless
         )
+    except KeyboardInterrupt:
+        raise ExitFailure(INTERRUPTED, f"broken off: {_left(swarm.path)}") from None
     except Exception as error:  # the cause of the end has precedence
+        cause = describe(error) if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
+        line = f"the results cannot be written: {cause}; {_left(swarm.path)}, once they can be"
         if broken_off is None:
-            raise
-        messages.print(f"no summary: {error}")
+            raise ExitFailure(FAILED, line) from error
+        messages.print(line, soft_wrap=True)
     else:
         if as_json:
             sys.stdout.write(msgspec.json.format(msgspec.json.encode(summary), indent=2).decode() + "\n")
@@ -248,14 +275,26 @@ def _report(
             if swarm.profile:
                 step_us = swarm.scenario.run.step_us
                 Console(highlight=False).print(profile_table(swarm.profile, step_us=step_us))
-    written = [name for name, written_ns in _files(swarm.path).items() if before.get(name) != written_ns]
-    messages.print(f"written to {swarm.path}: {', '.join(written)}", soft_wrap=True)
+        messages.print(f"written to {swarm.path}: {', '.join(_written(swarm.path))}", soft_wrap=True)
     if isinstance(broken_off, SwarmError):
         raise broken_off
     if swarm.records_lost is not None:
         raise SwarmError(swarm.records_lost)
     if broken_off is not None and not endless:
-        raise broken_off
+        line = f"broken off: every process is stopped, the records are kept in {swarm.path}"
+        raise ExitFailure(INTERRUPTED, line)
+
+
+def _left(path: Path) -> str:
+    """Return what a run has whose results are not complete, and the command that completes them."""
+    folder = RunFolder(path)
+    if folder.manifest.exists():
+        return f"the tables are written, the figures are not: coflight report {path} --figures draws them"
+    megabytes = sum(raw.stat().st_size for raw in folder.raw.glob("*.bin")) / 1e6
+    return (
+        f"no table is written; {megabytes:.1f} MB of raw logs are kept in {folder.raw}: "
+        f"coflight report {path} makes the tables of them"
+    )
 
 
 def _failure(error: BaseException) -> ExitFailure:
@@ -269,16 +308,18 @@ def _failure(error: BaseException) -> ExitFailure:
             return ExitFailure(BAD_INPUT, error.format_message())
         case SwarmError():
             return ExitFailure(FAILED, str(error))
-        case KeyboardInterrupt():
-            return ExitFailure(INTERRUPTED, "broken off: every process is stopped, the records are kept")
+        case KeyboardInterrupt() | typer.Abort():
+            return ExitFailure(INTERRUPTED, "broken off before the start")
+        case OSError():
+            return ExitFailure(FAILED, describe(error))
         case _:
             return ExitFailure(FAILED, f"{type(error).__name__}: {error}".rstrip(": "))
 
 
-def _files(folder: Path) -> dict[str, int]:
-    """Files of a run that are in its folder, by name, figures last, and when each was written, ns."""
-    paths = [path for path in sorted(folder.glob("*")) if path.is_file()] + sorted(folder.glob("figures/*"))
-    return {path.relative_to(folder).as_posix(): path.stat().st_mtime_ns for path in paths}
+def _written(folder: Path) -> list[str]:
+    """Return the names of a run's files with content, figures last."""
+    paths = [*sorted(folder.glob("*")), *sorted(folder.glob("figures/*"))]
+    return [path.relative_to(folder).as_posix() for path in paths if path.is_file() and path.stat().st_size]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -1,6 +1,9 @@
 """``coflight report RUN``: the results of a run or campaign that has ended, and its figures drawn again.
 
-Exit status: 0 fine, 2 no such run or tables of another version, with one line on stderr, 130 interrupted.
+A run without tables, because its launcher was interrupted or killed, gets them.
+
+Exit status: 0 fine, 2 no such run or tables of another version, 130 interrupted by Ctrl-C, with one line on
+stderr.
 """
 
 import sys
@@ -13,13 +16,14 @@ import pyarrow.parquet as pq
 import typer
 from rich.console import Console
 
-from foundation.exit_status import BAD_INPUT, FINE
+from foundation.exit_status import BAD_INPUT, FINE, INTERRUPTED
 from harness.campaign.figures import draw_table
 from harness.campaign.store import TABLES
 from harness.cli.campaign import print_table
 from harness.cli.progress import summary_table
+from harness.launch.interrupts import interruptible
 from harness.records.run_folder import NotARun, RunFolder, read_scenario
-from harness.report.report import draw_again
+from harness.report.report import draw_again, finish_later
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -31,11 +35,14 @@ def report(
     figures: Annotated[bool, typer.Option("--figures", help="Draw the figures again.")] = False,
     json: Annotated[bool, typer.Option("--json", help="The summary alone on stdout.")] = False,
 ) -> None:
-    """Show what came out of a run or campaign."""
+    """Show what came out of a run or campaign; make the tables of a run that was interrupted before that."""
     if (run / TABLES[0]).exists():
         _report_campaign(run, figures=figures, json=json)
         return
-    folder = RunFolder(run)
+    folder, messages = RunFolder(run), Console(stderr=True, highlight=False)
+    if not folder.manifest.exists() and folder.outcome.exists():
+        finish_later(folder)
+        messages.print(f"tables made of {folder.raw}", soft_wrap=True)
     scenario = read_scenario(folder)
     summary = _summary(folder)
     if figures:
@@ -44,7 +51,7 @@ def report(
             drawn = draw_again(folder, scenario, formed_us=formed_us)
         except (KeyError, ValueError):
             raise NotARun(f"{folder.path}: its tables are not of the scenario in its manifest") from None
-        Console(stderr=True, highlight=False).print(f"drawn into {folder.figures}: {', '.join(drawn)}")
+        messages.print(f"drawn into {folder.figures}: {', '.join(drawn)}")
     if json:
         sys.stdout.write(folder.summary.read_text(encoding="utf-8"))
     else:
@@ -72,7 +79,11 @@ def _summary(folder: RunFolder) -> dict[str, Any]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     try:
-        status = app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False)
+        with interruptible():
+            status = app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False)
+    except (KeyboardInterrupt, typer.Abort):
+        sys.stderr.write("coflight: broken off: the same command starts again\n")
+        return INTERRUPTED
     except typer.TyperException as error:
         return _refuse(error.format_message())
     except NotARun as error:

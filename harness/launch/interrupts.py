@@ -32,6 +32,28 @@ def interruptible() -> Iterator[None]:
             signal.signal(number, handler)
 
 
+@contextlib.contextmanager
+def exiting_at_once(line: str) -> Iterator[None]:
+    """Exit this process with status 130 and a line on stderr on Ctrl-C in the block, which only imports.
+
+    An exception would be one of the module that is being imported, some of which convert it to another. Has
+    no effect in threads other than the main one.
+    """
+
+    def leave(_number: int, _frame: FrameType | None) -> None:
+        os.write(2, f"{line}\n".encode())
+        os._exit(128 + signal.SIGINT)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, leave)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def _interrupt(number: int, frame: FrameType | None) -> None:
     if number == signal.SIGHUP:
         _mute_closed_terminal()

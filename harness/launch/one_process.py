@@ -48,7 +48,7 @@ from harness.launch.processes import (
 )
 from harness.launch.supervisor import Exited, Supervisor
 from harness.launch.swarm import Speed, Swarm
-from harness.records.run_folder import PhysicsConfig, RunFolder
+from harness.records.run_folder import PhysicsConfig
 from harness.scenario.scenario import Scenario
 from harness.simulator.emulator_client import EmulatorClient
 from harness.simulator.in_process_links import InProcessEmulatorLine, InProcessLink, InProcessRadio
@@ -187,7 +187,13 @@ class _ThreadSupervisor(Supervisor):
         if self._flight is not None:
             self._flight.kill(name)
 
-    def end(self, names: Iterable[str], *, grace_s: float = 0.0) -> list[str]:
+    def end(
+        self,
+        names: Iterable[str],
+        *,
+        grace_s: float = 0.0,
+        input_grace_s: float = 0.0,  # noqa: ARG002  it has no stdin
+    ) -> list[str]:
         """End the flight if `PHYSICS` is among the names; returns a line if it does not end in time."""
         if PHYSICS not in names or self._thread is None:
             return []
@@ -195,7 +201,7 @@ class _ThreadSupervisor(Supervisor):
         self._thread.join(grace_s or STOP_LIMIT_S)
         return ["the flight did not stop when asked"] if self._thread.is_alive() else []
 
-    def stop(self) -> list[str]:
+    def stop(self, *, input_grace_s: float = 0.0) -> list[str]:  # noqa: ARG002  it has no stdin
         """End the flight for good."""
         return self.end([PHYSICS])
 
@@ -214,7 +220,7 @@ class _Processes(Processes):
         use_kernel_cache()
         kernel_cache.prepare(self._note, self._on_compiled)
         self._wall_start_s = time.monotonic()
-        folder = RunFolder.create(self._folder.path)
+        folder = self._folder
         radio = _read(folder.write_radio_config(scenario, run_id=RUN_ID), ServerConfig)
         physics = _read(folder.write_physics_config(scenario, run_id=RUN_ID), PhysicsConfig)
         paths = [
@@ -235,10 +241,10 @@ class _Processes(Processes):
         except SwarmError as error:
             raise error from self._child.error
 
-    def stop(self) -> None:
+    def stop(self, *, at_once: bool = False) -> None:
         """See `Processes.stop`; undoes the freeze of the garbage collector."""
         running = self._running
-        super().stop()
+        super().stop(at_once=at_once)
         if running:
             gc.unfreeze()
 

@@ -17,13 +17,13 @@ import psutil
 from msgspec import Struct
 
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Warned
-from harness.launch import cpu_affinity, kernel_cache, px4
+from harness.launch import cpu_affinity, kernel_cache, ports, px4
 from harness.launch.cpu_affinity import CpuAffinity
 from harness.launch.interrupts import interrupts_deferred
 from harness.launch.px4 import Px4Error
-from harness.launch.resources import HAS_NAMED_SOCKETS, ResourceError, allow_descriptors, bind, bind_local
+from harness.launch.resources import HAS_NAMED_SOCKETS, ResourceError, allow_descriptors, bind_local
 from harness.launch.supervisor import ChildMessage, Exited, Supervisor, SupervisorError
-from harness.records.run_folder import RunFolder
+from harness.records.run_folder import FolderRefused, RunFolder
 from harness.scenario.scenario import Scenario
 from harness.simulator.messages import AnyCommand, AnyEvent, Formed, Paused, Progress, SetPid, VehicleLost
 
@@ -68,6 +68,11 @@ class SwarmTimeoutError(SwarmError):
     """A condition was not met in time."""
 
 
+def describe(error: OSError) -> str:
+    """Return one line of an error of the system: the file, if it has one, and the cause."""
+    return f"{error.filename}: {error.strerror}" if error.filename else error.strerror or str(error)
+
+
 def uav(instance: int) -> str:
     """Return the name of a vehicle's process."""
     return f"uav {instance}"
@@ -94,6 +99,7 @@ class Processes:
 
     ``wall_limit_s`` limits the run's wall time from `start` on, without the compilation of kernels;
     ``on_message`` receives every message that is taken from the queue, on the caller's thread.
+    ``search_ports``: raise all ports if some are in use.
     """
 
     def __init__(
@@ -103,8 +109,10 @@ class Processes:
         *,
         wall_limit_s: float | None,
         on_message: Callable[[Message], None] | None,
+        search_ports: bool = False,
     ) -> None:
         self._scenario = scenario
+        self._search_ports = search_ports
         self._folder = folder
         self._wall_limit_s = wall_limit_s
         self._wall_start_s = time.monotonic()
@@ -142,6 +150,11 @@ class Processes:
         return Supervisor(self._folder.logs, environment=_ENVIRONMENT | kernel_cache.environment())
 
     @property
+    def scenario(self) -> Scenario:
+        """The scenario, after the start with the ports that are used."""
+        return self._scenario
+
+    @property
     def pids(self) -> dict[str, int]:
         """Process ids by name."""
         return self._supervisor.pids
@@ -165,19 +178,21 @@ class Processes:
         ]
 
     def start(self) -> None:
-        """Start every process and wait until all are ready. The caller stops them if this fails.
+        """Create the folder, start every process and wait until all are ready.
+
+        If this fails, the caller stops them, and discards the folder if no process has failed.
 
         Raises SetupError for a port, a folder or file descriptors that are not available, and SwarmError for
         a process that fails.
         """
         try:
             self._running = True
+            self._folder.create()  # first: an error after the kernels are compiled would be late
             self._start()
-        except (ResourceError, Px4Error) as error:
+        except (ResourceError, FolderRefused, Px4Error) as error:
             raise SetupError(str(error)) from None
         except OSError as error:
-            line = f"{error.filename}: {error.strerror}" if error.filename else str(error)
-            raise SetupError(line) from None
+            raise SetupError(describe(error)) from None
         except (SupervisorError, kernel_cache.CompileError) as error:
             raise SwarmError(str(error)) from None
 
@@ -198,22 +213,15 @@ class Processes:
             self._note(str(error))
 
     def _start(self) -> None:
-        scenario, host, run_id = self._scenario, self._scenario.ports.host, uuid.uuid4().hex[:16]
-        vehicles = range(scenario.agents)
+        run_id, vehicles = uuid.uuid4().hex[:16], range(self._scenario.agents)
         allow_descriptors(len((PHYSICS, RADIO, PREFORK)) + len(vehicles) + len(self._px4))
-        self._check_ports()
-        self._kernels = kernel_cache.prepare_flight(self._note, self._on_compiled)
-        self._wall_start_s = time.monotonic()
         with contextlib.ExitStack() as sockets:
-            base = scenario.ports.simulator_tcp
-            listeners = [
-                sockets.enter_context(bind(socket.SOCK_STREAM, host, base + i if base else 0))
-                for i in vehicles
-            ]
+            scenario, listeners = self._claim_ports(sockets)
+            self._kernels = kernel_cache.prepare_flight(self._note, self._on_compiled)
+            self._wall_start_s = time.monotonic()
             simulator_ports = [listener.getsockname()[1] for listener in listeners]
             self._ports.update(simulator_ports)
             own_name = self._own_link_name(run_id)
-            RunFolder.create(self._folder.path)
             if self._has_prefork:  # starts first: it takes longest and needs no other process
                 self._supervisor.start_forker(
                     PREFORK, python_module("autopilot.process.prefork_server", "--supervised")
@@ -292,17 +300,20 @@ class Processes:
         self._ports.add(int(endpoint.rpartition(":")[2]))
         return endpoint
 
-    def _check_ports(self) -> None:
-        """Check that all ports are free before anything starts; processes report later conflicts."""
-        ports = self._scenario.ports
+    def _claim_ports(self, sockets: contextlib.ExitStack) -> tuple[Scenario, list[socket.socket]]:
+        """Return the scenario with free ports, and the simulator's listeners, which ``sockets`` closes."""
         px4.check_start(self._scenario)
-        for port in px4.application_ports(self._scenario):
-            bind(socket.SOCK_DGRAM, ports.host, port).close()
-        for base in (ports.gcs_local_udp, ports.companion_local_udp):
-            for i in range(self._scenario.agents if base else 0):
-                bind(socket.SOCK_DGRAM, self._scenario.links.host, base + i).close()
-        if ports.radio_tcp:
-            bind(socket.SOCK_STREAM, ports.host, ports.radio_tcp).close()
+        before = self._scenario.ports
+        self._scenario, listeners = ports.claim(self._scenario, search=self._search_ports)
+        for listener in listeners:
+            sockets.enter_context(listener)
+        used = self._scenario.ports
+        if used != before:
+            offset = max(used.numbers().values()) - max(before.numbers().values())
+            station = used.gcs_remote_udp
+            line = f"the ports are in use by another program, so all of this swarm are raised by {offset}"
+            self._note(f"{line}: a ground station receives on UDP {station}" if station else line)
+        return self._scenario, listeners
 
     def _await_ready(self, names: Sequence[str]) -> None:
         deadline_s = time.monotonic() + START_LIMIT_S
@@ -312,10 +323,11 @@ class Processes:
             if isinstance(message, Exited):
                 raise SwarmError(self._describe_end(message))
 
-    def stop(self) -> None:
+    def stop(self, *, at_once: bool = False) -> None:
         """End every process; harmless when repeated.
 
-        Ctrl-C takes effect afterwards. Takes about a minute of wall time if no process reacts.
+        Ctrl-C takes effect afterwards. Takes about a minute of wall time if no process reacts; ``at_once``,
+        before the flight, processes have no data to write and get no time for it.
         """
         if not self._running:
             return
@@ -327,6 +339,9 @@ class Processes:
             forced: list[str] = []
             # a vehicle ends when its simulator disconnects; the radio ends after its users
             vehicles = [*map(uav, range(self._scenario.agents)), *map(application, self._px4)]
+            if at_once:
+                self._supervisor.stop(input_grace_s=0.0)  # one that still starts does not read its stdin
+                return
             for names in ([PHYSICS], vehicles, [RADIO, PREFORK]):
                 forced += self._supervisor.end(names, grace_s=STOP_LIMIT_S)
             self.forced = (*forced, *self._supervisor.stop())

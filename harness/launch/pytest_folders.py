@@ -1,7 +1,8 @@
 """Folders of the runs of tests: one for each swarm, named after its test, claimed while the test runs.
 
 A test has the same folders in every session, so a kept one is replaced when the test runs again. A locked
-file in a folder keeps others from it: other swarms of the test, sessions, and workers of pytest-xdist.
+file, of the same name in ``.claims``, keeps others from it: other swarms of the test, sessions, and workers
+of pytest-xdist.
 """
 
 import contextlib
@@ -14,31 +15,31 @@ import shutil
 from pathlib import Path
 from typing import NamedTuple
 
-_CLAIM = ".claim"
+_CLAIMS = ".claims"
 _GIT_IGNORE = "# Created by coflight.\n*\n"
 _LONGEST_NAME = 80
 
 
 class RunPlace(NamedTuple):
-    """An empty folder for one run, claimed until it is kept or removed."""
+    """A free path for the folder of one run, claimed until it is kept or removed."""
 
     path: Path
     claim_fd: int
 
     @property
     def is_empty(self) -> bool:
-        """Whether it holds no run, or the test has removed it."""
-        return not self.path.exists() or {path.name for path in self.path.iterdir()} <= {_CLAIM}
+        """Whether no run was started in it, or the test has removed it."""
+        return not self.path.exists()
 
     def keep(self) -> None:
         """Release the folder with its content."""
-        (self.path / _CLAIM).unlink(missing_ok=True)
+        _claim_file(self.path).unlink(missing_ok=True)
         os.close(self.claim_fd)
 
     def remove(self) -> None:
         """Remove the folder as far as possible."""
         shutil.rmtree(self.path, ignore_errors=True)
-        os.close(self.claim_fd)
+        self.keep()
 
 
 def name_of(nodeid: str) -> str:
@@ -49,7 +50,7 @@ def name_of(nodeid: str) -> str:
 
 
 def claim(out: Path, nodeid: str) -> RunPlace:
-    """Return an empty folder in ``out`` for a swarm of the test. Raises OSError.
+    """Return a free path in ``out`` for a swarm of the test. Raises OSError.
 
     The first swarm of a test also removes what earlier sessions have kept of it.
     """
@@ -66,11 +67,8 @@ def claim(out: Path, nodeid: str) -> RunPlace:
             for other in sorted(out.glob(f"{name}-*")):
                 if (other_fd := _claimed(other)) is not None:
                     RunPlace(other, other_fd).remove()
-        for content in path.iterdir():
-            if content.is_dir() and not content.is_symlink():
-                shutil.rmtree(content)
-            elif content.name != _CLAIM:
-                content.unlink()
+        if path.exists():
+            shutil.rmtree(path)
         return RunPlace(path, claim_fd)
     raise AssertionError
 
@@ -79,21 +77,27 @@ def tidy(out: Path) -> None:
     """Remove the folder if `claim` has created it and nothing was kept."""
     ignored = out / ".gitignore"
     with contextlib.suppress(OSError):
+        (out / _CLAIMS).rmdir()
         if list(out.iterdir()) == [ignored] and ignored.read_text(encoding="utf-8") == _GIT_IGNORE:
             ignored.unlink()
             out.rmdir()
 
 
+def _claim_file(path: Path) -> Path:
+    return path.parent / _CLAIMS / path.name
+
+
 def _claimed(path: Path) -> int | None:
-    """Create and lock the folder; returns the descriptor of the lock, None if the folder is in use."""
-    path.mkdir(parents=True, exist_ok=True)
+    """Claim the folder; returns the descriptor of the lock, None if the folder is in use."""
+    claim = _claim_file(path)
+    claim.parent.mkdir(exist_ok=True)
     try:
-        claim_fd = os.open(path / _CLAIM, os.O_RDWR | os.O_CREAT, 0o644)
-    except FileNotFoundError:  # just removed by the swarm that used it
+        claim_fd = os.open(claim, os.O_RDWR | os.O_CREAT, 0o644)
+    except FileNotFoundError:  # `tidy` of another session
         return None
     with contextlib.suppress(BlockingIOError, FileNotFoundError):
         fcntl.flock(claim_fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        if os.path.samestat(os.fstat(claim_fd), (path / _CLAIM).stat()):
+        if os.path.samestat(os.fstat(claim_fd), claim.stat()):
             return claim_fd
     os.close(claim_fd)
     return None

@@ -3,6 +3,7 @@
 An I/O module. Memory and processors are not limited.
 """
 
+import errno
 import os
 import resource
 import socket
@@ -19,6 +20,11 @@ DESCRIPTORS_BESIDE = 64
 
 class ResourceError(Exception):
     """A resource is not available; the text is one line and names it."""
+
+    def __init__(self, line: str, *, in_use: bool = False) -> None:
+        super().__init__(line)
+        self.in_use = in_use
+        """Whether it is an address that another socket has."""
 
 
 def bind(kind: socket.SocketKind, host: str, port: int) -> socket.socket:
@@ -37,7 +43,10 @@ def bind(kind: socket.SocketKind, host: str, port: int) -> socket.socket:
     except OSError as error:
         sock.close()
         protocol = "TCP" if kind == socket.SOCK_STREAM else "UDP"
-        raise ResourceError(f"{protocol} port {port} on {host}: {os.strerror(error.errno or 0)}") from None
+        raise ResourceError(
+            f"{protocol} port {port} on {host}: {os.strerror(error.errno or 0)}",
+            in_use=error.errno == errno.EADDRINUSE,
+        ) from None
     return sock
 
 

@@ -334,11 +334,13 @@ class Supervisor:
         if not child.gone.wait(KILL_GRACE_S):
             raise SupervisorError(f"{child} does not end on SIGKILL")
 
-    def end(self, names: Iterable[str], *, grace_s: float = 0.0) -> list[str]:
+    def end(
+        self, names: Iterable[str], *, grace_s: float = 0.0, input_grace_s: float = INPUT_GRACE_S
+    ) -> list[str]:
         """End these children in parallel, and return a line for each that had to be forced.
 
         They receive `Stop` and have ``grace_s`` to write their data; then their stdin is closed, and SIGTERM
-        and SIGKILL follow, after `INPUT_GRACE_S` and `TERM_GRACE_S`. Children stopped by SIGSTOP are
+        and SIGKILL follow, after ``input_grace_s`` and `TERM_GRACE_S`. Children stopped by SIGSTOP are
         continued.
         """
         with interrupts_deferred():
@@ -353,7 +355,7 @@ class Supervisor:
                 forced = [f"{child} did not stop when asked" for child in children if not child.gone.is_set()]
             for child in children:
                 child.end_input()
-            _wait_gone(children, INPUT_GRACE_S)
+            _wait_gone(children, input_grace_s)
             for number, limit_s in ((signal.SIGTERM, TERM_GRACE_S), (signal.SIGKILL, KILL_GRACE_S)):
                 late = [child for child in children if not child.gone.is_set()]
                 for child in late:
@@ -367,15 +369,15 @@ class Supervisor:
         for name in {name for child in children for name in (child.name, child.forker) if name}:
             self._children[name].signal(signal.SIGCONT)
 
-    def stop(self) -> list[str]:
-        """End all children and their descendants for good: none can be started afterwards.
+    def stop(self, *, input_grace_s: float = INPUT_GRACE_S) -> list[str]:
+        """End all children and their descendants for good, as `end`: none can be started afterwards.
 
         Returns a line for each process that had to be forced.
         """
         with interrupts_deferred():
             with self._lock:
                 self._stopping = True
-            forced = self.end(self._children) + self._end_strays()
+            forced = self.end(self._children, input_grace_s=input_grace_s) + self._end_strays()
             deadline = time.monotonic() + LAST_WORDS_S
             for child in self._children.values():
                 child.silent.wait(max(0.0, deadline - time.monotonic()))

@@ -25,6 +25,7 @@ from typing import Any, ClassVar, Literal, Self
 import msgspec
 
 from harness.launch import ground_links, profiling
+from harness.launch.interrupts import interrupts_deferred
 from harness.launch.processes import (
     Message,
     Processes,
@@ -33,11 +34,13 @@ from harness.launch.processes import (
     SetupError,
     SwarmError,
     SwarmTimeoutError,
+    describe,
     uav,
 )
 from harness.launch.truth import SwarmTruth
 from harness.records.run_folder import RunFolder
 from harness.records.versions import Checkout, checkout
+from harness.report import outcome
 from harness.scenario import localisability
 from harness.scenario.scenario import Scenario
 from harness.scenario.scenario_file import load
@@ -62,6 +65,7 @@ CUT_DB = 200.0
 
 Speed = float | Literal["max"]
 Ports = Literal["free", "scenario"]
+PortOffset = int | Literal["auto"]
 
 
 class Swarm:
@@ -70,10 +74,11 @@ class Swarm:
     ``scenario``: a file, changed by ``agents``, ``seed``, ``overrides`` (``"wind.mean_n=2"``); or a Scenario.
     ``speed``: simulated over wall time, or ``"max"``. ``out``: the run's folder; by default a temporary one,
     which is deleted with this object. ``ports``: ``"free"`` uses any free ports and sends to no ground
-    station; ``"scenario"`` uses the scenario's ports, each plus ``port_offset``. ``wall_limit_s``: run
-    methods raise SwarmTimeoutError after this wall time since the start, in which the compilation of kernels
-    does not count. ``on_message`` receives the messages of the processes and their ends, on the thread that
-    runs the swarm, and before the first a warning if ranging does not determine the formation's shape.
+    station; ``"scenario"`` uses the scenario's ports, each plus ``port_offset``, which ``"auto"`` chooses: 0,
+    or the first multiple of 1000 with which all ports are free. ``wall_limit_s``: run methods raise
+    SwarmTimeoutError after this wall time since the start, in which the compilation of kernels does not
+    count. ``on_message`` receives the messages of the processes and their ends, on the thread that runs the
+    swarm, and before the first a warning if ranging does not determine the formation's shape.
     ``profile_from_s``: simulated time from which the processes are profiled, for `profile`.
 
     Raises ScenarioError for an invalid scenario.
@@ -91,7 +96,7 @@ class Swarm:
         speed: Speed = "max",
         out: str | Path | None = None,
         ports: Ports = "free",
-        port_offset: int = 0,
+        port_offset: PortOffset = 0,
         wall_limit_s: float | None = None,
         on_message: Callable[[Message], None] | None = None,
         profile_from_s: float | None = None,
@@ -117,7 +122,11 @@ class Swarm:
         from_us = None if profile_from_s is None else max(round(profile_from_s * 1e6), 2 * step_us)
         self._folder = RunFolder(self.path, profile_from_us=from_us)
         self._processes = self._make_processes(
-            self.scenario, self._folder, wall_limit_s=wall_limit_s, on_message=on_message
+            self.scenario,
+            self._folder,
+            wall_limit_s=wall_limit_s,
+            on_message=on_message,
+            search_ports=port_offset == "auto",
         )
         self._on_message = on_message or (lambda _: None)
         self._truth: SwarmTruth | None = None
@@ -148,7 +157,8 @@ class Swarm:
 
         Simulated time is then that of the first step, ``run.step_us``: 0 would mean a clock that is not set.
 
-        Raises SetupError, or SwarmError if a process does not become ready; then all are stopped again.
+        Raises SetupError, or SwarmError if a process does not become ready; then all are stopped again. The
+        folder is kept only if a process has failed, for its log.
         """
         if self._started_utc:
             raise SwarmError("a swarm is started once")
@@ -158,12 +168,32 @@ class Swarm:
         self._checkout = checkout()
         try:
             self._processes.start()
+            self.scenario = self._processes.scenario
+            self._write_outcome_of_flying()
             self._run(RunUntil(time_us=0))  # no simulation: waits for the vehicles to connect
             self._wall_running_s = 0.0
         except BaseException as error:
             self._processes.failure = str(error) or type(error).__name__
-            self.stop()
+            with interrupts_deferred():
+                self._processes.stop(at_once=True)
+                if isinstance(error, SetupError) or not isinstance(error, SwarmError):
+                    self._folder.discard()
+                else:
+                    self._folder.release()
             raise
+
+    def _write_outcome_of_flying(self) -> None:
+        """Write what ``coflight report`` needs if this process is killed. Raises SetupError."""
+        flying = outcome.of_flying(
+            command=tuple(sys.argv),
+            speed=self._speed,
+            started_utc=self._started_utc,
+            checkout=self._checkout,
+        )
+        try:
+            outcome.write_outcome(self._folder, flying)
+        except OSError as error:
+            raise SetupError(describe(error)) from None
 
     def stop(self) -> None:
         """End every process; harmless when repeated. The records are kept for `summary`.
@@ -397,12 +427,23 @@ class Swarm:
         if self._summary is not None:
             return self._summary
         self.stop()
+        ended = self._outcome(interrupted=interrupted, held=held)
+        with interrupts_deferred(), contextlib.suppress(OSError):  # on a full disk that of the start is kept
+            outcome.write_outcome(self._folder, ended)
         from harness.report import report  # noqa: PLC0415  the analysis is slow to import: not before the flight
 
-        processes = self._processes
-        ended_by_user = interrupted or held
-        if not ended_by_user:
-            processes.prepare_report()
+        try:
+            if not interrupted and not held:
+                self._processes.prepare_report()
+            with self._folder.held():
+                self._summary = report.finish(self._folder, self.scenario, ended, draw=draw)
+        finally:
+            self._folder.release()  # also for ``coflight report``, after an error
+        return self._summary
+
+    def _outcome(self, *, interrupted: bool, held: bool) -> outcome.RunOutcome:
+        """Return how the flight ended."""
+        processes, ended_by_user = self._processes, interrupted or held
         lost = processes.records_lost
         if ended_by_user and lost is None:
             status = "interrupted" if interrupted else "held"
@@ -416,7 +457,7 @@ class Swarm:
             nondeterminism.append("it was interrupted by its user" if interrupted else "its user ended it")
         elif self._broken_off is not None:
             nondeterminism.append(self._broken_off)
-        outcome = report.RunOutcome(
+        return outcome.RunOutcome(
             status=status,
             reason=None if status == "held" else "; ".join(dict.fromkeys(filter(None, reasons))) or None,
             command=tuple(sys.argv),
@@ -427,7 +468,7 @@ class Swarm:
             simulated_us=processes.finished.get("physics", {}).get("time_us", processes.simulated_us),
             formed_us=processes.formed_us,
             processes=tuple(
-                report.ProcessRecord(
+                outcome.ProcessRecord(
                     name=name,
                     pid=exited.pid,
                     ending=exited.describe(),
@@ -440,8 +481,6 @@ class Swarm:
             nondeterminism=tuple(nondeterminism),
             profile=self.profile,
         )
-        self._summary = report.finish(self._folder, self.scenario, outcome, draw=draw)
-        return self._summary
 
 
 def _factor(speed: Speed) -> float:
@@ -453,11 +492,13 @@ def _factor(speed: Speed) -> float:
     return float(speed)
 
 
-def _with_ports(scenario: Scenario, ports: Ports, offset: int) -> Scenario:
-    """Return the scenario with free ports, or with its own plus the offset. Raises SetupError."""
+def _with_ports(scenario: Scenario, ports: Ports, offset: PortOffset) -> Scenario:
+    """Return the scenario with free ports, or with its own plus a number. Raises SetupError."""
+    if ports == "scenario" and offset == "auto":
+        return scenario
     try:
         own = scenario.ports
-        changed = own.raised(offset, scenario.agents) if ports == "scenario" else own.free()
+        changed = own.raised(int(offset), scenario.agents) if ports == "scenario" else own.free()
     except ValueError as error:
         raise SetupError(str(error)) from None
     return msgspec.structs.replace(scenario, ports=changed)

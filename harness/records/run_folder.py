@@ -9,10 +9,17 @@ gains.parquet antenna.nec patterns.nc         antenna: gains over time, median i
 figures/*.png *.pdf                           figures, each in both formats
 logs/*.log  config/*.json                     the processes' messages, their settings
 uav-0.params uav-0.ulg ...                    parameters that a ground station saved, ULog
-raw/                                          binary logs during the run
+raw/                                          binary logs, and how the flight ended, until the tables exist
 """
 
+import contextlib
+import fcntl
+import os
+import shutil
+import weakref
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Self
 
 import msgspec
 from msgspec import Struct
@@ -36,6 +43,15 @@ class PhysicsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Simulated time from which the process profiles itself; None: never."""
 
 
+LISTED = 3
+"""Entries of a folder that an error message names."""
+NAME_ANOTHER = "name a new or an empty one with --out (in Python, out=)"
+
+
+class FolderRefused(Exception):
+    """The path cannot be the folder of a new run; the text is one line that says why."""
+
+
 class RunFolder:
     """Paths of a run below ``path``; `create` makes the folders.
 
@@ -45,6 +61,12 @@ class RunFolder:
     def __init__(self, path: Path, *, profile_from_us: int | None = None) -> None:
         self.path = path
         self._profile_from_us = profile_from_us
+        self._is_new = False
+        """Whether `create` has made this run."""
+        self._made: list[Path] = []
+        """Folders that `create` has made, the innermost first."""
+        self._release: Callable[[], object] | None = None
+        """Unlocks the raw logs, if this object holds them."""
         self.raw, self.config, self.logs, self.figures = (
             path / name for name in ("raw", "config", "logs", "figures")
         )
@@ -55,23 +77,90 @@ class RunFolder:
         self.gains, self.deck = path / "gains.parquet", path / "antenna.nec"
         self.patterns = path / "patterns.nc"
         self.raw_truth, self.raw_air = self.raw / "truth.bin", self.raw / "air.bin"
+        self.outcome = self.raw / "outcome.json"
         self.capture = path / "radio.pcapng"
         self.receptions, self.raw_receptions = path / "receptions.parquet", self.raw / "receptions.bin"
         self.dissector = path / beacon_dissector.FILE_NAME
         self.raw_frames, self.raw_sessions = self.raw / "frames.bin", self.raw / "sessions.bin"
 
-    @classmethod
-    def create(cls, path: Path) -> "RunFolder":
-        """Create the folder; raises FileExistsError if it contains a run, or another OSError."""
-        folder = cls(path)
-        if path.exists() and not path.is_dir():
-            raise NotADirectoryError(f"{path} is a file, and a run needs a folder")
-        path.mkdir(parents=True, exist_ok=True)
-        if folder.config.exists():
-            raise FileExistsError(f"{path} holds a run already")
-        for part in (folder.raw, folder.config, folder.logs, folder.figures):
-            part.mkdir(parents=True, exist_ok=True)
-        return folder
+    def create(self) -> Self:
+        """Make the folders of a new run and hold it; returns this object.
+
+        Raises FolderRefused, before anything is written, unless the path is free or an empty folder.
+        """
+        try:
+            names = names_in(self.path)
+            if names:
+                content = "a run already" if self.config.name in names else listed(names)
+                raise FolderRefused(
+                    f"{self.path.resolve()} holds {content}, and a run needs a folder of its own: "
+                    f"{NAME_ANOTHER}"
+                )
+            self._made = [each for each in (self.path, *self.path.parents) if not each.exists()]
+            self._is_new = True
+            for part in (self.raw, self.config, self.logs, self.figures):
+                part.mkdir(parents=True)
+        except OSError as error:
+            raise FolderRefused(
+                f"{self.path}: cannot be the folder of a run: {error.strerror}; {NAME_ANOTHER}"
+            ) from None
+        self._hold()
+        return self
+
+    def discard(self) -> None:
+        """Delete what this object created, for a run whose flight has not begun."""
+        self.release()
+        if not self._is_new:
+            return
+        with contextlib.suppress(OSError):  # it could not be created
+            for path in list(self.path.iterdir()):  # all of the run: the folder was empty before
+                if path.is_dir():
+                    shutil.rmtree(path, ignore_errors=True)
+                else:
+                    path.unlink(missing_ok=True)
+        for path in self._made:
+            with contextlib.suppress(OSError):  # other runs may be in a parent meanwhile
+                path.rmdir()
+
+    def delete_tables(self) -> None:
+        """Delete tables and summary that are not complete, and are made of the raw logs again."""
+        radio = (self.radio, self.receptions, self.ftm, self.air)
+        for path in (self.flight, *radio, self.gains, self.deck, self.patterns, self.summary):
+            path.unlink(missing_ok=True)
+
+    @contextlib.contextmanager
+    def held(self) -> Iterator[None]:
+        """Hold the raw logs in the block, so that no other process deletes them. Raises NotARun."""
+        was_held = self._release is not None
+        if not was_held and not self._hold():
+            raise NotARun(
+                f"{self.path}: the run is in flight, or is held by the program that flew it; "
+                "report it when that program has ended"
+            )
+        try:
+            yield
+        finally:
+            if not was_held:
+                self.release()
+
+    def _hold(self) -> bool:
+        """Lock the raw logs until `release` or the end of the process; returns whether they were free."""
+        descriptor = os.open(self.raw, os.O_RDONLY)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(descriptor)
+            return False
+        except OSError:
+            pass  # a file system without locks
+        self._release = weakref.finalize(self, os.close, descriptor)
+        return True
+
+    def release(self) -> None:
+        """Unlock the raw logs; harmless when repeated."""
+        if self._release is not None:
+            self._release()
+            self._release = None
 
     def raw_vehicle(self, instance: int) -> Path:
         """Return the path of the binary log of one vehicle's estimates."""
@@ -143,23 +232,49 @@ class RunFolder:
         return path
 
 
+def names_in(folder: Path) -> list[str]:
+    """Return the sorted names in a folder; none if it does not exist. Raises OSError."""
+    try:
+        return sorted(path.name for path in folder.iterdir())
+    except FileNotFoundError:
+        return []
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return some names as text."""
+    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    return f"{', '.join(names[:LISTED])}{more}"
+
+
 class NotARun(Exception):
     """A folder does not hold a run that can be read; the text is one line that says why."""
 
 
-class _Manifest(msgspec.Struct, frozen=True, kw_only=True):
+class _Recorded(msgspec.Struct, frozen=True, kw_only=True):
     scenario: Scenario
 
 
 def read_scenario(folder: RunFolder) -> Scenario:
     """Return the scenario that a run flew, with all overrides. Raises NotARun."""
+    if not folder.manifest.exists() and folder.outcome.exists():
+        raise NotARun(
+            f"{folder.path}: its flight has no tables yet; coflight report {folder.path} makes them"
+        )
+    return _scenario_in(folder.manifest, f"{folder.path}: no run that has ended: it has no manifest.json")
+
+
+def read_raw_scenario(folder: RunFolder) -> Scenario:
+    """Return the scenario of a run that has raw logs, as `read_scenario`."""
+    path = folder.config / "physics.json"
+    return _scenario_in(path, f"{folder.path}: no run: it has no config/physics.json")
+
+
+def _scenario_in(path: Path, missing: str) -> Scenario:
     try:
-        content = folder.manifest.read_bytes()
+        return msgspec.json.decode(path.read_bytes(), type=_Recorded).scenario
     except (FileNotFoundError, NotADirectoryError):
-        raise NotARun(f"{folder.path}: no run that has ended: it has no manifest.json") from None
-    try:
-        return msgspec.json.decode(content, type=_Manifest).scenario
+        raise NotARun(missing) from None
     except msgspec.ValidationError as error:
-        raise NotARun(f"{folder.manifest}: of another version: {explain(error, {})}") from None
+        raise NotARun(f"{path}: of another version: {explain(error, {})}") from None
     except msgspec.DecodeError as error:
-        raise NotARun(f"{folder.manifest}: not JSON: {error}") from None
+        raise NotARun(f"{path}: not JSON: {error}") from None

@@ -14,64 +14,28 @@ import numpy as np
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from matplotlib.figure import Figure
-from msgspec import Struct
 from numpy.typing import NDArray
 
 from antenna.analysis.gain_figures import gain_density_figure, patterns_figure
 from foundation.records.record_log import read
-from harness.launch.profiling import KindProfile
+from foundation.records.whole_file import write_whole
 from harness.records.flight import Flight
-from harness.records.run_folder import RunFolder
+from harness.records.run_folder import RunFolder, read_raw_scenario
 from harness.records.tables import flight_of, read_flight, write_tables
-from harness.records.versions import DISTRIBUTIONS, Checkout, versions
+from harness.records.versions import DISTRIBUTIONS, versions
 from harness.report import antenna_report, figures
 from harness.report.antenna_report import Aperture
 from harness.report.flown_array import figure_patterns
 from harness.report.formation_error import FormationError, formation_error
+from harness.report.outcome import RunOutcome, read_outcome
 from harness.scenario.scenario import Scenario
+from harness.simulator.messages import Formed
 from harness.simulator.motion_start import flown_start_us, since_start_s
-from harness.simulator.truth_record import AIR_RECORD
+from harness.simulator.truth_record import AIR_RECORD, TRUTH_RECORD
 from netsim.emulator.log_layout import FRAME_LOG, SESSION_LOG
 
 LOGS = ("events.jsonl", "flight.parquet", "radio.parquet", "ftm.parquet", "air.parquet")
 """Files that a seed determines byte for byte, in their order in ``log_sha256``."""
-
-
-class ProcessRecord(Struct, frozen=True, kw_only=True):
-    """One process of the run, for the manifest."""
-
-    name: str
-    pid: int
-    ending: str
-    details: dict[str, Any] = {}
-    """Details of its last event."""
-
-
-class RunOutcome(Struct, frozen=True, kw_only=True):
-    """Data of a run from its launcher."""
-
-    status: str
-    """``completed``, ``not_formed``, ``failed``, ``interrupted``, or ``held``: a hold that its user ended."""
-    reason: str | None = None
-    command: tuple[str, ...]
-    speed: float
-    """Requested speed, simulated over wall time; 0: as fast as possible."""
-    started_utc: str
-    checkout: Checkout | None = None
-    """State of coflight's checkout at the start"""
-    wall_s: float
-    """Wall time from the first step to the last."""
-    simulated_us: int
-    formed_us: int | None
-    processes: tuple[ProcessRecord, ...]
-    ground_messages: int = 0
-    """Messages received from ground stations and companions."""
-    interventions: tuple[str, ...] = ()
-    """Interventions of a program or user at exact simulated times; they do not affect determinism."""
-    nondeterminism: tuple[str, ...] = ()
-    """Causes that made this run depend on more than scenario and seed."""
-    profile: dict[str, KindProfile] = {}
-    """Profile by kind of process, if requested"""
 
 
 class Drawn(NamedTuple):
@@ -87,14 +51,39 @@ class Drawn(NamedTuple):
     ftm_error_m: NDArray[np.float64]
 
 
+class _Results(NamedTuple):
+    """What `finish` has computed."""
+
+    summary: dict[str, Any]
+    manifest: dict[str, Any]
+    drawn: Drawn
+
+
 def finish(
     folder: RunFolder, scenario: Scenario, outcome: RunOutcome, *, draw: bool = True
 ) -> dict[str, Any]:
-    """Write tables, summary, figures and manifest of a run whose processes have ended; returns the summary.
+    """Write tables, summary, manifest and figures of a run whose processes have ended; returns the summary.
 
-    Raises OSError if the folder cannot be written.
+    The raw logs are deleted once the manifest exists, before the figures are drawn. Until then no table is
+    left if an error or a signal ends it. Raises OSError if the folder cannot be written.
     """
+    try:
+        results = _write_tables(folder, scenario, outcome)
+        _write_json(folder.manifest, results.manifest)
+    except BaseException:
+        folder.delete_tables()
+        raise
+    delete_raw(folder)
+    if draw:
+        results.manifest["figures"] = _draw(folder, scenario, results.drawn)
+        _write_json(folder.manifest, results.manifest)
+    return results.summary
+
+
+def _write_tables(folder: RunFolder, scenario: Scenario, outcome: RunOutcome) -> _Results:
+    """Write tables and summary."""
     plan, start_us = scenario.plan(), flown_start_us(folder.events)
+    simulated_us = outcome.simulated_us or 0
     records = write_tables(folder, scenario, lambda time_us: plan.places(since_start_s(time_us, start_us)))
     sessions = read(folder.raw_sessions, SESSION_LOG)
     hashes = {name: _sha256(folder.path / name) for name in LOGS}
@@ -112,9 +101,9 @@ def finish(
         "status": outcome.status,
         "reason": outcome.reason,
         "agents": scenario.agents,
-        "simulated_s": outcome.simulated_us / 1e6,
-        "wall_s": round(outcome.wall_s, 3),
-        "real_time_factor": round(outcome.simulated_us / 1e6 / outcome.wall_s, 3) if outcome.wall_s else None,
+        "simulated_s": simulated_us / 1e6,
+        "wall_s": None if outcome.wall_s is None else round(outcome.wall_s, 3),
+        "real_time_factor": round(simulated_us / 1e6 / outcome.wall_s, 3) if outcome.wall_s else None,
         "formed_s": None if outcome.formed_us is None else outcome.formed_us / 1e6,
         "moves_s": None if start_us is None else start_us / 1e6,
         "formation_s": float(window.time_us[-1] - window.time_us[0]) / 1e6 if len(window) else 0.0,
@@ -133,12 +122,43 @@ def finish(
     drawn = Drawn(
         whole, window, error, antenna, _occupancy(air["time_us"], air["busy_ns"]), _ftm_error_m(sessions)
     )
-    written = _draw(folder, scenario, drawn) if draw else []
-    _write_json(folder.manifest, _manifest(scenario, outcome, hashes, written, antenna))
-    for raw in sorted(folder.raw.glob("*.bin")):
-        raw.unlink()
+    return _Results(summary, _manifest(scenario, outcome, hashes, [], antenna), drawn)
+
+
+def finish_later(folder: RunFolder) -> dict[str, Any]:
+    """Write tables, summary and manifest of a run whose launcher did not; returns the summary.
+
+    If its launcher was killed, the flight ends with its raw logs. Raises NotARun, also for a run in flight,
+    and OSError.
+    """
+    scenario, outcome = read_raw_scenario(folder), read_outcome(folder)
+    with folder.held():
+        outcome = read_outcome(folder)  # what the launcher wrote in the end, if it has just ended
+        if outcome.simulated_us is None:
+            formed_us, truth = _formed_us(folder), read(folder.raw_truth, TRUTH_RECORD)
+            times_us = (*truth["time_us"][-1:].tolist(), formed_us or 0)  # events are written earlier
+            outcome = msgspec.structs.replace(outcome, simulated_us=max(times_us), formed_us=formed_us)
+        return finish(folder, scenario, outcome, draw=False)
+
+
+def delete_raw(folder: RunFolder) -> None:
+    """Delete the raw logs of a run that has tables."""
+    for raw in (*folder.raw.glob("*.bin"), folder.outcome):
+        raw.unlink(missing_ok=True)
     folder.raw.rmdir()
-    return summary
+
+
+def _formed_us(folder: RunFolder) -> int | None:
+    """Return when the formation was reached, from the run's events."""
+    for line in _whole_lines(folder.events):
+        if b'"event":"formed"' in line:
+            return msgspec.json.decode(line, type=Formed).time_us
+    return None
+
+
+def _whole_lines(events: Path) -> list[bytes]:
+    """Return the events, without a last line that was cut off."""
+    return events.read_bytes().split(b"\n")[:-1]
 
 
 def draw_again(folder: RunFolder, scenario: Scenario, *, formed_us: int | None) -> list[str]:
@@ -191,7 +211,7 @@ def _formation(error: FormationError | None) -> dict[str, float | None]:
 
 def _losses(folder: RunFolder) -> dict[int, str]:
     """Return reason and time of the losses of vehicles, by instance."""
-    events = map(msgspec.json.decode, folder.events.read_bytes().splitlines())
+    events = map(msgspec.json.decode, _whole_lines(folder.events))
     return {
         event["instance"]: f"{event['reason']}, t = {event['time_us'] * 1e-6:.2f} s"
         for event in events
@@ -279,7 +299,7 @@ def _round(value: float | None) -> float | None:
 
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:
-    path.write_bytes(msgspec.json.format(msgspec.json.encode(content), indent=2) + b"\n")
+    write_whole(path, msgspec.json.format(msgspec.json.encode(content), indent=2) + b"\n")
 
 
 def _draw(folder: RunFolder, scenario: Scenario, drawn: Drawn) -> list[str]:

@@ -134,7 +134,7 @@ RESULTS = (
     Result("antenna pattern", _keys(PatternReport)),
     Result("antenna statistics", _keys(StatisticsReport)),
     Result("antenna benchmark", _keys(Benchmark)),
-    Result("campaign", ("runs", "flown", "completed", "not_formed", "failed", "parquet", "csv")),
+    Result("campaign", ("runs", "flown", "completed", "not_formed", "failed", "parquet", "csv", "figures")),
     Result("campaign --dry-run", ("runs", "to_be_flown"), ("`runs` is a list",)),
     Result("bench", _keys(FlightBench)),
     *(

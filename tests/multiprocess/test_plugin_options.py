@@ -74,7 +74,7 @@ def test_a_failed_test_keeps_its_run_names_it_and_shows_its_events(
         ]
     )
     assert "extra_attenuation_db" in (folder / "logs" / "physics.log").read_text()
-    assert not (folder / ".claim").exists()
+    assert not (folder.parent / ".claims").exists()
     assert "*" in (pytester.path / ".coflight" / ".gitignore").read_text().splitlines()
 
 

@@ -3,7 +3,9 @@
 import fcntl
 import json
 import os
+import re
 import signal
+import socket
 import subprocess
 import sys
 import termios
@@ -13,6 +15,9 @@ from pathlib import Path
 import psutil
 import pytest
 from paths import SUPPORT
+
+from harness.launch.processes import STOP_LIMIT_S
+from harness.launch.resources import bind
 
 pytestmark = pytest.mark.multiprocess
 
@@ -27,7 +32,7 @@ SUMMARY = """{
     "pids": [process.pid for process in outcome.processes], "speed": outcome.speed,
 }"""
 LAUNCHER = f"""
-import sys, types
+import shutil, sys, types
 import harness.launch.processes
 from harness.cli.fly import main
 
@@ -35,13 +40,12 @@ def python_module(module, *arguments):
     return [sys.executable, {str(SUPPORT / "supervisor_stand_ins.py")!r}, module, *arguments]
 
 def finish(folder, scenario, outcome, *, draw=True):
+    shutil.rmtree(folder.raw)
     return {SUMMARY}
 
 harness.launch.processes.python_module = python_module
 # the analysis needs records of a real flight, and seconds to import
-record = types.SimpleNamespace
-report = types.SimpleNamespace(finish=finish, RunOutcome=record, ProcessRecord=record)
-sys.modules["harness.report.report"] = report
+sys.modules["harness.report.report"] = types.SimpleNamespace(finish=finish)
 sys.exit(main())
 """
 
@@ -82,16 +86,46 @@ def test_completed_run(folder: Path) -> None:
     assert "written to run:" in launched.stderr
 
 
-def test_list_of_written_files_excludes_older_files(folder: Path) -> None:
-    (folder / "run" / "figures").mkdir(parents=True)
-    for name in ("notes.txt", "figures/mine.png", "summary.json"):
-        (folder / "run" / name).touch()
-    code = LAUNCHER.replace("    return {", "    folder.summary.write_text('{}')\n    return {")
+def test_list_of_written_files_has_no_empty_ones(folder: Path) -> None:
+    content = "folder.summary.write_text('{}'); folder.flight.touch()"
+    code = LAUNCHER.replace("    return {", f"    {content}\n    return {{")
     launched = subprocess.run(
         [sys.executable, "-c", code, "fine.toml", "--duration", "0.5", "--out", "run"],
         cwd=folder, capture_output=True, text=True, timeout=WALL_LIMIT_S, check=False,
     )  # fmt: skip
     assert launched.stderr.splitlines()[-1] == "written to run: summary.json"
+
+
+def test_folder_with_other_files_is_refused_before_anything_is_written(folder: Path) -> None:
+    before = sorted(folder.iterdir())
+    launched = launch(folder, "fine.toml", "--out", ".")
+    assert launched.returncode == 2
+    last_line = launched.stderr.splitlines()[-1]
+    assert last_line.startswith(
+        f"coflight: {folder} holds fine.toml, interrupted.toml, never-formed.toml and 2"
+    )
+    assert "--out" in last_line
+    assert sorted(folder.iterdir()) == before
+
+
+def test_port_in_use_raises_all_ports_unless_an_offset_is_given(folder: Path) -> None:
+    with bind(socket.SOCK_STREAM, "127.0.0.1", 0) as holder:
+        port = holder.getsockname()[1]
+        text = (folder / "fine.toml").read_text().replace("simulator_tcp = 0", f"simulator_tcp = {port}")
+        (folder / "fine.toml").write_text(text)
+        launched = launch(folder, "fine.toml", "--duration", "0.5", "--out", "run")
+        assert launched.returncode == 0
+        (line,) = [line for line in launched.stderr.splitlines() if "in use" in line]
+        offset = int(line.rpartition("raised by ")[2])
+        physics = json.loads((folder / "run" / "config" / "physics.json").read_text())
+        assert physics["scenario"]["ports"]["simulator_tcp"] == port + offset
+        for options in (["--port-offset", "0"], ["--hold"]):
+            launched = launch(folder, "fine.toml", *options, "--out", "refused")
+            assert launched.returncode == 2
+            last_line = launched.stderr.splitlines()[-1]
+            assert last_line.startswith(f"coflight: TCP port {port} on 127.0.0.1: Address already in use")
+            assert "--port-offset auto" in last_line
+            assert not (folder / "refused").exists()
 
 
 @pytest.mark.parametrize("place", ["a-file", "a-file/below"])
@@ -100,7 +134,8 @@ def test_file_in_place_of_the_folder_is_reported(folder: Path, place: str) -> No
     launched = launch(folder, "fine.toml", "--out", place)
     assert launched.returncode == 2
     last_line = launched.stderr.splitlines()[-1]
-    assert last_line.startswith("coflight: a-file")
+    assert last_line.startswith(f"coflight: {place}: ")
+    assert "--out" in last_line
     assert "Errno" not in last_line
     assert "raw" not in last_line
 
@@ -159,9 +194,10 @@ def test_too_few_file_descriptors_are_reported_before_the_start(folder: Path) ->
 def test_ctrl_c_stops_all_processes_and_keeps_the_records(folder: Path) -> None:
     launched = launch(folder, "interrupted.toml", "--json", "--duration", "1e6")
     assert launched.returncode == 130
-    assert (
-        launched.stderr.splitlines()[-1]
-        == "coflight: broken off: every process is stopped, the records are kept"
+    last_line = launched.stderr.splitlines()[-1]
+    (run,) = (folder / "runs").iterdir()
+    assert last_line == (
+        f"coflight: broken off: every process is stopped, the records are kept in runs/{run.name}"
     )
     summary = json.loads(launched.stdout)
     assert summary["status"] == "interrupted"
@@ -228,7 +264,7 @@ def test_closed_terminal_ends_and_reports_the_run(folder: Path) -> None:
     ("number", "children_at"),
     [(signal.SIGINT, 1), (signal.SIGINT, 3), (signal.SIGTERM, 2), (signal.SIGKILL, 1), (signal.SIGKILL, 4)],
 )
-def test_signal_during_the_start_leaves_no_process(
+def test_signal_during_the_start_leaves_no_process_and_no_folder(
     folder: Path, number: signal.Signals, children_at: int
 ) -> None:
     command = [sys.executable, "-c", LAUNCHER, "fine.toml", "--duration", "1e6"]
@@ -239,7 +275,28 @@ def test_signal_during_the_start_leaves_no_process(
             assert time.monotonic() < deadline_s
             children |= {child.pid: child for child in psutil.Process(launcher.pid).children(recursive=True)}
         launcher.send_signal(number)
-        launcher.communicate(timeout=WALL_LIMIT_S)
+        _, errors = launcher.communicate(timeout=WALL_LIMIT_S)
+        if number != signal.SIGKILL:
+            assert errors.decode().splitlines()[1:] == [
+                "coflight: broken off during the start: no process is left, and nothing was written"
+            ]
+            assert not (folder / "runs").exists()
         assert launcher.returncode == (-signal.SIGKILL if number == signal.SIGKILL else 130)
     # after SIGKILL the children end by themselves
     assert psutil.wait_procs(children.values(), timeout=WALL_LIMIT_S)[1] == []
+
+
+def test_ctrl_c_does_not_wait_for_processes_that_still_start(folder: Path) -> None:
+    deaf = '[sys.executable, "-c", "import time; time.sleep(600)"]  # as one that imports, it reads no stdin'
+    code = re.sub(r"return \[sys.executable.*", f"return {deaf}", LAUNCHER)
+    command = [sys.executable, "-c", code, "fine.toml"]
+    with subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE) as launcher:
+        process, wall_deadline_s = psutil.Process(launcher.pid), time.monotonic() + WALL_LIMIT_S
+        while len(process.children()) < 2:
+            assert time.monotonic() < wall_deadline_s
+        children, wall_begin_s = process.children(), time.monotonic()
+        launcher.send_signal(signal.SIGINT)
+        launcher.communicate(timeout=WALL_LIMIT_S)
+        assert launcher.returncode == 130
+        assert time.monotonic() - wall_begin_s < STOP_LIMIT_S / 2.0
+    assert psutil.wait_procs(children, timeout=WALL_LIMIT_S)[1] == []

@@ -230,7 +230,7 @@ def test_port_in_use_is_reported_before_the_start() -> None:
             radio_tcp=0,
         )
         swarm = Swarm(Scenario(name="fine", agents=1, ports=ports), ports="scenario")
-        with pytest.raises(SetupError, match=rf"^TCP port {port} on 127\.0\.0\.1: Address already in use$"):
+        with pytest.raises(SetupError, match=rf"^TCP port {port} on 127\.0\.0\.1: Address already in use; "):
             swarm.start()
         assert swarm.pids == {}
 

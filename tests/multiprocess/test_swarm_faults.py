@@ -1,10 +1,8 @@
 """Real swarms with stopped processes, a cut channel, ground stations, and the launcher's command line."""
 
-import contextlib
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -16,9 +14,7 @@ import pytest
 from paths import ROOT
 from pymavlink import mavutil  # noqa: TID251  the client that the tests are about
 
-from harness.launch.resources import ResourceError, bind
 from harness.launch.swarm import SwarmError, SwarmTimeoutError
-from harness.scenario.scenario_file import load
 from harness.simulator.messages import VehicleLost, VehicleSilent
 
 pytestmark = pytest.mark.multiprocess
@@ -235,29 +231,6 @@ def finish(launched):
     return out
 
 
-def free_offsets(count, vehicles):
-    """Return ``count`` port offsets for which the standard ports of ``vehicles`` vehicles are free."""
-    ports = load(ARTICLE_PATH).ports
-    bases = [(socket.SOCK_STREAM, base) for base in (ports.simulator_tcp, ports.radio_tcp)]
-    bases += [
-        (socket.SOCK_DGRAM, base)
-        for base in (ports.gcs_remote_udp, ports.companion_local_udp, ports.gcs_local_udp)
-    ]
-    offsets = []
-    for offset in range(10_000, 40_000, 100):
-        with contextlib.ExitStack() as stack:
-            try:
-                for kind, base in bases:
-                    for port in range(base + offset, base + offset + vehicles):
-                        stack.enter_context(bind(kind, ports.host, port))
-            except ResourceError:
-                continue
-        offsets.append(offset)
-        if len(offsets) == count:
-            return offsets
-    pytest.fail("no free ports")
-
-
 def test_launcher_prints_the_summary_alone(tmp_path):
     ports = [
         f"--set=ports.{name}=0"
@@ -267,12 +240,11 @@ def test_launcher_prints_the_summary_alone(tmp_path):
     assert out == (tmp_path / "run" / "summary.json").read_text()
 
 
-def test_two_launchers_with_different_ports_are_independent(tmp_path):
-    offsets = free_offsets(2, vehicles=2)
-    launched = [
-        launch(tmp_path / str(offset), "--agents=2", "--duration=2", f"--port-offset={offset}")
-        for offset in offsets
-    ]
+def test_two_launchers_at_once_fly_on_different_ports(tmp_path):
+    launched = [launch(tmp_path / name, "--agents=2", "--duration=2") for name in ("one", "other")]
     summaries = [json.loads(finish(each)) for each in launched]
     assert summaries[0]["log_sha256"] == summaries[1]["log_sha256"]
     assert all(summary["deterministic"] and summary["agents"] == 2 for summary in summaries)
+    manifests = [json.loads((tmp_path / name / "manifest.json").read_text()) for name in ("one", "other")]
+    first, second = (manifest["scenario"]["ports"]["simulator_tcp"] for manifest in manifests)
+    assert first != second

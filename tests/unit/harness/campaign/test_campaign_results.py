@@ -18,11 +18,12 @@ from paths import ROOT, SCENARIOS
 
 from antenna.solvers.interface import BackendUnavailable
 from foundation import exit_status
+from foundation.records.whole_file import write_whole
 from harness.campaign import Campaign, CampaignError, load, running, sources
 from harness.campaign.definition import expand
 from harness.campaign.flights import fly_task
 from harness.campaign.running import known
-from harness.campaign.store import FAILED, Flown, Store, Task, write_whole
+from harness.campaign.store import FAILED, Flown, Store, Task
 from harness.campaign.table import make_rows, write_table
 from harness.campaign.worker import _MEASURED_BY, sources_state
 from harness.cli import campaign as cli
@@ -151,6 +152,13 @@ def test_a_folder_has_one_campaign_at_a_time_which_cleans_up_after_a_killed_one(
         Store(tmp_path / "file")
 
 
+def test_folder_with_other_content_is_refused_and_stays_as_it_is(tmp_path):
+    (tmp_path / "notes.txt").touch()
+    with pytest.raises(CampaignError, match=r"holds notes\.txt, and a campaign needs a folder.* --out"):
+        Store(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
 def complete_campaign(tmp_path):
     """Return the command of a complete campaign of two runs."""
     path = tmp_path / "two.toml"
@@ -173,7 +181,7 @@ def test_a_schedulers_address_is_checked_without_missing_runs(tmp_path, capfd):
     command = complete_campaign(tmp_path)
     for more in ([], ["--dry-run"]):
         assert cli.main([*command, "--scheduler", "bogus", *more]) == exit_status.BAD_INPUT
-        line = "campaign: bogus: expected the address of a dask scheduler, tcp://HOST:PORT\n"
+        line = "campaign: --scheduler bogus: expected the address of a dask scheduler, tcp://HOST:PORT\n"
         assert capfd.readouterr() == ("", line)
     with pytest.raises(CampaignError, match="bogus: expected the address"):
         running.run(campaign(), out=tmp_path / "other", scheduler="bogus")

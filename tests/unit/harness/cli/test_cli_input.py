@@ -28,7 +28,7 @@ def error_line(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> str:
 
 def test_missing_file_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     line = error_line(capsys, ["no/such.toml"])
-    assert line.startswith("no/such.toml: no such scenario file; scenarios by name: article, ")
+    assert line.startswith("no/such.toml: there is no such file; scenarios by name: article, ")
 
 
 @pytest.mark.parametrize(
@@ -46,6 +46,8 @@ def test_missing_file_is_named(capsys: pytest.CaptureFixture[str]) -> None:
         (["--speed", "inf"], ["'inf'", "'max'"]),
         (["--port-offset", "61000"], ["simulator_tcp", "61000"]),
         (["--port-offset", "-1"], ["offset of -1", "0 or more"]),
+        (["--port-offset", "many"], ["'many'", "'auto'"]),
+        (["--out", ""], ["--out", "empty"]),
         (["--hold", "--one-process"], ["--hold", "one process"]),
         (["--profile", "--one-process"], ["--profile", "one process"]),
         (["--no-such-option"], ["--no-such-option"]),

@@ -31,6 +31,7 @@ def test_swarms_of_one_test_have_different_folders(tmp_path):
     assert second.path.name == f"{name_of(NODEID)}-2"
     first.remove()
     second.remove()
+    tidy(tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -38,21 +39,23 @@ def test_a_kept_folder_is_replaced_when_its_test_runs_again(tmp_path):
     places = [claim(tmp_path, NODEID) for _ in range(3)]
     other = claim(tmp_path, "tests/test_swarm.py::test_other")
     for place in [*places, other]:
-        (place.path / "logs").mkdir()
+        (place.path / "logs").mkdir(parents=True)
         (place.path / "manifest.json").touch()
         place.keep()
         assert sorted(path.name for path in place.path.iterdir()) == ["logs", "manifest.json"]
     again = claim(tmp_path, NODEID)
     assert again.path == places[0].path
     assert again.is_empty
-    assert {path.name for path in tmp_path.iterdir()} == {again.path.name, other.path.name}
+    assert {path.name for path in tmp_path.iterdir()} - {".claims"} == {other.path.name}
     again.remove()
 
 
 def test_a_folder_in_use_is_left_to_its_swarm(tmp_path):
     theirs = tmp_path / f"{name_of(NODEID)}-2"  # of another session
     theirs.mkdir()
-    with (theirs / ".claim").open("w") as held:
+    claims = tmp_path / ".claims"
+    claims.mkdir()
+    with (claims / theirs.name).open("w") as held:
         fcntl.flock(held, fcntl.LOCK_EX)
         places = [claim(tmp_path, NODEID) for _ in range(2)]
         assert [place.path.name for place in places] == [name_of(NODEID), f"{name_of(NODEID)}-3"]
@@ -63,9 +66,12 @@ def test_a_folder_in_use_is_left_to_its_swarm(tmp_path):
 
 def test_a_folder_that_its_test_has_removed_is_empty(tmp_path):
     place = claim(tmp_path, NODEID)
+    place.path.mkdir()
+    assert not place.is_empty
     shutil.rmtree(place.path)
     assert place.is_empty
     place.keep()
+    tidy(tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -82,7 +88,7 @@ def test_an_own_folder_is_hidden_from_git_and_removed_with_its_last_run(tmp_path
     place = claim(out, NODEID)
     assert "*" in (out / ".gitignore").read_text().splitlines()
     tidy(out)
-    assert place.path.exists()
+    assert out.exists()
     place.remove()
     tidy(out)
     assert not out.exists()

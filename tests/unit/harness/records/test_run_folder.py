@@ -1,40 +1,79 @@
-"""Settings files of a run's processes, and what else a run's folder holds before the flight."""
+"""A run gets a folder of its own, holds it, and leaves none behind if its flight has not begun."""
 
-import msgspec
+from pathlib import Path
+
 import pytest
-from paths import SCENARIOS
 
-from harness.records.beacon_dissector import dissector
-from harness.records.run_folder import RunFolder
-from harness.scenario.scenario import ScenarioError
-from harness.scenario.scenario_file import load
-from netsim.model.config import ServerConfig
-
-ARTICLE = SCENARIOS / "article.toml"
+from harness.records.run_folder import FolderRefused, NotARun, RunFolder
 
 
-def radio_config(folder, *settings):
-    scenario = load(ARTICLE, ["run.epoch_utc=2030-05-06T07:08:09.5Z", *settings])
-    path = folder.write_radio_config(scenario, run_id="test")
-    return msgspec.json.decode(path.read_bytes(), type=ServerConfig)
+def tree(folder: Path) -> list[str]:
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
 
 
-@pytest.mark.parametrize("kind", ["true", "medium", "receivers"])
-def test_a_capture_has_the_epoch_of_the_scenario_and_a_dissector_beside_it(kind, tmp_path):
-    folder = RunFolder.create(tmp_path / "run")
-    config = radio_config(folder, f"radio.capture={kind}")
-    assert config.capture_path == str(tmp_path / "run" / "radio.pcapng")
-    assert config.epoch_unix_us == 1_904_281_689_500_000
-    assert (tmp_path / "run" / "coflight_beacon.lua").read_text() == dissector()
+@pytest.mark.parametrize(
+    ("names", "content"),
+    [
+        (["notes.txt"], "holds notes.txt, and"),
+        (["a", "b", "c", "d", "e"], "holds a, b, c and 2 more, and"),
+        (["config", "manifest.json"], "holds a run already, and"),
+    ],
+)
+def test_a_folder_with_content_is_refused_and_stays_as_it_is(
+    names: list[str], content: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in names:
+        (tmp_path / name).touch()
+    monkeypatch.chdir(tmp_path)
+    for path in (tmp_path, Path()):
+        folder = RunFolder(path)
+        with pytest.raises(FolderRefused) as refused:
+            folder.create()
+        assert f"{tmp_path} {content}" in str(refused.value)
+        assert "name a new or an empty one with --out" in str(refused.value)
+        folder.discard()
+        assert tree(tmp_path) == sorted(names)
 
 
-def test_a_run_without_a_capture_has_no_dissector(tmp_path):
-    folder = RunFolder.create(tmp_path / "run")
-    assert radio_config(folder).capture_path is None
-    assert radio_config(folder, "radio.capture=false").capture_path is None
-    assert not (tmp_path / "run" / "coflight_beacon.lua").exists()
+@pytest.mark.parametrize("place", ["file", "file/below", "n" * 300, f"new/{'n' * 300}"])
+def test_a_path_that_cannot_be_a_folder_is_refused_with_the_option(place: str, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    folder = RunFolder(tmp_path / place)
+    with pytest.raises(FolderRefused) as refused:
+        folder.create()
+    line = str(refused.value)
+    assert line.startswith(f"{tmp_path / place}: cannot be the folder of a run: ")
+    assert line.endswith("with --out (in Python, out=)")
+    assert "Errno" not in line
+    folder.discard()
+    assert tree(tmp_path) == ["file"]
 
 
-def test_another_kind_of_capture_is_refused_with_its_path():
-    with pytest.raises(ScenarioError, match=r"radio\.capture"):
-        load(ARTICLE, ["radio.capture=stations"])
+def test_a_discarded_run_leaves_what_was_there_before(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    for place in ("empty", "new/deeper/run"):
+        folder = RunFolder(tmp_path / place).create()
+        folder.raw_truth.touch()
+        folder.events.touch()
+        folder.discard()
+    assert tree(tmp_path) == ["empty"]
+
+
+def test_a_discarded_run_leaves_other_runs(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path / "runs" / "one").create()
+    RunFolder(tmp_path / "runs" / "other").create()
+    folder.discard()
+    assert [path.name for path in (tmp_path / "runs").iterdir()] == ["other"]
+
+
+def test_raw_logs_are_held_by_one_program_at_a_time(tmp_path: Path) -> None:
+    flying, reporting = RunFolder(tmp_path).create(), RunFolder(tmp_path)
+    with flying.held():
+        pass  # it still holds them afterwards
+    with pytest.raises(NotARun, match="in flight"), reporting.held():
+        pass
+    flying.release()
+    with reporting.held(), pytest.raises(NotARun), RunFolder(tmp_path).held():
+        pass
+    with RunFolder(tmp_path).held():
+        pass

@@ -10,7 +10,8 @@ from pymavlink.dialects.v20 import common
 from autopilot.mavlink.codec import stamp
 from autopilot.mavlink.components import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
 from harness.records.run_folder import PhysicsConfig, RunFolder
-from harness.report.report import RunOutcome, finish
+from harness.report.outcome import RunOutcome
+from harness.report.report import finish
 from harness.scenario.scenario_file import load
 from harness.simulator.actuator_inbox import ActuatorInbox
 from harness.simulator.messages import FormationMoves
@@ -96,7 +97,7 @@ class _Idle:
 @pytest.fixture
 def simulated(tmp_path):
     """Three vehicles on the ground below a formation that will fly east; the events; the run's folder."""
-    folder = RunFolder.create(tmp_path / "run")
+    folder = RunFolder(tmp_path / "run").create()
     config = msgspec.json.decode(
         folder.write_physics_config(SCENARIO, run_id="test").read_bytes(), type=PhysicsConfig
     )

@@ -56,7 +56,7 @@ class _Armed:
 
 @pytest.fixture
 def folder(tmp_path):
-    return RunFolder.create(tmp_path / "run")
+    return RunFolder(tmp_path / "run").create()
 
 
 def simulation_of(folder, make_lockstep, **parts):

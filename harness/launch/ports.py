@@ -1,0 +1,66 @@
+"""The ports of a run: bound or checked before its processes start, or named in an error.
+
+An I/O module.
+"""
+
+import contextlib
+import socket
+
+import msgspec
+
+from harness.launch import px4
+from harness.launch.resources import ResourceError, bind
+from harness.scenario.scenario import Scenario
+
+OFFSETS = range(1_000, 65_536, 1_000)
+"""Offsets that are tried, in this order, when ports are in use."""
+
+
+def claim(scenario: Scenario, *, search: bool) -> tuple[Scenario, list[socket.socket]]:
+    """Return the scenario with free ports, and the simulator's listener of each vehicle, to be closed.
+
+    With ``search``, all ports are raised by the first of `OFFSETS` with which they are free, if some are in
+    use; not those of PX4s, which have their own. The listeners keep other swarms from the same ports also
+    before the processes have bound theirs. Raises ResourceError.
+    """
+    try:
+        return scenario, _listen(scenario)
+    except ResourceError as error:
+        if not error.in_use or px4.instances(scenario):
+            raise
+        if not search:
+            raise ResourceError(
+                f"{error}; --port-offset 1000 raises every port of this swarm by 1000, --port-offset auto by "
+                "as much as needed (in Python, port_offset=)"
+            ) from None
+    for offset in OFFSETS:
+        try:
+            ports = scenario.ports.raised(offset, scenario.agents)
+        except ValueError:
+            break
+        raised = msgspec.structs.replace(scenario, ports=ports)
+        with contextlib.suppress(ResourceError):
+            return raised, _listen(raised)
+    raise ResourceError(
+        "ports are in use with every offset that is a multiple of 1000; set others in the scenario's [ports]"
+    )
+
+
+def _listen(scenario: Scenario) -> list[socket.socket]:
+    """Return the simulator's listeners if all other ports are free too. Raises ResourceError."""
+    ports, vehicles = scenario.ports, range(scenario.agents)
+    with contextlib.ExitStack() as stack:
+        base = ports.simulator_tcp
+        listeners = [
+            stack.enter_context(bind(socket.SOCK_STREAM, ports.host, base + i if base else 0))
+            for i in vehicles
+        ]
+        for port in px4.application_ports(scenario):
+            bind(socket.SOCK_DGRAM, ports.host, port).close()
+        for base in (ports.gcs_local_udp, ports.companion_local_udp):
+            for i in vehicles if base else ():
+                bind(socket.SOCK_DGRAM, scenario.links.host, base + i).close()
+        if ports.radio_tcp:
+            bind(socket.SOCK_STREAM, ports.host, ports.radio_tcp).close()
+        stack.pop_all()
+    return listeners

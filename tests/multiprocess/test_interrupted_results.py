@@ -1,0 +1,175 @@
+"""Signals and full disks before a run has its results: raw logs are kept, and its tables are made later.
+
+Every test flies two UAVs in one process for some seconds.
+"""
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from paths import SCENARIOS
+
+import harness.report.report as results
+from harness.cli import fly, report
+
+pytestmark = pytest.mark.multiprocess
+
+FLIGHT = (str(SCENARIOS / "article.toml"), "--one-process", "--agents=2", "--set=antenna.grid_deg=6")
+SMALL = ("--duration=1", "--set=onboard.enabled=false")
+"""Options of a flight of one second on the ground."""
+SIZE_KB = 300
+WALL_LIMIT_S = 120.0
+MEASURED = {"wall_s", "real_time_factor"}
+
+
+def summary_of(run: Path) -> dict[str, Any]:
+    summary = json.loads((run / "summary.json").read_text())
+    return {name: value for name, value in summary.items() if name not in MEASURED}
+
+
+def tables_of(run: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in run.glob("*.parquet")}
+
+
+def interrupt_at(name: str, patch: pytest.MonkeyPatch) -> None:
+    """Send this process a SIGINT when the report calls one of its functions, after the function's work."""
+    original = getattr(results, name)
+
+    def interrupted(*arguments: Any, **options: Any) -> Any:
+        original(*arguments, **options)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    patch.setattr(results, name, interrupted)
+
+
+def test_signal_while_tables_are_written_keeps_the_raw_logs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole, run = tmp_path / "whole", tmp_path / "run"
+    assert fly.main([*FLIGHT, *SMALL, "--out", str(whole)]) == fly.FINE
+    with monkeypatch.context() as patch:
+        interrupt_at("write_tables", patch)
+        assert fly.main([*FLIGHT, *SMALL, "--out", str(run)]) == fly.INTERRUPTED
+    last_line = capsys.readouterr().err.splitlines()[-1]
+    assert last_line.startswith("coflight: broken off: no table is written; 0.")
+    assert last_line.endswith(
+        f"raw logs are kept in {run}/raw: coflight report {run} makes the tables of them"
+    )
+    assert tables_of(run) == {}
+    assert report.main([str(run)]) == report.FINE
+    assert f"tables made of {run}/raw" in capsys.readouterr().err
+    assert (tables_of(run), summary_of(run)) == (tables_of(whole), summary_of(whole))
+    assert not (run / "raw").exists()
+    manifests = [json.loads((each / "manifest.json").read_text()) for each in (run, whole)]
+    for name in ("status", "processes", "deterministic", "logs_sha256"):
+        first, second = (manifest[name] for manifest in manifests)
+        assert first == second, name
+
+
+def test_signal_while_figures_are_drawn_keeps_the_tables(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    with monkeypatch.context() as patch:
+        interrupt_at("_draw", patch)
+        assert fly.main([*FLIGHT, *SMALL, "--out", str(run)]) == fly.INTERRUPTED
+    last_line = capsys.readouterr().err.splitlines()[-1]
+    assert last_line == (
+        "coflight: broken off: the tables are written, the figures are not: "
+        f"coflight report {run} --figures draws them"
+    )
+    assert report.main([str(run), "--figures"]) == report.FINE
+    assert "tracks.png" in capsys.readouterr().err
+
+
+def test_run_of_a_killed_launcher_gets_its_tables_when_it_has_ended(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    command = [sys.executable, "-m", "coflight", "fly", *FLIGHT, "--duration=1e5", "--out", str(run)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as launcher:
+        assert launcher.stderr is not None
+        assert any("formation reached" in line for line in launcher.stderr)
+        assert report.main([str(run)]) == report.BAD_INPUT  # it would delete what is being written
+        assert f"coflight: {run}: the run is in flight" in capsys.readouterr().err
+        launcher.kill()
+    assert not (run / "manifest.json").exists()
+    assert report.main([str(run), "--json"]) == report.FINE
+    summary = json.loads(capsys.readouterr().out)
+    assert (summary["status"], summary["wall_s"]) == ("interrupted", None)
+    assert "its launcher was killed" in summary["reason"]
+    assert summary["simulated_s"] >= summary["formed_s"] > 0.0
+    assert not summary["deterministic"]
+    assert len(summary["vehicles"]) == 2
+    assert report.main([str(run)]) == report.FINE  # as a table, with missing wall times
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """Mount a file system that a flight fills before its formation is reached."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={SIZE_KB}k", "tmpfs", str(disk)]
+    with contextlib.ExitStack() as stack:
+        try:
+            subprocess.run(mount, check=True, capture_output=True)
+        except (OSError, subprocess.CalledProcessError):
+            pytest.skip("no file system can be mounted here")
+        stack.callback(subprocess.run, ["umount", str(disk)], check=True)
+        yield disk
+
+
+def test_full_disk_in_flight_is_reported_with_what_is_kept(
+    small_disk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = small_disk / "run"
+    assert fly.main([*FLIGHT, "--duration=1e5", "--out", str(run)]) == fly.FAILED
+    *_, results_line, last_line = capsys.readouterr().err.splitlines()
+    assert "ended with status 1: OSError: [Errno 28] No space left on device" in last_line
+    assert results_line.startswith("the results cannot be written: ")
+    assert results_line.endswith(
+        f"kept in {run}/raw: coflight report {run} makes the tables of them, once they can be"
+    )
+    assert list(run.glob("*.parquet")) == []
+    moved = tmp_path / "moved"
+    shutil.copytree(run, moved)
+    assert report.main([str(moved), "--json"]) == report.FINE
+    summary = json.loads(capsys.readouterr().out)
+    assert "its disk was full" in summary["reason"]
+    assert summary["simulated_s"] > 1.0
+    assert (moved / "flight.parquet").stat().st_size
+
+
+def test_full_disk_after_the_flight_keeps_the_raw_logs(
+    small_disk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run, prepare = small_disk / "run", results.write_tables
+
+    def fill(*arguments: Any) -> Any:
+        with contextlib.suppress(OSError), (small_disk / "other").open("wb", buffering=0) as other:
+            while other.write(bytes(1_024)):
+                pass
+        return prepare(*arguments)
+
+    monkeypatch.setattr(results, "write_tables", fill)
+    assert fly.main([*FLIGHT, *SMALL, "--out", str(run)]) == fly.FAILED
+    streams = capsys.readouterr()
+    (line,) = [line for line in streams.err.splitlines() if line.startswith("coflight: ")]
+    assert line.startswith("coflight: the results cannot be written: ")
+    assert "No space left on device" in line
+    assert "written to" not in streams.err
+    assert list(run.glob("*.parquet")) == []
+    (small_disk / "other").unlink()
+    monkeypatch.undo()
+    moved = tmp_path / "moved"
+    shutil.copytree(run, moved)
+    assert report.main([str(moved)]) == report.FINE
+    assert summary_of(moved)["status"] == "completed"
