@@ -51,7 +51,7 @@ def _speed(text: str) -> float | Literal["max"]:
     except ValueError:
         factor = 0.0
     if not 0.0 < factor < float("inf"):
-        raise typer.BadParameter(f"{text!r}: expected a factor above 0, or 'max'")
+        raise typer.BadParameter(f"{text!r}: expected a factor above 0, or 'max'", param_hint="--speed")
     return factor
 
 
@@ -61,7 +61,9 @@ def _port_offset(text: str) -> int | Literal["auto"]:
     try:
         return int(text)
     except ValueError:
-        raise typer.BadParameter(f"{text!r}: expected a number, or 'auto'") from None
+        raise typer.BadParameter(
+            f"{text!r}: expected a number, or 'auto'", param_hint="--port-offset"
+        ) from None
 
 
 @app.command()
