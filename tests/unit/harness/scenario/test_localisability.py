@@ -18,6 +18,7 @@ from harness.scenario.scenario_file import load
 ADVISED = [
     *sorted((ROOT / "docs").rglob("*.md")),
     *(ROOT / "harness" / "launch" / name for name in ("swarm.py", "one_process.py", "pytest_plugin.py")),
+    ROOT / "README.md",
     ROOT / "coflight" / "__init__.py",
 ]
 COMMAND = re.compile(
