@@ -101,9 +101,8 @@ def test_folder_with_other_files_is_refused_before_anything_is_written(folder: P
     launched = launch(folder, "fine.toml", "--out", ".")
     assert launched.returncode == 2
     last_line = launched.stderr.splitlines()[-1]
-    assert last_line.startswith(
-        f"coflight: {folder} holds fine.toml, interrupted.toml, never-formed.toml and 2"
-    )
+    names = [path.name for path in before]
+    assert last_line.startswith(f"coflight: {folder} holds {', '.join(names[:3])} and {len(names) - 3} more")
     assert "--out" in last_line
     assert sorted(folder.iterdir()) == before
 
