@@ -25,6 +25,7 @@ from antenna.model.geometry import Array, ElementsTouch
 from antenna.solvers.interface import BackendUnavailable
 from antenna.solvers.parallel import WorkerError
 from foundation.exit_status import BAD_INPUT, FINE, INTERRUPTED
+from foundation.system_error import in_words
 
 DECK_LIMIT_BYTES = 1_000_000
 
@@ -273,7 +274,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except typer.TyperException as error:
         return _reject(error.format_message())
     except OSError as error:  # of a file
-        return _reject(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+        return _reject(in_words(error))
     except (BackendUnavailable, ElementsTouch, RuntimeError, WorkerError, subprocess.TimeoutExpired) as error:
         return _reject(" ".join(str(error).split()))
     except ValueError as error:  # invalid settings

@@ -76,7 +76,7 @@ def campaign(
         if dry_run:
             _print_plan(plan, out, retry=retry, json=json)
             return exit_status.FINE
-        messages = Console(stderr=True, highlight=False)
+        messages = Console(stderr=True, highlight=False, markup=False)
         runs, _, missing = _planned(plan, out, retry=retry)
         total = len({each.digest for each in runs})
         messages.print(f"{total} flights, {len(missing)} of them to be flown; into {out}", soft_wrap=True)

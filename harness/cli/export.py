@@ -18,6 +18,7 @@ from antenna.solvers.interface import BackendUnavailable
 from antenna.solvers.nec2c import Nec2cFailed
 from antenna.solvers.selection import make_backend
 from foundation.exit_status import BAD_INPUT, FINE
+from foundation.system_error import in_words
 from harness.records.run_folder import NotARun, RunFolder, read_scenario
 from harness.records.tables import read_flight
 from harness.records.wide import FORMATS, write_wide
@@ -126,7 +127,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (DeckRefused, FlightRefused, NotARun) as error:
         return _refuse(str(error))
     except OSError as error:
-        return _refuse(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+        return _refuse(in_words(error))
     return status if isinstance(status, int) else FINE
 
 

@@ -17,11 +17,12 @@ import typer
 from rich.console import Console
 
 from foundation.exit_status import BAD_INPUT, FAILED, FINE, INTERRUPTED
+from foundation.system_error import in_words
 from harness.cli.keyboard import Keyboard
 from harness.cli.out_option import out_folder
 from harness.cli.progress import FlightDisplay, Stage, display_for, summary_table
 from harness.launch.interrupts import interruptible
-from harness.launch.processes import SetupError, SwarmError, describe
+from harness.launch.processes import SetupError, SwarmError
 from harness.launch.profiling import profile_table
 from harness.launch.swarm import Swarm
 from harness.records.run_folder import RunFolder
@@ -127,7 +128,7 @@ def fly(
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
 ) -> None:
     """Fly a swarm, with its radio, and report what came out."""
-    messages = Console(stderr=True, highlight=False)
+    messages = Console(stderr=True, highlight=False, markup=False)
     named = {
         "run.duration_s": duration,
         "run.seed": seed,
@@ -264,7 +265,7 @@ def _report(
     except KeyboardInterrupt:
         raise ExitFailure(INTERRUPTED, f"broken off: {_left(swarm.path)}") from None
     except Exception as error:  # the cause of the end has precedence
-        cause = describe(error) if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
+        cause = in_words(error) if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
         line = f"the results cannot be written: {cause}; {_left(swarm.path)}, once they can be"
         if broken_off is None:
             raise ExitFailure(FAILED, line) from error
@@ -313,7 +314,7 @@ def _failure(error: BaseException) -> ExitFailure:
         case KeyboardInterrupt() | typer.Abort():
             return ExitFailure(INTERRUPTED, "broken off before the start")
         case OSError():
-            return ExitFailure(FAILED, describe(error))
+            return ExitFailure(FAILED, in_words(error))
         case _:
             return ExitFailure(FAILED, f"{type(error).__name__}: {error}".rstrip(": "))
 

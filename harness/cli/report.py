@@ -17,6 +17,7 @@ import typer
 from rich.console import Console
 
 from foundation.exit_status import BAD_INPUT, FINE, INTERRUPTED
+from foundation.system_error import in_words
 from harness.campaign.figures import draw_table
 from harness.campaign.store import TABLES
 from harness.cli.campaign import print_table
@@ -39,7 +40,7 @@ def report(
     if (run / TABLES[0]).exists():
         _report_campaign(run, figures=figures, json=json)
         return
-    folder, messages = RunFolder(run), Console(stderr=True, highlight=False)
+    folder, messages = RunFolder(run), Console(stderr=True, highlight=False, markup=False)
     if not folder.manifest.exists() and folder.outcome.exists():
         finish_later(folder)
         messages.print(f"tables made of {folder.raw}", soft_wrap=True)
@@ -89,7 +90,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except NotARun as error:
         return _refuse(str(error))
     except OSError as error:
-        return _refuse(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+        return _refuse(in_words(error))
     return status if isinstance(status, int) else FINE
 
 

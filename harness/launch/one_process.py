@@ -35,6 +35,7 @@ from numba.core.dispatcher import Dispatcher
 
 from autopilot.parameters.config import VehicleConfig
 from foundation.processes.child_protocol import Finished, Ready, Stop
+from foundation.system_error import in_words
 from harness.launch import kernel_cache
 from harness.launch.processes import (
     PHYSICS,
@@ -160,7 +161,12 @@ class _ThreadSupervisor(Supervisor):
                 self._flight.fly(self._inbox)
             code = 0
         except Exception as error:  # noqa: BLE001  logged, as a process logs its traceback
-            self.error, last_words = error, f"{type(error).__name__}: {error}".rstrip(": ")
+            self.error = error
+            last_words = (
+                in_words(error)
+                if isinstance(error, OSError)
+                else f"{type(error).__name__}: {error}".rstrip(": ")
+            )
             with contextlib.suppress(OSError):  # the disk may be full
                 self.log_path(NAME).write_text(traceback.format_exc(), encoding="utf-8")
         finally:  # always report the end

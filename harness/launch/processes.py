@@ -17,6 +17,7 @@ import psutil
 from msgspec import Struct
 
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Warned
+from foundation.system_error import in_words
 from harness.launch import cpu_affinity, kernel_cache, ports, px4
 from harness.launch.cpu_affinity import CpuAffinity
 from harness.launch.interrupts import interrupts_deferred
@@ -66,11 +67,6 @@ class SetupError(SwarmError):
 
 class SwarmTimeoutError(SwarmError):
     """A condition was not met in time."""
-
-
-def describe(error: OSError) -> str:
-    """Return one line of an error of the system: the file, if it has one, and the cause."""
-    return f"{error.filename}: {error.strerror}" if error.filename else error.strerror or str(error)
 
 
 def uav(instance: int) -> str:
@@ -192,7 +188,7 @@ class Processes:
         except (ResourceError, FolderRefused, Px4Error) as error:
             raise SetupError(str(error)) from None
         except OSError as error:
-            raise SetupError(describe(error)) from None
+            raise SetupError(in_words(error)) from None
         except (SupervisorError, kernel_cache.CompileError) as error:
             raise SwarmError(str(error)) from None
 

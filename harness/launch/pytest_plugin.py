@@ -182,7 +182,7 @@ def _compile(config: pytest.Config) -> str | None:
     from harness.launch import kernel_cache  # noqa: PLC0415
     from harness.launch.processes import Compiling  # noqa: PLC0415
 
-    display = LineDisplay(Console(file=_Terminal(config), highlight=False))
+    display = LineDisplay(Console(file=_Terminal(config), highlight=False, markup=False))
 
     def on_progress(packages: Mapping[str, "CompileProgress"]) -> None:
         display.on_message(Compiling(packages=packages))

@@ -24,6 +24,7 @@ from typing import Any, ClassVar, Literal, Self
 
 import msgspec
 
+from foundation.system_error import in_words
 from harness.launch import ground_links, profiling
 from harness.launch.interrupts import interrupts_deferred
 from harness.launch.processes import (
@@ -34,7 +35,6 @@ from harness.launch.processes import (
     SetupError,
     SwarmError,
     SwarmTimeoutError,
-    describe,
     uav,
 )
 from harness.launch.truth import SwarmTruth
@@ -193,7 +193,7 @@ class Swarm:
         try:
             outcome.write_outcome(self._folder, flying)
         except OSError as error:
-            raise SetupError(describe(error)) from None
+            raise SetupError(in_words(error)) from None
 
     def stop(self) -> None:
         """End every process; harmless when repeated. The records are kept for `summary`.

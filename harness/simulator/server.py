@@ -20,6 +20,7 @@ import msgspec
 
 from foundation.processes.child_protocol import Finished, Ready, Stop, commands, emit
 from foundation.profiling.profiler import profiled
+from foundation.system_error import in_words
 from harness.records.run_folder import PhysicsConfig
 from harness.simulator.emulator_client import EmulatorClient, RadioSilent
 from harness.simulator.lockstep import OWN, PX4, ConnectTimeout, Lockstep
@@ -334,7 +335,7 @@ def main() -> int:
         )
         serve(config, listeners, own_listener, clock, arguments.radio_endpoint)
     except (ConnectTimeout, RadioSilent, OSError, ValueError) as error:
-        print(f"physics: {error}", file=sys.stderr)
+        print(f"physics: {in_words(error) if isinstance(error, OSError) else error}", file=sys.stderr)
         return 2
     return 0
 

@@ -16,6 +16,7 @@ from rich.progress import track
 from rich.table import Table
 
 from foundation.exit_status import BAD_INPUT, FINE, INTERRUPTED
+from foundation.system_error import in_words
 from netsim.lab.broadcast import broadcast as run_broadcast
 from netsim.lab.ranging import MeshResult, range_mesh, range_pair
 from netsim.lab.saturation import UNLIMITED, saturate
@@ -291,7 +292,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except typer.TyperException as error:
         return _reject(error.format_message())
     except OSError as error:  # of a file, or of the transport, whose message is one line
-        return _reject(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+        return _reject(in_words(error))
     except ValueError as error:  # invalid settings
         return _reject(" ".join(str(error).split()))
     except KeyboardInterrupt:

@@ -72,7 +72,7 @@ def article(
     ] = None,
 ) -> None:
     """Fly the article's formation and compare each of its statements with the results."""
-    messages = Console(stderr=True, highlight=False)
+    messages = Console(stderr=True, highlight=False, markup=False)
     plan = QUICK if quick else ArticlePlan()
     plan = replace(plan, seeds=seeds or plan.seeds, duration_s=duration or plan.duration_s)
     stdout = keep_stdout()

@@ -51,7 +51,7 @@ def main(
     ] = False,
 ) -> None:
     """Measure the cost of flights, alternating with a floor: a minimal lockstep simulation in Python."""
-    messages = Console(stderr=True, highlight=False)
+    messages = Console(stderr=True, highlight=False, markup=False)
     try:
         plan = BenchPlan(
             agents=_numbers(agents or (QUICK_AGENTS if quick else AGENTS)),

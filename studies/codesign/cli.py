@@ -76,7 +76,7 @@ def codesign(
     ] = None,
 ) -> None:
     """Measure the effect of ranging over the radio on the formation error."""
-    messages = Console(stderr=True, highlight=False)
+    messages = Console(stderr=True, highlight=False, markup=False)
     names = chosen("experiment_codesign", only, GROUPS, messages)
     plan = QUICK if quick else CodesignPlan()
     plan = replace(plan, seeds=seeds or plan.seeds, duration_s=duration or plan.duration_s)

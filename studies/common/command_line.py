@@ -52,7 +52,7 @@ class Validation(Struct, Generic[P], frozen=True, kw_only=True):
 
     def run(self, plan: P, only: str, *, out: Path | None, json: bool) -> NoReturn:
         """Measure the subjects in ``--only``, report them and exit with the status of the checks."""
-        messages = Console(stderr=True, highlight=False)
+        messages = Console(stderr=True, highlight=False, markup=False)
         names = chosen(self.program, only, self.subjects, messages)
         if self.has_kernels:
             kernel_cache.prepare(messages.print)

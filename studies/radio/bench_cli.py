@@ -39,7 +39,7 @@ def bench_radio(
     json: JsonOption = False,  # noqa: FBT002
 ) -> None:
     """Measure the run time of the emulated radio, and its speed relative to a peer program."""
-    messages = Console(stderr=True, highlight=False)
+    messages = Console(stderr=True, highlight=False, markup=False)
     if rate_mbps not in MODES:
         messages.print(f"bench_radio: --rate-mbps {rate_mbps}: expected one of {', '.join(map(str, MODES))}")
         raise typer.Exit(BAD_INPUT)

@@ -22,7 +22,7 @@ def bench(
     json: JsonOption = False,  # noqa: FBT002
 ) -> None:
     """Replay a recorded flight to a vehicle and print the time of its steps in microseconds."""
-    messages = Console(stderr=True, highlight=False)
+    messages = Console(stderr=True, highlight=False, markup=False)
     kernel_cache.prepare(messages.print)
     stdout = keep_stdout()
     messages.print(f"recording and replaying a flight of {seconds:g} s")
