@@ -16,6 +16,7 @@ from msgspec.structs import replace
 from rich.console import Console
 
 from foundation import exit_status
+from foundation.system_error import in_words
 from harness.campaign import Campaign, CampaignError, ClusterError, Table, run
 from harness.campaign.definition import expand
 from harness.campaign.display import CampaignDisplay
@@ -99,7 +100,9 @@ def article(
 
 def _ending(error: Exception) -> tuple[int, str]:
     match error:
-        case ClusterError() | kernel_cache.CompileError() | OSError():
+        case OSError():
+            return exit_status.FAILED, in_words(error)
+        case ClusterError() | kernel_cache.CompileError():
             return exit_status.FAILED, str(error)
         case CampaignError():
             return exit_status.BAD_INPUT, str(error)

@@ -8,6 +8,7 @@ import typer
 from rich.console import Console
 
 from foundation.exit_status import BAD_INPUT, FAILED, INTERRUPTED
+from foundation.system_error import in_words
 from harness.launch.interrupts import interruptible
 from harness.launch.kernel_cache import CompileError
 from harness.scenario.scenario import ScenarioError
@@ -67,7 +68,9 @@ def main(
             found = bench(plan, lambda line: messages.print(line, soft_wrap=True))
     except (ScenarioError, ValueError) as error:
         _end(messages, BAD_INPUT, str(error))
-    except (BenchError, CompileError, OSError) as error:
+    except OSError as error:
+        _end(messages, FAILED, in_words(error))
+    except (BenchError, CompileError) as error:
         _end(messages, FAILED, str(error))
     except KeyboardInterrupt:
         _end(messages, INTERRUPTED, "interrupted")

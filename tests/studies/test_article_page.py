@@ -377,7 +377,7 @@ def test_json_is_one_object_with_all_verdicts(command, monkeypatch, results, tmp
     ("error", "status", "line"),
     [
         (CampaignError("no room"), exit_status.BAD_INPUT, "no room"),
-        (OSError(28, "No space left"), exit_status.FAILED, "[Errno 28] No space left"),
+        (OSError(28, "No space left"), exit_status.FAILED, "No space left on device"),
         (Nec2cFailed("nec2c: no\ngains"), exit_status.FAILED, "Nec2cFailed: nec2c: no"),
         (WorkerError("a worker died"), exit_status.FAILED, "WorkerError: a worker died"),
         (pa.ArrowInvalid("not Parquet"), exit_status.FAILED, "ArrowInvalid: not Parquet"),
