@@ -1,17 +1,15 @@
 """The swarms of one test: their start and end, their part of the report, their folders."""
 
 import contextlib
-import os
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from harness.cli.progress import describe
 from harness.launch import pytest_folders
 from harness.launch.pytest_settings import Settings
-
-if TYPE_CHECKING:
-    from harness.launch.swarm import Swarm
-    from harness.scenario.scenario import Scenario
+from harness.launch.swarm import SetupError, Swarm
+from harness.scenario.scenario import Scenario
 
 LOG_LINES, EVENT_LINES = 20, 12
 """Last lines that a report shows of each log, and of the events of each swarm."""
@@ -48,11 +46,9 @@ class Flights:
         """A line for each run folder without tables."""
 
     def start(
-        self, scenario: "str | Path | Scenario", *, processes: str | None, options: dict[str, Any]
-    ) -> "Swarm":
+        self, scenario: str | Path | Scenario, *, processes: str | None, options: dict[str, Any]
+    ) -> Swarm:
         """Start a swarm with options of its class. Raises as `Swarm` and its ``start``."""
-        from harness.launch.swarm import SetupError, Swarm  # noqa: PLC0415  slow to import, and most tests need no swarm
-
         if processes not in {None, "one", "many"}:
             raise SetupError(f"processes {processes!r}: expected one or many")
         kind: type[Swarm] = Swarm
@@ -99,9 +95,7 @@ class Flights:
             found += [(f"log of {name}{which}", tail) for name, tail in tails.items() if tail]
         return found
 
-    def _described(self, swarm: "Swarm", path: Path | None) -> str:
-        from harness.cli.progress import describe  # noqa: PLC0415  see `start`
-
+    def _described(self, swarm: Swarm, path: Path | None) -> str:
         lines = [] if path is None else [f"run folder: {self.shown(path)}"]
         try:
             events = [line for event in swarm.events if (line := describe(event)) is not None]
@@ -139,18 +133,11 @@ class Flights:
 
     def shown(self, path: Path) -> str:
         """Return the path for a user: relative if it is below the working folder."""
-        return shown(path, self._invocation_dir)
-
-
-def shown(path: Path, base: Path) -> str:
-    """Return a path relative to ``base`` if it is below it."""
-    return os.fspath(path.relative_to(base) if path.is_relative_to(base) else path)
+        return pytest_folders.shown(path, self._invocation_dir)
 
 
 def _remove_unusable(options: dict[str, Any]) -> None:
     """Remove the options that only a swarm of many processes has. Raises SetupError for one in use."""
-    from harness.launch.swarm import SetupError  # noqa: PLC0415  see `Flights.start`
-
     if options.pop("ports", "free") != "free" or options.pop("port_offset", 0):
         raise SetupError(f"ports: a swarm of one process opens no port for connections from outside; {MANY}")
     if options.pop("profile_from_s", None) is not None:

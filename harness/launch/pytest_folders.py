@@ -73,6 +73,11 @@ def claim(out: Path, nodeid: str) -> RunPlace:
     raise AssertionError
 
 
+def shown(path: Path, base: Path) -> str:
+    """Return a path relative to ``base`` if it is below it."""
+    return os.fspath(path.relative_to(base) if path.is_relative_to(base) else path)
+
+
 def tidy(out: Path) -> None:
     """Remove the folder if `claim` has created it and nothing was kept."""
     ignored = out / ".gitignore"

@@ -13,11 +13,8 @@ each swarm, with tables; its report names the folder and shows the last events a
 Options of the command line and of ini files are in the tutorial "A test of your own".
 """
 
-import contextlib
-import io
 import os
-import sys
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,12 +22,11 @@ import pytest
 
 from foundation.kernels import cache_folder
 from harness.launch import pytest_folders, pytest_settings
-from harness.launch.pytest_flights import Flights, shown
 from harness.launch.pytest_settings import Settings
 from harness.scenario import packaged
 
 if TYPE_CHECKING:
-    from harness.launch.kernel_cache import CompileProgress
+    from harness.launch.pytest_flights import Flights
     from harness.launch.swarm import Swarm
     from harness.scenario.scenario import Scenario
 
@@ -39,8 +35,8 @@ PROPERTY = "coflight_run"
 
 SwarmFactory = Callable[..., "Swarm"]
 _settings: pytest.StashKey[Settings] = pytest.StashKey()
-_flights: pytest.StashKey[Flights] = pytest.StashKey()
-_unsettled: pytest.StashKey[dict[str, Flights]] = pytest.StashKey()
+_flights: "pytest.StashKey[Flights]" = pytest.StashKey()
+_unsettled: "pytest.StashKey[dict[str, Flights]]" = pytest.StashKey()
 """Of the running tests, by node id."""
 _interrupted: pytest.StashKey[list[tuple[str, Path]]] = pytest.StashKey()
 """Node ids and kept folders of tests that were interrupted."""
@@ -92,6 +88,8 @@ def swarm(request: pytest.FixtureRequest, coflight_settings: Settings) -> Genera
     or `Swarm` instead of ``--coflight-processes``. All swarms are stopped when the test ends, and it fails if
     one of them left a process or a port behind.
     """
+    from harness.launch.pytest_flights import Flights  # noqa: PLC0415  slow to import, and most tests need no swarm
+
     item, config = request.node, request.config
     flights = Flights(coflight_settings, item.nodeid, invocation_dir=config.invocation_params.dir)
     item.stash[_flights] = flights
@@ -143,7 +141,7 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
         for nodeid, flights in stash.get(_unsettled, {}).items()
         for path in flights.settle(keep=True)
     ]
-    if _worker(session.config) is None:
+    if pytest_settings.worker(session.config) is None:
         pytest_folders.tidy(stash[_settings].out)
 
 
@@ -162,59 +160,15 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
     for nodeid, path in kept:
         has_tables = (path / "summary.json").exists() and (path / "manifest.json").exists()
         command = "coflight report " if has_tables else "without tables: "
-        terminalreporter.line(f"{nodeid}: {command}{shown(path, config.invocation_params.dir)}")
-
-
-def _worker(config: pytest.Config) -> str | None:
-    """Return the name of this worker of pytest-xdist; None: this is not a worker."""
-    worker: str | None = getattr(config, "workerinput", {}).get("workerid")
-    return worker
+        terminalreporter.line(
+            f"{nodeid}: {command}{pytest_folders.shown(path, config.invocation_params.dir)}"
+        )
 
 
 def _compile(config: pytest.Config) -> str | None:
     """Compile all missing kernels once per session; returns the line of an error."""
-    if _compile_error in config.stash:
-        return config.stash[_compile_error]
-    # slow to import, and most sessions fly no swarm
-    from rich.console import Console  # noqa: PLC0415
+    if _compile_error not in config.stash:
+        from harness.launch import pytest_kernels  # noqa: PLC0415  slow to import, and most sessions fly no swarm
 
-    from harness.cli.progress import LineDisplay  # noqa: PLC0415
-    from harness.launch import kernel_cache  # noqa: PLC0415
-    from harness.launch.processes import Compiling  # noqa: PLC0415
-
-    display = LineDisplay(Console(file=_Terminal(config), highlight=False, markup=False))
-
-    def on_progress(packages: Mapping[str, "CompileProgress"]) -> None:
-        display.on_message(Compiling(packages=packages))
-
-    error = None
-    try:
-        kernel_cache.prepare(lambda line: display.note(f"coflight: {line}"), on_progress)
-    except kernel_cache.CompileError as raised:
-        error = str(raised)
-    config.stash[_compile_error] = error
-    return error
-
-
-class _Terminal(io.StringIO):
-    """Writes whole lines to pytest's terminal, past its capture of output.
-
-    Of the workers of pytest-xdist, which all wait for the same kernels, only the first one writes.
-    """
-
-    def __init__(self, config: pytest.Config) -> None:
-        super().__init__()
-        self._config = config
-
-    def write(self, text: str, /) -> int:
-        worker = _worker(self._config)
-        manager = self._config.pluginmanager
-        capture, reporter = manager.getplugin("capturemanager"), manager.getplugin("terminalreporter")
-        with contextlib.nullcontext() if capture is None else capture.global_and_fixture_disabled():
-            if worker == "gw0":  # its stdout is the line to pytest's main process
-                sys.stderr.write(f"\n{text}" if sys.stderr.isatty() else text)
-                sys.stderr.flush()
-            elif worker is None and reporter is not None:
-                reporter.ensure_newline()
-                reporter.write(text, flush=True)
-        return len(text)
+        config.stash[_compile_error] = pytest_kernels.compile_missing(config)
+    return config.stash[_compile_error]

@@ -97,3 +97,9 @@ def _out(config: pytest.Config) -> Path:
     if text == "" or (out.exists() and not out.is_dir()):
         raise pytest.UsageError(f"{source}: {text!r}: expected a folder, which need not exist")
     return out
+
+
+def worker(config: pytest.Config) -> str | None:
+    """Return the name of this worker of pytest-xdist; None: this is not a worker."""
+    name: str | None = getattr(config, "workerinput", {}).get("workerid")
+    return name
