@@ -14,8 +14,9 @@ import numpy as np
 from msgspec import Struct
 
 from autopilot.onboard.localisation.model import LOCALISE_TIMEOUT_US, SHAPE_STD_M
-from autopilot.onboard.localisation.predicted_shape import predicted_shape_std_m, width_m
+from autopilot.onboard.localisation.predicted_shape import is_near_line, predicted_shape_std_m, width_m
 from autopilot.onboard.radio.neighbourhood import linked
+from autopilot.parameters.config import OnboardConfig
 from harness.scenario.scenario import Scenario
 from netsim.ftm.stamps import distance_m, round_trip_std_ps
 
@@ -35,6 +36,8 @@ class Prediction(Struct, frozen=True, kw_only=True):
     """Number of UAVs of the neighbourhood."""
     shape_std_m: float
     """Expected rms error of its shape."""
+    is_near_line: bool
+    """Whether more accurate distances between more UAVs would not determine it either."""
     width_m: float
     """Largest horizontal distance of its places from a line."""
 
@@ -53,16 +56,20 @@ def predict(scenario: Scenario) -> Prediction:
     for uav in range(scenario.agents):
         members = np.flatnonzero(near[uav] | (np.arange(scenario.agents) == uav))
         among = near[np.ix_(members, members)]
-        shape_std_m = max(
-            predicted_shape_std_m(
-                there_m[members], among, gps_std_m=onboard.gps_bias_std_m,
-                distance_std_m=_distance_std_m(scenario),
-            )
-            for there_m in (on_ground_m, places_ned_m)
-        )  # fmt: skip
+        begin_and_end = on_ground_m[members], places_ned_m[members]
+        gps_std_m, distance_std_m = onboard.gps_bias_std_m, _distance_std_m(scenario)
         everywhere.append(
             Prediction(
-                uav=uav, members=len(members), shape_std_m=shape_std_m, width_m=width_m(places_ned_m[members])
+                uav=uav,
+                members=len(members),
+                shape_std_m=max(
+                    predicted_shape_std_m(each, among, gps_std_m=gps_std_m, distance_std_m=distance_std_m)
+                    for each in begin_and_end
+                ),
+                is_near_line=any(
+                    is_near_line(each, gps_std_m=gps_std_m, limit_m=SHAPE_STD_M) for each in begin_and_end
+                ),
+                width_m=width_m(places_ned_m[members]),
             )
         )
         if among.sum() == scenario.agents * (scenario.agents - 1):  # all are linked: the same for all others
@@ -84,10 +91,10 @@ def warning(scenario: Scenario) -> str | None:
     group = f"UAV {found.uav} and its {found.members - 1} neighbours"
     if found.members == scenario.agents:
         group = f"all {found.members} UAVs"
-    if _all_neighbours_localise(scenario):
+    if not found.is_near_line or _all_neighbours_localise(scenario):
         cause = (
-            f"the distances between {group} determine their shape to {found.shape_std_m:.2f} m only, "
-            f"not {SHAPE_STD_M:g} m"
+            f"the distances between {group}, each with {_distance_std_m(scenario):.2f} m of standard error, "
+            f"determine their shape to {found.shape_std_m:.2f} m only, not {SHAPE_STD_M:g} m"
         )
     else:
         place = "on a line" if found.width_m < _LINE_M else f"within {found.width_m:.2f} m of a line"
@@ -133,11 +140,28 @@ def _remedies(scenario: Scenario) -> Iterator[str]:
                 break
     elif _localises(scenario, formation={"shape": "ring"}):
         yield "--set formation.shape=ring"
+    if not predict(scenario).is_near_line:
+        yield from _accuracies(scenario)
+
+
+def _accuracies(scenario: Scenario) -> Iterator[str]:
+    """Yield options with which distances are accurate enough."""
+    for width_mhz in (40, 80):
+        if width_mhz > scenario.radio.bandwidth_mhz and _localises(
+            scenario, radio={"bandwidth_mhz": width_mhz}
+        ):
+            yield f"--set radio.bandwidth_mhz={width_mhz}"
+            break
+    floor_m = OnboardConfig().range_floor_std_m
+    if floor_m < scenario.onboard.range_floor_std_m and _localises(
+        scenario, onboard={"range_floor_std_m": floor_m}
+    ):
+        yield f"--set onboard.range_floor_std_m={floor_m:g}"
 
 
 def _localises(
     scenario: Scenario, *, agents: int | None = None, formation: Mapping[str, Any] = _SAME,
-    onboard: Mapping[str, Any] = _SAME,
+    onboard: Mapping[str, Any] = _SAME, radio: Mapping[str, Any] = _SAME,
 ) -> bool:  # fmt: skip
     """Return whether the scenario with these changes is valid and localises."""
     replaced = msgspec.structs.replace
@@ -147,6 +171,7 @@ def _localises(
             agents=agents or scenario.agents,
             formation=replaced(scenario.formation, **formation),
             onboard=replaced(scenario.onboard, **onboard),
+            radio=replaced(scenario.radio, **radio),
         )
     except ValueError:
         return False

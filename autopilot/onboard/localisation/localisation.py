@@ -272,6 +272,7 @@ class CooperativeLocalisation:
         return shortfall(
             own=self.own, present=self._present(now_us), measured=measured | measured.T, located=self.located,
             places_ned_m=self._places_ned_m, shape_std_m=self.shape_std_m(now_us), limit_m=limit_m,
+            gps_std_m=self._model.gps_bias_std_m,
         )  # fmt: skip
 
     def _present(self, now_us: int) -> Flags:

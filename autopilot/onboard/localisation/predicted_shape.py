@@ -10,6 +10,9 @@ import numpy as np
 from autopilot.onboard.radio.neighbourhood import Flags
 from foundation.types import Array
 
+ACCURATE_STD_M = 0.05
+"""One sigma of accurate distances: the least that the filter assumes by default."""
+
 
 def predicted_shape_std_m(
     places_ned_m: Array, linked: Flags, *, gps_std_m: float, distance_std_m: float
@@ -34,6 +37,15 @@ def predicted_shape_std_m(
     rigid /= np.maximum(np.linalg.norm(rigid, axis=0), 1e-9)
     shape_m2 = np.trace(cov) - np.trace(rigid.T @ cov @ rigid)
     return float(np.sqrt(max(shape_m2, 0.0) / count))
+
+
+def is_near_line(places_ned_m: Array, *, gps_std_m: float, limit_m: float) -> bool:
+    """Whether not even accurate distances of all pairs determine the shape of places (N, 3) to a limit."""
+    linked = ~np.eye(len(places_ned_m), dtype=bool)
+    expected_m = predicted_shape_std_m(
+        places_ned_m, linked, gps_std_m=gps_std_m, distance_std_m=ACCURATE_STD_M
+    )
+    return expected_m >= limit_m
 
 
 def width_m(places_ned_m: Array) -> float:

@@ -109,6 +109,7 @@ def test_a_line_of_the_articles_grid_is_warned_of_with_what_to_do(agents):
             "within 0.13 m of a line",
         ),
         ("article", ["onboard.neighbours=2"], "UAV 1 and its 3 neighbours"),
+        ("article", ["formation.shape=ring", "onboard.range_floor_std_m=1"], "0.71 m of standard error"),
     ],
 )  # fmt: skip
 def test_ranging_determines_the_formation_with_each_remedy(scenario, overrides, what):
@@ -149,7 +150,15 @@ def test_a_star_of_distances_determines_no_shape():
     places = ["agents=5", "formation.shape=file", f"formation.points_m={star}"]
     assert predict(load("article", places)).localises
     text = warning(load("article", [*places, "onboard.neighbours=1"]))
-    assert "the distances between all 5 UAVs determine their shape to 1.16 m only" in text
+    assert "the distances between all 5 UAVs, each with " in text
+    assert "determine their shape to 1.16 m only" in text
+
+
+def test_a_triangle_with_inaccurate_distances_is_not_called_a_line():
+    triangle = ["agents=3", "formation.columns=2", "radio.ftm.round_trip_std_ps=20000"]
+    text = warning(load("article", triangle))
+    assert "each with 0.80 m of standard error, determine their shape to 0.57 m only" in text
+    assert "line:" not in text
 
 
 def test_the_page_of_the_warning_exists():

@@ -9,13 +9,13 @@ LINE_M = np.array([(0.0, 8.5 * i, -10.0) for i in range(3)])
 ALL = np.ones(3, bool)
 
 
-def cause(*, present=ALL, unmeasured=(), located=ALL):
+def cause(*, present=ALL, unmeasured=(), located=ALL, places_ned_m=LINE_M):
     measured = np.ones((3, 3), bool)
     for i, j in unmeasured:
         measured[i, j] = measured[j, i] = False
     return shortfall(
         own=1, present=np.array(present), measured=measured, located=np.array(located),
-        places_ned_m=LINE_M, shape_std_m=0.866, limit_m=0.35,
+        places_ned_m=places_ned_m, shape_std_m=0.866, limit_m=0.35, gps_std_m=1.5,
     )  # fmt: skip
 
 
@@ -36,3 +36,10 @@ def cause(*, present=ALL, unmeasured=(), located=ALL):
 )
 def test_the_first_thing_that_lacks_is_named_with_numbers(lack, text):
     assert cause(**lack) == text
+
+
+@pytest.mark.parametrize(("offset_m", "is_named"), [(0.1, True), (0.2, True), (2.0, False), (8.0, False)])
+def test_a_line_is_named_only_if_accurate_distances_would_not_help(offset_m, is_named):
+    """The UAV in the middle is beside the line; 5 cm along it are 5 cm * 8.5 m / offset across it."""
+    places_ned_m = LINE_M + np.array([(0.0, 0.0, 0.0), (offset_m, 0.0, 0.0), (0.0, 0.0, 0.0)])
+    assert ("of a line" in cause(places_ned_m=places_ned_m)) == is_named
