@@ -62,7 +62,7 @@ class RunFolder:
         self.path = path
         self._profile_from_us = profile_from_us
         self._is_new = False
-        """Whether `create` has made this run."""
+        """Whether `create` has made this run, and not another process at the same time."""
         self._made: list[Path] = []
         """Folders that `create` has made, the innermost first."""
         self._release: Callable[[], object] | None = None
@@ -97,9 +97,10 @@ class RunFolder:
                     f"{NAME_ANOTHER}"
                 )
             self._made = [each for each in (self.path, *self.path.parents) if not each.exists()]
+            self.raw.mkdir(parents=True)  # of two runs that begin at once, one fails here
             self._is_new = True
-            for part in (self.raw, self.config, self.logs, self.figures):
-                part.mkdir(parents=True)
+            for part in (self.config, self.logs, self.figures):
+                part.mkdir()
         except OSError as error:
             raise FolderRefused(
                 f"{self.path}: cannot be the folder of a run: {error.strerror}; {NAME_ANOTHER}"
@@ -110,10 +111,8 @@ class RunFolder:
     def discard(self) -> None:
         """Delete what this object created, for a run whose flight has not begun."""
         self.release()
-        if not self._is_new:
-            return
-        with contextlib.suppress(OSError):  # it could not be created
-            for path in list(self.path.iterdir()):  # all of the run: the folder was empty before
+        if self._is_new:
+            for path in list(self.path.glob("*")):  # all of the run: the folder was empty before
                 if path.is_dir():
                     shutil.rmtree(path, ignore_errors=True)
                 else:

@@ -5,7 +5,8 @@ Works on any tree of msgspec structs; paths are those of msgspec's errors, such 
 
 import difflib
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import msgspec
@@ -14,19 +15,19 @@ _KEYS = re.compile(r"[^.\[\]]+|\[\d+\]")
 _LEAST_SIMILARITY = 0.72
 """Of two names, by difflib: ``heigth_m`` and ``height_m`` have 0.88, ``seed`` and ``speed`` 0.67."""
 _SYNONYMS = {
-    "altitude": "height_m",
-    "channel_width": "bandwidth_mhz",
+    "altitude": "formation.height_m",
+    "channel_width": "radio.bandwidth_mhz",
     "count": "agents",
     "drones": "agents",
-    "force": "mean_n",
-    "mcs": "broadcast_mode",
+    "force": "wind.mean_n",
+    "mcs": "radio.broadcast_mode",
     "n": "agents",
-    "rate": "broadcast_mode",
-    "time": "duration_s",
+    "rate": "radio.broadcast_mode",
+    "time": "run.duration_s",
     "uavs": "agents",
     "vehicles": "agents",
 }
-"""Other words for a field's name; ``radio`` for example has no ``mcs``."""
+"""Fields by other words for them, which are used in the field's table or in none."""
 
 
 def keys_of(path: str) -> list[str | int]:
@@ -43,10 +44,20 @@ def _alternatives(kind: msgspec.inspect.Type) -> list[msgspec.inspect.Type]:
     return [] if isinstance(kind, msgspec.inspect.NoneType) else [kind]
 
 
-def _types_at(root: type[Any], path: str) -> list[msgspec.inspect.Type]:
-    """Return the types of the field at a path; none if there is no such field."""
+def _types_at(
+    root: type[Any], path: str, table: Mapping[str, Any] = MappingProxyType({})
+) -> list[msgspec.inspect.Type]:
+    """Return the types of the field at a path; none if there is no such field.
+
+    Of a union of tagged tables it is the one that the tag selects in ``table``, or all without it.
+    """
     found = [msgspec.inspect.type_info(root)]
+    value: Any = table
     for key in keys_of(path):
+        try:
+            value = value[key]
+        except (KeyError, IndexError, TypeError):
+            value = None
         reached: list[msgspec.inspect.Type] = []
         for kind in found:
             if isinstance(kind, msgspec.inspect.StructType):
@@ -56,25 +67,36 @@ def _types_at(root: type[Any], path: str) -> list[msgspec.inspect.Type]:
             elif isinstance(kind, msgspec.inspect.DictType):
                 reached.append(kind.value_type)
         found = [each for kind in reached for each in _alternatives(kind)]
+        found = [each for each in found if _is_selected(each, value)] or found
     return found
 
 
+def _is_selected(kind: msgspec.inspect.Type, value: object) -> bool:
+    """Whether a value has the tag of a type; always if the type has none."""
+    if not isinstance(kind, msgspec.inspect.StructType) or kind.tag_field is None:
+        return True
+    return isinstance(value, dict) and value.get(kind.tag_field) == kind.tag
+
+
 def allowed_values(root: type[Any], path: str) -> tuple[str, ...]:
-    """Return the values of an enumeration at a path; none if the field has another type."""
-    return tuple(
-        str(value)
-        for kind in _types_at(root, path)
-        if isinstance(kind, msgspec.inspect.LiteralType)
-        for value in kind.values
-    )
+    """Return the values of an enumeration at a path, as in TOML; none if the field has another type."""
+    kinds = _types_at(root, path)
+    values = [
+        str(value) for kind in kinds if isinstance(kind, msgspec.inspect.LiteralType) for value in kind.values
+    ]
+    if values and any(isinstance(kind, msgspec.inspect.BoolType) for kind in kinds):
+        values += ["true", "false"]
+    return tuple(values)
 
 
-def field_names(root: type[Any], path: str) -> tuple[str, ...]:
-    """Return the names of the fields of the table at a path, in order."""
+def field_names(
+    root: type[Any], path: str, table: Mapping[str, Any] = MappingProxyType({})
+) -> tuple[str, ...]:
+    """Return the names of the fields of the table at a path, in order; see `_types_at` for ``table``."""
     return tuple(
         dict.fromkeys(
             field.encode_name
-            for kind in _types_at(root, path)
+            for kind in _types_at(root, path, table)
             if isinstance(kind, msgspec.inspect.StructType)
             for field in kind.fields
         )
@@ -95,25 +117,19 @@ def all_fields(root: type[Any]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(below(msgspec.inspect.type_info(root), "")))
 
 
-def nearest(root: type[Any], path: str, key: str) -> str | None:
+def nearest(
+    root: type[Any], path: str, key: str, table: Mapping[str, Any] = MappingProxyType({})
+) -> str | None:
     """Return the path of the field that was probably meant by an unknown key of the table at a path.
 
-    That is the most similar name of the same table, or a field of this name elsewhere, or the most similar
-    one; None if there is nothing similar.
+    That is the most similar name of the same table, or the only field of this name elsewhere; None if there
+    is nothing similar.
     """
-    table = field_names(root, path)
-    prefix = f"{path}." if path else ""
-    synonym = _SYNONYMS.get(key.lower())
-    if synonym in table:
-        return prefix + synonym
-    similar = difflib.get_close_matches(key, table, 1, _LEAST_SIMILARITY)
+    meant = _SYNONYMS.get(key.lower())
+    if meant is not None and path in {"", meant.rpartition(".")[0]}:
+        return meant
+    similar = difflib.get_close_matches(key, field_names(root, path, table), 1, _LEAST_SIMILARITY)
     if similar:
-        return prefix + similar[0]
-    last_names: dict[str, str] = {}
-    for each in all_fields(root):
-        last_names.setdefault(each.rpartition(".")[2], each)
-    for name in (key, synonym):
-        if name in last_names:
-            return last_names[name]
-    similar = difflib.get_close_matches(key, last_names, 1, _LEAST_SIMILARITY)
-    return last_names[similar[0]] if similar else None
+        return f"{path}.{similar[0]}" if path else similar[0]
+    elsewhere = [each for each in all_fields(root) if each.rpartition(".")[2] == key]
+    return elsewhere[0] if len(elsewhere) == 1 else None

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from harness.records import run_folder
 from harness.records.run_folder import FolderRefused, NotARun, RunFolder
 
 
@@ -64,6 +65,19 @@ def test_a_discarded_run_leaves_other_runs(tmp_path: Path) -> None:
     RunFolder(tmp_path / "runs" / "other").create()
     folder.discard()
     assert [path.name for path in (tmp_path / "runs").iterdir()] == ["other"]
+
+
+def test_of_two_runs_that_begin_at_once_in_a_folder_the_first_keeps_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second = RunFolder(tmp_path / "run"), RunFolder(tmp_path / "run")
+    monkeypatch.setattr(run_folder, "names_in", lambda _: [])  # what both have seen
+    first.create()
+    first.events.touch()
+    with pytest.raises(FolderRefused, match="File exists"):
+        second.create()
+    second.discard()
+    assert tree(tmp_path / "run") == ["config", "events.jsonl", "figures", "logs", "raw"]
 
 
 def test_raw_logs_are_held_by_one_program_at_a_time(tmp_path: Path) -> None:

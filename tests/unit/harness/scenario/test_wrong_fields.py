@@ -6,7 +6,7 @@ import msgspec
 import pytest
 from paths import SCENARIOS
 
-from harness.scenario.field_names import all_fields, allowed_values, field_names, nearest
+from harness.scenario.field_names import all_fields, allowed_values, nearest
 from harness.scenario.scenario import Scenario, ScenarioError
 from harness.scenario.scenario_file import load
 from harness.scenario.validation_errors import MOST_PROBLEMS, InvalidTable, convert
@@ -46,6 +46,36 @@ def test_entries_of_arrays_keep_their_numbers():
     found = problems(f"agents = 2\nfaults = [{entry}, {fine}, {entry}, 3, {entry}]")
     assert sorted(line.partition(":")[0] for line in found) == [
         "faults[0].start_s", "faults[2].start_s", "faults[3]", "faults[4].start_s",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("assignment", "paths"),
+    [
+        ('formation.points_m=[[1,2,"x"],[1,2,"y"]]', ["formation.points_m[0][2]"]),
+        ('formation.points_m=[[1,2,3],["x",2,3]]', ["formation.points_m[1][0]"]),
+        (
+            'radio.interferers=[{pos_ned_m=[1,2,"x"]},{pos_ned_m=[1,"y",3]}]',
+            ["radio.interferers[0].pos_ned_m[2]", "radio.interferers[1].pos_ned_m[1]"],
+        ),
+        (
+            'radio.interferers=[3,{pos_ned_m=[1,"y",3]}]',
+            ["radio.interferers[0]", "radio.interferers[1].pos_ned_m[1]"],
+        ),
+    ],
+)
+def test_arrays_in_arrays_keep_their_numbers_and_lengths(assignment, paths):
+    with pytest.raises(ScenarioError) as caught:
+        load(ARTICLE, [assignment])
+    for path in paths:
+        assert f"{path}: expected" in str(caught.value)
+    assert str(caught.value).count(": expected") == len(paths)
+
+
+def test_wrong_values_of_parameters_are_all_named():
+    found = problems('agents = 1\n[autopilot.params]\nMPC_XY_P = "x"\nMPC_Z_P = 1.0\nSENS_BARO_RATE = "y"')
+    assert sorted(line.partition(":")[0] for line in found) == [
+        "autopilot.params.MPC_XY_P", "autopilot.params.SENS_BARO_RATE",
     ]  # fmt: skip
 
 
@@ -113,17 +143,38 @@ def test_every_enumeration_names_its_values(path):
     assert all(value in str(caught.value) for value in values)
 
 
-@pytest.mark.parametrize("path", all_fields(Scenario))
-def test_a_name_with_one_letter_missing_leads_to_the_field(path):
+LONG_NAMES = [path for path in all_fields(Scenario) if len(path.rpartition(".")[2]) >= 6]
+
+
+def without_third_letter(path):
     table, _, name = path.rpartition(".")
-    if len(name) < 6:
-        return
-    wrong = name[:2] + name[3:]
-    if wrong in field_names(Scenario, table):
-        return
-    found = nearest(Scenario, table, wrong)
-    assert found is not None
-    assert found.startswith(table)
+    return table, name[:2] + name[3:]
+
+
+@pytest.mark.parametrize("path", LONG_NAMES)
+def test_a_name_with_one_letter_missing_leads_to_the_field(path):
+    assert nearest(Scenario, *without_third_letter(path)) == path
+
+
+@pytest.mark.parametrize(
+    ("table", "key"), [("wind", "n"), ("antenna", "rate"), ("radio", "count"), ("sensors.gps", "model")]
+)
+def test_a_word_of_another_table_leads_nowhere(table, key):
+    assert nearest(Scenario, table, key) is None
+
+
+def test_the_fields_of_a_fault_are_those_of_its_kind():
+    (line,) = problems('agents = 1\nfaults = [{kind = "gps_loss", uav = 0, attenuation_db = 3}]')
+    assert line.startswith("faults[0]: unknown key `attenuation_db`; expected uav, start_s, duration_s")
+    assert "motor" not in line
+
+
+@pytest.mark.parametrize(("value", "text"), [("medum", "invalid enum value 'medum'"), ("3", "got `int`")])
+def test_values_of_a_field_with_words_and_booleans_are_all_named(value, text):
+    with pytest.raises(ScenarioError) as caught:
+        load(ARTICLE, [f"radio.capture={value}"])
+    assert text in str(caught.value)
+    assert str(caught.value).endswith("expected one of medium, receivers, true, false")
 
 
 @pytest.mark.parametrize("content", ["", "# only a comment\n", "\n\n"])
