@@ -32,7 +32,7 @@ VEHICLE_RECORD = np.dtype(
 """Positions are in the site's frame and NaN while unknown. ``mode`` is PX4's custom mode, ``phase`` the
 on-board application's (255 without one), ``causes`` the bits of `autopilot.commander.failsafe.Cause`. The
 heights of estimator and setpoint are above the ground of the start, from the barometer: the origin's GPS
-altitude is left out. ``gps_pos_ned_m`` is the last fix, measured 0.12 s before its arrival.
+altitude is left out. ``gps_pos_ned_m`` is the last fix, which describes an earlier position.
 ``correction_ned_m`` is what the application subtracts from the estimator's position to get its own estimate.
 ``odometry_offset_ned_m`` is the part of it that comes from ranging and all vehicles' GPS, and is constant
 while no radio data arrive."""

@@ -218,7 +218,7 @@ _EXPECTED = {r"seeds": "a number of seeds, a list of them, or {from=, to=}"}
 def expand(campaign: Campaign, *, state: str) -> list[Run]:
     """Return all runs of a campaign in the table's order; ``state`` is the hash of the sources.
 
-    Raises CampaignError with one line that names campaign, case and field.
+    Raises CampaignError with campaign, case, and a line for each wrong field.
     """
     runs = []
     for case in campaign.cases or (Case(name=campaign.name),):

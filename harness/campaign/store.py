@@ -29,7 +29,7 @@ TABLES = ("table.parquet", "table.csv")
 
 
 class CampaignError(Exception):
-    """An invalid campaign; the text is one line for the user."""
+    """An invalid campaign; the text is for the user."""
 
 
 class ClusterError(CampaignError):

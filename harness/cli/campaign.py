@@ -1,7 +1,7 @@
 """The command line of campaigns.
 
 Exit status: 0 all runs completed, 1 some runs or the cluster failed, 2 bad input, 130 interrupted: the same
-command continues the campaign. An error is one line on stderr.
+command continues the campaign. An error is one report on stderr.
 """
 
 import sys

@@ -1,6 +1,6 @@
 """The command line: fly a scenario, show it, and report it.
 
-Exit status: 0 success, 1 the run failed, 2 bad input, 130 interrupted by Ctrl-C. An error is one line on
+Exit status: 0 success, 1 the run failed, 2 bad input, 130 interrupted by Ctrl-C. An error is one report on
 stderr.
 """
 

@@ -51,7 +51,13 @@ local function add_fields(tree, payload, begin, fields, flags)
     if begin + each.at + each.size > payload:len() then return end
     local item = tree:add_le(each.field, payload(begin + each.at, each.size))
     if each.unit then item:append_text(" " .. each.unit) end
-    if each.needs and math.floor(flags / each.needs) % 2 == 0 then item:append_text(" (unknown)") end
+    local value = each.most and payload(begin + each.at, each.size):le_uint()
+    if value and value == each.most then item:append_text(" or more") end
+    if each.needs and math.floor(flags / each.needs) % 2 == 0 then
+      item:append_text(" (unknown)")
+    elseif each.unstated and value == 0 then
+      item:append_text(" (not stated)")
+    end
     for _, flag in ipairs(each.flags or {}) do item:add_le(flag, payload(begin + each.at, each.size)) end
   end
 end
@@ -153,9 +159,11 @@ def _table(title: str, layout: np.dtype[np.void], prefix: str) -> Iterator[str]:
         if name == "phase":
             arguments += ", base.DEC, phases"
         more = f', unit = "{unit}"' if unit else ""
+        more += f", most = {wire.MOST_MM}" if unit == "mm" else ""
         if prefix == PREFIX:
             needs = next((bit for begin, bit in _FLAG_OF.items() if name.startswith(begin)), 0)
             more += f", needs = {needs}" if needs else ""
+            more += ", unstated = true" if name.startswith("fix_std_") else ""
         if name == "flags":
             more = f", flags = {{{', '.join(f'has_{flag}' for flag in FLAGS)}}}"
         field = f"ProtoField.{_KINDS[kind.str[1:]]}({arguments})"

@@ -164,7 +164,7 @@ FLIGHT = TableKind(
         "estimator_vel_ned_m_s": Column(description="Velocity by the estimator."),
         "estimator_q_ned_frd": Column(description="Attitude by the estimator."),
         "gps_pos_ned_m": Column(
-            description="The last GPS fix; it describes the position 0.12 s before it arrived."
+            description="The last GPS fix, measured `sensors.gps.delay_s` before it arrived."
         ),
         "onboard_pos_ned_m": Column(description="Position by the localisation of the on-board application."),
         "onboard_pos_std_m": Column(description="Standard deviation of it, by the application.", frame="NED"),
@@ -198,7 +198,9 @@ RADIO = TableKind(
             "within the session, from 1; 0 for a refusal, RTS, CTS and ACK."
         ),
         "delivered": Column(description="Intended receivers that received it."),
-        "collided": Column(description="Intended receivers that lost it to other signals on the channel."),
+        "collided": Column(
+            description="Intended receivers that lost it to other signals on the channel, or sent themselves."
+        ),
         "lost_to_noise": Column(description="Intended receivers that lost it to noise."),
     },
 )
@@ -217,15 +219,15 @@ RECEPTIONS = TableKind(
             description="Received power, with fading; -inf beyond 4.8 km, where no frame arrives."
         ),
         "sinr_db": Column(
-            description="Least ratio during the frame of its power to noise and all signals of others; NaN "
-            "on the ideal channel, which has no noise."
+            description="Least ratio during the frame of its power to noise and all signals of others; -inf "
+            "without power, NaN on the ideal channel, which has no noise."
         ),
         "outcome": Column(
             description="Outcome as counted in radio.parquet.",
             values={
                 "not_addressed": "not an intended receiver",
                 "delivered": "an intended receiver received it",
-                "collided": "an intended receiver lost it to other signals on the channel",
+                "collided": "an intended receiver lost it to other signals on the channel, or sent itself",
                 "lost_to_noise": "an intended receiver lost it to noise, or to its distance",
                 "radio_off": "the radio of the station is off",
             },
@@ -235,7 +237,7 @@ RECEPTIONS = TableKind(
             values={
                 "received": "received without errors",
                 "errors": "received with errors, by noise or other signals",
-                "below_sensitivity": "weaker than `radio.cca_preamble_dbm`",
+                "below_sensitivity": "weaker than `radio.cca_preamble_dbm`, or within 4 dB of the noise",
                 "transmitting": "the station itself sent during the frame",
                 "missed": "not detected among other signals, or given up or ignored for another frame",
                 "radio_off": "the radio of the station is off",

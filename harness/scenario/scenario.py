@@ -1,8 +1,7 @@
-"""Scenario files: reads TOML and returns one frozen and validated object.
+"""The scenario of a run: one frozen object of all settings, and checks of settings of several parts.
 
-Each package defines the settings of its part; this module composes them, applies ``--set`` overrides, and
-converts errors to one line that names the file, the field's path and the reason. All processes of a run read
-this object as JSON from the run folder.
+Each package defines the settings of its part. All processes of a run read the object as JSON from the run
+folder; `harness.scenario.scenario_file` reads it from a TOML file.
 """
 
 import math
@@ -45,7 +44,7 @@ _EPOCH_END = datetime(2500, 1, 1, tzinfo=UTC)
 
 
 class ScenarioError(ValueError):
-    """An invalid scenario; the text is one line for the user."""
+    """An invalid scenario; the text for the user has a line for each wrong field."""
 
 
 class RunConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

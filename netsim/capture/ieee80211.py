@@ -19,7 +19,7 @@ NETWORK_ADDRESS = bytes.fromhex("020000010000")
 UDP_PORT = 50_802
 """Source and destination port, from the dynamic range.
 
-Wireshark has no protocol for it and guesses from the payload: it decodes one beacon in 10,000 as Thrift. A
+Wireshark has no protocol for it and guesses from the payload: it decodes some beacons as Thrift. A
 dissector registered for the port prevents that, as does ``tshark -d udp.port==50802,data`` ("Decode As").
 """
 

@@ -1,7 +1,7 @@
 """Write all transmissions of a channel to a pcapng file, ordered by time, as sent or as received.
 
 A packet's time is the UNIX time of its simulated time, in 64 bits of nanoseconds. The interface option
-if_tsoffset would state the epoch once, but it counts whole seconds, and several readers of pcapng ignore it.
+if_tsoffset would state the epoch once, but it counts whole seconds.
 The simulated time is in the radiotap header.
 """
 
@@ -68,7 +68,8 @@ class Capture:
         self._power_of_dbm = {
             each.station: each.tx_power_dbm for each in config.stations if each.tx_power_dbm is not None
         }
-        self._noise_dbm = 10.0 * log10(thermal_noise_mw(config.bandwidth_mhz, config.noise_figure_db))
+        noise_mw = thermal_noise_mw(config.bandwidth_mhz, config.noise_figure_db)
+        self._noise_dbm = 10.0 * log10(noise_mw) if config.channel != "ideal" else None
         self._sent: dict[tuple[str, int, int], Radiotap] = {}
         """Headers by mode, bandwidth and transmitter."""
         self._received: dict[tuple[str, int, int, bool], Radiotap] = {}
@@ -100,9 +101,10 @@ class Capture:
         if self._of_receivers:
             for station in transmission.received:
                 self._hold_received(transmission, station, content, bad_fcs=False)
-            if transmission.received_in_error:
+            in_error = transmission.received_in_error
+            if in_error:
                 content = content[:-_FCS_BYTES] + content[-_FCS_BYTES:].translate(_INVERTED)
-                for station in transmission.received_in_error:
+                for station in in_error:
                     self._hold_received(transmission, station, content, bad_fcs=True)
         self.settle(transmission.end_ns)
 
@@ -148,6 +150,7 @@ class Capture:
                 mode,
                 frequency_mhz=self._frequency_mhz,
                 power_dbm=signal_dbm,
+                is_received=True,
                 noise_dbm=self._noise_dbm,
                 bad_fcs=bad_fcs,
             )

@@ -33,8 +33,8 @@ _ACCURACY_NS, _ACCURACY_KNOWN = 1, 0x02
 
 _HEAD = Layout("<BBHI")
 _PROPERTIES = Layout("<BBHHbb")
-"""Flags; rate, or a gap before the channel; frequency and flags of the channel; the transmit power and a gap,
-or signal and noise."""
+"""Flags; rate, or a gap before the channel; frequency and flags of the channel; the transmit power or the
+signal; the noise or a gap."""
 _VHT_FIELD = Layout("<HBB4sBBH4x")
 _TIME = Layout("<Q")
 _TIMESTAMP_TAIL = Layout("<HBB").pack(_ACCURACY_NS, _NANOSECONDS | _START_OF_PREAMBLE, _ACCURACY_KNOWN)
@@ -43,8 +43,8 @@ _TIMESTAMP_TAIL = Layout("<HBB").pack(_ACCURACY_NS, _NANOSECONDS | _START_OF_PRE
 class Radiotap:
     """Headers of the frames of one mode and power; only their times differ.
 
-    ``power_dbm`` is the transmit power or, with the ``noise_dbm`` of a receiver, the received power;
-    ``bad_fcs`` marks frames received with errors.
+    ``power_dbm`` is the transmit power or, with ``is_received``, the received power, beside the ``noise_dbm``
+    of the receiver if it has noise; ``bad_fcs`` marks frames received with errors.
     """
 
     def __init__(
@@ -53,11 +53,13 @@ class Radiotap:
         *,
         frequency_mhz: float,
         power_dbm: float,
+        is_received: bool = False,
         noise_dbm: float | None = None,
         bad_fcs: bool = False,
     ) -> None:
         present = _TSFT | _FLAGS | _CHANNEL | _TIMESTAMP | (_VHT if mode.vht else _RATE)
-        present |= _TX_POWER if noise_dbm is None else _SIGNAL | _NOISE
+        present |= _SIGNAL if is_received else _TX_POWER
+        present |= 0 if noise_dbm is None else _NOISE
         self._preamble_ns = mode.preamble_ns
         channel_flags = _CHANNEL_OFDM
         if frequency_mhz >= _BAND_5_GHZ_FROM_MHZ:

@@ -40,7 +40,7 @@ INTRODUCTION = f"""# Scenario
 A scenario is a TOML file that decides a run; equal scenarios give equal logs. A file holds only what differs
 from the defaults; entries of arrays of tables have fields that are required. A field is also set by its path
 on the command line, as in `--set wind.mean_n=2` or, of the first fault, `--set faults.0.uav=3`. Unknown
-fields and values out of range are refused with one line that names the path.
+fields and values out of range are refused with a line for each that names the path.
 
 Paths with `[]` belong to arrays of tables, such as `[[faults]]`. `optional` fields may be left out: TOML has
 no empty value. Units are those that the names end in; NED is north, east, down from the site's origin, FRD

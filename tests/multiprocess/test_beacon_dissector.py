@@ -9,6 +9,7 @@ import shutil
 import struct
 import subprocess
 
+import msgspec
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -202,6 +203,19 @@ def test_fields_have_names_units_and_marks_if_unknown(tmp_path, script):
     count = sum(name.startswith(groups) for name in wire.HEADER.names)
     assert sum(line.endswith(" (unknown)") for line in unknown) == count == 11
     assert "Motion start: 0 ms (unknown)" in unknown
+
+
+def test_accuracies_that_are_not_stated_or_at_their_most_are_marked(tmp_path, script):
+    beacon = msgspec.structs.replace(
+        FULL,
+        fix=wire.Fix(76_000, (10.1, -20.2, -30.3), None, None),
+        gps_error=wire.GpsError((0.4, 0.5, 0.6), 99.0),
+    )
+    (lines,) = labels_of(written(tmp_path / "radio.pcapng", [encode(beacon)]), script)
+    for axis in ("horizontal", "vertical"):
+        assert f"GPS position standard deviation {axis}: 0 mm (not stated)" in lines
+    assert "GPS error standard deviation: 65535 mm or more" in lines
+    assert sum("(not stated)" in line or "or more" in line for line in lines) == 3
 
 
 def test_a_beacon_of_any_other_length_is_flagged(tmp_path, script):

@@ -55,7 +55,9 @@ _FAR2_M2 = _FAR_M**2
 _FAST2_M2_S2 = 30.0**2
 """Square of the largest valid speed, 30 m/s."""
 _NO_TIME_US = 2**63
-_STD_MAX_M, _MOST_MM = 65.535, 65_535
+MOST_MM = 65_535
+"""Accuracies of this or more are sent as this."""
+_STD_MAX_M = MOST_MM / 1e3
 _LAST_PHASE = max(int(phase) for phase in FlightPhase)
 _CAPACITY = HEADER_BYTES + MAX_RANGES * RANGE_BYTES
 PAGE = np.dtype([("source", "<i8"), ("size", "<i8"), ("header", HEADER), ("ranges", RANGE, MAX_RANGES)])
@@ -208,7 +210,7 @@ def is_credible(page: np.void, with_ranges: bool) -> bool:  # noqa: FBT001
 
 
 def _mm(std_m: float) -> int:
-    return _MOST_MM if std_m > _STD_MAX_M else round(std_m * 1e3)
+    return MOST_MM if std_m > _STD_MAX_M else round(std_m * 1e3)
 
 
 def _stated_mm(std_m: float | None) -> int:

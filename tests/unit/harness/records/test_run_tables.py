@@ -10,12 +10,18 @@ import pyarrow.parquet as pq
 import pytest
 from paths import SCENARIOS
 
+from autopilot.logs.vehicle_record import NO_PHASE
+from autopilot.onboard.formation.phases import FlightPhase
 from foundation import exit_status
 from harness.cli import export
 from harness.launch.one_process import fly
+from harness.records import columns
 from harness.records.run_folder import RunFolder
 from harness.records.wide import widen
 from harness.scenario.scenario_file import load
+from netsim.phy.frames import FrameKind
+from netsim.phy.modes import MODE_NAMES
+from netsim.phy.receptions import OUTCOMES, STATES
 
 SETTINGS = (
     "agents=4", "formation.columns=2", "formation.rows=2", "formation.height_m=2", "run.duration_s=1",
@@ -85,6 +91,20 @@ def test_every_value_of_an_enumeration_has_a_meaning(run, name, field):
     assert found
     assert found <= set(values)
     assert all(values.values())
+
+
+@pytest.mark.parametrize(
+    ("table", "field", "values"),
+    [
+        (columns.RECEPTIONS, "outcome", OUTCOMES),
+        (columns.RECEPTIONS, "reception", STATES),
+        (columns.RADIO, "mode", MODE_NAMES),
+        (columns.RADIO, "kind", [kind.value for kind in FrameKind]),
+        (columns.FLIGHT, "phase", [str(int(phase)) for phase in FlightPhase] + [str(NO_PHASE)]),
+    ],
+)
+def test_all_possible_values_of_an_enumeration_have_a_meaning(table, field, values):
+    assert set(table.columns[field].values) == set(values)
 
 
 def test_bits_of_causes_are_all_described(run):

@@ -203,7 +203,7 @@ def test_a_received_frame_has_signal_and_noise_and_no_transmit_power(name):
     mode = phy_mode(name, 80)
     for bad_fcs, flags in ((False, 0x10), (True, 0x50)):
         header = Radiotap(
-            mode, frequency_mhz=5210.0, power_dbm=-71.4, noise_dbm=-87.97, bad_fcs=bad_fcs
+            mode, frequency_mhz=5210.0, power_dbm=-71.4, is_received=True, noise_dbm=-87.97, bad_fcs=bad_fcs
         ).header(1_000)
         fields, rest = radiotap(header)
         assert rest == b""
@@ -211,6 +211,18 @@ def test_a_received_frame_has_signal_and_noise_and_no_transmit_power(name):
         assert fields["timestamp"] == (1_000, 1, 0x12, 0x02)
         assert "tx_power" not in fields
         assert ("vht" in fields) == mode.vht
+
+
+@pytest.mark.parametrize("name", ["ofdm6", "vht_mcs4"])
+def test_a_receiver_without_noise_states_the_signal_alone(name):
+    header = Radiotap(phy_mode(name, 80), frequency_mhz=5210.0, power_dbm=-71.4, is_received=True).header(
+        1_000
+    )
+    fields, rest = radiotap(header)
+    assert rest == b""
+    assert fields["signal"] == (-71,)
+    assert fields["timestamp"] == (1_000, 1, 0x12, 0x02)
+    assert not {"noise", "tx_power"} & set(fields)
 
 
 def test_a_channel_is_of_its_band():

@@ -124,6 +124,47 @@ def test_received_power_and_sinr_are_those_of_the_link_budget(distance_m):
     assert OUTCOMES[row["outcome"]] == "delivered"
 
 
+def test_the_power_of_an_interferer_is_part_of_the_sinr():
+    """EIRP minus Friis' loss plus the receiver's gain; at 1 km it is 3 dB above the noise."""
+    seen = []
+    swarm = Swarm(
+        [(0.0, 0.0, -50.0), (0.0, 30.0, -50.0)], on_transmission=seen.append, log_receptions=True,
+        path_loss="friis", rician_k_db=None, tx_power_dbm=13.0, antenna_gain_dbi=2.0, broadcast_rts=False,
+        interferers=(InterfererConfig(pos_ned_m=(0.0, 1_030.0, -50.0), eirp_dbm=20.0, duty_cycle=1.0),),
+    )  # fmt: skip
+    swarm.broadcast(0, 4_000)
+    swarm.run(12_000)
+    power_dbm = 13.0 + 2.0 + 2.0 - friis_loss_db(30.0, 5210.0)
+    noise_mw = thermal_noise_mw(80, 7.0)
+    interference_mw = 10.0 ** ((20.0 + 2.0 - friis_loss_db(1_000.0, 5210.0)) / 10.0)
+    assert interference_mw > noise_mw
+    (row,) = reception_log_rows(0, seen[0])
+    expected_db = power_dbm - 10.0 * np.log10(noise_mw + interference_mw)
+    assert row["sinr_db"] == pytest.approx(expected_db, abs=1e-2)
+
+
+@pytest.mark.parametrize(("noise_figure_db", "least_dbm"), [(7.0, -82.0), (20.0, -70.95)])
+def test_a_frame_is_below_sensitivity_under_the_preamble_power_and_4_db_over_the_noise(
+    noise_figure_db, least_dbm
+):
+    """-82 dBm, or -174 dBm/Hz in 80 MHz with the noise figure and 4 dB more: the greater one."""
+    states = {}
+    for above_db in (-0.1, 0.1):
+        seen = []
+        swarm = Swarm(
+            [(0.0, 0.0, -50.0), (0.0, 30.0, -50.0)], on_transmission=seen.append, log_receptions=True,
+            path_loss="friis", rician_k_db=None, antenna_gain_dbi=0.0, broadcast_rts=False,
+            noise_figure_db=noise_figure_db,
+            tx_power_dbm=least_dbm + above_db + friis_loss_db(30.0, 5210.0),
+        )  # fmt: skip
+        swarm.broadcast(0, 0)
+        swarm.run(8_000)
+        (row,) = reception_log_rows(0, seen[0])
+        states[above_db] = STATES[row["reception"]]
+    assert states[-0.1] == "below_sensitivity"
+    assert states[0.1] != "below_sensitivity"
+
+
 @pytest.mark.parametrize("channel", ["emulated", "ideal"])
 def test_the_log_changes_nothing_else(channel):
     def results(*, log_receptions):
