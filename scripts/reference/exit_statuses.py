@@ -79,8 +79,8 @@ STATUSES: Mapping[str, Mapping[int, str]] = {
     "study radio-cost": _LIMITS,
     "export": {
         FINE: "The deck or the table is written.",
-        BAD_INPUT: "The folder is not of a run that has ended, there is no antenna at that time, or the table's "
-        "file cannot be written.",
+        BAD_INPUT: "The folder is not of a run that has ended, there is no antenna at that time, or the "
+        "table's file cannot be written.",
         INTERRUPTED: _STOPPED,
     },
     "scenarios": {FINE: "The names are listed.", BAD_INPUT: "It takes no arguments."},
