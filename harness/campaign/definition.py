@@ -207,7 +207,7 @@ def load(path: str | Path, overrides: Sequence[str] = (), keep: Iterable[str] = 
             origin=str(path),
         )
     except msgspec.ValidationError as error:
-        raise CampaignError(f"{path}: {explain(error, _EXPECTED)}") from None
+        raise CampaignError(f"{path}: {explain(error, _EXPECTED, kind=_File, table=table)}") from None
     except ValueError as error:
         raise CampaignError(f"{path}: {error}") from None
 

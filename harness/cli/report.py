@@ -52,7 +52,7 @@ def report(
             drawn = draw_again(folder, scenario, formed_us=formed_us)
         except (KeyError, ValueError):
             raise NotARun(f"{folder.path}: its tables are not of the scenario in its manifest") from None
-        messages.print(f"drawn into {folder.figures}: {', '.join(drawn)}")
+        messages.print(f"drawn into {folder.figures}: {', '.join(drawn)}", soft_wrap=True)
     if json:
         sys.stdout.write(folder.summary.read_text(encoding="utf-8"))
     else:

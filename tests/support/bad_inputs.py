@@ -162,6 +162,9 @@ BAD_INPUTS = (
     BadInput("campaign: a folder", ("campaign", "a-folder.toml"), ("a-folder.toml", "it is a folder")),
     BadInput("campaign: not TOML", ("campaign", "broken.toml"), ("broken.toml", "not TOML")),
     BadInput("campaign: binary", ("campaign", "binary.toml"), ("binary.toml", "it is not text")),
+    BadInput(
+        "campaign: an unknown key", ("campaign", "list.toml"), ("unknown key `agents`", "scenario, seeds")
+    ),
     BadInput("campaign: no scenario", ("campaign", "campaign.toml"), ("nowhere", "there is no such file")),
     BadInput("campaign: an unknown field", ("campaign", "sweep.toml"), ("wind", "men_n", "wind.mean_n")),
     BadInput(
