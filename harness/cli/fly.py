@@ -274,10 +274,10 @@ def _report(
         if as_json:
             sys.stdout.write(msgspec.json.format(msgspec.json.encode(summary), indent=2).decode() + "\n")
         else:
-            Console(highlight=False).print(summary_table(summary))
+            Console(highlight=False, markup=False).print(summary_table(summary))
             if swarm.profile:
                 step_us = swarm.scenario.run.step_us
-                Console(highlight=False).print(profile_table(swarm.profile, step_us=step_us))
+                Console(highlight=False, markup=False).print(profile_table(swarm.profile, step_us=step_us))
         messages.print(f"written to {swarm.path}: {', '.join(_written(swarm.path))}", soft_wrap=True)
     if isinstance(broken_off, SwarmError):
         raise broken_off

@@ -56,7 +56,7 @@ def report(
     if json:
         sys.stdout.write(folder.summary.read_text(encoding="utf-8"))
     else:
-        Console(highlight=False).print(summary_table(summary))
+        Console(highlight=False, markup=False).print(summary_table(summary))
 
 
 def _report_campaign(folder: Path, *, figures: bool, json: bool) -> None:
