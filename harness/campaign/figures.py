@@ -68,7 +68,7 @@ def draw_table(path: Path) -> list[str]:
     """
     rows = pq.read_table(path)
     written_for = rows.schema.metadata or {}
-    names = [written_for[key].decode() for key in (CAMPAIGN_KEY, SCENARIO_KEY)]
+    names = [written_for[key.encode()].decode() for key in (CAMPAIGN_KEY, SCENARIO_KEY)]
     title = f"Campaign {names[0]}, scenario {names[1]}"
     figures = {factor: factor_figure(rows, factor) for factor in factors(rows)}
     return [

@@ -100,15 +100,17 @@ class Store:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.flying = folder / "flying"
-        self._runs = folder / "runs"
+        self._runs, self._lock = folder / "runs", folder / "lock"
         try:
             names = names_in(folder)
-            if names and self._runs.name not in names:
+            if names and self._lock.name not in names:
                 raise CampaignError(
                     f"{folder.resolve()} holds {listed(names)}, and a campaign needs a folder of its own: "
                     f"{NAME_ANOTHER}"
                 )
-            self._runs.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(parents=True, exist_ok=True)
+            self._lock.touch()  # marks the folder of a campaign
+            self._runs.mkdir(exist_ok=True)
         except OSError as error:
             raise CampaignError(
                 f"{folder}: cannot be a campaign's folder: {error.strerror}; {NAME_ANOTHER}"
@@ -120,7 +122,7 @@ class Store:
 
         Raises CampaignError if another campaign holds the lock.
         """
-        with (self.folder / "lock").open("wb") as lock:
+        with self._lock.open("wb") as lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:

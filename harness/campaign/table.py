@@ -25,7 +25,7 @@ from harness.records.columns import describe
 _LEFT_OUT = {"scenario", "seed", "status", "reason", "wall_s", "real_time_factor"}
 """Omitted fields of the summary: those of other columns, and those that depend on the machine"""
 
-CAMPAIGN_KEY, SCENARIO_KEY = b"campaign", b"scenario"
+CAMPAIGN_KEY, SCENARIO_KEY = "campaign", "scenario"
 """Metadata of the Parquet file: names of the campaign and of its scenario's file"""
 
 
@@ -53,9 +53,7 @@ class Table:
 
 def write_table(campaign: Campaign, runs: Sequence[Run], flown: Mapping[str, Flown], store: Store) -> Table:
     """Write the table of runs, whose digests are all in ``flown``, as Parquet and CSV; raises OSError."""
-    rows = make_rows(campaign, runs, flown).replace_schema_metadata(
-        {CAMPAIGN_KEY: campaign.name, SCENARIO_KEY: campaign.scenario.stem}
-    )
+    rows = make_rows(campaign, runs, flown)
     parquet, csv = io.BytesIO(), io.BytesIO()
     pq.write_table(rows, parquet, compression="zstd")
     pyarrow.csv.write_csv(rows, csv)
@@ -80,7 +78,7 @@ def make_rows(campaign: Campaign, runs: Sequence[Run], flown: Mapping[str, Flown
         columns.setdefault(name, [each.get(name) for each in measured])
     rows = pa.table({name: _array(name, values) for name, values in columns.items()})
     kind = kind_of(columns, campaign.sweep, runs[0].scenario)
-    return describe(rows, kind, {"campaign": campaign.name})
+    return describe(rows, kind, {CAMPAIGN_KEY: campaign.name, SCENARIO_KEY: campaign.scenario.stem})
 
 
 def _measured(summary: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:

@@ -103,7 +103,7 @@ def campaign(
 def _planned(plan: Campaign, out: Path, *, retry: bool) -> tuple[list[Run], dict[str, Flown], list[Run]]:
     """Return all runs, the stored flights, and the missing runs; creates no folder."""
     runs = expand(plan, state=sources_state())
-    if not out.exists():
+    if not out.exists() or not any(out.iterdir()):
         return runs, {}, list({each.digest: each for each in runs}.values())
     return runs, *known(plan, runs, Store(out), retry=retry)
 

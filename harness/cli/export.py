@@ -17,8 +17,9 @@ from antenna.model.geometry import ElementsTouch
 from antenna.solvers.interface import BackendUnavailable
 from antenna.solvers.nec2c import Nec2cFailed
 from antenna.solvers.selection import make_backend
-from foundation.exit_status import BAD_INPUT, FINE
+from foundation.exit_status import BAD_INPUT, FINE, INTERRUPTED
 from foundation.system_error import in_words
+from harness.launch.interrupts import interruptible
 from harness.records.run_folder import NotARun, RunFolder, read_scenario
 from harness.records.tables import read_flight
 from harness.records.wide import FORMATS, write_wide
@@ -121,13 +122,16 @@ def deck_at(run: Path, time_s: float) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     try:
-        status = app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False)
+        with interruptible():
+            status = app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False)
     except typer.TyperException as error:
         return _refuse(error.format_message())
     except (DeckRefused, FlightRefused, NotARun) as error:
         return _refuse(str(error))
     except OSError as error:
         return _refuse(in_words(error))
+    if status == INTERRUPTED:  # typer's status for Ctrl-C
+        sys.stderr.write("coflight: broken off: the same command starts again\n")
     return status if isinstance(status, int) else FINE
 
 

@@ -5,6 +5,7 @@ stderr.
 """
 
 import contextlib
+import itertools
 import sys
 import traceback
 from collections.abc import Sequence
@@ -139,10 +140,10 @@ def fly(
     display: FlightDisplay | None = None
     try:
         plan = load(scenario, [*(settings or []), *overrides])
-        out = out or Path("runs") / f"{plan.name}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
+        out = out or _free_folder(plan.name)
         waits = plan.onboard.hold
         if one_process:
-            _check_one_process(waits=waits, profile=profile)
+            _check_one_process(waits=waits, profile=profile, port_offset=port_offset)
         factor = _speed(speed or ("1" if waits else "max"))
         display = display_for(messages, forms=plan.forms)
         if one_process:
@@ -171,12 +172,21 @@ def fly(
         raise _failure(error) from None
 
 
-def _check_one_process(*, waits: bool, profile: bool) -> None:
+def _free_folder(name: str) -> Path:
+    """Return the default folder of a run, with a number if another run began in the same second."""
+    path = Path("runs") / f"{name}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
+    others = (path.with_name(f"{path.name}-{number}") for number in itertools.count(2))
+    return next(each for each in itertools.chain([path], others) if not each.exists())
+
+
+def _check_one_process(*, waits: bool, profile: bool, port_offset: str | None) -> None:
     if waits:
         raise ExitFailure(BAD_INPUT, "--hold waits for a ground station, and none can connect to one process")
     if profile:
-        line = "--profile has processes sample themselves, each its own, not one process"
+        line = "--profile needs several processes; it cannot be combined with --one-process"
         raise ExitFailure(BAD_INPUT, line)
+    if port_offset is not None:
+        raise ExitFailure(BAD_INPUT, "--port-offset has no effect with --one-process, which opens no port")
 
 
 def _on_key(key: str, swarm: Swarm, display: FlightDisplay) -> None:
@@ -214,12 +224,12 @@ def _fly(
     except KeyboardInterrupt:
         line = "broken off during the start: no process is left, and nothing was written"
         raise ExitFailure(INTERRUPTED, line) from None
-    processes = "one process is" if len(swarm.pids) == 1 else f"{len(swarm.pids)} processes are"
-    display.note(f"{processes} ready")
-    holds, forms = swarm.scenario.onboard.hold, swarm.scenario.forms
-    for line in swarm.addresses if holds else ():
-        display.note(line)
     try:
+        processes = "one process is" if len(swarm.pids) == 1 else f"{len(swarm.pids)} processes are"
+        display.note(f"{processes} ready")
+        holds, forms = swarm.scenario.onboard.hold, swarm.scenario.forms
+        for line in swarm.addresses if holds else ():
+            display.note(line)
         with Keyboard(
             lambda key: _on_key(key, swarm, display)
         ) as keyboard:  # from here on keys have an effect
@@ -238,10 +248,19 @@ def _fly(
     except (SwarmError, KeyboardInterrupt) as error:
         return error
     finally:
-        swarm.stop()
-        for line in swarm.forced:
-            display.note(line)
+        _stop(swarm, display)
     return None
+
+
+def _stop(swarm: Swarm, display: FlightDisplay) -> None:
+    """Stop the processes. Raises ExitFailure after a Ctrl-C meanwhile, which takes effect at the end."""
+    try:
+        swarm.stop()
+    except KeyboardInterrupt:
+        swarm.stop()
+        raise ExitFailure(INTERRUPTED, f"broken off: {_left(swarm.path)}") from None
+    for line in swarm.forced:
+        display.note(line)
 
 
 def _report(

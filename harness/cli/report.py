@@ -2,8 +2,8 @@
 
 A run without tables, because its launcher was interrupted or killed, gets them.
 
-Exit status: 0 fine, 2 no such run or tables of another version, 130 interrupted by Ctrl-C, with one line on
-stderr.
+Exit status: 0 fine, 1 the tables cannot be written, 2 no such run or tables of another version, 130
+interrupted by Ctrl-C; all but 0 with one line on stderr.
 """
 
 import sys
@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 import typer
 from rich.console import Console
 
-from foundation.exit_status import BAD_INPUT, FINE, INTERRUPTED
+from foundation.exit_status import BAD_INPUT, FAILED, FINE, INTERRUPTED
 from foundation.system_error import in_words
 from harness.campaign.figures import draw_table
 from harness.campaign.store import TABLES
@@ -25,6 +25,13 @@ from harness.cli.progress import summary_table
 from harness.launch.interrupts import interruptible
 from harness.records.run_folder import NotARun, RunFolder, read_scenario
 from harness.report.report import draw_again, finish_later
+
+_BROKEN_OFF = "coflight: broken off: the same command starts again\n"
+
+
+class _NotWritten(Exception):
+    """Tables cannot be written; the text is one line."""
+
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -42,13 +49,18 @@ def report(
         return
     folder, messages = RunFolder(run), Console(stderr=True, highlight=False, markup=False)
     if not folder.manifest.exists() and folder.outcome.exists():
-        finish_later(folder)
+        try:
+            finish_later(folder)
+        except OSError as error:
+            raise _NotWritten(
+                f"the tables cannot be written: {in_words(error)}; the raw logs are kept in {folder.raw}"
+            ) from None
         messages.print(f"tables made of {folder.raw}", soft_wrap=True)
     scenario = read_scenario(folder)
     summary = _summary(folder)
     if figures:
-        formed_us = None if summary["formed_s"] is None else round(summary["formed_s"] * 1e6)
         try:
+            formed_us = None if summary["formed_s"] is None else round(summary["formed_s"] * 1e6)
             drawn = draw_again(folder, scenario, formed_us=formed_us)
         except (KeyError, ValueError):
             raise NotARun(f"{folder.path}: its tables are not of the scenario in its manifest") from None
@@ -56,7 +68,11 @@ def report(
     if json:
         sys.stdout.write(folder.summary.read_text(encoding="utf-8"))
     else:
-        Console(highlight=False, markup=False).print(summary_table(summary))
+        try:
+            shown = summary_table(summary)
+        except (KeyError, TypeError):
+            raise NotARun(f"{folder.summary}: no coflight of this version wrote it") from None
+        Console(highlight=False, markup=False).print(shown)
 
 
 def _report_campaign(folder: Path, *, figures: bool, json: bool) -> None:
@@ -83,14 +99,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with interruptible():
             status = app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False)
     except (KeyboardInterrupt, typer.Abort):
-        sys.stderr.write("coflight: broken off: the same command starts again\n")
+        sys.stderr.write(_BROKEN_OFF)
         return INTERRUPTED
     except typer.TyperException as error:
         return _refuse(error.format_message())
     except NotARun as error:
         return _refuse(str(error))
+    except _NotWritten as error:
+        _refuse(str(error))
+        return FAILED
     except OSError as error:
         return _refuse(in_words(error))
+    if status == INTERRUPTED:  # typer's status for Ctrl-C
+        sys.stderr.write(_BROKEN_OFF)
     return status if isinstance(status, int) else FINE
 
 

@@ -106,7 +106,7 @@ def _missing(names: Iterable[str]) -> list[str]:
             remove_old(lock.stat().st_mtime)
         except OSError as error:
             raise CompileError(
-                f"compiled kernels cannot be kept in {folder()}: {error.strerror} (XDG_CACHE_HOME says where)"
+                f"compiled kernels cannot be kept in {folder()}: {error.strerror} (set by XDG_CACHE_HOME)"
             ) from None
     return missing
 

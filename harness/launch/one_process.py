@@ -339,7 +339,7 @@ def fly(
                 swarm.run(until_s=until_s)
             else:
                 with contextlib.suppress(SwarmTimeoutError):
-                    if scenario.onboard.enabled:  # else there is no formation
+                    if scenario.forms:
                         swarm.run_until_formed(timeout_s=scenario.run.reach_timeout_s)
                     for fault in faults_in_formation:
                         swarm.inject(fault)

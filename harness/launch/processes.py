@@ -169,7 +169,7 @@ class Processes:
                 if instance not in killed
             ),
             *filter(None, [self.records_lost, *(self._incomplete(uav(i)) for i in others)]),
-            *(f"{event.name} was spoken to by {event.by}" for event in self.influences),
+            *(f"{event.name} received messages from {event.by}" for event in self.influences),
             *(f"{uav(i)} is flown by a PX4, and its application keeps its time" for i in self._px4),
         ]
 

@@ -159,7 +159,8 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
         terminalreporter.section("coflight run folders")
     for nodeid, path in kept:
         has_tables = (path / "summary.json").exists() and (path / "manifest.json").exists()
-        command = "coflight report " if has_tables else "without tables: "
+        makes_tables = (path / "raw" / "outcome.json").exists()
+        command = "coflight report " if has_tables or makes_tables else "without tables: "
         terminalreporter.line(
             f"{nodeid}: {command}{pytest_folders.shown(path, config.invocation_params.dir)}"
         )

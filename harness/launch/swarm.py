@@ -139,6 +139,8 @@ class Swarm:
         self._wall_running_s = 0.0
         self._not_formed: str | None = None
         self._broken_off: str | None = None
+        self._is_flying = False
+        """Whether it was started and not yet stopped."""
         self._summary: dict[str, Any] | None = None
 
     def __enter__(self) -> Self:
@@ -172,14 +174,17 @@ class Swarm:
             self._write_outcome_of_flying()
             self._run(RunUntil(time_us=0))  # no simulation: waits for the vehicles to connect
             self._wall_running_s = 0.0
+            self._is_flying = True
         except BaseException as error:
             self._processes.failure = str(error) or type(error).__name__
             with interrupts_deferred():
                 self._processes.stop(at_once=True)
-                if isinstance(error, SetupError) or not isinstance(error, SwarmError):
-                    self._folder.discard()
-                else:
+                is_failure = isinstance(error, SwarmError) and not isinstance(error, SetupError)
+                if is_failure and any(self._folder.logs.glob("*")):
+                    self._write_outcome(interrupted=False, held=False)
                     self._folder.release()
+                else:
+                    self._folder.discard()
             raise
 
     def _write_outcome_of_flying(self) -> None:
@@ -204,6 +209,9 @@ class Swarm:
             self._links.close()
         finally:
             self._processes.stop()
+            if self._is_flying:
+                self._is_flying = False
+                self._write_outcome(interrupted=False, held=False)
 
     # --- simulated time
 
@@ -427,9 +435,10 @@ class Swarm:
         if self._summary is not None:
             return self._summary
         self.stop()
-        ended = self._outcome(interrupted=interrupted, held=held)
-        with interrupts_deferred(), contextlib.suppress(OSError):  # on a full disk that of the start is kept
-            outcome.write_outcome(self._folder, ended)
+        if self._folder.manifest.exists():  # an earlier call has failed to draw the figures
+            self._summary = msgspec.json.decode(self._folder.summary.read_bytes(), type=dict[str, Any])
+            return self._summary
+        ended = self._write_outcome(interrupted=interrupted, held=held)
         from harness.report import report  # noqa: PLC0415  the analysis is slow to import: not before the flight
 
         try:
@@ -440,6 +449,13 @@ class Swarm:
         finally:
             self._folder.release()  # also for ``coflight report``, after an error
         return self._summary
+
+    def _write_outcome(self, *, interrupted: bool, held: bool) -> outcome.RunOutcome:
+        """Write how the flight ended, for ``coflight report``, and return it."""
+        ended = self._outcome(interrupted=interrupted, held=held)
+        with interrupts_deferred(), contextlib.suppress(OSError):  # on a full disk that of the start is kept
+            outcome.write_outcome(self._folder, ended)
+        return ended
 
     def _outcome(self, *, interrupted: bool, held: bool) -> outcome.RunOutcome:
         """Return how the flight ended."""

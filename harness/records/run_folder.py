@@ -91,7 +91,8 @@ class RunFolder:
         try:
             names = names_in(self.path)
             if names:
-                content = "a run already" if self.config.name in names else listed(names)
+                is_run = {self.config.name, self.logs.name} <= {*names}
+                content = "a run already" if is_run else listed(names)
                 raise FolderRefused(
                     f"{self.path.resolve()} holds {content}, and a run needs a folder of its own: "
                     f"{NAME_ANOTHER}"
@@ -122,9 +123,10 @@ class RunFolder:
                 path.rmdir()
 
     def delete_tables(self) -> None:
-        """Delete tables and summary that are not complete, and are made of the raw logs again."""
+        """Delete results that are not complete, and are made of the raw logs again."""
         radio = (self.radio, self.receptions, self.ftm, self.air)
-        for path in (self.flight, *radio, self.gains, self.deck, self.patterns, self.summary):
+        antenna = (self.gains, self.deck, self.patterns)
+        for path in (self.manifest, self.summary, self.flight, *radio, *antenna):
             path.unlink(missing_ok=True)
 
     @contextlib.contextmanager
@@ -134,7 +136,7 @@ class RunFolder:
         if not was_held and not self._hold():
             raise NotARun(
                 f"{self.path}: the run is in flight, or is held by the program that flew it; "
-                "report it when that program has ended"
+                f"use coflight report {self.path} when that program has ended"
             )
         try:
             yield

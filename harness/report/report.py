@@ -5,6 +5,7 @@ Uses the run folder only, so a run that was interrupted is reported like any oth
 
 import hashlib
 import platform
+import shutil
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -143,9 +144,7 @@ def finish_later(folder: RunFolder) -> dict[str, Any]:
 
 def delete_raw(folder: RunFolder) -> None:
     """Delete the raw logs of a run that has tables."""
-    for raw in (*folder.raw.glob("*.bin"), folder.outcome):
-        raw.unlink(missing_ok=True)
-    folder.raw.rmdir()
+    shutil.rmtree(folder.raw)
 
 
 def _formed_us(folder: RunFolder) -> int | None:

@@ -48,6 +48,7 @@ STATUSES: Mapping[str, Mapping[int, str]] = {
     },
     "report": {
         FINE: "The results are shown.",
+        FAILED: "Tables of an interrupted run cannot be written; its raw logs are kept.",
         BAD_INPUT: "The folder is not of a run that has ended.",
         INTERRUPTED: _STOPPED,
     },

@@ -4,6 +4,7 @@ Every test flies two UAVs in one process for some seconds.
 """
 
 import contextlib
+import gc
 import json
 import os
 import shutil
@@ -13,12 +14,16 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from paths import SCENARIOS
 
 import harness.report.report as results
 from harness.cli import fly, report
+from harness.launch import kernel_cache
+from harness.launch.one_process import OneProcessSwarm
+from harness.scenario.scenario_file import load
 
 pytestmark = pytest.mark.multiprocess
 
@@ -173,3 +178,64 @@ def test_full_disk_after_the_flight_keeps_the_raw_logs(
     shutil.copytree(run, moved)
     assert report.main([str(moved)]) == report.FINE
     assert summary_of(moved)["status"] == "completed"
+
+
+def test_second_signal_while_processes_stop_keeps_the_raw_logs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The first one ends the flight, the second one arrives when its processes have ended."""
+    run, stop = tmp_path / "run", OneProcessSwarm.stop
+    fly_on = OneProcessSwarm.run_for
+
+    def interrupted_flight(swarm: OneProcessSwarm, duration_s: float) -> Any:
+        fly_on(swarm, duration_s)
+        raise KeyboardInterrupt
+
+    def interrupted_stop(swarm: OneProcessSwarm) -> None:
+        stop(swarm)
+        monkeypatch.setattr(OneProcessSwarm, "stop", stop)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(OneProcessSwarm, "run_for", interrupted_flight)
+    monkeypatch.setattr(OneProcessSwarm, "stop", interrupted_stop)
+    assert fly.main([*FLIGHT, *SMALL, "--out", str(run)]) == fly.INTERRUPTED
+    assert f"coflight report {run} makes the tables of them" in capsys.readouterr().err
+    gc.collect()  # the raw logs are released, as at the end of the program
+    assert report.main([str(run), "--json"]) == report.FINE
+    reason = json.loads(capsys.readouterr().out)["reason"]
+    assert reason is None or "killed" not in reason
+
+
+def test_run_whose_program_asks_for_no_summary_gets_the_same_later(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenario = load(SCENARIOS / "article.toml", ["agents=2", "onboard.enabled=false", "antenna.grid_deg=6"])
+    with OneProcessSwarm(scenario, out=tmp_path / "run") as swarm:
+        swarm.run_for(1.0)
+    with OneProcessSwarm(scenario, out=tmp_path / "asked") as swarm:
+        swarm.run_for(1.0)
+        asked = swarm.summary(draw=False)
+    assert report.main([str(tmp_path / "run"), "--json"]) == report.FINE
+    found = json.loads(capsys.readouterr().out)
+    assert (found["status"], found["reason"], found["deterministic"]) == ("completed", None, True)
+    assert found["log_sha256"] == asked["log_sha256"]
+
+
+def test_summary_after_an_error_of_a_figure_is_that_of_the_tables(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenario = load(SCENARIOS / "article.toml", ["agents=2", "onboard.enabled=false", "antenna.grid_deg=6"])
+    monkeypatch.setattr(results, "_draw", Mock(side_effect=ValueError("no figure")))
+    with OneProcessSwarm(scenario, out=tmp_path / "run") as swarm:
+        swarm.run_for(1.0)
+        with pytest.raises(ValueError, match="no figure"):
+            swarm.summary()
+        assert swarm.summary()["simulated_s"] == pytest.approx(1.0, abs=0.01)
+
+
+def test_run_that_did_not_start_for_lack_of_kernels_leaves_no_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kernel_cache, "prepare", Mock(side_effect=kernel_cache.CompileError("no room")))
+    assert fly.main([*FLIGHT, *SMALL, "--out", str(tmp_path / "run")]) == fly.FAILED
+    assert list(tmp_path.iterdir()) == []

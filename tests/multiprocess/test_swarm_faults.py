@@ -155,7 +155,7 @@ def test_killed_vehicle_with_input_of_a_station_marks_the_run(swarm):
     summary = flight.summary(draw=False)
     assert summary["deterministic"] is False
     manifest = json.loads((flight.path / "manifest.json").read_text())
-    assert manifest["nondeterminism"] == ["uav 1 was spoken to by a ground station or companion"]
+    assert manifest["nondeterminism"] == ["uav 1 received messages from a ground station or companion"]
 
 
 def test_paused_emulator_causes_no_loss(swarm):

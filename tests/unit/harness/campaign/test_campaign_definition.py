@@ -294,6 +294,10 @@ def test_a_dry_run_lists_the_runs_and_creates_nothing(tmp_path, capfd):
     assert {run["status"] for run in plan["runs"]} == {"to be flown"}
     assert plan["to_be_flown"] == 4
     assert not (tmp_path / "out").exists()
+    (tmp_path / "out").mkdir()
+    assert cli.main([str(path), "--out", str(tmp_path / "out"), "--dry-run"]) == exit_status.FINE
+    assert list((tmp_path / "out").iterdir()) == []
+    capfd.readouterr()
     assert cli.main([str(path), "--set", "wind.mean_n=1"]) == exit_status.BAD_INPUT
     assert capfd.readouterr().err == f"campaign: {path}: --set wind.mean_n=1: sweep says that\n"
     with pytest.raises(CampaignError, match="nonsense: expected the address of a dask scheduler"):

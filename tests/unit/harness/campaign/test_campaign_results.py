@@ -159,6 +159,13 @@ def test_folder_with_other_content_is_refused_and_stays_as_it_is(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
+def test_folder_that_holds_runs_of_the_user_is_no_campaigns_folder(tmp_path):
+    (tmp_path / "runs").mkdir()
+    with pytest.raises(CampaignError, match="holds runs, and a campaign needs a folder"):
+        Store(tmp_path)
+    assert [path.name for path in tmp_path.rglob("*")] == ["runs"]
+
+
 def complete_campaign(tmp_path):
     """Return the command of a complete campaign of two runs."""
     path = tmp_path / "two.toml"
@@ -226,6 +233,7 @@ def test_the_table_has_the_campaigns_order_every_number_and_no_wall_time(tmp_pat
     assert columns["vehicles_lost"] == [1, None, 1, 1]
     assert str(rows.schema.field("rms.late").type) == "int64"
     assert rows.schema.metadata[b"campaign"] == b"one"
+    assert {b"table", b"description", b"row"} < rows.schema.metadata.keys()
     stated = {field.name: field.metadata for field in rows.schema}
     assert stated["wind.mean_n"][b"unit"] == b"N"
     assert stated["wind.mean_n"][b"description"].endswith(b".")

@@ -49,7 +49,8 @@ def test_missing_file_is_named(capsys: pytest.CaptureFixture[str]) -> None:
         (["--port-offset", "many"], ["'many'", "'auto'"]),
         (["--out", ""], ["--out", "empty"]),
         (["--hold", "--one-process"], ["--hold", "one process"]),
-        (["--profile", "--one-process"], ["--profile", "one process"]),
+        (["--profile", "--one-process"], ["--profile", "--one-process"]),
+        (["--port-offset", "0", "--one-process"], ["--port-offset", "--one-process"]),
         (["--no-such-option"], ["--no-such-option"]),
     ],
 )

@@ -17,7 +17,7 @@ def tree(folder: Path) -> list[str]:
     [
         (["notes.txt"], "holds notes.txt, and"),
         (["a", "b", "c", "d", "e"], "holds a, b, c and 2 more, and"),
-        (["config", "manifest.json"], "holds a run already, and"),
+        (["config", "logs", "manifest.json"], "holds a run already, and"),
     ],
 )
 def test_a_folder_with_content_is_refused_and_stays_as_it_is(
