@@ -88,9 +88,9 @@ def _dispatch(program: str, commands: dict[str, Command], usage: str, arguments:
         print(f"{program}: there is no command {name!r}; expected one of {words}", file=sys.stderr)
         return BAD_INPUT
     command = commands[name]
-    os.environ.update(cache_folder.environment())  # read when numba is imported, which the module may do
     sys.argv = [f"{program} {name}", *rest]  # usage lines name the command
     with exiting_at_once(f"{program} {name}: broken off before the start"):
+        os.environ.update(cache_folder.environment())  # read when numba is imported, which the module may do
         called: Callable[..., Any] = getattr(import_module(command.module), command.function)
     status = called([*command.first, *rest])
     return status if isinstance(status, int) else FINE

@@ -48,6 +48,23 @@ class Profile(Struct, frozen=True, kw_only=True):
     samples: int
 
 
+class KindProfile(Struct, frozen=True, kw_only=True):
+    """Profile of all processes of one kind."""
+
+    processes: int
+    """Number of processes that reported."""
+    cpu_s_per_simulated_s: float
+    """Sum of all processes."""
+    parts_cpu_s_per_simulated_s: dict[str, float]
+    """Its parts, the largest first."""
+    waiting_fraction: float
+    """Fraction of wall time in which a process was idle; mean of the processes."""
+    queueing_fraction: float
+    """Fraction in which it was ready but not running; included in waiting if the system does not report
+    it."""
+    samples: int
+
+
 class _Mark(Struct, frozen=True):
     """Readings of all clocks at one instant."""
 

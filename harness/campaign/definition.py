@@ -64,6 +64,7 @@ class _Fields(Struct, frozen=True, kw_only=True):
 
 class _File(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, rename={"fixed": "set"}):
     scenario: str
+    """A file, relative to the campaign's, or the name of a packaged one"""
     seeds: Annotated[int, Meta(ge=1, le=MOST_RUNS)] | list[Seed] | _Seeds = 1
     keep: list[str] = []
     fixed: dict[str, Any] = {}
@@ -147,16 +148,20 @@ class Campaign(Struct, frozen=True, kw_only=True):
         swept = [(path, "sweep") for path in self.sweep]
         for path, where in [*earlier, *swept]:
             if _covers(path, SEED_PATH):
-                raise CampaignError(f"{self.origin}: {where}: {path}: seeds says that")
+                raise CampaignError(f"{self.origin}: {where}: {path}: the seeds are set by `seeds` alone")
         for number, (path, _) in enumerate(swept):
             for other, where in [*earlier, *swept[:number], *swept[number + 1 :]]:
                 if _covers(path, other):
-                    raise CampaignError(f"{self.origin}: sweep: {path}: {where} says that of {other}")
+                    raise CampaignError(
+                        f"{self.origin}: sweep: {path}: {where} sets {other} too; set each path in one place"
+                    )
         for override in self.overrides:
             path = override.partition("=")[0].strip()
             for other, where in [*of_cases, *swept, (SEED_PATH, "seeds")]:
                 if _covers(path, other):
-                    raise CampaignError(f"{self.origin}: --set {override}: {where} says that")
+                    raise CampaignError(
+                        f"{self.origin}: --set {override}: {where} sets {other} too; change it there"
+                    )
 
 
 class Run(Struct, frozen=True, kw_only=True):
@@ -190,11 +195,15 @@ def load(path: str | Path, overrides: Sequence[str] = (), keep: Iterable[str] = 
     except TextFileError as error:
         names = ", ".join(name for name in packaged.names() if "/" in name)
         raise CampaignError(f"{error}; campaigns by name: {names}") from None
+    if "scenario" not in table:
+        raise CampaignError(
+            f"{path}: it names no scenario, as a campaign does; coflight fly flies a scenario"
+        )
     try:
         file = msgspec.convert(table, _File)
         return Campaign(
             name=path.stem,
-            scenario=path.parent / file.scenario,
+            scenario=packaged.find(file.scenario, root=path.parent),
             seeds=_seeds(file.seeds),
             fixed=file.fixed,
             sweep=file.sweep,

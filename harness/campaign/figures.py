@@ -108,14 +108,16 @@ def factor_figure(rows: pa.Table, factor: str) -> Figure | None:
     width_in = max(4.0 * columns + 0.6, LEAST_WIDTH_IN)
     figure = Figure(figsize=(width_in, 3.2 * panel_rows + 1.5), layout="constrained")
     panels = figure.subplots(panel_rows, columns, squeeze=False).ravel()
+    most_flights = 0
     for axes, quantity in zip(panels, quantities, strict=False):
         for number, (label, of_line) in enumerate(lines.items()):
             found = intervals(shown.take(of_line), factor, quantity)
+            most_flights = max([most_flights, *(each.count for each in found.values())])
             shift = _shift(number, len(lines), list(places.values()))
             _draw_line(axes, [places[value] + shift for value in found], list(found.values()), label, style)
         axes.set(title=quantity.label)
         axes.title.set_fontsize("medium")
-        axes.set_xlabel(factor, parse_math=False)
+        axes.set_xlabel(_axis_name(rows, factor), parse_math=False)
         axes.grid(alpha=0.3)
         axes.yaxis.set_major_locator(MaxNLocator(nbins=5))
         _tick(axes, places, is_number=is_number)
@@ -125,7 +127,10 @@ def factor_figure(rows: pa.Table, factor: str) -> Figure | None:
     legend = figure.legend(
         *panels[0].get_legend_handles_labels(), loc="outside lower center", fontsize="small",
         ncols=max(1, min(fitting, len(lines))),
-        title=_caption(rows, shown, others, pooled=bool(pooled)), title_fontsize="small",
+        title=_caption(
+            rows, shown, others, pooled=bool(pooled), mark="line" if is_number else "colour",
+            has_intervals=most_flights > 1,
+        ), title_fontsize="small",
     )  # fmt: skip
     for text in (*legend.get_texts(), legend.get_title()):
         text.set_parse_math(False)
@@ -160,6 +165,11 @@ def _lines(rows: pa.Table, others: Sequence[str]) -> dict[str, np.ndarray[tuple[
     combined = rows.select(others).to_pylist()
     named = [", ".join(f"{name} = {_text(value)}" for name, value in row.items()) for row in combined]
     return {name: np.flatnonzero(np.array(named) == name) for name in dict.fromkeys(named)}
+
+
+def _axis_name(rows: pa.Table, factor: str) -> str:
+    unit = (rows.schema.field(factor).metadata or {}).get(b"unit", b"").decode()
+    return f"{factor} ({unit})" if unit else factor
 
 
 def _text(value: object) -> str:
@@ -202,15 +212,20 @@ def _tick(axes: Axes, places: Mapping[Any, float], *, is_number: bool) -> None:
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
 
 
-def _caption(rows: pa.Table, shown: pa.Table, others: Sequence[str], *, pooled: bool) -> str:
+def _caption(
+    rows: pa.Table, shown: pa.Table, others: Sequence[str], *, pooled: bool, mark: str, has_intervals: bool
+) -> str:
     """Return what points, bars and lines are, and which runs are missing."""
     seeds = len(set(rows.column("seed").to_pylist()))
+    interval = f"mean and {CONFIDENCE:.0%} interval of the mean (Student's t)"
     parts = [
-        f"mean and {CONFIDENCE:.0%} interval of the mean (Student's t)",
+        interval if has_intervals else "one flight each, so without intervals",
         f"{len(shown)} runs, {seeds} seed{'s' if seeds > 1 else ''}",
     ]
     if others:
-        parts.append(f"pooled over {', '.join(others)}" if pooled else f"a line for each {', '.join(others)}")
+        parts.append(
+            f"pooled over {', '.join(others)}" if pooled else f"a {mark} for each {', '.join(others)}"
+        )
     missing = Counter(rows.column("status").to_pylist())[FAILED]
     if missing:
         parts.append(f"{missing} failed run{'s' if missing > 1 else ''} left out")

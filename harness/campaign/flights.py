@@ -8,6 +8,7 @@ from pathlib import Path
 
 from antenna.solvers.interface import BackendUnavailable
 from antenna.solvers.selection import make_backend
+from foundation.system_error import described
 from harness.campaign.store import Flown, Task, failed
 from harness.launch import kernel_cache
 from harness.launch.one_process import use_kernel_cache
@@ -67,5 +68,5 @@ def read_series(folder: RunFolder, names: Sequence[str], *, antenna_note: str | 
 
 def one_line(error: Exception, folder: Path) -> str:
     """Return an error message that is reproducible for the same run."""
-    text = f"{type(error).__name__}: {error}".rstrip(": ").splitlines()[0]
+    text = described(error)
     return _OF_THIS_RUN.sub("", text).replace(f"{folder}/", "")

@@ -25,6 +25,7 @@ from harness.records.run_folder import NAME_ANOTHER, listed, names_in
 from harness.scenario.scenario import Scenario
 
 FAILED: Literal["failed"] = "failed"
+_LOCK = "lock"
 TABLES = ("table.parquet", "table.csv")
 
 
@@ -94,16 +95,21 @@ def failed(task: Task, reason: str) -> Flown:
     return Flown(digest=task.digest, status=FAILED, reason=reason, settings=task.settings, state=task.state)
 
 
+def is_campaign(folder: Path) -> bool:
+    """Whether a folder is that of a campaign, complete or not."""
+    return (folder / _LOCK).is_file()
+
+
 class Store:
     """Runs in a folder, which is created. Raises CampaignError if that fails, or if it has other content."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.flying = folder / "flying"
-        self._runs, self._lock = folder / "runs", folder / "lock"
+        self._runs, self._lock = folder / "runs", folder / _LOCK
         try:
             names = names_in(folder)
-            if names and self._lock.name not in names:
+            if names and not is_campaign(folder):
                 raise CampaignError(
                     f"{folder.resolve()} holds {listed(names)}, and a campaign needs a folder of its own: "
                     f"{NAME_ANOTHER}"

@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.table import Table as Shown
 
 from foundation import exit_status
+from foundation.system_error import described
 from harness.campaign.cluster import check_address
 from harness.campaign.definition import KEPT, Campaign, Run, expand, load
 from harness.campaign.display import CampaignDisplay
@@ -183,4 +184,4 @@ def _ending(error: BaseException) -> tuple[int, str]:
         case SystemExit():  # the reader of the output has closed it
             return exit_status.FAILED, ""
         case _:
-            return exit_status.FAILED, f"{type(error).__name__}: {error}".rstrip(": ").splitlines()[0]
+            return exit_status.FAILED, described(error)

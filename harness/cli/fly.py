@@ -18,7 +18,7 @@ import typer
 from rich.console import Console
 
 from foundation.exit_status import BAD_INPUT, FAILED, FINE, INTERRUPTED
-from foundation.system_error import in_words
+from foundation.system_error import described
 from harness.cli.keyboard import Keyboard
 from harness.cli.out_option import out_folder
 from harness.cli.progress import FlightDisplay, Stage, display_for, summary_table
@@ -284,8 +284,7 @@ def _report(
     except KeyboardInterrupt:
         raise ExitFailure(INTERRUPTED, f"broken off: {_left(swarm.path)}") from None
     except Exception as error:  # the cause of the end has precedence
-        cause = in_words(error) if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
-        line = f"the results cannot be written: {cause}; {_left(swarm.path)}, once they can be"
+        line = f"the results cannot be written: {described(error)}; {_left(swarm.path)}, once they can be"
         if broken_off is None:
             raise ExitFailure(FAILED, line) from error
         messages.print(line, soft_wrap=True)
@@ -332,10 +331,8 @@ def _failure(error: BaseException) -> ExitFailure:
             return ExitFailure(FAILED, str(error))
         case KeyboardInterrupt() | typer.Abort():
             return ExitFailure(INTERRUPTED, "broken off before the start")
-        case OSError():
-            return ExitFailure(FAILED, in_words(error))
         case _:
-            return ExitFailure(FAILED, f"{type(error).__name__}: {error}".rstrip(": "))
+            return ExitFailure(FAILED, described(error))
 
 
 def _written(folder: Path) -> list[str]:

@@ -323,6 +323,7 @@ def summary_table(summary: Mapping[str, Any]) -> Table:
     units = {"mean": "dBi", "ideal": "dBi", "std": "dB"}
     gains = _numbers({kind: (gain[kind], ".2f", unit) for kind, unit in units.items()})
     rows = {
+        **({"reason": summary["reason"]} if summary.get("reason") else {}),
         "simulated": _number(summary["simulated_s"], ".1f", "s"),
         "wall time": _number(summary["wall_s"], ".1f", "s"),
         "real-time factor": _number(summary["real_time_factor"], ".2f"),

@@ -19,7 +19,7 @@ from rich.console import Console
 from foundation.exit_status import BAD_INPUT, FAILED, FINE, INTERRUPTED
 from foundation.system_error import in_words
 from harness.campaign.figures import draw_table
-from harness.campaign.store import TABLES
+from harness.campaign.store import TABLES, is_campaign
 from harness.cli.campaign import print_table
 from harness.cli.progress import summary_table
 from harness.launch.interrupts import interruptible
@@ -47,6 +47,10 @@ def report(
     if (run / TABLES[0]).exists():
         _report_campaign(run, figures=figures, json=json)
         return
+    if not run.exists():
+        raise NotARun(f"{run}: there is no such folder")
+    if is_campaign(run):
+        raise NotARun(f"{run}: a campaign that is not complete: its coflight campaign command continues it")
     folder, messages = RunFolder(run), Console(stderr=True, highlight=False, markup=False)
     if not folder.manifest.exists() and folder.outcome.exists():
         try:

@@ -35,7 +35,7 @@ from numba.core.dispatcher import Dispatcher
 
 from autopilot.parameters.config import VehicleConfig
 from foundation.processes.child_protocol import Finished, Ready, Stop
-from foundation.system_error import in_words
+from foundation.system_error import described
 from harness.launch import kernel_cache
 from harness.launch.processes import (
     PHYSICS,
@@ -162,11 +162,7 @@ class _ThreadSupervisor(Supervisor):
             code = 0
         except Exception as error:  # noqa: BLE001  logged, as a process logs its traceback
             self.error = error
-            last_words = (
-                in_words(error)
-                if isinstance(error, OSError)
-                else f"{type(error).__name__}: {error}".rstrip(": ")
-            )
+            last_words = described(error)
             with contextlib.suppress(OSError):  # the disk may be full
                 self.log_path(NAME).write_text(traceback.format_exc(), encoding="utf-8")
         finally:  # always report the end

@@ -336,7 +336,10 @@ class Processes:
             # a vehicle ends when its simulator disconnects; the radio ends after its users
             vehicles = [*map(uav, range(self._scenario.agents)), *map(application, self._px4)]
             if at_once:
+                self.drain()
                 self._supervisor.stop(input_grace_s=0.0)  # one that still starts does not read its stdin
+                while self._supervisor.receive(0.0) is not None:
+                    pass  # ends that this stop has caused are no events
                 return
             for names in ([PHYSICS], vehicles, [RADIO, PREFORK]):
                 forced += self._supervisor.end(names, grace_s=STOP_LIMIT_S)

@@ -9,10 +9,9 @@ from statistics import fmean
 from typing import Any
 
 import msgspec
-from msgspec import Struct
 from rich.table import Table
 
-from foundation.profiling.profiler import KEY, Profile
+from foundation.profiling.profiler import KEY, KindProfile, Profile
 from harness.launch.processes import PHYSICS, RADIO
 
 VEHICLES = "vehicles"
@@ -20,23 +19,6 @@ KINDS = {PHYSICS: "physics server", RADIO: "802.11 emulator", VEHICLES: "vehicle
 """Kinds of process that report a profile, and their names in tables."""
 _MANY = {"uav": VEHICLES, "application": "applications"}
 """Kinds of the processes that are numbered, by the first word of their names."""
-
-
-class KindProfile(Struct, frozen=True, kw_only=True):
-    """Profile of all processes of one kind."""
-
-    processes: int
-    """Number of processes that reported."""
-    cpu_s_per_simulated_s: float
-    """Sum of all processes."""
-    parts_cpu_s_per_simulated_s: dict[str, float]
-    """Its parts, the largest first."""
-    waiting_fraction: float
-    """Fraction of wall time in which a process was idle; mean of the processes."""
-    queueing_fraction: float
-    """Fraction in which it was ready but not running; included in waiting if the system does not report
-    it."""
-    samples: int
 
 
 def by_kind(finished: Mapping[str, Mapping[str, Any]]) -> dict[str, KindProfile]:

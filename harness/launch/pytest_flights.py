@@ -5,11 +5,12 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+from foundation.system_error import described
 from harness.cli.progress import describe
 from harness.launch import pytest_folders
 from harness.launch.pytest_settings import Settings
-from harness.launch.swarm import SetupError, Swarm
-from harness.scenario.scenario import Scenario
+from harness.launch.swarm import SetupError, Swarm, SwarmError
+from harness.scenario.scenario import Scenario, ScenarioError
 
 LOG_LINES, EVENT_LINES = 20, 12
 """Last lines that a report shows of each log, and of the events of each swarm."""
@@ -48,7 +49,19 @@ class Flights:
     def start(
         self, scenario: str | Path | Scenario, *, processes: str | None, options: dict[str, Any]
     ) -> Swarm:
-        """Start a swarm with options of its class. Raises as `Swarm` and its ``start``."""
+        """Start a swarm with options of its class. Raises as `Swarm` and its ``start``.
+
+        The report of an error has the line of the test and the text, not the lines in between.
+        """
+        __tracebackhide__ = True
+        try:
+            return self._start(scenario, processes=processes, options=options)
+        except (ScenarioError, SwarmError) as error:
+            raise error.with_traceback(None) from error.__cause__
+
+    def _start(
+        self, scenario: str | Path | Scenario, *, processes: str | None, options: dict[str, Any]
+    ) -> Swarm:
         if processes not in {None, "one", "many"}:
             raise SetupError(f"processes {processes!r}: expected one or many")
         kind: type[Swarm] = Swarm
@@ -100,7 +113,7 @@ class Flights:
         try:
             events = [line for event in swarm.events if (line := describe(event)) is not None]
         except Exception as error:  # noqa: BLE001  of a test's own on_message: the test's failure is reported
-            events = [f"not read: {type(error).__name__}: {error}"]
+            events = [f"not read: {described(error)}"]
         lines.append(f"simulated time: {swarm.simulated_s:.3f} s")
         lines.append(f"last events of {len(events)}:" if len(events) > EVENT_LINES else "events:")
         lines += [f"  {line}" for line in events[-EVENT_LINES:] or ["none"]]
@@ -116,8 +129,7 @@ class Flights:
                     warnings.simplefilter("ignore")
                     flown.swarm.summary(draw=False)
             except Exception as error:  # noqa: BLE001  the failure of the test has precedence
-                reason = f"{type(error).__name__}: {error}".rstrip(": ")
-                self.problems.append(f"no tables in {self.shown(flown.path)}: {reason}")
+                self.problems.append(f"no tables in {self.shown(flown.path)}: {described(error)}")
 
     def settle(self, *, keep: bool) -> list[Path]:
         """Keep or remove the folders of the stopped swarms; returns those that are kept."""

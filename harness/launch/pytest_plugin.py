@@ -101,6 +101,7 @@ def swarm(request: pytest.FixtureRequest, coflight_settings: Settings) -> Genera
         processes: str | None = None,
         **options: Any,  # noqa: ANN401  Swarm's own signature checks them
     ) -> "Swarm":
+        __tracebackhide__ = True
         if isinstance(scenario, str | Path):
             scenario = packaged.find(scenario, root=config.rootpath)
         return flights.start(scenario, processes=processes, options=options)

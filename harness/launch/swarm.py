@@ -13,17 +13,16 @@ time, not necessarily the main one. Several swarms may fly at the same time.
 
 import contextlib
 import shutil
-import sys
 import tempfile
 import time
 import weakref
 from collections.abc import Callable, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self
 
 import msgspec
 
+from foundation.profiling.profiler import KindProfile
 from foundation.system_error import in_words
 from harness.launch import ground_links, profiling
 from harness.launch.interrupts import interrupts_deferred
@@ -37,10 +36,10 @@ from harness.launch.processes import (
     SwarmTimeoutError,
     uav,
 )
+from harness.launch.run_course import RunCourse
 from harness.launch.truth import SwarmTruth
+from harness.records.outcome import RunOutcome, write_outcome
 from harness.records.run_folder import RunFolder
-from harness.records.versions import Checkout, checkout
-from harness.report import outcome
 from harness.scenario import localisability
 from harness.scenario.scenario import Scenario
 from harness.scenario.scenario_file import load
@@ -131,14 +130,8 @@ class Swarm:
         self._on_message = on_message or (lambda _: None)
         self._truth: SwarmTruth | None = None
         self._links = contextlib.ExitStack()
-        self._interventions: list[str] = []
-        self._killed: set[int] = set()
+        self._course = RunCourse()
         self._stands = False
-        self._started_utc = ""
-        self._checkout: Checkout | None = None
-        self._wall_running_s = 0.0
-        self._not_formed: str | None = None
-        self._broken_off: str | None = None
         self._is_flying = False
         """Whether it was started and not yet stopped."""
         self._summary: dict[str, Any] | None = None
@@ -162,18 +155,20 @@ class Swarm:
         Raises SetupError, or SwarmError if a process does not become ready; then all are stopped again. The
         folder is kept only if a process has failed, for its log.
         """
-        if self._started_utc:
+        if self._course.has_begun:
             raise SwarmError("a swarm is started once")
-        self._started_utc = datetime.now(UTC).isoformat(timespec="seconds")
+        self._course.begin()
         if (text := localisability.warning(self.scenario)) is not None:
             self._on_message(ProcessNotice(text=text))
-        self._checkout = checkout()
         try:
             self._processes.start()
             self.scenario = self._processes.scenario
-            self._write_outcome_of_flying()
+            try:
+                write_outcome(self._folder, self._course.unknown_end(speed=self._speed))
+            except OSError as error:
+                raise SetupError(in_words(error)) from None
             self._run(RunUntil(time_us=0))  # no simulation: waits for the vehicles to connect
-            self._wall_running_s = 0.0
+            self._course.wall_running_s = 0.0
             self._is_flying = True
         except BaseException as error:
             self._processes.failure = str(error) or type(error).__name__
@@ -181,24 +176,11 @@ class Swarm:
                 self._processes.stop(at_once=True)
                 is_failure = isinstance(error, SwarmError) and not isinstance(error, SetupError)
                 if is_failure and any(self._folder.logs.glob("*")):
-                    self._write_outcome(interrupted=False, held=False)
+                    self._write_outcome()
                     self._folder.release()
                 else:
                     self._folder.discard()
             raise
-
-    def _write_outcome_of_flying(self) -> None:
-        """Write what ``coflight report`` needs if this process is killed. Raises SetupError."""
-        flying = outcome.of_flying(
-            command=tuple(sys.argv),
-            speed=self._speed,
-            started_utc=self._started_utc,
-            checkout=self._checkout,
-        )
-        try:
-            outcome.write_outcome(self._folder, flying)
-        except OSError as error:
-            raise SetupError(in_words(error)) from None
 
     def stop(self) -> None:
         """End every process; harmless when repeated. The records are kept for `summary`.
@@ -211,7 +193,7 @@ class Swarm:
             self._processes.stop()
             if self._is_flying:
                 self._is_flying = False
-                self._write_outcome(interrupted=False, held=False)
+                self._write_outcome()
 
     # --- simulated time
 
@@ -235,9 +217,9 @@ class Swarm:
         deadline_us = self._after_us(timeout_s)
         truth = self._run(RunUntil(time_us=deadline_us, stop_when_formed=True, speed=self._speed))
         if self._processes.formed_us is None:
-            self._not_formed = f"the formation was not reached within {timeout_s:g} s"
-            raise SwarmTimeoutError(self._not_formed)
-        self._not_formed = None
+            self._course.not_formed = f"the formation was not reached within {timeout_s:g} s"
+            raise SwarmTimeoutError(self._course.not_formed)
+        self._course.not_formed = None
         return truth
 
     def run_until(
@@ -308,12 +290,11 @@ class Swarm:
             paused = self._await_paused()
         except BaseException as error:
             # the simulated time reached depends on the machine: the run cannot be continued
-            self._broken_off = f"a run was broken off: {str(error) or type(error).__name__}"
-            processes.note_failure(self._broken_off)
+            processes.note_failure(self._course.break_off(error))
             raise
         finally:
             # after an error this is the pause that the physics server reported last
-            self._wall_running_s += time.monotonic() - wall_begin_s - processes.wall_paused_s
+            self._course.wall_running_s += time.monotonic() - wall_begin_s - processes.wall_paused_s
         self._truth = SwarmTruth(time_us=paused.time_us, vehicles=paused.vehicles)
         if paused.reason == "no_vehicles":
             left = f"no vehicle is left at {self._truth.t_s:.3f} s"
@@ -335,7 +316,7 @@ class Swarm:
     def kill(self, instance: int) -> None:
         """SIGKILL a vehicle's process now; returns when it has ended."""
         self._intervene(f"kill uav {instance}")
-        self._killed.add(instance)
+        self._course.killed.add(instance)
         self._processes.kill(instance)
 
     def cut_channel(self) -> None:
@@ -369,7 +350,7 @@ class Swarm:
         self._processes.send(InjectFault(fault=fault))
 
     def _intervene(self, what: str) -> None:
-        self._interventions.append(f"{self.truth.t_s:.3f} s: {what}")
+        self._course.interventions.append(f"{self.truth.t_s:.3f} s: {what}")
 
     def mavlink(self, instance: int) -> Any:  # noqa: ANN401  pymavlink has no types
         """Open a pymavlink connection (`mavutil`) to a vehicle, as a ground station; closed with the swarm.
@@ -418,7 +399,7 @@ class Swarm:
         return self._processes.log_tails(lines)
 
     @property
-    def profile(self) -> dict[str, profiling.KindProfile]:
+    def profile(self) -> dict[str, KindProfile]:
         """After the stop, the profile by kind of process; empty without ``profile_from_s``."""
         return profiling.by_kind(self._processes.finished)
 
@@ -438,7 +419,9 @@ class Swarm:
         if self._folder.manifest.exists():  # an earlier call has failed to draw the figures
             self._summary = msgspec.json.decode(self._folder.summary.read_bytes(), type=dict[str, Any])
             return self._summary
-        ended = self._write_outcome(interrupted=interrupted, held=held)
+        if interrupted:
+            self._course.break_off(KeyboardInterrupt())
+        ended = self._write_outcome(held=held)
         from harness.report import report  # noqa: PLC0415  the analysis is slow to import: not before the flight
 
         try:
@@ -450,53 +433,12 @@ class Swarm:
             self._folder.release()  # also for ``coflight report``, after an error
         return self._summary
 
-    def _write_outcome(self, *, interrupted: bool, held: bool) -> outcome.RunOutcome:
+    def _write_outcome(self, *, held: bool = False) -> RunOutcome:
         """Write how the flight ended, for ``coflight report``, and return it."""
-        ended = self._outcome(interrupted=interrupted, held=held)
+        ended = self._course.ended(self._processes, speed=self._speed, held=held)
         with interrupts_deferred(), contextlib.suppress(OSError):  # on a full disk that of the start is kept
-            outcome.write_outcome(self._folder, ended)
+            write_outcome(self._folder, ended)
         return ended
-
-    def _outcome(self, *, interrupted: bool, held: bool) -> outcome.RunOutcome:
-        """Return how the flight ended."""
-        processes, ended_by_user = self._processes, interrupted or held
-        lost = processes.records_lost
-        if ended_by_user and lost is None:
-            status = "interrupted" if interrupted else "held"
-        elif processes.failure is not None:
-            status = "failed"
-        else:
-            status = "completed" if self._not_formed is None else "not_formed"
-        reasons = (processes.failure, lost) if processes.failure is not None else (self._not_formed,)
-        nondeterminism = processes.nondeterminism(self._killed)
-        if ended_by_user:
-            nondeterminism.append("it was interrupted by its user" if interrupted else "its user ended it")
-        elif self._broken_off is not None:
-            nondeterminism.append(self._broken_off)
-        return outcome.RunOutcome(
-            status=status,
-            reason=None if status == "held" else "; ".join(dict.fromkeys(filter(None, reasons))) or None,
-            command=tuple(sys.argv),
-            speed=self._speed,
-            started_utc=self._started_utc,
-            checkout=self._checkout,
-            wall_s=self._wall_running_s,
-            simulated_us=processes.finished.get("physics", {}).get("time_us", processes.simulated_us),
-            formed_us=processes.formed_us,
-            processes=tuple(
-                outcome.ProcessRecord(
-                    name=name,
-                    pid=exited.pid,
-                    ending=exited.describe(),
-                    details=processes.finished.get(name, {}),
-                )
-                for name, exited in sorted(processes.exited.items(), key=lambda item: item[1].pid)
-            ),
-            ground_messages=sum(details.get("ground_messages", 0) for details in processes.finished.values()),
-            interventions=tuple(self._interventions),
-            nondeterminism=tuple(nondeterminism),
-            profile=self.profile,
-        )
 
 
 def _factor(speed: Speed) -> float:

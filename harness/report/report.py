@@ -21,14 +21,14 @@ from antenna.analysis.gain_figures import gain_density_figure, patterns_figure
 from foundation.records.record_log import read
 from foundation.records.whole_file import write_whole
 from harness.records.flight import Flight
-from harness.records.run_folder import RunFolder, read_raw_scenario
+from harness.records.outcome import RunOutcome, read_outcome
+from harness.records.run_folder import NotARun, RunFolder, read_raw_scenario
 from harness.records.tables import flight_of, read_flight, write_tables
 from harness.records.versions import DISTRIBUTIONS, versions
 from harness.report import antenna_report, figures
 from harness.report.antenna_report import Aperture
 from harness.report.flown_array import figure_patterns
 from harness.report.formation_error import FormationError, formation_error
-from harness.report.outcome import RunOutcome, read_outcome
 from harness.scenario.scenario import Scenario
 from harness.simulator.messages import Formed
 from harness.simulator.motion_start import flown_start_us, since_start_s
@@ -133,6 +133,8 @@ def finish_later(folder: RunFolder) -> dict[str, Any]:
     and OSError.
     """
     scenario, outcome = read_raw_scenario(folder), read_outcome(folder)
+    if not folder.events.exists():
+        raise NotARun(f"{folder.path}: its flight has not begun: {outcome.reason}")
     with folder.held():
         outcome = read_outcome(folder)  # what the launcher wrote in the end, if it has just ended
         if outcome.simulated_us is None:

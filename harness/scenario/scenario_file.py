@@ -46,7 +46,10 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
         table = read_table(path)
     except TextFileError as error:
         names = ", ".join(name for name in packaged.names() if "/" not in name)
-        raise ScenarioError(f"{error}; scenarios by name: {names}") from None
+        advice = "" if path.is_file() else f"; scenarios by name: {names}"
+        raise ScenarioError(f"{error}{advice}") from None
+    if isinstance(table.get("scenario"), str):
+        raise ScenarioError(f"{path}: it is a campaign: coflight campaign flies it")
     table.setdefault("name", path.stem)
     for override in overrides:
         _override(table, override)

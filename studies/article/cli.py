@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from rich.console import Console
 
 from foundation import exit_status
-from foundation.system_error import in_words
+from foundation.system_error import described
 from harness.campaign import Campaign, CampaignError, ClusterError, Table, run
 from harness.campaign.definition import expand
 from harness.campaign.display import CampaignDisplay
@@ -100,14 +100,12 @@ def article(
 
 def _ending(error: Exception) -> tuple[int, str]:
     match error:
-        case OSError():
-            return exit_status.FAILED, in_words(error)
         case ClusterError() | kernel_cache.CompileError():
             return exit_status.FAILED, str(error)
         case CampaignError():
             return exit_status.BAD_INPUT, str(error)
         case _:
-            return exit_status.FAILED, f"{type(error).__name__}: {error}".rstrip(": ").splitlines()[0]
+            return exit_status.FAILED, described(error)
 
 
 def _fly(

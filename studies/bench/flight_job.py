@@ -2,8 +2,9 @@
 
 from msgspec import Struct
 
+from foundation.profiling.profiler import KindProfile
 from harness.launch.processes import PHYSICS, PREFORK, RADIO
-from harness.launch.profiling import VEHICLES, KindProfile
+from harness.launch.profiling import VEHICLES
 
 LAUNCHER = "launcher"
 KINDS = (PHYSICS, RADIO, VEHICLES, PREFORK, LAUNCHER)

@@ -78,6 +78,21 @@ def test_a_failed_test_keeps_its_run_names_it_and_shows_its_events(
     assert "*" in (pytester.path / ".coflight" / ".gitignore").read_text().splitlines()
 
 
+def test_an_error_of_the_start_is_shown_at_the_line_of_the_test(run: Run, pytester: pytest.Pytester) -> None:
+    limit = "swarm('small.toml', wall_limit_s=0.05)"
+    done = run(
+        f"def test_key(swarm):\n    swarm('small.toml', agents=0)\ndef test_limit(swarm):\n    {limit}\n"
+    )
+    done.assert_outcomes(failed=2)
+    done.stdout.fnmatch_lines(
+        ["E *ScenarioError: *small.toml: agents: expected `int` >= 1", "test_user.py:2: ScenarioError"]
+    )
+    done.stdout.fnmatch_lines(["E *SwarmTimeoutError: the wall time of 0.05 s is over", "events:", "  none"])
+    assert "pytest_flights.py" not in done.stdout.str()
+    (folder,) = pytester.path.glob(".coflight/test_user-test_limit*")
+    assert report.main([str(folder)]) == report.BAD_INPUT
+
+
 def test_nothing_is_left_when_all_pass_also_of_an_earlier_failure(
     run: Run, pytester: pytest.Pytester
 ) -> None:

@@ -174,10 +174,11 @@ def test_interrupted_run_cannot_be_continued_and_is_marked(swarm):
     threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT)).start()
     with pytest.raises(KeyboardInterrupt):
         flight.run_for(600.0)
-    with pytest.raises(SwarmError, match="broken off"):
+    with pytest.raises(SwarmError, match="interrupted by its user"):
         flight.run_for(0.5)
     summary = flight.summary(draw=False)
-    assert (summary["status"], summary["deterministic"]) == ("failed", False)
+    assert (summary["status"], summary["deterministic"]) == ("interrupted", False)
+    assert summary["reason"] == "the run was interrupted by its user"
 
 
 def test_late_formation_is_reported(swarm):

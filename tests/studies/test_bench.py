@@ -12,7 +12,8 @@ from typer.testing import CliRunner
 
 from autopilot.mavlink.hil import HilActuatorControls, HilParser, HilSensor
 from foundation.exit_status import FAILED, INTERRUPTED
-from harness.launch.profiling import VEHICLES, KindProfile
+from foundation.profiling.profiler import KindProfile
+from harness.launch.profiling import VEHICLES
 from studies.bench import bench, floor
 from studies.bench.bench import BenchPlan, FlightBench, HostMachine, summarise, to_json
 from studies.bench.cli import bench_app

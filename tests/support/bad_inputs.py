@@ -53,6 +53,7 @@ def prepare(folder: Path) -> None:
     )
     folder.joinpath("campaign.toml").write_text('scenario = "nowhere"\n[sweep]\nagents = [1]\n')
     folder.joinpath("sweep.toml").write_text('scenario = "article"\n[sweep]\n"wind.men_n" = [1, 2]\n')
+    folder.joinpath("seed.toml").write_text('scenario = "article"\nseed = 3\n')
     folder.joinpath("latin.toml").write_bytes('name = "Z\xfcrich"\n'.encode("latin-1"))
     folder.joinpath("a-folder.toml").mkdir()
     run = folder / "run"
@@ -126,6 +127,7 @@ BAD_INPUTS = (
     scenario("deck.toml", "antenna.element_file", "file.txt"),
     scenario("/dev/zero", "larger than"),
     scenario("file.txt", "not TOML"),
+    BadInput("fly: a campaign", ("fly", "campaigns/wind"), ("it is a campaign", "coflight campaign")),
     setting("wind.mean_n=-1", "wind.mean_n", ">= 0"),
     setting("wind.mean_n=strong", "wind.mean_n", "expected `float`", "got `str`"),
     setting("wind.mean=3", "unknown key `mean`", "`wind.mean_n`"),
@@ -148,7 +150,7 @@ BAD_INPUTS = (
     setting("autopilot.params.MPC_XY_P=fast", "autopilot.params.MPC_XY_P", "expected `float`"),
     setting("autopilot.params.NO_SUCH=1", "NO_SUCH"),
     setting("autopilot.params.MPC_XY_P=99", "MPC_XY_P"),
-    BadInput("report: no run", ("report", "nowhere"), ("nowhere", "no run")),
+    BadInput("report: no folder", ("report", "nowhere"), ("nowhere", "there is no such folder")),
     BadInput("report: a file", ("report", "file.txt"), ("file.txt", "no run")),
     BadInput("report: a folder of something else", ("report", "others"), ("others", "no run")),
     BadInput("report: a broken run", ("report", "run"), ("run",)),
@@ -162,9 +164,8 @@ BAD_INPUTS = (
     BadInput("campaign: a folder", ("campaign", "a-folder.toml"), ("a-folder.toml", "it is a folder")),
     BadInput("campaign: not TOML", ("campaign", "broken.toml"), ("broken.toml", "not TOML")),
     BadInput("campaign: binary", ("campaign", "binary.toml"), ("binary.toml", "it is not text")),
-    BadInput(
-        "campaign: an unknown key", ("campaign", "list.toml"), ("unknown key `agents`", "scenario, seeds")
-    ),
+    BadInput("campaign: a scenario", ("campaign", "list.toml"), ("names no scenario", "coflight fly")),
+    BadInput("campaign: an unknown key", ("campaign", "seed.toml"), ("unknown key `seed`", "`seeds`")),
     BadInput("campaign: no scenario", ("campaign", "campaign.toml"), ("nowhere", "there is no such file")),
     BadInput("campaign: an unknown field", ("campaign", "sweep.toml"), ("wind", "men_n", "wind.mean_n")),
     BadInput(

@@ -7,10 +7,11 @@ observes one direction only, that between its ends, so no distance observes posi
 
 import numpy as np
 
+from autopilot.onboard.localisation.model import LocalisationModel
 from autopilot.onboard.radio.neighbourhood import Flags
 from foundation.types import Array
 
-ACCURATE_STD_M = 0.05
+ACCURATE_STD_M = LocalisationModel().range_floor_std_m
 """One sigma of accurate distances: the least that the filter assumes by default."""
 
 

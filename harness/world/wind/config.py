@@ -105,11 +105,11 @@ class WindConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Discrete gusts: tables ``[[wind.gusts]]``."""
 
     mean_n: Annotated[float, Meta(ge=0.0, le=100.0)] | None = None
-    """Magnitude of the mean force. This and the next two fields are for kind "force"."""
+    """Magnitude of the mean force, for kind "force"."""
     gust_rms_fraction: Annotated[float, Meta(ge=0.0, le=5.0)] | None = None
-    """RMS of each horizontal component of the gusts over the mean's magnitude."""
+    """RMS of each horizontal component of the gusts over the mean's magnitude, for kind "force"."""
     gust_time_constant_s: Annotated[float, Meta(gt=0.0, le=MOST_TIME_S)] | None = None
-    """Correlation time of the gusts, seconds."""
+    """Correlation time of the gusts, seconds, for kind "force"."""
 
     mean_m_s: Speed | None = None
     """Mean speed of the air, at ``reference_height_m`` if it depends on height. This and all following fields

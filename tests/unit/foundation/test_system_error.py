@@ -5,7 +5,7 @@ import socket
 
 import pytest
 
-from foundation.system_error import in_words
+from foundation.system_error import described, in_words
 
 
 @pytest.mark.parametrize(
@@ -20,3 +20,15 @@ from foundation.system_error import in_words
 )
 def test_file_and_cause(error, words):
     assert in_words(error) == words
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (ValueError("wrong\nand more"), "ValueError: wrong"),
+        (ValueError(), "ValueError"),
+        (OSError(errno.ENOSPC, "No space left"), "No space left on device"),
+    ],
+)
+def test_any_error_in_one_line(error, line):
+    assert described(error) == line

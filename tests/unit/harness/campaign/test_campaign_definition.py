@@ -233,14 +233,14 @@ def test_long_sweeps_are_validated_fast():
         ("[sweep]\nwind.mean_n = {from = 1, to = 2, count = 1}", "sweep.wind.mean_n.count: 1: expected an"),
         ("[sweep]\nwind.mean_n = {from = 1, to = nan, count = 2}", "sweep.wind.mean_n.to: nan: expected a"),
         ("[sweep]\nwind.mean_n = {from = 0, to = 1, step = 1e-9}", "sweep.wind.mean_n: 1000000001 values; "),
-        ("[sweep]\nrun.seed = [1, 2]", "sweep: run.seed: seeds says that"),
-        ("[set]\nrun.seed = 1", "set: run.seed: seeds says that"),
+        ("[sweep]\nrun.seed = [1, 2]", "sweep: run.seed: the seeds are set by `seeds` alone"),
+        ("[set]\nrun.seed = 1", "set: run.seed: the seeds are set by `seeds` alone"),
         ("[set]\nwind = {}", "set.wind: an empty table sets nothing"),
         ('[set]\n"wind.mean_n" = 1\nwind.mean_n = 2', "set.wind.mean_n: stands twice"),
-        ("[set]\nwind.mean_n = 1\n[sweep]\nwind.mean_n = [2]", "sweep: wind.mean_n: set says that"),
+        ("[set]\nwind.mean_n = 1\n[sweep]\nwind.mean_n = [2]", "sweep: wind.mean_n: set sets wind.mean_n"),
         (
             '[[cases]]\nname = "a"\nfaults = []\n[sweep]\nfaults = [[]]',
-            "sweep: faults: case 'a' says that of faults",
+            "sweep: faults: case 'a' sets faults",
         ),
         ("[[cases]]\nwind.mean_n = 1", "cases[0].name: expected a name"),
         ('[[cases]]\nname = "a"\n[[cases]]\nname = "a"', "cases: two are named 'a'"),
@@ -258,6 +258,12 @@ def test_a_wrong_campaign_is_an_error_line_with_file_case_and_field(tmp_path, te
     assert refused(tmp_path, text).startswith(line)
 
 
+def test_a_packaged_scenario_is_named_from_any_folder(tmp_path):
+    path = tmp_path / "campaign.toml"
+    path.write_text('scenario = "article"')
+    assert load(path).scenario == ARTICLE
+
+
 def test_an_override_has_precedence_over_the_file_but_not_over_compared_values(tmp_path):
     path = write(
         tmp_path, "[set]\nwind.mean_n = 1\n[[cases]]\nname = 'a'\nagents = 4\n[sweep]\nwind.gusts = [[]]"
@@ -267,9 +273,7 @@ def test_an_override_has_precedence_over_the_file_but_not_over_compared_values(t
     for override, where in (
         ("agents=8", "case 'a'"), ("wind.gusts=[]", "sweep"), ("wind={}", "sweep"), ("run.seed=2", "seeds")
     ):  # fmt: skip
-        with pytest.raises(
-            CampaignError, match=f"--set {override}: {where} says that".replace("[]", r"\[\]")
-        ):
+        with pytest.raises(CampaignError, match=f"--set {override}: {where} sets ".replace("[]", r"\[\]")):
             load(path, [override])
 
 
@@ -299,6 +303,9 @@ def test_a_dry_run_lists_the_runs_and_creates_nothing(tmp_path, capfd):
     assert list((tmp_path / "out").iterdir()) == []
     capfd.readouterr()
     assert cli.main([str(path), "--set", "wind.mean_n=1"]) == exit_status.BAD_INPUT
-    assert capfd.readouterr().err == f"campaign: {path}: --set wind.mean_n=1: sweep says that\n"
+    assert (
+        capfd.readouterr().err
+        == f"campaign: {path}: --set wind.mean_n=1: sweep sets wind.mean_n too; change it there\n"
+    )
     with pytest.raises(CampaignError, match="nonsense: expected the address of a dask scheduler"):
         run(load(path), out=tmp_path / "out", scheduler="nonsense")

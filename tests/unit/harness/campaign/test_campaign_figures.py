@@ -64,8 +64,21 @@ def test_points_are_means_and_bars_are_students_intervals():
     half = t.ppf(0.975, 3) * np.std([1.1, 1.2, 1.3, 1.4], ddof=1) / 2.0
     np.testing.assert_allclose(bars, np.array([y - half, y + half]).T)
     np.testing.assert_allclose(_points(busy)[0][1], 5.0)
-    assert shape.get_xlabel() == "wind.mean_n"
+    assert shape.get_xlabel() == "wind.mean_n"  # the table states no unit
+    assert _caption(figure)[0].startswith("mean and 95% interval")
     assert [label.get_text() for label in shape.get_xticklabels()] == ["0", "2", "5"]
+
+
+def test_an_axis_has_the_unit_that_the_table_states():
+    rows = _table(**{"wind.mean_n": [0.0, 2.0]})
+    place = rows.schema.get_field_index("wind.mean_n")
+    schema = rows.schema.set(place, rows.schema.field(place).with_metadata({"unit": "N"}))
+    assert factor_figure(rows.cast(schema), "wind.mean_n").axes[0].get_xlabel() == "wind.mean_n (N)"
+
+
+def test_single_flights_are_not_called_intervals():
+    figure = factor_figure(_table(seeds=1, **{"wind.mean_n": [0.0, 2.0]}), "wind.mean_n")
+    assert _caption(figure)[0].startswith("one flight each, so without intervals")
 
 
 def test_failed_runs_are_left_out_and_counted():

@@ -9,8 +9,8 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import stamp
 from autopilot.mavlink.components import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
+from harness.records.outcome import RunOutcome
 from harness.records.run_folder import PhysicsConfig, RunFolder
-from harness.report.outcome import RunOutcome
 from harness.report.report import finish
 from harness.scenario.scenario_file import load
 from harness.simulator.actuator_inbox import ActuatorInbox

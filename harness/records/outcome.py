@@ -5,8 +5,8 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
+from foundation.profiling.profiler import KindProfile
 from foundation.records.whole_file import write_whole
-from harness.launch.profiling import KindProfile
 from harness.records.run_folder import NotARun, RunFolder
 from harness.records.versions import Checkout
 
@@ -47,26 +47,6 @@ class RunOutcome(Struct, frozen=True, kw_only=True):
     """Causes that made this run depend on more than scenario and seed."""
     profile: dict[str, KindProfile] = {}
     """Profile by kind of process, if requested"""
-
-
-def of_flying(
-    *, command: tuple[str, ...], speed: float, started_utc: str, checkout: Checkout | None
-) -> RunOutcome:
-    """Return the outcome at the start: that of a flight whose launcher writes no other one."""
-    unknown = "its end is not recorded: its launcher was killed, or its disk was full"
-    return RunOutcome(
-        status="interrupted",
-        reason=unknown,
-        command=command,
-        speed=speed,
-        started_utc=started_utc,
-        checkout=checkout,
-        wall_s=None,
-        simulated_us=None,
-        formed_us=None,
-        processes=(),
-        nondeterminism=(unknown,),
-    )
 
 
 def write_outcome(folder: RunFolder, outcome: RunOutcome) -> None:
