@@ -1,4 +1,4 @@
-"""What a launcher knows of a run beside its logs, and the outcome that follows from it."""
+"""The course of a run that its logs do not hold, and the outcome that follows from it."""
 
 import sys
 from datetime import UTC, datetime
