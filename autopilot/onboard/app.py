@@ -129,6 +129,10 @@ class OnboardApp:
             case "GPS_RAW_INT":
                 if self._own.on_gps(msg):
                     self._take_fix()
+            case "ALTITUDE":
+                self._own.on_altitude(msg)
+            case "SYS_STATUS":
+                self._own.on_status(msg)
             case "ATTITUDE_QUATERNION":
                 if self._guidance.wind is not None:
                     self._guidance.wind.on_attitude((msg.q1, msg.q2, msg.q3, msg.q4))
@@ -278,6 +282,7 @@ class OnboardApp:
             "bad_beacons": self._table.bad_beacons,
             "beacons_missed": self._table.beacons_missed,
             "commands_refused": self._commands.refusals,
+            "height_steps": self._own.height.steps,
         }
         if self.localisation is not None:
             counts["localisation_restarts"] = self.localisation.restarts
@@ -298,7 +303,9 @@ class OnboardApp:
             model = self._model
             std_ned_m = (model.gps_bias_std_m, model.gps_bias_std_m, model.height_std_m)
         offset_ned_m = _UNKNOWN if correction.offset_ne_m is None else (*correction.offset_ne_m, 0.0)
-        correction_ned_m = (*correction.ne_m, self._guidance.down_error_m)
+        correction_ned_m = (
+            *correction.ne_m, self._guidance.down_error_m + self._own.height.autopilot_down_m
+        )  # fmt: skip
         return Estimate(
             self._guidance.believed_ned_m(self._own, now_us), std_ned_m, correction_ned_m, offset_ned_m
         )

@@ -5,6 +5,7 @@ its GPS bias with a lag, its velocity has a coloured error, its height a slow on
 real estimator at a fraction of its cost.
 """
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,6 +21,9 @@ from netsim.wire.messages import Broadcast, Delivery, FtmRequest, FtmResult
 PAIR = ((-3.0, 0.0, -8.0), (3.0, 0.0, -8.0))
 ALONE = ((0.0, 0.0, -8.0),)
 STEP_US = 4_000
+CALIBRATION_S = 14.0
+SHARE_OF_VELOCITY = 0.5
+"""Share of a drift of the autopilot's height that its vertical velocity shows."""
 SITE = Site()
 MODE_TAKE_OFF, MODE_LOITER, MODE_LAND, MODE_OFFBOARD = (
     4 << 16 | 2 << 24,
@@ -64,6 +68,10 @@ class Errors:
     velocity_std_m_s: float = 0.06
     velocity_tau_s: float = 1.0
     height_std_m: float = 0.15
+    gps_height_std_m: float = 0.0
+    """Above 0 the autopilot's height follows the GPS receiver's instead of the barometer's."""
+    barometer_steps_m: float = 0.0
+    """Above 0 ALTITUDE is sent, and each barometer is calibrated anew at `CALIBRATION_S`, by this."""
     gust_std_m_s2: float = 0.35
     gust_tau_s: float = 2.0
     range_std_m: float = 0.1
@@ -168,6 +176,11 @@ class SwarmWorld:
         self.height_error = draw(self.n) * self.errors.height_std_m
         self.height_zero = self.height_error.copy()
         self.vel_error = draw((self.n, 3)) * self.errors.velocity_std_m_s
+        self.gps_height = np.zeros(self.n)
+        self.gps_height_vel = np.zeros(self.n)
+        if self.errors.gps_height_std_m:
+            self.gps_height += draw(self.n) * self.errors.gps_height_std_m
+        self.barometer_zero = np.full(self.n, 488.0)
         self.gust = draw((self.n, 3)) * self.errors.gust_std_m_s2
         self.past = []
         self.in_flight = []
@@ -250,6 +263,13 @@ class SwarmWorld:
             dt_s / errors.estimator_lag_s
         )
         self.estimate_error[:, 2] = self.height_error - self.height_zero
+        if errors.gps_height_std_m:
+            # follows the receiver smoothly, as the estimator's lag for positions
+            pull = draw(self.n) * errors.gps_height_std_m * np.sqrt(2.0 * dt_s / errors.gps_bias_tau_s)
+            self.gps_height_vel += pull / errors.estimator_lag_s
+            self.gps_height_vel -= self.gps_height_vel * (dt_s / errors.estimator_lag_s)
+            self.gps_height += self.gps_height_vel * dt_s
+            self.estimate_error[:, 2] = self.gps_height
         local = self.pos + self.estimate_error - self.origin
         for i, autopilot in enumerate(self.autopilots):
             if not autopilot.armed or i in self.dead:
@@ -293,7 +313,14 @@ class SwarmWorld:
         if step % 8 == i % 8:
             x, y, z = self.pos[i] + self.estimate_error[i] - self.origin[i]
             vx, vy, vz = self.vel[i] + self.vel_error[i]
+            vz += SHARE_OF_VELOCITY * self.gps_height_vel[i]
             messages.append(common.MAVLink_local_position_ned_message(boot_us // 1_000, x, y, z, vx, vy, vz))
+        if step % 25 == i % 25 and self.errors.barometer_steps_m:
+            if CALIBRATION_S - 0.05 <= self.now_us * 1e-6 < CALIBRATION_S + 0.05:
+                self.barometer_zero[i] += self.errors.barometer_steps_m * self.rng.standard_normal()
+            altitude_m = self.barometer_zero[i] - self.pos[i, 2] - self.height_error[i]
+            altitude_m += 0.05 * self.rng.standard_normal()
+            messages.append(common.MAVLink_altitude_message(boot_us, altitude_m, *[math.nan] * 5))
         if step % 50 == i and len(self.past) == 31:
             pos, bias = self.past[0]
             seen = pos[i].copy()

@@ -12,7 +12,13 @@ from collections.abc import Callable
 from msgspec import Struct
 
 from autopilot.mavlink.modes import FlightMode
-from autopilot.onboard.formation.commands import ARM, OFFBOARD, CommandSender, take_off
+from autopilot.onboard.formation.commands import (
+    ARM,
+    OFFBOARD,
+    CommandSender,
+    RepeatedCommand,
+    take_off,
+)
 from autopilot.onboard.formation.own_state import OwnState
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.localisation.model import LOCALISE_TIMEOUT_US, SHAPE_STD_M
@@ -22,6 +28,8 @@ HAND_OVER_HEIGHT_M = 0.5
 """Lowest height at which the vehicle certainly flies: below it wind and GPS errors move it unchecked."""
 FLOWN_HEIGHT_M = 0.3
 """A vehicle disarmed after exceeding this height has landed and does not take off again."""
+READY_TIMEOUT_US = 20_000_000
+"""Longest time for which arming waits for the autopilot's pre-arm checks, whose reasons it reports itself."""
 HEARTBEAT_LAG_US = 1_500_000
 """Longest time until a HEARTBEAT (1 Hz) shows a change that a COMMAND_ACK has confirmed."""
 
@@ -60,6 +68,7 @@ class FlightSequence:
         self._arrived_us: int | None = None
         self._offboard_seen = False
         self._has_flown = False
+        self._take_off: RepeatedCommand | None = None
 
     @property
     def in_air(self) -> bool:
@@ -97,6 +106,10 @@ class FlightSequence:
                     )
                     return FlightPhase.ARMING
             case FlightPhase.ARMING:
+                self._take_off = None
+                if own.is_ready is False and now_us - self._phase_since_us < READY_TIMEOUT_US:
+                    return self.phase
+                own.on_arming()
                 self._commands.request(ARM, now_us)
                 if self._commands.accepted:
                     return FlightPhase.TAKE_OFF
@@ -116,7 +129,7 @@ class FlightSequence:
         return FlightPhase.LOCALISING if situation.shape_std_m > 0.0 else FlightPhase.ARMING
 
     def _taking_off(self, own: OwnState, situation: Situation, now_us: int, *, disarmed: bool) -> FlightPhase:
-        height_m = -own.local_ned_m[2]
+        height_m = -own.odometry_ned_m[2]
         take_off_height_m = min(TAKE_OFF_HEIGHT_M, situation.place_height_m)
         if disarmed:
             return FlightPhase.LANDED if self._has_flown else FlightPhase.ARMING
@@ -126,7 +139,10 @@ class FlightSequence:
         if height_m < min(HAND_OVER_HEIGHT_M, 0.5 * take_off_height_m) and not self._commands.is_requested(
             OFFBOARD
         ):
-            self._commands.request(take_off(own.origin_alt_m + take_off_height_m), now_us)
+            if self._take_off is None:  # once: the altitude of the ground, as the autopilot sees it, drifts
+                ground_alt_m = own.origin_alt_m - own.height.autopilot_down_m
+                self._take_off = take_off(ground_alt_m + take_off_height_m)
+            self._commands.request(self._take_off, now_us)
             return FlightPhase.TAKE_OFF
         self._commands.request(OFFBOARD, now_us)
         self._offboard_seen = False

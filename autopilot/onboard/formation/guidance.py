@@ -46,7 +46,7 @@ class Guidance:
         self.position_gain_1_s = POSITION_GAIN_1_S
         """MPC_XY_P of the autopilot that follows the setpoints."""
         self.down_error_m = 0.0
-        """The autopilot's position minus the true one, down; 0 unless the simulator sends the truth."""
+        """Vertical odometry minus the true height, down; 0 unless the simulator sends the truth."""
         self._station = station
         self._plan = plan
         self._reference = FormationReference(climb_speed_m_s=config.climb_speed_m_s)
@@ -128,8 +128,10 @@ class Guidance:
         north_m, east_m, down_m = pos_ned_m
         error_n_m, error_e_m = self.correction.ne_m
         origin_n_m, origin_e_m, _ = own.origin_ned_m or (0.0, 0.0, 0.0)
+        vel_n, vel_e, vel_d = vel_ned_m_s
         target_ned_m = (
-            north_m + error_n_m - origin_n_m, east_m + error_e_m - origin_e_m, down_m + self.down_error_m
+            north_m + error_n_m - origin_n_m, east_m + error_e_m - origin_e_m,
+            down_m + self.down_error_m + own.height.autopilot_down_m,
         )  # fmt: skip
         acc_ned_m_s2 = None
         if accelerates and (self._plan.moves or self.wind is not None):
@@ -138,7 +140,7 @@ class Guidance:
                 feed_n, feed_e = self.wind.feed_forward_ne_m_s2
                 acc_n, acc_e = acc_n + feed_n, acc_e + feed_e
             acc_ned_m_s2 = (acc_n, acc_e, acc_d)
-        return target_ned_m, vel_ned_m_s, acc_ned_m_s2
+        return target_ned_m, (vel_n, vel_e, vel_d + own.height.vel_error_m_s), acc_ned_m_s2
 
     def _since_start_s(self, now_us: int) -> float:
         start_us = self.start.start_us

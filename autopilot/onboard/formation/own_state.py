@@ -1,7 +1,8 @@
 """State of the own vehicle from the autopilot's MAVLink messages: odometry, position, GPS, mode.
 
 Horizontal odometry is the integral of the autopilot's velocity since the first message, as the autopilot's
-position follows the GPS bias. Vertical odometry is its barometric height above its starting point.
+position follows the GPS bias. Vertical odometry is a continuous height above the ground (`height`), as the
+autopilot's may follow the GPS bias too, or be reset.
 """
 
 from pymavlink.dialects.v20 import common
@@ -9,6 +10,7 @@ from pymavlink.dialects.v20 import common
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.local_messages import LocalPosition
 from autopilot.mavlink.modes import FlightMode, mode_from_custom
+from autopilot.onboard.formation.height import ContinuousHeight
 from autopilot.onboard.radio.beacon import Fix
 from autopilot.parameters.config import Site
 from foundation.geometry.geodesy import place_ned_m
@@ -23,8 +25,10 @@ class OwnState:
     Attributes:
         time_us: time of the position, the odometry and the velocity.
         odometry_ned_m: horizontally from the application's start, down from the ground.
-        local_ned_m: the autopilot's position from its own origin.
-        autopilot_ned_m: the same in the site's frame; down from its starting point.
+        vel_ned_m_s: the autopilot's velocity, less the estimated error of its vertical part.
+        autopilot_ned_m: horizontally the autopilot's position in the site's frame, down from the ground.
+        height: relation of the autopilot's vertical position and velocity to these.
+        is_ready: whether the autopilot's pre-arm checks pass; None: not reported.
         origin_ned_m: the autopilot's origin in the site's frame; ``origin_alt_m`` is above mean sea level.
         truth_ned_m: true position from the simulator, down from that in its first message.
 
@@ -34,7 +38,9 @@ class OwnState:
         self.time_us = -1
         self.odometry_ned_m = _ZERO
         self.vel_ned_m_s = _ZERO
-        self.local_ned_m = self.autopilot_ned_m = _ZERO
+        self.autopilot_ned_m = _ZERO
+        self.height = ContinuousHeight()
+        self.is_ready: bool | None = None
         self.origin_ned_m: Vector | None = None
         self.origin_alt_m = 0.0
         self.fix: Fix | None = None
@@ -48,6 +54,10 @@ class OwnState:
         self._gps_delay_ms = round(gps_delay_s * 1e3)
         self._boot_offset_us: int | None = None
         self._standing_down_m: float | None = None
+        self._local_ne_m = (0.0, 0.0)
+        """The autopilot's position from its own origin, north and east."""
+        self._standing = False
+        """Whether it is known that the vehicle has not been armed yet."""
 
     def on_local_position(self, msg: Message | LocalPosition, now_us: int) -> bool:
         """Process a LOCAL_POSITION_NED; returns False if it is not newer than the last one."""
@@ -58,19 +68,35 @@ class OwnState:
         time_us = boot_us + self._boot_offset_us
         if time_us <= self.time_us:
             return False
-        vel_n, vel_e, down_m = msg.vx, msg.vy, msg.z
+        vel_n, vel_e, height = msg.vx, msg.vy, self.height
         north_m, east_m, _ = self.odometry_ned_m
         if self.time_us >= 0:
             before_n, before_e, _ = self.vel_ned_m_s
             half_s = 0.5e-6 * (time_us - self.time_us)
             north_m += half_s * (vel_n + before_n)
             east_m += half_s * (vel_e + before_e)
-        self.odometry_ned_m = (north_m, east_m, down_m)
-        self.local_ned_m = (msg.x, msg.y, down_m)
+        height.on_position(time_us, msg.z, msg.vz, standing=self._standing)
+        self.odometry_ned_m = (north_m, east_m, height.down_m)
+        self._local_ne_m = (msg.x, msg.y)
         self._place()
-        self.vel_ned_m_s = (vel_n, vel_e, msg.vz)
+        self.vel_ned_m_s = (vel_n, vel_e, msg.vz - height.vel_error_m_s)
         self.time_us = time_us
         return True
+
+    def on_altitude(self, msg: common.MAVLink_altitude_message) -> None:
+        """Process the barometric altitude of an ALTITUDE."""
+        if self._boot_offset_us is not None:
+            time_us = msg.time_usec + self._boot_offset_us
+            self.height.on_barometer(time_us, msg.altitude_monotonic, standing=self._standing)
+
+    def on_status(self, msg: common.MAVLink_sys_status_message) -> None:
+        """Process the pre-arm checks of a SYS_STATUS."""
+        if msg.onboard_control_sensors_present & common.MAV_SYS_STATUS_PREARM_CHECK:
+            self.is_ready = bool(msg.onboard_control_sensors_health & common.MAV_SYS_STATUS_PREARM_CHECK)
+
+    def on_arming(self) -> None:
+        """Keep the zero of the height from now on."""
+        self._standing = False
 
     def on_gps(self, msg: common.MAVLink_gps_raw_int_message) -> bool:
         """Process a GPS_RAW_INT; returns False if it contains no new 3-D position."""
@@ -108,15 +134,19 @@ class OwnState:
         if msg.autopilot == common.MAV_AUTOPILOT_INVALID:
             return
         self.armed = bool(msg.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED)
+        if self.armed:
+            self._standing = False
+        elif self.heartbeat_us < 0:
+            self._standing = True
         self.failsafe = self.armed and msg.system_status >= common.MAV_STATE_CRITICAL
         self.mode = mode_from_custom(msg.custom_mode)
         self.heartbeat_us = now_us
 
     def _place(self) -> None:
         """Convert the autopilot's position to the site's frame, by its origin if that is known."""
-        north_m, east_m, down_m = self.local_ned_m
+        north_m, east_m = self._local_ne_m
         origin_n_m, origin_e_m, _ = self.origin_ned_m or _ZERO
-        self.autopilot_ned_m = (north_m + origin_n_m, east_m + origin_e_m, down_m)
+        self.autopilot_ned_m = (north_m + origin_n_m, east_m + origin_e_m, self.height.down_m)
 
     def _site_ned_m(self, lat_deg_e7: int, lon_deg_e7: int, alt_mm: int) -> Vector:
         site = self._site

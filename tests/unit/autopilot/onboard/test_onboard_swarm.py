@@ -51,6 +51,19 @@ def test_the_shape_of_all_own_estimates_has_the_predicted_accuracy(flown):
     assert estimated_shape_rms_m(flown) < 1.25 * predicted_m
 
 
+def height_rms_m(w):
+    truth, _ = w.flown(since_s=w.formed_s)
+    return rms(truth[:, :, 2] - w.places[:, 2])
+
+
+def test_autopilots_whose_height_follows_their_gps_fly_as_well_as_with_a_barometric_height(flown):
+    errors = Errors(gps_height_std_m=2.5, barometer_steps_m=3.0)
+    w = fly(errors=errors)
+    assert height_rms_m(w) < 1.3 * height_rms_m(flown) + 0.05
+    assert shape_rms_m(w) < 1.2 * shape_rms_m(flown)
+    assert {app.troubles()["height_steps"] for app in w.apps} <= {0, 1}
+
+
 def test_uavs_keep_their_distance(flown):
     assert flown.least_distance_m > 1.2
 
