@@ -1,6 +1,7 @@
 """Factory of the on-board application, for the autopilot's process or a companion process of a PX4."""
 
 import numpy as np
+from msgspec.structs import replace
 
 from autopilot.mavlink.components import APPLICATION_COMPONENT
 from autopilot.onboard.app import OnboardApp
@@ -16,6 +17,7 @@ def make_application(config: VehicleConfig) -> Application:
     seed = np.random.SeedSequence([config.seed, config.instance, APPLICATION_COMPONENT])
     return OnboardApp(
         station=config.instance, places_ned_m=config.places_ned_m, heading_deg=config.heading_deg,
-        motion=config.motion, site=config.site, config=config.onboard, devices=config.devices,
+        motion=config.motion, site=config.site, devices=config.devices,
+        config=replace(config.onboard, wind_feed_forward=config.feeds_wind_forward),
         rng=np.random.default_rng(seed),
     )  # fmt: skip

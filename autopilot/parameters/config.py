@@ -213,8 +213,9 @@ class OnboardConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     ranging_airtime: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.1
     """With ``scheduled``: channel occupancy from all causes, as measured by the own radio, above which only
     the more valuable distances are measured."""
-    wind_feed_forward: bool = False
-    """Compensate the estimated wind by tilt; for autopilots that do not do so themselves."""
+    wind_feed_forward: bool | None = None
+    """Compensate the estimated wind by tilt; for autopilots that do not do so themselves. Default: beside a
+    PX4 only."""
     climb_speed_m_s: Annotated[float, Meta(gt=0.0, le=5.0)] = 1.5
     """Speed of the climb to the height of the formation, m/s."""
     on_station_tolerance_m: Annotated[float, Meta(gt=0.0, le=1_000.0)] = 0.7
@@ -341,3 +342,9 @@ class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     connect_timeout_s: Annotated[float, Meta(gt=0.0, le=1e5)] = 30.0
     profile_from_us: Annotated[int, Meta(ge=0)] | None = None
     """Simulated time from which the process profiles its CPU time; None: never."""
+
+    @property
+    def feeds_wind_forward(self) -> bool:
+        """Whether the application compensates the wind: as set, by default beside a PX4."""
+        chosen = self.onboard.wind_feed_forward
+        return self.autopilot.is_px4(self.instance) if chosen is None else chosen

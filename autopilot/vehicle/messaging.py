@@ -105,7 +105,7 @@ class Messaging:
             common.MAVLINK_MSG_ID_MISSION_CURRENT: self.missions.mission_current,
             metadata.COMPONENT_METADATA: lambda: metadata.message(flight.now_us),
         }
-        application_hz = APPLICATION_WITH_ATTITUDE_HZ if config.onboard.wind_feed_forward else APPLICATION_HZ
+        application_hz = APPLICATION_WITH_ATTITUDE_HZ if config.feeds_wind_forward else APPLICATION_HZ
         outside = self.telemetry.builders
         within = outside | {common.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self.telemetry.motion.local_position}
         self.streams = {

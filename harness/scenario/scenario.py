@@ -228,6 +228,8 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     def _check_wind(self) -> None:
         """Check that only one part of a vehicle compensates the wind."""
         for instance in range(self.agents):
+            if self.autopilot.is_px4(instance):
+                continue
             if self.autopilot.for_uav(instance).params.get("CF_DOB_EN"):
                 raise ValueError(
                     f"onboard.wind_feed_forward: the autopilot of UAV {instance} already compensates "
