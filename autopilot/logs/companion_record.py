@@ -1,8 +1,8 @@
 """Log of an on-board application beside a PX4: the vehicle record, from PX4's messages and its own estimate.
 
-The rows are those of `autopilot.logs.vehicle_record`, so that PX4 flights are analysed like any other. PX4's
-messages are not synchronous with the simulation: a row holds the newest ones, at the log's last instant
-before them, at most some 10 ms earlier. The causes of failsafes, which PX4 does not report, are 0.
+The rows are those of `autopilot.logs.vehicle_record`, so that PX4 flights are analysed like any other. A row
+holds the newest messages and the estimate at an instant of the log, when PX4's first attitude or position
+after it arrives. The causes of failsafes, which PX4 does not report, are 0.
 """
 
 import math
@@ -32,6 +32,9 @@ _FIX = common.MAVLINK_MSG_ID_GPS_RAW_INT
 _ORIGIN = common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN
 _TARGET = common.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED
 _KEPT = frozenset({_HEARTBEAT, _LANDED, _STATUS, _POSITION, _ATTITUDE, _FIX, _ORIGIN, _TARGET})
+_TIMED = frozenset({_POSITION, _ATTITUDE})
+"""Messages with PX4's time of their content."""
+_US_PER_MS = 1_000
 _NO_AXIS = (
     common.POSITION_TARGET_TYPEMASK_X_IGNORE,
     common.POSITION_TARGET_TYPEMASK_Y_IGNORE,
@@ -51,18 +54,20 @@ class CompanionLog:
         self._written_us = 0
         self._log = RecordLog(path, VEHICLE_RECORD)
 
-    def on_message(self, message: Message) -> None:
-        """Store a message from PX4."""
+    def on_message(self, message: Message, now_us: int) -> None:
+        """Store a message from PX4, before the application has it; write a row if one is due before it."""
         kind = message.get_msgId()
         is_px4s = (
             message.get_srcSystem() == self._system and message.get_srcComponent() == AUTOPILOT_COMPONENT
         )
         if is_px4s and kind in _KEPT:
+            if kind in _TIMED:
+                self._write(min(message.time_boot_ms * _US_PER_MS, now_us))
             self._newest[kind] = message
 
-    def write(self, now_us: int) -> None:
+    def _write(self, time_us: int) -> None:
         """Write a row if an instant of the log has passed since the last, and PX4 has sent a heartbeat."""
-        at_us = now_us - now_us % self._period_us
+        at_us = time_us - time_us % self._period_us
         if at_us > self._written_us and _HEARTBEAT in self._newest:
             self._written_us = at_us
             self._log.append([self._row(at_us)])

@@ -19,9 +19,10 @@ from foundation.durations import duration_text
 from foundation.processes.child_protocol import Warned
 from harness.cli.troubles import Lag, Trouble, Troubles, error_m
 from harness.launch.kernel_cache import CompileProgress
-from harness.launch.processes import Compiling, Message, ProcessNotice, uav
+from harness.launch.processes import Compiling, Message, ProcessNotice, application, uav
 from harness.launch.supervisor import Exited
 from harness.simulator.messages import (
+    ApplicationLost,
     Collision,
     FaultChanged,
     FormationMoves,
@@ -69,6 +70,11 @@ def describe(message: Message) -> str | None:
             return f"{_at(message.time_us)}: formation moves at {message.start_us * 1e-6:.3f} s"
         case VehicleLost():
             return f"{_at(message.time_us)}: {uav(message.instance)} lost: {message.reason}"
+        case ApplicationLost():
+            without = f"{uav(message.instance)} flies on without it"
+            return (
+                f"{_at(message.time_us)}: {application(message.instance)} lost: {message.reason}; {without}"
+            )
         case VehicleSilent():
             silence = f"has not answered for {message.wall_silence_s:.1f} s of wall time"
             return f"{_at(message.time_us)}: {uav(message.instance)} {silence}"
@@ -311,9 +317,12 @@ def summary_table(summary: Mapping[str, Any]) -> Table:
     """Return a table of the main results in ``summary.json``."""
     formation, frames, ftm = summary["formation_rms_m"], summary["frames"], summary["ftm"]
     gain = summary["max_gain_dbi"]
-    lost = [
-        f"{uav(vehicle['uav'])} ({vehicle['lost']})" for vehicle in summary["vehicles"] if vehicle["lost"]
-    ]
+    losses = {
+        title: [
+            f"{uav(vehicle['uav'])} ({vehicle[key]})" for vehicle in summary["vehicles"] if vehicle.get(key)
+        ]
+        for title, key in (("lost", "lost"), ("applications lost", "application_lost"))
+    }
     title = f"{summary['scenario']}, seed {summary['seed']}: {summary['status']}"
     formation_rms = _numbers({kind: (formation[kind], ".3f", "m") for kind in ("absolute", "shape")})
     frame_counts = [
@@ -336,7 +345,7 @@ def summary_table(summary: Mapping[str, Any]) -> Table:
         "maximum gain": gains,
         "computed by": ": ".join(filter(None, (gain.get("backend"), gain.get("accuracy")))) or "-",
         "collisions": str(summary["collisions"]),
-        **({"lost": "; ".join(lost)} if lost else {}),
+        **{title: "; ".join(lost) for title, lost in losses.items() if lost},
         "deterministic": "yes" if summary["deterministic"] else "no",
         "log sha256": str(summary["log_sha256"])[:16],
     }

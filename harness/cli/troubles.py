@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from foundation.types import Vector
 from harness.launch.processes import Message
-from harness.simulator.messages import Progress, VehicleLost, VehicleSilent, VehicleTruth
+from harness.simulator.messages import ApplicationLost, Progress, VehicleLost, VehicleSilent, VehicleTruth
 
 FAR_M = 5.0
 """A vehicle on station that is farther from its place is in trouble.
@@ -65,6 +65,7 @@ class Troubles:
     def __init__(self, *, forms: bool) -> None:
         self._forms = forms
         self._lost: dict[int, str] = {}
+        self._abandoned: dict[int, str] = {}
         self._silent: dict[int, VehicleSilent] = {}
         self._places: dict[int, _Place] = {}
 
@@ -73,6 +74,8 @@ class Troubles:
         match message:
             case VehicleLost():
                 self._lost[message.instance] = message.reason
+            case ApplicationLost():
+                self._abandoned[message.instance] = message.reason
             case VehicleSilent():
                 self._silent[message.instance] = message
             case Progress():
@@ -104,6 +107,8 @@ class Troubles:
             return Trouble(1, instance, f"silent for {silent.wall_silence_s:.1f} s of wall time")
         if not vehicle.armed and height_m > IN_THE_AIR_M:
             return Trouble(2, instance, f"disarmed at a height of {height_m:.1f} m")
+        if (reason := self._abandoned.get(instance)) is not None:
+            return Trouble(3, instance, f"without its application: {reason}; mode {vehicle.mode}")
         if self._forms and vehicle.phase in _AWAY:
             return Trouble(3, instance, f"has left the formation: mode {vehicle.mode}, {height_m:.1f} m high")
         if vehicle.phase == "on station" and vehicle.error_m > FAR_M:

@@ -26,7 +26,16 @@ from harness.launch.resources import HAS_NAMED_SOCKETS, ResourceError, allow_des
 from harness.launch.supervisor import ChildMessage, Exited, Supervisor, SupervisorError
 from harness.records.run_folder import FolderRefused, RunFolder
 from harness.scenario.scenario import Scenario
-from harness.simulator.messages import AnyCommand, AnyEvent, Formed, Paused, Progress, SetPid, VehicleLost
+from harness.simulator.messages import (
+    AnyCommand,
+    AnyEvent,
+    ApplicationLost,
+    Formed,
+    Paused,
+    Progress,
+    SetPid,
+    VehicleLost,
+)
 
 PHYSICS, RADIO, PREFORK = "physics", "radio", "prefork"
 START_LIMIT_S = 120.0
@@ -90,6 +99,12 @@ def supervised(config: Path) -> tuple[str, ...]:
     return ("--config", str(config), "--supervised")
 
 
+def _socket_pair(stack: contextlib.ExitStack) -> tuple[socket.socket, socket.socket]:
+    """Return two connected sockets that the stack closes."""
+    first, second = socket.socketpair()
+    return stack.enter_context(first), stack.enter_context(second)
+
+
 class Processes:
     """Physics server, 802.11 emulator and one process per vehicle, forked by the prefork server.
 
@@ -116,6 +131,8 @@ class Processes:
         self._supervisor = self._make_supervisor()
         self._ports: set[int] = set()
         self._px4 = px4.instances(scenario)
+        self._applications = self._px4 if scenario.onboard.enabled else ()
+        """Vehicles whose application is a process of its own."""
         self._has_prefork = len(self._px4) < scenario.agents
         self._running = False
         """Whether the processes were started and not stopped."""
@@ -161,6 +178,7 @@ class Processes:
         ``killed`` are the vehicles that were killed deliberately.
         """
         losses = {event.instance: event.reason for event in self.events if isinstance(event, VehicleLost)}
+        abandoned = [event for event in self.events if isinstance(event, ApplicationLost)]
         others = [i for i in range(self._scenario.agents) if i not in killed and i not in losses]
         return [
             *(
@@ -168,9 +186,14 @@ class Processes:
                 for instance, reason in losses.items()
                 if instance not in killed
             ),
+            *(
+                f"{application(event.instance)} was lost for no simulated reason: {event.reason}"
+                for event in abandoned
+                if event.instance not in killed
+            ),
             *filter(None, [self.records_lost, *(self._incomplete(uav(i)) for i in others)]),
             *(f"{event.name} received messages from {event.by}" for event in self.influences),
-            *(f"{uav(i)} is flown by a PX4, and its application keeps its time" for i in self._px4),
+            *(f"{uav(i)} is flown by a PX4, whose threads depend on the machine" for i in self._px4),
         ]
 
     def start(self) -> None:
@@ -210,7 +233,22 @@ class Processes:
 
     def _start(self) -> None:
         run_id, vehicles = uuid.uuid4().hex[:16], range(self._scenario.agents)
-        allow_descriptors(len((PHYSICS, RADIO, PREFORK)) + len(vehicles) + len(self._px4))
+        allow_descriptors(len((PHYSICS, RADIO, PREFORK)) + len(vehicles) + 3 * len(self._applications))
+        # both ends of each application's link to the simulator, until the two processes have them
+        with contextlib.ExitStack() as links:
+            pairs = {i: _socket_pair(links) for i in self._applications}
+            self._start_linked(run_id, pairs)
+        for i in vehicles:
+            details = self.ready[uav(i)].details
+            self._ports |= {details["gcs_local_udp"], details["companion_local_udp"]}
+            self.send(SetPid(instance=i, pid=self.ready[uav(i)].pid))
+        for i in self._applications:
+            self.send(SetPid(instance=i, pid=self.ready[application(i)].pid, is_application=True))
+        self._pin()
+
+    def _start_linked(self, run_id: str, pairs: Mapping[int, tuple[socket.socket, socket.socket]]) -> None:
+        """Start all processes; ``pairs`` are the simulator's and the application's end of each link."""
+        vehicles = range(self._scenario.agents)
         with contextlib.ExitStack() as sockets:
             scenario, listeners = self._claim_ports(sockets)
             self._kernels = kernel_cache.prepare_flight(self._note, self._on_compiled)
@@ -222,8 +260,7 @@ class Processes:
                 self._supervisor.start_forker(
                     PREFORK, python_module("autopilot.process.prefork_server", "--supervised")
                 )
-            clock = [sockets.enter_context(end) for end in socket.socketpair()]
-            radio_fd, physics_fd = (end.fileno() for end in clock)
+            radio_fd, physics_fd = (end.fileno() for end in _socket_pair(sockets))
             config = self._folder.write_radio_config(scenario, run_id=run_id)
             command = python_module("netsim", *supervised(config), "--interval-fd", str(radio_fd))
             self._supervisor.start(RADIO, command, pass_fds=[radio_fd])
@@ -235,9 +272,10 @@ class Processes:
                 own_listener = sockets.enter_context(bind_local(own_name, backlog=len(vehicles)))
                 fds.append(own_listener.fileno())
                 command += ["--own-listen-fd", str(own_listener.fileno())]
-            if self._px4:  # their applications report through the radio's router
-                command += ["--radio-endpoint", self._radio_endpoint()]
-            self._supervisor.start(PHYSICS, command, pass_fds=[*fds, physics_fd])
+            ends = {i: simulators.fileno() for i, (simulators, _) in pairs.items()}
+            if ends:
+                command += ["--application-fds", ",".join(f"{i}:{fd}" for i, fd in ends.items())]
+            self._supervisor.start(PHYSICS, command, pass_fds=[*fds, physics_fd, *ends.values()])
         endpoint = self._radio_endpoint()
         if self._has_prefork:
             self._await_ready([PREFORK])
@@ -252,17 +290,13 @@ class Processes:
             )
             if i in self._px4:
                 self._start_px4(i, simulator_ports[i])
-                self._supervisor.start(
-                    application(i), python_module("autopilot.process.companion", *supervised(config))
-                )
-            else:
+            if i in pairs:
+                fd = pairs[i][1].fileno()
+                command = python_module("autopilot.process.companion", *supervised(config))
+                self._supervisor.start(application(i), [*command, "--simulator-fd", str(fd)], pass_fds=[fd])
+            if i not in self._px4:
                 self._supervisor.fork(uav(i), supervised(config), forker=PREFORK)
-        self._await_ready([PHYSICS, *map(uav, vehicles), *map(application, self._px4)])
-        for i in vehicles:
-            details = self.ready[uav(i)].details
-            self._ports |= {details["gcs_local_udp"], details["companion_local_udp"]}
-            self.send(SetPid(instance=i, pid=self.ready[uav(i)].pid))
-        self._pin()
+        self._await_ready([PHYSICS, *map(uav, vehicles), *map(application, self._applications)])
 
     def _pin(self) -> None:
         """Pin the processes to processors while other processes are idle."""
@@ -334,7 +368,7 @@ class Processes:
             self._kernels.close()
             forced: list[str] = []
             # a vehicle ends when its simulator disconnects; the radio ends after its users
-            vehicles = [*map(uav, range(self._scenario.agents)), *map(application, self._px4)]
+            vehicles = [*map(uav, range(self._scenario.agents)), *map(application, self._applications)]
             if at_once:
                 self.drain()
                 self._supervisor.stop(input_grace_s=0.0)  # one that still starts does not read its stdin
@@ -362,8 +396,9 @@ class Processes:
 
     def kill(self, instance: int) -> None:
         """SIGKILL a vehicle's process or processes; returns when they have ended."""
-        for name in (uav(instance), application(instance)) if instance in self._px4 else (uav(instance),):
-            self._supervisor.kill(name)
+        self._supervisor.kill(uav(instance))
+        if instance in self._applications:
+            self._supervisor.kill(application(instance))
         self.drain()
 
     def send(self, command: AnyCommand) -> None:

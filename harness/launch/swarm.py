@@ -34,6 +34,7 @@ from harness.launch.processes import (
     SetupError,
     SwarmError,
     SwarmTimeoutError,
+    application,
     uav,
 )
 from harness.launch.run_course import RunCourse
@@ -44,6 +45,7 @@ from harness.scenario import localisability
 from harness.scenario.scenario import Scenario
 from harness.scenario.scenario_file import load
 from harness.simulator.messages import (
+    ApplicationLost,
     InjectFault,
     Pause,
     Paused,
@@ -300,8 +302,12 @@ class Swarm:
             left = f"no vehicle is left at {self._truth.t_s:.3f} s"
             raise processes.fatal(SwarmError("; ".join([left, *processes.failed_processes()[-1:]])))
         if paused.reason == "vehicle_lost":
-            losses = (event for event in processes.events if isinstance(event, VehicleLost))
-            lost = "; ".join(f"{uav(event.instance)} was lost: {event.reason}" for event in losses)
+            lost = "; ".join(
+                f"{uav(event.instance) if isinstance(event, VehicleLost) else application(event.instance)} "
+                f"was lost: {event.reason}"
+                for event in processes.events
+                if isinstance(event, VehicleLost | ApplicationLost)
+            )
             raise processes.fatal(SwarmError(f"{lost}; run.on_vehicle_loss is 'end'"))
         return self._truth
 

@@ -179,7 +179,6 @@ class RunFolder:
             host=scenario.ports.host,
             port=scenario.ports.radio_tcp,
             stations=scenario.agents,
-            companions=tuple(filter(scenario.autopilot.is_px4, range(scenario.agents))),
             seed=scenario.run.seed,
             radio=scenario.radio,
             frame_log_path=str(self.raw_frames),

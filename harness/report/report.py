@@ -109,7 +109,7 @@ def _write_tables(folder: RunFolder, scenario: Scenario, outcome: RunOutcome) ->
         "moves_s": None if start_us is None else start_us / 1e6,
         "formation_s": float(window.time_us[-1] - window.time_us[0]) / 1e6 if len(window) else 0.0,
         "formation_rms_m": _formation(error),
-        "vehicles": _vehicles(records, error, _losses(folder)),
+        "vehicles": _vehicles(records, error, folder),
         **_radio(folder, sessions),
         "max_gain_dbi": antenna_report.numbers(antenna),
         "collisions": sum(b'"event":"collision"' in line for line in folder.events.read_bytes().splitlines()),
@@ -210,19 +210,18 @@ def _formation(error: FormationError | None) -> dict[str, float | None]:
     }
 
 
-def _losses(folder: RunFolder) -> dict[int, str]:
-    """Return reason and time of the losses of vehicles, by instance."""
+def _losses(folder: RunFolder, kind: str) -> dict[int, str]:
+    """Return reason and time of the events of a kind, by vehicle."""
     events = map(msgspec.json.decode, _whole_lines(folder.events))
     return {
         event["instance"]: f"{event['reason']}, t = {event['time_us'] * 1e-6:.2f} s"
         for event in events
-        if event["event"] == "vehiclelost"
+        if event["event"] == kind
     }
 
 
-def _vehicles(
-    records: NDArray[Any], error: FormationError | None, losses: dict[int, str]
-) -> list[dict[str, Any]]:
+def _vehicles(records: NDArray[Any], error: FormationError | None, folder: RunFolder) -> list[dict[str, Any]]:
+    losses, abandoned = (_losses(folder, kind) for kind in ("vehiclelost", "applicationlost"))
     vehicles = records.shape[1]
     absolute = error.absolute.vehicle_rms_m if error else (None,) * vehicles
     shape = error.shape.vehicle_rms_m if error else (None,) * vehicles
@@ -231,6 +230,7 @@ def _vehicles(
             "uav": i,
             "alive": bool(records["alive"][-1, i]) if len(records) else True,
             "lost": losses.get(i),
+            "application_lost": abandoned.get(i),
             "absolute_rms_m": _round(absolute[i]),
             "shape_rms_m": _round(shape[i]),
         }

@@ -17,7 +17,7 @@ class RadioSilent(ConnectionError):
 
 
 class EmulatorLine(Protocol):
-    """Connection to the emulator: see `netsim.transport.interval_stream.IntervalStream`."""
+    """Connection to the emulator: see `netsim.transport.interval_stream`."""
 
     def send(self, message: Advance) -> None:
         """Request an interval."""

@@ -42,7 +42,7 @@ class InProcessRadio:
 
 
 class InProcessEmulatorLine:
-    """The emulator as the time master uses it: replaces `netsim.transport.interval_stream.IntervalStream`."""
+    """The emulator as the time master uses it: replaces `netsim.transport.interval_stream`."""
 
     def __init__(self, emulator: NetworkEmulator, radios: Sequence[InProcessRadio]) -> None:
         self._emulator = emulator

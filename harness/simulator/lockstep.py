@@ -12,7 +12,6 @@ import errno
 import socket
 import struct
 import time
-from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -170,7 +169,6 @@ class Lockstep:
         """Slots that were sent this step's sensors, but whose answers are not awaited."""
         self._late_tolerant = [slot for slot in self.slots if slot.policy.late_after_s is not None]
         self._wall_sent_s = self._wall_before_s = 0.0
-        self._enqueued: deque[tuple[int, Message]] = deque()
 
     @property
     def late_answers(self) -> dict[int, int]:
@@ -206,10 +204,6 @@ class Lockstep:
         self.living += 1
         for message in arrival.messages[1:]:  # the first only identified the vehicle
             self._on_message(slot.instance, message)
-
-    def enqueue(self, instance: int, message: Message) -> None:
-        """Add a message of a vehicle that arrived on another link; from any thread. See `receive`."""
-        self._enqueued.append((instance, message))
 
     def is_starting(self, slot: VehicleSlot) -> bool:
         """Whether a vehicle has not given its first answer yet, so that steps do not wait for it."""
@@ -260,8 +254,7 @@ class Lockstep:
         """Wait until every vehicle has answered the sensors of ``time_us`` that were sent, or is lost.
 
         The vehicles are awaited one by one, the last first: as they are served in turn, the answers of the
-        others have arrived by then, so this process is woken once instead of once per vehicle. Messages of
-        `enqueue` are passed to ``on_message`` here.
+        others have arrived by then, so this process is woken once instead of once per vehicle.
         """
         inbox, pending = self._inbox, self._pending
         received_bytes = inbox.states["received_bytes"]
@@ -280,8 +273,6 @@ class Lockstep:
             self._await_remaining(time_us)
         if self._starting:
             self._poll_starting(time_us)
-        while self._enqueued:
-            self._on_message(*self._enqueued.popleft())
         return inbox
 
     def _await_remaining(self, time_us: int) -> None:

@@ -53,6 +53,8 @@ class SetPid(SimulatorCommand, frozen=True, kw_only=True):
 
     instance: int
     pid: int
+    is_application: bool = False
+    """The process is that of the application beside the vehicle's PX4."""
 
 
 class InjectFault(SimulatorCommand, frozen=True, kw_only=True):
@@ -130,6 +132,13 @@ class VehicleLost(SimulatorEvent, frozen=True, kw_only=True):
     reason: str
 
 
+class ApplicationLost(SimulatorEvent, frozen=True, kw_only=True):
+    """The application beside a PX4 ended or hangs; the PX4 flies on without it."""
+
+    instance: int
+    reason: str
+
+
 class VehicleSilent(SimulatorEvent, frozen=True, kw_only=True):
     """A vehicle has not answered for ``wall_silence_s``; the simulator continues to wait."""
 
@@ -160,5 +169,13 @@ class FaultChanged(SimulatorEvent, frozen=True, kw_only=True):
 
 
 AnyEvent = (
-    Progress | Paused | Formed | FormationMoves | VehicleLost | VehicleSilent | Collision | FaultChanged
+    Progress
+    | Paused
+    | Formed
+    | FormationMoves
+    | VehicleLost
+    | ApplicationLost
+    | VehicleSilent
+    | Collision
+    | FaultChanged
 )

@@ -22,6 +22,7 @@ from foundation.processes.child_protocol import Finished, Ready, Stop, commands,
 from foundation.profiling.profiler import profiled
 from foundation.system_error import in_words
 from harness.records.run_folder import PhysicsConfig
+from harness.simulator.application_links import ApplicationLinks
 from harness.simulator.emulator_client import EmulatorClient, RadioSilent
 from harness.simulator.lockstep import OWN, PX4, ConnectTimeout, Lockstep
 from harness.simulator.messages import (
@@ -139,9 +140,9 @@ def obey(
     *,
     connect_timeout_s: float,
     emit: Callable[[AnyEvent], None],
-    set_pid: Callable[[int, int], None] = lambda _instance, _pid: None,
+    set_pid: Callable[[SetPid], None] = lambda _: None,
 ) -> None:
-    """Execute commands until Stop; ``set_pid`` receives the process id of each vehicle.
+    """Execute commands until Stop; ``set_pid`` receives the process id of each vehicle and application.
 
     Raises the errors of the simulation's vehicles and of its channel.
     """
@@ -163,8 +164,8 @@ def obey(
                 simulation.set_extra_attenuation_db(attenuation_db)
             case InjectFault(fault=fault):
                 simulation.inject(fault)
-            case SetPid(instance=instance, pid=pid):
-                set_pid(instance, pid)
+            case SetPid() as command:
+                set_pid(command)
             case Stop():
                 return
 
@@ -247,9 +248,11 @@ def serve(
     listeners: list[socket.socket],
     own_listener: socket.socket | None,
     clock: socket.socket | None,
-    radio_endpoint: str | None,
+    applications: dict[int, socket.socket],
 ) -> None:
     """Execute commands until Stop; ``clock`` is the connection to the 802.11 emulator, if there is one.
+
+    ``applications`` are the connections to the applications beside PX4s, by vehicle.
 
     Raises ConnectTimeout, RadioSilent, or OSError for a file or an address.
     """
@@ -257,6 +260,7 @@ def serve(
     commands(AnyCommand, inbox)  # type: ignore[arg-type]  # msgspec accepts a union as a type
     scenario = config.scenario
     watchdog = ResponseWatchdog(scenario.run.silence_limit_s)
+    application_watchdog = ResponseWatchdog(scenario.run.silence_limit_s)
     policies = [PX4 if scenario.autopilot.is_px4(i) else OWN for i in range(scenario.agents)]
     has_px4 = PX4 in policies
 
@@ -271,22 +275,39 @@ def serve(
             policies=policies,
         )
 
+    def make_applications(simulation: Simulation) -> ApplicationLinks:
+        return ApplicationLinks(
+            applications,
+            period_us=scenario.onboard.loop_period_us,
+            watchdog=application_watchdog,
+            on_message=simulation.on_message,
+            on_lost=simulation.on_application_lost,
+        )
+
+    def set_pid(command: SetPid) -> None:
+        chosen = application_watchdog if command.is_application else watchdog
+        chosen.set_pid(command.instance, command.pid)
+
     with contextlib.ExitStack() as stack:
         emulator = None
         if clock is not None:
             line = time_masters_end(stack.enter_context(clock))
-            # applications beside PX4s are outside the lockstep and may transmit at any time, as guests may
-            asynchronous = bool(scenario.radio.guests) or has_px4
             emulator = EmulatorClient(
-                line, period_us=scenario.onboard.loop_period_us, asynchronous=asynchronous
+                line,
+                period_us=scenario.onboard.loop_period_us,
+                asynchronous=bool(scenario.radio.guests),
             )
         simulation = stack.enter_context(
-            contextlib.closing(Simulation(config, make_lockstep=make_lockstep, emulator=emulator, emit=emit))
+            contextlib.closing(
+                Simulation(
+                    config,
+                    make_lockstep=make_lockstep,
+                    make_applications=make_applications if applications else None,
+                    emulator=emulator,
+                    emit=emit,
+                )
+            )
         )
-        if has_px4 and radio_endpoint is not None:
-            from harness.simulator.application_reports import relayed  # noqa: PLC0415  imports Zenoh
-
-            stack.enter_context(relayed(radio_endpoint, config.run_id, simulation.lockstep))
         emit(Ready(name="physics", pid=os.getpid()))
         with profiled(
             PROFILE_GROUPS, now_us=lambda: simulation.time_us, from_us=config.profile_from_us
@@ -296,7 +317,7 @@ def serve(
                 inbox,
                 connect_timeout_s=config.connect_timeout_s,
                 emit=emit,
-                set_pid=watchdog.set_pid,
+                set_pid=set_pid,
             )
     details: dict[str, Any] = {"time_us": simulation.time_us, "formed": simulation.formed, **profile}
     if has_px4:
@@ -322,7 +343,9 @@ def main() -> int:
         help="inherited stream socket to the 802.11 emulator; without it the swarm has no radio",
     )
     parser.add_argument(
-        "--radio-endpoint", help="the emulator's Zenoh locator, for reports of applications beside PX4s"
+        "--application-fds",
+        default="",
+        help="inherited stream sockets to the applications beside PX4s, as vehicle:fd: 0:8,1:9",
     )
     parser.add_argument("--supervised", action="store_true", help="accepted for uniformity, no effect")
     arguments = parser.parse_args()
@@ -333,7 +356,9 @@ def main() -> int:
             None if fd is None else socket.socket(fileno=fd)
             for fd in (arguments.own_listen_fd, arguments.interval_fd)
         )
-        serve(config, listeners, own_listener, clock, arguments.radio_endpoint)
+        pairs = (entry.split(":") for entry in filter(None, arguments.application_fds.split(",")))
+        applications = {int(instance): socket.socket(fileno=int(fd)) for instance, fd in pairs}
+        serve(config, listeners, own_listener, clock, applications)
     except (ConnectTimeout, RadioSilent, OSError, ValueError) as error:
         print(f"physics: {in_words(error) if isinstance(error, OSError) else error}", file=sys.stderr)
         return 2

@@ -22,11 +22,13 @@ from autopilot.onboard.formation.phases import FlightPhase
 from foundation.records.record_log import RecordLog
 from harness.records.run_folder import PhysicsConfig
 from harness.simulator.actuator_inbox import ActuatorInbox
+from harness.simulator.application_links import ApplicationLinks
 from harness.simulator.emulator_client import EmulatorClient
 from harness.simulator.hil import TRUTH_PERIOD_US, SensorEncoder
 from harness.simulator.lockstep import Lockstep
 from harness.simulator.messages import (
     AnyEvent,
+    ApplicationLost,
     Collision,
     FaultChanged,
     FormationMoves,
@@ -57,7 +59,8 @@ class Simulation:
     """World, wind, sensors, vehicles and radio channel, stepped together.
 
     ``make_lockstep`` returns the vehicles' lockstep, which calls this object's `on_message`, `on_silent` and
-    `on_lost`. ``emit`` receives the events. Raises OSError if a log cannot be written.
+    `on_lost`; ``make_applications`` the links to applications beside PX4s, which call `on_message` and
+    `on_application_lost`. ``emit`` receives the events. Raises OSError if a log cannot be written.
     """
 
     def __init__(
@@ -65,6 +68,7 @@ class Simulation:
         config: PhysicsConfig,
         *,
         make_lockstep: Callable[["Simulation"], Lockstep],
+        make_applications: Callable[["Simulation"], ApplicationLinks] | None = None,
         emulator: EmulatorClient | None,
         emit: Callable[[AnyEvent], None],
         physics: PhysicsFactory = World,
@@ -95,17 +99,22 @@ class Simulation:
             temperature_offset_k=scenario.environment.temperature_offset_k,
         )
         self._faults = Faults(scenario.faults, n, np.random.default_rng(streams[2]))
-        px4 = frozenset(filter(scenario.autopilot.is_px4, range(n)))
+        self._px4 = frozenset(filter(scenario.autopilot.is_px4, range(n)))
         self._encoder = SensorEncoder(
-            scenario.site, px4=px4, epoch_us=scenario.run.epoch_unix_us, px4_rc=scenario.autopilot.px4_rc
+            scenario.site,
+            px4=self._px4,
+            epoch_us=scenario.run.epoch_unix_us,
+            px4_rc=scenario.autopilot.px4_rc,
         )
-        self._has_escs = len(px4) < n
+        self._has_escs = len(self._px4) < n
         self._sends_truth = scenario.onboard.enabled and scenario.onboard.localisation == "truth"
         self.time_us = self._step_us  # to PX4 0 is a clock that is not set
         self.formed = False
         self._inbox = ActuatorInbox(n)
         self._wind_now = WindNow(np.zeros((n, 3)), np.zeros((n, 3)))
         self._lost: tuple[int, ...] = ()
+        self._abandoned: set[int] = set()
+        """Vehicles whose application was lost."""
         self._instances = np.arange(n)
         self._modes = [""] * n
         self._phases: list[FlightPhase | None] = [None] * n
@@ -132,6 +141,9 @@ class Simulation:
             self._air_log = keep(contextlib.closing(RecordLog(config.air_log_path, AIR_RECORD)))
             self._event_log = keep(Path(config.event_log_path).open("wb", buffering=0))  # noqa: SIM115
             self.lockstep = keep(contextlib.closing(make_lockstep(self)))
+            self._applications: ApplicationLinks | None = None
+            if make_applications is not None:
+                self._applications = keep(contextlib.closing(make_applications(self)))
             self._open = stack.pop_all()
 
     @property
@@ -141,8 +153,9 @@ class Simulation:
 
     @property
     def must_end(self) -> bool:
-        """Whether a vehicle was lost in a scenario whose ``run.on_vehicle_loss`` is "end"."""
-        return self._scenario.run.on_vehicle_loss == "end" and self.lockstep.living < self._scenario.agents
+        """Whether a vehicle or application was lost in a scenario whose ``run.on_vehicle_loss`` is "end"."""
+        lost = self.lockstep.living < self._scenario.agents or bool(self._abandoned)
+        return lost and self._scenario.run.on_vehicle_loss == "end"
 
     def step(self) -> None:
         """Simulate one step: send the sensors of this instant, receive the answers, advance world and wind.
@@ -163,9 +176,13 @@ class Simulation:
                 self.settle()
             delivered = emulator.delivered(self.time_us)
         alive = [slot.alive for slot in self.lockstep.slots] if recorded else []
+        announced = tuple(vehicle for vehicle in delivered if vehicle not in self._px4)
         self.lockstep.send(
-            self._encoder.encode(self.time_us, frame, self._escs(truth), sent_truth, delivered)
+            self._encoder.encode(self.time_us, frame, self._escs(truth), sent_truth, announced)
         )
+        applications = self._applications
+        if applications is not None:
+            applications.begin(self.time_us, delivered, self._lost)
         if recorded:
             self._record(truth, alive)
         self.notice_collisions()
@@ -174,6 +191,9 @@ class Simulation:
         )
         self._sensors.draw_ahead()
         inbox = self._inbox = self.lockstep.receive(self.time_us)
+        senders = inbox.senders
+        if applications is not None:
+            senders += applications.finish()
         interval_begins = emulator is not None and emulator.begins_at(self.time_us)
         if interval_begins:
             self.settle()
@@ -192,7 +212,7 @@ class Simulation:
                     self._attenuation_db + self._faults.extra_attenuation_db, MOST_ATTENUATION_DB
                 ),
                 range_offsets_m=self._faults.range_offsets_m,
-                senders=inbox.senders,
+                senders=senders,
                 silent=self._lost,
             )
         self._world.step(
@@ -307,7 +327,7 @@ class Simulation:
             phases = [
                 phase
                 for phase, slot in zip(self._phases, self.lockstep.slots, strict=True)
-                if slot.alive and phase not in STAYS_AWAY
+                if slot.alive and phase not in STAYS_AWAY and slot.instance not in self._abandoned
             ]
             if phases and all(phase == FlightPhase.ON_STATION for phase in phases):
                 self.formed = True
@@ -347,6 +367,13 @@ class Simulation:
         self._lost += (instance,)
         self._phase_changed = True  # all others may be on station
         self._emit(VehicleLost(time_us=self.time_us, instance=instance, reason=reason))
+
+    def on_application_lost(self, instance: int, reason: str) -> None:
+        """Report an application that was given up; its phase is unknown from now on."""
+        self._abandoned.add(instance)
+        self._phases[instance] = None
+        self._phase_changed = True  # all others may be on station
+        self._emit(ApplicationLost(time_us=self.time_us, instance=instance, reason=reason))
 
     def _emit(self, event: AnyEvent) -> None:
         line = msgspec.json.encode(event)

@@ -25,5 +25,5 @@ of the wind is zero, depending on the wind's kind.
 
 AIR_RECORD = np.dtype([("time_us", "i8"), ("busy_ns", "i8")])
 """One row per recorded instant: total time since the start for which the channel was occupied."""
-EVENT_KINDS = ("formed", "formationmoves", "vehiclelost", "collision", "faultchanged")
+EVENT_KINDS = ("formed", "formationmoves", "vehiclelost", "applicationlost", "collision", "faultchanged")
 """Events in simulated time, which are written to events.jsonl."""

@@ -205,8 +205,6 @@ class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     port: Annotated[int, Meta(ge=0, le=65_535)] = 0
     stations: Annotated[int, Meta(ge=0)]
     """Number of vehicles; the guests of ``radio`` are numbered after them."""
-    companions: tuple[Annotated[int, Meta(ge=0, le=65_535)], ...] = ()
-    """Vehicles whose radio host is not in lockstep: a companion application of a PX4."""
     seed: Annotated[int, Meta(ge=0)]
     radio: RadioConfig = RadioConfig()
     frame_log_path: str | None = None

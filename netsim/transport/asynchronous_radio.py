@@ -1,4 +1,4 @@
-"""A radio whose host is not in lockstep: an external program, or a companion application of a PX4.
+"""A radio whose host is not in lockstep: an external program.
 
 Transmissions go on the air when they reach the emulator, and are acknowledged. The emulator does not wait for
 received batches to be accepted; a batch that is not accepted is lost.

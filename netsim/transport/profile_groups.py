@@ -18,6 +18,7 @@ PROFILE_GROUPS = {
     "netsim.emulator.records": "records",
     "foundation.records.record_log": "records",
     "netsim.capture": "records",
+    "foundation.processes.message_stream": LINK,
     "netsim.transport.interval_stream": LINK,
     "netsim.transport.zenoh_session": LINK,
     "netsim.transport.server": LINK,

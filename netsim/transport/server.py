@@ -20,11 +20,12 @@ from typing import Any
 import msgspec
 
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Stop, commands, emit
+from foundation.processes.message_stream import MessageStream
 from foundation.profiling.profiler import profiled
 from netsim.emulator.interface import NetworkEmulator
 from netsim.emulator.service import make_emulator
 from netsim.model.config import ServerConfig
-from netsim.transport.interval_stream import BATCH_LIMIT_S, IntervalStream, emulators_end
+from netsim.transport.interval_stream import BATCH_LIMIT_S, emulators_end
 from netsim.transport.lockstep_radio import directory_key, in_pieces, receive_key, transmit_key
 from netsim.transport.profile_groups import PROFILE_GROUPS
 from netsim.transport.zenoh_session import Asker, Question, TopicSender, Transport
@@ -69,7 +70,7 @@ class Server:
         """By vehicle in lockstep."""
         for station in range(self._service.stations):
             key = receive_key(config.run_id, station)
-            if station in config.companions or self._service.is_guest(station):
+            if self._service.is_guest(station):
                 self._askers[station] = self._transport.asker(key, timeout_s=OFFER_LIMIT_S, lossy=True)
             else:
                 self._senders[station] = self._transport.sender(key)
@@ -82,7 +83,7 @@ class Server:
         """Time up to which the channel has been simulated."""
         return self._service.reached_us
 
-    def serve(self, clock: IntervalStream[Advanced, Advance]) -> dict[str, Any]:
+    def serve(self, clock: MessageStream[Advanced, Advance]) -> dict[str, Any]:
         """Simulate requested intervals until the stream is closed; return the run's counters.
 
         Raises ValueError for an invalid request.

@@ -115,7 +115,7 @@ def test_swarm_of_px4s_flies_the_formation_and_is_not_deterministic(swarm):
     assert not summary["deterministic"]
     manifest = json.loads((flown.path / "manifest.json").read_text())
     assert [line for line in manifest["nondeterminism"] if "flown by a PX4" in line] == [
-        f"uav {i} is flown by a PX4, and its application keeps its time" for i in range(3)
+        f"uav {i} is flown by a PX4, whose threads depend on the machine" for i in range(3)
     ]
     details = {process["name"]: process["details"] for process in manifest["processes"]}
     # a step waits 200 ms; steps continue without an answer only on a busy machine

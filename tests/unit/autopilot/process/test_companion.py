@@ -13,7 +13,7 @@ from autopilot.onboard.application import OnboardOutput
 from autopilot.onboard.formation.messages import warning
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.parameters.config import VehicleConfig
-from autopilot.process.companion import CALL_PERIOD_S, LONGEST_LEAP_US, TICK_US, Companion
+from autopilot.process.companion import Companion
 from foundation.records.record_log import read
 from netsim.wire.messages import Broadcast
 
@@ -53,70 +53,39 @@ def requests(output):
     ]  # fmt: skip
 
 
-def fly(companion, until_ms, period_ms=10, begin_ms=10):
+def fly(companion, until_ms, period_ms=40, begin_ms=40, px4=(attitude,)):
+    """Run iterations with PX4's messages of their times; returns their outputs."""
     outputs = []
     for time_ms in range(begin_ms, until_ms + 1, period_ms):
-        companion.on_message(from_px4(attitude(time_ms)))
-        if companion.is_due:
-            outputs.append(companion.on_timer(()))
+        for message in px4:
+            companion.on_message(from_px4(message(time_ms)), time_ms * 1_000)
+        outputs.append(companion.on_timer((), time_ms * 1_000))
     return outputs
 
 
-def test_the_clock_follows_px4_and_never_goes_back_or_leaps_for_one_message():
-    companion = Companion(config())
-    assert companion.now_us == -1
-    assert not companion.is_due
-    last_ms = 2**32 - 1
-    for time_ms, clock_ms in (
-        (5_000, 5_000), (4_990, 5_000), (5_010, 5_010), (last_ms, 5_010), (5_020, 5_020), (last_ms, 5_020),
-    ):  # fmt: skip
-        companion.on_message(from_px4(attitude(time_ms)))
-        assert companion.now_us == clock_ms * 1_000
-    leap_ms = 5_020 + LONGEST_LEAP_US // 1_000
-    companion.on_message(from_px4(attitude(leap_ms)))
-    assert companion.now_us == leap_ms * 1_000
-
-
 @pytest.mark.parametrize("ranging", ["all_pairs", "scheduled"])
-@pytest.mark.parametrize("gap_ms", [30_000, 60_001, 3_600_000, 4_000_000_000])
-def test_a_gap_in_px4s_messages_is_followed_and_causes_no_burst(ranging, gap_ms):
+@pytest.mark.parametrize("gap_ms", [30_000, 60_000, 3_600_000, 4_000_000_000])
+def test_a_leap_of_the_clock_is_followed_and_causes_no_burst(ranging, gap_ms):
     companion = Companion(config(ranging=ranging))
     period_ms = companion.app._config.beacon_period_ms
-    sent = []
-
-    def receive(begin_ms):
-        for time_ms in range(begin_ms, begin_ms + 2_000, 10):
-            for message in (origin(), attitude(time_ms), position(time_ms)):
-                companion.on_message(from_px4(message))
-            if companion.is_due:
-                sent.append(companion.on_timer(()).radio)
-        assert companion.now_us == (begin_ms + 1_990) * 1_000
-
-    receive(10)
+    px4 = (lambda _: origin(), attitude, position)
+    sent = [output.radio for output in fly(companion, 2_000, px4=px4)]
     before = len(sent)
-    receive(gap_ms)
+    sent += [output.radio for output in fly(companion, gap_ms + 1_960, begin_ms=gap_ms, px4=px4)]
     assert max(map(len, sent[before:])) <= 2  # one due to the gap, and one that may be due
     beacons = [[item for item in items if isinstance(item, Broadcast)] for items in sent[before:]]
     assert sum(map(len, beacons)) == pytest.approx(2_000 / period_ms, abs=2)
 
 
-def test_it_updates_with_each_attitude_at_100_hz_and_not_more_often():
-    companion = Companion(config())
-    assert len(fly(companion, 1_000)) == 100
-    assert len(fly(Companion(config()), 1_000, period_ms=4, begin_ms=4)) == 1_000 // (TICK_US // 1_000)
-
-
 @pytest.mark.parametrize(("system", "component"), [(3, 1), (SYSTEM, 100), (255, 190), (0, 0)])
 def test_only_messages_of_its_own_autopilot_are_used(system, component):
     companion = Companion(config())
-    companion.on_message(from_px4(attitude(100), system=system, component=component))
-    assert companion.now_us == -1
-    companion.on_message(from_px4(attitude(100)))
-    companion.on_message(from_px4(beat(), system=system, component=component))
-    companion.on_message(from_px4(position(100), system=system, component=component))
-    assert companion.on_timer(()).radio == ()
-    reports = companion.on_timer(()).said
-    assert all(message.get_srcComponent() == 191 for message in reports)
+    companion.on_message(from_px4(attitude(100)), 100_000)
+    companion.on_message(from_px4(beat(), system=system, component=component), 100_000)
+    companion.on_message(from_px4(position(100), system=system, component=component), 100_000)
+    output = companion.on_timer((), 100_000)
+    assert output.radio == ()
+    assert all(message.get_srcComponent() == 191 for message in output.reports)
 
 
 def test_the_origin_is_requested_each_second_until_it_is_known():
@@ -125,17 +94,17 @@ def test_the_origin_is_requested_each_second_until_it_is_known():
     assert sum(map(len, sent)) == 5
     (request,) = sent[0]
     assert (request.target_system, request.target_component, request.param1) == (SYSTEM, 1, 49.0)
-    companion.on_message(from_px4(origin()))
-    assert sum(map(len, map(requests, fly(companion, 35_000, begin_ms=5_010)))) in {3, 4}
+    companion.on_message(from_px4(origin()), 5_000_000)
+    assert sum(map(len, map(requests, fly(companion, 35_000, begin_ms=5_040)))) in {3, 4}
 
 
 def test_long_texts_are_sent_in_chunks_of_one_id():
     """A STATUSTEXT holds 50 bytes; PX4 forwards each to the ground station."""
     companion = Companion(config())
-    companion.on_message(from_px4(attitude(100)))
+    companion.on_message(from_px4(attitude(100)), 100_000)
     text = "formation not localised in 10 s: beacons of 0 of 7 other UAVs received"
     companion.app.on_timer = lambda _: OnboardOutput([warning(text)], ())
-    sent = [m for m in companion.on_timer(()).mavlink if m.get_type() == "STATUSTEXT"]
+    sent = [m for m in companion.on_timer((), 100_000).mavlink if m.get_type() == "STATUSTEXT"]
     assert "".join(message.text for message in sent) == text
     assert [(message.id, message.chunk_seq) for message in sent] == [(1, 0), (1, 1)]
     assert all(message.get_srcComponent() == 191 for message in sent)
@@ -143,9 +112,9 @@ def test_long_texts_are_sent_in_chunks_of_one_id():
 
 def test_px4s_mode_and_the_own_phase_are_reported_to_the_simulator_with_their_sources():
     companion = Companion(config())
-    companion.on_message(from_px4(attitude(10)))
-    companion.on_message(from_px4(beat(mode=0x03040000)))
-    reports = companion.on_timer(()).said
+    companion.on_message(from_px4(attitude(10)), 10_000)
+    companion.on_message(from_px4(beat(mode=0x03040000)), 10_000)
+    reports = companion.on_timer((), 40_000).reports
     named = {
         (message.get_srcSystem(), message.get_srcComponent()): message.custom_mode for message in reports
     }
@@ -158,19 +127,24 @@ def test_px4s_mode_and_the_own_phase_are_reported_to_the_simulator_with_their_so
 
 def test_a_command_to_the_application_that_px4_forwards_is_answered():
     companion = Companion(config(hold=True))
-    companion.on_message(from_px4(attitude(10)))
     release = common.MAVLink_command_long_message(
         SYSTEM, 191, common.MAV_CMD_USER_1, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     )
-    companion.on_message(from_px4(release, system=255, component=190))
-    acks = [m for m in companion.on_timer(()).mavlink if m.get_type() == "COMMAND_ACK"]
+    companion.on_message(from_px4(release, system=255, component=190), 10_000)
+    acks = [m for m in companion.replies() if m.get_type() == "COMMAND_ACK"]
+    assert companion.replies() == []
     assert [(ack.command, ack.result) for ack in acks] == [(common.MAV_CMD_USER_1, 0)]
 
 
-def test_it_sends_px4_its_own_heartbeat():
-    call = Companion(config()).call()
-    assert (call.get_type(), call.get_srcSystem(), call.get_srcComponent()) == ("HEARTBEAT", SYSTEM, 191)
-    assert CALL_PERIOD_S <= 1.0
+@pytest.mark.parametrize("hears", [False, True])
+def test_it_calls_a_px4_from_which_it_receives_nothing(hears):
+    companion = Companion(config())
+    outputs = fly(companion, 10_000, px4=(attitude,) if hears else ())
+    beats = sum(m.get_type() == "HEARTBEAT" for output in outputs for m in output.mavlink)
+    # without messages one for each second, in addition to the application's own in each second
+    assert beats == (10 if hears else 20)
+    sources = {(m.get_srcSystem(), m.get_srcComponent()) for output in outputs for m in output.mavlink}
+    assert sources == {(SYSTEM, 191)}
 
 
 def test_px4s_messages_are_recorded_at_the_instants_of_the_log(tmp_path):
@@ -179,10 +153,9 @@ def test_px4s_messages_are_recorded_at_the_instants_of_the_log(tmp_path):
     log = CompanionLog(config(), str(path), companion.app)
     for time_ms in range(12, 212, 8):
         for message in (attitude(time_ms), position(time_ms), beat(mode=0x06000000), origin()):
-            companion.on_message(from_px4(message))
-            log.on_message(from_px4(message))
-        log.on_message(from_px4(beat(mode=1), system=9))
-        log.write(companion.now_us)
+            log.on_message(from_px4(message), 1_000 * time_ms)
+            companion.on_message(from_px4(message), 1_000 * time_ms)
+        log.on_message(from_px4(beat(mode=1), system=9), 1_000 * time_ms)
     log.close()
     rows = read(path, VEHICLE_RECORD)
     assert rows["time_us"].tolist() == [k * 20_000 for k in range(1, 11)]

@@ -203,16 +203,3 @@ def test_an_own_vehicle_beside_a_px4_is_awaited_from_the_first_step(run):
     while mixed.lockstep.is_starting(mixed.lockstep.slots[1]):
         assert mixed.step()[0] == mixed.time_us
     assert mixed.lockstep.late_answers == {1: 0}
-
-
-def test_enqueued_messages_are_passed_on_with_the_answers(run):
-    px4 = run(Manners())
-    px4.start()
-    px4.messages.clear()
-    message = mavlink.MAVLink_heartbeat_message(18, 8, 0, 5, 4, 3)
-    thread = threading.Thread(target=px4.lockstep.enqueue, args=(0, message))
-    thread.start()
-    thread.join()
-    assert px4.messages == []
-    px4.step()
-    assert px4.messages == [(0, "HEARTBEAT")]

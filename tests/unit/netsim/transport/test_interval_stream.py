@@ -8,7 +8,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from netsim.transport.interval_stream import IntervalStream, emulators_end, time_masters_end
+from foundation.processes.message_stream import MessageStream
+from netsim.transport.interval_stream import emulators_end, time_masters_end
 from netsim.wire.lockstep import Advance, Advanced, pack_rows
 
 STATIONS = 3_000
@@ -74,7 +75,7 @@ def test_incomplete_message_at_the_end_is_ignored(ends):
 
 
 def test_late_reply_times_out_and_can_be_received_later(ends):
-    master, emulator = IntervalStream(ends[0], Advanced, limit_s=0.05), emulators_end(ends[1])
+    master, emulator = MessageStream(ends[0], Advanced, limit_s=0.05), emulators_end(ends[1])
     with pytest.raises(TimeoutError):
         master.receive()
     done = Advanced(to_us=4_000, quiet_until_us=8_000)
