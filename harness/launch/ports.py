@@ -20,13 +20,13 @@ def claim(scenario: Scenario, *, search: bool) -> tuple[Scenario, list[socket.so
     """Return the scenario with free ports, and the simulator's listener of each vehicle, to be closed.
 
     With ``search``, all ports are raised by the first of `OFFSETS` with which they are free, if some are in
-    use; not those of PX4s, which have their own. The listeners keep other swarms from the same ports also
+    use; the instance numbers of PX4s rise with them. The listeners keep other swarms from the same ports also
     before the processes have bound theirs. Raises ResourceError.
     """
     try:
         return scenario, _listen(scenario)
     except ResourceError as error:
-        if not error.in_use or px4.instances(scenario):
+        if not error.in_use:
             raise
         if not search:
             raise ResourceError(
@@ -55,6 +55,7 @@ def _listen(scenario: Scenario) -> list[socket.socket]:
             stack.enter_context(bind(socket.SOCK_STREAM, ports.host, base + i if base else 0))
             for i in vehicles
         ]
+        px4.check_free(scenario)
         for port in px4.application_ports(scenario):
             bind(socket.SOCK_DGRAM, ports.host, port).close()
         for base in (ports.gcs_local_udp, ports.companion_local_udp):

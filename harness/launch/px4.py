@@ -1,10 +1,11 @@
 """Vehicles flown by a real PX4: checks of the scenario, and the command that starts a PX4.
 
-PX4 derives its ports from its instance number. They agree with the scenario's if the scenario has PX4's
-default ports, or if the command passes them. ``autopilot.px4_command`` and ``autopilot.px4_env`` may contain
+PX4 derives its ports from its instance number, which is the vehicle's number plus the offset of the
+scenario's ports from PX4's default ones (`instance_offset`), so that swarms on other ports have other
+instances. ``autopilot.px4_command`` and ``autopilot.px4_env`` may contain
 
     {build}  ``autopilot.px4_build``, as an absolute path
-    {i}      the vehicle's number, {sysid} its MAVLink system: one more
+    {i}      the instance number, {sysid} the vehicle's MAVLink system
     {work}   the vehicle's working folder in the run folder
     {host}   the simulator's address, {tcp} its port for this vehicle
     {gcs_local} {gcs_remote} {companion_local} {companion_remote}    the UDP ports of its links
@@ -12,19 +13,26 @@ default ports, or if the command passes them. ``autopilot.px4_command`` and ``au
 so that a user can wrap it: ["taskset", "-c", "2", "{build}/bin/px4", "-i", "{i}", ...].
 
 Parameters of the scenario are passed as PX4_PARAM_NAME, which PX4's start-up script sets, except coflight's
-own (CF_...). By default PX4's parameters for the delay and the drift of the GPS receiver follow from the
-simulated receiver: PX4 would reject one that drifts like a consumer receiver.
+own (CF_...); see `harness.launch.px4_parameters`.
 """
 
-import math
+import os
 import string
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 
 from autopilot.parameters.config import AutopilotConfig
+from harness.launch import px4_instances
 from harness.launch.external_process import ExternalProcessConfig
+from harness.launch.px4_parameters import (
+    SEAT_PARAMETERS,
+    error_in,
+    known_ones,
+    known_parameters,
+    receiver_parameters,
+)
 from harness.scenario.scenario import Scenario
-from harness.world.sensors.config import GpsModel
 
 OWN_PARAMETERS = "CF_"
 """Prefix of the parameters of coflight's own autopilot."""
@@ -34,12 +42,6 @@ _PORTS = {
     "companion_local_udp": (14580, "companion_local"),
 }
 """Default ports of PX4 instance 0, to which the instance is added, and their placeholders."""
-_MS_PER_S = 1e3
-_DRIFT_FILTER_S = 10.0
-"""Time constant of the filter of a fix's drift on the ground in PX4's estimator."""
-_DRIFT_SIGMAS = 5.0
-_LEAST_DRIFT_M_S, _MOST_DRIFT_M_S = {"H": 0.1, "V": 0.2}, {"H": 1.0, "V": 1.5}
-"""PX4's default and maximum of EKF2_REQ_HDRIFT and EKF2_REQ_VDRIFT."""
 
 
 class Px4Error(ValueError):
@@ -60,36 +62,73 @@ def application_ports(scenario: Scenario) -> list[int]:
 
 
 def check_start(scenario: Scenario) -> None:
-    """Check PX4's build, ports and localisation before anything starts. Raises Px4Error."""
+    """Check PX4's build, user, parameters, ports and localisation before anything starts. Raises Px4Error."""
     if not instances(scenario):
         return
-    program = _build(scenario.autopilot) / "bin" / "px4"
+    config = scenario.autopilot
+    build = _build(config)
+    program = build / "bin" / "px4"
     if not program.is_file():
         raise Px4Error(f"autopilot.px4_build: there is no {program}; expected the folder of a PX4 SITL build")
+    if os.geteuid() == 0 and config.px4_command[0].format_map({"build": build}) == str(program):
+        raise Px4Error(
+            "autopilot.kind: PX4 is not to run as root: its files would be in the way of other users' PX4s; "
+            "run as another user, or change the user in autopilot.px4_command, for instance by setpriv"
+        )
+    known = known_parameters(build)
+    for vehicle in instances(scenario) if known is not None else ():
+        error = error_in(_of_px4(config.for_uav(vehicle).params), known or {})
+        if error is not None:
+            raise Px4Error(f"autopilot.params: {error}")
     if scenario.onboard.enabled and scenario.onboard.localisation == "truth":
         raise Px4Error("onboard.localisation: 'truth' is sent over the simulator's link, which PX4 occupies")
+    instance_offset(scenario)
+
+
+def instance_offset(scenario: Scenario) -> int:
+    """Return the difference between PX4's instance numbers and the vehicles'.
+
+    It is that of the scenario's ports, less those that the command passes, from PX4's. Raises Px4Error.
+    """
     named = _named(scenario.autopilot)
+    offsets: dict[str, int] = {}
     for field, (base, placeholder) in _PORTS.items():
         port = getattr(scenario.ports, field)
-        passed = placeholder in named and (port or field == "simulator_tcp")
-        if port != base and not passed:
+        if placeholder in named and (port or field == "simulator_tcp"):
+            continue
+        offsets[field] = port - base
+    if not offsets:
+        return 0
+    (common, _), *_ = Counter(offsets.values()).most_common()
+    for field, offset in offsets.items():
+        base, placeholder = _PORTS[field]
+        if offset < 0 or offset != common:
+            port = getattr(scenario.ports, field)
             raise Px4Error(
                 f"ports.{field}: a PX4 listens on {base} plus its number, not on {port or 'a free one'}; "
-                f"fly on the scenario's ports without an offset, or pass {{{placeholder}}} in "
-                "autopilot.px4_command"
+                "raise all its ports by the same offset (--port-offset), or pass "
+                f"{{{placeholder}}} in autopilot.px4_command"
             )
+    return common
+
+
+def check_free(scenario: Scenario) -> None:
+    """Check that no other PX4 is in the way of this swarm's. Raises ResourceError."""
+    offset = instance_offset(scenario) if instances(scenario) else 0
+    for vehicle in instances(scenario):
+        px4_instances.check_free(vehicle + offset, scenario.ports.host)
 
 
 def process_config(
     scenario: Scenario, instance: int, *, run_folder: Path, simulator_port: int
 ) -> ExternalProcessConfig:
     """Return how a vehicle's PX4 is started; creates its folder. Raises OSError."""
-    config, ports = scenario.autopilot, scenario.vehicle_ports(instance)
+    config, ports, offset = scenario.autopilot, scenario.vehicle_ports(instance), instance_offset(scenario)
     work = (run_folder / "px4" / f"uav-{instance}").absolute()
     work.mkdir(parents=True)
     values: dict[str, object] = {
         "build": _build(config),
-        "i": instance,
+        "i": instance + offset,
         "sysid": instance + 1,
         "work": work,
         "host": ports.host,
@@ -99,7 +138,13 @@ def process_config(
         "companion_local": ports.companion_local_udp,
         "companion_remote": ports.companion_remote_udp,
     }
-    parameters = _receiver(scenario.sensors.gps_model()) | config.for_uav(instance).params
+    parameters = receiver_parameters(scenario.sensors.gps_model())
+    if config.px4_seat_parameters:
+        parameters |= SEAT_PARAMETERS
+    parameters = known_ones(parameters, known_parameters(_build(config)))
+    if offset:  # PX4's default is its instance number plus one
+        parameters["MAV_SYS_ID"] = instance + 1
+    parameters |= _of_px4(config.for_uav(instance).params)
     return ExternalProcessConfig(
         name=f"uav {instance}",
         command=tuple(part.format_map(values) for part in config.px4_command),
@@ -110,29 +155,14 @@ def process_config(
     )
 
 
-def _receiver(model: GpsModel) -> dict[str, float]:
-    """Return the parameters that follow from the simulated receiver.
-
-    PX4 rejects fixes that drift on the ground, by their filtered rate with time constant T = 10 s. For a
-    first-order Gauss-Markov error of std σ and time constant τ this rate has a std of σ / T sqrt(T / (T +
-    τ)).
-    """
-    parameters = {"EKF2_GPS_DELAY": model.delay_s * _MS_PER_S}
-    share = _DRIFT_FILTER_S / (_DRIFT_FILTER_S + model.bias_time_constant_s)
-    for axis, std_m in (("H", model.horizontal_bias_std_m), ("V", model.vertical_bias_std_m)):
-        most_m_s = _DRIFT_SIGMAS * std_m / _DRIFT_FILTER_S * math.sqrt(share)
-        if most_m_s > _LEAST_DRIFT_M_S[axis]:
-            parameters[f"EKF2_REQ_{axis}DRIFT"] = min(round(most_m_s, 3), _MOST_DRIFT_M_S[axis])
-    return parameters
+def _of_px4(parameters: Mapping[str, float]) -> dict[str, float]:
+    """Return the parameters without those of coflight's own autopilot."""
+    return {name: value for name, value in parameters.items() if not name.startswith(OWN_PARAMETERS)}
 
 
 def _environment(parameters: Mapping[str, float]) -> dict[str, str]:
     """Return parameters for PX4's start-up script; whole numbers have no decimal point."""
-    return {
-        f"PX4_PARAM_{name}": f"{value:.9g}"
-        for name, value in parameters.items()
-        if not name.startswith(OWN_PARAMETERS)
-    }
+    return {f"PX4_PARAM_{name}": f"{value:.9g}" for name, value in parameters.items()}
 
 
 def _build(config: AutopilotConfig) -> Path:

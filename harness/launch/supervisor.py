@@ -298,13 +298,13 @@ class Supervisor:
         self._receive(child)
         log_tail = self.log_tail(child.name) if returncode else ""
         printed = {line.decode(errors="replace").rstrip() for line in child.printed}
-        errors = [line for line in log_tail.splitlines() if line.rstrip() not in printed]
+        errors = [line.rstrip() for line in log_tail.splitlines() if line.rstrip() not in printed]
         exited = Exited(
             name=child.name,
             pid=child.pid,
             returncode=returncode,
             log_tail=log_tail,
-            last_words=errors[-1] if errors else "",
+            last_words=_last_words(errors),
         )
         self._received.put((child.name, exited))
         child.gone.set()
@@ -429,6 +429,12 @@ class Supervisor:
         except OSError:
             return ""
         return b"".join(last).decode(errors="replace").rstrip()
+
+
+def _last_words(lines: Sequence[str]) -> str:
+    """Return the last line of a log, after the last one marked as an error if that is another."""
+    marked = [line for line in lines if line.startswith("ERROR")][-1:]
+    return "; ".join(dict.fromkeys([*marked, *lines[-1:]]))
 
 
 def _wait_gone(children: Iterable[_Child], timeout_s: float) -> None:

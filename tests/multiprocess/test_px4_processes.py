@@ -20,7 +20,7 @@ pytestmark = pytest.mark.multiprocess
 
 STAND_IN = SUPPORT / "px4_stand_in.py"
 COMMAND = (
-    '["{build}/bin/px4", "-i", "{i}", "-d", "{build}/etc", "-w", "{work}", "--tcp", "{tcp}",'
+    '["env", "{build}/bin/px4", "-i", "{i}", "-d", "{build}/etc", "-w", "{work}", "--tcp", "{tcp}",'
     ' "--gcs", "{gcs_local}:{gcs_remote}", "--companion", "{companion_local}:{companion_remote}"]'
 )
 SCENARIO = """

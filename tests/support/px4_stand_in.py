@@ -26,6 +26,7 @@ from pathlib import Path
 from pymavlink.dialects.v20 import common as mavlink
 
 from autopilot.mavlink.codec import Encoder, Parser
+from harness.launch.px4_parameters import SEAT_PARAMETERS
 
 STEP_S = 0.004
 FIRST_STEPS = (13, 54)
@@ -160,7 +161,9 @@ class FlyingStandIn(StandIn):
         params = {
             name.removeprefix(PARAMETER): float(value)
             for name, value in os.environ.items()
-            if name.startswith(PARAMETER) and not name.endswith("DRIFT")  # used by PX4's estimator alone
+            if name.startswith(PARAMETER)
+            and not name.endswith("DRIFT")  # this and the next are used by PX4's estimator alone
+            and name.removeprefix(PARAMETER) not in SEAT_PARAMETERS
         }
         return {
             "run_id": "px4",

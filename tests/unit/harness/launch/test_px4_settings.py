@@ -1,6 +1,10 @@
 """Settings of PX4s in a scenario, the command that starts one, and the messages of the simulator to it."""
 
+import json
+import lzma
 import math
+import os
+import re
 
 import numpy as np
 import pytest
@@ -12,6 +16,7 @@ from autopilot.mavlink.codec import Parser
 from autopilot.parameters.config import VehicleConfig
 from harness.launch import px4
 from harness.launch.px4 import Px4Error
+from harness.launch.px4_parameters import PARAMETER_LIST, known_parameters
 from harness.scenario.scenario import ScenarioError
 from harness.scenario.scenario_file import load
 from harness.simulator.hil import RC_PERIOD_US, SensorEncoder
@@ -21,6 +26,25 @@ from harness.world.sensors.suite import SensorSuite
 
 STEP_US = 4_000
 EPOCH_US = 1_767_225_600_000_000
+
+
+PX4S_LIST = {
+    "version": 1,
+    "parameters": [
+        {"name": name, "min": low, "max": high, "type": "Int32"}
+        for name, low, high in (
+            ("EKF2_HGT_REF", 0, 3), ("EKF2_GPS_CTRL", 0, 15), ("EKF2_GPS_DELAY", 0, 300),
+            ("EKF2_REQ_HDRIFT", 0.1, 1.0), ("EKF2_REQ_VDRIFT", 0.1, 1.5), ("MPC_XY_P", 0, 2),
+        )
+    ],
+}  # fmt: skip
+"""As PX4's list of a version without SENS_BAR_AUTOCAL; entries have further fields."""
+SEAT = {"EKF2_HGT_REF": "0", "EKF2_GPS_CTRL": "5", "SENS_BAR_AUTOCAL": "0"}
+
+
+@pytest.fixture(autouse=True)
+def user(monkeypatch):
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
 
 
 @pytest.fixture
@@ -126,8 +150,77 @@ def test_parameters_are_passed_except_own_ones_and_whole_ones_as_integers(scenar
         }
         for i in (0, 1)
     ]
-    assert passed[0] == {"EKF2_GPS_DELAY": "200", "COM_RC_IN_MODE": "4", "MPC_XY_P": "0.8"}
-    assert passed[1] == {"EKF2_GPS_DELAY": "50", "COM_RC_IN_MODE": "4", "MPC_XY_P": "0.9"}
+    assert passed[0] == SEAT | {"EKF2_GPS_DELAY": "200", "COM_RC_IN_MODE": "4", "MPC_XY_P": "0.8"}
+    assert passed[1] == SEAT | {"EKF2_GPS_DELAY": "50", "COM_RC_IN_MODE": "4", "MPC_XY_P": "0.9"}
+
+
+def passed_parameters(swarm, tmp_path, i=0):
+    environment = px4.process_config(swarm, i, run_folder=tmp_path, simulator_port=4560).environment
+    prefix = "PX4_PARAM_"
+    return {name.removeprefix(prefix): v for name, v in environment.items() if name.startswith(prefix)}
+
+
+def test_the_seats_parameters_can_be_taken_back_one_by_one_or_all(scenario, tmp_path):
+    one = passed_parameters(scenario("autopilot.params={EKF2_HGT_REF=1}"), tmp_path / "one")
+    assert {name: one[name] for name in SEAT} == SEAT | {"EKF2_HGT_REF": "1"}
+    none = passed_parameters(scenario("autopilot.px4_seat_parameters=false"), tmp_path / "none")
+    assert not SEAT.keys() & none.keys()
+
+
+def write_list(build):
+    (build / "etc" / "extras").mkdir(parents=True)
+    with lzma.open(build / PARAMETER_LIST, "wb") as file:
+        file.write(json.dumps(PX4S_LIST).encode())
+
+
+def test_parameters_of_the_seat_that_a_version_does_not_have_are_left_out(scenario, build, tmp_path):
+    write_list(build)
+    assert passed_parameters(scenario(), tmp_path).keys() == {
+        parameter["name"] for parameter in PX4S_LIST["parameters"]
+    } - {"MPC_XY_P"}
+
+
+@pytest.mark.parametrize(
+    ("override", "error"),
+    [
+        (
+            "autopilot.params={EKF2_HGTREF=0}",
+            "EKF2_HGTREF: this PX4 has no such parameter; EKF2_HGT_REF exists",
+        ),
+        ("autopilot.params={EKF2_HGT_REF=4}", "EKF2_HGT_REF: 4 is out of its range, 0 to 3"),
+        ("autopilot.per_uav.1={MPC_XY_P=-1}", "MPC_XY_P: -1 is out of its range, 0 to 2"),
+    ],
+)
+def test_wrong_parameters_are_refused_by_px4s_own_list(scenario, build, override, error):
+    px4.check_start(scenario(override))  # without a list PX4 itself has the last word
+    write_list(build)
+    with pytest.raises(Px4Error, match=re.escape(f"autopilot.params: {error}")):
+        px4.check_start(scenario(override))
+    px4.check_start(scenario("autopilot.params={CF_DOB_EN=1, MPC_XY_P=1.0}"))
+
+
+@pytest.mark.parametrize("content", [b"", b"no list", lzma.compress(b"{}"), lzma.compress(b"[")])
+def test_an_unreadable_list_is_none(build, content):
+    (build / "etc" / "extras").mkdir(parents=True)
+    (build / PARAMETER_LIST).write_bytes(content)
+    assert known_parameters(build) is None
+
+
+def test_root_is_refused_unless_the_command_changes_the_user(scenario, monkeypatch):
+    monkeypatch.setattr(os, "geteuid", lambda: 0)
+    with pytest.raises(Px4Error, match=r"^autopilot\.kind: PX4 is not to run as root[^\n]*setpriv$"):
+        px4.check_start(scenario())
+    px4.check_start(scenario("autopilot.px4_command=['setpriv', '--reuid=nobody', '{build}/bin/px4']"))
+
+
+def test_a_swarm_on_other_ports_has_other_instances_and_the_same_systems(scenario, tmp_path):
+    ports = {"simulator_tcp": 5560, "gcs_local_udp": 19570, "companion_local_udp": 15580}
+    raised = scenario(*(f"ports.{field}={port}" for field, port in ports.items()))
+    px4.check_start(raised)
+    config = px4.process_config(raised, 2, run_folder=tmp_path, simulator_port=5562)
+    assert config.command[1:3] == ("-i", "1002")
+    assert config.environment["PX4_PARAM_MAV_SYS_ID"] == "3"
+    assert "PX4_PARAM_MAV_SYS_ID" not in passed_parameters(scenario(), tmp_path / "unraised")
 
 
 def drift_rms_m_s(model, std_m, rng):
