@@ -34,7 +34,9 @@ class Parser:
     """Parses bytes into messages.
 
     After bytes that are no message the search resumes at the next byte, so a broken frame never hides a
-    complete one. With a signer only messages signed with its key are returned.
+    complete one. A frame of an unknown message is skipped whole if frames fill its datagram from the begin to
+    its end, or to the next frame: its payload is no message. With a signer only messages signed with its key
+    are returned.
 
     Attributes:
         looked_at: number of apparent frames so far, right and wrong. Work is proportional to it: a wrong
@@ -71,9 +73,12 @@ class Parser:
         counters = self.counters
         messages: list[Message] = []
         at = 0
+        framed = ended
+        """Whether frames fill the datagram up to here."""
         while (magic := _MAGIC.search(buffer, at)) is not None:
-            counters.bytes_bad += magic.start() - at
-            at = magic.start()
+            if magic.start() > at:
+                counters.bytes_bad += magic.start() - at
+                at, framed = magic.start(), False
             self.looked_at += 1
             length = _frame_bytes(buffer, at)
             if length is None or len(buffer) - at < length:
@@ -87,8 +92,12 @@ class Parser:
                         messages.append(message)
                     at += length
                     continue
+            elif framed and self._is_unknown(buffer, at, at + length):
+                counters.bytes_unknown += length
+                at += length
+                continue
             counters.bytes_bad += 1
-            at += 1
+            at, framed = at + 1, False
         else:
             counters.bytes_bad += len(buffer) - at
             at = len(buffer)
@@ -118,6 +127,14 @@ class Parser:
             self.counters.frames_bad_checksum += 1
             return False
         return True
+
+    @staticmethod
+    def _is_unknown(buffer: bytearray, begin: int, end: int) -> bool:
+        """Whether a frame of MAVLink 2 is of an unknown message and followed by a frame or the end."""
+        if buffer[begin] != _MAGIC_V2 or buffer[begin + _FLAGS] & ~INCOMPAT_SIGNED:
+            return False
+        kind = int.from_bytes(buffer[begin + _KIND : begin + _HEADER_BYTES[_MAGIC_V2]], "little")
+        return kind not in _CRC_EXTRA and (end == len(buffer) or buffer[end] in (_MAGIC_V1, _MAGIC_V2))
 
     def _decode(self, frame: bytearray) -> Message | None:
         try:

@@ -15,6 +15,8 @@ class Counters:
     """Apparent frames with a wrong checksum. Random bytes contain many."""
     frames_unknown: int = 0
     """Apparent frames of messages that are not in the dialect, whose checksum cannot be verified."""
+    bytes_unknown: int = 0
+    """Bytes of those of them that were skipped whole."""
     frames_incompatible: int = 0
     """Apparent frames with an unknown incompatibility flag, which must not be parsed."""
     unsigned: int = 0

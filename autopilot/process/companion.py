@@ -181,6 +181,7 @@ class CompanionProcess:
                 details={
                     "autopilot_messages": self._message_count,
                     "malformed_bytes": self._parser.bad_bytes,
+                    "unknown_messages": self._parser.counters.frames_unknown,
                     "malformed_deliveries": self._radio.malformed,
                     **self._companion.app.troubles(),
                 },

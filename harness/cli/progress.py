@@ -281,7 +281,7 @@ def _activity(vehicle: VehicleTruth) -> str:
     """Return the phase of a vehicle, or the mode in which a ground station flies it."""
     if vehicle.phase in ("", "held", "yielded") and vehicle.mode:
         return f"in {vehicle.mode}" if vehicle.armed else vehicle.phase or "disarmed"
-    return vehicle.phase or "starting"
+    return vehicle.phase or ("armed" if vehicle.armed else "starting")
 
 
 def _view(flight: _Flight, progress: Progress) -> Group:

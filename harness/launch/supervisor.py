@@ -28,6 +28,7 @@ from msgspec import Struct
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Stop, Warned
 from foundation.processes.prefork import Fork
 from harness.launch.descriptor_watcher import DescriptorWatcher
+from harness.launch.graceful_end import wait_for_ends
 from harness.launch.interrupts import interrupts_deferred
 from harness.launch.prefork_client import Forker, ForkError, process_of
 from harness.simulator.messages import AnyCommand, AnyEvent
@@ -339,7 +340,8 @@ class Supervisor:
     ) -> list[str]:
         """End these children in parallel, and return a line for each that had to be forced.
 
-        They receive `Stop` and have ``grace_s`` to write their data; then their stdin is closed, and SIGTERM
+        They receive `Stop` and have ``grace_s`` to write their data, more if they are busy or get no
+        processor time (`graceful_end`); then their stdin is closed, and SIGTERM
         and SIGKILL follow, after ``input_grace_s`` and `TERM_GRACE_S`. Children stopped by SIGSTOP are
         continued.
         """
@@ -349,9 +351,9 @@ class Supervisor:
             for child in children:
                 with contextlib.suppress(SupervisorError):
                     child.write(_encoder.encode(Stop()) + b"\n")
-            _wait_gone(children, grace_s)
             forced = []
             if grace_s:
+                wait_for_ends({child.pid: child.gone for child in children}, grace_s)
                 forced = [f"{child} did not stop when asked" for child in children if not child.gone.is_set()]
             for child in children:
                 child.end_input()

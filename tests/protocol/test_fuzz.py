@@ -109,7 +109,7 @@ def test_garbage_on_both_links_of_a_flying_vehicle_has_no_effect():
     assert digest(plain.vehicle, leave_out=NO_STATE) == digest(attacked.vehicle, leave_out=NO_STATE)
     for port in ports:
         counters = port.parser.counters
-        assert counters.bytes_bad + port.frame_bytes == port.sent_bytes
+        assert counters.bytes_bad + counters.bytes_unknown + port.frame_bytes == port.sent_bytes
         assert attacked.vehicle.messaging.not_addressed[port.link] == port.frames > BYTES / 10_000
         expected = counters.frames_bad_checksum * FALSE_ALARM
         assert port.accidents <= expected + 5 * expected**0.5 + 1

@@ -158,8 +158,17 @@ def wrong_checksum(frame):
     frame[-1] ^= 1
 
 
+def incompatible(frame):
+    frame[2] = 0x02
+
+
 @pytest.mark.parametrize(
-    ("spoil", "cause"), [(unknown_kind, "frames_unknown"), (wrong_checksum, "frames_bad_checksum")]
+    ("spoil", "cause"),
+    [
+        (incompatible, "frames_incompatible"),
+        (wrong_checksum, "frames_bad_checksum"),
+        (unknown_kind, "frames_unknown"),
+    ],
 )
 def test_each_cause_has_its_own_counter(spoil, cause):
     whole, spoiled = frames(2)[0], bytearray(frames(2)[1])
@@ -168,7 +177,23 @@ def test_each_cause_has_its_own_counter(spoil, cause):
     parser = Parser()
     for _ in range(7):
         assert numbers(parser.push_datagram(bytes(spoiled) + whole)) == [0]
-    assert parser.counters == Counters(bytes_bad=7 * len(spoiled), **{cause: 7})
+    of_bytes = "bytes_unknown" if cause == "frames_unknown" else "bytes_bad"
+    assert parser.counters == Counters(**{cause: 7, of_bytes: 7 * len(spoiled)})
+
+
+def test_the_payload_of_an_unknown_message_is_no_message():
+    """A frame inside another one is skipped with it, unless bytes around them are in no frame."""
+    inner = frames(1)[0]
+    outer = bytearray(inner[:10] + inner + inner[-2:])
+    outer[1] = len(inner)
+    unknown_kind(outer)
+    parser = Parser()
+    assert parser.push_datagram(bytes(outer)) == []
+    assert parser.push_datagram(inner + bytes(outer) + inner) != []
+    assert parser.counters == Counters(frames_unknown=2, bytes_unknown=2 * len(outer))
+    assert numbers(parser.push_datagram(b"\x00" + bytes(outer))) == [0]
+    # in a stream a length that was garbage must not hide what follows
+    assert numbers(parser.push(bytes(outer))) == [0]
 
 
 def test_a_datagram_of_frame_starts_is_parsed_quickly():
