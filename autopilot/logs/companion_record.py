@@ -51,6 +51,8 @@ class CompanionLog:
         self._period_us = config.record_period_us
         self._app = app
         self._newest: dict[int, Message] = {}
+        self._fix_ned_m = self._origin_ned_m = _UNKNOWN
+        """(3,) of the newest fix, and (3,) to add to a local position, whose height is unchanged."""
         self._written_us = 0
         self._log = RecordLog(path, VEHICLE_RECORD)
 
@@ -64,6 +66,12 @@ class CompanionLog:
             if kind in _TIMED:
                 self._write(min(message.time_boot_ms * _US_PER_MS, now_us))
             self._newest[kind] = message
+            if kind == _FIX:
+                known = message.fix_type >= LEAST_FIX_TYPE
+                self._fix_ned_m = self._ned_m(message.lat, message.lon, message.alt) if known else _UNKNOWN
+            elif kind == _ORIGIN:
+                self._origin_ned_m = self._ned_m(message.latitude, message.longitude, 0)
+                self._origin_ned_m[2] = 0.0
 
     def _write(self, time_us: int) -> None:
         """Write a row if an instant of the log has passed since the last, and PX4 has sent a heartbeat."""
@@ -80,7 +88,7 @@ class CompanionLog:
         newest = self._newest
         beat, landed, status = newest[_HEARTBEAT], newest.get(_LANDED), newest.get(_STATUS)
         position, attitude = newest.get(_POSITION), newest.get(_ATTITUDE)
-        origin_ned_m = self._origin_ned_m()
+        origin_ned_m = self._origin_ned_m
         armed = bool(beat.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED)
         known = position is not None and not math.isnan(origin_ned_m[0])
         estimate = self._app.estimate(at_us) if known else None
@@ -98,28 +106,13 @@ class CompanionLog:
             _UNKNOWN if position is None else np.array((position.x, position.y, position.z)) + origin_ned_m,
             _UNKNOWN if position is None else (position.vx, position.vy, position.vz),
             _NO_ATTITUDE if attitude is None else (attitude.q1, attitude.q2, attitude.q3, attitude.q4),
-            self._fix_ned_m(),
+            self._fix_ned_m,
             _UNKNOWN if estimate is None else estimate.pos_ned_m,
             _UNKNOWN if estimate is None else estimate.std_ned_m,
             _UNKNOWN if estimate is None else estimate.correction_ned_m,
             _UNKNOWN if estimate is None else estimate.odometry_offset_ned_m,
             self._target_ned_m(origin_ned_m),
         )
-
-    def _origin_ned_m(self) -> Array:
-        """(3,) offset to add to a local position; its height is unchanged."""
-        origin = self._newest.get(_ORIGIN)
-        if origin is None:
-            return _UNKNOWN
-        origin_ned_m = self._ned_m(origin.latitude, origin.longitude, 0)
-        origin_ned_m[2] = 0.0
-        return origin_ned_m
-
-    def _fix_ned_m(self) -> Array:
-        fix = self._newest.get(_FIX)
-        if fix is None or fix.fix_type < LEAST_FIX_TYPE:
-            return _UNKNOWN
-        return self._ned_m(fix.lat, fix.lon, fix.alt)
 
     def _target_ned_m(self, origin_ned_m: Array) -> Array:
         target = self._newest.get(_TARGET)

@@ -200,7 +200,7 @@ class OnboardConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     distances. gps: the own GPS alone. truth: the simulator. The last two are references for the first."""
     loop_period_ms: Annotated[int, Meta(ge=4, le=40)] = 40
     """Period of the application's loop, which exchanges data with autopilot and radio at multiples of it: a
-    whole number of steps. The channel advances in equal intervals. With a PX4, PX4's messages drive it."""
+    whole number of steps. The channel advances in equal intervals."""
     beacon_period_ms: Annotated[int, Meta(ge=10, le=1_000)] = 100
     """Period of a UAV's beacons, milliseconds."""
     neighbours: Annotated[int, Meta(ge=0, le=254)] = 0

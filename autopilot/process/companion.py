@@ -43,6 +43,29 @@ ORIGIN_PERIOD_US = 1_000_000
 ORIGIN_KNOWN_PERIOD_US = 10_000_000
 CALL_PERIOD_US = 1_000_000
 """Simulated time without a message after which a heartbeat is sent: PX4 answers the first sender."""
+USED = frozenset(
+    {
+        common.MAVLINK_MSG_ID_HEARTBEAT,
+        common.MAVLINK_MSG_ID_SYS_STATUS,
+        common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
+        common.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+        common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
+        common.MAVLINK_MSG_ID_ALTITUDE,
+        common.MAVLINK_MSG_ID_GPS_RAW_INT,
+        common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
+        common.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
+        common.MAVLINK_MSG_ID_PARAM_VALUE,
+        common.MAVLINK_MSG_ID_COMMAND_ACK,
+        common.MAVLINK_MSG_ID_COMMAND_LONG,
+        common.MAVLINK_MSG_ID_COMMAND_INT,
+        common.MAVLINK_MSG_ID_STATUSTEXT,
+    }
+)
+"""Messages of PX4 that application and log use. PX4 is requested to stop the streams of all others on this
+link: it sends 400 messages a second to a companion, each of which costs both some 30 us."""
+STOP_PERIOD_US = 1_000_000
+"""Period at which that request is repeated for a message that still arrives."""
+_OFF = -1.0
 _PAUSED_S = 0.5
 """Wall time without a request after which the messages of PX4 are read anyway: simulated time rests."""
 _MOST_WAITING = 2_000
@@ -72,6 +95,8 @@ class Companion:
         self._has_origin = False
         self._received_us = 0
         """Time of the last message from PX4, or of the last heartbeat that calls for one."""
+        self._stopped_us: dict[int, int] = {}
+        """Time of the last request to stop each stream that is not used."""
         self._replies: list[Message] = []
         self._reports: list[Message] = []
         self._chunks = Chunks()
@@ -81,6 +106,9 @@ class Companion:
         kind = message.get_msgId()
         if message.get_srcSystem() == self._system and message.get_srcComponent() == AUTOPILOT_COMPONENT:
             self._received_us = now_us
+            if kind not in USED:
+                self._stop_stream(kind, now_us)
+                return
             self.app.on_mavlink(message, now_us)
             if kind == common.MAVLINK_MSG_ID_HEARTBEAT:
                 self._reports.append(message)
@@ -91,6 +119,18 @@ class Companion:
             and getattr(message, "target_component", None) == APPLICATION_COMPONENT
         ):
             self._replies += self.app.on_request(message)
+
+    def _stop_stream(self, kind: int, now_us: int) -> None:
+        """Request that PX4 does not send a message any more."""
+        if now_us - self._stopped_us.get(kind, -STOP_PERIOD_US) < STOP_PERIOD_US:
+            return
+        self._stopped_us[kind] = now_us
+        self._replies.append(
+            common.MAVLink_command_long_message(
+                self._system, AUTOPILOT_COMPONENT, common.MAV_CMD_SET_MESSAGE_INTERVAL, 0,
+                float(kind), _OFF, 0.0, 0.0, 0.0, 0.0, 0.0,
+            )
+        )  # fmt: skip
 
     def on_timer(self, radio_items: Sequence[RxItem], now_us: int) -> CompanionOutput:
         """Run the iteration that begins at ``now_us`` with the items that the radio has received."""

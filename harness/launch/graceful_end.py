@@ -8,6 +8,8 @@ import threading
 import time
 from collections.abc import Mapping
 
+import psutil
+
 from harness.simulator.response_watchdog import ResponseWatchdog
 
 POLL_S = 0.25
@@ -29,5 +31,17 @@ def wait_for_ends(ends: Mapping[int, threading.Event], limit_s: float) -> None:
         remaining = {
             pid: ended
             for pid, ended in remaining.items()
-            if not ended.is_set() and watchdog.check(pid, wall_s, starting=False).give_up is None
+            if not ended.is_set() and not (_runs(pid) and _is_over(watchdog, pid, wall_s))
         }
+
+
+def _runs(pid: int) -> bool:
+    """Whether a process has not ended; the event of one that has is about to be set."""
+    try:
+        return bool(psutil.Process(pid).status() not in (psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD))
+    except psutil.NoSuchProcess:
+        return False
+
+
+def _is_over(watchdog: ResponseWatchdog, pid: int, wall_s: float) -> bool:
+    return watchdog.check(pid, wall_s, starting=False).give_up is not None

@@ -374,10 +374,12 @@ class Processes:
                 self._supervisor.stop(input_grace_s=0.0)  # one that still starts does not read its stdin
                 while self._supervisor.receive(0.0) is not None:
                     pass  # ends that this stop has caused are no events
+                px4.remove_files(self._scenario)
                 return
             for names in ([PHYSICS], vehicles, [RADIO, PREFORK]):
                 forced += self._supervisor.end(names, grace_s=STOP_LIMIT_S)
             self.forced = (*forced, *self._supervisor.stop())
+            px4.remove_files(self._scenario)
             self.drain()
             self.records_lost = next(filter(None, map(self._incomplete, (PHYSICS, RADIO))), None)
             if self.records_lost is not None:

@@ -119,6 +119,13 @@ def check_free(scenario: Scenario) -> None:
         px4_instances.check_free(vehicle + offset, scenario.ports.host)
 
 
+def remove_files(scenario: Scenario) -> None:
+    """Remove the files that this swarm's PX4s leave outside the run folder."""
+    offset = instance_offset(scenario) if instances(scenario) else 0
+    for vehicle in instances(scenario):
+        px4_instances.remove_files(vehicle + offset)
+
+
 def process_config(
     scenario: Scenario, instance: int, *, run_folder: Path, simulator_port: int
 ) -> ExternalProcessConfig:

@@ -4,6 +4,7 @@ All files and ports of a PX4 process are named by its instance number: a lock, a
 and TCP ports. Two processes of one number cannot run, whichever swarm and user they belong to.
 """
 
+import contextlib
 import fcntl
 import os
 import socket
@@ -33,6 +34,15 @@ def check_free(instance: int, host: str) -> None:
             raise ResourceError(line, in_use=True)
     for base in LINK_PORTS:
         bind(socket.SOCK_DGRAM, host, base + instance).close()
+
+
+def remove_files(instance: int) -> None:
+    """Remove the files that a PX4 of this number leaves when it ends, unless one is running."""
+    lock = FOLDER / f"{LOCK}{instance}"
+    if _locked_by(lock) is None:
+        for path in (FOLDER / f"{SHELL}{instance}", lock):
+            with contextlib.suppress(OSError):
+                path.unlink(missing_ok=True)
 
 
 def _locked_by(path: Path) -> int | None:

@@ -434,8 +434,8 @@ class Supervisor:
 
 
 def _last_words(lines: Sequence[str]) -> str:
-    """Return the last line of a log, after the last one marked as an error if that is another."""
-    marked = [line for line in lines if line.startswith("ERROR")][-1:]
+    """Return the last line of a log, after the last two that are marked as errors."""
+    marked = [line for line in lines if line.startswith("ERROR")][-2:]
     return "; ".join(dict.fromkeys([*marked, *lines[-1:]]))
 
 

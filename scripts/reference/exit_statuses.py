@@ -100,7 +100,7 @@ SUMMARY = {
     "moves_s": "when the formation began to move; null if it did not",
     "formation_s": "time in formation",
     "formation_rms_m": "formation error: `absolute`, `shape` and both horizontally",
-    "vehicles": "a list: `uav`, `alive`, `lost`, `absolute_rms_m`, `shape_rms_m`",
+    "vehicles": "a list: `uav`, `alive`, `lost`, `application_lost`, `absolute_rms_m`, `shape_rms_m`",
     "frames": "frames on the air: `sent`, `delivered`, `collided`, `lost_to_noise`",
     "channel_busy_fraction": "share of time in which the channel was busy",
     "ftm": "ranging sessions: `requested`, `completed`, `failed`, `error_mean_m`, `error_std_m`",

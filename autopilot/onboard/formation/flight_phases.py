@@ -3,8 +3,10 @@
 The autopilot performs the take-off itself, because its spool-up and landed-state logic are designed for it.
 It holds the uncorrected position, however, which drifts with the GPS bias. At `HAND_OVER_HEIGHT_M`, during
 the climb, the application therefore takes over in offboard mode, with a setpoint that continues the climb at
-the same speed over the corrected position. A UAV does not take off before the formation's shape on the ground
-is known to `SHAPE_STD_M`, or `LOCALISE_TIMEOUT_US` has passed. A held flight waits before all that.
+the same speed over the corrected position. It also does so where the autopilot ends its take-off lower, as it
+does if its own height drifts by metres while the motors spool up. A UAV does not take off before the
+formation's shape on the ground is known to `SHAPE_STD_M`, or `LOCALISE_TIMEOUT_US` has passed. A held flight
+waits before all that.
 """
 
 from collections.abc import Callable
@@ -69,6 +71,8 @@ class FlightSequence:
         self._offboard_seen = False
         self._has_flown = False
         self._take_off: RepeatedCommand | None = None
+        self._takes_off = False
+        """Whether the autopilot has been seen in its take-off."""
 
     @property
     def in_air(self) -> bool:
@@ -106,7 +110,7 @@ class FlightSequence:
                     )
                     return FlightPhase.ARMING
             case FlightPhase.ARMING:
-                self._take_off = None
+                self._take_off, self._takes_off = None, False
                 if own.is_ready is False and now_us - self._phase_since_us < READY_TIMEOUT_US:
                     return self.phase
                 own.on_arming()
@@ -136,9 +140,10 @@ class FlightSequence:
         if own.failsafe:
             return self._yield("failsafe", now_us)
         self._has_flown |= height_m > FLOWN_HEIGHT_M
-        if height_m < min(HAND_OVER_HEIGHT_M, 0.5 * take_off_height_m) and not self._commands.is_requested(
-            OFFBOARD
-        ):
+        self._takes_off |= own.mode is FlightMode.TAKEOFF
+        ended = self._takes_off and own.mode is FlightMode.HOLD
+        low = height_m < min(HAND_OVER_HEIGHT_M, 0.5 * take_off_height_m)
+        if low and not ended and not self._commands.is_requested(OFFBOARD):
             if self._take_off is None:  # once: the altitude of the ground, as the autopilot sees it, drifts
                 ground_alt_m = own.origin_alt_m - own.height.autopilot_down_m
                 self._take_off = take_off(ground_alt_m + take_off_height_m)

@@ -90,9 +90,8 @@ class OwnState:
             self.height.on_barometer(time_us, msg.altitude_monotonic, standing=self._standing)
 
     def on_status(self, msg: common.MAVLink_sys_status_message) -> None:
-        """Process the pre-arm checks of a SYS_STATUS."""
-        if msg.onboard_control_sensors_present & common.MAV_SYS_STATUS_PREARM_CHECK:
-            self.is_ready = bool(msg.onboard_control_sensors_health & common.MAV_SYS_STATUS_PREARM_CHECK)
+        """Process the pre-arm checks of a SYS_STATUS; PX4 reports them in the healthy sensors only."""
+        self.is_ready = bool(msg.onboard_control_sensors_health & common.MAV_SYS_STATUS_PREARM_CHECK)
 
     def on_arming(self) -> None:
         """Keep the zero of the height from now on."""

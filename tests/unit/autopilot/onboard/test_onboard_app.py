@@ -162,6 +162,85 @@ def test_a_nan_distance_is_never_on_station(miss_m, phase):
     assert flight.phase is phase
 
 
+ALONE_AND_READY = Situation(shape_std_m=0.0, miss_m=8.0, place_height_m=8.0)
+
+
+def position(own, now_us, *, down_m, vel_down_m_s=0.0):
+    own.on_local_position(
+        common.MAVLink_local_position_ned_message(now_us // 1_000, 0.0, 0.0, down_m, 0.0, 0.0, vel_down_m_s),
+        now_us,
+    )
+
+
+def status(*, ready):
+    health = common.MAV_SYS_STATUS_PREARM_CHECK if ready else 0
+    return common.MAVLink_sys_status_message(0, 0, health, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
+
+
+@pytest.mark.parametrize(("ready_s", "armed_s"), [(None, 0.0), (4.0, 4.0), (60.0, 20.0)])
+def test_arming_waits_for_the_autopilots_checks_if_it_reports_them(ready_s, armed_s):
+    flight, own = joining()
+    flight.phase = FlightPhase.ARMING
+    begun_us = None
+    for now_us in range(0, 30_000_000, 100_000):
+        if ready_s is not None:
+            own.on_status(status(ready=now_us >= ready_s * 1e6))
+        flight.update(own, ALONE_AND_READY, now_us)
+        if begun_us is None and flight._commands.next_deadline_us() <= now_us:
+            begun_us = now_us
+    assert begun_us == pytest.approx(armed_s * 1e6, abs=100_000)
+
+
+def take_off(*, drift_m_s, mode_after):
+    """Return the time of the hand-over, s, and the altitudes commanded by a flight from its arming on.
+
+    The autopilot's height drifts up by ``drift_m_s``. It lifts off after 4 s, climbs at 1 m/s to the altitude
+    of the command in its own frame, and then selects ``mode_after``.
+    """
+    flight, own = joining()
+    flight.phase, own.mode, own.heartbeat_us = FlightPhase.ARMING, FlightMode.HOLD, 0
+    own.origin_alt_m = SITE.altitude_m
+    own._standing = True
+    height_m, climb_m_s, altitudes_m = 0.0, 0.0, set()
+    for now_us in range(0, 30_000_000, 40_000):
+        now_s = now_us * 1e-6
+        position(own, now_us, down_m=-height_m - drift_m_s * now_s, vel_down_m_s=-drift_m_s - climb_m_s)
+        own.on_altitude(common.MAVLink_altitude_message(now_us, 488.0 + height_m, 0.0, 0.0, 0.0, 0.0, 0.0))
+        flight.update(own, ALONE_AND_READY, now_us)
+        for command in flight._commands.on_timer(now_us):
+            if command.command == common.MAV_CMD_NAV_TAKEOFF:
+                altitudes_m.add(round(command.param7 - SITE.altitude_m, 3))
+                own.mode = FlightMode.TAKEOFF
+            flight._commands.on_ack(common.MAVLink_command_ack_message(command.command, 0), now_us)
+        if flight.phase is FlightPhase.JOINING:
+            return now_s, altitudes_m
+        if own.mode is FlightMode.TAKEOFF and now_s >= 4.0:
+            if height_m + drift_m_s * now_s < max(altitudes_m):
+                climb_m_s = 1.0
+                height_m += 0.04
+            else:
+                climb_m_s, own.mode = 0.0, mode_after
+    return None, altitudes_m
+
+
+def test_the_application_takes_over_in_the_climb():
+    taken_over_s, altitudes_m = take_off(drift_m_s=0.0, mode_after=FlightMode.HOLD)
+    assert taken_over_s == pytest.approx(4.0 + 0.5, abs=0.25)
+    assert altitudes_m == {2.5}
+
+
+def test_the_application_takes_over_where_a_drifting_autopilot_ends_its_take_off():
+    """Its height has drifted by 2.4 m when it lifts off: it ends below the height of the hand-over."""
+    taken_over_s, altitudes_m = take_off(drift_m_s=0.6, mode_after=FlightMode.HOLD)
+    assert taken_over_s == pytest.approx(4.2, abs=0.3)
+    assert len(altitudes_m) == 1  # the command is not changed while it is carried out
+
+
+def test_another_mode_in_the_take_off_is_not_taken_over_on_the_ground():
+    taken_over_s, _ = take_off(drift_m_s=0.6, mode_after=FlightMode.LAND)
+    assert taken_over_s is None
+
+
 def test_without_distances_it_takes_off_after_the_timeout_with_a_message():
     w = world(errors=Errors(radio_loss=1.0))
     w.run_until(phase_is(FlightPhase.LOCALISING), limit_s=1.5)

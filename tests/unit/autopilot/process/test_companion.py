@@ -136,6 +136,24 @@ def test_a_command_to_the_application_that_px4_forwards_is_answered():
     assert [(ack.command, ack.result) for ack in acks] == [(common.MAV_CMD_USER_1, 0)]
 
 
+def test_streams_that_are_not_used_are_stopped_and_asked_again_if_they_go_on():
+    companion = Companion(config())
+
+    def imu(time_ms):
+        return common.MAVLink_highres_imu_message(time_ms * 1_000, *[0.0] * 13, 0)
+
+    outputs = fly(companion, 3_000, px4=(attitude, position, imu))
+    stopped = [
+        int(message.param1)
+        for output in outputs
+        for message in output.mavlink
+        if message.get_type() == "COMMAND_LONG" and message.command == common.MAV_CMD_SET_MESSAGE_INTERVAL
+    ]
+    assert sorted(stopped) == sorted(
+        3 * [common.MAVLINK_MSG_ID_ATTITUDE] + 3 * [common.MAVLINK_MSG_ID_HIGHRES_IMU]
+    )
+
+
 @pytest.mark.parametrize("hears", [False, True])
 def test_it_calls_a_px4_from_which_it_receives_nothing(hears):
     companion = Companion(config())

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from harness.launch import px4_instances
-from harness.launch.px4_instances import LINK_PORTS, LOCK, SHELL, check_free
+from harness.launch.px4_instances import LINK_PORTS, LOCK, SHELL, check_free, remove_files
 from harness.launch.resources import ResourceError
 
 HOST = "127.0.0.1"
@@ -76,6 +76,24 @@ def test_ports_of_its_other_links_have_to_be_free(which):
         taken.bind((HOST, port))
         with pytest.raises(ResourceError, match=f"^UDP port {port} on {HOST}"):
             check_free(3, HOST)
+
+
+def test_files_are_removed_unless_a_px4_of_the_number_runs(folder):
+    lock, shell = folder / f"{LOCK}3", folder / f"{SHELL}3"
+    for path in (lock, shell, folder / f"{SHELL}4"):
+        path.touch()
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(lock)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as running:
+        assert running.stdout.readline() == b"locked\n"
+        remove_files(3)
+        assert lock.exists()
+        assert shell.exists()
+        running.stdin.close()
+        running.wait(10.0)
+    remove_files(3)
+    remove_files(3)
+    assert [path.name for path in folder.iterdir()] == [f"{SHELL}4"]
 
 
 def test_the_lock_is_read_without_being_taken(folder):
