@@ -71,7 +71,7 @@ class Errors:
     gps_height_std_m: float = 0.0
     """Above 0 the autopilot's height follows the GPS receiver's instead of the barometer's."""
     barometer_steps_m: float = 0.0
-    """Above 0 ALTITUDE is sent, and each barometer is calibrated anew at `CALIBRATION_S`, by this."""
+    """Above 0 ALTITUDE is sent, and each barometer is calibrated again at `CALIBRATION_S`, by this."""
     gust_std_m_s2: float = 0.35
     gust_tau_s: float = 2.0
     range_std_m: float = 0.1

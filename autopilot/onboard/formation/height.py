@@ -1,7 +1,7 @@
 """Height of the own vehicle from sources that are continuous, whatever the autopilot's own height does.
 
 An autopilot's height may follow its GPS receiver, whose error is metres, may be reset, and may be calibrated
-anew in flight. A formation needs the height above the ground of the start, without steps:
+again in flight. A formation needs the height above the ground of the start, without steps:
 
 - With a barometer (ALTITUDE.altitude_monotonic) the height is the integral of the vertical velocity, steered
   to the barometer. The error of that velocity reaches 0.1 m/s where the autopilot fuses GPS heights, so it is
@@ -24,7 +24,7 @@ TIME_CONSTANT_S = 1.5
 BAROMETER_STEP_M = 0.5
 """Change of the barometer's deviation between two samples that is a step of it: seven sigma of its noise."""
 BAROMETER_GAP_US = 1_000_000
-"""Two samples farther apart are not compared: a step between them cannot be told from a motion."""
+"""Two samples farther apart are not compared: a step between them cannot be distinguished from a motion."""
 STEP_M, STEP_M_S2 = 0.5, 10.0
 """A change of the autopilot's height beyond the motion that its velocity explains is a step above the first
 plus the way of the second, an acceleration that reverses halfway between two messages."""

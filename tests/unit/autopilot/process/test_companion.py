@@ -154,13 +154,13 @@ def test_streams_that_are_not_used_are_stopped_and_asked_again_if_they_go_on():
     )
 
 
-@pytest.mark.parametrize("hears", [False, True])
-def test_it_calls_a_px4_from_which_it_receives_nothing(hears):
+@pytest.mark.parametrize("sends", [False, True])
+def test_it_calls_a_px4_from_which_it_receives_nothing(sends):
     companion = Companion(config())
-    outputs = fly(companion, 10_000, px4=(attitude,) if hears else ())
+    outputs = fly(companion, 10_000, px4=(attitude,) if sends else ())
     beats = sum(m.get_type() == "HEARTBEAT" for output in outputs for m in output.mavlink)
     # without messages one for each second, in addition to the application's own in each second
-    assert beats == (10 if hears else 20)
+    assert beats == (10 if sends else 20)
     sources = {(m.get_srcSystem(), m.get_srcComponent()) for output in outputs for m in output.mavlink}
     assert sources == {(SYSTEM, 191)}
 

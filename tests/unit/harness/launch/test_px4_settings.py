@@ -210,7 +210,7 @@ def test_root_is_refused_unless_the_command_changes_the_user(scenario, monkeypat
     monkeypatch.setattr(os, "geteuid", lambda: 0)
     with pytest.raises(Px4Error, match=r"^autopilot\.kind: PX4 is not to run as root[^\n]*setpriv$"):
         px4.check_start(scenario())
-    px4.check_start(scenario("autopilot.px4_command=['setpriv', '--reuid=nobody', '{build}/bin/px4']"))
+    px4.check_start(scenario("autopilot.px4_command=['setpriv', '--reuid=1000', '{build}/bin/px4']"))
 
 
 def test_a_swarm_on_other_ports_has_other_instances_and_the_same_systems(scenario, tmp_path):
