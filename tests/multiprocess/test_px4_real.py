@@ -1,6 +1,6 @@
 """Swarms of real PX4s: skipped without the folder of a SITL build in the variable COFLIGHT_PX4_BUILD.
 
-The tests run as a user other than root, or as root with COFLIGHT_PX4_USER, whose processes may read that folder.
+The tests run as a user other than root, or as root with COFLIGHT_PX4_USER, the name of another user.
 """
 
 import json
