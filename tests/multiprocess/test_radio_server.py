@@ -15,7 +15,7 @@ from foundation.processes.child_protocol import Stop
 from foundation.records.record_log import read
 from netsim.emulator.log_layout import FRAME_LOG
 from netsim.emulator.service import EmulatorService
-from netsim.model.config import RadioConfig
+from netsim.model.config import GuestConfig, RadioConfig
 from netsim.transport.asynchronous_radio import AsynchronousRadio
 from netsim.transport.interval_stream import time_masters_end
 from netsim.transport.lockstep_radio import MOST_ITEMS, RadioClient, RadioLost, receive_key, transmit_key
@@ -44,12 +44,11 @@ POSES_M = ((0.0, 0.0, -10.0), (0.0, 8.5, -10.0), (2.5, 0.0, -10.0))
 class Radio:
     """An emulator's process, and the time master's end of its socket."""
 
-    def __init__(self, folder, stations=3, seed=1, companions=(), **radio):
+    def __init__(self, folder, stations=3, seed=1, **radio):
         self.frames_path = folder / "frames.bin"
         config = ServerConfig(
             run_id=RUN,
             stations=stations,
-            companions=companions,
             seed=seed,
             radio=RadioConfig(**radio),
             frame_log_path=str(self.frames_path),
@@ -283,20 +282,21 @@ def test_batch_of_several_messages_is_delivered_completely(radio):
         assert [(item.seq, item.payload) for item in received] == [(i.seq, i.payload) for i in items]
 
 
-def test_asynchronous_station_receives_and_sends_without_lockstep(tmp_path):
+def test_a_guest_receives_and_sends_without_lockstep(tmp_path):
+    places = [GuestConfig(name="car", pos_ned_m=(0.0, 8.5, -10.0))]
     with (
-        contextlib.closing(Radio(tmp_path, companions=(1, 2))) as radio,
+        contextlib.closing(Radio(tmp_path, guests=places)) as radio,
         contextlib.closing(radio.client(0)) as vehicle,
         contextlib.closing(Transport.connect(radio.endpoint)) as transport,
     ):
         batches = queue.SimpleQueue()
-        asynchronous = AsynchronousRadio(transport, run_id=RUN, station=1, put=batches.put)
+        guest = AsynchronousRadio(transport, run_id=RUN, station=3, put=batches.put)
         vehicle.send(4000, [Broadcast(seq=1, at_us=4000, payload=b"x")])
-        assert radio.advance(8000, senders=(0,)).delivered == ()
+        assert radio.advance(8000, senders=(0,)).delivered == (1, 2)
         batch = batches.get(timeout=10.0)
         assert (batch.release_us, batch.items[0].payload) == (12_000, b"x")
-        asynchronous.hand_over([Broadcast(seq=1, at_us=8000, payload=b"y")], now_us=8000)
-        assert radio.advance(12_000).delivered == (0,)
+        guest.hand_over([Broadcast(seq=1, at_us=8000, payload=b"y")], now_us=8000)
+        assert radio.advance(12_000).delivered == (0, 1, 2)
         assert vehicle.receive(16_000)[0].payload == b"y"
 
 
