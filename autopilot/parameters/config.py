@@ -136,7 +136,7 @@ class AutopilotConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     """Command line of a PX4 process; see `harness.launch.px4` for the fields in braces."""
     px4_env: dict[str, str] = field(default_factory=lambda: {"PX4_SIM_MODEL": "none_iris"})
     """Variables added to the environment of a PX4 process; the same fields in braces are replaced."""
-    px4_seat_parameters: bool = True
+    px4_simulation_parameters: bool = True
     """Set the parameters of PX4 that suit this simulator's sensors: height from the barometer instead of the
     GPS receiver. ``params`` has precedence; false: PX4's defaults."""
     px4_rc: bool = False

@@ -26,8 +26,6 @@ from autopilot.mavlink.components import APPLICATION_COMPONENT, AUTOPILOT_COMPON
 from autopilot.mavlink.local_messages import PositionTarget
 from autopilot.onboard.application import NOTHING, Application
 from autopilot.onboard.factory import make_application
-from autopilot.onboard.formation.messages import heartbeat
-from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.parameters.config import VehicleConfig
 from autopilot.process.iteration import Iterate, Iterated
 from autopilot.process.warm_up import warm_up
@@ -41,8 +39,6 @@ from netsim.wire.messages import RxItem, TxItem
 ORIGIN_PERIOD_US = 1_000_000
 """Period of requests for the estimator's origin, which PX4 does not stream to a companion."""
 ORIGIN_KNOWN_PERIOD_US = 10_000_000
-CALL_PERIOD_US = 1_000_000
-"""Simulated time without a message after which a heartbeat is sent: PX4 answers the first sender."""
 USED = frozenset(
     {
         common.MAVLINK_MSG_ID_HEARTBEAT,
@@ -93,8 +89,6 @@ class Companion:
         self.app: Application = make_application(config)
         self._origin_us = 0
         self._has_origin = False
-        self._received_us = 0
-        """Time of the last message from PX4, or of the last heartbeat that calls for one."""
         self._stopped_us: dict[int, int] = {}
         """Time of the last request to stop each stream that is not used."""
         self._replies: list[Message] = []
@@ -105,7 +99,6 @@ class Companion:
         """Handle a message from PX4's link; messages of others only if they target this application."""
         kind = message.get_msgId()
         if message.get_srcSystem() == self._system and message.get_srcComponent() == AUTOPILOT_COMPONENT:
-            self._received_us = now_us
             if kind not in USED:
                 self._stop_stream(kind, now_us)
                 return
@@ -114,11 +107,15 @@ class Companion:
                 self._reports.append(message)
             elif kind == common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN:
                 self._has_origin = True
-        elif (
+        elif self.is_request(message):
+            self._replies += self.app.on_request(message)
+
+    def is_request(self, message: Message) -> bool:
+        """Whether a message targets this application."""
+        return (
             getattr(message, "target_system", None) == self._system
             and getattr(message, "target_component", None) == APPLICATION_COMPONENT
-        ):
-            self._replies += self.app.on_request(message)
+        )
 
     def _stop_stream(self, kind: int, now_us: int) -> None:
         """Request that PX4 does not send a message any more."""
@@ -143,9 +140,6 @@ class Companion:
             else:
                 requested += self._chunks.split(item)
         mavlink = [*self.replies(), *requested]
-        if now_us - self._received_us >= CALL_PERIOD_US:
-            self._received_us = now_us
-            mavlink += heartbeat(FlightPhase.WAITING, None, 0)
         if now_us >= self._origin_us:
             self._origin_us = now_us + (ORIGIN_KNOWN_PERIOD_US if self._has_origin else ORIGIN_PERIOD_US)
             mavlink.append(
@@ -197,6 +191,8 @@ class CompanionProcess:
         self._encoder = Encoder(system=config.instance + 1, component=APPLICATION_COMPONENT)
         self._message_count = 0
         self._now_us = 0
+        self._held: list[Message] = []
+        """Messages of PX4 that arrived while simulated time rested, newer than the last iteration."""
 
     def run(self, inbox: "queue.SimpleQueue[Stop]") -> None:
         """Serve the simulator until it closes its socket; then wait for the stop. Raises WarmUpError."""
@@ -214,6 +210,7 @@ class CompanionProcess:
             if request is None:
                 break
             self._requests.send(self._iterate(request))
+        self._radio.close()  # a radio that is not read would block the emulator
         inbox.get()
         emit(
             Finished(
@@ -230,7 +227,11 @@ class CompanionProcess:
 
     def _iterate(self, request: Iterate) -> Iterated:
         now_us = self._now_us = request.time_us
-        self._take_waiting()
+        held, self._held = self._held, []
+        for message in (*held, *self._waiting()):
+            if self._log is not None:
+                self._log.on_message(message, now_us)
+            self._companion.on_message(message, now_us)
         items = self._radio.receive(request.released_us) if request.released_us else ()
         output = self._companion.on_timer(items, now_us)
         if output.mavlink:
@@ -238,27 +239,30 @@ class CompanionProcess:
         if output.radio:
             self._radio.send(now_us, output.radio)
         reports = b"".join(map(self._encoder.encode, output.reports))
-        return Iterated(time_us=now_us, handed_over=bool(output.radio), reports=reports)
+        return Iterated(handed_over=bool(output.radio), reports=reports)
 
     def _serve_while_paused(self) -> None:
         """Answer requests of ground stations while simulated time rests."""
-        self._take_waiting()
+        for message in self._waiting():
+            if self._companion.is_request(message):
+                self._companion.on_message(message, self._now_us)
+            else:
+                self._held.append(message)
         replies = self._companion.replies()
         if replies:
             self._send(replies)
 
-    def _take_waiting(self) -> None:
-        """Process the datagrams that have arrived from PX4."""
+    def _waiting(self) -> list[Message]:
+        """Return the messages that have arrived from PX4."""
+        messages: list[Message] = []
         for _ in range(_MOST_WAITING):
             try:
                 datagram = self._px4.recv(_LARGEST_DATAGRAM_BYTES)
             except OSError:  # no more data, or PX4 does not listen yet
                 break
-            for message in self._parser.push_datagram(datagram):
-                self._message_count += 1
-                if self._log is not None:
-                    self._log.on_message(message, self._now_us)
-                self._companion.on_message(message, self._now_us)
+            messages += self._parser.push_datagram(datagram)
+        self._message_count += len(messages)
+        return messages
 
     def _send(self, messages: Sequence[Message]) -> None:
         with contextlib.suppress(OSError):  # lost, or PX4 does not listen yet

@@ -21,9 +21,8 @@ class Iterate(Struct, frozen=True, kw_only=True, array_like=True):
 
 
 class Iterated(Struct, frozen=True, kw_only=True, array_like=True):
-    """The iteration of ``time_us`` has ended."""
+    """The requested iteration has ended."""
 
-    time_us: TimeUs
     handed_over: bool
     """The application has sent a batch to its radio."""
     reports: bytes = b""

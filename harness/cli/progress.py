@@ -23,6 +23,7 @@ from harness.launch.processes import Compiling, Message, ProcessNotice, applicat
 from harness.launch.supervisor import Exited
 from harness.simulator.messages import (
     ApplicationLost,
+    ApplicationSilent,
     Collision,
     FaultChanged,
     FormationMoves,
@@ -75,6 +76,9 @@ def describe(message: Message) -> str | None:
             return (
                 f"{_at(message.time_us)}: {application(message.instance)} lost: {message.reason}; {without}"
             )
+        case ApplicationSilent():
+            silence = f"has not answered for {message.wall_silence_s:.1f} s of wall time"
+            return f"{_at(message.time_us)}: {application(message.instance)} {silence}"
         case VehicleSilent():
             silence = f"has not answered for {message.wall_silence_s:.1f} s of wall time"
             return f"{_at(message.time_us)}: {uav(message.instance)} {silence}"

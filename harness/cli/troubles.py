@@ -65,7 +65,7 @@ class Troubles:
     def __init__(self, *, forms: bool) -> None:
         self._forms = forms
         self._lost: dict[int, str] = {}
-        self._abandoned: dict[int, str] = {}
+        self._without_application: dict[int, str] = {}
         self._silent: dict[int, VehicleSilent] = {}
         self._places: dict[int, _Place] = {}
 
@@ -75,7 +75,7 @@ class Troubles:
             case VehicleLost():
                 self._lost[message.instance] = message.reason
             case ApplicationLost():
-                self._abandoned[message.instance] = message.reason
+                self._without_application[message.instance] = message.reason
             case VehicleSilent():
                 self._silent[message.instance] = message
             case Progress():
@@ -107,7 +107,7 @@ class Troubles:
             return Trouble(1, instance, f"silent for {silent.wall_silence_s:.1f} s of wall time")
         if not vehicle.armed and height_m > IN_THE_AIR_M:
             return Trouble(2, instance, f"disarmed at a height of {height_m:.1f} m")
-        if (reason := self._abandoned.get(instance)) is not None:
+        if (reason := self._without_application.get(instance)) is not None:
             return Trouble(3, instance, f"without its application: {reason}; mode {vehicle.mode}")
         if self._forms and vehicle.phase in _AWAY:
             return Trouble(3, instance, f"has left the formation: mode {vehicle.mode}, {height_m:.1f} m high")

@@ -13,7 +13,7 @@ import psutil
 from harness.simulator.response_watchdog import ResponseWatchdog
 
 POLL_S = 0.25
-LONGEST_S = 120.0
+LONGEST_S = 40.0
 """Limit of the whole wait, wall time, whatever the processes get."""
 
 

@@ -18,7 +18,7 @@ from msgspec import Struct
 
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Warned
 from foundation.system_error import in_words
-from harness.launch import cpu_affinity, kernel_cache, ports, px4
+from harness.launch import cpu_affinity, kernel_cache, ports, px4, px4_instances
 from harness.launch.cpu_affinity import CpuAffinity
 from harness.launch.interrupts import interrupts_deferred
 from harness.launch.px4 import Px4Error
@@ -131,6 +131,8 @@ class Processes:
         self._supervisor = self._make_supervisor()
         self._ports: set[int] = set()
         self._px4 = px4.instances(scenario)
+        self._px4_numbers: tuple[int, ...] = ()
+        """Instance numbers of this swarm's PX4s, once they are known to be free."""
         self._applications = self._px4 if scenario.onboard.enabled else ()
         """Vehicles whose application is a process of its own."""
         self._has_prefork = len(self._px4) < scenario.agents
@@ -178,7 +180,7 @@ class Processes:
         ``killed`` are the vehicles that were killed deliberately.
         """
         losses = {event.instance: event.reason for event in self.events if isinstance(event, VehicleLost)}
-        abandoned = [event for event in self.events if isinstance(event, ApplicationLost)]
+        applications_lost = [event for event in self.events if isinstance(event, ApplicationLost)]
         others = [i for i in range(self._scenario.agents) if i not in killed and i not in losses]
         return [
             *(
@@ -188,7 +190,7 @@ class Processes:
             ),
             *(
                 f"{application(event.instance)} was lost for no simulated reason: {event.reason}"
-                for event in abandoned
+                for event in applications_lost
                 if event.instance not in killed
             ),
             *filter(None, [self.records_lost, *(self._incomplete(uav(i)) for i in others)]),
@@ -337,11 +339,12 @@ class Processes:
         self._scenario, listeners = ports.claim(self._scenario, search=self._search_ports)
         for listener in listeners:
             sockets.enter_context(listener)
+        self._px4_numbers = px4.numbers(self._scenario)
         used = self._scenario.ports
         if used != before:
             offset = max(used.numbers().values()) - max(before.numbers().values())
-            station = used.gcs_remote_udp
-            line = f"the ports are in use by another program, so all of this swarm are raised by {offset}"
+            station = used.gcs_remote_udp if self._has_prefork else 0
+            line = f"ports or instances are in use by another program, so this swarm's are raised by {offset}"
             self._note(f"{line}: a ground station receives on UDP {station}" if station else line)
         return self._scenario, listeners
 
@@ -356,8 +359,9 @@ class Processes:
     def stop(self, *, at_once: bool = False) -> None:
         """End every process; harmless when repeated.
 
-        Ctrl-C takes effect afterwards. Takes about a minute of wall time if no process reacts; ``at_once``,
-        before the flight, processes have no data to write and get no time for it.
+        Ctrl-C takes effect afterwards. Takes about a minute of wall time if no process reacts, two if they
+        get no processor time. With ``at_once``, before the flight, processes have no data to write and get no
+        time for it.
         """
         if not self._running:
             return
@@ -374,12 +378,12 @@ class Processes:
                 self._supervisor.stop(input_grace_s=0.0)  # one that still starts does not read its stdin
                 while self._supervisor.receive(0.0) is not None:
                     pass  # ends that this stop has caused are no events
-                px4.remove_files(self._scenario)
+                px4_instances.remove_files(self._px4_numbers)
                 return
             for names in ([PHYSICS], vehicles, [RADIO, PREFORK]):
                 forced += self._supervisor.end(names, grace_s=STOP_LIMIT_S)
             self.forced = (*forced, *self._supervisor.stop())
-            px4.remove_files(self._scenario)
+            px4_instances.remove_files(self._px4_numbers)
             self.drain()
             self.records_lost = next(filter(None, map(self._incomplete, (PHYSICS, RADIO))), None)
             if self.records_lost is not None:
@@ -468,6 +472,9 @@ class Processes:
                 self.wall_paused_s = message.wall_paused_s
             case _:
                 self.events.append(message)
+        if isinstance(message, ApplicationLost) and self._supervisor.alive(application(message.instance)):
+            # it hangs: its radio, which it does not read, would block the emulator
+            self._supervisor.kill(application(message.instance))
         if isinstance(message, Formed):
             self.formed_us = message.time_us
         elif isinstance(message, Exited):

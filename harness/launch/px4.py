@@ -26,7 +26,7 @@ from autopilot.parameters.config import AutopilotConfig
 from harness.launch import px4_instances
 from harness.launch.external_process import ExternalProcessConfig
 from harness.launch.px4_parameters import (
-    SEAT_PARAMETERS,
+    SIMULATION_PARAMETERS,
     error_in,
     known_ones,
     known_parameters,
@@ -70,7 +70,7 @@ def check_start(scenario: Scenario) -> None:
     program = build / "bin" / "px4"
     if not program.is_file():
         raise Px4Error(f"autopilot.px4_build: there is no {program}; expected the folder of a PX4 SITL build")
-    if os.geteuid() == 0 and config.px4_command[0].format_map({"build": build}) == str(program):
+    if os.geteuid() == 0 and config.px4_command[0].replace("{build}", str(build)) == str(program):
         raise Px4Error(
             "autopilot.kind: PX4 is not to run as root: its files would be in the way of other users' PX4s; "
             "run as another user, or change the user in autopilot.px4_command, for instance by setpriv"
@@ -97,8 +97,9 @@ def instance_offset(scenario: Scenario) -> int:
         if placeholder in named and (port or field == "simulator_tcp"):
             continue
         offsets[field] = port - base
-    if not offsets:
-        return 0
+    if not offsets:  # the command passes all ports: the numbers follow those that are not free ones
+        rises = [int(getattr(scenario.ports, field)) - base for field, (base, _) in _PORTS.items()]
+        return max(*rises, 0)
     (common, _), *_ = Counter(offsets.values()).most_common()
     for field, offset in offsets.items():
         base, placeholder = _PORTS[field]
@@ -112,18 +113,17 @@ def instance_offset(scenario: Scenario) -> int:
     return common
 
 
+def numbers(scenario: Scenario) -> tuple[int, ...]:
+    """Return the instance numbers of the PX4s. Raises Px4Error."""
+    vehicles = instances(scenario)
+    offset = instance_offset(scenario) if vehicles else 0
+    return tuple(vehicle + offset for vehicle in vehicles)
+
+
 def check_free(scenario: Scenario) -> None:
     """Check that no other PX4 is in the way of this swarm's. Raises ResourceError."""
-    offset = instance_offset(scenario) if instances(scenario) else 0
-    for vehicle in instances(scenario):
-        px4_instances.check_free(vehicle + offset, scenario.ports.host)
-
-
-def remove_files(scenario: Scenario) -> None:
-    """Remove the files that this swarm's PX4s leave outside the run folder."""
-    offset = instance_offset(scenario) if instances(scenario) else 0
-    for vehicle in instances(scenario):
-        px4_instances.remove_files(vehicle + offset)
+    for number in numbers(scenario):
+        px4_instances.check_free(number, scenario.ports.host)
 
 
 def process_config(
@@ -146,8 +146,8 @@ def process_config(
         "companion_remote": ports.companion_remote_udp,
     }
     parameters = receiver_parameters(scenario.sensors.gps_model())
-    if config.px4_seat_parameters:
-        parameters |= SEAT_PARAMETERS
+    if config.px4_simulation_parameters:
+        parameters |= SIMULATION_PARAMETERS
     parameters = known_ones(parameters, known_parameters(_build(config)))
     if offset:  # PX4's default is its instance number plus one
         parameters["MAV_SYS_ID"] = instance + 1

@@ -9,6 +9,7 @@ import fcntl
 import os
 import socket
 import struct
+from collections.abc import Iterable
 from pathlib import Path
 
 from harness.launch.resources import ResourceError, bind
@@ -30,19 +31,20 @@ def check_free(instance: int, host: str) -> None:
         raise ResourceError(f"PX4 instance {instance} is running as process {owner}", in_use=True)
     for path in (lock, shell):
         if path.exists() and os.geteuid() not in (0, path.stat().st_uid):
-            line = f"{path}: left by another user's PX4 of the same number; remove it, or use other numbers"
+            line = f"{path}: of another user's PX4 of the same number; if it has ended, remove the file"
             raise ResourceError(line, in_use=True)
     for base in LINK_PORTS:
         bind(socket.SOCK_DGRAM, host, base + instance).close()
 
 
-def remove_files(instance: int) -> None:
-    """Remove the files that a PX4 of this number leaves when it ends, unless one is running."""
-    lock = FOLDER / f"{LOCK}{instance}"
-    if _locked_by(lock) is None:
-        for path in (FOLDER / f"{SHELL}{instance}", lock):
-            with contextlib.suppress(OSError):
-                path.unlink(missing_ok=True)
+def remove_files(instances: Iterable[int]) -> None:
+    """Remove the files that PX4s of these numbers leave when they end, except those of running ones."""
+    for instance in instances:
+        lock = FOLDER / f"{LOCK}{instance}"
+        if _locked_by(lock) is None:
+            for path in (FOLDER / f"{SHELL}{instance}", lock):
+                with contextlib.suppress(OSError):
+                    path.unlink(missing_ok=True)
 
 
 def _locked_by(path: Path) -> int | None:

@@ -1,9 +1,9 @@
 """Parameters that a PX4 is started with, checked by PX4's own list.
 
-They are the seat's, which suit this simulator, those of the simulated receiver, and the scenario's. A SITL
-build contains the list of its parameters with their ranges, ``etc/extras/parameters.json.xz``. Names
-differ between versions, so the seat's parameters that a build does not have are left out, while a scenario's
-are an error.
+They are those that suit this simulator, those of the simulated receiver, and the scenario's. A SITL build
+contains the list of its parameters with their ranges, ``etc/extras/parameters.json.xz``. Names differ between
+versions, so parameters of the first two kinds that a build does not have are left out, while a scenario's are
+an error.
 """
 
 import difflib
@@ -18,7 +18,7 @@ from msgspec import Struct
 
 from harness.world.sensors.config import GpsModel
 
-SEAT_PARAMETERS: Mapping[str, float] = {"EKF2_HGT_REF": 0, "EKF2_GPS_CTRL": 5, "SENS_BAR_AUTOCAL": 0}
+SIMULATION_PARAMETERS: Mapping[str, float] = {"EKF2_HGT_REF": 0, "EKF2_GPS_CTRL": 5, "SENS_BAR_AUTOCAL": 0}
 """Height from the barometer (PX4: 1, GPS); GPS position and velocity without height (PX4: 7); no calibration
 of the barometer by GPS heights on the ground, which shifts it by metres (PX4 from v1.17: 1).
 

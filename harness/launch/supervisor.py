@@ -59,7 +59,8 @@ class Exited(Struct, frozen=True, kw_only=True):
     log_tail: str
     """Last lines of its log, if it failed."""
     last_words: str = ""
-    """Last line of these that is from stderr: some libraries print on stdout, for instance when imported."""
+    """Last line of these that is from stderr, after up to two that begin with ERROR: some libraries print on
+    stdout, for instance when imported."""
 
     def describe(self) -> str:
         """Return one line: the process and how it ended."""
@@ -434,7 +435,7 @@ class Supervisor:
 
 
 def _last_words(lines: Sequence[str]) -> str:
-    """Return the last line of a log, after the last two that are marked as errors."""
+    """Return up to two lines that begin with ERROR, the last of them, and then the log's last line."""
     marked = [line for line in lines if line.startswith("ERROR")][-2:]
     return "; ".join(dict.fromkeys([*marked, *lines[-1:]]))
 

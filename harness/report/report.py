@@ -221,7 +221,7 @@ def _losses(folder: RunFolder, kind: str) -> dict[int, str]:
 
 
 def _vehicles(records: NDArray[Any], error: FormationError | None, folder: RunFolder) -> list[dict[str, Any]]:
-    losses, abandoned = (_losses(folder, kind) for kind in ("vehiclelost", "applicationlost"))
+    losses, applications_lost = (_losses(folder, kind) for kind in ("vehiclelost", "applicationlost"))
     vehicles = records.shape[1]
     absolute = error.absolute.vehicle_rms_m if error else (None,) * vehicles
     shape = error.shape.vehicle_rms_m if error else (None,) * vehicles
@@ -230,7 +230,7 @@ def _vehicles(records: NDArray[Any], error: FormationError | None, folder: RunFo
             "uav": i,
             "alive": bool(records["alive"][-1, i]) if len(records) else True,
             "lost": losses.get(i),
-            "application_lost": abandoned.get(i),
+            "application_lost": applications_lost.get(i),
             "absolute_rms_m": _round(absolute[i]),
             "shape_rms_m": _round(shape[i]),
         }

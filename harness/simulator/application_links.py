@@ -24,8 +24,9 @@ CLOSED = "its process ended"
 class ApplicationLinks:
     """The applications by vehicle.
 
-    ``period_us`` is the period of their loops, ``on_message(instance, message)`` receives their reports, and
-    ``on_lost(instance, reason)`` is called when an application is given up. Its vehicle stays in the run.
+    ``period_us`` is the period of their loops, ``on_message(instance, message)`` receives their reports,
+    ``on_silent(instance, wall_silence_s)`` is called once per silence, and ``on_lost(instance, reason)`` when
+    an application is given up. Its vehicle stays in the run.
     """
 
     def __init__(
@@ -35,6 +36,7 @@ class ApplicationLinks:
         period_us: int,
         watchdog: ResponseWatchdog,
         on_message: Callable[[int, Message], None],
+        on_silent: Callable[[int, float], None],
         on_lost: Callable[[int, str], None],
     ) -> None:
         self._lines: dict[int, MessageStream[Iterate, Iterated]] = {
@@ -44,7 +46,7 @@ class ApplicationLinks:
         self._connections = connections
         self._period_us = period_us
         self._watchdog = watchdog
-        self._on_message, self._on_lost = on_message, on_lost
+        self._on_message, self._on_silent, self._on_lost = on_message, on_silent, on_lost
         self._released_us: dict[int, int] = {}
         """Release time of the newest batch for each application that has not been announced yet."""
         self._pending: list[int] = []
@@ -66,14 +68,17 @@ class ApplicationLinks:
             released_us = self._released_us.pop(instance, 0)
             self._lines[instance].send(Iterate(time_us=time_us, released_us=released_us))
 
-    def finish(self) -> tuple[int, ...]:
-        """Wait for the requested iterations; return the vehicles whose application sends a batch."""
+    def finish(self, lost: Collection[int]) -> tuple[int, ...]:
+        """Wait for the requested iterations; return the vehicles whose application sends a batch.
+
+        Vehicles ``lost`` since the request are not waited for: their applications may have ended with them.
+        """
         if not self._pending:
             return ()
         self._watchdog.begin(time.monotonic())
         senders = []
         for instance in self._pending:
-            result = self._await(instance)
+            result = None if instance in lost else self._await(instance)
             if result is None:
                 continue
             if result.handed_over:
@@ -91,10 +96,23 @@ class ApplicationLinks:
                 if result is None:
                     self._lose(instance, CLOSED)
                 return result
-            finding = self._watchdog.check(instance, time.monotonic(), starting=False)
-            if finding.give_up is not None:
-                self._lose(instance, finding.give_up)
+            self._check(instance)
+            if instance not in self._lines:
                 return None
+
+    def check(self, instances: Collection[int]) -> tuple[int, ...]:
+        """Apply the watchdog to applications whose batches are missing; return those that are lost."""
+        for instance in instances:
+            if instance in self._lines:
+                self._check(instance)
+        return tuple(instance for instance in instances if instance not in self._lines)
+
+    def _check(self, instance: int) -> None:
+        finding = self._watchdog.check(instance, time.monotonic(), starting=False)
+        if finding.newly_silent:
+            self._on_silent(instance, finding.wall_silence_s)
+        if finding.give_up is not None:
+            self._lose(instance, finding.give_up)
 
     def _lose(self, instance: int, reason: str) -> None:
         del self._lines[instance]

@@ -1,6 +1,6 @@
 """Client of the 802.11 emulator in the time master: requests intervals of simulated time."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Protocol
 
 import msgspec
@@ -124,9 +124,14 @@ class EmulatorClient:
             self._delivered[request.release_us] = advanced.delivered
         return ()
 
-    def wait_on(self, silent: tuple[int, ...]) -> tuple[int, ...]:
-        """After `end`: continue to wait for the missing batches, except those of ``silent`` vehicles."""
+    def wait_on(self, silent: tuple[int, ...], without: Collection[int] = ()) -> tuple[int, ...]:
+        """After `end`: continue to wait for the missing batches.
+
+        Those of ``silent`` vehicles, whose radios are off, and of vehicles ``without`` their application are
+        not waited for.
+        """
         if self._request is not None:
-            self._request = msgspec.structs.replace(self._request, silent=silent)
+            senders = tuple(sender for sender in self._request.senders if sender not in without)
+            self._request = msgspec.structs.replace(self._request, silent=silent, senders=senders)
             self._line.send(self._request)
         return self.end()

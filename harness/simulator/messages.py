@@ -139,6 +139,13 @@ class ApplicationLost(SimulatorEvent, frozen=True, kw_only=True):
     reason: str
 
 
+class ApplicationSilent(SimulatorEvent, frozen=True, kw_only=True):
+    """The application beside a PX4 has not answered for ``wall_silence_s``; it is waited for."""
+
+    instance: int
+    wall_silence_s: float
+
+
 class VehicleSilent(SimulatorEvent, frozen=True, kw_only=True):
     """A vehicle has not answered for ``wall_silence_s``; the simulator continues to wait."""
 
@@ -175,6 +182,7 @@ AnyEvent = (
     | FormationMoves
     | VehicleLost
     | ApplicationLost
+    | ApplicationSilent
     | VehicleSilent
     | Collision
     | FaultChanged

@@ -13,6 +13,8 @@ PROFILE_GROUPS = {
     "autopilot.mavlink": "link codec",
     "harness.simulator.lockstep": LINK,
     "harness.simulator.response_watchdog": LINK,
+    "harness.simulator.application_links": LINK,
+    "foundation.processes.message_stream": "radio",
     "harness.simulator.emulator_client": "radio",
     "netsim": "radio",
     "harness.simulator.truth_record": "records",

@@ -281,6 +281,7 @@ def serve(
             period_us=scenario.onboard.loop_period_us,
             watchdog=application_watchdog,
             on_message=simulation.on_message,
+            on_silent=simulation.on_application_silent,
             on_lost=simulation.on_application_lost,
         )
 

@@ -29,6 +29,7 @@ from harness.simulator.lockstep import Lockstep
 from harness.simulator.messages import (
     AnyEvent,
     ApplicationLost,
+    ApplicationSilent,
     Collision,
     FaultChanged,
     FormationMoves,
@@ -113,7 +114,7 @@ class Simulation:
         self._inbox = ActuatorInbox(n)
         self._wind_now = WindNow(np.zeros((n, 3)), np.zeros((n, 3)))
         self._lost: tuple[int, ...] = ()
-        self._abandoned: set[int] = set()
+        self._without_application: set[int] = set()
         """Vehicles whose application was lost."""
         self._instances = np.arange(n)
         self._modes = [""] * n
@@ -154,7 +155,7 @@ class Simulation:
     @property
     def must_end(self) -> bool:
         """Whether a vehicle or application was lost in a scenario whose ``run.on_vehicle_loss`` is "end"."""
-        lost = self.lockstep.living < self._scenario.agents or bool(self._abandoned)
+        lost = self.lockstep.living < self._scenario.agents or bool(self._without_application)
         return lost and self._scenario.run.on_vehicle_loss == "end"
 
     def step(self) -> None:
@@ -193,7 +194,7 @@ class Simulation:
         inbox = self._inbox = self.lockstep.receive(self.time_us)
         senders = inbox.senders
         if applications is not None:
-            senders += applications.finish()
+            senders += applications.finish(self._lost)
         interval_begins = emulator is not None and emulator.begins_at(self.time_us)
         if interval_begins:
             self.settle()
@@ -262,8 +263,11 @@ class Simulation:
         if self._emulator is not None:
             missing = self._emulator.end()
             while missing:
-                self.lockstep.check(missing)
-                missing = self._emulator.wait_on(self._lost)
+                without: tuple[int, ...] = ()
+                if self._applications is not None:
+                    without = self._applications.check([i for i in missing if i in self._px4])
+                self.lockstep.check(i for i in missing if i not in self._px4)
+                missing = self._emulator.wait_on(self._lost, without)
 
     def vehicles(self) -> tuple[VehicleTruth, ...]:
         """Return the present truth of all vehicles."""
@@ -327,7 +331,7 @@ class Simulation:
             phases = [
                 phase
                 for phase, slot in zip(self._phases, self.lockstep.slots, strict=True)
-                if slot.alive and phase not in STAYS_AWAY and slot.instance not in self._abandoned
+                if slot.alive and phase not in STAYS_AWAY and slot.instance not in self._without_application
             ]
             if phases and all(phase == FlightPhase.ON_STATION for phase in phases):
                 self.formed = True
@@ -335,7 +339,11 @@ class Simulation:
 
     def _notice_motion(self) -> None:
         """Report the start of the formation's motion that most of the living vehicles agree on."""
-        starts_us = [s for s, slot in zip(self._starts_us, self.lockstep.slots, strict=True) if slot.alive]
+        starts_us = [
+            start
+            for start, slot in zip(self._starts_us, self.lockstep.slots, strict=True)
+            if slot.alive and slot.instance not in self._without_application
+        ]
         agreed_us = agreed(starts_us)
         if agreed_us is not None and agreed_us != self._start_us:
             self._start_us = agreed_us
@@ -368,9 +376,13 @@ class Simulation:
         self._phase_changed = True  # all others may be on station
         self._emit(VehicleLost(time_us=self.time_us, instance=instance, reason=reason))
 
+    def on_application_silent(self, instance: int, wall_silence_s: float) -> None:
+        """Report an application that has not answered for a while."""
+        self._emit(ApplicationSilent(time_us=self.time_us, instance=instance, wall_silence_s=wall_silence_s))
+
     def on_application_lost(self, instance: int, reason: str) -> None:
         """Report an application that was given up; its phase is unknown from now on."""
-        self._abandoned.add(instance)
+        self._without_application.add(instance)
         self._phases[instance] = None
         self._phase_changed = True  # all others may be on station
         self._emit(ApplicationLost(time_us=self.time_us, instance=instance, reason=reason))

@@ -19,7 +19,6 @@ PROFILE_GROUPS = {
     "foundation.records.record_log": "records",
     "netsim.capture": "records",
     "foundation.processes.message_stream": LINK,
-    "netsim.transport.interval_stream": LINK,
     "netsim.transport.zenoh_session": LINK,
     "netsim.transport.server": LINK,
 }

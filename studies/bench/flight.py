@@ -20,12 +20,12 @@ from msgspec import Struct
 
 from foundation.exit_status import BAD_INPUT, FINE, INTERRUPTED
 from harness.launch.interrupts import interruptible
-from harness.launch.processes import SwarmError, uav
+from harness.launch.processes import SwarmError, application, uav
 from harness.launch.profiling import kind_of
 from harness.launch.swarm import Swarm, SwarmTimeoutError
 from harness.scenario.scenario import ScenarioError
 from harness.scenario.scenario_file import load
-from harness.simulator.messages import VehicleLost
+from harness.simulator.messages import ApplicationLost, VehicleLost
 from studies.bench.flight_job import LAUNCHER, FlightCost, FlightJob, Span
 
 _MB = 1e6
@@ -71,6 +71,8 @@ def _check_complete(swarm: Swarm) -> None:
     for event in swarm.events:
         if isinstance(event, VehicleLost):
             raise SwarmError(f"{uav(event.instance)} was lost: {event.reason}")
+        if isinstance(event, ApplicationLost):
+            raise SwarmError(f"{application(event.instance)} was lost: {event.reason}")
 
 
 def _mark(swarm: Swarm) -> _Mark:

@@ -208,6 +208,13 @@ def test_one_process_refuses_a_px4(swarm, tmp_path):
         OneProcessSwarm(swarm(1).scenario, out=tmp_path / "one").start()
 
 
+def test_ports_that_px4_does_not_have_are_reported_and_leave_no_folder(swarm):
+    flown = swarm(1, "ports.simulator_tcp=5000", "autopilot.px4_command=['env', '{build}/bin/px4']")
+    with pytest.raises(SetupError, match=r"^ports\.\w+: a PX4 listens on [^\n]*$"):
+        flown.start()
+    assert not flown.path.exists()
+
+
 def test_port_in_use_of_the_application_is_reported_before_the_start(swarm):
     flown = swarm(1)
     port = flown.scenario.ports.companion_remote_udp

@@ -11,6 +11,7 @@ import psutil
 import pyarrow.parquet as pq
 import pytest
 
+from harness.launch import px4
 from harness.launch.processes import application, uav
 from harness.launch.px4_instances import FOLDER, SHELL
 from harness.launch.swarm import Swarm, SwarmError
@@ -65,14 +66,14 @@ def heights_m(folder, since_s):
     return [-down_m[(vehicles == i) & (times_s >= since_s)].mean() for i in sorted(set(vehicles.tolist()))]
 
 
-@pytest.mark.parametrize("seat", ["true", "false"])
-def test_px4s_hold_the_shape_and_the_heights_with_and_without_the_seats_parameters(swarm, seat):
-    with swarm(3, f"autopilot.px4_seat_parameters={seat}") as flown:
+@pytest.mark.parametrize("suited", ["true", "false"])
+def test_px4s_hold_the_shape_and_the_heights_with_and_without_parameters_that_suit_them(swarm, suited):
+    with swarm(3, f"autopilot.px4_simulation_parameters={suited}") as flown:
         formed_s = flown.run_until_formed(timeout_s=60.0).t_s
         flown.run_for(15.0)
         summary = flown.summary(draw=False)
     assert flown.leftovers() == []
-    assert not list(FOLDER.glob(f"{SHELL}*"))
+    assert not any((FOLDER / f"{SHELL}{number}").exists() for number in px4.numbers(flown.scenario))
     assert formed_s < 35.0
     assert summary["collisions"] == 0
     assert summary["formation_rms_m"]["shape"] < 0.4

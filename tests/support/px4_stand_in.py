@@ -26,7 +26,7 @@ from pathlib import Path
 from pymavlink.dialects.v20 import common as mavlink
 
 from autopilot.mavlink.codec import Encoder, Parser
-from harness.launch.px4_parameters import SEAT_PARAMETERS
+from harness.launch.px4_parameters import SIMULATION_PARAMETERS
 
 STEP_S = 0.004
 FIRST_STEPS = (13, 54)
@@ -163,7 +163,7 @@ class FlyingStandIn(StandIn):
             for name, value in os.environ.items()
             if name.startswith(PARAMETER)
             and not name.endswith("DRIFT")  # this and the next are used by PX4's estimator alone
-            and name.removeprefix(PARAMETER) not in SEAT_PARAMETERS
+            and name.removeprefix(PARAMETER) not in SIMULATION_PARAMETERS
         }
         return {
             "run_id": "px4",

@@ -112,6 +112,7 @@ class FlightSequence:
             case FlightPhase.ARMING:
                 self._take_off, self._takes_off = None, False
                 if own.is_ready is False and now_us - self._phase_since_us < READY_TIMEOUT_US:
+                    self._commands.request(None, now_us)
                     return self.phase
                 own.on_arming()
                 self._commands.request(ARM, now_us)

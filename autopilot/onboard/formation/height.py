@@ -10,11 +10,14 @@ again in flight. A formation needs the height above the ground of the start, wit
       e = barometer - h,   h' = velocity - v + 2 e / T,   v' = -e / T^2.
 
   Steps of the barometer between two samples are removed from it.
-- Without one it is the autopilot's height less the steps that its velocity does not explain.
+- Without one, or with one that has stopped or is frozen, it is the autopilot's height less the steps that its
+  velocity does not explain.
 
-Its zero is the ground: it follows the source until the vehicle is armed, and is kept from then on.
+Its zero is the ground: it follows the source until arming is requested, and is kept from then on.
 Everything is down, in metres.
 """
+
+import math
 
 GROUND_TIME_CONSTANT_S = 2.0
 """Of the mean that is the barometer's zero, while the vehicle stands."""
@@ -24,7 +27,10 @@ TIME_CONSTANT_S = 1.5
 BAROMETER_STEP_M = 0.5
 """Change of the barometer's deviation between two samples that is a step of it: seven sigma of its noise."""
 BAROMETER_GAP_US = 1_000_000
-"""Two samples farther apart are not compared: a step between them cannot be distinguished from a motion."""
+"""After this time without a new value the barometer is not used: a step could not be distinguished from a
+motion. One that returns continues the present height."""
+VEL_ERROR_MAX_M_S = 0.5
+"""Limit of the estimated error of the vertical velocity: five times what a PX4 that follows its GPS has."""
 STEP_M, STEP_M_S2 = 0.5, 10.0
 """A change of the autopilot's height beyond the motion that its velocity explains is a step above the first
 plus the way of the second, an acceleration that reverses halfway between two messages."""
@@ -52,6 +58,8 @@ class ContinuousHeight:
         self._zero_m: float | None = None
         """The barometer's altitude at the ground; None without a barometer."""
         self._barometer_us = -1
+        """Time of the barometer's last new value."""
+        self._altitude_m = math.nan
         self._deviation_m = 0.0
         """Barometer minus height at the last sample."""
 
@@ -63,7 +71,7 @@ class ContinuousHeight:
         dt_s = 1e-6 * (time_us - self._time_us) if self._time_us >= 0 else 0.0
         before_m, before_m_s = self._autopilot
         moved_m = 0.5 * dt_s * (before_m_s + vel_down_m_s)
-        if self._zero_m is not None:
+        if self._zero_m is not None and time_us - self._barometer_us <= BAROMETER_GAP_US:
             self.down_m += moved_m - dt_s * self.vel_error_m_s
         elif self._time_us >= 0:
             step_m = down_m - before_m - moved_m
@@ -71,6 +79,7 @@ class ContinuousHeight:
                 self.autopilot_down_m += step_m
                 self.steps += not standing
             self.down_m = down_m - self.autopilot_down_m
+            self.vel_error_m_s = 0.0
         else:
             self.down_m = down_m
         if standing:
@@ -80,26 +89,28 @@ class ContinuousHeight:
 
     def on_barometer(self, time_us: int, altitude_m: float, *, standing: bool) -> None:
         """Process a barometric altitude, positive up; its zero is arbitrary."""
-        if self._time_us < 0 or not abs(altitude_m) < 1e5:  # also NaN
+        if self._time_us < 0 or not abs(altitude_m) < 1e5 or altitude_m == self._altitude_m:  # also NaN
             return
+        self._altitude_m = altitude_m
         gap_us, self._barometer_us = time_us - self._barometer_us, time_us
-        if standing or self._zero_m is None:
+        if standing or self._zero_m is None or not 0 < gap_us <= BAROMETER_GAP_US:
             self._follow_ground(altitude_m, gap_us, standing=standing)
             return
-        # the sample is newer than the height, or older, by less than a period of positions
+        # PX4 stamps the mean of its last samples with the time of sending: in a climb the height lags by some
+        # centimetres
         ahead_s = 1e-6 * (time_us - self._time_us)
         since_m = ahead_s * (self._autopilot[1] - self.vel_error_m_s)
         deviation_m = self._zero_m - altitude_m - self.down_m - since_m
-        if gap_us <= BAROMETER_GAP_US:
-            step_m = deviation_m - self._deviation_m
-            if abs(step_m) > BAROMETER_STEP_M:
-                self._zero_m -= step_m
-                deviation_m -= step_m
-                self.steps += 1
-            dt_s = 1e-6 * gap_us
-            self.down_m += 2.0 * deviation_m * dt_s / TIME_CONSTANT_S
-            self.vel_error_m_s -= deviation_m * dt_s / TIME_CONSTANT_S**2
-            self.autopilot_down_m = self._autopilot[0] - self.down_m
+        step_m = deviation_m - self._deviation_m
+        if abs(step_m) > BAROMETER_STEP_M:
+            self._zero_m -= step_m
+            deviation_m -= step_m
+            self.steps += 1
+        dt_s = 1e-6 * gap_us
+        self.down_m += 2.0 * deviation_m * dt_s / TIME_CONSTANT_S
+        vel_error_m_s = self.vel_error_m_s - deviation_m * dt_s / TIME_CONSTANT_S**2
+        self.vel_error_m_s = min(max(vel_error_m_s, -VEL_ERROR_MAX_M_S), VEL_ERROR_MAX_M_S)
+        self.autopilot_down_m = self._autopilot[0] - self.down_m
         self._deviation_m = deviation_m
 
     def _follow_ground(self, altitude_m: float, gap_us: int, *, standing: bool) -> None:

@@ -4,7 +4,7 @@ A beacon carries the sender's newest GPS position with the accuracy that the rec
 error of that receiver, the sender's odometry, and the newest distance that it measured to each neighbour. The
 newest values are repeated in every beacon, so that a lost beacon costs latency only: receivers skip values
 that they have already used by their time stamps. Odometry is the integral of the autopilot's velocity since
-the sender started; its down component is the autopilot's barometric height.
+the sender started; its down component is the height above the ground (`height`).
 
 The layout is `HEADER`, then `RANGE` for each distance: 79 + 11 n bytes. Start, fix and GPS error have flags
 (`HAS_START`); without its flag a field is unknown and contains zeros. Standard deviations saturate at 65.535

@@ -205,7 +205,8 @@ def take_off(*, drift_m_s, mode_after):
     for now_us in range(0, 30_000_000, 40_000):
         now_s = now_us * 1e-6
         position(own, now_us, down_m=-height_m - drift_m_s * now_s, vel_down_m_s=-drift_m_s - climb_m_s)
-        own.on_altitude(common.MAVLink_altitude_message(now_us, 488.0 + height_m, 0.0, 0.0, 0.0, 0.0, 0.0))
+        altitude_m = 488.0 + height_m + 1e-3 * np.sin(now_us)
+        own.on_altitude(common.MAVLink_altitude_message(now_us, altitude_m, 0.0, 0.0, 0.0, 0.0, 0.0))
         flight.update(own, ALONE_AND_READY, now_us)
         for command in flight._commands.on_timer(now_us):
             if command.command == common.MAV_CMD_NAV_TAKEOFF:

@@ -1,9 +1,12 @@
 """The application beside a PX4, without its sockets: accepted messages, its clock, its requests."""
 
+import contextlib
 import math
+import socket
 
 import msgspec
 import pytest
+from msgspec.structs import replace
 from pymavlink.dialects.v20 import common
 
 from autopilot.logs.companion_record import CompanionLog
@@ -12,8 +15,10 @@ from autopilot.mavlink.codec import Encoder, Parser, stamp
 from autopilot.onboard.application import OnboardOutput
 from autopilot.onboard.formation.messages import warning
 from autopilot.onboard.formation.phases import FlightPhase
-from autopilot.parameters.config import VehicleConfig
-from autopilot.process.companion import Companion
+from autopilot.parameters.config import VehicleConfig, VehiclePorts
+from autopilot.process import companion as companion_module
+from autopilot.process.companion import Companion, CompanionProcess
+from autopilot.process.iteration import Iterate
 from foundation.records.record_log import read
 from netsim.wire.messages import Broadcast
 
@@ -154,15 +159,58 @@ def test_streams_that_are_not_used_are_stopped_and_asked_again_if_they_go_on():
     )
 
 
-@pytest.mark.parametrize("sends", [False, True])
-def test_it_calls_a_px4_from_which_it_receives_nothing(sends):
-    companion = Companion(config())
-    outputs = fly(companion, 10_000, px4=(attitude,) if sends else ())
-    beats = sum(m.get_type() == "HEARTBEAT" for output in outputs for m in output.mavlink)
-    # without messages one for each second, in addition to the application's own in each second
-    assert beats == (10 if sends else 20)
-    sources = {(m.get_srcSystem(), m.get_srcComponent()) for output in outputs for m in output.mavlink}
-    assert sources == {(SYSTEM, 191)}
+def test_its_heartbeats_make_a_silent_px4_send_to_it():
+    outputs = fly(Companion(config()), 10_000, px4=())
+    sent = [message for output in outputs for message in output.mavlink]
+    assert sum(message.get_type() == "HEARTBEAT" for message in sent) == 10
+    assert {(message.get_srcSystem(), message.get_srcComponent()) for message in sent} == {(SYSTEM, 191)}
+
+
+class SilentRadio:
+    malformed = 0
+
+    def __init__(self, **_):
+        self.receive = lambda _: ()
+        self.send = lambda *_: None
+        self.close = lambda: None
+
+
+def test_messages_that_arrive_in_a_pause_wait_for_the_next_iteration(monkeypatch):
+    """They are newer than the last iteration: with its time the application would find a wrong clock."""
+    monkeypatch.setattr(companion_module, "RadioClient", SilentRadio)
+    with contextlib.ExitStack() as stack:
+        px4 = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        px4.bind(("127.0.0.1", 0))
+        ports = {
+            "companion_local_udp": px4.getsockname()[1],
+            "companion_remote_udp": 0,
+            "radio_endpoint": "x",
+        }
+        settings = replace(config(hold=True), ports=msgspec.convert(ports, VehiclePorts))
+        ends = [stack.enter_context(end) for end in socket.socketpair()]
+        process = CompanionProcess(settings, ends[0], stack)
+        px4.connect(process._px4.getsockname())
+        encoder = Encoder(system=SYSTEM, component=1)
+        own = process._companion.app._own
+        release = common.MAVLink_command_long_message(
+            SYSTEM, 191, common.MAV_CMD_USER_1, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        )
+
+        def send(*messages):
+            px4.send(b"".join(map(encoder.encode, messages)))
+
+        send(position(998))
+        process._iterate(Iterate(time_us=1_000_000))
+        known_us = own.time_us
+        send(position(1_034), stamp(release, system=255, component=190))
+        process._serve_while_paused()
+        assert own.time_us == known_us
+        acks = [m for m in Parser().push_datagram(px4.recv(65_535)) if m.get_type() == "COMMAND_ACK"]
+        while not acks:
+            acks = [m for m in Parser().push_datagram(px4.recv(65_535)) if m.get_type() == "COMMAND_ACK"]
+        assert acks[0].result == 0
+        process._iterate(Iterate(time_us=1_040_000))
+        assert own.time_us == known_us + 36_000
 
 
 def test_px4s_messages_are_recorded_at_the_instants_of_the_log(tmp_path):

@@ -63,7 +63,7 @@ def test_files_of_another_user_are_in_the_way_except_of_root(folder, monkeypatch
     (folder / f"{name}3").touch()
     owner = (folder / f"{name}3").stat().st_uid
     monkeypatch.setattr(os, "geteuid", lambda: owner + 1)
-    with pytest.raises(ResourceError, match=f"{name}3: left by another user's PX4"):
+    with pytest.raises(ResourceError, match=f"{name}3: of another user's PX4"):
         check_free(3, HOST)
     monkeypatch.setattr(os, "geteuid", lambda: 0)
     check_free(3, HOST)
@@ -86,13 +86,13 @@ def test_files_are_removed_unless_a_px4_of_the_number_runs(folder):
         [sys.executable, "-c", HOLDER, str(lock)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as running:
         assert running.stdout.readline() == b"locked\n"
-        remove_files(3)
+        remove_files([3])
         assert lock.exists()
         assert shell.exists()
         running.stdin.close()
         running.wait(10.0)
-    remove_files(3)
-    remove_files(3)
+    remove_files([3])
+    remove_files([3])
     assert [path.name for path in folder.iterdir()] == [f"{SHELL}4"]
 
 

@@ -39,7 +39,7 @@ PX4S_LIST = {
     ],
 }  # fmt: skip
 """As PX4's list of a version without SENS_BAR_AUTOCAL; entries have further fields."""
-SEAT = {"EKF2_HGT_REF": "0", "EKF2_GPS_CTRL": "5", "SENS_BAR_AUTOCAL": "0"}
+SUITED = {"EKF2_HGT_REF": "0", "EKF2_GPS_CTRL": "5", "SENS_BAR_AUTOCAL": "0"}
 
 
 @pytest.fixture(autouse=True)
@@ -150,8 +150,8 @@ def test_parameters_are_passed_except_own_ones_and_whole_ones_as_integers(scenar
         }
         for i in (0, 1)
     ]
-    assert passed[0] == SEAT | {"EKF2_GPS_DELAY": "200", "COM_RC_IN_MODE": "4", "MPC_XY_P": "0.8"}
-    assert passed[1] == SEAT | {"EKF2_GPS_DELAY": "50", "COM_RC_IN_MODE": "4", "MPC_XY_P": "0.9"}
+    assert passed[0] == SUITED | {"EKF2_GPS_DELAY": "200", "COM_RC_IN_MODE": "4", "MPC_XY_P": "0.8"}
+    assert passed[1] == SUITED | {"EKF2_GPS_DELAY": "50", "COM_RC_IN_MODE": "4", "MPC_XY_P": "0.9"}
 
 
 def passed_parameters(swarm, tmp_path, i=0):
@@ -160,11 +160,11 @@ def passed_parameters(swarm, tmp_path, i=0):
     return {name.removeprefix(prefix): v for name, v in environment.items() if name.startswith(prefix)}
 
 
-def test_the_seats_parameters_can_be_taken_back_one_by_one_or_all(scenario, tmp_path):
+def test_the_default_parameters_can_be_taken_back_one_by_one_or_all(scenario, tmp_path):
     one = passed_parameters(scenario("autopilot.params={EKF2_HGT_REF=1}"), tmp_path / "one")
-    assert {name: one[name] for name in SEAT} == SEAT | {"EKF2_HGT_REF": "1"}
-    none = passed_parameters(scenario("autopilot.px4_seat_parameters=false"), tmp_path / "none")
-    assert not SEAT.keys() & none.keys()
+    assert {name: one[name] for name in SUITED} == SUITED | {"EKF2_HGT_REF": "1"}
+    none = passed_parameters(scenario("autopilot.px4_simulation_parameters=false"), tmp_path / "none")
+    assert not SUITED.keys() & none.keys()
 
 
 def write_list(build):
@@ -173,7 +173,7 @@ def write_list(build):
         file.write(json.dumps(PX4S_LIST).encode())
 
 
-def test_parameters_of_the_seat_that_a_version_does_not_have_are_left_out(scenario, build, tmp_path):
+def test_default_parameters_that_a_version_does_not_have_are_left_out(scenario, build, tmp_path):
     write_list(build)
     assert passed_parameters(scenario(), tmp_path).keys() == {
         parameter["name"] for parameter in PX4S_LIST["parameters"]

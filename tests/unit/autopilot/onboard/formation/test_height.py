@@ -45,7 +45,8 @@ class Flight:
                 frame_m = self.height.autopilot_down_m - self.autopilot_error_m(time_s)
                 self.log.append((time_s, error_m, frame_m))
             if now_us % BAROMETER_US == 0 and self.barometer_error_m is not None:
-                altitude_m = ORIGIN_M - self.true_down_m(time_s) - self.barometer_error_m(time_s)
+                noise_m = 1e-3 * math.sin(now_us)  # no two values of a barometer are the same
+                altitude_m = ORIGIN_M - self.true_down_m(time_s) - self.barometer_error_m(time_s) + noise_m
                 self.height.on_barometer(now_us, altitude_m, standing=standing)
         return np.array(self.log)
 
@@ -112,17 +113,39 @@ def test_the_barometers_noise_is_reduced():
     assert np.std(errors_m) == pytest.approx(expected_m, rel=0.25)
 
 
-def test_without_its_barometer_it_continues_with_the_velocity():
+def test_without_its_barometer_it_continues_with_the_autopilots_height():
     def error_m(time_s):
         return math.nan if 20.0 <= time_s < 25.0 else 0.0
 
     flight = Flight(vel_error_m_s=lambda _: 0.1, barometer_error_m=error_m)
-    assert np.abs(flight.errors_m(40.0, since_s=18.0)).max() < 0.05
+    # back at the barometer the velocity's error v is unknown again: a double pole leaves at most v T / e
+    assert np.abs(flight.errors_m(40.0, since_s=18.0)).max() < 0.1 * TIME_CONSTANT_S / math.e + 0.005
+
+
+@pytest.mark.parametrize("frozen_s", [(5.0, 15.0), (15.0, 60.0)])
+def test_a_frozen_barometer_does_not_take_over_the_height(frozen_s):
+    """In the climb and at its end: the autopilot's height is used until the values change again."""
+    height, time_s = ContinuousHeight(), 0.0
+    errors_m, altitude_m = [], 0.0
+    for now_us in range(0, 70_000_000, 4_000):
+        time_s = now_us * 1e-6
+        down_m = -min(max(1.5 * (time_s - 4.0), 0.0), 10.0)
+        vel_m_s = -1.5 if 4.0 < time_s < 4.0 + 10.0 / 1.5 else 0.0
+        if now_us % POSITION_US == 0:
+            height.on_position(now_us, down_m, vel_m_s, standing=time_s < 3.0)
+            errors_m.append(height.down_m - down_m)
+        if now_us % BAROMETER_US == 0:
+            if not frozen_s[0] <= time_s < frozen_s[1]:
+                altitude_m = ORIGIN_M - down_m + 1e-3 * math.sin(now_us)
+            height.on_barometer(now_us, altitude_m, standing=time_s < 3.0)
+    assert np.abs(errors_m).max() < 0.1
+    assert abs(height.vel_error_m_s) < 0.02
 
 
 def test_an_application_that_starts_in_flight_takes_the_autopilots_height():
     height = ContinuousHeight()
     for now_us in range(0, 5_000_000, 100_000):
         height.on_position(now_us, -8.0, 0.0, standing=False)
-        height.on_barometer(now_us, ORIGIN_M, standing=False)
-    assert (height.down_m, height.autopilot_down_m, height.steps) == (-8.0, 0.0, 0)
+        height.on_barometer(now_us, ORIGIN_M + 1e-6 * now_us % 2e-6, standing=False)
+    assert height.down_m == pytest.approx(-8.0, abs=0.01)
+    assert (height.autopilot_down_m, height.steps) == (pytest.approx(0.0, abs=0.01), 0)
