@@ -28,6 +28,7 @@ def claim(scenario: Scenario, *, search: bool) -> tuple[Scenario, list[socket.so
     except ResourceError as error:
         if not error.in_use:
             raise
+        last = error
         if not search:
             raise ResourceError(
                 f"{error}; --port-offset 1000 raises every port of this swarm by 1000, --port-offset auto by "
@@ -39,10 +40,13 @@ def claim(scenario: Scenario, *, search: bool) -> tuple[Scenario, list[socket.so
         except ValueError:
             break
         raised = msgspec.structs.replace(scenario, ports=ports)
-        with contextlib.suppress(ResourceError):
+        try:
             return raised, _listen(raised)
+        except ResourceError as error:
+            last = error
     raise ResourceError(
-        "ports are in use with every offset that is a multiple of 1000; set others in the scenario's [ports]"
+        f"ports are in use with every offset that is a multiple of 1000, with the last one: {last}; set others "
+        "in the scenario's [ports]"
     )
 
 

@@ -97,9 +97,8 @@ def instance_offset(scenario: Scenario) -> int:
         if placeholder in named and (port or field == "simulator_tcp"):
             continue
         offsets[field] = port - base
-    if not offsets:  # the command passes all ports: the numbers follow those that are not free ones
-        rises = [int(getattr(scenario.ports, field)) - base for field, (base, _) in _PORTS.items()]
-        return max(*rises, 0)
+    if not offsets:  # the command passes all ports, which need not rise with the numbers
+        return 0
     (common, _), *_ = Counter(offsets.values()).most_common()
     for field, offset in offsets.items():
         base, placeholder = _PORTS[field]
