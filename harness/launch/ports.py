@@ -45,8 +45,8 @@ def claim(scenario: Scenario, *, search: bool) -> tuple[Scenario, list[socket.so
         except ResourceError as error:
             last = error
     raise ResourceError(
-        f"ports are in use with every offset that is a multiple of 1000, with the last one: {last}; set others "
-        "in the scenario's [ports]"
+        f"ports are in use with every offset that is a multiple of 1000, with the last one: {last}; set "
+        "others in the scenario's [ports]"
     )
 
 
