@@ -76,10 +76,11 @@ def check_start(scenario: Scenario) -> None:
             "run as another user, or change the user in autopilot.px4_command, for instance by setpriv"
         )
     known = known_parameters(build)
-    for vehicle in instances(scenario) if known is not None else ():
-        error = error_in(_of_px4(config.for_uav(vehicle).params), known or {})
-        if error is not None:
-            raise Px4Error(f"autopilot.params: {error}")
+    if known is not None:
+        for vehicle in instances(scenario):
+            error = error_in(_of_px4(config.for_uav(vehicle).params), known)
+            if error is not None:
+                raise Px4Error(f"autopilot.params: {error}")
     if scenario.onboard.enabled and scenario.onboard.localisation == "truth":
         raise Px4Error("onboard.localisation: 'truth' is sent over the simulator's link, which PX4 occupies")
     instance_offset(scenario)
