@@ -61,7 +61,8 @@ class Simulation:
 
     ``make_lockstep`` returns the vehicles' lockstep, which calls this object's `on_message`, `on_silent` and
     `on_lost`; ``make_applications`` the links to applications beside PX4s, which call `on_message`,
-    `on_application_silent` and `on_application_lost`. ``emit`` receives the events. Raises OSError if a log cannot be written.
+    `on_application_silent` and `on_application_lost`. ``emit`` receives the events. Raises OSError if a log
+    cannot be written.
     """
 
     def __init__(
