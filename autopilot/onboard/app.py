@@ -15,6 +15,7 @@ from autopilot.mavlink.codec import Message
 from autopilot.mavlink.local_messages import LocalPosition, PositionTarget
 from autopilot.onboard.application import NOTHING, Estimate, OnboardOutput
 from autopilot.onboard.formation import messages
+from autopilot.onboard.formation.autopilots import PX4, AutopilotInterface
 from autopilot.onboard.formation.avoidance import FRESH_US
 from autopilot.onboard.formation.commands import CommandSender
 from autopilot.onboard.formation.flight_phases import FlightSequence, Situation
@@ -62,18 +63,22 @@ class OnboardApp:
         config: settings.
         devices: properties of the UAV's GPS receiver and radio.
         rng: random generator for the phases and jitters of beacons and ranging requests.
+        autopilot: commands of the UAV's autopilot; coflight's own has PX4's.
 
     """
 
     def __init__(
         self, *, station: int, places_ned_m: Sequence[Sequence[float]], heading_deg: float = 0.0,
         motion: AnyMotion | None = None, site: Site, config: OnboardConfig, devices: Devices,
-        rng: np.random.Generator,
+        rng: np.random.Generator, autopilot: AutopilotInterface = PX4,
     ) -> None:  # fmt: skip
         places = np.array(places_ned_m, float).reshape(-1, 3)
         self.localisation: CooperativeLocalisation | None = None
         """The filter of the neighbourhood; None if the UAV flies on GPS alone or on the truth."""
         self._station = station
+        self._autopilot = autopilot
+        self._gain_names = autopilot.gain_names
+        """Names by which the gain is requested: all, until it has been received by one."""
         self._config = config
         self._near = Neighbourhood(station, places, config.neighbours)
         self._traffic = Traffic(
@@ -101,8 +106,9 @@ class OnboardApp:
         self._flight = FlightSequence(
             commands=self._commands, on_station_tolerance_m=config.on_station_tolerance_m,
             on_station_hold_s=config.on_station_hold_s, held=config.hold, shortfall=self._shortfall,
+            autopilot=autopilot,
         )  # fmt: skip
-        self._own = OwnState(site=site, gps_delay_s=devices.gps_delay_s)
+        self._own = OwnState(site=site, gps_delay_s=devices.gps_delay_s, autopilot=autopilot)
         self._support = Support(
             self.localisation, self._table, watched=self._guidance.layers.watched,
             range_silence_us=self._traffic.ranging.silence_us,
@@ -131,6 +137,8 @@ class OnboardApp:
                     self._take_fix()
             case "ALTITUDE":
                 self._own.on_altitude(msg)
+            case "SCALED_PRESSURE" if self._autopilot.barometer_message == "SCALED_PRESSURE":
+                self._own.on_pressure(msg)
             case "SYS_STATUS":
                 self._own.on_status(msg)
             case "ATTITUDE_QUATERNION":
@@ -141,8 +149,9 @@ class OnboardApp:
             case "HEARTBEAT":
                 self._own.on_heartbeat(msg, now_us)
             case "PARAM_VALUE":
-                if msg.param_id == messages.GAIN_NAME and 0.0 <= msg.param_value < math.inf:
+                if msg.param_id in self._gain_names and 0.0 <= msg.param_value < math.inf:
                     self._guidance.position_gain_1_s = msg.param_value
+                    self._gain_names = (msg.param_id,)
             case "COMMAND_ACK":
                 self._commands.on_ack(msg, now_us)
                 self._due_us = 0
@@ -250,7 +259,7 @@ class OnboardApp:
             self._heartbeat_out_us = now_us + HEARTBEAT_PERIOD_US
             mavlink += messages.heartbeat(*reported, now_us)
             # Requested each time, because a ground station may change it in flight.
-            mavlink.append(messages.gain_request(self._station + 1))
+            mavlink += messages.gain_requests(self._gain_names, self._station + 1)
         if self._flight.texts:
             mavlink += map(messages.warning, self._flight.texts)
             self._flight.texts.clear()
@@ -328,7 +337,7 @@ class OnboardApp:
         flight.update(own, situation, now_us)
         phase = flight.phase
         guidance.agree(now_us, on_station=phase is FlightPhase.ON_STATION, table=self._table)
-        if own.origin_ned_m is None or not FlightPhase.ARMING <= phase <= FlightPhase.YIELDED:
+        if own.origin_ned_m is None or not flight.needs_setpoint:
             return []
         if flight.in_formation:
             setpoint = guidance.follow(own, believed_ned_m, self._known_others(now_us), now_us, dt_s)

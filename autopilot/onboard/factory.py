@@ -1,4 +1,4 @@
-"""Factory of the on-board application, for the autopilot's process or a companion process of a PX4."""
+"""Factory of the on-board application, for the autopilot's process or a companion process."""
 
 import numpy as np
 from msgspec.structs import replace
@@ -6,6 +6,7 @@ from msgspec.structs import replace
 from autopilot.mavlink.components import APPLICATION_COMPONENT
 from autopilot.onboard.app import OnboardApp
 from autopilot.onboard.application import Application
+from autopilot.onboard.formation.autopilots import ARDUPILOT, PX4
 from autopilot.parameters.config import VehicleConfig
 
 
@@ -20,4 +21,5 @@ def make_application(config: VehicleConfig) -> Application:
         motion=config.motion, site=config.site, devices=config.devices,
         config=replace(config.onboard, wind_feed_forward=config.feeds_wind_forward),
         rng=np.random.default_rng(seed),
+        autopilot=ARDUPILOT if config.autopilot.kind_of(config.instance) == "ardupilot" else PX4,
     )  # fmt: skip

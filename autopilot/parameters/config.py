@@ -14,6 +14,9 @@ REMEMBERED_S = 2.0
 SESSION_S = 0.5
 """Time from a ranging request until the formation has the distance: queueing, one burst, and beacons."""
 
+OWN_PARAMETERS = "CF_"
+"""Prefix of the parameters that only coflight's own autopilot has."""
+AutopilotKind = Literal["own", "px4", "ardupilot"]
 Port = Annotated[int, Meta(ge=0, le=65_535)]
 Vector = tuple[float, float, float]
 Position = Annotated[float, Meta(ge=-1e6, le=1e6)]
@@ -124,8 +127,9 @@ class AutopilotConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     """Mission, geofence and rally points as QGroundControl saves them (.plan), relative to the scenario."""
     plan: str | None = None
     """The contents of such a file."""
-    kind: Literal["own", "px4"] = "own"
-    """px4: the vehicles are processes of a PX4 SITL build, each with coflight's on-board application."""
+    kind: AutopilotKind = "own"
+    """px4: the vehicles are processes of a PX4 SITL build, each with coflight's on-board application beside
+    it. ardupilot: likewise of ArduPilot's SITL program for copters."""
     px4_vehicles: tuple[Annotated[int, Meta(ge=0, le=253)], ...] | None = None
     """Numbers of the vehicles that run PX4; default: all. The others run coflight's autopilot."""
     px4_build: str | None = None
@@ -141,10 +145,36 @@ class AutopilotConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     GPS receiver. ``params`` has precedence; false: PX4's defaults."""
     px4_rc: bool = False
     """Send each PX4 the input of a radio control with centred sticks."""
+    ardupilot_vehicles: tuple[Annotated[int, Meta(ge=0, le=253)], ...] | None = None
+    """Numbers of the vehicles that run ArduPilot; default: all. The others run coflight's autopilot."""
+    ardupilot_program: str | None = None
+    """ArduPilot's SITL program for copters, build/sitl/bin/arducopter."""
+    ardupilot_command: Annotated[tuple[str, ...], Meta(min_length=1)] = (
+        "{program}", "--model", "JSON:{host}", "--sim-port-out", "{simulator}", "-I", "{i}",
+        "--sysid", "{sysid}", "--rc-in-port", "0", "--home", "{home}", "--speedup", "1000",
+        "--defaults", "{parameters}",
+        "--serial0", "udpclient:{host}:{gcs_remote}", "--serial1", "udpclient:{host}:{companion_remote}",
+        "--serial2", "tcpclient:{host}:{simulator}",
+    )  # fmt: skip
+    """Command line of an ArduPilot process; see `harness.launch.ardupilot` for the fields in braces."""
+
+    def kind_of(self, instance: int) -> AutopilotKind:
+        """Return which autopilot that vehicle runs."""
+        chosen = self.px4_vehicles if self.kind == "px4" else self.ardupilot_vehicles
+        return self.kind if chosen is None or instance in chosen else "own"
 
     def is_px4(self, instance: int) -> bool:
         """Whether that vehicle runs PX4."""
-        return self.kind == "px4" and (self.px4_vehicles is None or instance in self.px4_vehicles)
+        return self.kind_of(instance) == "px4"
+
+    def is_external(self, instance: int) -> bool:
+        """Whether that vehicle's autopilot is another program; the application is a process beside it."""
+        return self.kind_of(instance) != "own"
+
+    def external_params(self, instance: int) -> dict[str, float]:
+        """Return the parameters of a vehicle with another autopilot: all but coflight's own (CF_...)."""
+        params = self.for_uav(instance).params
+        return {name: value for name, value in params.items() if not name.startswith(OWN_PARAMETERS)}
 
     def for_uav(self, instance: int) -> "AutopilotConfig":
         """Settings of one vehicle, with all its parameters in ``params``."""
@@ -218,7 +248,7 @@ class OnboardConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     the more valuable distances are measured."""
     wind_feed_forward: bool | None = None
     """Compensate the estimated wind by tilt; for autopilots that do not do so themselves. Default: beside a
-    PX4 only."""
+    PX4 only. ArduPilot takes accelerations as those of the path, so it cannot be used there."""
     climb_speed_m_s: Annotated[float, Meta(gt=0.0, le=5.0)] = 1.5
     """Speed of the climb to the height of the formation, m/s."""
     on_station_tolerance_m: Annotated[float, Meta(gt=0.0, le=1_000.0)] = 0.7

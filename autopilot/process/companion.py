@@ -1,8 +1,11 @@
-"""``python -m autopilot.process.companion --config FILE --simulator-fd FD``: the application beside a PX4.
+"""The on-board application beside an autopilot that is another program.
 
-The application is connected to PX4 as a companion over UDP (14540+i to 14580+i), to the run's radio, and to
-the simulator, which requests the iterations of its loop (`autopilot.process.iteration`). PX4's clock is the
-simulator's, so its messages rest while simulated time rests: they wait in the socket for the next iteration.
+    python -m autopilot.process.companion --config FILE --simulator-fd FD
+
+The autopilot is a PX4 or an ArduPilot. The application is connected to it as a companion over UDP (14540+i),
+to the run's radio, and to the simulator, which requests the iterations of its loop
+(`autopilot.process.iteration`). The autopilot's clock is the simulator's, so its messages rest while
+simulated time rests: they wait in the socket for the next iteration. Its texts are written to stderr.
 """
 
 import argparse
@@ -21,13 +24,15 @@ from msgspec import Struct
 from pymavlink.dialects.v20 import common
 
 from autopilot.logs.companion_record import CompanionLog
-from autopilot.mavlink.codec import Encoder, Message, Parser, stamp
+from autopilot.mavlink.codec import Encoder, Message, stamp
 from autopilot.mavlink.components import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
 from autopilot.mavlink.local_messages import PositionTarget
 from autopilot.onboard.application import NOTHING, Application
 from autopilot.onboard.factory import make_application
 from autopilot.parameters.config import VehicleConfig
+from autopilot.process.autopilot_socket import AutopilotSocket
 from autopilot.process.iteration import Iterate, Iterated
+from autopilot.process.streams import ARDUPILOT_STREAMS, PX4_STREAMS, Streams
 from autopilot.process.warm_up import warm_up
 from autopilot.services.status import Chunks
 from foundation.kernels.warm_up import WarmUpError
@@ -37,70 +42,46 @@ from netsim.transport.lockstep_radio import RadioClient
 from netsim.wire.messages import RxItem, TxItem
 
 ORIGIN_PERIOD_US = 1_000_000
-"""Period of requests for the estimator's origin, which PX4 does not stream to a companion."""
+"""Period of requests for the estimator's origin, which is not streamed to a companion."""
 ORIGIN_KNOWN_PERIOD_US = 10_000_000
-USED = frozenset(
-    {
-        common.MAVLINK_MSG_ID_HEARTBEAT,
-        common.MAVLINK_MSG_ID_SYS_STATUS,
-        common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
-        common.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
-        common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
-        common.MAVLINK_MSG_ID_ALTITUDE,
-        common.MAVLINK_MSG_ID_GPS_RAW_INT,
-        common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
-        common.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
-        common.MAVLINK_MSG_ID_PARAM_VALUE,
-        common.MAVLINK_MSG_ID_COMMAND_ACK,
-        common.MAVLINK_MSG_ID_COMMAND_LONG,
-        common.MAVLINK_MSG_ID_COMMAND_INT,
-        common.MAVLINK_MSG_ID_STATUSTEXT,
-    }
-)
-"""Messages of PX4 that application and log use. PX4 is requested to stop the streams of all others on this
-link: it sends 400 messages a second to a companion, each of which costs both some 30 us."""
-STOP_PERIOD_US = 1_000_000
-"""Period at which that request is repeated for a message that still arrives."""
-_OFF = -1.0
 _PAUSED_S = 0.5
-"""Wall time without a request after which the messages of PX4 are read anyway: simulated time rests."""
-_MOST_WAITING = 2_000
-"""Datagrams that are read in one iteration; a socket holds some hundreds."""
-_LARGEST_DATAGRAM_BYTES = 65_535
+"""Wall time without a request after which the autopilot's messages are read anyway: simulated time rests."""
 _REPORTED = frozenset({common.MAVLINK_MSG_ID_HEARTBEAT, common.MAVLINK_MSG_ID_NAMED_VALUE_INT})
-"""Messages that are reported to the simulator: the application's phase and start, PX4's mode."""
+"""Messages that are reported to the simulator: the application's phase and start, the autopilot's mode."""
 
 
 class CompanionOutput(Struct, frozen=True, kw_only=True):
     """Messages that one iteration of the application sends."""
 
     mavlink: Sequence[Message] = ()
-    """To PX4; each carries its source."""
+    """To the autopilot; each carries its source."""
     radio: tuple[TxItem, ...] = ()
     reports: Sequence[Message] = ()
     """To the simulator."""
 
 
 class Companion:
-    """The application and its protocol with a PX4. Does no I/O; times are simulated, and so PX4's."""
+    """The application and its protocol with the autopilot. Does no I/O; times are simulated."""
 
     def __init__(self, config: VehicleConfig) -> None:
         self._system = config.instance + 1
         self.app: Application = make_application(config)
         self._origin_us = 0
         self._has_origin = False
-        self._stopped_us: dict[int, int] = {}
-        """Time of the last request to stop each stream that is not used."""
+        is_px4 = config.autopilot.is_px4(config.instance)
+        self._streams = Streams(
+            PX4_STREAMS if is_px4 else ARDUPILOT_STREAMS, stops_others=is_px4, target_system=self._system
+        )
         self._replies: list[Message] = []
         self._reports: list[Message] = []
         self._chunks = Chunks()
 
     def on_message(self, message: Message, now_us: int) -> None:
-        """Handle a message from PX4's link; messages of others only if they target this application."""
+        """Handle a message on the autopilot's link; of others only those to this application."""
         kind = message.get_msgId()
         if message.get_srcSystem() == self._system and message.get_srcComponent() == AUTOPILOT_COMPONENT:
-            if kind not in USED:
-                self._stop_stream(kind, now_us)
+            self._replies += self._streams.on_message(kind, now_us)
+            if not self._streams.is_used(kind):
                 return
             self.app.on_mavlink(message, now_us)
             if kind == common.MAVLINK_MSG_ID_HEARTBEAT:
@@ -117,18 +98,6 @@ class Companion:
             and getattr(message, "target_component", None) == APPLICATION_COMPONENT
         )
 
-    def _stop_stream(self, kind: int, now_us: int) -> None:
-        """Request that PX4 does not send a message any more."""
-        if now_us - self._stopped_us.get(kind, -STOP_PERIOD_US) < STOP_PERIOD_US:
-            return
-        self._stopped_us[kind] = now_us
-        self._replies.append(
-            common.MAVLink_command_long_message(
-                self._system, AUTOPILOT_COMPONENT, common.MAV_CMD_SET_MESSAGE_INTERVAL, 0,
-                float(kind), _OFF, 0.0, 0.0, 0.0, 0.0, 0.0,
-            )
-        )  # fmt: skip
-
     def on_timer(self, radio_items: Sequence[RxItem], now_us: int) -> CompanionOutput:
         """Run the iteration that begins at ``now_us`` with the items that the radio has received."""
         self.app.on_radio(radio_items, now_us)
@@ -139,7 +108,7 @@ class Companion:
                 requested.append(item.to_wire())
             else:
                 requested += self._chunks.split(item)
-        mavlink = [*self.replies(), *requested]
+        mavlink = [*self.replies(), *self._streams.on_timer(now_us), *requested]
         if now_us >= self._origin_us:
             self._origin_us = now_us + (ORIGIN_KNOWN_PERIOD_US if self._has_origin else ORIGIN_PERIOD_US)
             mavlink.append(
@@ -168,18 +137,23 @@ class CompanionProcess:
         self._name = f"application {config.instance}"
         ports = config.ports
         if ports.radio_endpoint is None:
-            raise ValueError("ports.radio_endpoint: missing; the application beside a PX4 requires a radio")
+            raise ValueError("ports.radio_endpoint: missing; an application requires a radio")
         self._companion = Companion(config)
         self._log: CompanionLog | None = None
         if config.log_path is not None:
             self._log = stack.enter_context(
                 contextlib.closing(CompanionLog(config, config.log_path, self._companion.app))
             )
-        self._px4 = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-        self._px4.bind((ports.host, ports.companion_remote_udp))
-        # a connected socket accepts datagrams from PX4 alone
-        self._px4.connect((ports.host, ports.companion_local_udp))
-        self._px4.settimeout(0.0)  # non-blocking
+        is_px4 = config.autopilot.is_px4(config.instance)
+        self._autopilot = stack.enter_context(
+            contextlib.closing(
+                AutopilotSocket(
+                    (ports.host, ports.companion_remote_udp),
+                    (ports.host, ports.companion_local_udp) if is_px4 else None,
+                    system=config.instance + 1,
+                )
+            )
+        )
         self._radio = stack.enter_context(
             contextlib.closing(
                 RadioClient(endpoint=ports.radio_endpoint, run_id=config.run_id, station=config.instance)
@@ -187,12 +161,11 @@ class CompanionProcess:
         )
         self._simulator = simulator
         self._requests: MessageStream[Iterated, Iterate] = MessageStream(simulator, Iterate, limit_s=None)
-        self._parser = Parser()
         self._encoder = Encoder(system=config.instance + 1, component=APPLICATION_COMPONENT)
         self._message_count = 0
         self._now_us = 0
         self._held: list[Message] = []
-        """Messages of PX4 that arrived while simulated time rested, newer than the last iteration."""
+        """Messages of the autopilot that arrived while simulated time rested, after the last iteration."""
 
     def run(self, inbox: "queue.SimpleQueue[Stop]") -> None:
         """Serve the simulator until it closes its socket; then wait for the stop. Raises WarmUpError."""
@@ -217,8 +190,8 @@ class CompanionProcess:
                 name=self._name,
                 details={
                     "autopilot_messages": self._message_count,
-                    "malformed_bytes": self._parser.bad_bytes,
-                    "unknown_messages": self._parser.counters.frames_unknown,
+                    "malformed_bytes": self._autopilot.parser.bad_bytes,
+                    "unknown_messages": self._autopilot.parser.counters.frames_unknown,
                     "malformed_deliveries": self._radio.malformed,
                     **self._companion.app.troubles(),
                 },
@@ -231,6 +204,8 @@ class CompanionProcess:
         for message in (*held, *self._waiting()):
             if self._log is not None:
                 self._log.on_message(message, now_us)
+            if message.get_msgId() == common.MAVLINK_MSG_ID_STATUSTEXT:
+                sys.stderr.write(f"{now_us * 1e-6:.2f} s: {message.text}\n")
             self._companion.on_message(message, now_us)
         items = self._radio.receive(request.released_us) if request.released_us else ()
         output = self._companion.on_timer(items, now_us)
@@ -253,26 +228,20 @@ class CompanionProcess:
             self._send(replies)
 
     def _waiting(self) -> list[Message]:
-        """Return the messages that have arrived from PX4."""
-        messages: list[Message] = []
-        for _ in range(_MOST_WAITING):
-            try:
-                datagram = self._px4.recv(_LARGEST_DATAGRAM_BYTES)
-            except OSError:  # no more data, or PX4 does not listen yet
-                break
-            messages += self._parser.push_datagram(datagram)
+        """Return the messages that have arrived from the autopilot."""
+        messages = self._autopilot.receive()
         self._message_count += len(messages)
         return messages
 
     def _send(self, messages: Sequence[Message]) -> None:
-        with contextlib.suppress(OSError):  # lost, or PX4 does not listen yet
-            self._px4.send(b"".join(map(self._encoder.encode, messages)))
+        self._autopilot.send(b"".join(map(self._encoder.encode, messages)))
 
 
 def main() -> int:
     """Parse the command line and run; a failure is one line on stderr and status 2."""
     parser = argparse.ArgumentParser(
-        prog="python -m autopilot.process.companion", description="The on-board application beside one PX4."
+        prog="python -m autopilot.process.companion",
+        description="The on-board application beside one autopilot.",
     )
     parser.add_argument("--config", type=Path, required=True, help="JSON file with the vehicle's settings")
     parser.add_argument(

@@ -28,6 +28,10 @@ _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _SHELL_SIGNAL_BASE = 128
 
 
+class AutopilotError(ValueError):
+    """An external autopilot cannot be started as configured; the text is one line for the user."""
+
+
 class ExternalProcessConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A program: its command, and the details of its `Ready`."""
 

@@ -36,7 +36,7 @@ from numba.core.dispatcher import Dispatcher
 from autopilot.parameters.config import VehicleConfig
 from foundation.processes.child_protocol import Finished, Ready, Stop
 from foundation.system_error import described
-from harness.launch import kernel_cache
+from harness.launch import external_autopilots, kernel_cache
 from harness.launch.processes import (
     PHYSICS,
     RADIO,
@@ -217,8 +217,9 @@ class _Processes(Processes):
 
     def _start(self) -> None:
         scenario = self._scenario
-        if self._px4:
-            raise SetupError("autopilot.kind: a PX4 is a process of its own, so one process cannot hold it")
+        if self._external:
+            kind = external_autopilots.TITLES[scenario.autopilot.kind]
+            raise SetupError(f"autopilot.kind: {kind} is a process of its own, so one process cannot hold it")
         use_kernel_cache()
         kernel_cache.prepare(self._note, self._on_compiled)
         self._wall_start_s = time.monotonic()

@@ -5,10 +5,11 @@ An I/O module.
 
 import contextlib
 import socket
+from typing import NamedTuple
 
 import msgspec
 
-from harness.launch import px4
+from harness.launch import ardupilot, external_autopilots
 from harness.launch.resources import ResourceError, bind
 from harness.scenario.scenario import Scenario
 
@@ -16,15 +17,31 @@ OFFSETS = range(1_000, 65_536, 1_000)
 """Offsets that are tried, in this order, when ports are in use."""
 
 
-def claim(scenario: Scenario, *, search: bool) -> tuple[Scenario, list[socket.socket]]:
-    """Return the scenario with free ports, and the simulator's listener of each vehicle, to be closed.
+class Claim(NamedTuple):
+    """The ports of a run; close its sockets."""
+
+    scenario: Scenario
+    """With free ports."""
+    listeners: list[socket.socket]
+    """The simulator's TCP listener of each vehicle."""
+    states: dict[int, socket.socket]
+    """UDP sockets for the states of ArduPilots, by vehicle, with the numbers of their listeners."""
+
+    @property
+    def sockets(self) -> tuple[socket.socket, ...]:
+        """All sockets."""
+        return (*self.listeners, *self.states.values())
+
+
+def claim(scenario: Scenario, *, search: bool) -> Claim:
+    """Return free ports, and the simulator's sockets at them.
 
     With ``search``, all ports are raised by the first of `OFFSETS` with which they are free, if some are in
     use; the instance numbers of PX4s rise with them. The listeners keep other swarms from the same ports also
     before the processes have bound theirs. Raises ResourceError.
     """
     try:
-        return scenario, _listen(scenario)
+        return _claim(scenario)
     except ResourceError as error:
         if not error.in_use:
             raise
@@ -41,7 +58,7 @@ def claim(scenario: Scenario, *, search: bool) -> tuple[Scenario, list[socket.so
             break
         raised = msgspec.structs.replace(scenario, ports=ports)
         try:
-            return raised, _listen(raised)
+            return _claim(raised)
         except ResourceError as error:
             last = error
     raise ResourceError(
@@ -50,8 +67,8 @@ def claim(scenario: Scenario, *, search: bool) -> tuple[Scenario, list[socket.so
     )
 
 
-def _listen(scenario: Scenario) -> list[socket.socket]:
-    """Return the simulator's listeners if all other ports are free too. Raises ResourceError."""
+def _claim(scenario: Scenario) -> Claim:
+    """Return the simulator's sockets if all other ports are free too. Raises ResourceError."""
     ports, vehicles = scenario.ports, range(scenario.agents)
     with contextlib.ExitStack() as stack:
         base = ports.simulator_tcp
@@ -59,8 +76,12 @@ def _listen(scenario: Scenario) -> list[socket.socket]:
             stack.enter_context(bind(socket.SOCK_STREAM, ports.host, base + i if base else 0))
             for i in vehicles
         ]
-        px4.check_free(scenario)
-        for port in px4.application_ports(scenario):
+        states = {
+            i: stack.enter_context(bind(socket.SOCK_DGRAM, ports.host, listeners[i].getsockname()[1]))
+            for i in ardupilot.instances(scenario)
+        }
+        external_autopilots.check_free(scenario)
+        for port in external_autopilots.application_ports(scenario):
             bind(socket.SOCK_DGRAM, ports.host, port).close()
         for base in (ports.gcs_local_udp, ports.companion_local_udp):
             for i in vehicles if base else ():
@@ -68,4 +89,4 @@ def _listen(scenario: Scenario) -> list[socket.socket]:
         if ports.radio_tcp:
             bind(socket.SOCK_STREAM, ports.host, ports.radio_tcp).close()
         stack.pop_all()
-    return listeners
+    return Claim(scenario, listeners, states)

@@ -18,10 +18,10 @@ from msgspec import Struct
 
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Warned
 from foundation.system_error import in_words
-from harness.launch import cpu_affinity, kernel_cache, ports, px4, px4_instances
+from harness.launch import cpu_affinity, external_autopilots, kernel_cache, ports
 from harness.launch.cpu_affinity import CpuAffinity
+from harness.launch.external_process import AutopilotError
 from harness.launch.interrupts import interrupts_deferred
-from harness.launch.px4 import Px4Error
 from harness.launch.resources import HAS_NAMED_SOCKETS, ResourceError, allow_descriptors, bind_local
 from harness.launch.supervisor import ChildMessage, Exited, Supervisor, SupervisorError
 from harness.records.run_folder import FolderRefused, RunFolder
@@ -42,6 +42,7 @@ START_LIMIT_S = 120.0
 """Wall time within which every process must be ready."""
 STOP_LIMIT_S = 10.0
 """Wall time that processes have to write their data and end."""
+_LINK_PORTS = ("gcs_local_udp", "companion_local_udp")
 _ENVIRONMENT = {
     # each process does its work in one thread: threads of a BLAS would compete with the other processes
     "OMP_NUM_THREADS": "1",
@@ -84,7 +85,7 @@ def uav(instance: int) -> str:
 
 
 def application(instance: int) -> str:
-    """Return the name of the process of an on-board application beside a PX4."""
+    """Return the name of the process of an on-board application beside another autopilot."""
     return f"application {instance}"
 
 
@@ -130,12 +131,13 @@ class Processes:
         self._on_message = on_message or (lambda _: None)
         self._supervisor = self._make_supervisor()
         self._ports: set[int] = set()
-        self._px4 = px4.instances(scenario)
-        self._px4_numbers: tuple[int, ...] = ()
-        """Instance numbers of this swarm's PX4s, once they are known to be free."""
-        self._applications = self._px4 if scenario.onboard.enabled else ()
+        self._external = external_autopilots.instances(scenario)
+        """Vehicles whose autopilot is another program."""
+        self._has_claim = False
+        """Whether the ports and instance numbers are this swarm's."""
+        self._applications = self._external if scenario.onboard.enabled else ()
         """Vehicles whose application is a process of its own."""
-        self._has_prefork = len(self._px4) < scenario.agents
+        self._has_prefork = len(self._external) < scenario.agents
         self._running = False
         """Whether the processes were started and not stopped."""
         self._kernels = kernel_cache.Compilers()
@@ -195,7 +197,11 @@ class Processes:
             ),
             *filter(None, [self.records_lost, *(self._incomplete(uav(i)) for i in others)]),
             *(f"{event.name} received messages from {event.by}" for event in self.influences),
-            *(f"{uav(i)} is flown by a PX4, whose threads depend on the machine" for i in self._px4),
+            *(
+                f"{uav(i)} is flown by {external_autopilots.TITLES[self._scenario.autopilot.kind_of(i)]}, "
+                "whose threads depend on the machine"
+                for i in self._external
+            ),
         ]
 
     def start(self) -> None:
@@ -210,7 +216,7 @@ class Processes:
             self._running = True
             self._folder.create()  # first: an error after the kernels are compiled would be late
             self._start()
-        except (ResourceError, FolderRefused, Px4Error) as error:
+        except (ResourceError, FolderRefused, AutopilotError) as error:
             raise SetupError(str(error)) from None
         except OSError as error:
             raise SetupError(in_words(error)) from None
@@ -242,7 +248,7 @@ class Processes:
             self._start_linked(run_id, pairs)
         for i in vehicles:
             details = self.ready[uav(i)].details
-            self._ports |= {details["gcs_local_udp"], details["companion_local_udp"]}
+            self._ports |= {details[name] for name in _LINK_PORTS if name in details}
             self.send(SetPid(instance=i, pid=self.ready[uav(i)].pid))
         for i in self._applications:
             self.send(SetPid(instance=i, pid=self.ready[application(i)].pid, is_application=True))
@@ -252,7 +258,10 @@ class Processes:
         """Start all processes; ``pairs`` are the simulator's and the application's end of each link."""
         vehicles = range(self._scenario.agents)
         with contextlib.ExitStack() as sockets:
-            scenario, listeners = self._claim_ports(sockets)
+            claim = self._claim_ports()
+            for each in claim.sockets:
+                sockets.enter_context(each)
+            scenario, listeners = claim.scenario, claim.listeners
             self._kernels = kernel_cache.prepare_flight(self._note, self._on_compiled)
             self._wall_start_s = time.monotonic()
             simulator_ports = [listener.getsockname()[1] for listener in listeners]
@@ -277,7 +286,11 @@ class Processes:
             ends = {i: simulators.fileno() for i, (simulators, _) in pairs.items()}
             if ends:
                 command += ["--application-fds", ",".join(f"{i}:{fd}" for i, fd in ends.items())]
-            self._supervisor.start(PHYSICS, command, pass_fds=[*fds, physics_fd, *ends.values()])
+            states = {i: each.fileno() for i, each in claim.states.items()}
+            if states:
+                command += ["--state-fds", ",".join(f"{i}:{fd}" for i, fd in states.items())]
+            fds += [physics_fd, *ends.values(), *states.values()]
+            self._supervisor.start(PHYSICS, command, pass_fds=fds)
         endpoint = self._radio_endpoint()
         if self._has_prefork:
             self._await_ready([PREFORK])
@@ -288,15 +301,15 @@ class Processes:
                 run_id=run_id,
                 simulator_port=simulator_ports[i],
                 radio_endpoint=endpoint,
-                simulator_unix=None if i in self._px4 else own_name,
+                simulator_unix=None if i in self._external else own_name,
             )
-            if i in self._px4:
-                self._start_px4(i, simulator_ports[i])
+            if i in self._external:
+                self._start_external(i, simulator_ports[i])
             if i in pairs:
                 fd = pairs[i][1].fileno()
                 command = python_module("autopilot.process.companion", *supervised(config))
                 self._supervisor.start(application(i), [*command, "--simulator-fd", str(fd)], pass_fds=[fd])
-            if i not in self._px4:
+            if i not in self._external:
                 self._supervisor.fork(uav(i), supervised(config), forker=PREFORK)
         self._await_ready([PHYSICS, *map(uav, vehicles), *map(application, self._applications)])
 
@@ -305,7 +318,7 @@ class Processes:
         vehicles = list(map(uav, range(self._scenario.agents)))
         processors = cpu_affinity.usable_processors()
         assignment = cpu_affinity.assign_processors(vehicles, processors, first=RADIO, last=PHYSICS)
-        if assignment is not None and assignment.keys() <= self.pids.keys() and not self._px4:
+        if assignment is not None and assignment.keys() <= self.pids.keys() and not self._external:
             self._affinity = CpuAffinity(self._living, assignment, processors)
 
     def _living(self) -> dict[str, int]:
@@ -316,11 +329,11 @@ class Processes:
         uses_unix = self._scenario.ports.simulator_link == "unix" and self._has_prefork
         return f"coflight-{run_id}" if uses_unix and HAS_NAMED_SOCKETS else None
 
-    def _start_px4(self, instance: int, simulator_port: int) -> None:
-        config = px4.process_config(
+    def _start_external(self, instance: int, simulator_port: int) -> None:
+        config = external_autopilots.process_config(
             self._scenario, instance, run_folder=self._folder.path, simulator_port=simulator_port
         )
-        path = self._folder.write_config(f"px4-{instance}", config)
+        path = self._folder.write_config(f"{self._scenario.autopilot.kind}-{instance}", config)
         self._supervisor.start(
             uav(instance), python_module("harness.launch.external_process", *supervised(path))
         )
@@ -332,21 +345,19 @@ class Processes:
         self._ports.add(int(endpoint.rpartition(":")[2]))
         return endpoint
 
-    def _claim_ports(self, sockets: contextlib.ExitStack) -> tuple[Scenario, list[socket.socket]]:
-        """Return the scenario with free ports, and the simulator's listeners, which ``sockets`` closes."""
-        px4.check_start(self._scenario)
+    def _claim_ports(self) -> ports.Claim:
+        """Return free ports with the simulator's sockets, and take them over into the scenario."""
+        external_autopilots.check_start(self._scenario)
         before = self._scenario.ports
-        self._scenario, listeners = ports.claim(self._scenario, search=self._search_ports)
-        for listener in listeners:
-            sockets.enter_context(listener)
-        self._px4_numbers = px4.numbers(self._scenario)
+        claim = ports.claim(self._scenario, search=self._search_ports)
+        self._scenario, self._has_claim = claim.scenario, True
         used = self._scenario.ports
         if used != before:
             offset = max(used.numbers().values()) - max(before.numbers().values())
             station = used.gcs_remote_udp if self._has_prefork else 0
             line = f"ports or instances are in use by another program, so this swarm's are raised by {offset}"
             self._note(f"{line}: a ground station receives on UDP {station}" if station else line)
-        return self._scenario, listeners
+        return claim
 
     def _await_ready(self, names: Sequence[str]) -> None:
         deadline_s = time.monotonic() + START_LIMIT_S
@@ -378,16 +389,20 @@ class Processes:
                 self._supervisor.stop(input_grace_s=0.0)  # one that still starts does not read its stdin
                 while self._supervisor.receive(0.0) is not None:
                     pass  # ends that this stop has caused are no events
-                px4_instances.remove_files(self._px4_numbers)
+                self._remove_files()
                 return
             for names in ([PHYSICS], vehicles, [RADIO, PREFORK]):
                 forced += self._supervisor.end(names, grace_s=STOP_LIMIT_S)
             self.forced = (*forced, *self._supervisor.stop())
-            px4_instances.remove_files(self._px4_numbers)
+            self._remove_files()
             self.drain()
             self.records_lost = next(filter(None, map(self._incomplete, (PHYSICS, RADIO))), None)
             if self.records_lost is not None:
                 self.note_failure(self.records_lost)
+
+    def _remove_files(self) -> None:
+        if self._has_claim:
+            external_autopilots.remove_files(self._scenario)
 
     def _incomplete(self, name: str) -> str | None:
         """Return a line if a process became ready but ended without writing all its data, else None."""
@@ -485,8 +500,8 @@ class Processes:
         return message
 
     def _is_needed(self, name: str) -> bool:
-        """Whether the run fails if that process ends: also a PX4's until all vehicles are connected."""
-        return name in (PHYSICS, RADIO, PREFORK) or (not self._connected and name in map(uav, self._px4))
+        """Whether the run fails if that process ends: another autopilot's until all have connected, too."""
+        return name in (PHYSICS, RADIO, PREFORK) or (not self._connected and name in map(uav, self._external))
 
     def _describe_end(self, exited: Exited) -> str:
         if not exited.last_words:

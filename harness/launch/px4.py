@@ -24,7 +24,7 @@ from pathlib import Path
 
 from autopilot.parameters.config import AutopilotConfig
 from harness.launch import px4_instances
-from harness.launch.external_process import ExternalProcessConfig
+from harness.launch.external_process import AutopilotError, ExternalProcessConfig
 from harness.launch.px4_parameters import (
     SIMULATION_PARAMETERS,
     error_in,
@@ -34,8 +34,6 @@ from harness.launch.px4_parameters import (
 )
 from harness.scenario.scenario import Scenario
 
-OWN_PARAMETERS = "CF_"
-"""Prefix of the parameters of coflight's own autopilot."""
 _PORTS = {
     "simulator_tcp": (4560, "tcp"),
     "gcs_local_udp": (18570, "gcs_local"),
@@ -44,52 +42,44 @@ _PORTS = {
 """Default ports of PX4 instance 0, to which the instance is added, and their placeholders."""
 
 
-class Px4Error(ValueError):
-    """A PX4 cannot be started as configured; the text is one line for the user."""
-
-
 def instances(scenario: Scenario) -> tuple[int, ...]:
     """Return the vehicles that a PX4 flies."""
     return tuple(i for i in range(scenario.agents) if scenario.autopilot.is_px4(i))
 
 
-def application_ports(scenario: Scenario) -> list[int]:
-    """Return the fixed UDP ports that the applications beside PX4s bind."""
-    if not scenario.onboard.enabled:
-        return []
-    ports = (scenario.vehicle_ports(i).companion_remote_udp for i in instances(scenario))
-    return [port for port in ports if port]
-
-
 def check_start(scenario: Scenario) -> None:
-    """Check PX4's build, user, parameters, ports and localisation before anything starts. Raises Px4Error."""
+    """Check build, user, parameters, ports and localisation before anything starts. Raises AutopilotError."""
     if not instances(scenario):
         return
     config = scenario.autopilot
     build = _build(config)
     program = build / "bin" / "px4"
     if not program.is_file():
-        raise Px4Error(f"autopilot.px4_build: there is no {program}; expected the folder of a PX4 SITL build")
+        raise AutopilotError(
+            f"autopilot.px4_build: there is no {program}; expected the folder of a PX4 SITL build"
+        )
     if os.geteuid() == 0 and config.px4_command[0].replace("{build}", str(build)) == str(program):
-        raise Px4Error(
+        raise AutopilotError(
             "autopilot.kind: PX4 is not to run as root: its files would be in the way of other users' PX4s; "
             "run as another user, or change the user in autopilot.px4_command, for instance by setpriv"
         )
     known = known_parameters(build)
     if known is not None:
         for vehicle in instances(scenario):
-            error = error_in(_of_px4(config.for_uav(vehicle).params), known)
+            error = error_in(config.external_params(vehicle), known)
             if error is not None:
-                raise Px4Error(f"autopilot.params: {error}")
+                raise AutopilotError(f"autopilot.params: {error}")
     if scenario.onboard.enabled and scenario.onboard.localisation == "truth":
-        raise Px4Error("onboard.localisation: 'truth' is sent over the simulator's link, which PX4 occupies")
+        raise AutopilotError(
+            "onboard.localisation: 'truth' is sent over the simulator's link, which PX4 occupies"
+        )
     instance_offset(scenario)
 
 
 def instance_offset(scenario: Scenario) -> int:
     """Return the difference between PX4's instance numbers and the vehicles'.
 
-    It is that of the scenario's ports, less those that the command passes, from PX4's. Raises Px4Error.
+    It is that of the scenario's ports, less those that the command passes, from PX4's. Raises AutopilotError.
     """
     named = _named(scenario.autopilot)
     offsets: dict[str, int] = {}
@@ -105,7 +95,7 @@ def instance_offset(scenario: Scenario) -> int:
         base, placeholder = _PORTS[field]
         if offset < 0 or offset != common:
             port = getattr(scenario.ports, field)
-            raise Px4Error(
+            raise AutopilotError(
                 f"ports.{field}: a PX4 listens on {base} plus its number, not on {port or 'a free one'}; "
                 "raise all its ports by the same offset (--port-offset), or pass "
                 f"{{{placeholder}}} in autopilot.px4_command"
@@ -114,7 +104,7 @@ def instance_offset(scenario: Scenario) -> int:
 
 
 def numbers(scenario: Scenario) -> tuple[int, ...]:
-    """Return the instance numbers of the PX4s. Raises Px4Error."""
+    """Return the instance numbers of the PX4s. Raises AutopilotError."""
     vehicles = instances(scenario)
     offset = instance_offset(scenario) if vehicles else 0
     return tuple(vehicle + offset for vehicle in vehicles)
@@ -151,7 +141,7 @@ def process_config(
     parameters = known_ones(parameters, known_parameters(_build(config)))
     if offset:  # PX4's default is its instance number plus one
         parameters["MAV_SYS_ID"] = instance + 1
-    parameters |= _of_px4(config.for_uav(instance).params)
+    parameters |= config.external_params(instance)
     return ExternalProcessConfig(
         name=f"uav {instance}",
         command=tuple(part.format_map(values) for part in config.px4_command),
@@ -160,11 +150,6 @@ def process_config(
         folder=str(work),
         details={"gcs_local_udp": ports.gcs_local_udp, "companion_local_udp": ports.companion_local_udp},
     )
-
-
-def _of_px4(parameters: Mapping[str, float]) -> dict[str, float]:
-    """Return the parameters without those of coflight's own autopilot."""
-    return {name: value for name, value in parameters.items() if not name.startswith(OWN_PARAMETERS)}
 
 
 def _environment(parameters: Mapping[str, float]) -> dict[str, str]:

@@ -14,6 +14,7 @@ import pyarrow as pa
 
 from autopilot.commander.failsafe import Cause
 from autopilot.logs.vehicle_record import NO_PHASE
+from autopilot.mavlink.ardupilot_modes import COPTER_MODES
 from autopilot.mavlink.modes import FlightMode
 from autopilot.onboard.formation.phases import FlightPhase
 from foundation.unit_names import frame_of, unit_of
@@ -110,7 +111,10 @@ def _mode_text(name: str) -> str:
 
 _TIME = Column(description="Simulated time.")
 _PHASES = {str(int(phase)): _in_words(phase.name) for phase in FlightPhase}
-_MODES = {str(mode.custom_mode): mode.label for mode in FlightMode if mode is not FlightMode.DESCEND}
+_MODES = {
+    **{str(number): mode.label for number, mode in COPTER_MODES.items()},
+    **{str(mode.custom_mode): mode.label for mode in FlightMode if mode is not FlightMode.DESCEND},
+}
 _KINDS = {
     "data": "datagram", "rts": "request to send", "cts": "clear to send", "ack": "acknowledgement",
     "ftm_request": "request of a ranging session, or trigger of its burst", "ftm": "measurement frame",
@@ -146,7 +150,7 @@ FLIGHT = TableKind(
             description="Velocity of the air in the step before; 0 where the wind is a force."
         ),
         "rotor_speed_rad_s": Column(description="Speed of each rotor."),
-        "mode": Column(description="PX4's custom mode.", values=_MODES),
+        "mode": Column(description="The autopilot's custom mode: PX4's, or ArduPilot's.", values=_MODES),
         "phase": Column(
             description="Phase of the on-board application.",
             values=_PHASES | {str(NO_PHASE): "no application"},

@@ -58,20 +58,27 @@ PX4_PLACEHOLDERS = frozenset(
     | {"gcs_local", "gcs_remote", "companion_local", "companion_remote"}
 )
 """Placeholders of ``autopilot.px4_command`` and ``autopilot.px4_env``: see `harness.launch.px4`."""
-_PX4_PARAMETER = re.compile(r"[A-Z][A-Z0-9_]{0,15}")
+_EXTERNAL_PARAMETER = re.compile(r"[A-Z][A-Z0-9_]{0,15}")
+
+
+ARDUPILOT_PLACEHOLDERS = frozenset(
+    {"program", "i", "sysid", "work", "parameters", "home", "host", "simulator"}
+    | {"gcs_remote", "companion_remote"}
+)
+"""Placeholders of ``autopilot.ardupilot_command``: see `harness.launch.ardupilot`."""
 
 
 def check(config: AutopilotConfig, site: Site, agents: int) -> None:
     """Check the settings for all vehicles. Raises ValueError with the field's path."""
-    px4 = [config.is_px4(i) for i in range(agents)]
-    if any(px4):
-        _check_px4(config, agents)
-    check_shared = _check_px4_parameters if all(px4) else _check_parameters
+    external = [config.is_external(i) for i in range(agents)]
+    if any(external):
+        _check_external(config, agents)
+    check_shared = _check_external_parameters if all(external) else _check_parameters
     check_shared(config.params, "autopilot.params")
     for uav, params in config.per_uav.items():
         if uav not in map(str, range(agents)):
             raise ValueError(f"autopilot.per_uav: there is no UAV {uav!r} among {agents}")
-        check_own = _check_px4_parameters if px4[int(uav)] else _check_parameters
+        check_own = _check_external_parameters if external[int(uav)] else _check_parameters
         check_own(params, f"autopilot.per_uav.{uav}")
     try:
         site_plan.plans(config, site)
@@ -86,15 +93,29 @@ def _check_parameters(params: dict[str, float], path: str) -> None:
         raise ValueError(f"{path}: {error}") from None
 
 
-def _check_px4(config: AutopilotConfig, agents: int) -> None:
-    """Check a PX4's settings, as far as this does not depend on the machine."""
-    for instance in config.px4_vehicles or ():
-        if instance >= agents:
-            raise ValueError(f"autopilot.px4_vehicles: there is no UAV {instance} among {agents}")
-    if config.px4_build is None:
-        raise ValueError(
-            "autopilot.px4_build: missing; expected the folder of a PX4 SITL build, as autopilot.kind is px4"
+def _check_external(config: AutopilotConfig, agents: int) -> None:
+    """Check the settings of a PX4 or ArduPilot, as far as this does not depend on the machine."""
+    if config.kind == "px4":
+        title, field, vehicles, program = "a PX4", "px4_vehicles", config.px4_vehicles, config.px4_build
+        missing = "px4_build: missing; expected the folder of a PX4 SITL build, as autopilot.kind is px4"
+        texts, known = [("px4_command", part) for part in config.px4_command], PX4_PLACEHOLDERS
+        texts += [(f"px4_env.{name}", value) for name, value in config.px4_env.items()]
+    else:
+        title, field = "an ArduPilot", "ardupilot_vehicles"
+        vehicles, program = config.ardupilot_vehicles, config.ardupilot_program
+        missing = (
+            "ardupilot_program: missing; expected ArduPilot's SITL program for copters, as autopilot.kind is "
+            "ardupilot"
         )
+        texts, known = (
+            [("ardupilot_command", part) for part in config.ardupilot_command],
+            ARDUPILOT_PLACEHOLDERS,
+        )
+    for instance in vehicles or ():
+        if instance >= agents:
+            raise ValueError(f"autopilot.{field}: there is no UAV {instance} among {agents}")
+    if program is None:
+        raise ValueError(f"autopilot.{missing}")
     given = {
         "fence": config.fence,
         "mission": config.mission,
@@ -103,21 +124,23 @@ def _check_px4(config: AutopilotConfig, agents: int) -> None:
     }
     for field, value in given.items():
         if value:
-            raise ValueError(f"autopilot.{field}: a PX4 takes its plans from a ground station only")
-    texts = [("px4_command", part) for part in config.px4_command]
-    texts += [(f"px4_env.{name}", value) for name, value in config.px4_env.items()]
+            raise ValueError(f"autopilot.{field}: {title} takes its plans from a ground station only")
     for field, text in texts:
-        try:
-            named = {name for _, name, _, _ in string.Formatter().parse(text) if name is not None}
-        except ValueError as error:
-            raise ValueError(f"autopilot.{field}: {text!r}: {error}") from None
-        if unknown := named - PX4_PLACEHOLDERS:
-            known = ", ".join(sorted(PX4_PLACEHOLDERS))
-            raise ValueError(f"autopilot.{field}: {{{min(unknown)}}} stands for nothing; there are {known}")
+        _check_placeholders(field, text, known)
 
 
-def _check_px4_parameters(params: dict[str, float], path: str) -> None:
-    """Check the syntax of names; existence and ranges of parameters are left to PX4."""
+def _check_placeholders(field: str, text: str, known: frozenset[str]) -> None:
+    try:
+        named = {name for _, name, _, _ in string.Formatter().parse(text) if name is not None}
+    except ValueError as error:
+        raise ValueError(f"autopilot.{field}: {text!r}: {error}") from None
+    if unknown := named - known:
+        expected = ", ".join(sorted(known))
+        raise ValueError(f"autopilot.{field}: {{{min(unknown)}}} stands for nothing; there are {expected}")
+
+
+def _check_external_parameters(params: dict[str, float], path: str) -> None:
+    """Check the syntax of names; existence and ranges of parameters are left to the autopilot."""
     for name in params:
-        if not _PX4_PARAMETER.fullmatch(name):
+        if not _EXTERNAL_PARAMETER.fullmatch(name):
             raise ValueError(f"{path}: {name!r} is no parameter's name")

@@ -230,6 +230,11 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         for instance in range(self.agents):
             if self.autopilot.is_px4(instance):
                 continue
+            if self.autopilot.is_external(instance):
+                raise ValueError(
+                    "onboard.wind_feed_forward: ArduPilot takes accelerations as those of the path; expected "
+                    "false or none beside it"
+                )
             if self.autopilot.for_uav(instance).params.get("CF_DOB_EN"):
                 raise ValueError(
                     f"onboard.wind_feed_forward: the autopilot of UAV {instance} already compensates "

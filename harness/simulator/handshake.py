@@ -2,13 +2,14 @@
 
 An I/O module: accepts connections at the listeners. On connecting, a PX4 sends a HEARTBEAT and a COMMAND_LONG
 with its system number, in either order; coflight's own vehicles send a HEARTBEAT. A connection that sends
-anything else, or nothing, is closed and delays no other.
+anything else, or nothing, is closed and delays no other. An ArduPilot has a port of its own, and arrives with
+its first servo packet.
 """
 
 import selectors
 import socket
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -16,6 +17,7 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.hil import HilActuatorControls, HilParser
+from harness.simulator.ardupilot_link import ArduPilotLink
 
 INTRODUCTION_LIMIT_S = 10.0
 """Wall time that a new connection has for its first message; the others are served meanwhile."""
@@ -42,6 +44,13 @@ class Arrival(NamedTuple):
     parser: HilParser
 
 
+class ArduPilotArrival(NamedTuple):
+    """An ArduPilot that has sent its first servo packet."""
+
+    instance: int
+    link: ArduPilotLink
+
+
 @dataclass(slots=True, kw_only=True, eq=False)
 class _PendingConnection:
     """A connection that has not identified itself yet."""
@@ -53,11 +62,18 @@ class _PendingConnection:
 
 
 class Handshake:
-    """Accepts the vehicles of empty slots, each of which is reached by one or more listeners. Close it."""
+    """Accepts the vehicles of empty slots, each of which is reached by one or more listeners. Close it.
 
-    def __init__(self, listeners: Sequence[Listener]) -> None:
+    ``ardupilots`` are the links of ArduPilots that have not arrived, by vehicle; their owner closes them.
+    """
+
+    def __init__(
+        self, listeners: Sequence[Listener], ardupilots: Mapping[int, ArduPilotLink] | None = None
+    ) -> None:
         self._selector = selectors.DefaultSelector()
-        self._vacant = set().union(*(listener.instances for listener in listeners))
+        self._vacant = set(ardupilots or ()).union(*(listener.instances for listener in listeners))
+        for instance, link in (ardupilots or {}).items():
+            self._selector.register(link.states, selectors.EVENT_READ, ArduPilotArrival(instance, link))
         self._pending: dict[Listener, list[_PendingConnection]] = {listener: [] for listener in listeners}
         """By open listener, the oldest first."""
         for listener in listeners:
@@ -68,10 +84,15 @@ class Handshake:
         """Instances whose slots are empty."""
         return sorted(self._vacant)
 
-    def poll(self, wall_limit_s: float) -> Iterator[Arrival]:
+    def poll(self, wall_limit_s: float) -> Iterator[Arrival | ArduPilotArrival]:
         """Wait for activity, at most ``wall_limit_s``, and yield the vehicles that can take their slots."""
         for key, _ in self._selector.select(wall_limit_s):
-            if isinstance(key.data, _PendingConnection):
+            if isinstance(key.data, ArduPilotArrival):
+                if key.data.link.arrive():
+                    self._selector.unregister(key.fileobj)
+                    self._vacant.remove(key.data.instance)
+                    yield key.data
+            elif isinstance(key.data, _PendingConnection):
                 pending = key.data
                 if pending in self._pending.get(pending.listener, ()):  # else closed a moment ago
                     yield from self._receive(pending)

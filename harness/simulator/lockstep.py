@@ -12,14 +12,16 @@ import errno
 import socket
 import struct
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.hil import HilActuatorControls, HilParser
 from harness.simulator.actuator_inbox import ActuatorInbox
-from harness.simulator.handshake import Arrival, Handshake, Listener
+from harness.simulator.ardupilot_json import servo_packet
+from harness.simulator.ardupilot_link import ArduPilotLink
+from harness.simulator.handshake import ArduPilotArrival, Arrival, Handshake, Listener
 from harness.simulator.response_watchdog import STARTING_LIMIT_S, ResponseWatchdog
 
 POLL_S = 0.1
@@ -120,6 +122,21 @@ class VehicleSlot:
         return others
 
 
+class ArduPilotSlot(VehicleSlot):
+    """The slot of an ArduPilot, which answers each state by one servo packet."""
+
+    def __init__(self, instance: int, mavlink: ArduPilotLink) -> None:
+        super().__init__(instance)
+        self._mavlink = mavlink
+
+    def take(self, data: bytes, time_us: int) -> list[Message]:
+        """Unpack the answer to the state of ``time_us``; return the messages of the MAVLink link."""
+        packet = servo_packet(data)
+        if packet is not None:
+            self.answer = packet.answer(time_us)
+        return self._mavlink.messages()
+
+
 class ConnectTimeout(TimeoutError):
     """Not every vehicle connected in time; the text names those that did not."""
 
@@ -131,7 +148,8 @@ class Lockstep:
     wall_silence_s)`` once per silence; ``on_lost(instance, reason)`` when a vehicle is removed from the run.
     ``policies`` has one policy per vehicle, by default `OWN`. ``listeners`` has one TCP socket per slot;
     ``own_listener`` is a Unix socket to which all of coflight's own vehicles may connect instead. Vehicles in
-    this process have ``links`` instead.
+    this process have ``links`` instead. ``ardupilots`` are the links of ArduPilots by vehicle, which own
+    their listeners.
     """
 
     def __init__(
@@ -145,24 +163,35 @@ class Lockstep:
         policies: Sequence[LockstepPolicy] = (),
         own_listener: socket.socket | None = None,
         links: Sequence[Link] = (),
+        ardupilots: Mapping[int, ArduPilotLink] | None = None,
     ) -> None:
         vehicles = len(links or listeners)
+        ardupilots = ardupilots or {}
         self.slots = [
-            VehicleSlot(i, policies[i] if policies else OWN, links[i] if links else None)
+            ArduPilotSlot(i, ardupilots[i])
+            if i in ardupilots
+            else VehicleSlot(i, policies[i] if policies else OWN, links[i] if links else None)
             for i in range(vehicles)
         ]
         self.living = len(links)
         """How many vehicles are in the run."""
-        reachable = [Listener(server, frozenset((i,))) for i, server in enumerate(listeners)]
+        reachable = [
+            Listener(server, frozenset((i,))) for i, server in enumerate(listeners) if i not in ardupilots
+        ]
         if own_listener is not None:
-            own = frozenset(slot.instance for slot in self.slots if slot.policy == OWN)
+            own = frozenset(
+                slot.instance for slot in self.slots if slot.policy == OWN and slot.instance not in ardupilots
+            )
             reachable.append(Listener(own_listener, own))
         self._listeners = [listener.server for listener in reachable]
-        self._handshake = Handshake(reachable)
+        self._ardupilots = list(ardupilots.values())
+        self._handshake = Handshake(reachable, ardupilots)
         self._watchdog = watchdog
         self._on_message, self._on_silent, self._on_lost = on_message, on_silent, on_lost
         self._inbox = ActuatorInbox(vehicles)
-        self._inbox.states["needs_parser"] = [slot.policy != OWN for slot in self.slots]
+        self._inbox.states["needs_parser"] = [
+            slot.policy != OWN or slot.instance in ardupilots for slot in self.slots
+        ]
         self._pending: list[VehicleSlot] = []
         """Slots whose answers to this step's sensors are awaited."""
         self._starting: list[VehicleSlot] = []
@@ -191,8 +220,14 @@ class Lockstep:
         if not handshake.missing:
             handshake.close()
 
-    def _assign(self, arrival: Arrival) -> None:
-        connection, slot = arrival.connection, self.slots[arrival.instance]
+    def _assign(self, arrival: Arrival | ArduPilotArrival) -> None:
+        slot = self.slots[arrival.instance]
+        if isinstance(arrival, ArduPilotArrival):
+            arrival.link.states.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _POLL_TIMEVAL)
+            slot.link = arrival.link
+            self.living += 1
+            return
+        connection = arrival.connection
         if connection.family == socket.AF_INET:
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         # the kernel's time limit: Python's own costs one more system call per call
@@ -311,6 +346,8 @@ class Lockstep:
         with contextlib.ExitStack() as stack:  # closes all, even if one cannot be closed
             for listener in self._listeners:
                 stack.callback(listener.close)
+            for ardupilot in self._ardupilots:
+                stack.callback(ardupilot.close)
             stack.callback(self._handshake.close)
             for slot in self.slots:
                 if slot.link is not None:

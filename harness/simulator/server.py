@@ -23,6 +23,7 @@ from foundation.profiling.profiler import profiled
 from foundation.system_error import in_words
 from harness.records.run_folder import PhysicsConfig
 from harness.simulator.application_links import ApplicationLinks
+from harness.simulator.ardupilot_link import ArduPilotLink
 from harness.simulator.emulator_client import EmulatorClient, RadioSilent
 from harness.simulator.lockstep import OWN, PX4, ConnectTimeout, Lockstep
 from harness.simulator.messages import (
@@ -249,10 +250,12 @@ def serve(
     own_listener: socket.socket | None,
     clock: socket.socket | None,
     applications: dict[int, socket.socket],
+    states: dict[int, socket.socket],
 ) -> None:
     """Execute commands until Stop; ``clock`` is the connection to the 802.11 emulator, if there is one.
 
-    ``applications`` are the connections to the applications beside PX4s, by vehicle.
+    ``applications`` are the connections to the applications beside PX4s and ArduPilots, ``states`` the UDP
+    sockets for the states of ArduPilots, both by vehicle.
 
     Raises ConnectTimeout, RadioSilent, or OSError for a file or an address.
     """
@@ -273,6 +276,7 @@ def serve(
             on_silent=simulation.on_silent,
             on_lost=simulation.on_lost,
             policies=policies,
+            ardupilots={i: ArduPilotLink(sock, listeners[i]) for i, sock in states.items()},
         )
 
     def make_applications(simulation: Simulation) -> ApplicationLinks:
@@ -326,6 +330,12 @@ def serve(
     emit(Finished(name="physics", details=details))
 
 
+def _sockets(text: str) -> dict[int, socket.socket]:
+    """Return inherited sockets by vehicle, from "0:8,1:9"."""
+    pairs = (entry.split(":") for entry in filter(None, text.split(",")))
+    return {int(instance): socket.socket(fileno=int(fd)) for instance, fd in pairs}
+
+
 def main() -> int:
     """Parse the command line and serve; a failure is one line on stderr and status 2."""
     parser = argparse.ArgumentParser(
@@ -346,7 +356,12 @@ def main() -> int:
     parser.add_argument(
         "--application-fds",
         default="",
-        help="inherited stream sockets to the applications beside PX4s, as vehicle:fd: 0:8,1:9",
+        help="inherited stream sockets to the applications beside other autopilots, as vehicle:fd: 0:8,1:9",
+    )
+    parser.add_argument(
+        "--state-fds",
+        default="",
+        help="inherited UDP sockets for the states of ArduPilots, as vehicle:fd: 0:8,1:9",
     )
     parser.add_argument("--supervised", action="store_true", help="accepted for uniformity, no effect")
     arguments = parser.parse_args()
@@ -357,9 +372,8 @@ def main() -> int:
             None if fd is None else socket.socket(fileno=fd)
             for fd in (arguments.own_listen_fd, arguments.interval_fd)
         )
-        pairs = (entry.split(":") for entry in filter(None, arguments.application_fds.split(",")))
-        applications = {int(instance): socket.socket(fileno=int(fd)) for instance, fd in pairs}
-        serve(config, listeners, own_listener, clock, applications)
+        applications, states = map(_sockets, (arguments.application_fds, arguments.state_fds))
+        serve(config, listeners, own_listener, clock, applications, states)
     except (ConnectTimeout, RadioSilent, OSError, ValueError) as error:
         print(f"physics: {in_words(error) if isinstance(error, OSError) else error}", file=sys.stderr)
         return 2

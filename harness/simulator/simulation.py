@@ -6,7 +6,7 @@ run in this process (`harness.launch.one_process`). Independent of the wall cloc
 """
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import msgspec
@@ -14,15 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common as mavlink
 
+from autopilot.mavlink.ardupilot_modes import label_of
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.components import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
-from autopilot.mavlink.modes import mode_from_custom
 from autopilot.onboard.formation.motion import STAYS_AWAY
 from autopilot.onboard.formation.phases import FlightPhase
+from foundation.processes.child_protocol import Warned
 from foundation.records.record_log import RecordLog
 from harness.records.run_folder import PhysicsConfig
 from harness.simulator.actuator_inbox import ActuatorInbox
 from harness.simulator.application_links import ApplicationLinks
+from harness.simulator.ardupilot_json import StateEncoder
 from harness.simulator.emulator_client import EmulatorClient
 from harness.simulator.hil import TRUTH_PERIOD_US, SensorEncoder
 from harness.simulator.lockstep import Lockstep
@@ -48,7 +50,7 @@ from harness.world.physics.interface import Physics, PhysicsFactory
 from harness.world.physics.model import IRIS
 from harness.world.physics.truth import Truth
 from harness.world.physics.world import World
-from harness.world.sensors.suite import SensorSuite
+from harness.world.sensors.suite import SensorFrame, SensorSuite
 from harness.world.wind import Wind, WindNow
 
 STREAM = 250
@@ -60,9 +62,9 @@ class Simulation:
     """World, wind, sensors, vehicles and radio channel, stepped together.
 
     ``make_lockstep`` returns the vehicles' lockstep, which calls this object's `on_message`, `on_silent` and
-    `on_lost`; ``make_applications`` the links to applications beside PX4s, which call `on_message`,
-    `on_application_silent` and `on_application_lost`. ``emit`` receives the events. Raises OSError if a log
-    cannot be written.
+    `on_lost`; ``make_applications`` the links to applications beside other autopilots, which call
+    `on_message`, `on_application_silent` and `on_application_lost`. ``emit`` receives the events. Raises
+    OSError if a log cannot be written.
     """
 
     def __init__(
@@ -72,7 +74,7 @@ class Simulation:
         make_lockstep: Callable[["Simulation"], Lockstep],
         make_applications: Callable[["Simulation"], ApplicationLinks] | None = None,
         emulator: EmulatorClient | None,
-        emit: Callable[[AnyEvent], None],
+        emit: Callable[[AnyEvent | Warned], None],
         physics: PhysicsFactory = World,
     ) -> None:
         scenario = config.scenario
@@ -101,14 +103,27 @@ class Simulation:
             temperature_offset_k=scenario.environment.temperature_offset_k,
         )
         self._faults = Faults(scenario.faults, n, np.random.default_rng(streams[2]))
-        self._px4 = frozenset(filter(scenario.autopilot.is_px4, range(n)))
+        kinds = [scenario.autopilot.kind_of(i) for i in range(n)]
+        self._external = frozenset(i for i, kind in enumerate(kinds) if kind != "own")
+        """Vehicles whose autopilot is another program."""
         self._encoder = SensorEncoder(
             scenario.site,
-            px4=self._px4,
+            px4=[i for i, kind in enumerate(kinds) if kind == "px4"],
             epoch_us=scenario.run.epoch_unix_us,
             px4_rc=scenario.autopilot.px4_rc,
         )
-        self._has_escs = len(self._px4) < n
+        self._state_encoders = {
+            i: StateEncoder(
+                i,
+                site=scenario.site,
+                step_us=self._step_us,
+                epoch_us=scenario.run.epoch_unix_us,
+                parameters=scenario.autopilot.external_params(i),
+            )
+            for i, kind in enumerate(kinds)
+            if kind == "ardupilot"
+        }
+        self._has_escs = len(self._external) < n
         self._sends_truth = scenario.onboard.enabled and scenario.onboard.localisation == "truth"
         self.time_us = self._step_us  # to PX4 0 is a clock that is not set
         self.formed = False
@@ -178,10 +193,9 @@ class Simulation:
                 self.settle()
             delivered = emulator.delivered(self.time_us)
         alive = [slot.alive for slot in self.lockstep.slots] if recorded else []
-        announced = tuple(vehicle for vehicle in delivered if vehicle not in self._px4)
-        self.lockstep.send(
-            self._encoder.encode(self.time_us, frame, self._escs(truth), sent_truth, announced)
-        )
+        announced = tuple(vehicle for vehicle in delivered if vehicle not in self._external)
+        frames = self._encoder.encode(self.time_us, frame, self._escs(truth), sent_truth, announced)
+        self.lockstep.send(self._with_states(frames, frame, truth) if self._state_encoders else frames)
         applications = self._applications
         if applications is not None:
             applications.begin(self.time_us, delivered, self._lost)
@@ -230,6 +244,20 @@ class Simulation:
             self._notice_formation()
             self._notice_motion()
 
+    def _with_states(
+        self, frames: Sequence[bytes | memoryview], frame: SensorFrame, truth: Truth
+    ) -> Sequence[bytes | memoryview]:
+        """Return the vehicles' frames with those of ArduPilots replaced by their states."""
+        inbox, replaced = self._inbox, list(frames)
+        for vehicle, encoder in self._state_encoders.items():
+            replaced[vehicle] = encoder.encode(
+                self.time_us, frame, truth, inbox.controls[vehicle], armed=bool(inbox.armed[vehicle])
+            )
+            for name in encoder.parameters.unknown():
+                text = f"autopilot.params.{name}: this ArduPilot has no such parameter"
+                self._on_event(Warned(name=f"uav {vehicle}", time_us=self.time_us, text=text))
+        return replaced
+
     def set_extra_attenuation_db(self, value: float) -> None:
         """Set the attenuation of every radio link from the next interval on; radio faults are added to it."""
         self._attenuation_db = value
@@ -266,8 +294,8 @@ class Simulation:
             while missing:
                 without: tuple[int, ...] = ()
                 if self._applications is not None:
-                    without = self._applications.check([i for i in missing if i in self._px4])
-                self.lockstep.check(i for i in missing if i not in self._px4)
+                    without = self._applications.check([i for i in missing if i in self._external])
+                self.lockstep.check(i for i in missing if i not in self._external)
                 missing = self._emulator.wait_on(self._lost, without)
 
     def vehicles(self) -> tuple[VehicleTruth, ...]:
@@ -352,6 +380,8 @@ class Simulation:
 
     def on_message(self, instance: int, message: Message) -> None:
         """Process a vehicle's message other than an answer: its mode, phase or start of motion."""
+        if instance in self._state_encoders:
+            self._state_encoders[instance].parameters.on_message(message, self.time_us)
         if message.get_msgId() == mavlink.MAVLINK_MSG_ID_NAMED_VALUE_INT:
             if message.get_srcComponent() == APPLICATION_COMPONENT and message.name == START_NAME:
                 self._starts_us[instance] = start_us(message.value)
@@ -360,8 +390,7 @@ class Simulation:
         if message.get_msgId() != mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             return
         if message.get_srcComponent() == AUTOPILOT_COMPONENT:
-            mode = mode_from_custom(message.custom_mode)
-            self._modes[instance] = "" if mode is None else mode.label
+            self._modes[instance] = label_of(message)
         elif message.get_srcComponent() == APPLICATION_COMPONENT:
             with contextlib.suppress(ValueError):
                 self._phases[instance] = FlightPhase(message.custom_mode)

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.components import AUTOPILOT_COMPONENT
-from autopilot.mavlink.modes import FlightMode
 
 SILENCE_US = 500_000
 """Without a COMMAND_ACK for this time the command is repeated with a higher confirmation counter, as MAVLink
@@ -15,7 +14,6 @@ REFUSAL_US = 1_000_000
 
 NEVER_US = 1 << 62
 """A deadline that is never reached."""
-NAN = float("nan")
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,15 +25,6 @@ class RepeatedCommand:
 
 
 ARM = RepeatedCommand(common.MAV_CMD_COMPONENT_ARM_DISARM, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-OFFBOARD = RepeatedCommand(
-    common.MAV_CMD_DO_SET_MODE,
-    (common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, FlightMode.OFFBOARD.main, 0.0, 0.0, 0.0, 0.0, 0.0),
-)
-
-
-def take_off(altitude_m: float) -> RepeatedCommand:
-    """Return the command to take off at the present position to an altitude above mean sea level."""
-    return RepeatedCommand(common.MAV_CMD_NAV_TAKEOFF, (0.0, 0.0, 0.0, NAN, NAN, NAN, altitude_m))
 
 
 class CommandSender:

@@ -14,13 +14,8 @@ from collections.abc import Callable
 from msgspec import Struct
 
 from autopilot.mavlink.modes import FlightMode
-from autopilot.onboard.formation.commands import (
-    ARM,
-    OFFBOARD,
-    CommandSender,
-    RepeatedCommand,
-    take_off,
-)
+from autopilot.onboard.formation.autopilots import PX4, AutopilotInterface
+from autopilot.onboard.formation.commands import ARM, CommandSender, RepeatedCommand
 from autopilot.onboard.formation.own_state import OwnState
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.localisation.model import LOCALISE_TIMEOUT_US, SHAPE_STD_M
@@ -55,13 +50,14 @@ class FlightSequence:
 
     def __init__(
         self, *, commands: CommandSender, on_station_tolerance_m: float, on_station_hold_s: float, held: bool,
-        shortfall: Callable[[int], str],
+        shortfall: Callable[[int], str], autopilot: AutopilotInterface = PX4,
     ) -> None:  # fmt: skip
         self.phase = FlightPhase.WAITING
         self.held = held
         """The flight must not begin yet; clearing it releases the flight."""
         self.texts: list[str] = []
         """Messages for the ground station; the owner sends and removes them."""
+        self._autopilot = autopilot
         self._commands = commands
         self._shortfall = shortfall
         self._tolerance_m = on_station_tolerance_m
@@ -78,6 +74,13 @@ class FlightSequence:
     def in_air(self) -> bool:
         """Whether take-off has been commanded."""
         return FlightPhase.TAKE_OFF <= self.phase <= FlightPhase.LANDED
+
+    @property
+    def needs_setpoint(self) -> bool:
+        """Whether the autopilot is sent a setpoint."""
+        if self._autopilot.follows_before_take_off:
+            return self.in_formation
+        return FlightPhase.ARMING <= self.phase <= FlightPhase.YIELDED
 
     @property
     def in_formation(self) -> bool:
@@ -115,6 +118,9 @@ class FlightSequence:
                     self._commands.request(None, now_us)
                     return self.phase
                 own.on_arming()
+                if self._autopilot.follows_before_take_off and own.mode is not FlightMode.OFFBOARD:
+                    self._commands.request(self._autopilot.follow, now_us)
+                    return self.phase
                 self._commands.request(ARM, now_us)
                 if self._commands.accepted:
                     return FlightPhase.TAKE_OFF
@@ -144,13 +150,13 @@ class FlightSequence:
         self._takes_off |= own.mode is FlightMode.TAKEOFF
         ended = self._takes_off and own.mode is FlightMode.HOLD
         low = height_m < min(HAND_OVER_HEIGHT_M, 0.5 * take_off_height_m)
-        if low and not ended and not self._commands.is_requested(OFFBOARD):
+        if low and not ended and not self._commands.is_requested(self._autopilot.follow):
             if self._take_off is None:  # once: the altitude of the ground, as the autopilot sees it, drifts
                 ground_alt_m = own.origin_alt_m - own.height.autopilot_down_m
-                self._take_off = take_off(ground_alt_m + take_off_height_m)
+                self._take_off = self._autopilot.take_off(take_off_height_m, ground_alt_m)
             self._commands.request(self._take_off, now_us)
             return FlightPhase.TAKE_OFF
-        self._commands.request(OFFBOARD, now_us)
+        self._commands.request(self._autopilot.follow, now_us)
         self._offboard_seen = False
         return FlightPhase.JOINING if self._commands.accepted else FlightPhase.TAKE_OFF
 

@@ -1,5 +1,7 @@
 """Constructors of the MAVLink messages that the application sends."""
 
+from collections.abc import Sequence
+
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.components import AUTOPILOT_COMPONENT
@@ -9,8 +11,6 @@ from autopilot.onboard.formation.phases import FlightPhase
 
 START_NAME = b"start_ms"
 """Name of the NAMED_VALUE_INT with the start of the formation's motion, ms on the formation's clock."""
-GAIN_NAME = "MPC_XY_P"
-"""Parameter of the autopilot's position loop gain, 1/s."""
 COMMANDS = frozenset({common.MAVLINK_MSG_ID_COMMAND_LONG, common.MAVLINK_MSG_ID_COMMAND_INT})
 _LOCAL_NED = int(common.MAV_FRAME_LOCAL_NED)
 _NO_YAW = common.POSITION_TARGET_TYPEMASK_YAW_IGNORE | common.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
@@ -43,11 +43,14 @@ def heartbeat(phase: FlightPhase, start_us: int | None, now_us: int) -> list[com
     return [beat, common.MAVLink_named_value_int_message(now_us // 1_000, START_NAME, start_us // 1_000)]
 
 
-def gain_request(target_system: int) -> common.MAVLink_message:
-    """Return a PARAM_REQUEST_READ of the position loop's gain."""
-    return common.MAVLink_param_request_read_message(
-        target_system, AUTOPILOT_COMPONENT, GAIN_NAME.encode("ascii"), -1
-    )
+def gain_requests(names: Sequence[str], target_system: int) -> list[common.MAVLink_message]:
+    """Return a PARAM_REQUEST_READ of each possible name of the position loop's gain."""
+    return [
+        common.MAVLink_param_request_read_message(
+            target_system, AUTOPILOT_COMPONENT, name.encode("ascii"), -1
+        )
+        for name in names
+    ]
 
 
 def acknowledgement(command: common.MAVLink_message, *, accepted: bool) -> common.MAVLink_message:

@@ -7,15 +7,18 @@ autopilot's may follow the GPS bias too, or be reset.
 
 from pymavlink.dialects.v20 import common
 
+from autopilot.estimation.atmosphere import altitude_m
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.local_messages import LocalPosition
-from autopilot.mavlink.modes import FlightMode, mode_from_custom
+from autopilot.mavlink.modes import FlightMode
+from autopilot.onboard.formation.autopilots import PX4, AutopilotInterface
 from autopilot.onboard.formation.height import ContinuousHeight
 from autopilot.onboard.radio.beacon import Fix
 from autopilot.parameters.config import Site
 from foundation.geometry.geodesy import place_ned_m
 from foundation.types import Vector
 
+PA_PER_HPA = 100.0
 _ZERO: Vector = (0.0, 0.0, 0.0)
 
 
@@ -34,7 +37,7 @@ class OwnState:
 
     """
 
-    def __init__(self, *, site: Site, gps_delay_s: float) -> None:
+    def __init__(self, *, site: Site, gps_delay_s: float, autopilot: AutopilotInterface = PX4) -> None:
         self.time_us = -1
         self.odometry_ned_m = _ZERO
         self.vel_ned_m_s = _ZERO
@@ -50,6 +53,7 @@ class OwnState:
         self.failsafe = False
         self.mode: FlightMode | None = None
         self.heartbeat_us = -1
+        self._autopilot = autopilot
         self._site = site
         self._gps_delay_ms = round(gps_delay_s * 1e3)
         self._boot_offset_us: int | None = None
@@ -88,6 +92,12 @@ class OwnState:
         if self._boot_offset_us is not None:
             time_us = msg.time_usec + self._boot_offset_us
             self.height.on_barometer(time_us, msg.altitude_monotonic, standing=self._standing)
+
+    def on_pressure(self, msg: common.MAVLink_scaled_pressure_message) -> None:
+        """Process the absolute pressure of a SCALED_PRESSURE, for autopilots without ALTITUDE."""
+        if self._boot_offset_us is not None and msg.press_abs > 0.0:
+            time_us = msg.time_boot_ms * 1_000 + self._boot_offset_us
+            self.height.on_barometer(time_us, altitude_m(msg.press_abs * PA_PER_HPA), standing=self._standing)
 
     def on_status(self, msg: common.MAVLink_sys_status_message) -> None:
         """Process the pre-arm checks of a SYS_STATUS; PX4 reports them in the healthy sensors only."""
@@ -138,7 +148,7 @@ class OwnState:
         elif self.heartbeat_us < 0:
             self._standing = True
         self.failsafe = self.armed and msg.system_status >= common.MAV_STATE_CRITICAL
-        self.mode = mode_from_custom(msg.custom_mode)
+        self.mode = self._autopilot.mode(msg.custom_mode)
         self.heartbeat_us = now_us
 
     def _place(self) -> None:

@@ -327,7 +327,9 @@ def test_the_position_loops_gain_is_requested_and_used():
     avoidance.velocity_change_ne_m_s = spy
     for gain_1_s in (0.95, 1.5):
         parameters.set("MPC_XY_P", gain_1_s)
-        for _, answer in service.on_message(messages.gain_request(1), w.now_us, APPLICATION_PARTNER):
+        for _, answer in service.on_message(
+            messages.gain_requests(("MPC_XY_P",), 1)[0], w.now_us, APPLICATION_PARTNER
+        ):
             app.on_mavlink(answer, w.now_us)
         w.run(0.5)
         desired, way = np.array(found).transpose(1, 0, 2)

@@ -1,0 +1,65 @@
+"""The UDP socket between an application and the autopilot beside it. An I/O module."""
+
+import contextlib
+import socket
+
+from autopilot.mavlink.codec import Message, Parser
+from autopilot.mavlink.components import AUTOPILOT_COMPONENT
+
+LARGEST_DATAGRAM_BYTES = 65_535
+MOST_WAITING = 2_000
+"""Datagrams that are read at once; a socket holds some hundreds."""
+
+
+class AutopilotSocket:
+    """A socket that accepts datagrams from one autopilot alone; close it. Raises OSError.
+
+    ``local`` is bound. The autopilot is at ``remote``; without it, at the address from which the first
+    message of the autopilot with MAVLink system ``system`` arrives: ArduPilot sends from any free port.
+    """
+
+    def __init__(self, local: tuple[str, int], remote: tuple[str, int] | None, *, system: int) -> None:
+        self.parser = Parser()
+        self._system = system
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._connected = remote is not None
+        try:
+            self._socket.bind(local)
+            if remote is not None:
+                self._socket.connect(remote)
+        except OSError:
+            self._socket.close()
+            raise
+        self._socket.settimeout(0.0)  # non-blocking
+
+    def receive(self) -> list[Message]:
+        """Return the messages that have arrived."""
+        messages: list[Message] = []
+        for _ in range(MOST_WAITING):
+            try:
+                datagram, sender = self._socket.recvfrom(LARGEST_DATAGRAM_BYTES)
+            except OSError:  # no more data, or the autopilot does not listen yet
+                break
+            if self._connected:
+                messages += self.parser.push_datagram(datagram)
+                continue
+            first = Parser().push_datagram(datagram)
+            if any(self._is_autopilots(message) for message in first):
+                self._socket.connect(sender)
+                self._connected = True
+                messages += self.parser.push_datagram(datagram)
+        return messages
+
+    def send(self, data: bytes) -> None:
+        """Send a datagram; it is lost while the autopilot does not listen."""
+        if self._connected:
+            with contextlib.suppress(OSError):
+                self._socket.send(data)
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+    def _is_autopilots(self, message: Message) -> bool:
+        source: tuple[int, int] = (message.get_srcSystem(), message.get_srcComponent())
+        return source == (self._system, AUTOPILOT_COMPONENT)
