@@ -13,9 +13,11 @@
 Parameters are ArduPilot's defaults, those of `parameters`, and the scenario's, in this order.
 """
 
+import math
 import os
 from pathlib import Path
 
+from autopilot.commander.battery import BatteryParams
 from autopilot.estimation.atmosphere import GRAVITY_M_S2
 from autopilot.parameters.config import AutopilotConfig
 from harness.launch.external_process import AutopilotError, ExternalProcessConfig
@@ -28,9 +30,12 @@ LOOP_RATES_HZ = (50, 400)
 """Range of SCHED_LOOP_RATE."""
 SPIN_ARM, SPIN_MIN, SPIN_MAX = 0.1, 0.15, 0.95
 """ArduPilot's defaults of MOT_SPIN_ARM, MOT_SPIN_MIN and MOT_SPIN_MAX, as controls 0..1."""
+COMPASS_OFFSETS = (("X", 5.0), ("Y", 13.0), ("Z", -18.0))
+"""Of ArduPilot's simulated compasses, in mGauss (SIM_MAG1_OFS): with them the compasses are calibrated."""
 _MS_PER_S = 1e3
 _GPS_MAVLINK = 14
 _QUAD, _X = 1, 1
+_VOLTAGE_AND_CURRENT = 4
 
 
 def instances(scenario: Scenario) -> tuple[int, ...]:
@@ -99,7 +104,10 @@ def parameters(scenario: Scenario) -> dict[str, float]:
         "GPS1_TYPE": _GPS_MAVLINK,
         "GPS1_DELAY_MS": scenario.sensors.gps_model().delay_s * _MS_PER_S,
         "SIM_BARO_RND": 0,
-        "SIM_MAG_RND": mag_std_gauss * 1e3,
+        "SIM_MAG_RND": mag_std_gauss * math.sqrt(3.0) * 1e3,
+        **{f"COMPASS_OFS{n}_{axis}": offset for n in ("", "2", "3") for axis, offset in COMPASS_OFFSETS},
+        "BATT_MONITOR": _VOLTAGE_AND_CURRENT,
+        "BATT_CAPACITY": BatteryParams().capacity_mah,
     }
 
 
