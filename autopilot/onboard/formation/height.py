@@ -9,7 +9,7 @@ again in flight. A formation needs the height above the ground of the start, wit
 
       e = barometer - h,   h' = velocity - v + 2 e / T,   v' = -e / T^2.
 
-  Steps of the barometer between two samples are removed from it.
+  Steps of the barometer are removed from it: changes that two successive samples show.
 - Without one, or with one that has stopped or is frozen, it is the autopilot's height less the steps that its
   velocity does not explain.
 
@@ -25,7 +25,10 @@ TIME_CONSTANT_S = 1.5
 """T: the barometer's noise of 5 cm at 10 Hz leaves 1.5 cm, a velocity error that changes by 0.02 m/s^2 leaves
 4.5 cm."""
 BAROMETER_STEP_M = 0.5
-"""Change of the barometer's deviation between two samples that is a step of it: seven sigma of its noise."""
+"""Change of the barometer's deviation from its mean, in two successive samples, that is a step of it. A single
+sample of a barometer has a noise of 9 cm, and lags by up to 15 cm in a climb."""
+DEVIATION_GAIN = 0.3
+"""Part of a sample's deviation that enters its mean."""
 BAROMETER_GAP_US = 1_000_000
 """After this time without a new value the barometer is not used: a step could not be distinguished from a
 motion. One that returns continues the present height."""
@@ -61,7 +64,9 @@ class ContinuousHeight:
         """Time of the barometer's last new value."""
         self._altitude_m = math.nan
         self._deviation_m = 0.0
-        """Barometer minus height at the last sample."""
+        """Barometer minus height, mean of the last samples."""
+        self._step_m: float | None = None
+        """Change of the deviation in the last sample, if it may be the first of a step."""
 
     def on_position(self, time_us: int, down_m: float, vel_down_m_s: float, *, standing: bool) -> None:
         """Process the autopilot's vertical position and velocity at a time later than the last one.
@@ -103,15 +108,20 @@ class ContinuousHeight:
         deviation_m = self._zero_m - altitude_m - self.down_m - since_m
         step_m = deviation_m - self._deviation_m
         if abs(step_m) > BAROMETER_STEP_M:
+            before_m, self._step_m = self._step_m, step_m
+            if before_m is None or before_m * step_m < 0.0:
+                return
+            step_m = 0.5 * (before_m + step_m)
             self._zero_m -= step_m
             deviation_m -= step_m
             self.steps += 1
+        self._step_m = None
         dt_s = 1e-6 * gap_us
         self.down_m += 2.0 * deviation_m * dt_s / TIME_CONSTANT_S
         vel_error_m_s = self.vel_error_m_s - deviation_m * dt_s / TIME_CONSTANT_S**2
         self.vel_error_m_s = min(max(vel_error_m_s, -VEL_ERROR_MAX_M_S), VEL_ERROR_MAX_M_S)
         self.autopilot_down_m = self._autopilot[0] - self.down_m
-        self._deviation_m = deviation_m
+        self._deviation_m += DEVIATION_GAIN * (deviation_m - self._deviation_m)
 
     def _follow_ground(self, altitude_m: float, gap_us: int, *, standing: bool) -> None:
         """Set the barometer's zero; one that appears in flight continues the present height."""

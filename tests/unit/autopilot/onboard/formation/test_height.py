@@ -149,3 +149,25 @@ def test_an_application_that_starts_in_flight_takes_the_autopilots_height():
         height.on_barometer(now_us, ORIGIN_M + 1e-6 * now_us % 2e-6, standing=False)
     assert height.down_m == pytest.approx(-8.0, abs=0.01)
     assert (height.autopilot_down_m, height.steps) == (pytest.approx(0.0, abs=0.01), 0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_and_lag_of_a_barometer_without_averaging_are_no_steps(seed):
+    """ArduPilot reports single samples, up to 0.1 s old: 9 cm of noise, and 15 cm of lag in the climb."""
+    rng = np.random.default_rng(seed)
+    noise_m, age_s = rng.normal(0.0, 0.09, 10_000), rng.uniform(0.0, 0.1, 10_000)
+
+    def error_m(time_s):
+        sample = round(time_s * 10.0)
+        return noise_m[sample] + flight.true_down_m(time_s - age_s[sample]) - flight.true_down_m(time_s)
+
+    flight = Flight(barometer_error_m=error_m)
+    errors_m = flight.errors_m(600.0, since_s=20.0)
+    assert flight.height.steps == 0
+    assert np.abs(errors_m).max() < 0.2
+
+
+def test_a_single_wrong_sample_of_the_barometer_has_no_effect():
+    flight = Flight(barometer_error_m=lambda t: 3.0 if 15.0 <= t < 15.05 else 0.0)
+    assert np.abs(flight.errors_m(25.0, since_s=12.0)).max() < 0.02
+    assert flight.height.steps == 0
