@@ -36,6 +36,7 @@ _MS_PER_S = 1e3
 _GPS_MAVLINK = 14
 _QUAD, _X = 1, 1
 _VOLTAGE_AND_CURRENT = 4
+_KEEP_HEADING = 0
 
 
 def instances(scenario: Scenario) -> tuple[int, ...]:
@@ -106,6 +107,7 @@ def parameters(scenario: Scenario) -> dict[str, float]:
         "SIM_BARO_RND": 0,
         "SIM_MAG_RND": mag_std_gauss * math.sqrt(3.0) * 1e3,
         **{f"COMPASS_OFS{n}_{axis}": offset for n in ("", "2", "3") for axis, offset in COMPASS_OFFSETS},
+        "WP_YAW_BEHAVIOR": _KEEP_HEADING,
         "BATT_MONITOR": _VOLTAGE_AND_CURRENT,
         "BATT_CAPACITY": BatteryParams().capacity_mah,
     }
