@@ -7,6 +7,7 @@ an error.
 """
 
 import difflib
+import functools
 import lzma
 import math
 from collections.abc import Mapping
@@ -47,11 +48,18 @@ class _ParameterList(Struct, frozen=True):
 
 def known_parameters(build: Path) -> dict[str, Px4Parameter] | None:
     """Return the parameters of a build by name; None if it contains no readable list."""
+    path = build / PARAMETER_LIST
     try:
-        with lzma.open(build / PARAMETER_LIST) as file:
-            listed = msgspec.json.decode(file.read(), type=_ParameterList)
+        return _read(path, path.stat().st_mtime_ns)
     except (OSError, EOFError, lzma.LZMAError, msgspec.DecodeError):
         return None
+
+
+@functools.lru_cache(maxsize=4)
+def _read(path: Path, changed_ns: int) -> dict[str, Px4Parameter]:  # noqa: ARG001  another list if changed
+    """Return the parameters of a list, which is read once for all vehicles."""
+    with lzma.open(path) as file:
+        listed = msgspec.json.decode(file.read(), type=_ParameterList)
     return {parameter.name: parameter for parameter in listed.parameters}
 
 
