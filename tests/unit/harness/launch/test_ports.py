@@ -52,11 +52,11 @@ def test_two_claims_at_once_get_different_ports(request: pytest.FixtureRequest) 
         return lambda: [listener.close() for listener in listeners] and None
 
     given = scenario(simulator_tcp=free_port(socket.SOCK_STREAM), gcs_remote_udp=14_550)
-    first, listeners = claim(given, search=True)
+    first, listeners, _ = claim(given, search=True)
     request.addfinalizer(closed(listeners))
     assert first == given  # free: the scenario's
     assert [each.getsockname()[1] for each in listeners] == [given.ports.simulator_tcp + i for i in (0, 1)]
-    second, others = claim(given, search=True)
+    second, others, _ = claim(given, search=True)
     request.addfinalizer(closed(others))
     offset = second.ports.simulator_tcp - given.ports.simulator_tcp
     assert offset > 0
