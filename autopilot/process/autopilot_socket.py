@@ -22,11 +22,12 @@ class AutopilotSocket:
         self.parser = Parser()
         self._system = system
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._connected = remote is not None
+        self._remote: tuple[str, int] | None = None
+        """Address of the autopilot; None: it has not been received from."""
         try:
             self._socket.bind(local)
             if remote is not None:
-                self._socket.connect(remote)
+                self._connect(remote)
         except OSError:
             self._socket.close()
             raise
@@ -40,25 +41,25 @@ class AutopilotSocket:
                 datagram, sender = self._socket.recvfrom(LARGEST_DATAGRAM_BYTES)
             except OSError:  # no more data, or the autopilot does not listen yet
                 break
-            if self._connected:
-                messages += self.parser.push_datagram(datagram)
-                continue
-            first = Parser().push_datagram(datagram)
-            if any(self._is_autopilots(message) for message in first):
-                self._socket.connect(sender)
-                self._connected = True
+            if self._remote is None and any(map(self._is_autopilots, Parser().push_datagram(datagram))):
+                self._connect(sender)
+            if sender == self._remote:  # others may have arrived before the connection
                 messages += self.parser.push_datagram(datagram)
         return messages
 
     def send(self, data: bytes) -> None:
         """Send a datagram; it is lost while the autopilot does not listen."""
-        if self._connected:
+        if self._remote is not None:
             with contextlib.suppress(OSError):
                 self._socket.send(data)
 
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()
+
+    def _connect(self, remote: tuple[str, int]) -> None:
+        self._socket.connect(remote)
+        self._remote = self._socket.getpeername()
 
     def _is_autopilots(self, message: Message) -> bool:
         source: tuple[int, int] = (message.get_srcSystem(), message.get_srcComponent())

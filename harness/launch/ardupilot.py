@@ -54,7 +54,15 @@ def check_start(scenario: Scenario) -> None:
             f"autopilot.ardupilot_program: there is no program {program}; expected ArduPilot's SITL program "
             "for copters, build/sitl/bin/arducopter"
         )
-    if scenario.onboard.enabled and scenario.onboard.localisation == "truth":
+    if not scenario.onboard.enabled:
+        return
+    for vehicle in instances(scenario):
+        if not scenario.companion_port(vehicle):
+            raise AutopilotError(
+                f"ports.companion_remote_udp: the application of UAV {vehicle}, beside an ArduPilot, has no "
+                "port, as another process uses that number; expected a range of free ones, such as 30000"
+            )
+    if scenario.onboard.localisation == "truth":
         raise AutopilotError(
             "onboard.localisation: 'truth' is sent over the simulator's link, which ArduPilot does not have"
         )

@@ -15,6 +15,8 @@ from harness.scenario.scenario import Scenario
 
 OFFSETS = range(1_000, 65_536, 1_000)
 """Offsets that are tried, in this order, when ports are in use."""
+ATTEMPTS = 100
+"""Free TCP ports that are tried until UDP's of the same number is free, too."""
 
 
 class Claim(NamedTuple):
@@ -71,15 +73,15 @@ def _claim(scenario: Scenario) -> Claim:
     """Return the simulator's sockets if all other ports are free too. Raises ResourceError."""
     ports, vehicles = scenario.ports, range(scenario.agents)
     with contextlib.ExitStack() as stack:
-        base = ports.simulator_tcp
-        listeners = [
-            stack.enter_context(bind(socket.SOCK_STREAM, ports.host, base + i if base else 0))
-            for i in vehicles
-        ]
-        states = {
-            i: stack.enter_context(bind(socket.SOCK_DGRAM, ports.host, listeners[i].getsockname()[1]))
-            for i in ardupilot.instances(scenario)
-        }
+        base, with_states = ports.simulator_tcp, frozenset(ardupilot.instances(scenario))
+        listeners: list[socket.socket] = []
+        states: dict[int, socket.socket] = {}
+        for i in vehicles:
+            port = base + i if base else 0
+            listener, state = _free_simulator_sockets(ports.host, port, states=i in with_states)
+            listeners.append(stack.enter_context(listener))
+            if state is not None:
+                states[i] = stack.enter_context(state)
         external_autopilots.check_free(scenario)
         for port in external_autopilots.application_ports(scenario):
             bind(socket.SOCK_DGRAM, ports.host, port).close()
@@ -90,3 +92,26 @@ def _claim(scenario: Scenario) -> Claim:
             bind(socket.SOCK_STREAM, ports.host, ports.radio_tcp).close()
         stack.pop_all()
     return Claim(scenario, listeners, states)
+
+
+def _simulator_sockets(host: str, port: int, *, states: bool) -> tuple[socket.socket, socket.socket | None]:
+    """Return a TCP listener and, with ``states``, a UDP socket of the same number; port 0: a free one."""
+    listener = bind(socket.SOCK_STREAM, host, port)
+    try:
+        return listener, bind(socket.SOCK_DGRAM, host, listener.getsockname()[1]) if states else None
+    except ResourceError:
+        listener.close()
+        raise
+
+
+def _free_simulator_sockets(
+    host: str, port: int, *, states: bool
+) -> tuple[socket.socket, socket.socket | None]:
+    """Return `_simulator_sockets`; of free TCP ports up to `ATTEMPTS` are tried."""
+    for _ in range(1, 1 if port else ATTEMPTS):
+        try:
+            return _simulator_sockets(host, port, states=states)
+        except ResourceError as error:
+            if not error.in_use:
+                raise
+    return _simulator_sockets(host, port, states=states)

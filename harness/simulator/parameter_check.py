@@ -10,7 +10,9 @@ from autopilot.mavlink.components import AUTOPILOT_COMPONENT
 PERIOD_US = 1_000_000
 """Period of the requests."""
 REQUESTS = 5
-"""Number of requests without an answer after which a parameter counts as unknown."""
+"""Number of requests without an answer after which parameters count as unknown."""
+MOST_AT_ONCE = 16
+"""Parameters of a request: ArduPilot stores 20 and drops the others."""
 
 
 class ParameterCheck:
@@ -23,7 +25,10 @@ class ParameterCheck:
         self._target_system = target_system
         self._encoder = encoder
         self._missing = list(names)
+        self._unknown: list[str] = []
+        """Unknown ones that `unknown` has not returned yet."""
         self._requests = 0
+        """Requests since the last answer."""
         self._due_us: int | None = None
         """Time of the next request; None before the first HEARTBEAT."""
 
@@ -34,20 +39,23 @@ class ParameterCheck:
             self._due_us = now_us
         elif kind == common.MAVLINK_MSG_ID_PARAM_VALUE and message.param_id in self._missing:
             self._missing.remove(message.param_id)
+            self._requests = 0
 
     def requests(self, now_us: int) -> bytes:
-        """Return PARAM_REQUEST_READ of the missing parameters, if they are due; else nothing."""
-        if not self._missing or self._due_us is None or now_us < self._due_us or self._requests > REQUESTS:
+        """Return PARAM_REQUEST_READ of missing parameters, if they are due; else nothing."""
+        if not self._missing or self._due_us is None or now_us < self._due_us:
             return b""
         self._due_us = now_us + PERIOD_US
+        if self._requests == REQUESTS:
+            self._unknown += self._missing[:MOST_AT_ONCE]
+            del self._missing[:MOST_AT_ONCE]
+            self._requests = 0
         self._requests += 1
-        return b"".join(map(self._request, self._missing)) if self._requests <= REQUESTS else b""
+        return b"".join(map(self._request, self._missing[:MOST_AT_ONCE]))
 
     def unknown(self) -> list[str]:
-        """Return the parameters that the autopilot does not have, once, when this is known."""
-        if self._requests <= REQUESTS:
-            return []
-        unknown, self._missing = self._missing, []
+        """Return the parameters that the autopilot does not have, once each, when this is known."""
+        unknown, self._unknown = self._unknown, []
         return unknown
 
     def _request(self, name: str) -> bytes:

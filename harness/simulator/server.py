@@ -276,7 +276,7 @@ def serve(
             on_silent=simulation.on_silent,
             on_lost=simulation.on_lost,
             policies=policies,
-            ardupilots={i: ArduPilotLink(sock, listeners[i]) for i, sock in states.items()},
+            ardupilots={i: ArduPilotLink(sock, listeners[i], system=i + 1) for i, sock in states.items()},
         )
 
     def make_applications(simulation: Simulation) -> ApplicationLinks:

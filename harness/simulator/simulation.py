@@ -250,6 +250,8 @@ class Simulation:
         """Return the vehicles' frames with those of ArduPilots replaced by their states."""
         inbox, replaced = self._inbox, list(frames)
         for vehicle, encoder in self._state_encoders.items():
+            if vehicle in self._lost:
+                continue
             replaced[vehicle] = encoder.encode(
                 self.time_us, frame, truth, inbox.controls[vehicle], armed=bool(inbox.armed[vehicle])
             )

@@ -27,7 +27,10 @@ SYSTEM = 2
 
 def config(**onboard):
     places = [[0.0, 0.0, -3.0], [0.0, 3.0, -3.0]]
-    fields = {"run_id": "x", "instance": 1, "seed": 1, "places_ned_m": places, "onboard": onboard}
+    fields = {
+        "run_id": "x", "instance": 1, "seed": 1, "places_ned_m": places, "onboard": onboard,
+        "autopilot": {"kind": "px4", "px4_build": "build"},
+    }  # fmt: skip
     return msgspec.convert(fields, VehicleConfig)
 
 
@@ -189,7 +192,7 @@ def test_messages_that_arrive_in_a_pause_wait_for_the_next_iteration(monkeypatch
         settings = replace(config(hold=True), ports=msgspec.convert(ports, VehiclePorts))
         ends = [stack.enter_context(end) for end in socket.socketpair()]
         process = CompanionProcess(settings, ends[0], stack)
-        px4.connect(process._px4.getsockname())
+        px4.connect(process._autopilot._socket.getsockname())
         encoder = Encoder(system=SYSTEM, component=1)
         own = process._companion.app._own
         release = common.MAVLink_command_long_message(

@@ -7,6 +7,8 @@ from collections.abc import Callable
 import msgspec
 import pytest
 
+from autopilot.parameters.config import AutopilotConfig
+from harness.launch import ports as ports_module
 from harness.launch.ports import claim
 from harness.launch.resources import ResourceError, bind
 from harness.scenario.scenario import PortsConfig, Scenario
@@ -52,17 +54,75 @@ def test_two_claims_at_once_get_different_ports(request: pytest.FixtureRequest) 
         return lambda: [listener.close() for listener in listeners] and None
 
     given = scenario(simulator_tcp=free_port(socket.SOCK_STREAM), gcs_remote_udp=14_550)
-    first, listeners = claim(given, search=True)
+    first, listeners, _ = claim(given, search=True)
     request.addfinalizer(closed(listeners))
     assert first == given  # free: the scenario's
     assert [each.getsockname()[1] for each in listeners] == [given.ports.simulator_tcp + i for i in (0, 1)]
-    second, others = claim(given, search=True)
+    second, others, _ = claim(given, search=True)
     request.addfinalizer(closed(others))
     offset = second.ports.simulator_tcp - given.ports.simulator_tcp
     assert offset > 0
     assert offset % 1_000 == 0
     assert second.ports == given.ports.raised(offset, AGENTS)  # all by the same, 0 stays
     assert msgspec.structs.replace(second, ports=given.ports) == given
+
+
+def ardupilots(**ports: int) -> Scenario:
+    """Return a scenario of an own vehicle and an ArduPilot."""
+    autopilot = AutopilotConfig(kind="ardupilot", ardupilot_program="arducopter", ardupilot_vehicles=(1,))
+    return msgspec.structs.replace(scenario(**ports), autopilot=autopilot)
+
+
+def test_an_ardupilots_states_have_the_number_of_its_listener() -> None:
+    for given in (ardupilots(), ardupilots(simulator_tcp=free_port(socket.SOCK_STREAM))):
+        claimed = claim(given, search=False)
+        with contextlib.ExitStack() as stack:
+            for each in claimed.sockets:
+                stack.enter_context(each)
+            assert claimed.states.keys() == {1}
+            assert len(claimed.sockets) == AGENTS + 1
+            assert claimed.states[1].getsockname() == claimed.listeners[1].getsockname()
+
+
+def test_a_udp_port_in_use_with_the_number_of_an_ardupilots_listener_is_named() -> None:
+    with bind(socket.SOCK_DGRAM, HOST, 0) as holder:
+        port = holder.getsockname()[1]
+        given = ardupilots(simulator_tcp=port - 1)
+        with pytest.raises(
+            ResourceError, match=rf"^UDP port {port} on {HOST}: Address already in use; --port"
+        ):
+            claim(given, search=False)
+        raised = claim(given, search=True)
+        for each in raised.sockets:
+            each.close()
+        offset = raised.scenario.ports.simulator_tcp - given.ports.simulator_tcp
+        assert offset > 0
+        assert raised.scenario.ports == given.ports.raised(offset, AGENTS)
+    for each in claim(given, search=False).sockets:  # nothing stayed bound
+        each.close()
+
+
+def test_free_ports_are_tried_until_one_is_free_for_states_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    refusals = iter([True] * 5)
+
+    def refusing(kind: socket.SocketKind, host: str, port: int) -> socket.socket:
+        if kind == socket.SOCK_DGRAM and port and next(refusals, False):
+            raise ResourceError(f"UDP port {port} on {host}: in use", in_use=True)
+        return bind(kind, host, port)
+
+    monkeypatch.setattr(ports_module, "bind", refusing)
+    given = ardupilots(simulator_tcp=0, companion_remote_udp=free_port(socket.SOCK_DGRAM))
+    claimed = claim(given, search=False)
+    for each in claimed.sockets:
+        each.close()
+    assert claimed.scenario == given
+
+
+def test_the_port_of_an_ardupilots_application_must_be_free() -> None:
+    with bind(socket.SOCK_DGRAM, HOST, 0) as holder:
+        port = holder.getsockname()[1]
+        with pytest.raises(ResourceError, match=f"^UDP port {port} "):
+            claim(ardupilots(companion_remote_udp=port - 1), search=False)
 
 
 def test_no_port_stays_bound_after_an_error() -> None:

@@ -14,8 +14,8 @@ from world_truth import truth_with
 from autopilot.estimation.atmosphere import pressure_pa
 from autopilot.mavlink.codec import Parser
 from autopilot.parameters.config import VehicleConfig
-from harness.launch import px4
-from harness.launch.px4 import Px4Error
+from harness.launch import external_autopilots, px4
+from harness.launch.external_process import AutopilotError
 from harness.launch.px4_parameters import PARAMETER_LIST, known_parameters
 from harness.scenario.scenario import ScenarioError
 from harness.scenario.scenario_file import load
@@ -74,7 +74,8 @@ def test_px4_without_a_build_is_an_error_in_one_line(tmp_path):
 
 def test_a_build_without_its_program_is_refused_before_anything_starts(scenario, build):
     (build / "bin" / "px4").unlink()
-    with pytest.raises(Px4Error, match=r"^autopilot\.px4_build: there is no .*/bin/px4; expected[^\n]*$"):
+    missing = r"^autopilot\.px4_build: there is no .*/bin/px4; expected[^\n]*$"
+    with pytest.raises(AutopilotError, match=missing):
         px4.check_start(scenario())
 
 
@@ -194,7 +195,7 @@ def test_default_parameters_that_a_version_does_not_have_are_left_out(scenario, 
 def test_wrong_parameters_are_refused_by_px4s_own_list(scenario, build, override, error):
     px4.check_start(scenario(override))  # without a list PX4 itself has the last word
     write_list(build)
-    with pytest.raises(Px4Error, match=re.escape(f"autopilot.params: {error}")):
+    with pytest.raises(AutopilotError, match=re.escape(f"autopilot.params: {error}")):
         px4.check_start(scenario(override))
     px4.check_start(scenario("autopilot.params={CF_DOB_EN=1, MPC_XY_P=1.0}"))
 
@@ -208,7 +209,7 @@ def test_an_unreadable_list_is_none(build, content):
 
 def test_root_is_refused_unless_the_command_changes_the_user(scenario, monkeypatch):
     monkeypatch.setattr(os, "geteuid", lambda: 0)
-    with pytest.raises(Px4Error, match=r"^autopilot\.kind: PX4 is not to run as root[^\n]*setpriv$"):
+    with pytest.raises(AutopilotError, match=r"^autopilot\.kind: PX4 is not to run as root[^\n]*setpriv$"):
         px4.check_start(scenario())
     px4.check_start(scenario("autopilot.px4_command=['setpriv', '--reuid=1000', '{build}/bin/px4']"))
 
@@ -256,20 +257,20 @@ def test_ports_that_px4_does_not_use_are_refused_unless_the_command_passes_them(
     passed = f"autopilot.px4_command=['{{build}}/bin/px4', '{{{placeholder}}}']"
     px4.check_start(scenario())
     for base in (0, 21_000):
-        with pytest.raises(Px4Error, match=rf"^ports\.{field}: a PX4 listens on [^\n]*$"):
+        with pytest.raises(AutopilotError, match=rf"^ports\.{field}: a PX4 listens on [^\n]*$"):
             px4.check_start(scenario(f"ports.{field}={base}"))
     px4.check_start(scenario(f"ports.{field}=21000", passed))
 
 
 def test_the_truth_cannot_be_sent_to_an_application_beside_a_px4(scenario):
-    with pytest.raises(Px4Error, match=r"onboard\.localisation"):
+    with pytest.raises(AutopilotError, match=r"onboard\.localisation"):
         px4.check_start(scenario("onboard.localisation=truth"))
 
 
 def test_applications_bind_the_ports_that_px4s_send_to(scenario):
-    assert px4.application_ports(scenario()) == [14540, 14541, 14542]
-    assert px4.application_ports(scenario("autopilot.px4_vehicles=[1]")) == [14541]
-    assert px4.application_ports(scenario("onboard.enabled=false")) == []
+    assert external_autopilots.application_ports(scenario()) == [14540, 14541, 14542]
+    assert external_autopilots.application_ports(scenario("autopilot.px4_vehicles=[1]")) == [14541]
+    assert external_autopilots.application_ports(scenario("onboard.enabled=false")) == []
 
 
 def test_the_vehicles_settings_are_read_by_its_application_process(scenario):
