@@ -1,4 +1,4 @@
-"""``python -m autopilot.process.companion --config FILE --simulator-fd FD``: the application beside a PX4.
+"""The process of an application beside a PX4, forked by `autopilot.process.prefork_server`.
 
 The application is connected to PX4 as a companion over UDP (14540+i to 14580+i), to the run's radio, and to
 the simulator, which requests the iterations of its loop (`autopilot.process.iteration`). PX4's clock is the
@@ -27,12 +27,11 @@ from autopilot.mavlink.local_messages import PositionTarget
 from autopilot.onboard.application import NOTHING, Application
 from autopilot.onboard.factory import make_application
 from autopilot.parameters.config import VehicleConfig
-from autopilot.process.iteration import Iterate, Iterated
-from autopilot.process.warm_up import warm_up
+from autopilot.process.iteration import APPLICATION, Iterate, Iterated
 from autopilot.services.status import Chunks
-from foundation.kernels.warm_up import WarmUpError
 from foundation.processes.child_protocol import Finished, Ready, Stop, commands, emit
 from foundation.processes.message_stream import MessageStream
+from foundation.processes.scheduling import yield_when_woken
 from netsim.transport.lockstep_radio import RadioClient
 from netsim.wire.messages import RxItem, TxItem
 
@@ -195,9 +194,7 @@ class CompanionProcess:
         """Messages of PX4 that arrived while simulated time rested, newer than the last iteration."""
 
     def run(self, inbox: "queue.SimpleQueue[Stop]") -> None:
-        """Serve the simulator until it closes its socket; then wait for the stop. Raises WarmUpError."""
-        # kernels that were loaded in flight would delay the first iterations by seconds
-        warm_up()
+        """Serve the simulator until it closes its socket; then wait for the stop."""
         emit(Ready(name=self._name, pid=os.getpid()))
         # existing objects live to the end: exempt them from garbage collections in flight
         gc.collect()
@@ -269,31 +266,24 @@ class CompanionProcess:
             self._px4.send(b"".join(map(self._encoder.encode, messages)))
 
 
-def main() -> int:
-    """Parse the command line and run; a failure is one line on stderr and status 2."""
-    parser = argparse.ArgumentParser(
-        prog="python -m autopilot.process.companion", description="The on-board application beside one PX4."
-    )
+def main(arguments: Sequence[str]) -> int:
+    """Parse a command line and run; a failure is one line on stderr and status 2."""
+    parser = argparse.ArgumentParser(prog=APPLICATION, description="The on-board application beside one PX4.")
     parser.add_argument("--config", type=Path, required=True, help="JSON file with the vehicle's settings")
-    parser.add_argument(
-        "--simulator-fd", type=int, required=True, help="inherited stream socket to the simulator"
-    )
+    parser.add_argument("--simulator-fd", type=int, required=True, help="stream socket to the simulator")
     parser.add_argument("--supervised", action="store_true", help="accepted for uniformity, no effect")
-    arguments = parser.parse_args()
+    given = parser.parse_args(arguments)
     inbox: queue.SimpleQueue[Stop] = queue.SimpleQueue()
     try:
-        config = msgspec.json.decode(arguments.config.read_bytes(), type=VehicleConfig)
+        config = msgspec.json.decode(given.config.read_bytes(), type=VehicleConfig)
         commands(Stop, inbox)
+        yield_when_woken()
         with contextlib.ExitStack() as stack:
-            simulator = stack.enter_context(socket.socket(fileno=arguments.simulator_fd))
+            simulator = stack.enter_context(socket.socket(fileno=given.simulator_fd))
             CompanionProcess(config, simulator, stack).run(inbox)
-    except (OSError, ValueError, WarmUpError) as error:
-        sys.stderr.write(f"application: {error}\n")
+    except (OSError, ValueError) as error:
+        sys.stderr.write(f"{APPLICATION}: {error}\n")
         return 2
     except KeyboardInterrupt:
         return 130
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
