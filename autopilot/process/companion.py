@@ -10,7 +10,6 @@ import contextlib
 import gc
 import os
 import queue
-import select
 import socket
 import sys
 from collections.abc import Sequence
@@ -21,9 +20,10 @@ from msgspec import Struct
 from pymavlink.dialects.v20 import common
 
 from autopilot.logs.companion_record import CompanionLog
-from autopilot.mavlink.codec import Encoder, Message, Parser, stamp
+from autopilot.mavlink.codec import Message, stamp
 from autopilot.mavlink.components import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
 from autopilot.mavlink.local_messages import PositionTarget
+from autopilot.mavlink.telemetry import CompanionEncoder, TelemetryParser
 from autopilot.onboard.application import NOTHING, Application
 from autopilot.onboard.factory import make_application
 from autopilot.parameters.config import VehicleConfig
@@ -65,7 +65,8 @@ _PAUSED_S = 0.5
 """Wall time without a request after which the messages of PX4 are read anyway: simulated time rests."""
 _MOST_WAITING = 2_000
 """Datagrams that are read in one iteration; a socket holds some hundreds."""
-_LARGEST_DATAGRAM_BYTES = 65_535
+_LARGEST_DATAGRAM_BYTES = 2_048
+"""A datagram of PX4 holds one message."""
 _REPORTED = frozenset({common.MAVLINK_MSG_ID_HEARTBEAT, common.MAVLINK_MSG_ID_NAMED_VALUE_INT})
 """Messages that are reported to the simulator: the application's phase and start, PX4's mode."""
 
@@ -73,8 +74,8 @@ _REPORTED = frozenset({common.MAVLINK_MSG_ID_HEARTBEAT, common.MAVLINK_MSG_ID_NA
 class CompanionOutput(Struct, frozen=True, kw_only=True):
     """Messages that one iteration of the application sends."""
 
-    mavlink: Sequence[Message] = ()
-    """To PX4; each carries its source."""
+    mavlink: Sequence[Message | PositionTarget] = ()
+    """To PX4; each carries its source, except setpoints, which are the application's."""
     radio: tuple[TxItem, ...] = ()
     reports: Sequence[Message] = ()
     """To the simulator."""
@@ -94,10 +95,16 @@ class Companion:
         self._reports: list[Message] = []
         self._chunks = Chunks()
 
+    def is_px4s(self, message: Message) -> bool:
+        """Whether a message is of the own PX4; of plain values `TelemetryParser` has checked the source."""
+        return isinstance(message, tuple) or (
+            message.get_srcSystem() == self._system and message.get_srcComponent() == AUTOPILOT_COMPONENT
+        )
+
     def on_message(self, message: Message, now_us: int) -> None:
         """Handle a message from PX4's link; messages of others only if they target this application."""
-        kind = message.get_msgId()
-        if message.get_srcSystem() == self._system and message.get_srcComponent() == AUTOPILOT_COMPONENT:
+        if self.is_px4s(message):
+            kind = message.get_msgId()
             if kind not in USED:
                 self._stop_stream(kind, now_us)
                 return
@@ -132,13 +139,9 @@ class Companion:
         """Run the iteration that begins at ``now_us`` with the items that the radio has received."""
         self.app.on_radio(radio_items, now_us)
         output = self.app.on_timer(now_us)
-        requested: list[Message] = []
+        mavlink: list[Message | PositionTarget] = self.replies()
         for item in output.mavlink:
-            if isinstance(item, PositionTarget):
-                requested.append(item.to_wire())
-            else:
-                requested += self._chunks.split(item)
-        mavlink = [*self.replies(), *requested]
+            mavlink += (item,) if isinstance(item, PositionTarget) else self._chunks.split(item)
         if now_us >= self._origin_us:
             self._origin_us = now_us + (ORIGIN_KNOWN_PERIOD_US if self._has_origin else ORIGIN_PERIOD_US)
             mavlink.append(
@@ -148,7 +151,8 @@ class Companion:
                 )
             )  # fmt: skip
         for message in mavlink:
-            stamp(message, system=self._system, component=APPLICATION_COMPONENT)
+            if not isinstance(message, PositionTarget):
+                stamp(message, system=self._system, component=APPLICATION_COMPONENT)
         reports, self._reports = self._reports, []
         reports += [message for message in mavlink if message.get_msgId() in _REPORTED]
         radio = () if output is NOTHING else output.radio
@@ -184,10 +188,11 @@ class CompanionProcess:
                 RadioClient(endpoint=ports.radio_endpoint, run_id=config.run_id, station=config.instance)
             )
         )
-        self._simulator = simulator
-        self._requests: MessageStream[Iterated, Iterate] = MessageStream(simulator, Iterate, limit_s=None)
-        self._parser = Parser()
-        self._encoder = Encoder(system=config.instance + 1, component=APPLICATION_COMPONENT)
+        self._requests: MessageStream[Iterated, Iterate] = MessageStream(
+            simulator, Iterate, limit_s=_PAUSED_S
+        )
+        self._parser = TelemetryParser(system=config.instance + 1, component=AUTOPILOT_COMPONENT)
+        self._encoder = CompanionEncoder(system=config.instance + 1, component=APPLICATION_COMPONENT)
         self._message_count = 0
         self._now_us = 0
         self._held: list[Message] = []
@@ -200,10 +205,11 @@ class CompanionProcess:
         gc.collect()
         gc.freeze()
         while True:
-            if not select.select([self._simulator], [], [], _PAUSED_S)[0]:
+            try:
+                request = self._requests.receive()
+            except TimeoutError:
                 self._serve_while_paused()
                 continue
-            request = self._requests.receive()
             if request is None:
                 break
             self._requests.send(self._iterate(request))
@@ -225,12 +231,13 @@ class CompanionProcess:
     def _iterate(self, request: Iterate) -> Iterated:
         now_us = self._now_us = request.time_us
         held, self._held = self._held, []
+        companion, log = self._companion, self._log
         for message in (*held, *self._waiting()):
-            if self._log is not None:
-                self._log.on_message(message, now_us)
-            self._companion.on_message(message, now_us)
+            if log is not None and companion.is_px4s(message):
+                log.on_message(message, now_us)
+            companion.on_message(message, now_us)
         items = self._radio.receive(request.released_us) if request.released_us else ()
-        output = self._companion.on_timer(items, now_us)
+        output = companion.on_timer(items, now_us)
         if output.mavlink:
             self._send(output.mavlink)
         if output.radio:
@@ -261,7 +268,7 @@ class CompanionProcess:
         self._message_count += len(messages)
         return messages
 
-    def _send(self, messages: Sequence[Message]) -> None:
+    def _send(self, messages: Sequence[Message | PositionTarget]) -> None:
         with contextlib.suppress(OSError):  # lost, or PX4 does not listen yet
             self._px4.send(b"".join(map(self._encoder.encode, messages)))
 
