@@ -39,6 +39,8 @@ class ExternalProcessConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fi
     folder: str
     """Working folder."""
     details: dict[str, Any] = {}
+    yields: bool = True
+    """Whether it and its threads preempt no other process when they are woken, as coflight's own vehicles."""
 
 
 def run(config: ExternalProcessConfig) -> int:
@@ -46,7 +48,8 @@ def run(config: ExternalProcessConfig) -> int:
     wrapper, libc = os.getpid(), ctypes.CDLL(None)
 
     def prepare() -> None:
-        yield_when_woken()  # as coflight's own vehicles; PX4's threads inherit it
+        if config.yields:
+            yield_when_woken()
         libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)  # end with the wrapper
         if os.getppid() != wrapper:  # it has ended meanwhile
             os._exit(1)
