@@ -86,11 +86,20 @@ class TelemetryParser(Parser):
     def __init__(self, *, system: int, component: int) -> None:
         super().__init__()
         self._source = (system, component)
+        self._unknown: set[int] = set()
 
     def push_datagram(self, data: bytes, now: int = 0) -> list[Message]:
         """Messages in a datagram; see `Parser.push_datagram`."""
         message = self._plain(data)
         return super().push_datagram(data, now) if message is None else [message]
+
+    def take_unknown(self) -> set[int]:
+        """Return the ids of the autopilot's messages since the last call that the dialect does not contain.
+
+        Their checksums cannot be verified.
+        """
+        unknown, self._unknown = self._unknown, set()
+        return unknown
 
     def _plain(self, data: bytes) -> Message | None:
         """Return the message if the datagram is one valid, unsigned frame of a `FREQUENT` one, else None."""
@@ -100,10 +109,14 @@ class TelemetryParser(Parser):
             data
         )
         end = HEADER_BYTES + length
-        found = _UNPACKED.get(kind | kind_high << 16)
+        kind |= kind_high << 16
+        found = _UNPACKED.get(kind)
+        if found is None:
+            if kind not in common.mavlink_map and magic == MAGIC and (system, component) == self._source:
+                self._unknown.add(kind)
+            return None
         if (
-            found is None
-            or magic != MAGIC
+            magic != MAGIC
             or incompatible
             or len(data) != end + CHECKSUM_BYTES
             or (system, component) != self._source

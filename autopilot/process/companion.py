@@ -59,7 +59,8 @@ USED = frozenset(
 """Messages of PX4 that application and log use. PX4 is requested to stop the streams of all others on this
 link: it sends 400 messages a second to a companion, each of which costs both some 30 us."""
 STOP_PERIOD_US = 1_000_000
-"""Period at which that request is repeated for a message that still arrives."""
+"""Period at which that request is repeated for a message that still arrives; it doubles each time, because
+some messages are no streams."""
 _OFF = -1.0
 _PAUSED_S = 0.5
 """Wall time without a request after which the messages of PX4 are read anyway: simulated time rests."""
@@ -89,8 +90,8 @@ class Companion:
         self.app: Application = make_application(config)
         self._origin_us = 0
         self._has_origin = False
-        self._stopped_us: dict[int, int] = {}
-        """Time of the last request to stop each stream that is not used."""
+        self._stop_us: dict[int, tuple[int, int]] = {}
+        """For each stream that is not used: when its stop is requested again, and the period after that."""
         self._replies: list[Message] = []
         self._reports: list[Message] = []
         self._chunks = Chunks()
@@ -106,7 +107,7 @@ class Companion:
         if self.is_px4s(message):
             kind = message.get_msgId()
             if kind not in USED:
-                self._stop_stream(kind, now_us)
+                self.stop_stream(kind, now_us)
                 return
             self.app.on_mavlink(message, now_us)
             if kind == common.MAVLINK_MSG_ID_HEARTBEAT:
@@ -123,11 +124,12 @@ class Companion:
             and getattr(message, "target_component", None) == APPLICATION_COMPONENT
         )
 
-    def _stop_stream(self, kind: int, now_us: int) -> None:
-        """Request that PX4 does not send a message any more."""
-        if now_us - self._stopped_us.get(kind, -STOP_PERIOD_US) < STOP_PERIOD_US:
+    def stop_stream(self, kind: int, now_us: int) -> None:
+        """Request that PX4 does not send a message any more, unless the last request is too recent."""
+        due_us, period_us = self._stop_us.get(kind, (now_us, STOP_PERIOD_US))
+        if now_us < due_us:
             return
-        self._stopped_us[kind] = now_us
+        self._stop_us[kind] = (now_us + period_us, 2 * period_us)
         self._replies.append(
             common.MAVLink_command_long_message(
                 self._system, AUTOPILOT_COMPONENT, common.MAV_CMD_SET_MESSAGE_INTERVAL, 0,
@@ -236,6 +238,8 @@ class CompanionProcess:
             if log is not None and companion.is_px4s(message):
                 log.on_message(message, now_us)
             companion.on_message(message, now_us)
+        for kind in self._parser.take_unknown():
+            companion.stop_stream(kind, now_us)
         items = self._radio.receive(request.released_us) if request.released_us else ()
         output = companion.on_timer(items, now_us)
         if output.mavlink:

@@ -59,6 +59,20 @@ def test_rare_messages_and_several_in_one_datagram_are_parsed_as_before():
     assert (message.get_srcSystem(), message.autopilot) == (SYSTEM, 12)
 
 
+def test_ids_of_messages_that_the_dialect_lacks_are_reported_once():
+    receiver = parser()
+    unknown, system = 290, SYSTEM
+    for _ in range(2):
+        data = whole_frame(
+            bytes(20), message_id=unknown, crc_extra=b"x", sequence=0, system=system, component=COMPONENT
+        )
+        assert receiver.push_datagram(data) == []
+        system = 9  # another one's
+    assert receiver.take_unknown() == {unknown}
+    assert receiver.take_unknown() == set()
+    assert receiver.bad_bytes == 0
+
+
 @pytest.mark.parametrize("message_id", sorted(FREQUENT))
 def test_a_changed_or_cut_frame_is_no_message_and_is_counted(message_id):
     data = frame(example(message_id))
