@@ -43,6 +43,7 @@ from autopilot.process.profile_groups import PROFILE_GROUPS
 from autopilot.services.service import COMPANION, GROUND_STATION, Addressed, Partner
 from autopilot.vehicle.host import Host, Links, warnings
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Warned, emit, end_with_parent
+from foundation.processes.scheduling import yield_when_woken
 from foundation.profiling.profiler import profiled
 from netsim.transport.lockstep_radio import RadioClient
 
@@ -300,7 +301,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             config = lone_vehicle(given.instance, given.connect_timeout_s, given.params, given.plan)
         if given.supervised:
             end_with_parent()
-            _yield_to_the_simulator()
+            yield_when_woken()
         with contextlib.ExitStack() as stack:
             VehicleProcess(config, stack).run()
     except (
@@ -318,17 +319,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return 130
     return 0
-
-
-def _yield_to_the_simulator() -> None:
-    """Do not preempt the processes that serve all vehicles when this one wakes up.
-
-    Otherwise the first vehicle that receives its sensor data displaces the physics server, which has yet to
-    send the others theirs.
-    """
-    if sys.platform == "linux":
-        with contextlib.suppress(OSError):  # not permitted in some sandboxes; only slower
-            os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
 def lone_vehicle(

@@ -37,7 +37,7 @@ altitude is left out. ``gps_pos_ned_m`` is the last fix, which describes an earl
 ``odometry_offset_ned_m`` is the part of it that comes from ranging and all vehicles' GPS, and is constant
 while no radio data arrive."""
 
-_ROW = Struct("<q?IB??If" + "3d3f4f" + "3d3d" + "3f3f3f" + "3d")
+ROW = Struct("<q?IB??If" + "3d3f4f" + "3d3d" + "3f3f3f" + "3d")
 """The same row for `struct`: a tenth of numpy's time to build one from a tuple with arrays."""
 _SINGLE_MAX = 3.402823e38
 """Limit beyond which `struct` raises for a float32; diverged estimates are clamped and recorded."""
@@ -68,7 +68,7 @@ def record(vehicle: Vehicle) -> bytes:
     singles = [*vel_ned_m_s, *q_ned_frd]
     if not (min(singles) >= -_SINGLE_MAX and max(singles) <= _SINGLE_MAX):
         singles = [min(max(value, -_SINGLE_MAX), _SINGLE_MAX) for value in singles]
-    return _ROW.pack(
+    return ROW.pack(
         flight.now_us, commander.armed, commander.mode.custom_mode,
         int(app.phase) if app is not None else NO_PHASE,
         commander.landed, commander.failsafe, flight.causes, flight.battery.remaining,

@@ -1,12 +1,14 @@
-"""MAVLink 2 frames in compiled code: header, checksum and validation.
+"""MAVLink 2 frames: header, checksum and validation, in compiled code.
 
-For code that packs or parses the same kind of frame at a high rate. Buffers have spare bytes before the
-frame, so that the payload is aligned. `hil_schema` has the payloads.
+For code that packs or parses the same kind of frame at a high rate; `whole_frame` packs a single one. Buffers
+of compiled code have spare bytes before the frame, so that the payload is aligned. `hil_schema` has the
+payloads.
 """
 
 from struct import Struct
 
 import numpy as np
+from fastcrc import crc16
 from numba import njit
 from numpy.typing import NDArray
 
@@ -56,6 +58,19 @@ def struct_format(layout: np.dtype[np.void]) -> str:
 
 
 HEADER_STRUCT = Struct(struct_format(HEADER))
+
+
+def whole_frame(
+    payload: bytes, *, message_id: int, crc_extra: bytes, sequence: int, system: int, component: int
+) -> bytes:
+    """Return the frame of a payload, whose trailing zeros are cut off. ``crc_extra`` is one byte."""
+    if not payload[-1]:
+        payload = payload.rstrip(b"\0") or b"\0"
+    frame = HEADER_STRUCT.pack(
+        MAGIC, len(payload), 0, 0, sequence, system, component, message_id & 0xFFFF, message_id >> 16
+    ) + payload  # fmt: skip
+    crc: int = crc16.mcrf4xx(frame[1:] + crc_extra)
+    return frame + crc.to_bytes(CHECKSUM_BYTES, "little")
 
 
 @njit(cache=True)

@@ -18,7 +18,7 @@ from fastcrc import crc16
 from numpy.typing import NDArray
 
 from autopilot.mavlink.codec import Encoder, Message, Parser
-from autopilot.mavlink.frame import CHECKSUM_BYTES, HEADER_BYTES, HEADER_STRUCT, MAGIC
+from autopilot.mavlink.frame import CHECKSUM_BYTES, HEADER_BYTES, HEADER_STRUCT, MAGIC, whole_frame
 from autopilot.mavlink.hil_schema import ESC_STATUS, HIL_ACTUATOR_CONTROLS, HIL_GPS, HIL_SENSOR, MessageSchema
 
 Values = tuple[Any, ...]
@@ -164,13 +164,10 @@ _CODECS: dict[type[HilMessage], _Codec] = {
 def pack(message: HilMessage, *, sequence: int, system: int, component: int) -> bytes:
     """Return the whole frame. Raises struct.error or OverflowError for values out of range."""
     codec = _CODECS[type(message)]
-    payload = codec.pack(message)
-    if not payload[-1]:
-        payload = payload.rstrip(b"\0") or b"\0"
-    header = HEADER_STRUCT.pack(MAGIC, len(payload), 0, 0, sequence, system, component, codec.message_id, 0)
-    frame = header + payload
-    checksum: int = crc16.mcrf4xx(frame[_FIRST_CHECKED:] + codec.crc_extra)
-    return frame + checksum.to_bytes(CHECKSUM_BYTES, "little")
+    return whole_frame(
+        codec.pack(message), message_id=codec.message_id, crc_extra=codec.crc_extra,
+        sequence=sequence, system=system, component=component,
+    )  # fmt: skip
 
 
 def unpack(kind: type[HilMessage], payload: bytes) -> HilMessage:

@@ -1,14 +1,13 @@
 """High-rate messages between an autopilot and an application in one process, as plain values.
 
-They are never packed, and pymavlink's objects take longer to construct than to process. Fields have
-pymavlink's names, so these classes can replace pymavlink's messages.
+pymavlink's objects take longer to construct than to process. Fields have pymavlink's names, so these classes
+can replace pymavlink's messages. `autopilot.mavlink.telemetry` packs the setpoint where a link is between the
+two.
 """
 
 from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common
-
-from autopilot.mavlink.codec import Message
 
 
 class LocalPosition(NamedTuple):
@@ -58,7 +57,3 @@ class PositionTarget(NamedTuple):
     def get_type(self) -> str:
         """Return the message name."""
         return "SET_POSITION_TARGET_LOCAL_NED"
-
-    def to_wire(self) -> Message:
-        """Convert to a pymavlink message, for an autopilot in another process."""
-        return common.MAVLink_set_position_target_local_ned_message(*self)

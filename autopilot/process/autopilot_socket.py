@@ -5,6 +5,7 @@ import socket
 
 from autopilot.mavlink.codec import Message, Parser
 from autopilot.mavlink.components import AUTOPILOT_COMPONENT
+from autopilot.mavlink.telemetry import TelemetryParser
 
 LARGEST_DATAGRAM_BYTES = 65_535
 MOST_WAITING = 2_000
@@ -19,7 +20,7 @@ class AutopilotSocket:
     """
 
     def __init__(self, local: tuple[str, int], remote: tuple[str, int] | None, *, system: int) -> None:
-        self.parser = Parser()
+        self.parser = TelemetryParser(system=system, component=AUTOPILOT_COMPONENT)
         self._system = system
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._remote: tuple[str, int] | None = None

@@ -1,6 +1,4 @@
-"""The on-board application beside an autopilot that is another program.
-
-    python -m autopilot.process.companion --config FILE --simulator-fd FD
+"""The process of an application beside another autopilot, forked by `autopilot.process.prefork_server`.
 
 The autopilot is a PX4 or an ArduPilot. The application is connected to it as a companion over UDP (14540+i),
 to the run's radio, and to the simulator, which requests the iterations of its loop
@@ -13,7 +11,6 @@ import contextlib
 import gc
 import os
 import queue
-import select
 import socket
 import sys
 from collections.abc import Sequence
@@ -24,20 +21,20 @@ from msgspec import Struct
 from pymavlink.dialects.v20 import common
 
 from autopilot.logs.companion_record import CompanionLog
-from autopilot.mavlink.codec import Encoder, Message, stamp
+from autopilot.mavlink.codec import Message, stamp
 from autopilot.mavlink.components import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
 from autopilot.mavlink.local_messages import PositionTarget
+from autopilot.mavlink.telemetry import CompanionEncoder
 from autopilot.onboard.application import NOTHING, Application
 from autopilot.onboard.factory import make_application
 from autopilot.parameters.config import VehicleConfig
 from autopilot.process.autopilot_socket import AutopilotSocket
-from autopilot.process.iteration import Iterate, Iterated
+from autopilot.process.iteration import APPLICATION, Iterate, Iterated
 from autopilot.process.streams import ARDUPILOT_STREAMS, PX4_STREAMS, Streams
-from autopilot.process.warm_up import warm_up
 from autopilot.services.status import Chunks
-from foundation.kernels.warm_up import WarmUpError
 from foundation.processes.child_protocol import Finished, Ready, Stop, commands, emit
 from foundation.processes.message_stream import MessageStream
+from foundation.processes.scheduling import yield_when_woken
 from netsim.transport.lockstep_radio import RadioClient
 from netsim.wire.messages import RxItem, TxItem
 
@@ -53,8 +50,8 @@ _REPORTED = frozenset({common.MAVLINK_MSG_ID_HEARTBEAT, common.MAVLINK_MSG_ID_NA
 class CompanionOutput(Struct, frozen=True, kw_only=True):
     """Messages that one iteration of the application sends."""
 
-    mavlink: Sequence[Message] = ()
-    """To the autopilot; each carries its source."""
+    mavlink: Sequence[Message | PositionTarget] = ()
+    """To the autopilot; each carries its source, except setpoints, which are the application's."""
     radio: tuple[TxItem, ...] = ()
     reports: Sequence[Message] = ()
     """To the simulator."""
@@ -76,11 +73,17 @@ class Companion:
         self._reports: list[Message] = []
         self._chunks = Chunks()
 
+    def is_autopilots(self, message: Message) -> bool:
+        """Whether a message is of the own autopilot; of plain values `TelemetryParser` checks the source."""
+        return isinstance(message, tuple) or (
+            message.get_srcSystem() == self._system and message.get_srcComponent() == AUTOPILOT_COMPONENT
+        )
+
     def on_message(self, message: Message, now_us: int) -> None:
         """Handle a message on the autopilot's link; of others only those to this application."""
-        kind = message.get_msgId()
-        if message.get_srcSystem() == self._system and message.get_srcComponent() == AUTOPILOT_COMPONENT:
-            self._replies += self._streams.on_message(kind, now_us)
+        if self.is_autopilots(message):
+            kind = message.get_msgId()
+            self.on_kind(kind, now_us)
             if not self._streams.is_used(kind):
                 return
             self.app.on_mavlink(message, now_us)
@@ -98,17 +101,17 @@ class Companion:
             and getattr(message, "target_component", None) == APPLICATION_COMPONENT
         )
 
+    def on_kind(self, kind: int, now_us: int) -> None:
+        """Process the arrival of a message of the autopilot, known or unknown; one not used is stopped."""
+        self._replies += self._streams.on_message(kind, now_us)
+
     def on_timer(self, radio_items: Sequence[RxItem], now_us: int) -> CompanionOutput:
         """Run the iteration that begins at ``now_us`` with the items that the radio has received."""
         self.app.on_radio(radio_items, now_us)
         output = self.app.on_timer(now_us)
-        requested: list[Message] = []
+        mavlink: list[Message | PositionTarget] = [*self.replies(), *self._streams.on_timer(now_us)]
         for item in output.mavlink:
-            if isinstance(item, PositionTarget):
-                requested.append(item.to_wire())
-            else:
-                requested += self._chunks.split(item)
-        mavlink = [*self.replies(), *self._streams.on_timer(now_us), *requested]
+            mavlink += (item,) if isinstance(item, PositionTarget) else self._chunks.split(item)
         if now_us >= self._origin_us:
             self._origin_us = now_us + (ORIGIN_KNOWN_PERIOD_US if self._has_origin else ORIGIN_PERIOD_US)
             mavlink.append(
@@ -118,7 +121,8 @@ class Companion:
                 )
             )  # fmt: skip
         for message in mavlink:
-            stamp(message, system=self._system, component=APPLICATION_COMPONENT)
+            if not isinstance(message, PositionTarget):
+                stamp(message, system=self._system, component=APPLICATION_COMPONENT)
         reports, self._reports = self._reports, []
         reports += [message for message in mavlink if message.get_msgId() in _REPORTED]
         radio = () if output is NOTHING else output.radio
@@ -159,27 +163,27 @@ class CompanionProcess:
                 RadioClient(endpoint=ports.radio_endpoint, run_id=config.run_id, station=config.instance)
             )
         )
-        self._simulator = simulator
-        self._requests: MessageStream[Iterated, Iterate] = MessageStream(simulator, Iterate, limit_s=None)
-        self._encoder = Encoder(system=config.instance + 1, component=APPLICATION_COMPONENT)
+        self._requests: MessageStream[Iterated, Iterate] = MessageStream(
+            simulator, Iterate, limit_s=_PAUSED_S
+        )
+        self._encoder = CompanionEncoder(system=config.instance + 1, component=APPLICATION_COMPONENT)
         self._message_count = 0
         self._now_us = 0
         self._held: list[Message] = []
         """Messages of the autopilot that arrived while simulated time rested, after the last iteration."""
 
     def run(self, inbox: "queue.SimpleQueue[Stop]") -> None:
-        """Serve the simulator until it closes its socket; then wait for the stop. Raises WarmUpError."""
-        # kernels that were loaded in flight would delay the first iterations by seconds
-        warm_up()
+        """Serve the simulator until it closes its socket; then wait for the stop."""
         emit(Ready(name=self._name, pid=os.getpid()))
         # existing objects live to the end: exempt them from garbage collections in flight
         gc.collect()
         gc.freeze()
         while True:
-            if not select.select([self._simulator], [], [], _PAUSED_S)[0]:
+            try:
+                request = self._requests.receive()
+            except TimeoutError:
                 self._serve_while_paused()
                 continue
-            request = self._requests.receive()
             if request is None:
                 break
             self._requests.send(self._iterate(request))
@@ -201,14 +205,17 @@ class CompanionProcess:
     def _iterate(self, request: Iterate) -> Iterated:
         now_us = self._now_us = request.time_us
         held, self._held = self._held, []
+        companion, log = self._companion, self._log
         for message in (*held, *self._waiting()):
-            if self._log is not None:
-                self._log.on_message(message, now_us)
+            if log is not None and companion.is_autopilots(message):
+                log.on_message(message, now_us)
             if message.get_msgId() == common.MAVLINK_MSG_ID_STATUSTEXT:
                 sys.stderr.write(f"{now_us * 1e-6:.2f} s: {message.text}\n")
-            self._companion.on_message(message, now_us)
+            companion.on_message(message, now_us)
+        for kind in self._autopilot.parser.take_unknown():
+            companion.on_kind(kind, now_us)
         items = self._radio.receive(request.released_us) if request.released_us else ()
-        output = self._companion.on_timer(items, now_us)
+        output = companion.on_timer(items, now_us)
         if output.mavlink:
             self._send(output.mavlink)
         if output.radio:
@@ -233,36 +240,28 @@ class CompanionProcess:
         self._message_count += len(messages)
         return messages
 
-    def _send(self, messages: Sequence[Message]) -> None:
+    def _send(self, messages: Sequence[Message | PositionTarget]) -> None:
         self._autopilot.send(b"".join(map(self._encoder.encode, messages)))
 
 
-def main() -> int:
-    """Parse the command line and run; a failure is one line on stderr and status 2."""
-    parser = argparse.ArgumentParser(
-        prog="python -m autopilot.process.companion",
-        description="The on-board application beside one autopilot.",
-    )
+def main(arguments: Sequence[str]) -> int:
+    """Parse a command line and run; a failure is one line on stderr and status 2."""
+    parser = argparse.ArgumentParser(prog=APPLICATION, description="The application beside one autopilot.")
     parser.add_argument("--config", type=Path, required=True, help="JSON file with the vehicle's settings")
-    parser.add_argument(
-        "--simulator-fd", type=int, required=True, help="inherited stream socket to the simulator"
-    )
+    parser.add_argument("--simulator-fd", type=int, required=True, help="stream socket to the simulator")
     parser.add_argument("--supervised", action="store_true", help="accepted for uniformity, no effect")
-    arguments = parser.parse_args()
+    given = parser.parse_args(arguments)
     inbox: queue.SimpleQueue[Stop] = queue.SimpleQueue()
     try:
-        config = msgspec.json.decode(arguments.config.read_bytes(), type=VehicleConfig)
+        config = msgspec.json.decode(given.config.read_bytes(), type=VehicleConfig)
         commands(Stop, inbox)
+        yield_when_woken()
         with contextlib.ExitStack() as stack:
-            simulator = stack.enter_context(socket.socket(fileno=arguments.simulator_fd))
+            simulator = stack.enter_context(socket.socket(fileno=given.simulator_fd))
             CompanionProcess(config, simulator, stack).run(inbox)
-    except (OSError, ValueError, WarmUpError) as error:
-        sys.stderr.write(f"application: {error}\n")
+    except (OSError, ValueError) as error:
+        sys.stderr.write(f"{APPLICATION}: {error}\n")
         return 2
     except KeyboardInterrupt:
         return 130
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

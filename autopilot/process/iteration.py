@@ -9,6 +9,8 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
+APPLICATION = "application"
+"""First argument of a forked process that is an application; without it, it is a vehicle."""
 TimeUs = Annotated[int, Meta(ge=0, le=2**53)]
 
 

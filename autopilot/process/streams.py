@@ -12,7 +12,8 @@ from pymavlink.dialects.v20 import common
 from autopilot.mavlink.components import AUTOPILOT_COMPONENT
 
 REQUEST_PERIOD_US = 1_000_000
-"""Period at which a request is repeated until it has an effect."""
+"""Period at which a request is repeated until it has an effect. That of a request to stop a message doubles
+each time, because some messages are no streams."""
 _OFF = -1.0
 
 AS_SENT = 0
@@ -59,8 +60,8 @@ class Streams:
         self._used = used
         self._stops_others = stops_others
         self._target_system = target_system
-        self._requested_us: dict[int, int] = {}
-        """Time of the last request for each message."""
+        self._stops: dict[int, tuple[int, int]] = {}
+        """For each message that is not used: when its stop is requested again, and the period after that."""
         self._received_us = {kind: -REQUEST_PERIOD_US for kind, period_us in used.items() if period_us}
         """Time of the newest message of each requested stream."""
         self._checked_us = -REQUEST_PERIOD_US
@@ -73,7 +74,13 @@ class Streams:
         """Process the arrival of a message; return the request to send it no more, if it is not used."""
         if kind in self._received_us:
             self._received_us[kind] = now_us
-        return self._request(kind, _OFF, now_us) if self._stops_others and kind not in self._used else []
+        if not self._stops_others or kind in self._used:
+            return []
+        due_us, period_us = self._stops.get(kind, (now_us, REQUEST_PERIOD_US))
+        if now_us < due_us:
+            return []
+        self._stops[kind] = (now_us + period_us, 2 * period_us)
+        return [self._request(kind, _OFF)]
 
     def on_timer(self, now_us: int) -> list[common.MAVLink_message]:
         """Return requests for the streams of which nothing has arrived for a while."""
@@ -81,20 +88,13 @@ class Streams:
             return []
         self._checked_us = now_us
         return [
-            request
+            self._request(kind, float(self._used[kind]))
             for kind, received_us in self._received_us.items()
             if now_us - received_us >= REQUEST_PERIOD_US
-            for request in self._request(kind, float(self._used[kind]), now_us)
         ]
 
-    def _request(self, kind: int, period_us: float, now_us: int) -> list[common.MAVLink_message]:
-        """Return a request, unless it was made within the last period."""
-        if now_us - self._requested_us.get(kind, -REQUEST_PERIOD_US) < REQUEST_PERIOD_US:
-            return []
-        self._requested_us[kind] = now_us
-        return [
-            common.MAVLink_command_long_message(
-                self._target_system, AUTOPILOT_COMPONENT, common.MAV_CMD_SET_MESSAGE_INTERVAL, 0,
-                float(kind), period_us, 0.0, 0.0, 0.0, 0.0, 0.0,
-            )
-        ]  # fmt: skip
+    def _request(self, kind: int, period_us: float) -> common.MAVLink_message:
+        return common.MAVLink_command_long_message(
+            self._target_system, AUTOPILOT_COMPONENT, common.MAV_CMD_SET_MESSAGE_INTERVAL, 0,
+            float(kind), period_us, 0.0, 0.0, 0.0, 0.0, 0.0,
+        )  # fmt: skip

@@ -1,15 +1,17 @@
 """Prefork server: forks processes that share modules and memory loaded once.
 
 The launcher sends JSON messages over a Unix packet socket: `Fork`, with the stdin, stdout and stderr of the
-new process as file descriptors. The reply is `Forked` or `NotForked`, and `Ended` follows when the process
-ends. A forked process has its own process group, environment, name and standard streams, and none of the
-server's open files; only its parent process is the server instead of the launcher.
+new process as file descriptors, and further ones that it has as 3, 4, ... The reply is `Forked` or
+`NotForked`, and `Ended` follows when the process ends. A forked process has its own process group,
+environment, name and file descriptors, and none of the server's open files; only its parent process is the
+server instead of the launcher.
 
 The standard library's forkserver is not suitable: there is one per program, with one environment, its
 children have no stdin, and it can run only imports before it forks.
 """
 
 import contextlib
+import fcntl
 import os
 import selectors
 import socket
@@ -26,7 +28,7 @@ Main = Callable[[Sequence[str]], int]
 
 
 class Fork(Struct, frozen=True, kw_only=True, tag="fork", tag_field="request"):
-    """Request to fork a process of this name; sent with three file descriptors."""
+    """Request to fork a process of this name; sent with its file descriptors."""
 
     name: str
     arguments: tuple[str, ...]
@@ -57,7 +59,9 @@ class Ended(Struct, frozen=True, kw_only=True, tag="ended", tag_field="answer"):
 Answer = Forked | NotForked | Ended
 MOST_BYTES = 65_536
 """Longest message on the socket."""
-_STDIO = 3
+FIRST_DESCRIPTOR = 3
+"""Number of the first file descriptor after the standard streams in a forked process."""
+_MOST_DESCRIPTORS = 8
 _requests = msgspec.json.Decoder(Fork)
 _encoder = msgspec.json.Encoder()
 
@@ -92,11 +96,11 @@ def serve(line: socket.socket, main: Main) -> None:
 
 def _receive(line: socket.socket) -> tuple[Fork, list[int]] | None:
     """Return the next request and its file descriptors; None at the end of the socket."""
-    packet, fds, _, _ = socket.recv_fds(line, MOST_BYTES, _STDIO)
+    packet, fds, _, _ = socket.recv_fds(line, MOST_BYTES, _MOST_DESCRIPTORS)
     return (_requests.decode(packet), fds) if packet else None
 
 
-def _fork(line: socket.socket, request: Fork, stdio: list[int], main: Main) -> int | None:
+def _fork(line: socket.socket, request: Fork, fds: list[int], main: Main) -> int | None:
     """Fork and reply; return the process id, or None on failure. Does not return in the child."""
     sys.stdout.flush()  # or the child writes it again
     sys.stderr.flush()
@@ -106,22 +110,23 @@ def _fork(line: socket.socket, request: Fork, stdio: list[int], main: Main) -> i
         _reply(line, NotForked(reason=str(error)))
         return None
     if pid == 0:
-        _become(request, stdio, main)
-    for fd in stdio:
+        _become(request, fds, main)
+    for fd in fds:
         os.close(fd)
     _reply(line, Forked(pid=pid))
     return pid
 
 
-def _become(request: Fork, stdio: list[int], main: Main) -> None:
+def _become(request: Fork, fds: list[int], main: Main) -> None:
     """Run the requested process; does not return."""
     status = 1
     try:
         os.setpgid(0, 0)
-        for number, fd in enumerate(stdio):
+        # first above all final numbers, so that none is overwritten before it is copied
+        for number, fd in enumerate([fcntl.fcntl(fd, fcntl.F_DUPFD, len(fds)) for fd in fds]):
             os.dup2(fd, number)
         for fd in (int(path.name) for path in list(Path("/dev/fd").iterdir())):
-            if fd >= _STDIO:
+            if fd >= len(fds):
                 with contextlib.suppress(OSError):  # the descriptor of the listing is already closed
                     os.close(fd)
         os.environ.update(request.environment)

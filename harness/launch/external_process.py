@@ -21,6 +21,7 @@ import msgspec
 from msgspec import Struct
 
 from foundation.processes.child_protocol import Finished, Ready, Stop, commands, emit
+from foundation.processes.scheduling import yield_when_woken
 
 TERM_GRACE_S = 2.0
 """Wall time that the program has between SIGTERM and SIGKILL."""
@@ -42,14 +43,18 @@ class ExternalProcessConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fi
     folder: str
     """Working folder."""
     details: dict[str, Any] = {}
+    yields: bool = True
+    """Whether it and its threads preempt no other process when they are woken, as coflight's own vehicles."""
 
 
 def run(config: ExternalProcessConfig) -> int:
     """Run the program until it ends or is stopped; returns the exit status. Raises OSError."""
     wrapper, libc = os.getpid(), ctypes.CDLL(None)
 
-    def die_with_wrapper() -> None:
-        libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    def prepare() -> None:
+        if config.yields:
+            yield_when_woken()
+        libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)  # end with the wrapper
         if os.getppid() != wrapper:  # it has ended meanwhile
             os._exit(1)
 
@@ -60,7 +65,7 @@ def run(config: ExternalProcessConfig) -> int:
         cwd=config.folder,
         env=os.environ | config.environment,
         process_group=0,
-        preexec_fn=die_with_wrapper if sys.platform == "linux" else None,  # noqa: PLW1509  no thread runs yet
+        preexec_fn=prepare if sys.platform == "linux" else None,  # noqa: PLW1509  no thread runs yet
     )
     inbox: queue.SimpleQueue[Stop | int] = queue.SimpleQueue()
     commands(Stop, inbox)

@@ -3,6 +3,7 @@
 import os
 import queue
 import socket
+from collections.abc import Sequence
 from concurrent.futures import Future
 from typing import NamedTuple
 
@@ -56,13 +57,13 @@ class Forker:
         """Close the connection, before `listen` or after the watcher is closed."""
         self._line.close()
 
-    def fork(self, request: Fork, stdio: tuple[int, int, int]) -> ForkedProcess:
-        """Fork a process with these standard streams. Raises ForkError.
+    def fork(self, request: Fork, fds: Sequence[int]) -> ForkedProcess:
+        """Fork a process with these file descriptors, standard streams first. Raises ForkError.
 
         Not thread-safe: one request at a time.
         """
         try:
-            socket.send_fds(self._line, [_encoder.encode(request)], stdio)
+            socket.send_fds(self._line, [_encoder.encode(request)], fds)
             answer = self._answers.get(timeout=FORK_LIMIT_S)
         except OSError as error:
             raise ForkError(error.strerror or str(error)) from None

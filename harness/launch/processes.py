@@ -16,7 +16,9 @@ from typing import Any
 import psutil
 from msgspec import Struct
 
+from autopilot.process.iteration import APPLICATION
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Warned
+from foundation.processes.prefork import FIRST_DESCRIPTOR
 from foundation.system_error import in_words
 from harness.launch import cpu_affinity, external_autopilots, kernel_cache, ports
 from harness.launch.cpu_affinity import CpuAffinity
@@ -107,7 +109,9 @@ def _socket_pair(stack: contextlib.ExitStack) -> tuple[socket.socket, socket.soc
 
 
 class Processes:
-    """Physics server, 802.11 emulator and one process per vehicle, forked by the prefork server.
+    """Physics server, 802.11 emulator, and one process per vehicle and per application beside a PX4.
+
+    Vehicles, except PX4s, and applications are forked by the prefork server.
 
     ``wall_limit_s`` limits the run's wall time from `start` on, without the compilation of kernels;
     ``on_message`` receives every message that is taken from the queue, on the caller's thread.
@@ -137,7 +141,9 @@ class Processes:
         """Whether the ports and instance numbers are this swarm's."""
         self._applications = self._external if scenario.onboard.enabled else ()
         """Vehicles whose application is a process of its own."""
-        self._has_prefork = len(self._external) < scenario.agents
+        self._has_own = len(self._external) < scenario.agents
+        """Whether coflight's autopilot flies any vehicle."""
+        self._has_prefork = self._has_own or bool(self._applications)
         self._running = False
         """Whether the processes were started and not stopped."""
         self._kernels = kernel_cache.Compilers()
@@ -306,9 +312,12 @@ class Processes:
             if i in self._external:
                 self._start_external(i, simulator_ports[i])
             if i in pairs:
-                fd = pairs[i][1].fileno()
-                command = python_module("autopilot.process.companion", *supervised(config))
-                self._supervisor.start(application(i), [*command, "--simulator-fd", str(fd)], pass_fds=[fd])
+                self._supervisor.fork(
+                    application(i),
+                    (APPLICATION, *supervised(config), "--simulator-fd", str(FIRST_DESCRIPTOR)),
+                    forker=PREFORK,
+                    pass_fds=[pairs[i][1].fileno()],
+                )
             if i not in self._external:
                 self._supervisor.fork(uav(i), supervised(config), forker=PREFORK)
         self._await_ready([PHYSICS, *map(uav, vehicles), *map(application, self._applications)])
@@ -326,7 +335,7 @@ class Processes:
 
     def _own_link_name(self, run_id: str) -> str | None:
         """Return the name of the Unix socket for own vehicles; None: they use the TCP ports."""
-        uses_unix = self._scenario.ports.simulator_link == "unix" and self._has_prefork
+        uses_unix = self._scenario.ports.simulator_link == "unix" and self._has_own
         return f"coflight-{run_id}" if uses_unix and HAS_NAMED_SOCKETS else None
 
     def _start_external(self, instance: int, simulator_port: int) -> None:
@@ -354,7 +363,7 @@ class Processes:
         used = self._scenario.ports
         if used != before:
             offset = max(used.numbers().values()) - max(before.numbers().values())
-            station = used.gcs_remote_udp if self._has_prefork else 0
+            station = used.gcs_remote_udp if self._has_own else 0
             line = f"ports or instances are in use by another program, so this swarm's are raised by {offset}"
             self._note(f"{line}: a ground station receives on UDP {station}" if station else line)
         return claim

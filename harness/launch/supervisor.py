@@ -223,11 +223,11 @@ class Supervisor:
         self._forkers[name] = forker
         return pid
 
-    def fork(self, name: str, arguments: Sequence[str], *, forker: str) -> int:
+    def fork(self, name: str, arguments: Sequence[str], *, forker: str, pass_fds: Sequence[int] = ()) -> int:
         """Fork a child from a prefork server, in a process group of its own, and return its process id.
 
-        ``arguments`` are its command line. Raises SupervisorError if it cannot be forked, or if the children
-        are being stopped.
+        ``arguments`` are its command line; it has ``pass_fds`` from `FIRST_DESCRIPTOR` on. Raises
+        SupervisorError if it cannot be forked, or if the children are being stopped.
         """
         with self._starting(name) as log, contextlib.ExitStack() as theirs:
             (stdin, our_stdin), (our_stdout, stdout) = os.pipe(), os.pipe()
@@ -236,7 +236,7 @@ class Supervisor:
             ours = os.fdopen(our_stdin, "wb", buffering=0), os.fdopen(our_stdout, "rb", buffering=0)
             request = Fork(name=name, arguments=tuple(arguments), environment=self._mark(name))
             try:
-                forked = self._forkers[forker].fork(request, (stdin, stdout, log.fileno()))
+                forked = self._forkers[forker].fork(request, (stdin, stdout, log.fileno(), *pass_fds))
             except ForkError as error:
                 for pipe in ours:
                     pipe.close()

@@ -25,6 +25,7 @@ _ANSWER, _PAYLOAD_BYTES = HIL_ACTUATOR_CONTROLS.dtype, HIL_ACTUATOR_CONTROLS.pay
 _ANSWER_ID = constant(HIL_ACTUATOR_CONTROLS.message_id)
 _ANSWER_EXTRA = constant(HIL_ACTUATOR_CONTROLS.crc_extra)
 _ARMED = common.MAV_MODE_FLAG_SAFETY_ARMED
+_UNUSED_CONTROLS = (0.0,) * 12
 
 CONNECTION_STATE = np.dtype(
     [
@@ -32,7 +33,7 @@ CONNECTION_STATE = np.dtype(
         ("answered_us", "i8"),
         ("handed_over", "?"),
         ("needs_parser", "?"),
-        ("ever_answered", "?"),
+        ("newest_us", "i8"),
     ],
     align=True,
 )
@@ -40,7 +41,8 @@ CONNECTION_STATE = np.dtype(
 
 ``received_bytes``: bytes in its buffer that are not processed yet. ``answered_us``: time stamp of its answer
 in this step, 0 for none. ``handed_over``: that answer's flag of a batch for the radio. ``needs_parser``: a
-parser reads the input of every step."""
+parser reads the input, also if it is a single answer. ``newest_us``: time stamp of its last answer, 0 before
+the first."""
 
 
 def is_armed(answer: HilActuatorControls) -> bool:
@@ -86,8 +88,16 @@ class ActuatorInbox:
         self.controls[instance] = answer.controls[:ROTORS]
         self.armed[instance] = is_armed(answer)
         state = self.states[instance]
-        state["answered_us"], state["ever_answered"] = answer.time_usec, True
+        state["answered_us"] = state["newest_us"] = answer.time_usec
         state["handed_over"] = answer.flags & BATCH_HANDED_OVER != 0
+
+    def newest(self, instance: int) -> HilActuatorControls | None:
+        """Return the last answer of a vehicle, to any step, without its flags; None before the first."""
+        newest_us = int(self.states["newest_us"][instance])
+        if not newest_us:
+            return None
+        controls = (*self.controls[instance].tolist(), *_UNUSED_CONTROLS)
+        return HilActuatorControls(newest_us, controls, _ARMED if self.armed[instance] else 0, 0)
 
 
 @njit(cache=True)
@@ -118,6 +128,6 @@ def unpack(
         state["answered_us"] = time_us
         state["handed_over"] = np.int64(answer["flags"]) & BATCH_HANDED_OVER != 0
         state["received_bytes"] = 0
-        state["ever_answered"] = True
+        state["newest_us"] = time_us
         unpacked += 1
     return unpacked

@@ -96,7 +96,7 @@ class VehicleSlot:
         self.answer: HilActuatorControls | None = None
         """HIL_ACTUATOR_CONTROLS of the present step once received, or the previous one if it is late."""
         self.newest: HilActuatorControls | None = None
-        """Answer to any step; stored for vehicles that may be late."""
+        """Answer to any step, of a vehicle that is late; see `ActuatorInbox.newest` for the others."""
         self.silent_since_s: float | None = None
         """Wall time of the first step that continued without an answer of a vehicle that may be late."""
         self.late_answers = 0
@@ -313,9 +313,12 @@ class Lockstep:
     def _await_remaining(self, time_us: int) -> None:
         """Wait for the answers of the step that the inbox could not unpack."""
         inbox = self._inbox
+        needs_parser = inbox.states["needs_parser"]
         slots = [slot for slot in self._pending if not inbox.answered_us[slot.instance]]
         for slot in slots:
             slot.answer = None
+            if not needs_parser[slot.instance]:
+                slot.newest = inbox.newest(slot.instance)
             self._take(slot, inbox.take_bytes(slot.instance), time_us)
         for slot in reversed(slots):
             while slot.link is not None and slot.answer is None:
@@ -324,6 +327,8 @@ class Lockstep:
         for slot in slots:
             if slot.answer is not None:
                 inbox.put(slot.instance, slot.answer)
+                # of a late vehicle the parser reads all answers until one is in time
+                needs_parser[slot.instance] = slot.answer.time_usec != time_us
 
     def check(self, instances: Iterable[int]) -> None:
         """Apply the watchdog to vehicles whose radio batches are missing, though they have answered."""
@@ -398,7 +403,7 @@ class Lockstep:
 
     def _has_answered(self, slot: VehicleSlot) -> bool:
         """Whether a vehicle has ever answered."""
-        return bool(self._inbox.states["ever_answered"][slot.instance])
+        return bool(self._inbox.states["newest_us"][slot.instance])
 
     def _check(self, slot: VehicleSlot) -> None:
         wall_s = time.monotonic()

@@ -207,9 +207,7 @@ class Simulation:
         )
         self._sensors.draw_ahead()
         inbox = self._inbox = self.lockstep.receive(self.time_us)
-        senders = inbox.senders
-        if applications is not None:
-            senders += applications.finish(self._lost)
+        applied = () if applications is None else applications.finish(self._lost)
         interval_begins = emulator is not None and emulator.begins_at(self.time_us)
         if interval_begins:
             self.settle()
@@ -228,7 +226,7 @@ class Simulation:
                     self._attenuation_db + self._faults.extra_attenuation_db, MOST_ATTENUATION_DB
                 ),
                 range_offsets_m=self._faults.range_offsets_m,
-                senders=senders,
+                senders=inbox.senders + applied,
                 silent=self._lost,
             )
         self._world.step(

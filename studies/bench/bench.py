@@ -134,7 +134,7 @@ def bench(plan: BenchPlan, note: Callable[[str], None]) -> FlightBench:
     KeyboardInterrupt if there are none, and CompileError for the kernels.
     """
     kernel_cache.prepare(note)
-    machine = _machine()
+    machine = this_machine()
     runs: list[BenchRun] = []
     failure, broken_off = None, False
     for agents in plan.agents:
@@ -225,7 +225,7 @@ def _medians(by_kind: Sequence[dict[str, float]]) -> dict[str, float]:
 
 
 def _floor(agents: int, wall_s: float) -> FloorCost:
-    return _measured("studies.bench.floor", FloorJob(agents=agents, wall_s=wall_s), FloorCost)
+    return measured("studies.bench.floor", FloorJob(agents=agents, wall_s=wall_s), FloorCost)
 
 
 def _flight(plan: BenchPlan, agents: int, *, profile_from_s: float | None = None) -> FlightCost:
@@ -236,10 +236,10 @@ def _flight(plan: BenchPlan, agents: int, *, profile_from_s: float | None = None
             duration_s=plan.duration_s, folder=f"{folder}/run", wall_launched_s=time.monotonic(),
             profile_from_s=profile_from_s,
         )  # fmt: skip
-        return _measured("studies.bench.flight", job, FlightCost)
+        return measured("studies.bench.flight", job, FlightCost)
 
 
-def _measured(module: str, job: Struct, kind: type[Result]) -> Result:
+def measured(module: str, job: Struct, kind: type[Result]) -> Result:
     """Run a measurement in a separate process that ends with this one. Raises BenchError."""
     command = [sys.executable, "-P", "-m", module, msgspec.json.encode(job).decode()]
     with contextlib.ExitStack() as stack:
@@ -277,7 +277,8 @@ def _end(process: "subprocess.Popen[bytes]") -> None:
             process.kill()
 
 
-def _machine() -> HostMachine:
+def this_machine() -> HostMachine:
+    """Return the hardware and software of this machine."""
     return HostMachine(
         processors=len(psutil.Process().cpu_affinity()) if sys.platform == "linux" else os.cpu_count() or 1,
         model=_processor_model(),

@@ -11,7 +11,7 @@ import statistics
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import msgspec
@@ -19,6 +19,7 @@ import psutil
 from msgspec import Struct
 
 from foundation.exit_status import BAD_INPUT, FINE, INTERRUPTED
+from harness.launch import px4
 from harness.launch.interrupts import interruptible
 from harness.launch.processes import SwarmError, application, uav
 from harness.launch.profiling import kind_of
@@ -42,9 +43,14 @@ class _Mark(Struct, frozen=True):
 
 def fly(job: FlightJob) -> FlightCost:
     """Fly and measure. Raises ScenarioError or SwarmError."""
-    scenario = load(Path(job.scenario), [f"agents={job.agents}", f"run.seed={job.seed}"])
+    scenario = load(Path(job.scenario), [f"agents={job.agents}", f"run.seed={job.seed}", *job.settings])
     step_s = scenario.run.step_us * 1e-6
-    swarm = Swarm(scenario, out=job.folder, profile_from_s=job.profile_from_s)
+    swarm = Swarm(
+        scenario, out=job.folder, profile_from_s=job.profile_from_s,
+        # a PX4's ports follow from its instance number
+        ports="scenario" if px4.instances(scenario) else "free",
+        port_offset="auto" if px4.instances(scenario) else 0,
+    )  # fmt: skip
     with swarm:
         swarm.run(until_s=2.0 * step_s)  # simulated time starts at one step
         startup_s = time.monotonic() - job.wall_launched_s
@@ -76,18 +82,23 @@ def _check_complete(swarm: Swarm) -> None:
 
 
 def _mark(swarm: Swarm) -> _Mark:
-    cpu_s = {LAUNCHER: _cpu_s(os.getpid())}
-    for name, pid in swarm.pids.items():
+    own = psutil.Process().cpu_times()
+    cpu_s = {LAUNCHER: float(own.user + own.system)}
+    pids = swarm.pids
+    for name, pid in pids.items():
         kind = kind_of(name)
-        cpu_s[kind] = cpu_s.get(kind, 0.0) + _cpu_s(pid)
+        cpu_s[kind] = cpu_s.get(kind, 0.0) + _cpu_s(pid, without=set(pids.values()))
     machine = psutil.cpu_times()
     machine_cpu_s = machine.user + machine.nice + machine.system
     return _Mark(swarm.simulated_s, time.monotonic(), cpu_s, machine_cpu_s)
 
 
-def _cpu_s(pid: int) -> float:
-    times = psutil.Process(pid).cpu_times()
-    return float(times.user + times.system)
+def _cpu_s(pid: int, without: Collection[int]) -> float:
+    """Return the processor time of a process and of its children, such as a PX4, ``without`` those."""
+    process = psutil.Process(pid)
+    children = [child for child in process.children(recursive=True) if child.pid not in without]
+    times = [each.cpu_times() for each in (process, *children)]
+    return float(sum(each.user + each.system for each in times))
 
 
 def _span(begin: _Mark, end: _Mark) -> Span:

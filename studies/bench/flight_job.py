@@ -24,6 +24,8 @@ class FlightJob(Struct, frozen=True, kw_only=True):
     wall_launched_s: float
     """By `time.monotonic`, which all processes of a machine share"""
     profile_from_s: float | None = None
+    settings: tuple[str, ...] = ()
+    """Settings of the scenario, ``section.key=value``"""
 
 
 class Span(Struct, frozen=True, kw_only=True):

@@ -25,8 +25,8 @@ TIME_CONSTANT_S = 1.5
 """T: the barometer's noise of 5 cm at 10 Hz leaves 1.5 cm, a velocity error that changes by 0.02 m/s^2 leaves
 4.5 cm."""
 BAROMETER_STEP_M = 0.5
-"""Change of the barometer's deviation from its mean, in two successive samples, that is a step of it. A single
-sample of a barometer has a noise of 9 cm, and lags by up to 15 cm in a climb."""
+"""Change of the barometer's deviation from its mean, in two successive samples, that is a step of it. A
+single sample of a barometer has a noise of 9 cm, and lags by up to 15 cm in a climb."""
 DEVIATION_GAIN = 0.3
 """Part of a sample's deviation that enters its mean."""
 BAROMETER_GAP_US = 1_000_000

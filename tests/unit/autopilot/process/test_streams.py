@@ -51,11 +51,14 @@ def test_an_ardupilots_other_messages_are_ignored_and_not_stopped(ardupilot):
     assert ardupilot.on_message(UNUSED, 0) == []
 
 
-def test_a_px4s_other_messages_are_stopped_once_a_second():
+def test_a_px4s_other_messages_are_stopped_ever_more_rarely():
     px4 = Streams(PX4_STREAMS, stops_others=True, target_system=5)
     assert px4.on_timer(0) == []  # it streams by itself
-    stops = [intervals(px4.on_message(UNUSED, now_us)) for now_us in range(0, 2_000_000, 100_000)]
-    assert [each for each in stops if each] == [{UNUSED: -1.0}] * 2
+    times_us = range(0, 10_000_000, 100_000)
+    stops = {now_us: intervals(px4.on_message(UNUSED, now_us)) for now_us in times_us}
+    assert {now_us: stop for now_us, stop in stops.items() if stop} == {
+        now_us: {UNUSED: -1.0} for now_us in (0, 1_000_000, 3_000_000, 7_000_000)
+    }
 
 
 @pytest.mark.parametrize("streams", [PX4_STREAMS, ARDUPILOT_STREAMS])

@@ -3,14 +3,12 @@
 import contextlib
 import errno
 import os
-import sys
 
 import pytest
 from msgspec.structs import replace
 from pymavlink.dialects.v20 import common
 from vehicle_world import vehicle_config
 
-from autopilot.__main__ import _yield_to_the_simulator
 from autopilot.mavlink.codec import Encoder, Parser, stamp
 from autopilot.parameters import parameter_file
 from autopilot.services.service import GROUND_STATION, Addressed, Partner
@@ -171,16 +169,3 @@ def test_requests_before_the_first_step_are_answered_in_it_and_limited_in_number
     _, links = step(host, sensor(4_000))
     assert sum(m.get_type() == "PARAM_VALUE" for _, m in links) == MOST_WAITING
     assert sum(m.get_type() == "PARAM_VALUE" for _, m in host.serve_while_paused([Addressed(ME, read)])) == 1
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="only Linux has the policy")
-def test_a_sandbox_that_forbids_the_scheduling_policy_does_not_prevent_flight(monkeypatch):
-    calls = []
-
-    def refuse(pid, policy, param):
-        calls.append((pid, policy, param.sched_priority))
-        raise PermissionError(errno.EPERM, "Operation not permitted")
-
-    monkeypatch.setattr(os, "sched_setscheduler", refuse)
-    _yield_to_the_simulator()
-    assert calls == [(0, os.SCHED_BATCH, 0)]

@@ -52,6 +52,19 @@ def test_an_answer_is_unpacked_as_it_was_packed():
         assert inbox.answered_us.tolist() == [time_us] * 3
 
 
+def test_the_newest_answer_is_that_to_any_step_however_it_was_unpacked():
+    inbox = ActuatorInbox(2)
+    assert inbox.newest(0) is None
+    put_bytes(inbox, 0, answer(0))
+    inbox.put(1, HilActuatorControls(NOW_US, [0.5] * 16, 1, 0))
+    inbox.unpack(NOW_US)
+    inbox.unpack(2 * NOW_US)  # a step without an answer
+    first, second = inbox.newest(0), inbox.newest(1)
+    assert (first.time_usec, first.controls[:4], first.mode) == (NOW_US, (0.25, 0.5, 0.75, 1.0), 128)
+    assert (second.time_usec, second.controls[:4], second.mode) == (NOW_US, (0.5,) * 4, 0)
+    assert len(first.controls) == len(second.controls) == 16
+
+
 def test_an_answer_encoded_by_pymavlink_is_unpacked():
     """Pymavlink is an independent implementation of the frame."""
     message = mavlink.MAVLink_hil_actuator_controls_message(NOW_US, [0.5] * 16, 129, 1)

@@ -118,7 +118,7 @@ def test_an_answer_that_takes_a_fifth_of_a_second_is_awaited(run):
 
 
 def test_after_a_lost_answer_the_step_continues_with_the_previous_controls(run):
-    px4 = run(Manners(lost=(20,)))
+    px4 = run(Manners(lost=(20,), armed_from=5))
     px4.start()
     stale = []
     for _ in range(40):
@@ -126,6 +126,8 @@ def test_after_a_lost_answer_the_step_continues_with_the_previous_controls(run):
         (answered_us,) = px4.step()
         if answered_us != px4.time_us:
             stale.append((px4.time_us - answered_us, time.monotonic() - begin_s))
+            assert px4.inbox.armed.all()
+            assert px4.inbox.controls[0, 0] > 0.0
     ((age_us, wall_s),) = stale
     assert age_us == STEP_US
     assert LATE_AFTER_S <= wall_s < LATE_AFTER_S + 0.3
@@ -141,6 +143,17 @@ def test_an_answer_that_arrives_in_the_next_step_sets_the_controls_and_ends_no_w
     assert px4.inbox.controls[0, 0] == 0.0  # from before it armed
     assert px4.step() == [px4.time_us]  # the late answer arrives, then that of this step
     assert px4.lockstep.late_answers == {0: 1}
+
+
+def test_answers_in_time_need_no_parser_and_late_ones_do_until_the_next_in_time(run):
+    px4 = run(Manners(late={20: 0.5}))
+    px4.start()
+    needs_parser = px4.lockstep._inbox.states["needs_parser"]
+    while px4.lockstep.late_answers == {0: 0}:
+        assert px4.step() != [px4.time_us] or not needs_parser.any()
+    assert needs_parser.all()
+    assert px4.step() == [px4.time_us]
+    assert not needs_parser.any()
 
 
 def test_one_that_stops_answering_is_lost_though_steps_continue(run):
