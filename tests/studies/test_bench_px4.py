@@ -122,10 +122,10 @@ def test_the_table_has_medians_and_the_share_of_each_bare_rate():
 
 
 def test_the_scenario_of_the_px4s_has_their_build_user_and_settings():
-    plan = Px4Plan(build="x", user="someone", settings=("autopilot.params.SDLOG_MODE=-1",))
+    plan = Px4Plan(build="x", user="pilot", settings=("autopilot.params.SDLOG_MODE=-1",))
     autopilot = scenario(*plan.px4_settings()).autopilot
     assert autopilot.kind == "px4"
-    assert autopilot.px4_command[:2] == ("setpriv", "--reuid=someone")
+    assert autopilot.px4_command[:2] == ("setpriv", "--reuid=pilot")
     assert autopilot.params["SDLOG_MODE"] == -1
 
 

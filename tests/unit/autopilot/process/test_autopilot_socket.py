@@ -1,4 +1,4 @@
-"""The socket between an application and its autopilot: from whom it receives."""
+"""The socket between an application and its autopilot: other senders have no effect."""
 
 import contextlib
 import random
