@@ -1,19 +1,14 @@
 """Swarms with stand-ins for ArduPilot: flights, losses, errors at the start, strangers, end with the run."""
 
-import contextlib
 import hashlib
 import json
-import random
 import socket
-import struct
-import threading
 import time
 
 import psutil
 import pytest
-from ardupilot_swarms import free_base, make_swarm
+from ardupilot_swarms import make_swarm
 
-from autopilot.mavlink.codec import Encoder
 from harness.launch.one_process import OneProcessSwarm
 from harness.launch.processes import PREFORK, application, uav
 from harness.launch.swarm import SetupError, SwarmError
@@ -125,7 +120,7 @@ def test_an_ardupilot_that_hangs_in_flight_is_named_and_the_others_continue(swar
         assert [vehicle.alive for vehicle in truth.vehicles] == [True, False]
         ((instance, reason),) = lost(flown)
         assert instance == 1
-        assert "has not answered" in reason
+        assert reason == "its process is stopped"
     assert flown.leftovers() == []
 
 
@@ -160,7 +155,6 @@ def test_an_ardupilot_that_ends_at_once_is_reported_with_its_output(swarm):
     flown = swarm(2, ends_at_start=3)
     with pytest.raises(SwarmError, match=r"^uav \d .* ended with status 3: PANIC: no such frame[^\n]*$"):
         flown.start()
-        flown.run_for(1.0)
     flown.stop()
     assert flown.leftovers() == []
 
@@ -183,105 +177,19 @@ def test_one_without_a_servo_packet_is_named_after_a_time_limit(swarm, monkeypat
 
 
 def test_a_missing_program_is_an_error_before_anything_starts(swarm, tmp_path):
-    flown = swarm(1)
     program = tmp_path / "arducopter"
     expected = rf"^autopilot\.ardupilot_program: there is no program {program}; expected [^\n]*$"
-    program.chmod(0o644)
-    with pytest.raises(SetupError, match=expected):
-        flown.start()
-    program.unlink()
-    with pytest.raises(SetupError, match=expected):
-        flown.start()
-    assert flown.pids == {}
-    assert not flown.path.exists()
+    for name in ("not-executable", "missing"):
+        flown = swarm(1, name=name)
+        program.chmod(0o644)
+        if name == "missing":
+            program.unlink()
+        with pytest.raises(SetupError, match=expected):
+            flown.start()
+        assert flown.pids == {}
+        assert not flown.path.exists()
 
 
 def test_one_process_refuses_an_ardupilot(swarm, tmp_path):
     with pytest.raises(SetupError, match="an ArduPilot is a process of its own, so one process cannot"):
         OneProcessSwarm(swarm(1).scenario, out=tmp_path / "one").start()
-
-
-# ---- strangers
-
-
-class Flood:
-    """A thread that sends datagrams and TCP data to a vehicle's ports; only what is invalid until `valid`."""
-
-    def __init__(self, port):
-        self._address = ("127.0.0.1", port)
-        self._random = random.Random(port)  # noqa: S311
-        self.valid = False
-        self.sent_bytes = 0
-        self._stopped = threading.Event()
-        self._thread = threading.Thread(target=self._run)
-
-    def __enter__(self):
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_):
-        self._stopped.set()
-        self._thread.join()
-
-    def datagrams(self):
-        pulses_us = [self._random.randrange(1_000, 2_001) for _ in range(16)]
-        packet = bytearray(struct.pack("<HHI16H", 18_458, 1_200, self._random.randrange(5_000), *pulses_us))
-        yield self._random.randbytes(self._random.randrange(2_000))
-        yield bytes(packet[: self._random.randrange(40)])
-        yield bytes([packet[0] ^ 1, *packet[1:]])
-        if self.valid:
-            packet[self._random.randrange(2, 40)] = self._random.randrange(256)
-            yield bytes(packet)
-
-    def _run(self):
-        foreign = Encoder(system=77, component=1)
-        with contextlib.ExitStack() as stack:
-            sock = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-            while not self._stopped.is_set():
-                for data in self.datagrams():
-                    sock.sendto(data, self._address)
-                    self.sent_bytes += len(data)
-                with contextlib.suppress(OSError), socket.create_connection(self._address, 0.2) as stranger:
-                    stranger.sendall(self._random.choice((b"", b"GET /", self._random.randbytes(3_000))))
-                    beat = bytes.fromhex("00")
-                    stranger.sendall(beat + foreign.encode(_heartbeat()))
-                time.sleep(0.0005)
-
-
-def _heartbeat():
-    from pymavlink.dialects.v20 import common
-
-    return common.MAVLink_heartbeat_message(2, 3, 0x81, 4, 4, 3)
-
-
-def test_strangers_at_the_ports_do_not_change_the_flight(swarm):
-    """Before the first packet what they send is invalid, afterwards it may be right but for its sender."""
-    results = []
-    for name in ("undisturbed", "disturbed"):
-        base = free_base(2)
-        flown = swarm(
-            1, "onboard.enabled=false", f"ports.simulator_tcp={base}", name=name, silence_s=0.3, armed_from=50
-        )
-        with contextlib.ExitStack() as stack:
-            flood = stack.enter_context(Flood(base)) if name == "disturbed" else None
-            with flown:
-                flown.run_for(0.1)
-                if flood is not None:
-                    flood.valid = True
-                flown.run_for(8.0)
-                while flood is not None and flood.sent_bytes < 2_000_000:
-                    flown.run_for(1.0)
-                assert lost(flown) == []
-        results.append(flown)
-    steps = [first_rows(flown.path) for flown in results]
-    assert steps[0] == steps[1]
-
-
-def first_rows(folder):
-    """Return the begin of the recorded truth, of 8 s."""
-    import pyarrow.parquet as pq
-
-    rows = pq.read_table(folder / "flight.parquet")
-    rows = rows.filter(rows["time_us"].to_numpy() < 8_000_000)
-    assert len(rows) > 100
-    return rows
