@@ -1,6 +1,5 @@
 """Swarms with stand-ins for ArduPilot: flights, losses, errors at the start, strangers, end with the run."""
 
-import hashlib
 import json
 import socket
 import time
@@ -37,12 +36,16 @@ def lost(flown):
     return [(event.instance, event.reason) for event in flown.events if isinstance(event, VehicleLost)]
 
 
-def truth_sha256(folder):
-    return hashlib.sha256(next((folder / "raw").glob("*truth*")).read_bytes()).hexdigest()
-
-
 def test_a_swarm_localised_by_ranges_flies_the_formation_and_nothing_is_left(swarm):
-    flown = swarm(3, "onboard.localisation=ftm", flies=True, late={"700": 0.3}, lost=[900], silence_s=0.6)
+    flown = swarm(
+        3,
+        "onboard.localisation=ftm",
+        "formation.columns=2",
+        flies=True,
+        late={"700": 0.3},
+        lost=[900],
+        silence_s=0.6,
+    )
     with flown:
         programs = [program_of(flown, i) for i in range(3)]
         ports = [port for each in programs for port in bound_ports(each)]
@@ -112,15 +115,13 @@ def test_a_killed_ardupilot_is_named_and_the_others_continue(swarm):
 
 
 def test_an_ardupilot_that_hangs_in_flight_is_named_and_the_others_continue(swarm):
-    flown = swarm(2, "onboard.enabled=false", "run.silence_limit_s=1.0", mute_from=None)
+    flown = swarm(2, "onboard.enabled=false", "run.silence_limit_s=1.0", mute_from=150, only=[1])
     with flown:
-        flown.run_for(0.5)
-        program_of(flown, 1).suspend()
-        truth = flown.run_for(0.5)
+        truth = flown.run_for(1.5)
         assert [vehicle.alive for vehicle in truth.vehicles] == [True, False]
         ((instance, reason),) = lost(flown)
         assert instance == 1
-        assert reason == "its process is stopped"
+        assert "has not answered" in reason
     assert flown.leftovers() == []
 
 
@@ -153,9 +154,9 @@ def test_an_ardupilot_continues_after_the_end_of_its_application(swarm):
 
 def test_an_ardupilot_that_ends_at_once_is_reported_with_its_output(swarm):
     flown = swarm(2, ends_at_start=3)
-    with pytest.raises(SwarmError, match=r"^uav \d .* ended with status 3: PANIC: no such frame[^\n]*$"):
-        flown.start()
-    flown.stop()
+    expected = r"^uav \d .* ended with status 3: PANIC: no such frame[^\n]*$"
+    with pytest.raises(SwarmError, match=expected), flown:
+        flown.run_for(1.0)
     assert flown.leftovers() == []
 
 
@@ -178,13 +179,13 @@ def test_one_without_a_servo_packet_is_named_after_a_time_limit(swarm, monkeypat
 
 def test_a_missing_program_is_an_error_before_anything_starts(swarm, tmp_path):
     program = tmp_path / "arducopter"
-    expected = rf"^autopilot\.ardupilot_program: there is no program {program}; expected [^\n]*$"
-    for name in ("not-executable", "missing"):
-        flown = swarm(1, name=name)
-        program.chmod(0o644)
-        if name == "missing":
-            program.unlink()
-        with pytest.raises(SetupError, match=expected):
+    for spoil in (lambda: program.chmod(0o644), program.unlink):
+        flown = swarm(1)
+        spoil()
+        with pytest.raises(
+            SetupError,
+            match=rf"^autopilot\.ardupilot_program: there is no program {program}; expected [^\n]*$",
+        ):
             flown.start()
         assert flown.pids == {}
         assert not flown.path.exists()
