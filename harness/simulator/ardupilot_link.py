@@ -134,7 +134,10 @@ class ArduPilotLink:
                 self.states.send(self._line)
 
     def messages(self) -> list[Message]:
-        """Return the messages that have arrived on the MAVLink link; call once a step."""
+        """Return the vehicle's messages that have arrived on the MAVLink link; call once a step.
+
+        ArduPilot forwards those of other links, too: of the application, of ground stations.
+        """
         self._steps += 1
         if self._steps % _MAVLINK_PERIOD == 0:
             self._read()
@@ -167,7 +170,7 @@ class ArduPilotLink:
         data = _received(self._mavlink)
         if data is not None:
             self._ended |= not data
-            self._messages += self._parser.push(data)
+            self._messages += filter(self._is_vehicles, self._parser.push(data))
 
     def _identify(self) -> None:
         """Accept connections; the first with a message of the vehicle is its MAVLink link."""
@@ -199,7 +202,7 @@ class ArduPilotLink:
         self._pending.remove(pending)
         self._mavlink, self._parser = pending.connection, pending.parser
         self._mavlink.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._messages += pending.messages
+        self._messages += filter(self._is_vehicles, pending.messages)
         for other in self._pending:
             other.connection.close()
         self._pending.clear()

@@ -259,6 +259,18 @@ def test_what_follows_the_line_is_sent_to_the_mavlink_link(ends):
     assert ends.lines() == [LINE] * 4
 
 
+def test_messages_that_the_program_forwards_from_other_links_are_not_the_vehicles(ends):
+    """A HEARTBEAT of the application would report its phase after its end."""
+    ends.arrive()
+    others = [heartbeat(SYSTEM, 191), heartbeat(255, 190), heartbeat(SYSTEM + 1)]
+    program = ends.tcp(heartbeat() + b"".join(others))
+    received = []
+    until(lambda: (ends.receive(), received.extend(ends.link.messages())) and received)
+    program.sendall(b"".join(others) + heartbeat())
+    until(lambda: (ends.receive(), received.extend(ends.link.messages())) and len(received) > 1)
+    assert [(each.get_srcSystem(), each.get_srcComponent()) for each in received] == [(SYSTEM, 1)] * 2
+
+
 def test_a_link_that_is_not_read_does_not_stop_the_states(ends):
     ends.arrive()
     ends.tcp(heartbeat())
