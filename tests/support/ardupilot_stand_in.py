@@ -6,7 +6,8 @@ again; a state that is accepted raises the packet's number, and only states adva
 are clients: UDP, or TCP with three attempts, after which the program ends with status 1. It ends when its
 parent process ends. Its command line is that of ``autopilot.ardupilot_command``.
 
-The environment variable ``STAND_IN`` holds deviations (`Deviations`) in JSON.
+The environment variable ``STAND_IN`` holds deviations (`Deviations`) in JSON, and as "only" the numbers of
+the vehicles that they concern.
 """
 
 import argparse
@@ -316,6 +317,9 @@ def main() -> None:
         parser.add_argument(f"--serial{number}", required=True)
     arguments = parser.parse_args()
     given = json.loads(os.environ.get("STAND_IN", "{}"))
+    only = given.pop("only", None)
+    if only is not None and arguments.sysid - 1 not in only:
+        given = {name: value for name, value in given.items() if name in {"flies", "silence_s"}}
     if "late" in given:
         given["late"] = {int(number): late_s for number, late_s in given["late"].items()}
     how = Deviations(**given)

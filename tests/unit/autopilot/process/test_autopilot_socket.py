@@ -1,4 +1,4 @@
-"""The socket between an application and its autopilot: from whom it receives."""
+"""The socket between an application and its autopilot: the senders that it receives from."""
 
 import contextlib
 import random
