@@ -1,6 +1,7 @@
 """Swarms with stand-ins for ArduPilot: flights, losses, errors at the start, strangers, end with the run."""
 
 import contextlib
+import itertools
 import json
 import random
 import socket
@@ -208,6 +209,7 @@ def test_one_process_refuses_an_ardupilot(swarm, tmp_path):
 
 
 FLOOD_BYTES = 1_000_000
+ROUNDS_PER_CONNECTION = 20
 BEAT = common.MAVLink_heartbeat_message(2, 3, 0x81, 4, 4, 3)
 
 
@@ -244,14 +246,18 @@ class Flood:
         foreign = Encoder(system=77, component=1)
         with contextlib.ExitStack() as stack:
             sock = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-            while not self._stopped.is_set():
+            for number in itertools.count():
+                if self._stopped.is_set():
+                    return
                 for data in self.datagrams():
                     sock.sendto(data, self._address)
                     self.sent_bytes += len(data)
+                time.sleep(0.0005)
+                if number % ROUNDS_PER_CONNECTION:
+                    continue
                 with contextlib.suppress(OSError), socket.create_connection(self._address, 0.2) as stranger:
                     stranger.sendall(self._random.choice((b"", b"GET /", self._random.randbytes(3_000))))
                     stranger.sendall(foreign.encode(BEAT))
-                time.sleep(0.0005)
 
 
 def test_strangers_at_the_ports_do_not_change_the_flight(swarm):
