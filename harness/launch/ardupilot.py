@@ -32,6 +32,8 @@ SPIN_ARM, SPIN_MIN, SPIN_MAX = 0.1, 0.15, 0.95
 """ArduPilot's defaults of MOT_SPIN_ARM, MOT_SPIN_MIN and MOT_SPIN_MAX, as controls 0..1."""
 COMPASS_OFFSETS = (("X", 5.0), ("Y", 13.0), ("Z", -18.0))
 """Of ArduPilot's simulated compasses, in mGauss (SIM_MAG1_OFS): with them the compasses are calibrated."""
+PULSES_US = {"MOT_PWM_MIN": PWM_MIN_US, "MOT_PWM_MAX": PWM_MAX_US}
+"""Pulses of motors, as the simulator reads them."""
 _MS_PER_S = 1e3
 _GPS_MAVLINK = 14
 _QUAD, _X = 1, 1
@@ -54,6 +56,11 @@ def check_start(scenario: Scenario) -> None:
             f"autopilot.ardupilot_program: there is no program {program}; expected ArduPilot's SITL program "
             "for copters, build/sitl/bin/arducopter"
         )
+    for vehicle in instances(scenario):
+        given = scenario.autopilot.external_params(vehicle)
+        for name, pulse_us in PULSES_US.items():
+            if given.get(name, pulse_us) != pulse_us:
+                raise AutopilotError(f"autopilot.params.{name}: expected {pulse_us} as in the simulator")
     if not scenario.onboard.enabled:
         return
     for vehicle in instances(scenario):
@@ -106,8 +113,7 @@ def parameters(scenario: Scenario) -> dict[str, float]:
     return {
         "FRAME_CLASS": _QUAD,
         "FRAME_TYPE": _X,
-        "MOT_PWM_MIN": PWM_MIN_US,
-        "MOT_PWM_MAX": PWM_MAX_US,
+        **PULSES_US,
         **thrust_curve(IRIS),
         "SCHED_LOOP_RATE": min(max(round(5e5 / scenario.run.step_us), LOOP_RATES_HZ[0]), LOOP_RATES_HZ[1]),
         "GPS1_TYPE": _GPS_MAVLINK,

@@ -71,8 +71,9 @@ ARDUPILOT_PLACEHOLDERS = frozenset(
 def check(config: AutopilotConfig, site: Site, agents: int) -> None:
     """Check the settings for all vehicles. Raises ValueError with the field's path."""
     external = [config.is_external(i) for i in range(agents)]
+    _check_vehicles(config, agents)
     if any(external):
-        _check_external(config, agents)
+        _check_external(config)
     check_shared = _check_external_parameters if all(external) else _check_parameters
     check_shared(config.params, "autopilot.params")
     for uav, params in config.per_uav.items():
@@ -93,16 +94,23 @@ def _check_parameters(params: dict[str, float], path: str) -> None:
         raise ValueError(f"{path}: {error}") from None
 
 
-def _check_external(config: AutopilotConfig, agents: int) -> None:
+def _check_vehicles(config: AutopilotConfig, agents: int) -> None:
+    """Check the numbers of the vehicles with another autopilot."""
+    vehicles = {"px4": config.px4_vehicles, "ardupilot": config.ardupilot_vehicles}.get(config.kind)
+    for instance in vehicles or ():
+        if instance >= agents:
+            raise ValueError(f"autopilot.{config.kind}_vehicles: there is no UAV {instance} among {agents}")
+
+
+def _check_external(config: AutopilotConfig) -> None:
     """Check the settings of a PX4 or ArduPilot, as far as this does not depend on the machine."""
     if config.kind == "px4":
-        title, field, vehicles, program = "a PX4", "px4_vehicles", config.px4_vehicles, config.px4_build
+        title, program = "a PX4", config.px4_build
         missing = "px4_build: missing; expected the folder of a PX4 SITL build, as autopilot.kind is px4"
         texts, known = [("px4_command", part) for part in config.px4_command], PX4_PLACEHOLDERS
         texts += [(f"px4_env.{name}", value) for name, value in config.px4_env.items()]
     else:
-        title, field = "an ArduPilot", "ardupilot_vehicles"
-        vehicles, program = config.ardupilot_vehicles, config.ardupilot_program
+        title, program = "an ArduPilot", config.ardupilot_program
         missing = (
             "ardupilot_program: missing; expected ArduPilot's SITL program for copters, as autopilot.kind is "
             "ardupilot"
@@ -111,9 +119,6 @@ def _check_external(config: AutopilotConfig, agents: int) -> None:
             [("ardupilot_command", part) for part in config.ardupilot_command],
             ARDUPILOT_PLACEHOLDERS,
         )
-    for instance in vehicles or ():
-        if instance >= agents:
-            raise ValueError(f"autopilot.{field}: there is no UAV {instance} among {agents}")
     if program is None:
         raise ValueError(f"autopilot.{missing}")
     given = {

@@ -22,8 +22,8 @@ REPEAT_AFTER_S = 0.5
 """Wall time after a state from which on a repeated packet shows that the state was lost. ArduPilot repeats a
 packet after a second without a state; one that arrives earlier than this has crossed the state. A state more
 than one per packet would be read one step later for the rest of the flight."""
-MAX_PENDING = 8
-"""TCP connections without a message of the vehicle; one more closes the oldest."""
+MAX_PENDING = 64
+"""Open TCP connections without a message of the vehicle; one more closes the oldest."""
 MOST_OTHER_BYTES = 1_000
 """Bytes without a message that such a connection may send; ArduPilot sends a few at its start."""
 _WAITING = 1_000
@@ -174,13 +174,11 @@ class ArduPilotLink:
 
     def _identify(self) -> None:
         """Accept connections; the first with a message of the vehicle is its MAVLink link."""
-        with contextlib.suppress(BlockingIOError):
-            while True:
+        with contextlib.suppress(OSError):  # no more, or one that was reset meanwhile
+            for _ in range(MAX_PENDING):
                 connection, _ = self._listener.accept()
                 connection.settimeout(0.0)  # non-blocking
                 self._pending.append(_Pending(connection))
-                if len(self._pending) > MAX_PENDING:
-                    self._pending.pop(0).connection.close()
         for pending in list(self._pending):
             data = _received(pending.connection)
             if data is None:
@@ -192,6 +190,9 @@ class ArduPilotLink:
             if not data or pending.messages or pending.parser.bad_bytes > MOST_OTHER_BYTES:
                 self._pending.remove(pending)
                 pending.connection.close()
+        for pending in self._pending[:-MAX_PENDING]:
+            pending.connection.close()
+        del self._pending[:-MAX_PENDING]
 
     def _is_vehicles(self, message: Message) -> bool:
         source: tuple[int, int] = (message.get_srcSystem(), message.get_srcComponent())

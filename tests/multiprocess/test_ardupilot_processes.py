@@ -1,13 +1,22 @@
 """Swarms with stand-ins for ArduPilot: flights, losses, errors at the start, strangers, end with the run."""
 
+import contextlib
+import itertools
 import json
+import random
 import socket
+import struct
+import threading
 import time
 
 import psutil
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 import pytest
-from ardupilot_swarms import make_swarm
+from ardupilot_swarms import free_base, make_swarm
+from pymavlink.dialects.v20 import common
 
+from autopilot.mavlink.codec import Encoder
 from harness.launch.one_process import OneProcessSwarm
 from harness.launch.processes import PREFORK, application, uav
 from harness.launch.swarm import SetupError, SwarmError
@@ -194,3 +203,84 @@ def test_a_missing_program_is_an_error_before_anything_starts(swarm, tmp_path):
 def test_one_process_refuses_an_ardupilot(swarm, tmp_path):
     with pytest.raises(SetupError, match="an ArduPilot is a process of its own, so one process cannot"):
         OneProcessSwarm(swarm(1).scenario, out=tmp_path / "one").start()
+
+
+# ---- strangers
+
+
+FLOOD_BYTES = 1_000_000
+ROUNDS_PER_CONNECTION = 20
+BEAT = common.MAVLink_heartbeat_message(2, 3, 0x81, 4, 4, 3)
+
+
+class Flood:
+    """A thread that sends datagrams and TCP data to a vehicle's ports; only what is invalid until `valid`."""
+
+    def __init__(self, port):
+        self._address = ("127.0.0.1", port)
+        self._random = random.Random(port)  # noqa: S311
+        self.valid = False
+        self.sent_bytes = 0
+        self._stopped = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self._stopped.set()
+        self._thread.join()
+
+    def datagrams(self):
+        pulses_us = [self._random.randrange(1_000, 2_001) for _ in range(16)]
+        packet = bytearray(struct.pack("<HHI16H", 18_458, 1_200, self._random.randrange(5_000), *pulses_us))
+        yield self._random.randbytes(self._random.randrange(2_000))
+        yield bytes(packet[: self._random.randrange(40)])
+        yield bytes([packet[0] ^ 1, *packet[1:]])
+        if self.valid:
+            packet[self._random.randrange(2, 40)] = self._random.randrange(256)
+            yield bytes(packet)
+
+    def _run(self):
+        foreign = Encoder(system=77, component=1)
+        with contextlib.ExitStack() as stack:
+            sock = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+            for number in itertools.count():
+                if self._stopped.is_set():
+                    return
+                for data in self.datagrams():
+                    sock.sendto(data, self._address)
+                    self.sent_bytes += len(data)
+                time.sleep(0.0005)
+                if number % ROUNDS_PER_CONNECTION:
+                    continue
+                with contextlib.suppress(OSError), socket.create_connection(self._address, 0.2) as stranger:
+                    stranger.sendall(self._random.choice((b"", b"GET /", self._random.randbytes(3_000))))
+                    stranger.sendall(foreign.encode(BEAT))
+
+
+def test_strangers_at_the_ports_do_not_change_the_flight(swarm):
+    """Before the first packet what they send is invalid, afterwards it may be right but for its sender."""
+    results = []
+    for name in ("undisturbed", "disturbed"):
+        base = free_base(2)
+        settings = ("onboard.enabled=false", f"ports.simulator_tcp={base}")
+        flown = swarm(1, *settings, name=name, silence_s=0.3, armed_from=50)
+        with contextlib.ExitStack() as stack:
+            flood = stack.enter_context(Flood(base)) if name == "disturbed" else None
+            with flown:
+                flown.run_for(0.1)
+                if flood is not None:
+                    flood.valid = True
+                flown.run_for(4.0)
+                while flood is not None and flood.sent_bytes < FLOOD_BYTES:
+                    flown.run_for(0.5)
+                assert lost(flown) == []
+                flown.summary(draw=False)
+        results.append(pq.read_table(flown.path / "flight.parquet").filter(pc.field("time_us") < 4_000_000))
+    undisturbed, disturbed = results
+    assert len(undisturbed) > 90
+    assert pc.max(undisturbed["rotor_speed_rad_s.0"]).as_py() > 500.0
+    for name in ("time_us", "armed", "pos_ned_m.d", "q_ned_frd.w", "rotor_speed_rad_s.3"):
+        assert undisturbed[name].equals(disturbed[name]), name

@@ -100,7 +100,7 @@ def connected(device: str, system: int) -> Link | None:
         return Link(connection, system)
     for _ in range(ATTEMPTS):
         with contextlib.suppress(OSError):
-            connection = socket.create_connection((host, int(port)), timeout=5.0)
+            connection = socket.create_connection((host, int(port)), timeout=120.0)
             connection.settimeout(None)
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             connection.sendall(b"0 0 0 ")  # as the program does, for no known reason

@@ -1,4 +1,4 @@
-"""The socket between an application and its autopilot: other senders have no effect."""
+"""The socket between an application and its autopilot: the senders that it receives from."""
 
 import contextlib
 import random

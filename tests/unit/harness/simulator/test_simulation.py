@@ -7,9 +7,12 @@ import numpy as np
 import psutil
 import pytest
 from paths import SCENARIOS
+from pymavlink.dialects.v20 import common as mavlink
 from world_truth import truth_with
 
+from autopilot.mavlink.codec import stamp
 from autopilot.mavlink.hil import HilActuatorControls
+from foundation.processes.child_protocol import Warned
 from foundation.records.record_log import read
 from harness.records.run_folder import PhysicsConfig, RunFolder
 from harness.scenario.scenario_file import load
@@ -85,6 +88,35 @@ def test_the_lost_are_disarmed_from_their_last_step_on(folder):
     truth = read(folder.raw_truth, TRUTH_RECORD)
     assert truth["armed"][-2:].tolist() == [True, False]
     assert np.array_equal(truth["alive"][-2:], truth["armed"][-2:])
+
+
+class _ArduPilots(_Armed):
+    """Two ArduPilots that do not have the scenario's parameter."""
+
+    def send(self, frames):
+        for slot, frame in zip(self.slots, frames, strict=True):
+            assert not slot.alive or frame.startswith(b'\n{"timestamp":')
+
+
+def test_a_parameter_is_unknown_to_those_ardupilots_that_are_in_the_run(folder):
+    given = ("autopilot.kind=ardupilot", "autopilot.ardupilot_program=none", "autopilot.params.NO_SUCH=1")
+    scenario = load(SCENARIOS / "article.toml", ["agents=2", *given])
+    path = folder.write_physics_config(scenario, run_id="test")
+    config = msgspec.json.decode(path.read_bytes(), type=PhysicsConfig)
+    vehicles, events = _ArduPilots(), []
+    simulation = Simulation(config, make_lockstep=lambda _: vehicles, emulator=None, emit=events.append)
+    simulation.step()
+    for instance in range(2):
+        beat = mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 1, 4, 3, 3)
+        simulation.on_message(instance, stamp(beat, system=instance + 1, component=1))
+    vehicles.slots[0].alive = False
+    simulation.on_lost(0, "of the test")
+    for _ in range(8 * 250):
+        simulation.step()
+    simulation.close()
+    assert [vehicle.mode for vehicle in simulation.vehicles()] == ["Guided", "Guided"]
+    texts = {(event.name, event.text) for event in events if isinstance(event, Warned)}
+    assert texts == {("uav 1", "autopilot.params.NO_SUCH: this ArduPilot has no such parameter")}
 
 
 def test_a_failing_handshake_leaves_nothing_open(folder):
