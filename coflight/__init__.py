@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from autopilot.services.service import MavlinkService
     from harness.campaign import Campaign
     from harness.launch.one_process import OneProcessSwarm
-    from harness.launch.processes import SetupError, SwarmError, SwarmTimeoutError
+    from harness.launch.run_messages import SetupError, SwarmError, SwarmTimeoutError
     from harness.launch.swarm import Swarm
     from harness.launch.truth import SwarmTruth
     from harness.scenario.scenario import Scenario, ScenarioError
@@ -52,10 +52,10 @@ _PLACES = {
     "Propagation": "netsim.phy.interfaces:Propagation",
     "Scenario": "harness.scenario.scenario:Scenario",
     "ScenarioError": "harness.scenario.scenario:ScenarioError",
-    "SetupError": "harness.launch.processes:SetupError",
+    "SetupError": "harness.launch.run_messages:SetupError",
     "Swarm": "harness.launch.swarm:Swarm",
-    "SwarmError": "harness.launch.processes:SwarmError",
-    "SwarmTimeoutError": "harness.launch.processes:SwarmTimeoutError",
+    "SwarmError": "harness.launch.run_messages:SwarmError",
+    "SwarmTimeoutError": "harness.launch.run_messages:SwarmTimeoutError",
     "SwarmTruth": "harness.launch.truth:SwarmTruth",
     "load_scenario": "harness.scenario.scenario_file:load",
 }

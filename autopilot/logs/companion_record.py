@@ -11,10 +11,9 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.logs.vehicle_record import ROW, VEHICLE_RECORD
 from autopilot.mavlink.codec import Message
-from autopilot.navigation.site_frame import LEAST_FIX_TYPE, UNKNOWN_NED_M
+from autopilot.navigation.site_frame import LEAST_FIX_TYPE, UNKNOWN_NED_M, message_ned_m
 from autopilot.onboard.application import Application, Estimate
 from autopilot.parameters.config import VehicleConfig
-from foundation.geometry.geodesy import place_ned_m
 from foundation.records.record_log import RecordLog
 from foundation.types import Vector
 
@@ -60,9 +59,11 @@ class CompanionLog:
         self._newest[kind] = message
         if kind == _FIX:
             known = message.fix_type >= LEAST_FIX_TYPE
-            self._fix_ned_m = self._ned_m(message.lat, message.lon, message.alt) if known else UNKNOWN_NED_M
+            self._fix_ned_m = (
+                message_ned_m(self._site, message.lat, message.lon, message.alt) if known else UNKNOWN_NED_M
+            )
         elif kind == _ORIGIN:
-            north_m, east_m, _ = self._ned_m(message.latitude, message.longitude, 0)
+            north_m, east_m, _ = message_ned_m(self._site, message.latitude, message.longitude, 0)
             self._origin_ned_m = (north_m, east_m, 0.0)
 
     def _write(self, time_us: int) -> None:
@@ -112,14 +113,6 @@ class CompanionLog:
             *estimate.odometry_offset_ned_m,
             *target_ned_m,
         )
-
-    def _ned_m(self, lat_deg_e7: int, lon_deg_e7: int, alt_mm: int) -> Vector:
-        site = self._site
-        place: Vector = place_ned_m(
-            lat_deg_e7 * 1e-7, lon_deg_e7 * 1e-7, alt_mm * 1e-3,
-            site.latitude_deg, site.longitude_deg, site.altitude_m,
-        )  # fmt: skip
-        return place
 
 
 def _sum(first: Vector, second: Vector) -> Vector:

@@ -36,6 +36,19 @@ def geodetic(pos_ned_m: Array, state: EstimatorState) -> tuple[float, float, flo
     return float(lat_deg), float(lon_deg), float(alt_m)
 
 
+def site_ned_m(site: Site, lat_deg: float, lon_deg: float, alt_m: float) -> Vector:
+    """Return a position, with its altitude above mean sea level, in the site's NED frame."""
+    place: Vector = place_ned_m(
+        lat_deg, lon_deg, alt_m, site.latitude_deg, site.longitude_deg, site.altitude_m
+    )
+    return place
+
+
+def message_ned_m(site: Site, lat_deg_e7: int, lon_deg_e7: int, alt_mm: int) -> Vector:
+    """Return the same of a position in the integers of MAVLink."""
+    return site_ned_m(site, lat_deg_e7 * 1e-7, lon_deg_e7 * 1e-7, alt_mm * 1e-3)
+
+
 class SiteFrame:
     """Converts to the site's NED frame; caches results, because origin and fixes change rarely."""
 
@@ -51,7 +64,7 @@ class SiteFrame:
         origin_deg = (state.origin_lat_deg, state.origin_lon_deg)
         if origin_deg != self._origin_deg:
             self._origin_deg = origin_deg
-            north_m, east_m, _ = self._ned_m(*origin_deg, self._site.altitude_m)
+            north_m, east_m, _ = site_ned_m(self._site, *origin_deg, self._site.altitude_m)
             self._origin_ned_m = (north_m, east_m, 0.0)
         return self._origin_ned_m
 
@@ -62,12 +75,5 @@ class SiteFrame:
             if gps.fix_type < LEAST_FIX_TYPE:
                 self._fix_ned_m = UNKNOWN_NED_M
             else:
-                self._fix_ned_m = self._ned_m(gps.lat * 1e-7, gps.lon * 1e-7, gps.alt * 1e-3)
+                self._fix_ned_m = message_ned_m(self._site, gps.lat, gps.lon, gps.alt)
         return self._fix_ned_m
-
-    def _ned_m(self, lat_deg: float, lon_deg: float, alt_m: float) -> Vector:
-        site = self._site
-        place: Vector = place_ned_m(
-            lat_deg, lon_deg, alt_m, site.latitude_deg, site.longitude_deg, site.altitude_m
-        )
-        return place

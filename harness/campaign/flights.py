@@ -12,7 +12,7 @@ from foundation.system_error import described
 from harness.campaign.store import Flown, Task, failed
 from harness.launch import kernel_cache
 from harness.launch.one_process import use_kernel_cache
-from harness.launch.processes import SetupError
+from harness.launch.run_messages import SetupError
 from harness.records.run_folder import RunFolder
 
 OF_THE_MACHINE = (OSError, MemoryError, SetupError, BackendUnavailable, kernel_cache.CompileError)

@@ -23,8 +23,8 @@ from harness.cli.keyboard import Keyboard
 from harness.cli.out_option import out_folder
 from harness.cli.progress import FlightDisplay, Stage, display_for, summary_table
 from harness.launch.interrupts import interruptible
-from harness.launch.processes import SetupError, SwarmError
 from harness.launch.profiling import profile_table
+from harness.launch.run_messages import SetupError, SwarmError
 from harness.launch.swarm import Swarm
 from harness.records.run_folder import RunFolder
 from harness.scenario.scenario import ScenarioError

@@ -1,6 +1,6 @@
 """Progress display of a run: live on a terminal, periodic plain lines elsewhere, and a table at the end.
 
-Input are the messages of the processes (`harness.launch.processes.Message`), which include wall times.
+Input are the messages of the processes (`harness.launch.run_messages.Message`), which include wall times.
 """
 
 import contextlib
@@ -19,7 +19,8 @@ from foundation.durations import duration_text
 from foundation.processes.child_protocol import Warned
 from harness.cli.troubles import Lag, Trouble, Troubles, error_m
 from harness.launch.kernel_cache import CompileProgress
-from harness.launch.processes import Compiling, Message, ProcessNotice, application, uav
+from harness.launch.process_commands import application, uav
+from harness.launch.run_messages import Compiling, Message, ProcessNotice
 from harness.launch.supervisor import Exited
 from harness.simulator.messages import (
     ApplicationLost,

@@ -8,7 +8,7 @@ from collections import deque
 from typing import NamedTuple
 
 from foundation.types import Vector
-from harness.launch.processes import Message
+from harness.launch.run_messages import Message
 from harness.simulator.messages import ApplicationLost, Progress, VehicleLost, VehicleSilent, VehicleTruth
 
 FAR_M = 5.0

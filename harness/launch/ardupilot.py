@@ -41,14 +41,9 @@ _VOLTAGE_AND_CURRENT = 4
 _KEEP_HEADING = 0
 
 
-def instances(scenario: Scenario) -> tuple[int, ...]:
-    """Return the vehicles that an ArduPilot flies."""
-    return tuple(i for i in range(scenario.agents) if scenario.autopilot.kind_of(i) == "ardupilot")
-
-
 def check_start(scenario: Scenario) -> None:
     """Check ArduPilot's program and the settings before anything starts. Raises AutopilotError."""
-    if not instances(scenario):
+    if not scenario.ardupilots:
         return
     program = _program(scenario.autopilot)
     if not (program.is_file() and os.access(program, os.X_OK)):
@@ -56,14 +51,14 @@ def check_start(scenario: Scenario) -> None:
             f"autopilot.ardupilot_program: there is no program {program}; expected ArduPilot's SITL program "
             "for copters, build/sitl/bin/arducopter"
         )
-    for vehicle in instances(scenario):
+    for vehicle in scenario.ardupilots:
         given = scenario.autopilot.external_params(vehicle)
         for name, pulse_us in PULSES_US.items():
             if given.get(name, pulse_us) != pulse_us:
                 raise AutopilotError(f"autopilot.params.{name}: expected {pulse_us} as in the simulator")
     if not scenario.onboard.enabled:
         return
-    for vehicle in instances(scenario):
+    for vehicle in scenario.ardupilots:
         if not scenario.companion_port(vehicle):
             raise AutopilotError(
                 f"ports.companion_remote_udp: the application of UAV {vehicle}, beside an ArduPilot, has no "

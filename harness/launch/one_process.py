@@ -37,16 +37,9 @@ from autopilot.parameters.config import VehicleConfig
 from foundation.processes.child_protocol import Finished, Ready, Stop
 from foundation.system_error import described
 from harness.launch import external_autopilots, kernel_cache
-from harness.launch.processes import (
-    PHYSICS,
-    RADIO,
-    Message,
-    Processes,
-    SetupError,
-    SwarmError,
-    SwarmTimeoutError,
-    uav,
-)
+from harness.launch.process_commands import PHYSICS, RADIO, uav
+from harness.launch.processes import Processes
+from harness.launch.run_messages import Message, SetupError, SwarmError, SwarmTimeoutError
 from harness.launch.supervisor import Exited, Supervisor
 from harness.launch.swarm import Speed, Swarm
 from harness.records.run_folder import PhysicsConfig

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from harness.launch import ardupilot, external_autopilots
+from harness.launch import external_autopilots
 from harness.launch.resources import ResourceError, bind
 from harness.scenario.scenario import Scenario
 
@@ -73,7 +73,7 @@ def _claim(scenario: Scenario) -> Claim:
     """Return the simulator's sockets if all other ports are free too. Raises ResourceError."""
     ports, vehicles = scenario.ports, range(scenario.agents)
     with contextlib.ExitStack() as stack:
-        base, with_states = ports.simulator_tcp, frozenset(ardupilot.instances(scenario))
+        base, with_states = ports.simulator_tcp, scenario.ardupilots
         listeners: list[socket.socket] = []
         states: dict[int, socket.socket] = {}
         for i in vehicles:

@@ -6,31 +6,45 @@ controlled by `harness.launch.swarm`.
 
 import contextlib
 import socket
-import sys
 import time
 import uuid
 from collections.abc import Callable, Container, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import psutil
-from msgspec import Struct
 
 from autopilot.process.iteration import APPLICATION
-from foundation.processes.child_protocol import Finished, Influenced, Ready, Warned
+from foundation.processes.child_protocol import Finished, Influenced, Ready
 from foundation.processes.prefork import FIRST_DESCRIPTOR
 from foundation.system_error import in_words
 from harness.launch import cpu_affinity, external_autopilots, kernel_cache, ports
 from harness.launch.cpu_affinity import CpuAffinity
 from harness.launch.external_process import AutopilotError
 from harness.launch.interrupts import interrupts_deferred
+from harness.launch.process_commands import (
+    PHYSICS,
+    PREFORK,
+    RADIO,
+    application,
+    python_module,
+    supervised,
+    uav,
+)
 from harness.launch.resources import HAS_NAMED_SOCKETS, ResourceError, allow_descriptors, bind_local
-from harness.launch.supervisor import ChildMessage, Exited, Supervisor, SupervisorError
+from harness.launch.run_messages import (
+    Compiling,
+    Message,
+    ProcessNotice,
+    RunEvent,
+    SetupError,
+    SwarmError,
+    SwarmTimeoutError,
+)
+from harness.launch.supervisor import Exited, Supervisor, SupervisorError
 from harness.records.run_folder import FolderRefused, RunFolder
 from harness.scenario.scenario import Scenario
 from harness.simulator.messages import (
     AnyCommand,
-    AnyEvent,
     ApplicationLost,
     Formed,
     Paused,
@@ -39,7 +53,6 @@ from harness.simulator.messages import (
     VehicleLost,
 )
 
-PHYSICS, RADIO, PREFORK = "physics", "radio", "prefork"
 START_LIMIT_S = 120.0
 """Wall time within which every process must be ready."""
 STOP_LIMIT_S = 10.0
@@ -51,55 +64,6 @@ _ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",
     "PYTHONFAULTHANDLER": "1",
 }
-
-
-class ProcessNotice(Struct, frozen=True, kw_only=True):
-    """A message of the launcher itself: a warning, or what it does before an operation that takes long."""
-
-    text: str
-
-
-class Compiling(Struct, frozen=True, kw_only=True):
-    """Kernels that are being compiled before the flight, by package."""
-
-    packages: Mapping[str, kernel_cache.CompileProgress]
-
-
-Message = ChildMessage | Exited | ProcessNotice | Compiling
-RunEvent = AnyEvent | Warned | Exited
-
-
-class SwarmError(Exception):
-    """The swarm cannot fly or continue; the text is one line for the user."""
-
-
-class SetupError(SwarmError):
-    """The swarm could not be started: a port, a folder or another resource is not available."""
-
-
-class SwarmTimeoutError(SwarmError):
-    """A condition was not met in time."""
-
-
-def uav(instance: int) -> str:
-    """Return the name of a vehicle's process."""
-    return f"uav {instance}"
-
-
-def application(instance: int) -> str:
-    """Return the name of the process of an on-board application beside another autopilot."""
-    return f"application {instance}"
-
-
-def python_module(module: str, *arguments: str) -> list[str]:
-    """Return the command that runs one of coflight's processes."""
-    # -P: no file of the working folder may shadow a module
-    return [sys.executable, "-P", "-m", module, *arguments]
-
-
-def supervised(config: Path) -> tuple[str, ...]:
-    """Return the arguments of one of coflight's processes as a child of this one."""
-    return ("--config", str(config), "--supervised")
 
 
 def _socket_pair(stack: contextlib.ExitStack) -> tuple[socket.socket, socket.socket]:

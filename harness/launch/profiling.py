@@ -12,7 +12,7 @@ import msgspec
 from rich.table import Table
 
 from foundation.profiling.profiler import KEY, KindProfile, Profile
-from harness.launch.processes import PHYSICS, RADIO
+from harness.launch.process_commands import PHYSICS, RADIO
 
 VEHICLES = "vehicles"
 KINDS = {PHYSICS: "physics server", RADIO: "802.11 emulator", VEHICLES: "vehicles"}

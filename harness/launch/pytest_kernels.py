@@ -11,7 +11,7 @@ from rich.console import Console
 from harness.cli.progress import LineDisplay
 from harness.launch import kernel_cache, pytest_settings
 from harness.launch.kernel_cache import CompileProgress
-from harness.launch.processes import Compiling
+from harness.launch.run_messages import Compiling
 
 
 def compile_missing(config: pytest.Config) -> str | None:

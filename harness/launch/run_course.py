@@ -4,7 +4,8 @@ import sys
 from datetime import UTC, datetime
 
 from harness.launch import profiling
-from harness.launch.processes import PHYSICS, Processes
+from harness.launch.process_commands import PHYSICS
+from harness.launch.processes import Processes
 from harness.records.outcome import ProcessRecord, RunOutcome
 from harness.records.versions import Checkout, checkout
 

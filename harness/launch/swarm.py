@@ -26,18 +26,17 @@ from foundation.profiling.profiler import KindProfile
 from foundation.system_error import in_words
 from harness.launch import ground_links, profiling
 from harness.launch.interrupts import interrupts_deferred
-from harness.launch.processes import (
+from harness.launch.process_commands import application, uav
+from harness.launch.processes import Processes
+from harness.launch.run_course import RunCourse
+from harness.launch.run_messages import (
     Message,
-    Processes,
     ProcessNotice,
     RunEvent,
     SetupError,
     SwarmError,
     SwarmTimeoutError,
-    application,
-    uav,
 )
-from harness.launch.run_course import RunCourse
 from harness.launch.truth import SwarmTruth
 from harness.records.outcome import RunOutcome, write_outcome
 from harness.records.run_folder import RunFolder
@@ -351,7 +350,7 @@ class Swarm:
 
         Raises ValueError for an invalid fault.
         """
-        fault = validated(fault, self.scenario.agents)
+        fault = validated(fault, self.scenario.agents, other_compasses=self.scenario.ardupilots)
         self._intervene(f"inject {msgspec.json.encode(fault).decode()}")
         self._processes.send(InjectFault(fault=fault))
 

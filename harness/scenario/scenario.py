@@ -199,7 +199,7 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         if self.onboard.wind_feed_forward:
             self._check_wind()
         for number, fault in enumerate(self.faults):
-            check(fault, self.agents, path=f"faults[{number}]")
+            check(fault, self.agents, path=f"faults[{number}]", other_compasses=self.ardupilots)
         try:
             radio_settings.check(self.radio, self.agents)
         except ValueError as error:
@@ -297,6 +297,11 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             log_path=log_path,
             record_period_us=self.record_period_us,
         )
+
+    @property
+    def ardupilots(self) -> tuple[int, ...]:
+        """Vehicles that an ArduPilot flies."""
+        return tuple(i for i in range(self.agents) if self.autopilot.kind_of(i) == "ardupilot")
 
     @property
     def forms(self) -> bool:

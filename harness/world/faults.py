@@ -6,7 +6,7 @@ noises by their variances; rotors' effectivenesses are multiplied.
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Annotated, Literal, NamedTuple, TypeVar, get_args
 
 import msgspec
@@ -181,19 +181,31 @@ class FaultChange(NamedTuple):
         return self.fault.motor if isinstance(self.fault, MotorLoss | MotorStop) else None
 
 
-def check(fault: AnyFault, vehicles: int, *, path: str) -> None:
-    """Check that a fault's vehicle exists. Raises ValueError with the field's path."""
+def check(
+    fault: AnyFault, vehicles: int, *, path: str, other_compasses: Collection[int] = frozenset()
+) -> None:
+    """Check that a fault's vehicle exists and can have it. Raises ValueError with the field's path.
+
+    ``other_compasses`` are the vehicles whose autopilot simulates its compass itself.
+    """
     if fault.uav != "all" and fault.uav >= vehicles:
         raise ValueError(f"{path}.uav: {fault.uav} is none of {vehicles} vehicles from 0 on")
+    if isinstance(fault, MagBias | MagYaw):
+        for vehicle in other_compasses:
+            if fault.uav in ("all", vehicle):
+                raise ValueError(
+                    f"{path}.kind: {kind(fault)} cannot act on UAV {vehicle}, as an ArduPilot simulates its "
+                    "compass itself"
+                )
 
 
-def validated(fault: AnyFault, vehicles: int) -> AnyFault:
-    """Return a fault that a program constructed after checking all its values. Raises ValueError."""
+def validated(fault: AnyFault, vehicles: int, *, other_compasses: Collection[int] = frozenset()) -> AnyFault:
+    """Return a fault that a program constructed after checking all its values. Raises as `check`."""
     try:
         valid: AnyFault = msgspec.convert(msgspec.to_builtins(fault), AnyFault)
     except msgspec.ValidationError as error:
         raise ValueError(explain(error, EXPECTED, root="fault")) from None
-    check(valid, vehicles, path="fault")
+    check(valid, vehicles, path="fault", other_compasses=other_compasses)
     return valid
 
 

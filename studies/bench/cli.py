@@ -2,18 +2,16 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated
 
 import typer
 from rich.console import Console
 
-from foundation.exit_status import BAD_INPUT, FAILED, INTERRUPTED
-from foundation.system_error import in_words
+from foundation.exit_status import FAILED, INTERRUPTED
 from harness.launch.interrupts import interruptible
-from harness.launch.kernel_cache import CompileError
-from harness.scenario.scenario import ScenarioError
 from harness.scenario.scenario_file import load
-from studies.bench.bench import BenchError, BenchPlan, bench, to_json
+from studies.bench.bench import BenchPlan, bench, to_json
+from studies.bench.command_errors import end, errors_end_the_command
 from studies.bench.tables import markdown, sheets, terminal_table
 
 AGENTS, QUICK_AGENTS = "1,8,16,32,64", "1,8"
@@ -53,7 +51,7 @@ def main(
 ) -> None:
     """Measure the cost of flights, alternating with a floor: a minimal lockstep simulation in Python."""
     messages = Console(stderr=True, highlight=False, markup=False)
-    try:
+    with errors_end_the_command(messages):
         plan = BenchPlan(
             agents=_numbers(agents or (QUICK_AGENTS if quick else AGENTS)),
             duration_s=duration or (QUICK_DURATION_S if quick else DURATION_S),
@@ -66,14 +64,6 @@ def main(
             load(plan.scenario_for(number), [f"agents={number}", f"run.seed={seed}"])
         with interruptible():
             found = bench(plan, lambda line: messages.print(line, soft_wrap=True))
-    except (ScenarioError, ValueError) as error:
-        _end(messages, BAD_INPUT, str(error))
-    except OSError as error:
-        _end(messages, FAILED, in_words(error))
-    except (BenchError, CompileError) as error:
-        _end(messages, FAILED, str(error))
-    except KeyboardInterrupt:
-        _end(messages, INTERRUPTED, "interrupted")
     if json:
         sys.stdout.write(to_json(found) + "\n")
     elif as_markdown:
@@ -84,7 +74,7 @@ def main(
             console.print(sheet.title, style="bold")
             console.print(terminal_table(sheet))
     if found.failure is not None:
-        _end(messages, INTERRUPTED if found.broken_off else FAILED, found.failure)
+        end(messages, INTERRUPTED if found.broken_off else FAILED, found.failure)
 
 
 def _numbers(text: str) -> tuple[int, ...]:
@@ -93,8 +83,3 @@ def _numbers(text: str) -> tuple[int, ...]:
     if not all(word.strip().isdecimal() and int(word) > 0 for word in words):
         raise ValueError(f"--agents {text}: expected numbers of UAVs: 1,8,16")
     return tuple(int(word) for word in words)
-
-
-def _end(messages: Console, status: int, line: str) -> NoReturn:
-    messages.print(f"bench: {line}", soft_wrap=True)
-    raise typer.Exit(status) from None

@@ -21,8 +21,9 @@ from msgspec import Struct
 from foundation.exit_status import BAD_INPUT, FINE, INTERRUPTED
 from harness.launch import px4
 from harness.launch.interrupts import interruptible
-from harness.launch.processes import SwarmError, application, uav
+from harness.launch.process_commands import application, uav
 from harness.launch.profiling import kind_of
+from harness.launch.run_messages import SwarmError
 from harness.launch.swarm import Swarm, SwarmTimeoutError
 from harness.scenario.scenario import ScenarioError
 from harness.scenario.scenario_file import load

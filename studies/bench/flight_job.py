@@ -3,7 +3,7 @@
 from msgspec import Struct
 
 from foundation.profiling.profiler import KindProfile
-from harness.launch.processes import PHYSICS, PREFORK, RADIO
+from harness.launch.process_commands import PHYSICS, PREFORK, RADIO
 from harness.launch.profiling import VEHICLES
 
 LAUNCHER = "launcher"

@@ -37,7 +37,7 @@ from foundation.processes.child_protocol import Stop
 from foundation.types import Array
 from harness.launch import ports, px4, px4_instances
 from harness.launch.external_process import AutopilotError
-from harness.launch.processes import python_module
+from harness.launch.process_commands import python_module
 from harness.launch.resources import ResourceError
 from harness.scenario.scenario import Scenario, ScenarioError
 from harness.scenario.scenario_file import load

@@ -15,7 +15,7 @@ from statistics import median
 from msgspec import Struct
 
 from harness.launch import kernel_cache
-from harness.launch.processes import PHYSICS, PREFORK, RADIO
+from harness.launch.process_commands import PHYSICS, PREFORK, RADIO
 from harness.launch.profiling import VEHICLES
 from studies.bench.bench import SCENARIOS, HostMachine, measured, this_machine
 from studies.bench.flight_job import LAUNCHER, FlightCost, FlightJob

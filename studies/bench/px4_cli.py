@@ -1,21 +1,17 @@
 """Command line of the comparison with PX4s. Exit status: 0 done, 1 failed, 2 bad input, 130 interrupted."""
 
 import sys
-from typing import Annotated, NoReturn
+from typing import Annotated
 
 import msgspec
 import typer
 from rich.console import Console
 
-from foundation.exit_status import BAD_INPUT, FAILED, INTERRUPTED
-from foundation.system_error import in_words
 from harness.launch import px4
-from harness.launch.external_process import AutopilotError
 from harness.launch.interrupts import interruptible
-from harness.launch.kernel_cache import CompileError
-from harness.scenario.scenario import ScenarioError
 from harness.scenario.scenario_file import load
-from studies.bench.bench import SCENARIOS, BenchError
+from studies.bench.bench import SCENARIOS
+from studies.bench.command_errors import errors_end_the_command
 from studies.bench.px4_bench import Px4Plan, compare, sheet
 from studies.bench.tables import terminal_table
 
@@ -48,27 +44,14 @@ def main(
         build=build, user=user, settings=tuple(settings or ()), agents=agents, duration_s=duration,
         repeats=repeats, seed=seed,
     )  # fmt: skip
-    try:
+    with errors_end_the_command(messages):
         # bad input is reported before the first flight
         px4.check_start(load(SCENARIOS / "article.toml", [f"agents={agents}", *plan.px4_settings()]))
         with interruptible():
             found = compare(plan, lambda line: messages.print(line, soft_wrap=True))
-    except (ScenarioError, AutopilotError) as error:
-        _end(messages, BAD_INPUT, str(error))
-    except OSError as error:
-        _end(messages, FAILED, in_words(error))
-    except (BenchError, CompileError) as error:
-        _end(messages, FAILED, str(error))
-    except KeyboardInterrupt:
-        _end(messages, INTERRUPTED, "interrupted")
     if json:
         sys.stdout.write(msgspec.json.format(msgspec.json.encode(found), indent=2).decode() + "\n")
         return
     console = Console(file=sys.stdout, highlight=False, width=None if sys.stdout.isatty() else _WIDTH)
     console.print(sheet(found).title, style="bold")
     console.print(terminal_table(sheet(found)))
-
-
-def _end(messages: Console, status: int, line: str) -> NoReturn:
-    messages.print(f"bench: {line}", soft_wrap=True)
-    raise typer.Exit(status) from None

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from foundation.types import Array
 from harness.launch import one_process
-from harness.launch.processes import RADIO
+from harness.launch.process_commands import RADIO
 from harness.records.flight import Flight
 from harness.records.run_folder import RunFolder
 from harness.records.tables import read_flight

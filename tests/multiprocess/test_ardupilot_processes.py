@@ -13,12 +13,13 @@ import psutil
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
-from ardupilot_swarms import free_base, make_swarm
+from ardupilot_swarms import make_swarm
+from external_swarms import free_base
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Encoder
 from harness.launch.one_process import OneProcessSwarm
-from harness.launch.processes import PREFORK, application, uav
+from harness.launch.process_commands import PREFORK, application, uav
 from harness.launch.swarm import SetupError, SwarmError
 from harness.records.run_folder import RunFolder
 from harness.simulator.messages import ApplicationLost, VehicleLost

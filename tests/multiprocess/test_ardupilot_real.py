@@ -6,14 +6,12 @@ import os
 import socket
 import time
 
-import numpy as np
 import psutil
-import pyarrow.parquet as pq
 import pytest
-from ardupilot_swarms import free_base
+from external_swarms import free_base, heights_m
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from harness.launch.processes import application, uav
+from harness.launch.process_commands import application, uav
 from harness.launch.swarm import Swarm
 from harness.simulator.messages import ApplicationLost, VehicleLost
 
@@ -46,13 +44,6 @@ def swarm(tmp_path):
 
 def program_of(flown, instance):
     return psutil.Process(flown._processes.ready[uav(instance)].pid)
-
-
-def heights_m(folder, since_s):
-    rows = pq.read_table(folder / "flight.parquet", columns=["time_us", "uav", "pos_ned_m.d"]).to_pydict()
-    times_s, vehicles = np.array(rows["time_us"]) * 1e-6, np.array(rows["uav"])
-    down_m = np.array(rows["pos_ned_m.d"])
-    return [-down_m[(vehicles == i) & (times_s >= since_s)].mean() for i in sorted(set(vehicles.tolist()))]
 
 
 def test_ardupilots_hold_the_shape_and_the_heights_also_after_rests(swarm):

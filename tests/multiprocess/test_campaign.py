@@ -20,7 +20,7 @@ from harness.campaign import Campaign, ClusterError, running, worker
 from harness.campaign import run as fly_campaign
 from harness.campaign.store import FAILED, Flown
 from harness.launch import one_process
-from harness.launch.processes import SwarmError
+from harness.launch.run_messages import SwarmError
 
 pytestmark = pytest.mark.multiprocess
 

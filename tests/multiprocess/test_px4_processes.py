@@ -9,10 +9,11 @@ import time
 
 import psutil
 import pytest
+from external_swarms import CALM, free_base
 from paths import ROOT, SUPPORT
 
 from harness.launch.one_process import OneProcessSwarm
-from harness.launch.processes import PREFORK, application, uav
+from harness.launch.process_commands import PREFORK, application, uav
 from harness.launch.swarm import SetupError, Swarm, SwarmError
 from harness.simulator.messages import VehicleLost
 
@@ -23,36 +24,6 @@ COMMAND = (
     '["env", "{build}/bin/px4", "-i", "{i}", "-d", "{build}/etc", "-w", "{work}", "--tcp", "{tcp}",'
     ' "--gcs", "{gcs_local}:{gcs_remote}", "--companion", "{companion_local}:{companion_remote}"]'
 )
-SCENARIO = """
-[run]
-silence_limit_s = 3.0
-[formation]
-height_m = 3.0
-columns = 1
-[antenna]
-wavelength_m = 10.0
-[wind]
-mean_n = 0.0
-[sensors]
-profile = "ideal"
-[onboard]
-localisation = "gps"
-[radio]
-bandwidth_mhz = 80
-"""
-
-
-def free_base(count):
-    """Return the first of ``count`` free UDP ports, below the range of ephemeral ports."""
-    for base in range(20_000, 30_000, 16):
-        try:
-            for port in range(base, base + count):
-                with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-                    probe.bind(("127.0.0.1", port))
-        except OSError:
-            continue
-        return base
-    raise AssertionError("no ports")
 
 
 @pytest.fixture
@@ -67,7 +38,7 @@ def swarm(tmp_path):
     )
     program.chmod(0o755)
     path = tmp_path / "px4s.toml"
-    path.write_text(SCENARIO, encoding="ascii")
+    path.write_text(CALM, encoding="ascii")
 
     def make(agents, *overrides, name="run", speed="max", **manners):
         env = json.dumps(manners).replace("{", "{{").replace("}", "}}")

@@ -6,13 +6,12 @@ The tests run as a user other than root, or as root with COFLIGHT_PX4_USER, the 
 import json
 import os
 
-import numpy as np
 import psutil
-import pyarrow.parquet as pq
 import pytest
+from external_swarms import heights_m
 
 from harness.launch import px4
-from harness.launch.processes import application, uav
+from harness.launch.process_commands import application, uav
 from harness.launch.px4_instances import FOLDER, SHELL
 from harness.launch.swarm import Swarm, SwarmError
 from harness.simulator.messages import ApplicationLost, VehicleLost
@@ -57,13 +56,6 @@ def swarm(folder):
         )  # fmt: skip
 
     return make
-
-
-def heights_m(folder, since_s):
-    rows = pq.read_table(folder / "flight.parquet", columns=["time_us", "uav", "pos_ned_m.d"]).to_pydict()
-    times_s, vehicles = np.array(rows["time_us"]) * 1e-6, np.array(rows["uav"])
-    down_m = np.array(rows["pos_ned_m.d"])
-    return [-down_m[(vehicles == i) & (times_s >= since_s)].mean() for i in sorted(set(vehicles.tolist()))]
 
 
 @pytest.mark.parametrize("suited", ["true", "false"])

@@ -9,7 +9,7 @@ from supervising import python, receive
 
 from foundation.processes.child_protocol import Ready
 from harness.launch import kernel_cache
-from harness.launch.processes import PREFORK, python_module
+from harness.launch.process_commands import PREFORK, python_module
 from harness.launch.supervisor import Exited, Supervisor
 
 pytestmark = pytest.mark.multiprocess

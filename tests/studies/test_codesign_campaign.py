@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from foundation import exit_status
 from harness.campaign.store import FAILED, CampaignError, Flown, Store
 from harness.launch import one_process
-from harness.launch.processes import SwarmError, SwarmTimeoutError
+from harness.launch.run_messages import SwarmError, SwarmTimeoutError
 from studies.codesign import cli
 from studies.codesign import measures as flown_measures
 from studies.codesign.book import Book

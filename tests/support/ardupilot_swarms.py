@@ -1,48 +1,16 @@
 """Swarms of stand-ins for ArduPilot: their scenario, program and free ports."""
 
 import json
-import socket
 import sys
 from pathlib import Path
 
+from external_swarms import CALM, free_base
 from paths import ROOT, SUPPORT
 
 from autopilot.parameters.config import AutopilotConfig
 from harness.launch.swarm import Swarm
 
 STAND_IN = SUPPORT / "ardupilot_stand_in.py"
-SCENARIO = """
-[run]
-silence_limit_s = 3.0
-[formation]
-height_m = 3.0
-columns = 1
-[antenna]
-wavelength_m = 10.0
-[wind]
-mean_n = 0.0
-[sensors]
-profile = "ideal"
-[onboard]
-localisation = "gps"
-[radio]
-bandwidth_mhz = 80
-"""
-_BASES = iter(range(30_000, 32_000, 16))
-"""First of 16 ports below those that the system gives out; no two swarms of a test have the same."""
-
-
-def free_base(count: int) -> int:
-    """Return the first of ``count`` free UDP ports, below the range of ephemeral ports."""
-    for base in _BASES:
-        try:
-            for port in range(base, base + count):
-                with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-                    probe.bind(("127.0.0.1", port))
-        except OSError:
-            continue
-        return base
-    raise AssertionError("no ports")
 
 
 def write_program(path: Path) -> Path:
@@ -60,7 +28,7 @@ def make_swarm(
     if not program.exists():
         write_program(program)
     path = folder / "ardupilots.toml"
-    path.write_text(SCENARIO, encoding="ascii")
+    path.write_text(CALM, encoding="ascii")
     given = json.dumps(how).replace("{", "{{").replace("}", "}}")
     command = ["env", f"STAND_IN={given}", *AutopilotConfig().ardupilot_command]
     base = free_base(16)

@@ -11,11 +11,11 @@ from autopilot.estimation.atmosphere import altitude_m
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.local_messages import LocalPosition
 from autopilot.mavlink.modes import FlightMode
+from autopilot.navigation.site_frame import message_ned_m
 from autopilot.onboard.formation.autopilots import PX4, AutopilotInterface
 from autopilot.onboard.formation.height import ContinuousHeight
 from autopilot.onboard.radio.beacon import Fix
 from autopilot.parameters.config import Site
-from foundation.geometry.geodesy import place_ned_m
 from foundation.types import Vector
 
 PA_PER_HPA = 100.0
@@ -114,7 +114,7 @@ class OwnState:
         time_ms = (msg.time_usec + self._boot_offset_us) // 1_000 - self._gps_delay_ms
         if time_ms < 0 or (self.fix is not None and time_ms <= self.fix.time_ms):
             return False
-        pos_ned_m = self._site_ned_m(msg.lat, msg.lon, msg.alt)
+        pos_ned_m = message_ned_m(self._site, msg.lat, msg.lon, msg.alt)
         # Its eph and epv are dilutions of precision, without a unit; unknown accuracies are 0.
         self.fix = Fix(time_ms, pos_ned_m, msg.h_acc * 1e-3 or None, msg.v_acc * 1e-3 or None)
         return True
@@ -122,12 +122,12 @@ class OwnState:
     def on_origin(self, msg: common.MAVLink_gps_global_origin_message) -> None:
         """Process a GPS_GLOBAL_ORIGIN."""
         self.origin_alt_m = msg.altitude * 1e-3
-        self.origin_ned_m = self._site_ned_m(msg.latitude, msg.longitude, msg.altitude)
+        self.origin_ned_m = message_ned_m(self._site, msg.latitude, msg.longitude, msg.altitude)
         self._place()
 
     def on_truth(self, msg: common.MAVLink_hil_state_quaternion_message) -> None:
         """Process a HIL_STATE_QUATERNION."""
-        north_m, east_m, down_m = self._site_ned_m(msg.lat, msg.lon, msg.alt)
+        north_m, east_m, down_m = message_ned_m(self._site, msg.lat, msg.lon, msg.alt)
         if self._standing_down_m is None:
             self._standing_down_m = down_m
         self.truth_ned_m, self.truth_us = (north_m, east_m, down_m - self._standing_down_m), msg.time_usec
@@ -156,11 +156,3 @@ class OwnState:
         north_m, east_m = self._local_ne_m
         origin_n_m, origin_e_m, _ = self.origin_ned_m or _ZERO
         self.autopilot_ned_m = (north_m + origin_n_m, east_m + origin_e_m, self.height.down_m)
-
-    def _site_ned_m(self, lat_deg_e7: int, lon_deg_e7: int, alt_mm: int) -> Vector:
-        site = self._site
-        place: Vector = place_ned_m(
-            lat_deg_e7 * 1e-7, lon_deg_e7 * 1e-7, alt_mm * 1e-3,
-            site.latitude_deg, site.longitude_deg, site.altitude_m,
-        )  # fmt: skip
-        return place

@@ -28,7 +28,7 @@ from harness.campaign.table import make_rows, write_table
 from harness.campaign.worker import _MEASURED_BY, sources_state
 from harness.cli import campaign as cli
 from harness.launch import one_process
-from harness.launch.processes import SetupError, SwarmError
+from harness.launch.run_messages import SetupError, SwarmError
 from harness.scenario.scenario_file import load as load_scenario
 
 ARTICLE = SCENARIOS / "article.toml"

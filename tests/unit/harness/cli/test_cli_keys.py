@@ -10,7 +10,8 @@ from harness.cli import fly as cli
 from harness.cli.fly import FASTEST, SLOWEST
 from harness.cli.progress import Stage
 from harness.launch.one_process import OneProcessSwarm
-from harness.launch.processes import PHYSICS, SwarmError
+from harness.launch.process_commands import PHYSICS
+from harness.launch.run_messages import SwarmError
 from harness.launch.supervisor import Supervisor, SupervisorError
 from harness.launch.swarm import Swarm
 from harness.simulator.messages import Pause, Progress

@@ -21,7 +21,7 @@ from harness.cli.progress import (
     summary_table,
 )
 from harness.launch.kernel_cache import CompileProgress
-from harness.launch.processes import Compiling, Message
+from harness.launch.run_messages import Compiling, Message
 from harness.launch.supervisor import Exited
 from harness.simulator.messages import Collision, Formed, Progress, VehicleLost, VehicleSilent, VehicleTruth
 

@@ -89,11 +89,21 @@ def test_each_vehicle_has_its_kind(scenario):
     mixed = scenario("autopilot.ardupilot_vehicles=[1]")
     assert [mixed.autopilot.kind_of(i) for i in range(3)] == ["own", "ardupilot", "own"]
     assert not any(mixed.autopilot.is_px4(i) for i in range(3))
-    assert ardupilot.instances(mixed) == external_autopilots.instances(mixed) == (1,)
+    assert mixed.ardupilots == external_autopilots.instances(mixed) == (1,)
     assert px4.instances(mixed) == ()
     assert external_autopilots.TITLES["ardupilot"] == "an ArduPilot"
     # lists of another kind of autopilot choose nothing
-    assert ardupilot.instances(scenario("autopilot.px4_vehicles=[1]")) == (0, 1, 2)
+    assert scenario("autopilot.px4_vehicles=[1]").ardupilots == (0, 1, 2)
+
+
+@pytest.mark.parametrize("uav", [1, '"all"'])
+@pytest.mark.parametrize("fault", ["mag_bias", "mag_yaw"])
+def test_faults_of_a_compass_that_the_autopilot_simulates_are_refused(scenario, fault, uav):
+    size = "offset_frd_gauss=[0.1,0.0,0.0]" if fault == "mag_bias" else "heading_error_deg=20.0"
+    faults = f'faults=[{{kind="{fault}",uav={uav},start_s=1.0,{size}}}]'
+    with pytest.raises(ScenarioError, match=rf"faults\[0\]\.kind: {fault} cannot act on UAV 1, as an Ardu"):
+        scenario("autopilot.ardupilot_vehicles=[1]", faults)
+    scenario("autopilot.ardupilot_vehicles=[2]", faults.replace('"all"', "0"))
 
 
 # ---- start

@@ -29,7 +29,7 @@ from foundation.records.record_log import BLOCK_ROWS
 from harness.cli.fly import main
 from harness.launch import kernel_cache
 from harness.launch.one_process import OneProcessSwarm, fly
-from harness.launch.processes import SwarmError
+from harness.launch.run_messages import SwarmError
 from harness.records.run_folder import RunFolder
 from harness.records.tables import flight_of, read_flight
 from harness.report import antenna_report, report

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import msgspec
 import pytest
+from external_swarms import free_base
 
 from autopilot.parameters.config import AutopilotConfig
 from harness.launch import ports as ports_module
@@ -53,7 +54,7 @@ def test_two_claims_at_once_get_different_ports(request: pytest.FixtureRequest) 
     def closed(listeners: list[socket.socket]) -> Callable[[], None]:
         return lambda: [listener.close() for listener in listeners] and None
 
-    given = scenario(simulator_tcp=free_port(socket.SOCK_STREAM), gcs_remote_udp=14_550)
+    given = scenario(simulator_tcp=free_base(AGENTS, socket.SOCK_STREAM), gcs_remote_udp=14_550)
     first, listeners, _ = claim(given, search=True)
     request.addfinalizer(closed(listeners))
     assert first == given  # free: the scenario's
@@ -74,7 +75,7 @@ def ardupilots(**ports: int) -> Scenario:
 
 
 def test_an_ardupilots_states_have_the_number_of_its_listener() -> None:
-    for given in (ardupilots(), ardupilots(simulator_tcp=free_port(socket.SOCK_STREAM))):
+    for given in (ardupilots(), ardupilots(simulator_tcp=free_base(AGENTS, socket.SOCK_STREAM))):
         claimed = claim(given, search=False)
         with contextlib.ExitStack() as stack:
             for each in claimed.sockets:
@@ -85,9 +86,9 @@ def test_an_ardupilots_states_have_the_number_of_its_listener() -> None:
 
 
 def test_a_udp_port_in_use_with_the_number_of_an_ardupilots_listener_is_named() -> None:
-    with bind(socket.SOCK_DGRAM, HOST, 0) as holder:
-        port = holder.getsockname()[1]
-        given = ardupilots(simulator_tcp=port - 1)
+    base = free_base(AGENTS, socket.SOCK_STREAM)
+    with bind(socket.SOCK_DGRAM, HOST, base + 1):
+        port, given = base + 1, ardupilots(simulator_tcp=base)
         with pytest.raises(
             ResourceError, match=rf"^UDP port {port} on {HOST}: Address already in use; --port"
         ):

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from harness.launch.processes import PHYSICS, PREFORK, RADIO
+from harness.launch.process_commands import PHYSICS, PREFORK, RADIO
 from harness.launch.resources import (
     DESCRIPTORS_BESIDE,
     DESCRIPTORS_OF_CHILD,
