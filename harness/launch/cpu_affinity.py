@@ -1,9 +1,11 @@
 """CPU affinities of a swarm's processes while other processes are idle.
 
 In lockstep all processes wait for the slowest. The kernel's scheduler balances load without regard to that:
-it may distribute eight vehicles unevenly over two processors, and migrate them away from their caches. So
-each process is pinned to a processor. Affinities are dropped while other processes use more than 25 % of a
-processor: a pinned process that competes with them would delay the whole swarm.
+it may distribute eight vehicles unevenly over two processors, and migrate them away from their caches. A PX4
+passes its work from thread to thread some 4,000 times in a simulated second; wakes across processors cost it
+up to a third of its time. So each process is pinned to a processor. Affinities are dropped while other
+processes use more than 25 % of a processor: a pinned process that competes with them would delay the whole
+swarm.
 
 The emulator yields to the vehicles between its events if its affinity is a single processor, which it shares
 with vehicles (`netsim.transport.server`).
@@ -14,7 +16,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -89,8 +91,9 @@ def measure(processors: Sequence[int], pids: Iterable[int]) -> Times:
 class CpuAffinity:
     """Pins processes to processors while other processes are idle, from a thread of its own.
 
-    Pins the main thread of a process, which does its work, but not Zenoh's threads. ``pids`` returns the
-    living processes by name; ``assignment`` is of `assign_processors`; ``count`` replaces `measure`.
+    Pins the main thread of a process, which does its work, but not Zenoh's threads; of the programs that are
+    ``threaded``, such as PX4s, all threads. ``pids`` returns the living processes by name; ``assignment`` is
+    of `assign_processors`; ``count`` replaces `measure`.
     """
 
     def __init__(
@@ -99,12 +102,14 @@ class CpuAffinity:
         assignment: Mapping[str, int],
         processors: Sequence[int],
         *,
+        threaded: Collection[str] = (),
         count: Callable[[Sequence[int], Iterable[int]], Times] = measure,
         period_s: float = LOOK_PERIOD_S,
     ) -> None:
         self._pids = pids
         self._assignment = assignment
         self._processors = processors
+        self._threaded = frozenset(threaded)
         self._count = count
         self._period_s = period_s
         self._ended = threading.Event()
@@ -132,17 +137,20 @@ class CpuAffinity:
         """Pin every process to its processor, or allow it all processors."""
         for name, pid in self._pids().items():
             if name in self._assignment:
-                with contextlib.suppress(OSError):  # it has ended
-                    if self.pinned:
-                        os.sched_setaffinity(pid, [self._assignment[name]])
+                with contextlib.suppress(OSError):  # it has ended, or is another user's
+                    if not self.pinned:
+                        _allow(pid, self._processors)
+                    elif name in self._threaded:
+                        _allow(pid, [self._assignment[name]])
                     else:
-                        _unpin(pid, self._processors)
+                        os.sched_setaffinity(pid, [self._assignment[name]])
 
     def _now(self) -> Times:
         return self._count(self._processors, (os.getpid(), *self._pids().values()))
 
 
-def _unpin(pid: int, processors: Sequence[int]) -> None:
-    """Allow a process all processors, and its threads, some of which started while it was pinned."""
+def _allow(pid: int, processors: Sequence[int]) -> None:
+    """Allow a process and all its threads these processors; new threads inherit them from their creators."""
     for thread in Path(f"/proc/{pid}/task").iterdir():
-        os.sched_setaffinity(int(thread.name), processors)
+        with contextlib.suppress(ProcessLookupError):  # it has ended
+            os.sched_setaffinity(int(thread.name), processors)

@@ -287,15 +287,20 @@ class Processes:
         self._await_ready([PHYSICS, *map(uav, vehicles), *map(application, self._applications)])
 
     def _pin(self) -> None:
-        """Pin the processes to processors while other processes are idle."""
-        vehicles = list(map(uav, range(self._scenario.agents)))
+        """Pin the processes to processors while other processes are idle, applications to their vehicle's."""
+        vehicles = range(self._scenario.agents)
         processors = cpu_affinity.usable_processors()
-        assignment = cpu_affinity.assign_processors(vehicles, processors, first=RADIO, last=PHYSICS)
-        if assignment is not None and assignment.keys() <= self.pids.keys() and not self._external:
-            self._affinity = CpuAffinity(self._living, assignment, processors)
+        assignment = cpu_affinity.assign_processors(
+            list(map(uav, vehicles)), processors, first=RADIO, last=PHYSICS
+        )
+        if assignment is not None and assignment.keys() <= self.pids.keys():
+            assignment |= {application(i): assignment[uav(i)] for i in self._applications}
+            threaded = list(map(uav, self._external))
+            self._affinity = CpuAffinity(self._living, assignment, processors, threaded=threaded)
 
     def _living(self) -> dict[str, int]:
-        return {name: pid for name, pid in self.pids.items() if self._supervisor.alive(name)}
+        """Return the process ids by name; of a PX4 it is the program's, not its wrapper's."""
+        return {name: ready.pid for name, ready in self.ready.items() if self._supervisor.alive(name)}
 
     def _own_link_name(self, run_id: str) -> str | None:
         """Return the name of the Unix socket for own vehicles; None: they use the TCP ports."""

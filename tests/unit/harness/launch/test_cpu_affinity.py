@@ -144,3 +144,41 @@ def test_processes_are_pinned_while_others_are_idle():
             child.kill()
             child.communicate()
     assert "cpu affinity" not in [thread.name for thread in threading.enumerate()]
+
+
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="there is one processor")
+def test_of_programs_with_threads_all_threads_are_pinned_and_of_others_the_main_one():
+    processors = sorted(os.sched_getaffinity(0))
+    two = [
+        sys.executable,
+        "-c",
+        "import threading; threading.Thread(target=input).start(); print(flush=True)",
+    ]
+    names = ("uav 0", "application 0")
+    children = {name: subprocess.Popen(two, stdin=subprocess.PIPE, stdout=subprocess.PIPE) for name in names}
+    affinity = None
+    try:
+        for child in children.values():
+            child.stdout.readline()
+        affinity = CpuAffinity(
+            lambda: {name: child.pid for name, child in children.items()},
+            dict.fromkeys(names, processors[0]),
+            processors,
+            threaded=("uav 0",),
+            count=Machine().count,
+            period_s=0.01,
+        )
+
+        def allowed(name):
+            """Processors of each thread, the main one first."""
+            pids = sorted(int(thread.name) for thread in Path(f"/proc/{children[name].pid}/task").iterdir())
+            return [sorted(os.sched_getaffinity(pid)) for pid in pids]
+
+        wait_for(lambda: allowed("uav 0") == 2 * [processors[:1]])
+        wait_for(lambda: allowed("application 0") == [processors[:1], processors])
+    finally:
+        if affinity is not None:
+            affinity.end()
+        for child in children.values():
+            child.kill()
+            child.communicate()
