@@ -45,7 +45,7 @@ def swarm(folder):
     """Return a factory of swarms of real PX4s in the article's wind, in rows of two."""
     overrides = ["autopilot.kind=px4", f"autopilot.px4_build={BUILD}", "formation.columns=2"]
     if USER is not None:
-        words = ["setpriv", f"--reuid={USER}", f"--regid={USER}", "--clear-groups"]
+        words = ["setpriv", f"--reuid={USER}", f"--regid={USER}", "--clear-groups", "--pdeathsig=keep"]
         words += ["{build}/bin/px4", "-i", "{i}", "-d", "{build}/etc", "-w", "{work}"]
         overrides.append(f"autopilot.px4_command={json.dumps(words)}")
 
