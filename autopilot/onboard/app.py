@@ -14,22 +14,22 @@ from pymavlink.dialects.v20 import common
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.local_messages import LocalPosition, PositionTarget
 from autopilot.onboard.application import NOTHING, Estimate, OnboardOutput
+from autopilot.onboard.client.autopilots import PX4, AutopilotInterface
+from autopilot.onboard.client.commands import CommandSender
+from autopilot.onboard.client.own_state import Fix, OwnState
 from autopilot.onboard.formation import messages
-from autopilot.onboard.formation.autopilots import PX4, AutopilotInterface
 from autopilot.onboard.formation.avoidance import FRESH_US
-from autopilot.onboard.formation.commands import CommandSender
 from autopilot.onboard.formation.flight_phases import FlightSequence, Situation
 from autopilot.onboard.formation.formation_control import Level
 from autopilot.onboard.formation.formation_plan import FormationPlan
 from autopilot.onboard.formation.guidance import SETPOINT_PERIOD_US, Guidance
-from autopilot.onboard.formation.own_state import OwnState
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.localisation.common_frame import CommonFrame
 from autopilot.onboard.localisation.localisation import CooperativeLocalisation
 from autopilot.onboard.localisation.model import LOCALISE_TIMEOUT_US, SHAPE_STD_M, LocalisationModel
 from autopilot.onboard.localisation.ranging_health import Support
 from autopilot.onboard.localisation.uncertainty import Others
-from autopilot.onboard.radio.beacon import Fix, GpsError
+from autopilot.onboard.radio.beacon import GpsError
 from autopilot.onboard.radio.neighbourhood import Neighbourhood
 from autopilot.onboard.radio.traffic import Traffic
 from autopilot.parameters.config import AnyMotion, Devices, OnboardConfig, Site

@@ -6,7 +6,7 @@ from msgspec.structs import replace
 from autopilot.mavlink.components import APPLICATION_COMPONENT
 from autopilot.onboard.app import OnboardApp
 from autopilot.onboard.application import Application
-from autopilot.onboard.formation.autopilots import ARDUPILOT, PX4
+from autopilot.onboard.client.autopilots import ARDUPILOT, PX4
 from autopilot.parameters.config import VehicleConfig
 
 

@@ -16,11 +16,12 @@ from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation.flight_mode import ManualInput, ModeInputs
 from autopilot.navigation.setpoints import Navigator
 from autopilot.onboard.app import OnboardApp
+from autopilot.onboard.client.own_state import Fix
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.localisation.common_frame import CommonFrame
 from autopilot.onboard.localisation.localisation import CooperativeLocalisation
 from autopilot.onboard.localisation.model import LocalisationModel
-from autopilot.onboard.radio.beacon import Fix, GpsError
+from autopilot.onboard.radio.beacon import GpsError
 from autopilot.onboard.radio.neighbour_table import NeighbourTable
 from autopilot.onboard.radio.neighbourhood import Neighbourhood
 from autopilot.parameters.config import Site, VehicleConfig

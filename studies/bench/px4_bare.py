@@ -31,8 +31,8 @@ from autopilot.mavlink.components import APPLICATION_COMPONENT, AUTOPILOT_COMPON
 from autopilot.mavlink.hil_schema import HIL_GPS, HIL_SENSOR
 from autopilot.mavlink.local_messages import PositionTarget
 from autopilot.mavlink.telemetry import CompanionEncoder
-from autopilot.onboard.formation.autopilots import PX4 as PX4_INTERFACE
-from autopilot.onboard.formation.commands import ARM
+from autopilot.onboard.client.autopilots import PX4 as PX4_INTERFACE
+from autopilot.onboard.client.commands import ARM
 from foundation.processes.child_protocol import Stop
 from foundation.types import Array
 from harness.launch import ports, px4, px4_instances

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from msgspec import Struct
 
-from autopilot.onboard.formation.own_state import OwnState
+from autopilot.onboard.client.own_state import OwnState
 from autopilot.onboard.radio.traffic import Traffic
 from foundation.types import Array
 from harness.scenario.scenario import Scenario

@@ -17,6 +17,7 @@ from beacons import Beacon, decode, encode
 from netsim_pcapng import blocks, datagram, transmission
 from paths import SCENARIOS
 
+from autopilot.onboard.client.own_state import Fix
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.radio import beacon as wire
 from harness.launch.one_process import fly
@@ -42,7 +43,7 @@ FULL = Beacon(
     odometry_ned_m=(1.5, -2.25, 3.125),
     vel_ned_m_s=(0.1, -0.2, 0.3),
     motion_start_ms=77_000,
-    fix=wire.Fix(76_000, (10.1, -20.2, -30.3), 1.5, 2.5),
+    fix=Fix(76_000, (10.1, -20.2, -30.3), 1.5, 2.5),
     gps_error=wire.GpsError((0.4, 0.5, -0.6), 1.25),
     distances=tuple(
         wire.Distance(peer, 70_000 + peer, 8.1 * peer + 1, 0.026) for peer in (0, 1, 2, 4, 5, 6, 7)
@@ -208,7 +209,7 @@ def test_fields_have_names_units_and_marks_if_unknown(tmp_path, script):
 def test_accuracies_that_are_not_stated_or_at_their_most_are_marked(tmp_path, script):
     beacon = msgspec.structs.replace(
         FULL,
-        fix=wire.Fix(76_000, (10.1, -20.2, -30.3), None, None),
+        fix=Fix(76_000, (10.1, -20.2, -30.3), None, None),
         gps_error=wire.GpsError((0.4, 0.5, 0.6), 99.0),
     )
     (lines,) = labels_of(written(tmp_path / "radio.pcapng", [encode(beacon)]), script)

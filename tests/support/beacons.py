@@ -2,6 +2,7 @@
 
 from msgspec import Struct
 
+from autopilot.onboard.client.own_state import Fix
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.radio import beacon as wire
 from foundation.types import Vector
@@ -19,7 +20,7 @@ class Beacon(Struct, frozen=True, kw_only=True):
     vel_ned_m_s: Vector
     motion_start_ms: int | None = None
     """Start of the formation's motion that the sender holds; None: none yet."""
-    fix: wire.Fix | None = None
+    fix: Fix | None = None
     gps_error: wire.GpsError | None = None
     """None: no distances support the sender's position."""
     distances: tuple[wire.Distance, ...] = ()
@@ -52,7 +53,7 @@ def decode(buffer: bytes) -> Beacon | None:
     ) = page["header"].tolist()  # fmt: skip
     fix = None
     if flags & wire.HAS_FIX:
-        fix = wire.Fix(fix_ms, (fix_n, fix_e, fix_d), std_h_mm * 1e-3 or None, std_v_mm * 1e-3 or None)
+        fix = Fix(fix_ms, (fix_n, fix_e, fix_d), std_h_mm * 1e-3 or None, std_v_mm * 1e-3 or None)
     return Beacon(
         station=station, seq=seq, time_us=time_us, phase=FlightPhase(phase),
         odometry_ned_m=(odo_n, odo_e, odo_d), vel_ned_m_s=(vel_n, vel_e, vel_d),

@@ -14,9 +14,9 @@ from collections.abc import Callable
 from msgspec import Struct
 
 from autopilot.mavlink.modes import FlightMode
-from autopilot.onboard.formation.autopilots import PX4, AutopilotInterface
-from autopilot.onboard.formation.commands import ARM, CommandSender, RepeatedCommand
-from autopilot.onboard.formation.own_state import OwnState
+from autopilot.onboard.client.autopilots import PX4, AutopilotInterface
+from autopilot.onboard.client.commands import ARM, CommandSender, RepeatedCommand
+from autopilot.onboard.client.own_state import OwnState
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.localisation.model import LOCALISE_TIMEOUT_US, SHAPE_STD_M
 

@@ -18,13 +18,14 @@ with a large error by the variance of errors of that size.
 import numpy as np
 from numba import njit
 
+from autopilot.onboard.client.own_state import Fix
 from autopilot.onboard.localisation.kernels import STATES, Array, Times
 from autopilot.onboard.localisation.localisation import CooperativeLocalisation
 from autopilot.onboard.localisation.members import Members
 from autopilot.onboard.localisation.model import SILENCE_US
 from autopilot.onboard.localisation.receivers import BIAS_SIGMAS
 from autopilot.onboard.localisation.tracks import EXTRAPOLATED_S, Rings, odometry_at
-from autopilot.onboard.radio.beacon import Fix, GpsError
+from autopilot.onboard.radio.beacon import GpsError
 from autopilot.onboard.radio.neighbour_table import NeighbourTable, Stations
 
 PERIOD_US = 200_000

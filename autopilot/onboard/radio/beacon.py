@@ -21,6 +21,7 @@ from msgspec import Struct
 from numba import njit
 from numpy.typing import NDArray
 
+from autopilot.onboard.client.own_state import Fix
 from autopilot.onboard.formation.phases import FlightPhase
 from foundation.types import Vector
 
@@ -65,18 +66,6 @@ PAGE = np.dtype([("source", "<i8"), ("size", "<i8"), ("header", HEADER), ("range
 PageRows = NDArray[np.void]
 """(P,) array of `PAGE`."""
 _PAGE_BYTES = PAGE.itemsize
-
-
-class Fix(Struct, frozen=True):
-    """A GPS position of the antenna at ``time_ms``, corrected for the receiver's delay.
-
-    ``std_h_m`` and ``std_v_m`` are the accuracies that the receiver states; None: not stated.
-    """
-
-    time_ms: int
-    pos_ned_m: Vector
-    std_h_m: float | None = None
-    std_v_m: float | None = None
 
 
 class GpsError(Struct, frozen=True):

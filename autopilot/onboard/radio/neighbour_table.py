@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from autopilot.onboard.client.own_state import Fix
 from autopilot.onboard.formation.motion import NeighbourReport
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.localisation.model import CLOCK_TOLERANCE_US, SILENCE_US
@@ -18,7 +19,6 @@ from autopilot.onboard.radio.beacon import (
     HAS_START,
     SEQ_MODULUS,
     BeaconBuffer,
-    Fix,
     GpsError,
     PageRows,
     is_credible,

@@ -10,8 +10,8 @@ from operator import itemgetter
 
 import numpy as np
 
-from autopilot.onboard.formation.commands import NEVER_US
-from autopilot.onboard.formation.own_state import OwnState
+from autopilot.onboard.client.commands import NEVER_US
+from autopilot.onboard.client.own_state import OwnState
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.radio import beacon as wire
 from autopilot.onboard.radio.neighbour_table import WAIT_US, NeighbourTable

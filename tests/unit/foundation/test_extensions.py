@@ -175,6 +175,6 @@ def test_two_distributions_may_not_give_different_code_the_same_name(tmp_path, m
     with pytest.raises(ExtensionError) as caught:
         registered("coflight.test")
     assert str(caught.value) == (
-        "entry points coflight.test: model is one.models:Model in the distribution one and two.models:Model in "
-        "two; expected one of them to be uninstalled"
+        "entry points coflight.test: model is one.models:Model in the distribution one and two.models:Model "
+        "in two; expected one of them to be uninstalled"
     )

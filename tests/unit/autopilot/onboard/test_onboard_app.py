@@ -19,11 +19,11 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.modes import FlightMode
 from autopilot.onboard.app import OnboardApp
+from autopilot.onboard.client.commands import CommandSender
+from autopilot.onboard.client.own_state import OwnState
 from autopilot.onboard.formation import messages
-from autopilot.onboard.formation.commands import CommandSender
 from autopilot.onboard.formation.flight_phases import FlightSequence, Situation
 from autopilot.onboard.formation.formation_control import COAST_S
-from autopilot.onboard.formation.own_state import OwnState
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.parameters.config import Devices, OnboardConfig
 from autopilot.parameters.table import ParameterSet, Settings

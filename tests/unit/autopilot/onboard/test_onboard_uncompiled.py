@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from beacons import Beacon, encode
 
+from autopilot.onboard.client.own_state import Fix
 from autopilot.onboard.formation import avoidance, formation_control
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.localisation import (
@@ -90,7 +91,7 @@ def pages(count=3):
             phase=FlightPhase(RNG.integers(9)), odometry_ned_m=tuple(some(3)), vel_ned_m_s=tuple(some(3)),
             motion_start_ms=None if RNG.integers(2) else 9_000,
             fix=None if RNG.integers(4) == 0 else
-                wire.Fix(int(RNG.integers(9_000, 10_500)), tuple(some(3)), 2.0, None),
+                Fix(int(RNG.integers(9_000, 10_500)), tuple(some(3)), 2.0, None),
             gps_error=None if RNG.integers(2) else wire.GpsError(tuple(some(3)), 1.0),
             distances=tuple(
                 wire.Distance(peer, int(RNG.integers(9_000, 10_500)), 9.0 + peer, 0.1)

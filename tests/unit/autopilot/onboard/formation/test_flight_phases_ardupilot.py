@@ -7,8 +7,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from autopilot.estimation.atmosphere import pressure_pa
 from autopilot.mavlink.modes import FlightMode
-from autopilot.onboard.formation.autopilots import ARDUPILOT, PX4
-from autopilot.onboard.formation.commands import CommandSender
+from autopilot.onboard.client.autopilots import ARDUPILOT, PX4
+from autopilot.onboard.client.commands import CommandSender
+from autopilot.onboard.client.own_state import OwnState
 from autopilot.onboard.formation.flight_phases import (
     HAND_OVER_HEIGHT_M,
     HEARTBEAT_LAG_US,
@@ -17,7 +18,6 @@ from autopilot.onboard.formation.flight_phases import (
     FlightSequence,
     Situation,
 )
-from autopilot.onboard.formation.own_state import OwnState
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.parameters.config import Site
 

@@ -6,6 +6,7 @@ from beacons import Beacon, decode, encode
 from onboard_world import article_places_ned_m, rms, shape_errors_m
 from scipy.optimize import least_squares
 
+from autopilot.onboard.client.own_state import Fix
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.localisation import kernels
 from autopilot.onboard.localisation.localisation import CooperativeLocalisation
@@ -293,7 +294,7 @@ def drawn_beacon(rng, case, row, now_us):
     return Beacon(
         station=row + 10, seq=0, time_us=int(now_us - rng.integers(0, 150_000)), phase=FlightPhase.JOINING,
         odometry_ned_m=(row + jump_m, 0.0, PLACES[row, 2]), vel_ned_m_s=(0.0, 0.0, 0.0),
-        fix=None if rng.random() < 0.1 else wire.Fix(
+        fix=None if rng.random() < 0.1 else Fix(
             int(fix_us) // 1_000, (*(case.truth[row, :2] + case.bias[row]), 0.0),
             None if rng.random() < 0.5 else 2.5, None if rng.random() < 0.5 else 3.5),
         distances=tuple(

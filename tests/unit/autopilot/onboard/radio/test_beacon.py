@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from msgspec import ValidationError, convert
 from msgspec.structs import replace
 
+from autopilot.onboard.client.own_state import Fix
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.radio import beacon as wire
 from autopilot.parameters.config import OnboardConfig
@@ -23,7 +24,7 @@ speed = st.floats(-17.0, 17.0, width=32)  # the limit is 30 m/s: 17 sqrt(3) = 29
 stds = st.integers(0, 65_535).map(lambda std_mm: std_mm * 1e-3)
 stated = st.none() | st.integers(1, 65_535).map(lambda std_mm: std_mm * 1e-3)
 milliseconds = st.integers(0, 2**32 - 1)
-fixes = st.builds(wire.Fix, milliseconds, vectors, stated, stated)
+fixes = st.builds(Fix, milliseconds, vectors, stated, stated)
 STATION = 7
 decode(b"")  # compiles the decoder before Hypothesis measures its deadline
 
@@ -54,7 +55,7 @@ def full_beacon(peers=(1,)):
     return Beacon(
         station=STATION, seq=3, time_us=5_000_000, phase=FlightPhase.ON_STATION,
         odometry_ned_m=(1.0, 2.0, 3.0), vel_ned_m_s=(4.0, 5.0, 6.0), motion_start_ms=9_000,
-        fix=wire.Fix(4_900, (7.0, 8.0, 9.0), 1.5, 2.5), gps_error=wire.GpsError((0.5, -0.5, 1.0), 0.25),
+        fix=Fix(4_900, (7.0, 8.0, 9.0), 1.5, 2.5), gps_error=wire.GpsError((0.5, -0.5, 1.0), 0.25),
         distances=tuple(wire.Distance(peer, 4_800, 8.5, 0.125) for peer in peers),
     )  # fmt: skip
 
@@ -156,7 +157,7 @@ def test_undefined_or_contradictory_fields_are_rejected(offset, value):
 def test_standard_deviations_saturate_and_a_stated_one_is_at_least_1_mm():
     beacon = replace(
         full_beacon(),
-        fix=wire.Fix(4_900, (7.0, 8.0, 9.0), float("inf"), 1e-6),
+        fix=Fix(4_900, (7.0, 8.0, 9.0), float("inf"), 1e-6),
         gps_error=wire.GpsError((0.0, 0.0, 0.0), 100.0),
     )
     decoded = decode(encode(beacon))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from beacons import Beacon, decode, encode
 
-from autopilot.onboard.formation.own_state import OwnState
+from autopilot.onboard.client.own_state import Fix, OwnState
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.localisation.model import SILENCE_US
 from autopilot.onboard.radio import beacon as wire
@@ -190,7 +190,7 @@ def test_a_beacon_of_a_large_swarm_carries_the_newest_distances():
 
 def test_beacons_are_numbered_and_carry_the_given_content():
     traffic, own = traffic_of(3), own_state(5_000_000)
-    own.fix = wire.Fix(4_800, (1.0, 2.0, 3.0), 1.5, 2.5)
+    own.fix = Fix(4_800, (1.0, 2.0, 3.0), 1.5, 2.5)
     errors = iter([None, wire.GpsError((0.5, -0.25, 0.0), 0.5)])
     broadcasts = traffic.due(
         own, 5_000_000, 5_200_000, ranging=False,

@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink import ardupilot_modes
 from autopilot.mavlink.modes import FlightMode, mode_from_custom
-from autopilot.onboard.formation.commands import RepeatedCommand
+from autopilot.onboard.client.commands import RepeatedCommand
 
 _CUSTOM = float(common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
 _NAN = float("nan")

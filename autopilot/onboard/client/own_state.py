@@ -5,6 +5,7 @@ position follows the GPS bias. Vertical odometry is a continuous height above th
 autopilot's may follow the GPS bias too, or be reset.
 """
 
+from msgspec import Struct
 from pymavlink.dialects.v20 import common
 
 from autopilot.estimation.atmosphere import altitude_m
@@ -12,14 +13,25 @@ from autopilot.mavlink.codec import Message
 from autopilot.mavlink.local_messages import LocalPosition
 from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation.site_frame import message_ned_m
-from autopilot.onboard.formation.autopilots import PX4, AutopilotInterface
-from autopilot.onboard.formation.height import ContinuousHeight
-from autopilot.onboard.radio.beacon import Fix
+from autopilot.onboard.client.autopilots import PX4, AutopilotInterface
+from autopilot.onboard.client.height import ContinuousHeight
 from autopilot.parameters.config import Site
 from foundation.types import Vector
 
 PA_PER_HPA = 100.0
 _ZERO: Vector = (0.0, 0.0, 0.0)
+
+
+class Fix(Struct, frozen=True):
+    """A GPS position of the antenna at ``time_ms``, corrected for the receiver's delay.
+
+    ``std_h_m`` and ``std_v_m`` are the accuracies that the receiver states; None: not stated.
+    """
+
+    time_ms: int
+    pos_ned_m: Vector
+    std_h_m: float | None = None
+    std_v_m: float | None = None
 
 
 class OwnState:

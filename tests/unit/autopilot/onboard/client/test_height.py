@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from autopilot.onboard.formation.height import TIME_CONSTANT_S, ContinuousHeight
+from autopilot.onboard.client.height import TIME_CONSTANT_S, ContinuousHeight
 
 POSITION_US, BAROMETER_US = 32_000, 100_000
 ORIGIN_M = 488.0

@@ -3,7 +3,7 @@
 import pytest
 from pymavlink.dialects.v20 import common
 
-from autopilot.onboard.formation.own_state import OwnState
+from autopilot.onboard.client.own_state import OwnState
 from autopilot.parameters.config import Site
 
 SITE = Site()
