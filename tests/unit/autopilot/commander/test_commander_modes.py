@@ -3,20 +3,16 @@
 import pytest
 from pymavlink.dialects.v20 import common
 
-from autopilot.commander.arming_checks import (
-    MODE_NEEDS,
-    MODES_TO_ARM_IN,
-    Condition,
-    Reason,
-    arming_needs,
-    first_missing,
-)
+from autopilot.commander.arming_checks import Condition, Reason, first_missing
 from autopilot.commander.commander import Commander
 from autopilot.commander.failsafe import ARMING_CAUSES, Cause
 from autopilot.commander.params import CommanderParams
 from autopilot.mavlink.modes import FlightMode
+from autopilot.navigation.mode_registry import mode_table
 
 ALL = sum(Condition)
+MODES = mode_table()
+MODES_TO_ARM_IN = [mode for mode, traits in MODES.traits.items() if traits.arms]
 S = 1_000_000
 STEP = 4_000
 
@@ -26,7 +22,7 @@ def step(commander, now_us, *, conditions=ALL, landed=True, causes=0, next_mode=
 
 
 def ready(conditions=ALL, *, params=None):
-    commander = Commander(params or CommanderParams())
+    commander = Commander(params or CommanderParams(), MODES)
     step(commander, 0, conditions=conditions)
     return commander
 
@@ -45,7 +41,7 @@ def test_a_missing_condition_refuses_arming_with_its_reason_where_needed(mode, m
     commander = ready()
     assert commander.set_mode(mode) is None
     step(commander, STEP, conditions=ALL & ~missing)
-    if not arming_needs(mode) & missing:
+    if not MODES.arming_needs(mode) & missing:
         assert commander.arm(0) is None
         return
     reason = commander.arm(0)
@@ -104,7 +100,7 @@ def test_modes_that_cannot_take_off_cannot_be_armed_in():
     assert commander.arm(0) is Reason.MODE_CANNOT_ARM
 
 
-@pytest.mark.parametrize("mode", [m for m in FlightMode if m not in MODE_NEEDS] + [FlightMode.DESCEND, None])
+@pytest.mark.parametrize("mode", [m for m in FlightMode if m not in MODES.needs] + [FlightMode.DESCEND, None])
 def test_modes_that_are_not_implemented_are_denied(mode):
     commander = flying(FlightMode.HOLD)
     assert commander.set_mode(mode) is Reason.MODE_UNAVAILABLE
@@ -154,7 +150,7 @@ def test_disarms_exactly_two_seconds_after_landing():
 
 @pytest.mark.parametrize(("limit_s", "disarmed"), [(10.0, True), (-1.0, False)])
 def test_disarms_without_takeoff(limit_s, disarmed):
-    commander = Commander(CommanderParams(disarm_preflight_s=limit_s))
+    commander = Commander(CommanderParams(disarm_preflight_s=limit_s), MODES)
     step(commander, 0)
     commander.arm(3 * S)
     step(commander, 13 * S - STEP)
