@@ -37,7 +37,6 @@ if TYPE_CHECKING:
         Course,
         EstimatorState,
         RateSetpoint,
-        Setpoint,
         TrajectorySetpoint,
     )
     from harness.campaign import Campaign
@@ -57,7 +56,7 @@ __all__ = [
     "ControllerInputs", "Course", "ErrorModel", "EstimatorState", "Fading", "FlightMode",
     "FlightModeBehaviour", "Guest", "MavlinkService", "ModeContext", "ModeEntry", "ModeInputs",
     "ModeTraits", "NetworkEmulator", "OneProcessSwarm", "Physics", "Propagation", "RateSetpoint",
-    "Scenario", "ScenarioError", "ServiceContext", "Setpoint", "SetupError", "StopMode", "Swarm",
+    "Scenario", "ScenarioError", "ServiceContext", "SetupError", "StopMode", "Swarm",
     "SwarmError", "SwarmTimeoutError", "SwarmTruth", "ThrustTorque", "TrajectorySetpoint",
     "load_scenario",
 ]  # fmt: skip
@@ -90,7 +89,6 @@ _PLACES = {
     "Scenario": "harness.scenario.scenario:Scenario",
     "ScenarioError": "harness.scenario.scenario:ScenarioError",
     "ServiceContext": "autopilot.services.user_service:ServiceContext",
-    "Setpoint": "foundation.types:Setpoint",
     "SetupError": "harness.launch.run_messages:SetupError",
     "StopMode": "autopilot.navigation.flight_mode:StopMode",
     "Swarm": "harness.launch.swarm:Swarm",

@@ -13,6 +13,9 @@ from autopilot.mavlink.modes import FlightMode
 
 FLIES_TO_A_PLACE = Condition.ATTITUDE | Condition.HEIGHT | Condition.VELOCITY | Condition.POSITION
 
+NAME_MOST = 34
+"""Characters of a name in AVAILABLE_MODES."""
+
 
 class ModeTraits(Struct, frozen=True, kw_only=True):
     """Properties of a flight mode."""
@@ -27,13 +30,18 @@ class ModeTraits(Struct, frozen=True, kw_only=True):
     """Whether Hold replaces it after disarming, so that a flight does not begin in the mode in which another
     ended."""
     name: str = ""
-    """Name in ground stations, at most 34 characters; empty: that of its number."""
+    """Name in ground stations, at most `NAME_MOST` characters; empty: that of its number."""
     standard: int = 0
     """MAV_STANDARD_MODE; 0: none, so ground stations show its name."""
     is_advanced: bool = False
     """Shown by ground stations among the advanced modes."""
     is_selectable: bool = True
     """Whether ground stations offer it in their list of modes."""
+
+    def __post_init__(self) -> None:
+        """Check that AVAILABLE_MODES can carry the name."""
+        if len(self.name) > NAME_MOST or not self.name.isascii():
+            raise ValueError(f"name: {self.name!r}; expected at most {NAME_MOST} ASCII characters")
 
 
 class ModeTable:

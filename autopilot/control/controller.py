@@ -5,7 +5,7 @@ take-off and land detection, observers of hover thrust and disturbance before it
 desaturation after it.
 """
 
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 from msgspec import Struct
 
@@ -16,7 +16,7 @@ TORQUE_MAX = 10.0
 """Greatest magnitude of a normalised torque; one of 1 already needs most of the rotors' range."""
 
 
-class ThrustTorque(NamedTuple):
+class ThrustTorque(Struct, frozen=True):
     """Demand of a controller, in the units of PX4's allocation.
 
     Thrust and torque instead of motor commands: allocation then gives up yaw first, roll and pitch last, and
@@ -35,6 +35,7 @@ class ControllerContext(Struct, frozen=True, kw_only=True):
     instance: int
     """Number of the UAV."""
     rotors: int
+    """Number of rotors."""
     unit_torque_m: Vector
     """Normalised torque of 1 about x, y and z (FRD): N m per newton of one rotor's full thrust above idle."""
     params: ControlParams

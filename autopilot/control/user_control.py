@@ -76,15 +76,15 @@ class UserFlightController(FlightController):
             self._runs = False
         self._was_landed, self._followed = landed, setpoint
         phase, climb_max_m_s = self._takeoff.phase, self._takeoff.climb_max_m_s
-        yaw_rad = 0.0
+        yaw_rad, idles, flies = 0.0, False, False
         if isinstance(setpoint, TrajectorySetpoint):
             yaw_rad = self._update_yaw(state, setpoint, dt_s=dt_s)
+            idles, flies = phase is TakeoffPhase.GROUND, phase is TakeoffPhase.FLYING
         else:
             self._yaw_rad = None
-        idles = phase is TakeoffPhase.GROUND and isinstance(setpoint, TrajectorySetpoint)
         INPUTS.pack_into(
             self._octets, 0, yaw_rad, 0.0, climb_max_m_s,
-            dt_s, state.velocity_valid, idles, landed, phase is TakeoffPhase.FLYING,
+            dt_s, state.velocity_valid, idles, landed, flies,
         )  # fmt: skip
         observe(self.block, state.estimate)
         if idles:

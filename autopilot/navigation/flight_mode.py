@@ -92,7 +92,7 @@ class FlightModeBehaviour(Protocol):
     A mode of the user (``autopilot.modes``) is created as ``Class(context)`` with a `ModeContext`; with a
     class attribute ``Settings``, a msgspec Struct or dataclass, as ``Class(context, settings)``.
 
-    Call order: `enter`, then `update` at every step of position control (8 ms) until another mode is entered;
+    Call order: `enter`, then `update` at every inertial sample (4 ms) until another mode is entered;
     the other members are read or called in between. Positions are NED metres from the estimator's origin.
     Time is the sum of ``dt_s``; there is no clock, no I/O and no randomness: equal calls give equal bytes.
     """

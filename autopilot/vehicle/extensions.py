@@ -92,13 +92,13 @@ def path_of(name: str, group: str, *, field: str) -> str:
 
 
 def named(config: AutopilotConfig) -> dict[str, tuple[str, str]]:
-    """Return the group of entry points and the name of all code that the settings name, by field."""
-    found = {} if config.controller is None else {"autopilot.controller": (CONTROLLERS, config.controller)}
-    for field, group, names in (
-        ("autopilot.modes", MODES, config.modes),
-        ("autopilot.services", SERVICES, config.services),
+    """Return the name of all code that the settings name, and its group of entry points, by field."""
+    found = {} if config.controller is None else {"autopilot.controller": (config.controller, CONTROLLERS)}
+    for field, names, group in (
+        ("autopilot.modes", config.modes, MODES),
+        ("autopilot.services", config.services, SERVICES),
     ):
-        found |= {f"{field}[{number}]": (group, name) for number, name in enumerate(names)}
+        found |= {f"{field}[{number}]": (name, group) for number, name in enumerate(names)}
     return found
 
 

@@ -107,13 +107,9 @@ class Vehicle:
         )
         defaults = replace(defaults, estimation=estimation)
         extensions = load_extensions(config.autopilot)
-        modes = [
-            *MODES,
-            *(
-                user_row(number, each.kind, each.make, each.title)
-                for number, each in enumerate(extensions.modes)
-            ),
-        ]
+        modes = [*MODES]
+        for number, each in enumerate(extensions.modes):
+            modes.append(user_row(number, each.kind.traits, each.make, each.title))
         self.parameters = ParameterSet(defaults, config.autopilot.params, system=self._system)
         settings = self.parameters.settings
         self.shared = SharedState()

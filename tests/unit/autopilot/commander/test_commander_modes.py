@@ -6,6 +6,7 @@ from pymavlink.dialects.v20 import common
 from autopilot.commander.arming_checks import Condition, Reason, first_missing
 from autopilot.commander.commander import Commander
 from autopilot.commander.failsafe import ARMING_CAUSES, Cause
+from autopilot.commander.mode_table import ModeTable, ModeTraits
 from autopilot.commander.params import CommanderParams
 from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation.mode_registry import mode_table
@@ -171,4 +172,41 @@ def test_termination_is_permanent():
 def test_nothing_happens_on_the_ground_while_disarmed():
     commander = ready()
     assert step(commander, 100 * S, conditions=0) == ()
+    assert commander.mode is FlightMode.HOLD
+
+
+@pytest.mark.parametrize("name", ["x" * 35, "Übung"])
+def test_a_name_that_available_modes_cannot_carry_is_refused(name):
+    with pytest.raises(ValueError, match="expected at most 34 ASCII characters"):
+        ModeTraits(needs=Condition.ATTITUDE, name=name)
+
+
+def test_a_mode_of_the_user_by_sticks_falls_back_as_the_manual_modes_do():
+    traits = {
+        **MODES.traits,
+        FlightMode.EXTERNAL1: ModeTraits(needs=Condition.MANUAL, arms=True, by_sticks=True),
+    }
+    commander = Commander(CommanderParams(), ModeTable(traits))
+    step(commander, 0)
+    assert commander.set_mode(FlightMode.EXTERNAL1) is None
+    assert commander.arm(0) is None
+    step(commander, STEP, landed=False)
+    assert commander.mode is FlightMode.EXTERNAL1
+    step(commander, 2 * STEP, conditions=ALL & ~Condition.MANUAL, landed=False)
+    assert (commander.mode, commander.failsafe) == (FlightMode.HOLD, True)
+    step(commander, 3 * STEP, landed=False)
+    assert (commander.mode, commander.failsafe) == (FlightMode.EXTERNAL1, False)
+
+
+def test_an_automatic_mode_of_the_user_returns_when_a_need_is_lost_and_is_left_after_the_flight():
+    needs = Condition.POSITION | Condition.GPS
+    traits = {**MODES.traits, FlightMode.EXTERNAL3: ModeTraits(needs=needs, arms=True, of_one_flight=True)}
+    commander = Commander(CommanderParams(), ModeTable(traits))
+    step(commander, 0)
+    assert commander.set_mode(FlightMode.EXTERNAL3) is None
+    assert commander.arm(0) is None
+    step(commander, STEP, landed=False)
+    step(commander, 2 * STEP, conditions=ALL & ~Condition.GPS, landed=False)
+    assert (commander.mode, commander.failsafe) == (FlightMode.RETURN, True)
+    assert commander.disarm(forced=True) is None
     assert commander.mode is FlightMode.HOLD
