@@ -77,20 +77,20 @@ class GeometricController:
         omega_frd = state.omega_frd_rad_s
         attitude = rotation(state.q_ned_frd)
         if isinstance(setpoint, RateSetpoint):
-            wanted_frd, error = setpoint.rate_frd_rad_s, np.zeros(3)
+            desired_frd, error = setpoint.rate_frd_rad_s, np.zeros(3)
             thrust = setpoint.thrust
         else:
             if isinstance(setpoint, AttitudeSetpoint):
-                wanted, thrust = rotation(setpoint.q_ned_frd), setpoint.thrust
+                desired, thrust = rotation(setpoint.q_ned_frd), setpoint.thrust
             else:
                 force_ned = self._acceleration(inputs, setpoint) - GRAVITY_M_S2 * DOWN
-                wanted = frame(force_ned, inputs.yaw_rad)
+                desired = frame(force_ned, inputs.yaw_rad)
                 # equation (15): the component of the demanded force along the present thrust axis
                 share = max(-float(force_ned @ attitude[:, 2]), 0.0) / GRAVITY_M_S2
                 thrust = max(inputs.hover_thrust * share, self._params.thr_min)
-            wanted_frd = attitude.T @ (setpoint.yaw_rate_rad_s * DOWN)
-            error = attitude_error(attitude, wanted)
-        alpha = -self._attitude_gain * error - self._rate_gain * (omega_frd - wanted_frd)
+            desired_frd = attitude.T @ (setpoint.yaw_rate_rad_s * DOWN)
+            error = attitude_error(attitude, desired)
+        alpha = -self._attitude_gain * error - self._rate_gain * (omega_frd - desired_frd)
         moment_nm = self._inertia * alpha + np.cross(omega_frd, self._inertia * omega_frd)
         torque = np.clip(moment_nm / self._torque_nm, -TORQUE_MAX, TORQUE_MAX)
         return ThrustTorque(min(thrust, 1.0), torque)
@@ -107,8 +107,8 @@ class GeometricController:
             if setpoint.acc_ned_m_s2 is not None and setpoint.acc_axes[i]:
                 acc[i] += setpoint.acc_ned_m_s2[i]
             if (has_position or has_velocity) and velocity_valid[i]:
-                wanted_m_s = setpoint.vel_ned_m_s[i] if has_velocity else 0.0
-                acc[i] -= settings.velocity_1_s[i] * (state.vel_ned_m_s[i] - wanted_m_s)
+                desired_m_s = setpoint.vel_ned_m_s[i] if has_velocity else 0.0
+                acc[i] -= settings.velocity_1_s[i] * (state.vel_ned_m_s[i] - desired_m_s)
             if has_position and position_valid[i]:
                 error_m = state.pos_ned_m[i] - setpoint.pos_ned_m[i]
                 most_m = settings.position_error_max_m
@@ -143,7 +143,7 @@ def frame(force_ned: Array, yaw_rad: float) -> Array:
     return np.column_stack((np.cross(right, down), right, down))
 
 
-def attitude_error(attitude: Array, wanted: Array) -> Array:
+def attitude_error(attitude: Array, desired: Array) -> Array:
     """Return the attitude error (3,) of equation (10), about the body's axes."""
-    skew = wanted.T @ attitude - attitude.T @ wanted
+    skew = desired.T @ attitude - attitude.T @ desired
     return 0.5 * np.array((skew[2, 1], skew[0, 2], skew[1, 0]))
