@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from autopilot.control.allocation import allocate, effectiveness, mixer
+from autopilot.control.allocation import effectiveness, mixer
 from autopilot.control.cascade import airmode_above, observe
 from autopilot.control.controller import (
     TORQUE_MAX,
@@ -18,6 +18,7 @@ from autopilot.control.controller import (
     ThrustTorque,
 )
 from autopilot.control.flight import INPUTS, FlightController
+from autopilot.control.inner_loop import follow_demand
 from autopilot.control.params import ControlParams
 from autopilot.control.takeoff import TakeoffPhase
 from foundation.extension_failure import ExtensionFailure, failure
@@ -104,9 +105,7 @@ class UserFlightController(FlightController):
                     unallocated=self._unallocated.copy(),
                 )
             )
-        self._torque[:] = torque
-        highest = 1.0 if thrust > airmode_above(landed, self.params.position.thr_min) else 0.0
-        allocate(self._state.allocation, thrust, torque, highest)
+        follow_demand(self.block, thrust, torque, airmode_above(landed, self.params.position.thr_min))
         return self.controls
 
     def _demand(self, inputs: ControllerInputs) -> tuple[float, Array]:
