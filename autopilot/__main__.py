@@ -16,6 +16,7 @@ import selectors
 import socket
 import sys
 import time
+import traceback
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -42,6 +43,8 @@ from autopilot.parameters.table import ParameterError
 from autopilot.process.profile_groups import PROFILE_GROUPS
 from autopilot.services.service import COMPANION, GROUND_STATION, Addressed, Partner
 from autopilot.vehicle.host import Host, Links, warnings
+from foundation.extension_failure import ExtensionFailure
+from foundation.extensions import ExtensionError
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Warned, emit, end_with_parent
 from foundation.processes.scheduling import yield_when_woken
 from foundation.profiling.profiler import profiled
@@ -312,8 +315,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         PlanFileError,
         PlanError,
         SigningKeyError,
+        ExtensionError,
     ) as error:
         # also unreachable simulators and radios, which are OSErrors
+        print(f"uav: {error}", file=sys.stderr)
+        return 2
+    except ExtensionFailure as error:
+        traceback.print_exception(error)
         print(f"uav: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

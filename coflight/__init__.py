@@ -6,7 +6,8 @@
         swarm.run_until_formed(timeout_s=60)
 
 `Swarm`, `OneProcessSwarm`, `Scenario`, `load_scenario`, the errors that they raise and the protocols of parts
-that can be replaced (`Application` and others) are loaded on first use. What they do is left to `harness` and
+that can be replaced (`Application`, `Controller` and others), with the types that they exchange, are loaded
+on first use. What they do is left to `harness` and
 the packages below; the ``coflight`` command is `coflight.command`.
 """
 
@@ -17,9 +18,27 @@ from typing import TYPE_CHECKING
 from foundation.kernels import cache_folder
 
 if TYPE_CHECKING:
-    from autopilot.navigation.flight_mode import FlightModeBehaviour
+    from autopilot.commander.arming_checks import Condition
+    from autopilot.commander.mode_table import ModeTraits
+    from autopilot.control.controller import Controller, ControllerContext, ControllerInputs, ThrustTorque
+    from autopilot.mavlink.modes import FlightMode
+    from autopilot.navigation.flight_mode import (
+        FlightModeBehaviour,
+        ModeContext,
+        ModeEntry,
+        ModeInputs,
+        StopMode,
+    )
     from autopilot.onboard.application import Application
     from autopilot.services.service import MavlinkService
+    from autopilot.services.user_service import ServiceContext
+    from foundation.types import (
+        AttitudeSetpoint,
+        Course,
+        EstimatorState,
+        RateSetpoint,
+        TrajectorySetpoint,
+    )
     from harness.campaign import Campaign
     from harness.launch.one_process import OneProcessSwarm
     from harness.launch.run_messages import SetupError, SwarmError, SwarmTimeoutError
@@ -33,30 +52,51 @@ if TYPE_CHECKING:
     from netsim.transport.guest import Guest
 
 __all__ = [
-    "Application", "Campaign", "ErrorModel", "Fading", "FlightModeBehaviour", "Guest", "MavlinkService",
-    "NetworkEmulator", "OneProcessSwarm", "Physics", "Propagation", "Scenario", "ScenarioError", "SetupError",
-    "Swarm", "SwarmError", "SwarmTimeoutError", "SwarmTruth", "load_scenario",
+    "Application", "AttitudeSetpoint", "Campaign", "Condition", "Controller", "ControllerContext",
+    "ControllerInputs", "Course", "ErrorModel", "EstimatorState", "Fading", "FlightMode",
+    "FlightModeBehaviour", "Guest", "MavlinkService", "ModeContext", "ModeEntry", "ModeInputs",
+    "ModeTraits", "NetworkEmulator", "OneProcessSwarm", "Physics", "Propagation", "RateSetpoint",
+    "Scenario", "ScenarioError", "ServiceContext", "SetupError", "StopMode", "Swarm",
+    "SwarmError", "SwarmTimeoutError", "SwarmTruth", "ThrustTorque", "TrajectorySetpoint",
+    "load_scenario",
 ]  # fmt: skip
 
 _PLACES = {
     "Application": "autopilot.onboard.application:Application",
+    "AttitudeSetpoint": "foundation.types:AttitudeSetpoint",
     "Campaign": "harness.campaign:Campaign",
+    "Condition": "autopilot.commander.arming_checks:Condition",
+    "Controller": "autopilot.control.controller:Controller",
+    "ControllerContext": "autopilot.control.controller:ControllerContext",
+    "ControllerInputs": "autopilot.control.controller:ControllerInputs",
+    "Course": "foundation.types:Course",
     "ErrorModel": "netsim.phy.interfaces:ErrorModel",
+    "EstimatorState": "foundation.types:EstimatorState",
     "Fading": "netsim.phy.interfaces:Fading",
+    "FlightMode": "autopilot.mavlink.modes:FlightMode",
     "FlightModeBehaviour": "autopilot.navigation.flight_mode:FlightModeBehaviour",
     "Guest": "netsim.transport.guest:Guest",
     "MavlinkService": "autopilot.services.service:MavlinkService",
+    "ModeContext": "autopilot.navigation.flight_mode:ModeContext",
+    "ModeEntry": "autopilot.navigation.flight_mode:ModeEntry",
+    "ModeInputs": "autopilot.navigation.flight_mode:ModeInputs",
+    "ModeTraits": "autopilot.commander.mode_table:ModeTraits",
     "NetworkEmulator": "netsim.emulator.interface:NetworkEmulator",
     "OneProcessSwarm": "harness.launch.one_process:OneProcessSwarm",
     "Physics": "harness.world.physics.interface:Physics",
     "Propagation": "netsim.phy.interfaces:Propagation",
+    "RateSetpoint": "foundation.types:RateSetpoint",
     "Scenario": "harness.scenario.scenario:Scenario",
     "ScenarioError": "harness.scenario.scenario:ScenarioError",
+    "ServiceContext": "autopilot.services.user_service:ServiceContext",
     "SetupError": "harness.launch.run_messages:SetupError",
+    "StopMode": "autopilot.navigation.flight_mode:StopMode",
     "Swarm": "harness.launch.swarm:Swarm",
     "SwarmError": "harness.launch.run_messages:SwarmError",
     "SwarmTimeoutError": "harness.launch.run_messages:SwarmTimeoutError",
     "SwarmTruth": "harness.launch.truth:SwarmTruth",
+    "ThrustTorque": "autopilot.control.controller:ThrustTorque",
+    "TrajectorySetpoint": "foundation.types:TrajectorySetpoint",
     "load_scenario": "harness.scenario.scenario_file:load",
 }
 

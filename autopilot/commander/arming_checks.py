@@ -1,10 +1,8 @@
-"""Arming checks: needs of the flight modes and of arming, and the reasons for which a request is refused."""
+"""Conditions of flight modes and of arming, and the reasons for which a request is refused."""
 
 from enum import Enum, IntFlag
 
 from pymavlink.dialects.v20 import common
-
-from autopilot.mavlink.modes import FlightMode
 
 
 class Condition(IntFlag):
@@ -70,63 +68,10 @@ class Reason(Enum):
         self.result = result
 
 
-_FLIES_TO_A_PLACE = Condition.ATTITUDE | Condition.HEIGHT | Condition.VELOCITY | Condition.POSITION
-
-MODE_NEEDS: dict[FlightMode, Condition] = {
-    FlightMode.TAKEOFF: _FLIES_TO_A_PLACE,
-    FlightMode.HOLD: _FLIES_TO_A_PLACE,
-    FlightMode.MISSION: _FLIES_TO_A_PLACE | Condition.HOME | Condition.MISSION,
-    FlightMode.RETURN: _FLIES_TO_A_PLACE | Condition.HOME,
-    FlightMode.LAND: _FLIES_TO_A_PLACE,
-    FlightMode.ORBIT: _FLIES_TO_A_PLACE,
-    FlightMode.OFFBOARD: _FLIES_TO_A_PLACE | Condition.SETPOINTS,
-    FlightMode.POSITION: _FLIES_TO_A_PLACE | Condition.MANUAL,
-    FlightMode.ALTITUDE: Condition.ATTITUDE | Condition.HEIGHT | Condition.MANUAL,
-    FlightMode.STABILIZED: Condition.ATTITUDE | Condition.MANUAL,
-    FlightMode.DESCEND: Condition.ATTITUDE,
-}
-"""Needs of each implemented mode."""
-
-MODE_NEED_BITS = {mode: int(needs) for mode, needs in MODE_NEEDS.items()}
-"""As plain integers: the test takes a tenth of the time that the flag type takes."""
-
 ARMING_NEEDS = Condition.IMU | Condition.BARO | Condition.MAG | Condition.CHARGE
 """Needs of arming in addition to those of the mode; a mode that needs the position also needs the GPS."""
 
-MODES_TO_ARM_IN = frozenset({
-    FlightMode.TAKEOFF, FlightMode.HOLD, FlightMode.MISSION, FlightMode.OFFBOARD,
-    FlightMode.POSITION, FlightMode.ALTITUDE, FlightMode.STABILIZED,
-})  # fmt: skip
-
-MANUAL_MODES = frozenset({FlightMode.POSITION, FlightMode.ALTITUDE, FlightMode.STABILIZED})
-
-MODES_OF_ONE_FLIGHT = frozenset({
-    FlightMode.TAKEOFF, FlightMode.MISSION, FlightMode.RETURN, FlightMode.LAND, FlightMode.ORBIT,
-    FlightMode.DESCEND,
-})  # fmt: skip
-"""Replaced by Hold after disarming, so that a flight does not begin in the mode in which another ended."""
-
 _REASONS = {condition: Reason[f"NO_{condition.name}"] for condition in Condition}
-
-
-def arming_needs(mode: FlightMode) -> int:
-    """Return the `Condition` bits that arming in this mode requires."""
-    needs = int(ARMING_NEEDS) | MODE_NEED_BITS[mode]
-    return needs | int(Condition.GPS) if needs & Condition.POSITION else needs
-
-
-def arming_refusals(mode: FlightMode, conditions: int, *, armable: bool) -> list[Reason]:
-    """Return the reasons for which arming in this mode is refused, the most basic first.
-
-    ``conditions`` are the `Condition` bits that are met, ``armable`` is COM_ARMABLE. The causes of failsafes
-    that prevent arming as well are checked by `Commander.arming_refusals`.
-    """
-    reasons = [] if armable else [Reason.NOT_ARMABLE]
-    if mode not in MODES_TO_ARM_IN:
-        reasons.append(Reason.MODE_CANNOT_ARM)
-    if mode in MODE_NEEDS:
-        reasons += all_missing(arming_needs(mode), conditions)
-    return reasons
 
 
 def first_missing(needs: int, conditions: int) -> Reason | None:

@@ -1,4 +1,4 @@
-"""Arming, modes and failsafes of one vehicle, from the tables in `arming_checks` and `failsafe`.
+"""Arming, modes and failsafes of one vehicle, from the tables in `mode_table` and `failsafe`.
 
 The commander decides and reports reasons; it does not control. `autopilot.navigation` turns the mode into
 setpoints, `autopilot.services` carries requests and replies. A request returns None if it is granted, else
@@ -9,14 +9,7 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common
 
-from autopilot.commander.arming_checks import (
-    MODE_NEEDS,
-    MODES_OF_ONE_FLIGHT,
-    Condition,
-    Reason,
-    arming_refusals,
-    first_missing,
-)
+from autopilot.commander.arming_checks import Condition, Reason, first_missing
 from autopilot.commander.failsafe import (
     ARMING_CAUSES,
     MODE_OF,
@@ -27,6 +20,7 @@ from autopilot.commander.failsafe import (
     Decision,
     Failsafe,
 )
+from autopilot.commander.mode_table import ModeTable
 from autopilot.commander.params import CommanderParams
 from autopilot.mavlink.modes import FlightMode
 
@@ -42,8 +36,9 @@ class Notice(NamedTuple):
 class Commander:
     """Mode and arming; requests are `arm`, `disarm`, `set_mode`. Call `update` several times a second."""
 
-    def __init__(self, params: CommanderParams) -> None:
+    def __init__(self, params: CommanderParams, modes: ModeTable) -> None:
         self.params = params
+        self.modes = modes
         self.mode = FlightMode.HOLD
         """Mode in flight: the requested mode or that of the failsafe."""
         self.armed = False
@@ -55,7 +50,7 @@ class Commander:
         self._requested = FlightMode.HOLD
         """Requested mode; restored after a failsafe that ends with its cause."""
         self._mode_chosen = False
-        self._failsafe = Failsafe()
+        self._failsafe = Failsafe(modes)
         self._decision = NOTHING
         self._conditions = 0
         self._causes = 0
@@ -87,7 +82,7 @@ class Commander:
 
     def arming_refusals(self) -> list[Reason]:
         """Return all reasons for which arming in the present mode would be refused, the most basic first."""
-        reasons = arming_refusals(self.mode, self._conditions, armable=self.params.armable != 0)
+        reasons = self.modes.arming_refusals(self.mode, self._conditions, armable=self.params.armable != 0)
         for cause, reason in ARMING_CAUSES:
             if self._causes & cause and reason not in reasons and self._prevents_arming(cause):
                 reasons.append(reason)
@@ -99,7 +94,7 @@ class Commander:
             return Reason.IN_AIR
         if self.armed:
             self.armed = False
-            if self.failsafe or self._requested in MODES_OF_ONE_FLIGHT:
+            if self.failsafe or self._requested in self.modes.of_one_flight:
                 self._requested = FlightMode.HOLD
             self.mode = self._requested
             self.failsafe = False
@@ -111,11 +106,13 @@ class Commander:
         While disarmed, as in PX4, any mode may be selected, and arming is refused instead; offboard always
         needs its setpoints.
         """
-        if mode not in MODE_NEEDS or mode is FlightMode.DESCEND:
+        if mode is None or mode not in self.modes.offered:
             return Reason.MODE_UNAVAILABLE
         if self.terminated:
             return Reason.TERMINATED
-        needs = MODE_NEEDS[mode] if self.armed else MODE_NEEDS[mode] & Condition.SETPOINTS
+        needs = self.modes.needs[mode]
+        if not self.armed:
+            needs &= int(Condition.SETPOINTS)
         missing = first_missing(needs, self._conditions)
         if missing is None:
             self.mode = self._requested = mode
@@ -189,7 +186,7 @@ class Commander:
             self.mode = MODE_OF.get(action, self._requested)
             self.failsafe = action in MODE_OF
         if decision._replace(delay_s=0.0) != before._replace(delay_s=0.0):
-            notices = _notices(before, decision, self.mode)
+            notices = self._notices(before, decision)
         return notices
 
     def _prevents_arming(self, cause: Cause) -> bool:
@@ -199,6 +196,18 @@ class Commander:
         if cause is Cause.GEOFENCE:
             return self.params.geofence_action > 1
         return True
+
+    def _notices(self, before: Decision, now: Decision) -> tuple[Notice, ...]:
+        """Return the notices of a failsafe that begins, gets worse, is taken over or ends."""
+        action, name = now.action, self.modes.name(self.mode)
+        if action <= Action.WARN:  # each warning has its own notice
+            if now.taken_over and not before.taken_over:
+                return (_info(f"Pilot took over, {name}"),)
+            return (_info(f"Failsafe over, {name}"),) if before.action > Action.WARN else ()
+        what = _DONE.get(action, name)
+        if now.then is not None:
+            what += f", {self.modes.name(MODE_OF[now.then])} in {now.delay_s:.0f} s"
+        return (Notice(common.MAV_SEVERITY_CRITICAL, f"Failsafe: {now.text}, {what}"),)
 
     def _disarm_when_idle(self, now_us: int) -> tuple[Notice, ...]:
         if self._has_flown:
@@ -212,19 +221,6 @@ class Commander:
 
 
 _DONE = {Action.TERMINATE: "flight terminated", Action.DISARM: "disarmed"}
-
-
-def _notices(before: Decision, now: Decision, mode: FlightMode) -> tuple[Notice, ...]:
-    """Return the notices of a failsafe that begins, gets worse, is taken over or ends."""
-    action = now.action
-    if action <= Action.WARN:  # each warning has its own notice
-        if now.taken_over and not before.taken_over:
-            return (_info(f"Pilot took over, {mode.label}"),)
-        return (_info(f"Failsafe over, {mode.label}"),) if before.action > Action.WARN else ()
-    what = _DONE.get(action, mode.label)
-    if now.then is not None:
-        what += f", {MODE_OF[now.then].label} in {now.delay_s:.0f} s"
-    return (Notice(common.MAV_SEVERITY_CRITICAL, f"Failsafe: {now.text}, {what}"),)
 
 
 def _info(text: str) -> Notice:

@@ -11,7 +11,8 @@ from enum import IntEnum, IntFlag
 from types import MappingProxyType
 from typing import NamedTuple
 
-from autopilot.commander.arming_checks import MANUAL_MODES, MODE_NEED_BITS, Condition, Reason, first_missing
+from autopilot.commander.arming_checks import Condition, Reason, first_missing
+from autopilot.commander.mode_table import ModeTable
 from autopilot.commander.params import CommanderParams
 from autopilot.mavlink.modes import FlightMode
 
@@ -142,7 +143,6 @@ MODE_OF: Mapping[Action, FlightMode] = MappingProxyType({
     Action.RETURN: FlightMode.RETURN, Action.LAND: FlightMode.LAND, Action.DESCEND: FlightMode.DESCEND,
 })  # fmt: skip
 
-_AUTO_MODES = frozenset(MODE_NEED_BITS) - MANUAL_MODES - {FlightMode.MISSION, FlightMode.OFFBOARD}
 _EXCEPT_MISSION, _EXCEPT_AUTO, _EXCEPT_OFFBOARD = 1, 2, 4
 """Bits of COM_RCL_EXCEPT and COM_DLL_EXCEPT."""
 _SETTLING_US = 3 * US_PER_S
@@ -176,7 +176,8 @@ class _Active(NamedTuple):
 class Failsafe:
     """Active failsafes of one flight; call `update` at every decision."""
 
-    def __init__(self) -> None:
+    def __init__(self, modes: ModeTable) -> None:
+        self._modes = modes
         self.decision = NOTHING
         self._active: dict[Cause, _Active] = {}
         self._taken_over = False
@@ -212,7 +213,7 @@ class Failsafe:
             self._ignored = causes & _IGNORED_AT_ARMING
         self._ignored &= causes  # a cause that disappeared once is no longer ignored
         causes &= self._configured_causes(params, mode)
-        missing = MODE_NEED_BITS[mode] & ~conditions
+        missing = self._modes.needs[mode] & ~conditions
         if not causes and not missing and not self._active:
             self._taken_over = False
             self.decision = NOTHING
@@ -236,7 +237,7 @@ class Failsafe:
         if known is None or known[0] is not params or known[1] is not mode:
             bits = 0
             for row in ROWS:
-                if _value(row, params) in row.responses and not _is_excepted(row.cause, mode, params):
+                if _value(row, params) in row.responses and not self._is_excepted(row.cause, mode, params):
                     bits |= int(row.cause)
             self._configured = known = (params, mode, bits)
         return known[2]
@@ -255,7 +256,10 @@ class Failsafe:
         if missing:
             reason = first_missing(missing, 0)
             assert reason is not None  # noqa: S101  # something is missing
-            present[Cause.MODE_NEEDS] = (_mode_response(mode, missing, conditions, params), reason.text)
+            present[Cause.MODE_NEEDS] = (
+                self._mode_response(mode, missing, conditions, params),
+                reason.text,
+            )
         return present
 
     def _has_just_started(self, now_us: int, params: CommanderParams) -> bool:
@@ -310,12 +314,12 @@ class Failsafe:
                 return Decision(Action.WARN, worst.text, taken_over=action > Action.WARN)
             action, worst = fallback.response.action, fallback
         if self._act_us is not None:
-            holdable = not MODE_NEED_BITS[FlightMode.HOLD] & ~conditions
+            holdable = not self._modes.needs[FlightMode.HOLD] & ~conditions
             if now_us >= self._act_us or not holdable or self.decision.action > Action.HOLD:
                 self._act_us = now_us  # the hold is over for the rest of this failsafe
             elif worst.response.delayed and action > Action.HOLD:
                 then, delay_s, action = action, (self._act_us - now_us) / US_PER_S, Action.HOLD
-        action = self._possible(now_us, feasible(action, conditions), action, landed=landed)
+        action = self._possible(now_us, feasible(action, conditions, self._modes), action, landed=landed)
         if mode is FlightMode.LAND and Action.RETURN in {action, then} and not missing:
             return Decision(Action.WARN, worst.text)  # already descending
         return Decision(action, worst.text, then, delay_s)
@@ -332,54 +336,53 @@ class Failsafe:
         infeasible_us = now_us - self._infeasible_us
         return Action.TERMINATE if infeasible_us >= _TERMINATE_AFTER_US else Action.DESCEND
 
+    def _mode_response(
+        self, mode: FlightMode, missing: int, conditions: int, params: CommanderParams
+    ) -> FailsafeResponse:
+        if missing & Condition.SETPOINTS:
+            return OFFBOARD_LOSS[params.offboard_loss_action]
+        by_sticks = mode in self._modes.by_sticks
+        if by_sticks and conditions & Condition.MANUAL:
+            return FailsafeResponse(
+                Action.ALTITUDE if mode is FlightMode.POSITION else Action.STABILIZED, _WITH_CAUSE
+            )
+        return FailsafeResponse(Action.HOLD if by_sticks else Action.RETURN, _WITH_CAUSE)
+
+    def _is_excepted(self, cause: Cause, mode: FlightMode, params: CommanderParams) -> bool:
+        """Return whether this mode ignores the loss of a link."""
+        if cause is Cause.GCS_LOST:
+            mask = params.gcs_loss_except
+            if mode is FlightMode.LAND:
+                return True
+        elif cause is Cause.MANUAL_LOST:
+            mask = params.manual_loss_except
+        else:
+            return False
+        bit = _EXCEPT_AUTO if mode in self._modes.automatic else 0
+        bit = {FlightMode.MISSION: _EXCEPT_MISSION, FlightMode.OFFBOARD: _EXCEPT_OFFBOARD}.get(mode, bit)
+        return bool(mask & bit)
+
 
 _IGNORED_AT_ARMING = int(
     Cause.MANUAL_LOST | Cause.BATTERY_LOW | Cause.BATTERY_CRITICAL | Cause.BATTERY_EMERGENCY
 )
 
 
-def feasible(action: Action, conditions: int) -> Action:
+def feasible(action: Action, conditions: int, modes: ModeTable) -> Action:
     """Return the first action, in order of severity from this one, whose mode has its needs met."""
     if not Action.POSITION <= action <= Action.DESCEND:
         return action
     able = (
         candidate
         for candidate, mode in MODE_OF.items()
-        if candidate >= action and not MODE_NEED_BITS[mode] & ~conditions
+        if candidate >= action and not modes.needs[mode] & ~conditions
     )
     return next(able, Action.TERMINATE)
-
-
-def _mode_response(
-    mode: FlightMode, missing: int, conditions: int, params: CommanderParams
-) -> FailsafeResponse:
-    if missing & Condition.SETPOINTS:
-        return OFFBOARD_LOSS[params.offboard_loss_action]
-    if mode in MANUAL_MODES and conditions & Condition.MANUAL:
-        return FailsafeResponse(
-            Action.ALTITUDE if mode is FlightMode.POSITION else Action.STABILIZED, _WITH_CAUSE
-        )
-    return FailsafeResponse(Action.HOLD if mode in MANUAL_MODES else Action.RETURN, _WITH_CAUSE)
 
 
 def _value(row: Row, params: CommanderParams) -> int:
     value: int = getattr(params, row.field) if row.field else 0
     return value
-
-
-def _is_excepted(cause: Cause, mode: FlightMode, params: CommanderParams) -> bool:
-    """Return whether this mode ignores the loss of a link."""
-    if cause is Cause.GCS_LOST:
-        mask = params.gcs_loss_except
-        if mode is FlightMode.LAND:
-            return True
-    elif cause is Cause.MANUAL_LOST:
-        mask = params.manual_loss_except
-    else:
-        return False
-    bit = _EXCEPT_AUTO if mode in _AUTO_MODES else 0
-    bit = {FlightMode.MISSION: _EXCEPT_MISSION, FlightMode.OFFBOARD: _EXCEPT_OFFBOARD}.get(mode, bit)
-    return bool(mask & bit)
 
 
 ARMING_CAUSES: tuple[tuple[Cause, Reason], ...] = (

@@ -15,6 +15,7 @@ from autopilot.control.state import CascadeState
 from autopilot.estimation.horizon import ACC, OMEGA, STD
 from autopilot.estimation.kernels import GYRO_BIAS, POS, VEL
 from foundation.geometry.rotations import quat_from_euler
+from foundation.kernels.inner import inner
 from foundation.kernels.records import Records
 from foundation.types import Array
 
@@ -33,6 +34,41 @@ def airmode_above(landed: bool, thr_min: float) -> float:  # noqa: FBT001 - kern
     return np.inf if landed else thr_min * ABOVE_LEAST
 
 
+@inner
+def _observe(c: CascadeState, q_ned_frd: Array, acc: Array) -> float:
+    """Update disturbance and hover thrust; return the time since the position loop ran, 0 if it is not due.
+
+    The hover thrust is updated at its steps, from the second one on.
+    """
+    goes_on = c.updates > 0
+    c.since_position_s += c.dt_s
+    position_dt_s = 0.0
+    if c.updates % c.position_divider == 0:
+        position_dt_s = c.since_position_s
+        c.since_position_s = 0.0
+    c.updates += 1
+    disturbance, hover = c.disturbance, c.hover
+    observe_disturbance(
+        disturbance, acc, q_ned_frd, c.allocation.thrust, hover.thrust, c.dt_s,
+        bool(c.velocity_valid and not c.landed),
+    )  # fmt: skip
+    if position_dt_s > 0.0 and goes_on and c.flies and c.velocity_valid:
+        x, y = q_ned_frd[1], q_ned_frd[2]
+        up = 1.0 - 2.0 * (x * x + y * y)
+        if up >= _HOVER_LEARN_UP:
+            learn_hover_thrust(hover, -acc[2], disturbance.thrust * up, position_dt_s)
+    return position_dt_s
+
+
+@njit(cache=True)
+def observe(cascade: Records, estimate: Array) -> None:
+    """Update disturbance and hover thrust from the inputs in the record, for a controller of the user.
+
+    The arguments are those of `follow_trajectory`.
+    """
+    _observe(cascade[0], estimate[:VEL], estimate[ACC:OMEGA])
+
+
 @njit(cache=True)
 def follow_trajectory(cascade: Records, estimate: Array) -> None:
     """Compute the motor controls and the intermediate results from the inputs in the record.
@@ -43,24 +79,11 @@ def follow_trajectory(cascade: Records, estimate: Array) -> None:
     """
     c: CascadeState = cascade[0]
     q_ned_frd, omega, acc = estimate[:VEL], estimate[OMEGA:STD], estimate[ACC:OMEGA]
-    goes_on = c.updates > 0
-    c.since_position_s += c.dt_s
-    position_dt_s = 0.0
-    if c.updates % c.position_divider == 0:
-        position_dt_s = c.since_position_s
-        c.since_position_s = 0.0
-    c.updates += 1
     disturbance, hover, position = c.disturbance, c.hover, c.position
-    observe_disturbance(
-        disturbance, acc, q_ned_frd, c.allocation.thrust, hover.thrust, c.dt_s,
-        bool(c.velocity_valid and not c.landed),
-    )  # fmt: skip
+    before = hover.thrust
+    position_dt_s = _observe(c, q_ned_frd, acc)
     if position_dt_s > 0.0:
-        x, y = q_ned_frd[1], q_ned_frd[2]
-        up = 1.0 - 2.0 * (x * x + y * y)
-        if goes_on and c.flies and c.velocity_valid and up >= _HOVER_LEARN_UP:
-            before = hover.thrust
-            learn_hover_thrust(hover, -acc[2], disturbance.thrust * up, position_dt_s)
+        if hover.thrust != before:
             acc_down = position.output.acc_ned_m_s2[2] - disturbance.acc_ned_m_s2[2]
             position.integral_ned_m_s2[2] += integral_shift_m_s2(before, hover.thrust, acc_down)
         control_position(

@@ -27,7 +27,7 @@ from foundation.types import (
     TrajectorySetpoint,
 )
 
-_SAMPLE = Struct("=4d4q")
+INPUTS = Struct("=4d4q")
 """Fields of the record up to ``flies``, packed at once because single writes to a record are slow."""
 
 
@@ -45,6 +45,7 @@ class FlightController:
         self._hover_thrust: Array = block["hover"]["thrust"]
         self._thrust: Array = block["allocation"]["thrust"]
         self._controls: Array = block["allocation"]["controls"][0]
+        self._unallocated: Array = block["allocation"]["unallocated"][0]
         self._rate_setpoint_frd_rad_s: Array = block["rate_setpoint_frd_rad_s"][0]
         self._torque: Array = block["torque"][0]
         self._output = self._state.position.output
@@ -160,14 +161,7 @@ class FlightController:
         attitude run every time, position every ``position_divider``-th time. While ``landed`` nothing
         integrates, and a `TrajectorySetpoint` raises the motor controls only if it demands a climb.
         """
-        takeoff = self._takeoff
-        if landed or takeoff.phase is not TakeoffPhase.FLYING:
-            climb = isinstance(setpoint, TrajectorySetpoint) and landed and demands_climb(state, setpoint)
-            takeoff.update(landed=landed, demands_climb=climb, dt_s=dt_s)
-        if landed:
-            self._position.reset()
-            self._rates.integral[:] = 0.0
-            self._disturbance.reset()
+        self._prepare(state, setpoint, dt_s=dt_s, landed=landed)
         if isinstance(setpoint, TrajectorySetpoint):
             self._follow(state, setpoint, dt_s=dt_s, landed=landed)
             return self.controls
@@ -193,30 +187,46 @@ class FlightController:
             )  # fmt: skip
         return self.controls
 
+    def _prepare(self, state: EstimatorState, setpoint: Setpoint, *, dt_s: float, landed: bool) -> None:
+        """Update the take-off phase; on the ground, reset the integrals and the disturbance."""
+        takeoff = self._takeoff
+        if landed or takeoff.phase is not TakeoffPhase.FLYING:
+            climb = isinstance(setpoint, TrajectorySetpoint) and landed and demands_climb(state, setpoint)
+            takeoff.update(landed=landed, demands_climb=climb, dt_s=dt_s)
+        if landed:
+            self._position.reset()
+            self._rates.integral[:] = 0.0
+            self._disturbance.reset()
+
     def _follow(
         self, state: EstimatorState, setpoint: TrajectorySetpoint, *, dt_s: float, landed: bool
     ) -> None:
         """Run the whole cascade, the position loop at its divider."""
         phase = self._takeoff.phase
+        yaw_rad = self._update_yaw(state, setpoint, dt_s=dt_s)
+        self._position.take(state, setpoint)
+        INPUTS.pack_into(
+            self._octets, 0, yaw_rad, setpoint.yaw_rate_rad_s, self._takeoff.climb_max_m_s,
+            dt_s, state.velocity_valid, phase is TakeoffPhase.GROUND, landed, phase is TakeoffPhase.FLYING,
+        )  # fmt: skip
+        self._setpoint = setpoint
+        self._rates.start(state.omega_frd_rad_s)
+        follow_trajectory(self.block, state.estimate)
+
+    def _update_yaw(self, state: EstimatorState, setpoint: TrajectorySetpoint, *, dt_s: float) -> float:
+        """Return the heading to follow: the setpoint's, or the present one, turned by its yaw rate."""
         if setpoint.yaw_rad is not None:
             self._yaw_rad = setpoint.yaw_rad
         elif (
             self._yaw_rad is None
-            or phase is TakeoffPhase.GROUND
+            or self._takeoff.phase is TakeoffPhase.GROUND
             or state.reset_counter != self._reset_counter
         ):
             self._yaw_rad = float(quat_to_euler(state.q_ned_frd)[2])
         else:
             self._yaw_rad = math.remainder(self._yaw_rad + setpoint.yaw_rate_rad_s * dt_s, math.tau)
         self._reset_counter = state.reset_counter
-        self._position.take(state, setpoint)
-        _SAMPLE.pack_into(
-            self._octets, 0, self._yaw_rad, setpoint.yaw_rate_rad_s, self._takeoff.climb_max_m_s,
-            dt_s, state.velocity_valid, phase is TakeoffPhase.GROUND, landed, phase is TakeoffPhase.FLYING,
-        )  # fmt: skip
-        self._setpoint = setpoint
-        self._rates.start(state.omega_frd_rad_s)
-        follow_trajectory(self.block, state.estimate)
+        return self._yaw_rad
 
     def _hand_over_disturbance(self, *, to_observer: bool) -> None:
         """Move the disturbance between observer and integrals, so that the demand stays the same."""

@@ -50,6 +50,18 @@ def follow_rates(
     _follow_rate(c, omega_frd_rad_s, rate, thrust, 1.0 if thrust > airmode_above else 0.0, dt_s, integrate)
 
 
+@njit(cache=True)
+def follow_demand(cascade: Records, thrust: float, torque: Array, airmode_above: float) -> None:
+    """Compute the motor controls from a collective thrust and a normalised torque (3,), FRD.
+
+    The arguments are those of `follow_attitude`.
+    """
+    c: CascadeState = cascade[0]
+    for axis in range(3):
+        c.torque[axis] = torque[axis]
+    allocate(c.allocation, thrust, torque, 1.0 if thrust > airmode_above else 0.0)
+
+
 @inner
 def _follow_rate(
     c: CascadeState, omega_frd_rad_s: Array, rate_frd_rad_s: Array, thrust: float, highest: float,

@@ -11,7 +11,7 @@ import struct
 from typing import TYPE_CHECKING, NamedTuple
 
 from autopilot.commander.commander import Commander
-from autopilot.mavlink.modes import FlightMode
+from autopilot.mavlink.modes import EXTERNAL_MODES, FlightMode
 from autopilot.navigation.site_frame import geodetic
 from autopilot.parameters.table import ROWS, ParameterSet
 from autopilot.services.parameter import value_bytes
@@ -83,6 +83,7 @@ NAV_STATES = {
     FlightMode.HOLD: 4, FlightMode.READY: 4, FlightMode.RETURN: 5, FlightMode.ACRO: 10,
     FlightMode.DESCEND: 12, FlightMode.OFFBOARD: 14, FlightMode.STABILIZED: 15, FlightMode.TAKEOFF: 17,
     FlightMode.LAND: 18,
+    **{mode: 23 + number for number, mode in enumerate(EXTERNAL_MODES)},
 }  # fmt: skip
 """PX4's vehicle_status.nav_state"""
 _OTHER_STATE = 21

@@ -40,6 +40,15 @@ class FlightMode(Enum):
     STABILIZED = ("Stabilized", 7, 0)
     DESCEND = ("Descend", 4, 6)
     """Landing without a position. It cannot be requested, and is reported as Land, as in PX4."""
+    EXTERNAL1 = ("External 1", 4, 11)
+    EXTERNAL2 = ("External 2", 4, 12)
+    EXTERNAL3 = ("External 3", 4, 13)
+    EXTERNAL4 = ("External 4", 4, 14)
+    EXTERNAL5 = ("External 5", 4, 15)
+    EXTERNAL6 = ("External 6", 4, 16)
+    EXTERNAL7 = ("External 7", 4, 17)
+    EXTERNAL8 = ("External 8", 4, 18)
+    """Numbers for modes of the user: PX4's modes of other programs, from v1.15 on."""
 
     def __init__(self, label: str, main: int, sub: int) -> None:
         self.label = label
@@ -50,6 +59,7 @@ class FlightMode(Enum):
     __hash__ = object.__hash__  # members are singletons: Enum's hash of the name is slower
 
 
+EXTERNAL_MODES = tuple(mode for mode in FlightMode if mode.name.startswith("EXTERNAL"))
 _BY_CUSTOM_MODE = {mode.custom_mode: mode for mode in FlightMode if mode is not FlightMode.DESCEND}
 
 

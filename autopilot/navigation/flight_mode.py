@@ -5,12 +5,13 @@ entered is decided in `autopilot.commander`.
 """
 
 import math
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
+from autopilot.commander.mode_table import ModeTraits
 from autopilot.control.params import PositionParams, TrajectoryParams
 from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation.guide import Guide
@@ -88,10 +89,17 @@ class ModeInputs(Moment, frozen=True, kw_only=True):
 class FlightModeBehaviour(Protocol):
     """Setpoints of one flight mode of one vehicle.
 
-    Call order: `enter`, then `update` at every step of position control (8 ms) until another mode is entered;
+    A mode of the user (``autopilot.modes``) is created as ``Class(context)`` with a `ModeContext`; with a
+    class attribute ``Settings``, a msgspec Struct or dataclass, as ``Class(context, settings)``.
+
+    Call order: `enter`, then `update` at every inertial sample (4 ms) until another mode is entered;
     the other members are read or called in between. Positions are NED metres from the estimator's origin.
     Time is the sum of ``dt_s``; there is no clock, no I/O and no randomness: equal calls give equal bytes.
     """
+
+    @property
+    def traits(self) -> ModeTraits:
+        """Its properties for commander and ground stations; an attribute of the class."""
 
     def enter(self, entry: ModeEntry) -> None:
         """Start from the present motion; if ``entry.again``, continue what the mode was doing."""
@@ -180,6 +188,8 @@ class ModeContext:
 
 class StopMode:
     """Stops, and stays there; base of the other modes, which override what differs."""
+
+    traits: ClassVar[ModeTraits]
 
     def __init__(self, context: ModeContext) -> None:
         self._context = context

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+from autopilot.commander.mode_table import FLIES_TO_A_PLACE, ModeTraits
 from autopilot.navigation.flight_mode import IDLE, ON_GROUND_M, ModeContext, ModeEntry, ModeInputs, StopMode
 from autopilot.navigation.landing import LandMode
 from foundation.types import Array, EstimatorState, TrajectorySetpoint
@@ -18,6 +19,8 @@ class HoldTarget(NamedTuple):
 
 class HoldMode(StopMode):
     """Stops, or flies to a target and lands there if it is on the ground."""
+
+    traits = ModeTraits(needs=FLIES_TO_A_PLACE, arms=True)
 
     def __init__(self, context: ModeContext, landing: LandMode) -> None:
         super().__init__(context)

@@ -2,7 +2,10 @@
 
 import numpy as np
 from msgspec.structs import replace
+from pymavlink.dialects.v20 import common
 
+from autopilot.commander.arming_checks import Condition
+from autopilot.commander.mode_table import FLIES_TO_A_PLACE, ModeTraits
 from autopilot.control.params import TrajectoryParams
 from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation.flight_mode import IDLE, VERTICAL, ModeEntry, ModeInputs, Moment, StopMode
@@ -22,6 +25,9 @@ _SETTLE_ACC_M_S2 = 8.0
 class TakeOffMode(StopMode):
     """Climbs vertically, from the ground or in the air, then changes to hold."""
 
+    traits = ModeTraits(
+        needs=FLIES_TO_A_PLACE, arms=True, of_one_flight=True, standard=common.MAV_STANDARD_MODE_TAKEOFF
+    )
     airborne = False
     """Whether the vehicle has left the ground."""
 
@@ -84,6 +90,7 @@ class TakeOffMode(StopMode):
 class LandMode(StopMode):
     """Descends at the landing speed while the guide leads to the landing position, or holds it."""
 
+    traits = ModeTraits(needs=FLIES_TO_A_PLACE, of_one_flight=True, standard=common.MAV_STANDARD_MODE_LAND)
     _vel_down_m_s = 0.0
 
     def enter(self, entry: ModeEntry) -> None:
@@ -135,6 +142,8 @@ class LandMode(StopMode):
 
 class DescendMode(StopMode):
     """Descends at the landing speed without a position, or even a velocity estimate."""
+
+    traits = ModeTraits(needs=Condition.ATTITUDE, of_one_flight=True)
 
     def update(self, inputs: ModeInputs) -> TrajectorySetpoint:
         """Return the setpoint of the descent."""

@@ -9,7 +9,10 @@ import math
 
 import numpy as np
 from numba import njit
+from pymavlink.dialects.v20 import common
 
+from autopilot.commander.arming_checks import Condition
+from autopilot.commander.mode_table import FLIES_TO_A_PLACE, ModeTraits
 from autopilot.control.hover_thrust import GRAVITY_M_S2
 from autopilot.navigation.flight_mode import (
     IDLE,
@@ -246,6 +249,10 @@ def _is_slow(speed_m_s: float, hold_max_m_s: float) -> bool:
 class StabilizedMode(ManualMode):
     """Stabilized: sticks are tilt and thrust."""
 
+    traits = ModeTraits(
+        needs=Condition.ATTITUDE | Condition.MANUAL, arms=True, by_sticks=True, is_advanced=True
+    )
+
     def update(self, inputs: ModeInputs) -> AttitudeSetpoint:
         """Return tilt, yaw rate and thrust."""
         manual, position, sticks = self._context.params.manual, self._context.position, inputs.sticks
@@ -273,6 +280,11 @@ class StabilizedMode(ManualMode):
 
 class AltitudeMode(ManualMode):
     """Altitude: sticks are tilt and climb rate."""
+
+    traits = ModeTraits(
+        needs=Condition.ATTITUDE | Condition.HEIGHT | Condition.MANUAL, arms=True, by_sticks=True,
+        standard=common.MAV_STANDARD_MODE_ALTITUDE_HOLD,
+    )  # fmt: skip
 
     def update(self, inputs: ModeInputs) -> TrajectorySetpoint:
         """Return tilt by the sticks and climb rate by the throttle; the height is held when it is centred.
@@ -305,6 +317,11 @@ class AltitudeMode(ManualMode):
 
 class PositionMode(ManualMode):
     """Position: sticks are velocity."""
+
+    traits = ModeTraits(
+        needs=FLIES_TO_A_PLACE | Condition.MANUAL, arms=True, by_sticks=True,
+        standard=common.MAV_STANDARD_MODE_POSITION_HOLD,
+    )  # fmt: skip
 
     def update(self, inputs: ModeInputs) -> TrajectorySetpoint:
         """Return velocity by the sticks; the position is held when they are centred."""

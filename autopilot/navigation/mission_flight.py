@@ -10,7 +10,10 @@ import math
 from enum import Enum
 
 import numpy as np
+from pymavlink.dialects.v20 import common
 
+from autopilot.commander.arming_checks import Condition
+from autopilot.commander.mode_table import FLIES_TO_A_PLACE, ModeTraits
 from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation.flight_mode import IDLE, ModeContext, ModeEntry, Moment, StopMode
 from autopilot.navigation.landing import LandMode, TakeOffMode
@@ -50,6 +53,11 @@ _COURSE_OF_STAGE = {MissionStage.TAKE_OFF: Course.TAKE_OFF, MissionStage.LAND: C
 
 class MissionMode(StopMode):
     """Flies the runner's items, then changes to hold, or to return by an item."""
+
+    traits = ModeTraits(
+        needs=FLIES_TO_A_PLACE | Condition.HOME | Condition.MISSION, arms=True, of_one_flight=True,
+        standard=common.MAV_STANDARD_MODE_MISSION,
+    )  # fmt: skip
 
     def __init__(self, context: ModeContext, take_off: TakeOffMode, landing: LandMode) -> None:
         super().__init__(context)

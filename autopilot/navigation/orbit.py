@@ -11,7 +11,9 @@ from enum import IntEnum
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
+from pymavlink.dialects.v20 import common
 
+from autopilot.commander.mode_table import FLIES_TO_A_PLACE, ModeTraits
 from autopilot.control.params import TrajectoryParams
 from autopilot.navigation.flight_mode import IDLE, ModeContext, ModeEntry, ModeInputs, StopMode
 from autopilot.navigation.manual import curve
@@ -70,6 +72,11 @@ def default_circle(state: EstimatorState) -> Circle:
 
 class OrbitMode(StopMode):
     """Flies to a circle and along it; `start` is called with every requested circle."""
+
+    traits = ModeTraits(
+        needs=FLIES_TO_A_PLACE, of_one_flight=True, standard=common.MAV_STANDARD_MODE_ORBIT,
+        is_selectable=False,  # needs a centre, from MAV_CMD_DO_ORBIT
+    )  # fmt: skip
 
     def __init__(self, context: ModeContext) -> None:
         super().__init__(context)

@@ -11,7 +11,10 @@ from collections.abc import Sequence
 from enum import Enum
 
 from msgspec.structs import replace
+from pymavlink.dialects.v20 import common
 
+from autopilot.commander.arming_checks import Condition
+from autopilot.commander.mode_table import FLIES_TO_A_PLACE, ModeTraits
 from autopilot.navigation.flight_mode import (
     IDLE,
     HomePosition,
@@ -116,6 +119,11 @@ def _rally_ned_m(point: RallyPoint, moment: Moment, home_ned_m: HomePosition) ->
 
 class ReturnMode(StopMode):
     """Flies home or to a rally point, and lands."""
+
+    traits = ModeTraits(
+        needs=FLIES_TO_A_PLACE | Condition.HOME, of_one_flight=True,
+        standard=common.MAV_STANDARD_MODE_SAFE_RECOVERY,
+    )  # fmt: skip
 
     def __init__(self, context: ModeContext, landing: LandMode) -> None:
         super().__init__(context)

@@ -4,6 +4,7 @@ Offboard mode is not part of this: its setpoints are external and go to the cont
 """
 
 from collections.abc import Sequence
+from typing import TypeVar
 
 from autopilot.control.hover_thrust import GRAVITY_M_S2
 from autopilot.control.params import PositionParams, TrajectoryParams
@@ -14,47 +15,46 @@ from autopilot.navigation.flight_mode import (
     ModeContext,
     ModeEntry,
     ModeInputs,
-    StopMode,
 )
 from autopilot.navigation.hold import HoldMode, HoldTarget
-from autopilot.navigation.landing import DescendMode, LandMode, TakeOffMode
-from autopilot.navigation.manual import AltitudeMode, PositionMode, StabilizedMode
 from autopilot.navigation.mission_flight import MissionMode
+from autopilot.navigation.mode_registry import MODES, ModeRow
 from autopilot.navigation.orbit import OrbitMode
 from autopilot.navigation.params import NavigationParams
 from autopilot.navigation.plan_store import RallyPoint
 from autopilot.navigation.return_home import ReturnMode
 from foundation.types import Array, AttitudeSetpoint, Course, EstimatorState, Setpoint, TrajectorySetpoint
 
+_Kind = TypeVar("_Kind")
+
 
 class Navigator:
     """Computes the setpoints of one vehicle's mode: call `enter`, then `update` at every step."""
 
     def __init__(
-        self, params: NavigationParams, trajectory: TrajectoryParams, position: PositionParams
+        self,
+        params: NavigationParams,
+        trajectory: TrajectoryParams,
+        position: PositionParams,
+        rows: Sequence[ModeRow] = MODES,
     ) -> None:
+        """``rows`` are the modes, which include all of `MODES`."""
         self._context = context = ModeContext(params, trajectory, position)
-        take_off, landing = TakeOffMode(context), LandMode(context)
-        self._hold = HoldMode(context, landing)
-        self._return = ReturnMode(context, landing)
-        self.mission = MissionMode(context, take_off, landing)
+        self.behaviours: dict[FlightMode, FlightModeBehaviour] = {}
+        """By mode."""
+        for row in rows:
+            self.behaviours[row.mode] = row.make(context, *(self.behaviours[part] for part in row.parts))
+        self._hold = self._of_kind(FlightMode.HOLD, HoldMode)
+        self._return = self._of_kind(FlightMode.RETURN, ReturnMode)
+        self.mission = self._of_kind(FlightMode.MISSION, MissionMode)
         """The mission and its progress; kept while other modes are active."""
-        self.orbit = OrbitMode(context)
-        stop: FlightModeBehaviour = StopMode(context)
-        self.behaviours: dict[FlightMode, FlightModeBehaviour] = dict.fromkeys(FlightMode, stop) | {
-            FlightMode.HOLD: self._hold,
-            FlightMode.TAKEOFF: take_off,
-            FlightMode.MISSION: self.mission,
-            FlightMode.RETURN: self._return,
-            FlightMode.ORBIT: self.orbit,
-            FlightMode.LAND: landing,
-            FlightMode.DESCEND: DescendMode(context),
-            FlightMode.STABILIZED: StabilizedMode(context),
-            FlightMode.ALTITUDE: AltitudeMode(context),
-            FlightMode.POSITION: PositionMode(context),
-        }
-        """By mode; those without a behaviour stop."""
+        self.orbit = self._of_kind(FlightMode.ORBIT, OrbitMode)
         self._mode = FlightMode.HOLD
+
+    def _of_kind(self, mode: FlightMode, kind: type[_Kind]) -> _Kind:
+        behaviour = self.behaviours[mode]
+        assert isinstance(behaviour, kind)  # noqa: S101  by the registry
+        return behaviour
 
     # ---- status
 

@@ -4,7 +4,7 @@ They are the launcher's input to ``python -m autopilot``, and the tables of a sc
 """
 
 from ipaddress import IPv4Address
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct, field
 from msgspec.structs import replace
@@ -157,6 +157,22 @@ class AutopilotConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         "--serial2", "tcpclient:{host}:{simulator}",
     )  # fmt: skip
     """Command line of an ArduPilot process; see `harness.launch.ardupilot` for the fields in braces."""
+
+    controller: str | None = None
+    """Class in place of the cascade of position, attitude and rates: ``package.module:Class``, or the name of
+    an entry point of ``coflight.controllers``. Not beside a PX4 or ArduPilot; likewise the other two."""
+    controller_settings: dict[str, Any] = {}
+    """Settings of the controller's own type: table ``[autopilot.controller_settings]``."""
+    modes: Annotated[tuple[str, ...], Meta(max_length=8)] = ()
+    """Classes of further flight modes, which are PX4's external modes 1 to 8 in this order; by path, or by
+    the name of an entry point of ``coflight.modes``."""
+    mode_settings: dict[str, dict[str, Any]] = {}
+    """Settings of these modes, by the name in ``modes``."""
+    services: tuple[str, ...] = ()
+    """Classes of further MAVLink services; by path, or by the name of an entry point of
+    ``coflight.services``."""
+    service_settings: dict[str, dict[str, Any]] = {}
+    """Settings of these services, by the name in ``services``."""
 
     def kind_of(self, instance: int) -> AutopilotKind:
         """Return which autopilot that vehicle runs."""

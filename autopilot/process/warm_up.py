@@ -9,6 +9,8 @@ from collections.abc import Iterable
 import numpy as np
 from pymavlink.dialects.v20 import common
 
+from autopilot.control.controller import ControllerContext, ControllerInputs, ThrustTorque
+from autopilot.control.user_control import UserFlightController
 from autopilot.estimation.atmosphere import pressure_pa
 from autopilot.estimation.sensor_input import BARO_FIELDS, IMU_FIELDS, MAG_FIELDS
 from autopilot.mavlink.hil import HilActuatorControls, HilSensor, pack
@@ -30,7 +32,7 @@ from autopilot.vehicle.fast_step import FastSteps
 from autopilot.vehicle.vehicle import Vehicle
 from foundation.geometry.geodesy import ned_to_geodetic
 from foundation.kernels.warm_up import WarmUpError
-from foundation.types import Array, RateSetpoint
+from foundation.types import Array, EstimatorState, RateSetpoint
 from netsim.wire.messages import Broadcast, Delivery, FtmRequest, FtmResult, RxItem, TxItem
 
 LIMIT_US = 40_000_000
@@ -92,6 +94,22 @@ def _warm_up_modes(vehicle: Vehicle) -> None:
         vehicle.pilot.controller.update(state, setpoint, dt_s=0.004, landed=False)
     rates = RateSetpoint(rate_frd_rad_s=np.zeros(3), thrust=0.5)
     vehicle.pilot.controller.update(state, rates, dt_s=0.004, landed=False)
+    replaced = UserFlightController(settings.control, make=_Hover, title="warm-up", instance=0)
+    replaced.update(state, rates, dt_s=0.004, landed=False)
+
+
+class _Hover:
+    """A controller that holds the thrust of the hover."""
+
+    def __init__(self, _context: ControllerContext) -> None:
+        pass
+
+    def reset(self, _state: EstimatorState) -> None:
+        """Do nothing."""
+
+    def update(self, inputs: ControllerInputs) -> ThrustTorque:
+        """Return the hover thrust."""
+        return ThrustTorque(inputs.hover_thrust, (0.0, 0.0, 0.0))
 
 
 def _warm_up_distances(vehicle: Vehicle, now_us: int) -> None:

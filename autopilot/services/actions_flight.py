@@ -11,7 +11,6 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.commander.arming_checks import Condition, Reason
 from autopilot.mavlink.modes import FlightMode, mode_from_main_sub
-from autopilot.services.available_modes import STANDARD_MODES
 from autopilot.services.command import (
     ACCEPTED,
     AMSL_FRAMES,
@@ -119,7 +118,8 @@ class FlightCommands:
 
     def _set_standard_mode(self, request: CommandRequest) -> Answer:
         requested = whole(request.params[0])
-        mode = next((mode for mode, standard in STANDARD_MODES.items() if standard == requested), None)
+        modes = self._commander.modes
+        mode = next((each for each in modes.offered if requested and modes.standard(each) == requested), None)
         return Answer(UNSUPPORTED) if mode is None else self._enter(mode, "Mode", request)
 
     def _take_off(self, request: CommandRequest) -> Answer:

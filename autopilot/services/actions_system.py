@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from pymavlink.dialects.v20 import common
 
+from autopilot.commander.mode_table import ModeTable
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.dialect import ProtocolVersion
 from autopilot.parameters.table import ROWS, ParameterSet
@@ -42,6 +43,7 @@ class SystemCommands:
         save_parameters: Callable[[], bool],
         parameters: ParameterSet,
         is_armed: Callable[[], bool],
+        modes: ModeTable,
     ) -> None:
         """``streams`` are keyed by link number.
 
@@ -51,6 +53,7 @@ class SystemCommands:
         self._save_parameters = save_parameters
         self._parameters = parameters
         self._is_armed = is_armed
+        self._modes = modes
         self.table: dict[int, Action] = {
             common.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_message_interval,
             common.MAV_CMD_GET_MESSAGE_INTERVAL: self._get_message_interval,
@@ -93,7 +96,7 @@ class SystemCommands:
         streams = self._streams[request.partner.link]
         messages: Sequence[Message | None]
         if message_id == AVAILABLE_MODES_ID:
-            messages = available_modes(whole(request.params[1]))
+            messages = available_modes(self._modes, whole(request.params[1]))
         elif message_id == _MESSAGE_INTERVAL:
             messages = (self._interval(request, 1),)
         elif streams.is_supported(message_id):

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common
 
-from autopilot.commander.arming_checks import MANUAL_MODES
 from autopilot.commander.commander import Commander
 from autopilot.commander.failsafe import US_PER_S
 from autopilot.mavlink.codec import Message
@@ -106,7 +105,7 @@ class ManualControlService(Service):
         if (
             not commander.armed
             or commander.landed
-            or commander.mode in MANUAL_MODES
+            or commander.mode in commander.modes.by_sticks
             or (commander.failsafe and commander.mode is FlightMode.HOLD)  # not while a failsafe holds
             or deflection < params.stick_takeover_fraction
         ):

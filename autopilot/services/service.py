@@ -45,11 +45,17 @@ class MavlinkService(Protocol):
     Time is the vehicle's simulated time in us and never decreases; there is no other clock and no I/O. Equal
     calls give equal messages. Call order: `on_message` at any time, `on_timer` at the first step at or after
     `next_deadline_us`, which is read again after every call of either.
+
+    A service of the user (``autopilot.services``) is created as ``Class(context)`` with a `ServiceContext`;
+    with a class attribute ``Settings``, a msgspec Struct or dataclass, as ``Class(context, settings)``.
     """
 
     @property
     def takes(self) -> frozenset[int]:
-        """Ids of the messages that it handles; constant. Several services may take the same id."""
+        """Ids of the messages that it handles; constant.
+
+        Built-in services may share an id. A service of the user must not take one that another service takes.
+        """
         ...
 
     def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:

@@ -9,7 +9,6 @@ from autopilot.commander.arming_checks import Condition
 from autopilot.commander.failsafe import Cause
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.dialect import AvailableModesMonitor, CurrentMode, ProtocolVersion
-from autopilot.services.available_modes import STANDARD_MODES
 from autopilot.services.fields import I8, I16, I32, U16, UNKNOWN_I16, UNKNOWN_U16, Part, whole
 from autopilot.services.flight_data import FlightData
 from autopilot.services.manual_control import ManualControlService
@@ -102,7 +101,7 @@ class SystemState(Part):
     def current_mode(self) -> Message:
         """CURRENT_MODE; for a mode that a failsafe forced, the intended mode is left at 0 (unknown)."""
         mode, forced = self._flight.commander.mode, self._flight.commander.failsafe
-        standard = STANDARD_MODES.get(mode, 0)
+        standard = self._flight.commander.modes.standard(mode)
         return CurrentMode(standard, mode.custom_mode, 0 if forced else mode.custom_mode)
 
     def available_modes_monitor(self) -> Message:

@@ -10,7 +10,6 @@ from pymavlink.dialects.v20 import common
 from autopilot.commander.geofence import Geofence
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.signing import SIGNATURE_BYTES
-from autopilot.navigation import plan_items
 from autopilot.navigation.plan_store import Plan, PlanStore, PlanType
 from autopilot.parameters.config import VehicleConfig
 from autopilot.parameters.table import ParameterSet
@@ -22,15 +21,10 @@ from autopilot.services.clocks import PingService, TimesyncService
 from autopilot.services.command import ACCEPTED, FAILED, CommandService
 from autopilot.services.files import FileStore
 from autopilot.services.flight_data import FlightData, Home
-from autopilot.services.ftp import FtpService
-from autopilot.services.logs import LogService
 from autopilot.services.manual_control import ManualControlService
 from autopilot.services.mission_progress import MissionProgress
 from autopilot.services.offboard import OffboardService
 from autopilot.services.parameter import ParameterService
-from autopilot.services.parameter_ext import ParameterExtService
-from autopilot.services.places import PlacesService
-from autopilot.services.plan_transfer import PlanTransfer
 from autopilot.services.service import (
     ALL,
     APPLICATION,
@@ -38,7 +32,6 @@ from autopilot.services.service import (
     GROUND_STATION,
     Addressed,
     Partner,
-    Services,
     reply,
 )
 from autopilot.services.shaper import Shapers
@@ -51,7 +44,9 @@ from autopilot.services.streams import (
     MessageStreams,
 )
 from autopilot.services.telemetry import Telemetry
+from autopilot.vehicle.extensions import Extension
 from autopilot.vehicle.pilot import Pilot
+from autopilot.vehicle.service_registry import ServiceParts, make_services
 
 _OUTSIDE = (GROUND_STATION, COMPANION)
 
@@ -70,8 +65,9 @@ class Messaging:
         offboard: OffboardService,
         manual: ManualControlService,
         plans: Mapping[PlanType, Plan],
+        extensions: Sequence[Extension] = (),
     ) -> None:
-        """``plans`` are the initial ones."""
+        """``plans`` are the initial ones, ``extensions`` the services of the user."""
         self._config = config
         self._system = config.instance + 1
         self._flight = flight
@@ -95,13 +91,13 @@ class Messaging:
         self.missions = MissionProgress(
             pilot.navigator.mission.runner, self.plans, flight.commander, is_valid=lambda: pilot.mission_valid
         )
-        self._clocks = (PingService(flight), TimesyncService(flight))
+        ping, timesync = PingService(flight), TimesyncService(flight)
         self.files = FileStore()
         """Files that stations may read; the host adds the log."""
         metadata.add_files(self.files, parameters)
         self.telemetry.builders |= {
-            common.MAVLINK_MSG_ID_PING: self._clocks[0].question,
-            common.MAVLINK_MSG_ID_TIMESYNC: self._clocks[1].question,
+            common.MAVLINK_MSG_ID_PING: ping.question,
+            common.MAVLINK_MSG_ID_TIMESYNC: timesync.question,
             common.MAVLINK_MSG_ID_MISSION_CURRENT: self.missions.mission_current,
             metadata.COMPONENT_METADATA: lambda: metadata.message(flight.now_us),
         }
@@ -125,7 +121,31 @@ class Messaging:
         self.not_addressed = dict.fromkeys(_OUTSIDE, 0)
         """Number of messages for other components, by link number."""
         self._parameter_service = ParameterService(parameters, self.shapers.has_room)
-        self.services = self._make_services(offboard, manual)
+        calibration = Calibration(flight, wake=self._wake_services)
+        self._commands = self._make_commands(offboard, calibration)
+        self.services = make_services(
+            ServiceParts(
+                system=self._system,
+                flight=flight,
+                parameters=parameters,
+                pilot=pilot,
+                plans=self.plans,
+                files=self.files,
+                telemetry=self.telemetry,
+                has_room=self.shapers.has_room,
+                on_file_opened=self._on_file_opened,
+                wake=self._wake_services,
+                offboard=offboard,
+                manual=manual,
+                missions=self.missions,
+                commands=self._commands,
+                ping=ping,
+                timesync=timesync,
+                calibration=calibration,
+                parameter_service=self._parameter_service,
+            ),
+            extensions,
+        )
         parameters.report_to(lambda _: self._wake_services())
         self._chunks = Chunks()
         self._outgoing: list[Addressed] = []
@@ -228,10 +248,8 @@ class Messaging:
 
     # ---- parts
 
-    def _make_services(self, offboard: OffboardService, manual: ManualControlService) -> Services:
-        pilot, parameters, has_room = self._pilot, self._parameters, self.shapers.has_room
-        runner = pilot.navigator.mission.runner
-        calibration = Calibration(self._flight, wake=self._wake_services)
+    def _make_commands(self, offboard: OffboardService, calibration: Calibration) -> CommandService:
+        pilot, parameters = self._pilot, self._parameters
         flying = FlightCommands(
             self._flight,
             pilot.takeoff_altitude,
@@ -253,30 +271,9 @@ class Messaging:
             save_parameters=self._request_save,
             parameters=parameters,
             is_armed=lambda: self._flight.commander.armed,
+            modes=self._flight.commander.modes,
         )
-        self._commands = CommandService(flying.table | system.table)
-        return Services(
-            (
-                offboard,
-                manual,
-                PlanTransfer(
-                    self.plans,
-                    make=plan_items.make,
-                    system=self._system,
-                    current=lambda: runner.current,
-                    time_stands=lambda: self._flight.time_stands,
-                ),
-                self.missions,
-                self._commands,
-                *self._clocks,
-                PlacesService(pilot.set_home, self.telemetry.motion.gps_global_origin),
-                calibration,
-                self._parameter_service,
-                ParameterExtService(parameters, has_room),
-                FtpService(self.files, self._on_file_opened, has_room),
-                LogService(self.files, has_room),
-            )
-        )
+        return CommandService(flying.table | system.table)
 
     def _wake_services(self) -> None:
         self.services.look_again()

@@ -1,7 +1,7 @@
 """Pilot: runs navigation and control in the commander's mode, detects landing, and sets home."""
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +13,7 @@ from autopilot.control import FlightController
 from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation.feasibility import distance_warning, fence_violation
 from autopilot.navigation.flight_mode import IDLE, ON_GROUND_M, ModeInputs
+from autopilot.navigation.mode_registry import MODES, ModeRow
 from autopilot.navigation.orbit import Circle, YawBehaviour
 from autopilot.navigation.plan_store import PlanStore, PlanType
 from autopilot.navigation.setpoints import Navigator, down_demand_m_s
@@ -43,11 +44,13 @@ class Pilot:
         offboard: OffboardService,
         manual: ManualControlService,
         geofence: Geofence,
+        controller: FlightController,
+        modes: Sequence[ModeRow] = MODES,
     ) -> None:
         settings, control = parameters.settings, parameters.settings.control
         self.takeoff_altitude = TakeoffAltitude()
-        self.controller = FlightController(control)
-        self.navigator = Navigator(settings.navigation, control.trajectory, control.position)
+        self.controller = controller
+        self.navigator = Navigator(settings.navigation, control.trajectory, control.position, modes)
         flight.course = lambda: self.navigator.course
         flight.attitude_setpoint = lambda: self.controller.attitude_setpoint
         flight.motors = lambda: self.controller.controls

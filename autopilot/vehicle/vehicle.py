@@ -20,6 +20,8 @@ from pymavlink.dialects.v20 import common
 from autopilot.commander.commander import Commander
 from autopilot.commander.failsafe import US_PER_S
 from autopilot.commander.geofence import Geofence
+from autopilot.control import FlightController
+from autopilot.control.user_control import UserFlightController
 from autopilot.estimation.estimator import Estimator
 from autopilot.estimation.sensor_input import SensorInput
 from autopilot.mavlink.codec import Message, stamp
@@ -28,6 +30,7 @@ from autopilot.mavlink.hil import HilActuatorControls
 from autopilot.mavlink.local_messages import PositionTarget
 from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation import site_plan
+from autopilot.navigation.mode_registry import MODES, mode_table, user_row
 from autopilot.navigation.site_frame import SiteFrame
 from autopilot.onboard.application import NOTHING, Application
 from autopilot.onboard.factory import make_application
@@ -48,6 +51,7 @@ from autopilot.services.service import (
     reply,
 )
 from autopilot.services.status import heartbeat, status_text
+from autopilot.vehicle.extensions import Extension, load_extensions
 from autopilot.vehicle.fast_step import FastSteps
 from autopilot.vehicle.messaging import Messaging
 from autopilot.vehicle.monitor import Monitor
@@ -91,7 +95,7 @@ class Vehicle:
         """Create the vehicle's parts.
 
         Raises ParameterError for a parameter that does not exist or is out of range, PlanError for an invalid
-        mission or fence.
+        mission or fence, ExtensionError or ExtensionFailure for code of the user that cannot be used.
         """
         self.config = config
         self._system = config.instance + 1
@@ -102,13 +106,17 @@ class Vehicle:
             gps_delay_us=round(config.devices.gps_delay_s * US_PER_S),
         )
         defaults = replace(defaults, estimation=estimation)
+        extensions = load_extensions(config.autopilot)
+        modes = [*MODES]
+        for number, each in enumerate(extensions.modes):
+            modes.append(user_row(number, each.kind.traits, each.make, each.title))
         self.parameters = ParameterSet(defaults, config.autopilot.params, system=self._system)
         settings = self.parameters.settings
         self.shared = SharedState()
         """What full and fast steps both update"""
         self._clock = clock = self.shared.clock
         self.estimator = Estimator(settings.estimation, clock)
-        self.commander = Commander(settings.commander)
+        self.commander = Commander(settings.commander, mode_table(modes))
         self.flight = FlightData(
             estimator=self.estimator, commander=self.commander, state=self.estimator.state, clock=clock
         )
@@ -133,6 +141,8 @@ class Vehicle:
             offboard=self.offboard,
             manual=self.manual,
             geofence=self.monitor.geofence,
+            controller=self._make_controller(extensions.controller),
+            modes=modes,
         )
         self.messaging = Messaging(
             config,
@@ -143,6 +153,7 @@ class Vehicle:
             offboard=self.offboard,
             manual=self.manual,
             plans=site_plan.plans(config.autopilot, config.site),
+            extensions=extensions.services,
         )
         self._before_conditions = self.offboard.takes | self.manual.takes
         """Messages that conditions depend on; processed first, so that a mode request in the same step
@@ -397,6 +408,14 @@ class Vehicle:
                 self.app.on_mavlink(message, now_us)
 
     # ---- parts
+
+    def _make_controller(self, extension: Extension | None) -> FlightController:
+        control = self.parameters.settings.control
+        if extension is None:
+            return FlightController(control)
+        return UserFlightController(
+            control, make=extension.make, title=extension.title, instance=self.config.instance
+        )
 
     def _actuators(self, now_us: int) -> HilActuatorControls:
         mode = _MODE_ARMED if self.commander.armed else _MODE_DISARMED

@@ -34,6 +34,7 @@ import numba
 from numba.core.dispatcher import Dispatcher
 
 from autopilot.parameters.config import VehicleConfig
+from foundation.extension_failure import ExtensionFailure
 from foundation.processes.child_protocol import Finished, Ready, Stop
 from foundation.system_error import described
 from harness.launch import external_autopilots, kernel_cache
@@ -61,6 +62,8 @@ RUN_ID = "one-process"
 """Prefix of the radio's Zenoh keys, which are not used here."""
 MANY = "use Swarm (in pytest: --coflight-processes many)"
 """Advice after a request that one process cannot fulfil."""
+FAILED_STATUS = 2
+"""Exit status of a vehicle's process whose user code has failed"""
 STOP_LIMIT_S = 10.0
 """Wall time that the flight has to end its step and write its data."""
 
@@ -68,7 +71,8 @@ STOP_LIMIT_S = 10.0
 class _Flight:
     """The composed simulation; `fly` executes commands until Stop. Constructed and used in one thread.
 
-    ``emit(name, event)`` receives the events of physics server and vehicles.
+    ``emit(name, event)`` receives the events of physics server and vehicles, ``on_failure(name, failure)`` a
+    vehicle whose user code has failed.
     """
 
     def __init__(
@@ -78,6 +82,7 @@ class _Flight:
         vehicles: Sequence[VehicleConfig],
         *,
         emit: Callable[[str, msgspec.Struct], None],
+        on_failure: Callable[[str, ExtensionFailure], None],
         stack: contextlib.ExitStack,
     ) -> None:
         self._connect_timeout_s = physics.connect_timeout_s
@@ -90,7 +95,9 @@ class _Flight:
         emulator = EmulatorClient(line, period_us=period_us, asynchronous=bool(radio.radio.guests))
 
         self.links = [
-            stack.enter_context(contextlib.closing(InProcessLink(config, radio, emit=emit)))
+            stack.enter_context(
+                contextlib.closing(InProcessLink(config, radio, emit=emit, on_failure=on_failure))
+            )
             for config, radio in zip(vehicles, radios, strict=True)
         ]
 
@@ -149,7 +156,14 @@ class _ThreadSupervisor(Supervisor):
         code, last_words = 1, ""
         try:
             with contextlib.ExitStack() as stack:
-                self._flight = _Flight(physics, radio, vehicles, emit=self._emit_event, stack=stack)
+                self._flight = _Flight(
+                    physics,
+                    radio,
+                    vehicles,
+                    emit=self._emit_event,
+                    on_failure=self._on_failure,
+                    stack=stack,
+                )
                 self._emit_event(PHYSICS, Ready(name=PHYSICS, pid=os.getpid()))
                 self._flight.fly(self._inbox)
             code = 0
@@ -167,6 +181,15 @@ class _ThreadSupervisor(Supervisor):
 
     def _emit_event(self, name: str, event: Any) -> None:  # noqa: ANN401  any event
         self._received.put((name, event))
+
+    def _on_failure(self, name: str, failure: ExtensionFailure) -> None:
+        """Log the failure of the user's code on a vehicle, and queue its end, as of a vehicle's process."""
+        line = f"uav: {failure}"
+        with contextlib.suppress(OSError), self.log_path(name).open("a", encoding="utf-8") as log:
+            traceback.print_exception(failure, file=log)
+            log.write(line + "\n")
+        ended = Exited(name=name, pid=os.getpid(), returncode=FAILED_STATUS, log_tail=line, last_words=line)
+        self._received.put((name, ended))
 
     @property
     def pids(self) -> dict[str, int]:

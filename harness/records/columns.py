@@ -15,7 +15,7 @@ import pyarrow as pa
 from autopilot.commander.failsafe import Cause
 from autopilot.logs.vehicle_record import NO_PHASE
 from autopilot.mavlink.ardupilot_modes import COPTER_MODES
-from autopilot.mavlink.modes import FlightMode
+from autopilot.mavlink.modes import EXTERNAL_MODES, FlightMode
 from autopilot.onboard.formation.phases import FlightPhase
 from foundation.unit_names import frame_of, unit_of
 from harness.scenario.scenario import Scenario
@@ -111,9 +111,11 @@ def _mode_text(name: str) -> str:
 
 _TIME = Column(description="Simulated time.")
 _PHASES = {str(int(phase)): _in_words(phase.name) for phase in FlightPhase}
+_NOT_LISTED = {FlightMode.DESCEND, *EXTERNAL_MODES}
+"""Descend has the number of Land; the names of the external modes are the user's."""
 _MODES = {
     **{str(number): mode.label for number, mode in COPTER_MODES.items()},
-    **{str(mode.custom_mode): mode.label for mode in FlightMode if mode is not FlightMode.DESCEND},
+    **{str(mode.custom_mode): mode.label for mode in FlightMode if mode not in _NOT_LISTED},
 }
 _KINDS = {
     "data": "datagram", "rts": "request to send", "cts": "clear to send", "ack": "acknowledgement",

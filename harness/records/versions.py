@@ -9,6 +9,8 @@ from pathlib import Path
 
 from msgspec import Struct
 
+from foundation.extensions import ExtensionError, is_path, registered
+
 ROOT = Path(__file__).parents[2]
 """Folder of coflight's packages: a checkout, or where a wheel is installed"""
 
@@ -27,6 +29,23 @@ def versions(distributions: Iterable[str]) -> dict[str, str]:
             found[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
             found[name] = "not installed"
+    return found
+
+
+def origin_of(name: str, group: str) -> dict[str, str | None]:
+    """Return what is known of code of the user: its path, the distribution that it is in, and its version.
+
+    ``name`` is ``package.module:Name`` or the name of an entry point of ``group``. None: not known.
+    """
+    found: dict[str, str | None] = {"name": name, "path": None, "distribution": None, "version": None}
+    try:
+        found["path"] = name if is_path(name) else registered(group).get(name)
+    except ExtensionError:  # two distributions have the name, since the flight
+        return found
+    if found["path"] is not None:
+        package = found["path"].partition(":")[0].partition(".")[0]
+        for distribution in importlib.metadata.packages_distributions().get(package, ())[:1]:
+            found |= {"distribution": distribution, "version": importlib.metadata.version(distribution)}
     return found
 
 

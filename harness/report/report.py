@@ -18,13 +18,14 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from antenna.analysis.gain_figures import gain_density_figure, patterns_figure
+from autopilot.vehicle.extensions import named
 from foundation.records.record_log import read
 from foundation.records.whole_file import write_whole
 from harness.records.flight import Flight
 from harness.records.outcome import RunOutcome, read_outcome
 from harness.records.run_folder import NotARun, RunFolder, read_raw_scenario
 from harness.records.tables import flight_of, read_flight, write_tables
-from harness.records.versions import DISTRIBUTIONS, versions
+from harness.records.versions import DISTRIBUTIONS, origin_of, versions
 from harness.report import antenna_report, figures
 from harness.report.antenna_report import Aperture
 from harness.report.flown_array import figure_patterns
@@ -282,6 +283,9 @@ def _manifest(
         "ground_messages": outcome.ground_messages,
         "processes": [msgspec.to_builtins(process) for process in outcome.processes],
         "versions": {"python": platform.python_version(), **versions(DISTRIBUTIONS)},
+        "extensions": {
+            field: origin_of(name, group) for field, (name, group) in named(scenario.autopilot).items()
+        },
         "checkout": msgspec.to_builtins(outcome.checkout),
         "platform": platform.platform(),
         "antenna": None if antenna.solver is None else asdict(antenna.solver),

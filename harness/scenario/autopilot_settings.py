@@ -130,6 +130,16 @@ def _check_external(config: AutopilotConfig) -> None:
     for field, value in given.items():
         if value:
             raise ValueError(f"autopilot.{field}: {title} takes its plans from a ground station only")
+    for field, named in {
+        "controller": config.controller,
+        "modes": config.modes,
+        "services": config.services,
+    }.items():
+        if named:
+            raise ValueError(
+                f"autopilot.{field}: {title} has its own controller, modes and services; expected none of "
+                "coflight's beside it"
+            )
     for field, text in texts:
         _check_placeholders(field, text, known)
 

@@ -9,6 +9,8 @@ import msgspec
 
 from autopilot.navigation.plan_file import PlanFileError
 from autopilot.parameters.parameter_file import ParameterFileError
+from autopilot.vehicle.extensions import load_extensions
+from foundation.extensions import ExtensionError
 from foundation.text_file import TextFileError, read_text
 from harness.scenario import autopilot_settings, element_file, formation_shape, packaged
 from harness.scenario.element_file import ElementFileError
@@ -71,6 +73,10 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
         raise ScenarioError(f"{path}: autopilot.plan_file: {error}") from None
     except ParameterFileError as error:
         raise ScenarioError(f"{path}: autopilot.params_file: {error}") from None
+    try:
+        load_extensions(autopilot)
+    except ExtensionError as error:
+        raise ScenarioError(f"{path}: {error}") from None
     try:
         links = autopilot_settings.with_signing_key(scenario.links, path.parent)
     except ValueError as error:

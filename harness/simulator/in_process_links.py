@@ -12,6 +12,7 @@ import msgspec
 from autopilot.logs.vehicle_record import VEHICLE_RECORD
 from autopilot.parameters.config import VehicleConfig
 from autopilot.vehicle.host import Host, warnings
+from foundation.extension_failure import ExtensionFailure
 from foundation.processes.child_protocol import Warned
 from foundation.records.record_log import BLOCK_ROWS
 from netsim.emulator.interface import NetworkEmulator
@@ -69,16 +70,23 @@ class InProcessEmulatorLine:
 class InProcessLink:
     """A vehicle in this process, with the methods of `harness.simulator.lockstep.Link`.
 
-    ``emit`` receives its warnings, under its name. An error of the vehicle is raised by `sendall`.
+    ``emit`` receives its warnings, under its name. A failure of the user's code, which ``on_failure``
+    receives, ends the vehicle only; another error of the vehicle is raised by `sendall`.
     """
 
     def __init__(
-        self, config: VehicleConfig, radio: InProcessRadio, *, emit: Callable[[str, msgspec.Struct], None]
+        self,
+        config: VehicleConfig,
+        radio: InProcessRadio,
+        *,
+        emit: Callable[[str, msgspec.Struct], None],
+        on_failure: Callable[[str, ExtensionFailure], None],
     ) -> None:
         self.host = Host(config, radio)
         self.killed = False
         """Its end is reported in the next step."""
-        self._emit = emit
+        self._has_failed = False
+        self._emit, self._on_failure = emit, on_failure
         self._output = b""
         """Bytes that are not received yet."""
         self._log_path = config.log_path
@@ -86,8 +94,15 @@ class InProcessLink:
 
     def sendall(self, data: bytes | memoryview, /) -> None:
         """Run the vehicle's step on the simulator's frames."""
-        if self.killed:
+        if self.killed or self._has_failed:
             return
+        try:
+            self._step(data)
+        except ExtensionFailure as failure:
+            self._has_failed = True
+            self._on_failure(self.host.name, failure)
+
+    def _step(self, data: bytes | memoryview) -> None:
         host = self.host
         size = host.put(bytes(data))
         inertial = host.inertial_step(size)
@@ -101,7 +116,7 @@ class InProcessLink:
                 self._emit(host.name, Warned(name=host.name, time_us=messages[-1].time_usec, text=text))
 
     def recv_into(self, buffer: memoryview, /) -> int:
-        """Receive the answer of the last step; 0 if the vehicle was killed."""
+        """Receive the answer of the last step; 0 if the vehicle has ended."""
         data = self.recv(len(buffer))
         buffer[: len(data)] = data
         return len(data)

@@ -12,9 +12,12 @@ from msgspec import Struct
 
 import harness.campaign
 import harness.launch.swarm
+from autopilot.commander.mode_table import ModeTraits
+from autopilot.control.controller import Controller, ControllerContext, ControllerInputs, ThrustTorque
 from autopilot.navigation.flight_mode import FlightModeBehaviour
 from autopilot.onboard.application import Application
 from autopilot.services.service import MavlinkService
+from autopilot.services.user_service import ServiceContext
 from foundation.docstrings import field_docstrings
 from harness.campaign import CampaignError, ClusterError
 from harness.launch import pytest_plugin
@@ -33,9 +36,15 @@ docstrings by `scripts/write_reference.py`.
 """
 
 PROTOCOLS = (
-    Application, FlightModeBehaviour, MavlinkService, Propagation, Fading, ErrorModel, NetworkEmulator,
-    Physics,
+    Application, Controller, FlightModeBehaviour, MavlinkService, Propagation, Fading, ErrorModel,
+    NetworkEmulator, Physics,
 )  # fmt: skip
+EXCHANGED: dict[type, tuple[type, ...]] = {
+    Controller: (ControllerContext, ControllerInputs, ThrustTorque),
+    FlightModeBehaviour: (ModeTraits,),
+    MavlinkService: (ServiceContext,),
+}
+"""Types that the members of a protocol exchange, all of them names of `coflight`."""
 PROTOCOLS_INTRODUCTION = """The built-in parts are reached through these protocols of `typing`, so that
 another object with the same methods can take their place. None of them does I/O, reads a clock or draws
 random numbers of its own: time, state and randomness are arguments, or come from the factory."""
@@ -65,6 +74,8 @@ def python_page() -> str:
         name = protocol.__name__
         parts += [f"### {name}\n", f"`from coflight import {name}`\n"]
         parts += [paragraphs(_doc(protocol, name)) + "\n", *_members(protocol, "####")]
+        for exchanged in EXCHANGED.get(protocol, ()):
+            parts += _class(exchanged, "####")
     return "\n".join(parts)
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 from msgspec import NODEFAULT, Struct
 from msgspec.inspect import (
+    AnyType,
     BoolType,
     CollectionType,
     DateTimeType,
@@ -173,6 +174,8 @@ def _type(kind: Type) -> str:
             return f"array of {_plural(_type(item))}"
         case DictType(key_type=key, value_type=value):
             return f"table, {_type(key)} → {_type(value)}"
+        case AnyType():
+            return "any value"
     raise TypeError(f"{kind}: no description of such a type")
 
 

@@ -7,6 +7,7 @@ from autopilot.commander.arming_checks import Condition
 from autopilot.commander.commander import Commander
 from autopilot.commander.params import CommanderParams
 from autopilot.mavlink.modes import FlightMode
+from autopilot.navigation.mode_registry import mode_table
 from autopilot.services.manual_control import ManualControlService
 from autopilot.services.service import Partner
 
@@ -19,7 +20,7 @@ def sticks(*, x=0, y=0, z=500, r=0):
 
 
 def flying(mode, **params):
-    commander = Commander(CommanderParams(**params))
+    commander = Commander(CommanderParams(**params), mode_table())
     commander.update(0, conditions=ALL, landed=True)
     assert commander.arm(0) is None
     commander.update(1, conditions=ALL, landed=False)
@@ -67,7 +68,7 @@ def test_moved_sticks_take_over_as_set_by_the_parameter(mode, bits, taken):
 
 
 def test_sticks_have_no_effect_on_a_vehicle_on_the_ground():
-    commander = Commander(CommanderParams())
+    commander = Commander(CommanderParams(), mode_table())
     service = ManualControlService(commander)
     commander.update(0, conditions=ALL, landed=True)
     service.on_message(sticks(x=1000), 0, CLIENT)

@@ -18,6 +18,7 @@ from autopilot.estimation.params import EstimatorParams
 from autopilot.mavlink import dialect
 from autopilot.mavlink.codec import Encoder, Parser
 from autopilot.mavlink.modes import FlightMode
+from autopilot.navigation.mode_registry import mode_table
 from autopilot.services.flight_data import FlightData, Home
 from autopilot.services.offboard import OffboardService
 from autopilot.services.service import APPLICATION_PARTNER, COMPANION, GROUND_STATION, Partner
@@ -51,7 +52,10 @@ def make_flight(*, commander=None):
     state.origin_lat_deg, state.origin_lon_deg, state.origin_alt_m = ORIGIN.values()
     home = Home(lat_deg=47.0, lon_deg=8.0, alt_m=485.0, pos_ned_m=(0, 0, 3.0), q_ned_frd=(1, 0, 0, 0))
     return FlightData(
-        estimator=estimator, commander=commander or Commander(CommanderParams()), state=state, home=home
+        estimator=estimator,
+        commander=commander or Commander(CommanderParams(), mode_table()),
+        state=state,
+        home=home,
     )
 
 
@@ -290,7 +294,7 @@ class Sources:
     """An offboard service with sources, each of which sends its own east."""
 
     def __init__(self):
-        self.commander = Commander(CommanderParams())
+        self.commander = Commander(CommanderParams(), mode_table())
         self.service = OffboardService(make_flight(commander=self.commander))
 
     def send(self, now_us, partner, east_m):

@@ -10,6 +10,7 @@ from autopilot.commander.params import CommanderParams
 from autopilot.estimation.estimator import Estimator
 from autopilot.estimation.params import EstimatorParams
 from autopilot.mavlink.codec import Encoder, Parser, stamp
+from autopilot.navigation.mode_registry import mode_table
 from autopilot.parameters.table import ParameterSet, Settings
 from autopilot.services.actions_flight import FlightActions, FlightCommands
 from autopilot.services.actions_system import SystemCommands
@@ -32,7 +33,7 @@ def make_flight():
     estimator = Estimator(EstimatorParams())
     return FlightData(
         estimator=estimator,
-        commander=Commander(CommanderParams()),
+        commander=Commander(CommanderParams(), mode_table()),
         state=estimator.state,
         conditions=EVERYTHING,
     )
@@ -87,6 +88,7 @@ class Commanded:
             save_parameters=lambda: self.has_file,
             parameters=self.parameters,
             is_armed=lambda: self.commander.armed,
+            modes=self.commander.modes,
         )
         self.table = flying.table | system.table
         self.service = CommandService(self.table)

@@ -5,13 +5,15 @@ import itertools
 import pytest
 from msgspec.structs import replace
 
-from autopilot.commander.arming_checks import MODE_NEEDS, Condition, Reason
+from autopilot.commander.arming_checks import Condition, Reason
 from autopilot.commander.commander import Commander
 from autopilot.commander.failsafe import ROWS, Action, Cause, Failsafe, feasible
 from autopilot.commander.params import CommanderParams
 from autopilot.mavlink.modes import FlightMode
+from autopilot.navigation.mode_registry import mode_table
 
 ALL = sum(Condition)
+MODES = mode_table()
 PLACE = int(Condition.POSITION | Condition.VELOCITY)
 STEP_US = 100_000
 HOLD, RETURN, LAND, DESCEND = FlightMode.HOLD, FlightMode.RETURN, FlightMode.LAND, FlightMode.DESCEND
@@ -22,7 +24,7 @@ class Timeline:
     """A vehicle in flight since 0 s; `until` runs to a time with causes present and conditions lost."""
 
     def __init__(self, mode=HOLD, *, causes=0, **params):
-        self.commander = Commander(CommanderParams(**params))
+        self.commander = Commander(CommanderParams(**params), MODES)
         self.now_us = -10 * STEP_US
         self.seen = []
         """(seconds, mode or ``off``) of each change"""
@@ -296,7 +298,7 @@ def test_on_the_ground_a_lack_of_feasible_modes_only_disarms():
 
 def test_causes_without_an_action_are_not_processed():
     """In a swarm there is normally no ground station, and NAV_DLL_ACT is 0: it must take almost no time."""
-    failsafe = Failsafe()
+    failsafe = Failsafe(MODES)
     args = {"params": CommanderParams(), "conditions": ALL, "mode": MISSION, "armed": True, "landed": False}
     for now_us in (0, STEP_US):
         failsafe.update(now_us, causes=Cause.GCS_LOST, mode_chosen=False, **args)
@@ -340,13 +342,13 @@ def test_manual_modes_fall_back_to_modes_with_fewer_needs():
 
 
 def test_the_mode_in_flight_always_has_its_needs_met_or_the_motors_are_off():
-    for mode, count in itertools.product(MODE_NEEDS, range(4)):
+    for mode, count in itertools.product(MODES.needs, range(4)):
         if mode is DESCEND:
             continue
         for lost in itertools.combinations(list(Condition), count):
             flight = Timeline(mode, manual_loss_action=0).until(1.0, lost=sum(lost))
             if flight.commander.armed:
-                assert not MODE_NEEDS[flight.commander.mode] & sum(lost)
+                assert not MODES.needs[flight.commander.mode] & sum(lost)
             else:
                 assert Condition.ATTITUDE in lost
 
@@ -361,15 +363,15 @@ def test_every_value_of_every_parameter_has_a_response_or_no_effect():
 
 
 def test_the_chain_of_feasible_actions():
-    assert feasible(Action.POSITION, ALL) is Action.POSITION
-    assert feasible(Action.POSITION, ALL & ~Condition.MANUAL) is Action.HOLD
-    assert feasible(Action.HOLD, ALL & ~Condition.POSITION) is Action.DESCEND
-    assert feasible(Action.HOLD, 0) is Action.TERMINATE
-    assert feasible(Action.WARN, 0) is Action.WARN
+    assert feasible(Action.POSITION, ALL, MODES) is Action.POSITION
+    assert feasible(Action.POSITION, ALL & ~Condition.MANUAL, MODES) is Action.HOLD
+    assert feasible(Action.HOLD, ALL & ~Condition.POSITION, MODES) is Action.DESCEND
+    assert feasible(Action.HOLD, 0, MODES) is Action.TERMINATE
+    assert feasible(Action.WARN, 0, MODES) is Action.WARN
 
 
 def test_nothing_is_decided_on_the_ground():
-    failsafe = Failsafe()
+    failsafe = Failsafe(MODES)
     decision = failsafe.update(
         0,
         params=CommanderParams(),

@@ -3,20 +3,17 @@
 import pytest
 from pymavlink.dialects.v20 import common
 
-from autopilot.commander.arming_checks import (
-    MODE_NEEDS,
-    MODES_TO_ARM_IN,
-    Condition,
-    Reason,
-    arming_needs,
-    first_missing,
-)
+from autopilot.commander.arming_checks import Condition, Reason, first_missing
 from autopilot.commander.commander import Commander
 from autopilot.commander.failsafe import ARMING_CAUSES, Cause
+from autopilot.commander.mode_table import ModeTable, ModeTraits
 from autopilot.commander.params import CommanderParams
 from autopilot.mavlink.modes import FlightMode
+from autopilot.navigation.mode_registry import mode_table
 
 ALL = sum(Condition)
+MODES = mode_table()
+MODES_TO_ARM_IN = [mode for mode, traits in MODES.traits.items() if traits.arms]
 S = 1_000_000
 STEP = 4_000
 
@@ -26,7 +23,7 @@ def step(commander, now_us, *, conditions=ALL, landed=True, causes=0, next_mode=
 
 
 def ready(conditions=ALL, *, params=None):
-    commander = Commander(params or CommanderParams())
+    commander = Commander(params or CommanderParams(), MODES)
     step(commander, 0, conditions=conditions)
     return commander
 
@@ -45,7 +42,7 @@ def test_a_missing_condition_refuses_arming_with_its_reason_where_needed(mode, m
     commander = ready()
     assert commander.set_mode(mode) is None
     step(commander, STEP, conditions=ALL & ~missing)
-    if not arming_needs(mode) & missing:
+    if not MODES.arming_needs(mode) & missing:
         assert commander.arm(0) is None
         return
     reason = commander.arm(0)
@@ -104,7 +101,7 @@ def test_modes_that_cannot_take_off_cannot_be_armed_in():
     assert commander.arm(0) is Reason.MODE_CANNOT_ARM
 
 
-@pytest.mark.parametrize("mode", [m for m in FlightMode if m not in MODE_NEEDS] + [FlightMode.DESCEND, None])
+@pytest.mark.parametrize("mode", [m for m in FlightMode if m not in MODES.needs] + [FlightMode.DESCEND, None])
 def test_modes_that_are_not_implemented_are_denied(mode):
     commander = flying(FlightMode.HOLD)
     assert commander.set_mode(mode) is Reason.MODE_UNAVAILABLE
@@ -154,7 +151,7 @@ def test_disarms_exactly_two_seconds_after_landing():
 
 @pytest.mark.parametrize(("limit_s", "disarmed"), [(10.0, True), (-1.0, False)])
 def test_disarms_without_takeoff(limit_s, disarmed):
-    commander = Commander(CommanderParams(disarm_preflight_s=limit_s))
+    commander = Commander(CommanderParams(disarm_preflight_s=limit_s), MODES)
     step(commander, 0)
     commander.arm(3 * S)
     step(commander, 13 * S - STEP)
@@ -175,4 +172,41 @@ def test_termination_is_permanent():
 def test_nothing_happens_on_the_ground_while_disarmed():
     commander = ready()
     assert step(commander, 100 * S, conditions=0) == ()
+    assert commander.mode is FlightMode.HOLD
+
+
+@pytest.mark.parametrize("name", ["x" * 35, "Übung"])
+def test_a_name_that_available_modes_cannot_carry_is_refused(name):
+    with pytest.raises(ValueError, match="expected at most 34 ASCII characters"):
+        ModeTraits(needs=Condition.ATTITUDE, name=name)
+
+
+def test_a_mode_of_the_user_by_sticks_falls_back_as_the_manual_modes_do():
+    traits = {
+        **MODES.traits,
+        FlightMode.EXTERNAL1: ModeTraits(needs=Condition.MANUAL, arms=True, by_sticks=True),
+    }
+    commander = Commander(CommanderParams(), ModeTable(traits))
+    step(commander, 0)
+    assert commander.set_mode(FlightMode.EXTERNAL1) is None
+    assert commander.arm(0) is None
+    step(commander, STEP, landed=False)
+    assert commander.mode is FlightMode.EXTERNAL1
+    step(commander, 2 * STEP, conditions=ALL & ~Condition.MANUAL, landed=False)
+    assert (commander.mode, commander.failsafe) == (FlightMode.HOLD, True)
+    step(commander, 3 * STEP, landed=False)
+    assert (commander.mode, commander.failsafe) == (FlightMode.EXTERNAL1, False)
+
+
+def test_an_automatic_mode_of_the_user_returns_when_a_need_is_lost_and_is_left_after_the_flight():
+    needs = Condition.POSITION | Condition.GPS
+    traits = {**MODES.traits, FlightMode.EXTERNAL3: ModeTraits(needs=needs, arms=True, of_one_flight=True)}
+    commander = Commander(CommanderParams(), ModeTable(traits))
+    step(commander, 0)
+    assert commander.set_mode(FlightMode.EXTERNAL3) is None
+    assert commander.arm(0) is None
+    step(commander, STEP, landed=False)
+    step(commander, 2 * STEP, conditions=ALL & ~Condition.GPS, landed=False)
+    assert (commander.mode, commander.failsafe) == (FlightMode.RETURN, True)
+    assert commander.disarm(forced=True) is None
     assert commander.mode is FlightMode.HOLD

@@ -96,6 +96,15 @@ def test_own_vehicles_need_no_px4_settings(tmp_path):
         ("autopilot.params.lower_case=1", "autopilot.params: 'lower_case' is no parameter's name"),
         ("autopilot.per_uav.3.MIS_TAKEOFF_ALT=1", "autopilot.per_uav: there is no UAV '3'"),
         ("autopilot.fence=[{shape='circle', radius_m=50}]", "autopilot.fence: a PX4 takes its plans"),
+        (
+            "autopilot.controller='a:B'",
+            "autopilot.controller: a PX4 has its own controller, ",
+        ),
+        ("autopilot.modes=['a:B']", "autopilot.modes: a PX4 has its own controller, "),
+        (
+            "autopilot.services=['a:B']",
+            "autopilot.services: a PX4 has its own controller, ",
+        ),
     ],
 )
 def test_invalid_px4_settings_are_refused_with_the_fields_path(scenario, override, error):

@@ -1,0 +1,1 @@
+"""A geometric tracking controller on SE(3); `control.GeometricController` is the class."""
