@@ -31,6 +31,8 @@ class AutopilotInterface(Struct, frozen=True, kw_only=True):
     """Names of its parameter of the position loop's gain, 1/s, of which a version has one."""
     barometer_message: str
     """Message with the barometer's altitude or pressure."""
+    integers_are_bytes: bool
+    """Whether the protocol of parameters has the bytes of an integer in its float, instead of its value."""
     follows_before_take_off: bool
     """Whether that mode is its mode for arming and take-off, which a setpoint would end. Otherwise it needs
     setpoints before it changes to that mode."""
@@ -53,6 +55,7 @@ PX4: Final = AutopilotInterface(
     mode=mode_from_custom,
     gain_names=("MPC_XY_P",),
     barometer_message="ALTITUDE",
+    integers_are_bytes=True,
     follows_before_take_off=False,
 )
 ARDUPILOT: Final = AutopilotInterface(
@@ -63,5 +66,6 @@ ARDUPILOT: Final = AutopilotInterface(
     mode=ardupilot_modes.counterpart,
     gain_names=("PSC_NE_POS_P", "PSC_POSXY_P"),  # from 4.7 on, and before
     barometer_message="SCALED_PRESSURE",
+    integers_are_bytes=False,
     follows_before_take_off=True,
 )

@@ -43,6 +43,7 @@ class OwnState:
         vel_ned_m_s: the autopilot's velocity, less the estimated error of its vertical part.
         autopilot_ned_m: horizontally the autopilot's position in the site's frame, down from the ground.
         height: relation of the autopilot's vertical position and velocity to these.
+        local_ne_m: the autopilot's position from its own origin, north and east.
         is_ready: whether the autopilot's pre-arm checks pass; None: not reported.
         origin_ned_m: the autopilot's origin in the site's frame; ``origin_alt_m`` is above mean sea level.
         truth_ned_m: true position from the simulator, down from that in its first message.
@@ -70,8 +71,7 @@ class OwnState:
         self._gps_delay_ms = round(gps_delay_s * 1e3)
         self._boot_offset_us: int | None = None
         self._standing_down_m: float | None = None
-        self._local_ne_m = (0.0, 0.0)
-        """The autopilot's position from its own origin, north and east."""
+        self.local_ne_m = (0.0, 0.0)
         self._standing = False
         """Whether it is known that the vehicle has not been armed yet."""
 
@@ -93,7 +93,7 @@ class OwnState:
             east_m += half_s * (vel_e + before_e)
         height.on_position(time_us, msg.z, msg.vz, standing=self._standing)
         self.odometry_ned_m = (north_m, east_m, height.down_m)
-        self._local_ne_m = (msg.x, msg.y)
+        self.local_ne_m = (msg.x, msg.y)
         self._place()
         self.vel_ned_m_s = (vel_n, vel_e, msg.vz - height.vel_error_m_s)
         self.time_us = time_us
@@ -165,6 +165,6 @@ class OwnState:
 
     def _place(self) -> None:
         """Convert the autopilot's position to the site's frame, by its origin if that is known."""
-        north_m, east_m = self._local_ne_m
+        north_m, east_m = self.local_ne_m
         origin_n_m, origin_e_m, _ = self.origin_ned_m or _ZERO
         self.autopilot_ned_m = (north_m + origin_n_m, east_m + origin_e_m, self.height.down_m)

@@ -1,12 +1,9 @@
 """State machine of a flight: selects the phase and the command for the autopilot. No I/O.
 
-The autopilot performs the take-off itself, because its spool-up and landed-state logic are designed for it.
-It holds the uncorrected position, however, which drifts with the GPS bias. At `HAND_OVER_HEIGHT_M`, during
-the climb, the application therefore takes over in offboard mode, with a setpoint that continues the climb at
-the same speed over the corrected position. It also does so where the autopilot ends its take-off lower, as it
-does if its own height drifts by metres while the motors spool up. A UAV does not take off before the
-formation's shape on the ground is known to `SHAPE_STD_M`, or `LOCALISE_TIMEOUT_US` has passed. A held flight
-waits before all that.
+At the hand-over of the take-off (`autopilot.onboard.client.take_off`) the application takes over in offboard
+mode, with a setpoint that continues the climb at the same speed over the corrected position. A UAV does not
+take off before the formation's shape on the ground is known to `SHAPE_STD_M`, or `LOCALISE_TIMEOUT_US` has
+passed. A held flight waits before all that.
 """
 
 from collections.abc import Callable
@@ -15,18 +12,15 @@ from msgspec import Struct
 
 from autopilot.mavlink.modes import FlightMode
 from autopilot.onboard.client.autopilots import PX4, AutopilotInterface
-from autopilot.onboard.client.commands import ARM, CommandSender, RepeatedCommand
+from autopilot.onboard.client.commands import CommandSender
 from autopilot.onboard.client.own_state import OwnState
+from autopilot.onboard.client.take_off import TakeOff
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.localisation.model import LOCALISE_TIMEOUT_US, SHAPE_STD_M
 
 TAKE_OFF_HEIGHT_M = 2.5
-HAND_OVER_HEIGHT_M = 0.5
-"""Lowest height at which the vehicle certainly flies: below it wind and GPS errors move it unchecked."""
 FLOWN_HEIGHT_M = 0.3
 """A vehicle disarmed after exceeding this height has landed and does not take off again."""
-READY_TIMEOUT_US = 20_000_000
-"""Longest time for which arming waits for the autopilot's pre-arm checks, whose reasons it reports itself."""
 HEARTBEAT_LAG_US = 1_500_000
 """Longest time until a HEARTBEAT (1 Hz) shows a change that a COMMAND_ACK has confirmed."""
 
@@ -66,9 +60,7 @@ class FlightSequence:
         self._arrived_us: int | None = None
         self._offboard_seen = False
         self._has_flown = False
-        self._take_off: RepeatedCommand | None = None
-        self._takes_off = False
-        """Whether the autopilot has been seen in its take-off."""
+        self._take_off = TakeOff(commands, autopilot)
 
     @property
     def in_air(self) -> bool:
@@ -113,16 +105,7 @@ class FlightSequence:
                     )
                     return FlightPhase.ARMING
             case FlightPhase.ARMING:
-                self._take_off, self._takes_off = None, False
-                if own.is_ready is False and now_us - self._phase_since_us < READY_TIMEOUT_US:
-                    self._commands.request(None, now_us)
-                    return self.phase
-                own.on_arming()
-                if self._autopilot.follows_before_take_off and own.mode is not FlightMode.OFFBOARD:
-                    self._commands.request(self._autopilot.follow, now_us)
-                    return self.phase
-                self._commands.request(ARM, now_us)
-                if self._commands.accepted:
+                if self._take_off.arm(own, now_us, since_us=self._phase_since_us):
                     return FlightPhase.TAKE_OFF
             case FlightPhase.TAKE_OFF:
                 return self._taking_off(own, situation, now_us, disarmed=disarmed)
@@ -147,18 +130,10 @@ class FlightSequence:
         if own.failsafe:
             return self._yield("failsafe", now_us)
         self._has_flown |= height_m > FLOWN_HEIGHT_M
-        self._takes_off |= own.mode is FlightMode.TAKEOFF
-        ended = self._takes_off and own.mode is FlightMode.HOLD
-        low = height_m < min(HAND_OVER_HEIGHT_M, 0.5 * take_off_height_m)
-        if low and not ended and not self._commands.is_requested(self._autopilot.follow):
-            if self._take_off is None:  # once: the altitude of the ground, as the autopilot sees it, drifts
-                ground_alt_m = own.origin_alt_m - own.height.autopilot_down_m
-                self._take_off = self._autopilot.take_off(take_off_height_m, ground_alt_m)
-            self._commands.request(self._take_off, now_us)
+        if not self._take_off.climb(own, now_us, height_m=take_off_height_m):
             return FlightPhase.TAKE_OFF
-        self._commands.request(self._autopilot.follow, now_us)
         self._offboard_seen = False
-        return FlightPhase.JOINING if self._commands.accepted else FlightPhase.TAKE_OFF
+        return FlightPhase.JOINING
 
     def _in_formation(
         self, own: OwnState, situation: Situation, now_us: int, *, disarmed: bool

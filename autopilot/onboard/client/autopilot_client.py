@@ -1,0 +1,288 @@
+"""The UAV's autopilot as its applications use it: state, commands, setpoints, parameters. No I/O.
+
+The autopilot is coflight's own, a PX4 or an ArduPilot; what differs between them is in `autopilots`. All
+applications of one UAV share one client.
+"""
+
+import math
+import struct
+from enum import Enum
+
+from pymavlink.dialects.v20 import common
+
+from autopilot.mavlink.codec import Message
+from autopilot.mavlink.components import AUTOPILOT_COMPONENT
+from autopilot.mavlink.local_messages import PositionTarget
+from autopilot.mavlink.modes import FlightMode
+from autopilot.onboard.client.autopilots import PX4, AutopilotInterface
+from autopilot.onboard.client.commands import CommandSender, RepeatedCommand
+from autopilot.onboard.client.own_state import OwnState
+from autopilot.onboard.client.take_off import TakeOff
+from autopilot.parameters.config import Site
+from foundation.types import Vector
+
+FLOWN_HEIGHT_M = 0.3
+"""A vehicle disarmed after exceeding this height has landed."""
+_LOCAL_NED = int(common.MAV_FRAME_LOCAL_NED)
+_IGNORE_POS = (
+    common.POSITION_TARGET_TYPEMASK_X_IGNORE
+    | common.POSITION_TARGET_TYPEMASK_Y_IGNORE
+    | common.POSITION_TARGET_TYPEMASK_Z_IGNORE
+)
+_IGNORE_VEL = (
+    common.POSITION_TARGET_TYPEMASK_VX_IGNORE
+    | common.POSITION_TARGET_TYPEMASK_VY_IGNORE
+    | common.POSITION_TARGET_TYPEMASK_VZ_IGNORE
+)
+_IGNORE_ACC = (
+    common.POSITION_TARGET_TYPEMASK_AX_IGNORE
+    | common.POSITION_TARGET_TYPEMASK_AY_IGNORE
+    | common.POSITION_TARGET_TYPEMASK_AZ_IGNORE
+)
+_IGNORE_YAW = common.POSITION_TARGET_TYPEMASK_YAW_IGNORE
+_IGNORE_YAW_RATE = common.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
+_ZERO: Vector = (0.0, 0.0, 0.0)
+
+
+class Flight(Enum):
+    """State of the flight that `AutopilotClient.take_off` began."""
+
+    ON_GROUND = "on ground"
+    """Before it."""
+    ARMING = "arming"
+    TAKING_OFF = "taking off"
+    FOLLOWING = "following"
+    """In the air; the autopilot follows setpoints unless `AutopilotClient.yielded`."""
+    LANDED = "landed"
+    """Disarmed after it."""
+
+
+class AutopilotClient:
+    """State of one UAV's autopilot, and what its applications send to it.
+
+    Attributes:
+        own: everything that the autopilot's messages contain; see `OwnState`.
+        commands: the command that is repeated until the autopilot accepts it.
+        flight: state of the flight that `take_off` began.
+        parameters: values by name that the autopilot has reported.
+
+    """
+
+    def __init__(
+        self, *, system: int, site: Site, gps_delay_s: float, interface: AutopilotInterface = PX4
+    ) -> None:
+        self.own = OwnState(site=site, gps_delay_s=gps_delay_s, autopilot=interface)
+        self.commands = CommandSender(target_system=system)
+        self.interface = interface
+        self.flight = Flight.ON_GROUND
+        self.parameters: dict[str, float] = {}
+        self._system = system
+        self._take_off = TakeOff(self.commands, interface)
+        self._height_m = 0.0
+        self._since_us = 0
+        self._has_flown = False
+        self._now_us = 0
+        self._outgoing: list[Message | PositionTarget] = []
+        self._requested: set[str] = set()
+
+    # ---- state
+
+    @property
+    def pos_ned_m(self) -> Vector | None:
+        """Position: north and east as the autopilot estimates it, which includes the GPS error, and down from
+        the ground of the start; site NED. None: unknown.
+        """
+        own = self.own
+        return None if own.origin_ned_m is None or own.time_us < 0 else own.autopilot_ned_m
+
+    @property
+    def vel_ned_m_s(self) -> Vector:
+        """Velocity, NED."""
+        return self.own.vel_ned_m_s
+
+    @property
+    def armed(self) -> bool:
+        """Whether the motors are armed."""
+        return self.own.armed
+
+    @property
+    def mode(self) -> FlightMode | None:
+        """The flight mode of PX4, or that of PX4 with the same purpose; None: unknown, or without one."""
+        return self.own.mode
+
+    @property
+    def follows(self) -> bool:
+        """Whether the vehicle follows the setpoints of `fly`."""
+        return self.flight is Flight.FOLLOWING and self.mode is FlightMode.OFFBOARD and not self.own.failsafe
+
+    # ---- requests of the application
+
+    def take_off(self, height_m: float = 2.5) -> None:
+        """Arm, take off to a height above the ground, and change to the mode that follows setpoints.
+
+        The vehicle is armed once it has a position. Repeated calls have no effect, nor has one after landing.
+        """
+        if not 0.5 <= height_m <= 1_000.0:
+            raise ValueError(f"height_m: {height_m}; expected 0.5 to 1000")
+        if self.flight is Flight.ON_GROUND and self.pos_ned_m is not None and self.own.fix is not None:
+            self.flight, self._height_m, self._since_us = Flight.ARMING, height_m, self._now_us
+
+    def fly(
+        self, *, pos_ned_m: Vector | None = None, vel_ned_m_s: Vector | None = None,
+        acc_ned_m_s2: Vector | None = None, yaw_rad: float | None = None, yaw_rate_rad_s: float | None = None,
+    ) -> None:  # fmt: skip
+        """Send a setpoint: any of position (site NED, down from the ground), velocity and acceleration.
+
+        To be called in every iteration, or at least twice a second: autopilots leave the mode without
+        setpoints. It has no effect unless the vehicle `follows`. Raises ValueError for a setpoint of none of
+        them, of another size, or with numbers that are not finite.
+        """
+        if not self.follows:
+            return
+        own, mask = self.own, 0
+        pos, vel, acc = _ZERO, _ZERO, _ZERO
+        if pos_ned_m is None:
+            mask |= _IGNORE_POS
+        else:
+            north_m, east_m, down_m = _finite("pos_ned_m", pos_ned_m)
+            origin_n_m, origin_e_m, _ = own.origin_ned_m or _ZERO
+            pos = (north_m - origin_n_m, east_m - origin_e_m, down_m + own.height.autopilot_down_m)
+        if vel_ned_m_s is None:
+            mask |= _IGNORE_VEL
+        else:
+            vel_n, vel_e, vel_d = _finite("vel_ned_m_s", vel_ned_m_s)
+            vel = (vel_n, vel_e, vel_d + own.height.vel_error_m_s)
+        if acc_ned_m_s2 is None:
+            mask |= _IGNORE_ACC
+        else:
+            acc = _finite("acc_ned_m_s2", acc_ned_m_s2)
+        if pos_ned_m is None and vel_ned_m_s is None and acc_ned_m_s2 is None:
+            raise ValueError("fly: expected at least one of pos_ned_m, vel_ned_m_s, acc_ned_m_s2")
+        mask |= _IGNORE_YAW if yaw_rad is None else 0
+        mask |= _IGNORE_YAW_RATE if yaw_rate_rad_s is None else 0
+        self.send(
+            PositionTarget(
+                self._now_us // 1_000, self._system, AUTOPILOT_COMPONENT, _LOCAL_NED, mask, *pos, *vel, *acc,
+                yaw_rad or 0.0, yaw_rate_rad_s or 0.0,
+            )
+        )  # fmt: skip
+
+    def land(self) -> None:
+        """Land where the vehicle is; the command is repeated until it is accepted."""
+        self.command(common.MAV_CMD_NAV_LAND)
+
+    def command(self, number: int, *params: float) -> None:
+        """Send a MAV_CMD with up to seven parameters (others are 0), until it is accepted.
+
+        It replaces a command that has not been accepted yet; repeated calls have no effect.
+        """
+        first, second, third, fourth, fifth, sixth, seventh = (*params, *[0.0] * (7 - len(params)))
+        values = (first, second, third, fourth, fifth, sixth, seventh)
+        self.commands.request(RepeatedCommand(number, values), self._now_us)
+
+    def request_parameter(self, name: str) -> None:
+        """Request a parameter once; its value appears in `parameters`."""
+        self.send(
+            common.MAVLink_param_request_read_message(
+                self._system, AUTOPILOT_COMPONENT, name.encode("ascii"), -1
+            )
+        )
+        self._requested.add(name)
+
+    def set_parameter(self, name: str, value: float) -> None:
+        """Set a parameter, whose type is that of the value, int or float; `parameters` has the result."""
+        kind = common.MAV_PARAM_TYPE_REAL32
+        if isinstance(value, int):
+            kind = common.MAV_PARAM_TYPE_INT32
+            if self.interface.integers_are_bytes:
+                value = struct.unpack("<f", struct.pack("<i", value))[0]
+        self.send(
+            common.MAVLink_param_set_message(
+                self._system, AUTOPILOT_COMPONENT, name.encode("ascii"), value, kind
+            )
+        )
+        self._requested.add(name)
+
+    def send(self, message: Message | PositionTarget) -> None:
+        """Send any message to the autopilot, at the end of the iteration."""
+        self._outgoing.append(message)
+
+    # ---- of the host
+
+    def on_message(self, message: Message, now_us: int) -> None:
+        """Process a message of the autopilot, before the applications receive it."""
+        own = self.own
+        match message.get_type():
+            case "LOCAL_POSITION_NED":
+                own.on_local_position(message, now_us)
+            case "GPS_RAW_INT":
+                own.on_gps(message)
+            case "ALTITUDE":
+                own.on_altitude(message)
+            case "SCALED_PRESSURE" if self.interface.barometer_message == "SCALED_PRESSURE":
+                own.on_pressure(message)
+            case "SYS_STATUS":
+                own.on_status(message)
+            case "GPS_GLOBAL_ORIGIN":
+                own.on_origin(message)
+            case "HEARTBEAT":
+                own.on_heartbeat(message, now_us)
+            case "COMMAND_ACK":
+                self.commands.on_ack(message, now_us)
+            case "PARAM_VALUE":
+                if message.param_id in self._requested:
+                    self.parameters[message.param_id] = self._value(message)
+
+    def begin(self, now_us: int) -> None:
+        """Begin an iteration of the loop: advance the flight that `take_off` began."""
+        self._now_us = now_us
+        own = self.own
+        if self.flight is Flight.ARMING and self._take_off.arm(own, now_us, since_us=self._since_us):
+            self.flight = Flight.TAKING_OFF
+        if self.flight is not Flight.TAKING_OFF and self.flight is not Flight.FOLLOWING:
+            return
+        self._has_flown |= own.armed and -own.odometry_ned_m[2] > FLOWN_HEIGHT_M
+        if self._has_flown and not own.armed:
+            self.flight = Flight.LANDED
+            self.commands.request(None, now_us)
+        elif self.flight is Flight.TAKING_OFF:
+            self._climb(now_us)
+
+    def take(self, now_us: int) -> list[Message | PositionTarget]:
+        """Return what is to be sent in this iteration."""
+        outgoing, self._outgoing = self._outgoing, []
+        outgoing += self.commands.on_timer(now_us)
+        return outgoing
+
+    def _climb(self, now_us: int) -> None:
+        own = self.own
+        if self._take_off.climb(own, now_us, height_m=self._height_m):
+            self.flight = Flight.FOLLOWING
+        if not self.interface.follows_before_take_off:  # it needs setpoints before it changes to the mode
+            north_m, east_m = own.local_ne_m
+            down_m = own.height.down_m + own.height.autopilot_down_m
+            mask = _IGNORE_ACC | _IGNORE_YAW | _IGNORE_YAW_RATE
+            self.send(
+                PositionTarget(
+                    now_us // 1_000, self._system, AUTOPILOT_COMPONENT, _LOCAL_NED, mask,
+                    north_m, east_m, down_m, 0.0, 0.0, own.vel_ned_m_s[2] + own.height.vel_error_m_s,
+                )
+            )  # fmt: skip
+
+    def _value(self, message: Message) -> float:
+        value: float = message.param_value
+        integers = (common.MAV_PARAM_TYPE_INT32, common.MAV_PARAM_TYPE_UINT32)
+        if self.interface.integers_are_bytes and message.param_type in integers:
+            return float(struct.unpack("<i", struct.pack("<f", value))[0])
+        return value
+
+
+def _finite(name: str, vector: Vector) -> Vector:
+    """Return a vector of three finite numbers; raises ValueError for another."""
+    try:
+        x, y, z = map(float, vector)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name}: {vector!r:.100}; expected three numbers") from None
+    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
+        raise ValueError(f"{name}: {vector!r:.100}; expected finite numbers")
+    return x, y, z

@@ -1,0 +1,138 @@
+"""What an application is given: its vehicle's number, places and site, a generator, radio and autopilot. No I/O."""
+
+from collections.abc import Iterator, Sequence
+from itertools import count
+
+import numpy as np
+from numpy.typing import NDArray
+
+from autopilot.onboard.client.autopilot_client import AutopilotClient
+from autopilot.parameters.config import AnyMotion, Devices, Site
+from netsim.wire.messages import MAX_PAYLOAD_BYTES, Broadcast, FtmRequest, TxItem, Unicast
+
+MOST_ITEMS = 10_000
+"""Transmissions of one iteration; an application that submits more has failed."""
+
+
+class Radio:
+    """The radio of one UAV: collects the transmissions of an iteration.
+
+    Times ``at_us`` are when the application passes the item to its host's stack: from the present iteration
+    until the next one; None: at once. All methods raise ValueError or TypeError for an item that cannot be
+    sent, and return its sequence number, which the item's result carries.
+    """
+
+    def __init__(self, *, station: int, stations: int, loop_us: int) -> None:
+        self.station, self.stations = station, stations
+        """The own station number, which is the UAV's, and the number of UAVs."""
+        self.now_us = 0
+        """Time of the present iteration."""
+        self._loop_us = loop_us
+        self._seq: Iterator[int] = count()
+        self._items: list[TxItem] = []
+
+    def broadcast(self, payload: bytes, *, at_us: int | None = None) -> int:
+        """Send a datagram of at most 1472 bytes to every station in range; it is not acknowledged."""
+        self._check_payload(payload)
+        return self._submit(Broadcast(seq=next(self._seq), at_us=self._time_us(at_us), payload=payload))
+
+    def unicast(self, destination: int, payload: bytes, *, at_us: int | None = None) -> int:
+        """Send a datagram to one station, with acknowledgement and repetitions; `Sent` reports the outcome."""
+        self._check_payload(payload)
+        self._check_station("destination", destination)
+        return self._submit(
+            Unicast(
+                seq=next(self._seq), at_us=self._time_us(at_us), destination=destination, payload=payload
+            )
+        )
+
+    def range_to(self, peer: int, *, at_us: int | None = None) -> int:
+        """Start a ranging session (FTM) with a UAV; `FtmResult` reports its distance."""
+        self._check_station("peer", peer)
+        return self._submit(FtmRequest(seq=next(self._seq), at_us=self._time_us(at_us), peer=peer))
+
+    def take(self) -> tuple[TxItem, ...]:
+        """Return the collected transmissions and forget them."""
+        items, self._items = self._items, []
+        return tuple(items)
+
+    def _submit(self, item: Broadcast | Unicast | FtmRequest) -> int:
+        if len(self._items) >= MOST_ITEMS:
+            raise ValueError(f"more than {MOST_ITEMS} transmissions in one iteration of the loop")
+        self._items.append(item)
+        return item.seq
+
+    def _time_us(self, at_us: int | None) -> int:
+        if at_us is None:
+            return self.now_us
+        if not self.now_us <= at_us <= self.now_us + self._loop_us:
+            raise ValueError(
+                f"at_us: {at_us}; expected {self.now_us} to {self.now_us + self._loop_us}, until the next iteration"
+            )
+        return at_us
+
+    def _check_station(self, name: str, number: int) -> None:
+        if not isinstance(number, int) or number < 0 or number == self.station:
+            raise ValueError(f"{name}: {number!r}; expected the number of another station")
+
+    @staticmethod
+    def _check_payload(payload: bytes) -> None:
+        if type(payload) is not bytes:
+            raise TypeError(f"payload: {type(payload).__name__}; expected bytes")
+        if len(payload) > MAX_PAYLOAD_BYTES:
+            raise ValueError(f"payload: {len(payload)} bytes; expected at most {MAX_PAYLOAD_BYTES}")
+
+
+class Context:
+    """What one application may use; valid from `Application.start` on.
+
+    Attributes:
+        uav: number of the UAV, 0 to ``len(places_ned_m) - 1``; its MAVLink system id is one more.
+        places_ned_m: (N, 3) places of the scenario's formation, site NED; the UAVs start on level ground below
+            them. Read-only.
+        heading_deg: heading of the formation at these places, clockwise from north.
+        motion: motion of the formation that the scenario defines; None: none.
+        site: origin of the site's frame.
+        devices: data-sheet values of the GPS receiver and the radio.
+        loop_period_us: period of `Application.on_timer`.
+        rng: random generator; it depends on the run's seed and the UAV only.
+        radio: the UAV's radio.
+        autopilot: the UAV's autopilot.
+
+    """
+
+    def __init__(
+        self, *, uav: int, places_ned_m: Sequence[Sequence[float]], heading_deg: float = 0.0,
+        motion: AnyMotion | None = None, site: Site, devices: Devices, loop_period_us: int,
+        rng: np.random.Generator, autopilot: AutopilotClient,
+    ) -> None:  # fmt: skip
+        places = np.array(places_ned_m, float).reshape(-1, 3)
+        places.flags.writeable = False
+        self.uav = uav
+        self.places_ned_m: NDArray[np.float64] = places
+        self.heading_deg = heading_deg
+        self.motion = motion
+        self.site = site
+        self.devices = devices
+        self.loop_period_us = loop_period_us
+        self.rng = rng
+        self.radio = Radio(station=uav, stations=len(places), loop_us=loop_period_us)
+        self.autopilot = autopilot
+        self.needs_truth = False
+        self._warnings: list[str] = []
+
+    def warn(self, text: str) -> None:
+        """Send a text (ASCII) to ground stations as a STATUSTEXT of severity warning."""
+        self._warnings.append(text)
+
+    def take_warnings(self) -> list[str]:
+        """Return the collected warnings and forget them."""
+        warnings, self._warnings = self._warnings, []
+        return warnings
+
+    def request_truth(self) -> None:
+        """Request the simulator's true state as HIL_STATE_QUATERNION, for references that no vehicle has.
+
+        To be called in `Application.start`. Not beside a PX4 or ArduPilot.
+        """
+        self.needs_truth = True
