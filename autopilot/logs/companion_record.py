@@ -12,12 +12,12 @@ from pymavlink.dialects.v20 import common
 from autopilot.logs.vehicle_record import ROW, VEHICLE_RECORD
 from autopilot.mavlink.codec import Message
 from autopilot.navigation.site_frame import LEAST_FIX_TYPE, UNKNOWN_NED_M, message_ned_m
-from autopilot.onboard.application import Application, Estimate
+from autopilot.onboard.application import NO_ESTIMATE
+from autopilot.onboard.programs import Programs
 from autopilot.parameters.config import VehicleConfig
 from foundation.records.record_log import RecordLog
 from foundation.types import Vector
 
-_NO_ESTIMATE = Estimate(UNKNOWN_NED_M, UNKNOWN_NED_M, UNKNOWN_NED_M, UNKNOWN_NED_M)
 _NO_ATTITUDE = (math.nan, math.nan, math.nan, math.nan)
 _HEARTBEAT = common.MAVLINK_MSG_ID_HEARTBEAT
 _LANDED = common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE
@@ -36,7 +36,7 @@ _US_PER_MS = 1_000
 class CompanionLog:
     """The log of one application; close it. Raises OSError if the file cannot be opened."""
 
-    def __init__(self, config: VehicleConfig, path: str, app: Application) -> None:
+    def __init__(self, config: VehicleConfig, path: str, app: Programs) -> None:
         self._site = config.site
         self._period_us = config.record_period_us
         self._app = app
@@ -84,7 +84,7 @@ class CompanionLog:
         origin_ned_m = self._origin_ned_m
         armed = bool(beat.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED)
         pos_ned_m = vel_ned_m_s = target_ned_m = UNKNOWN_NED_M
-        estimate = _NO_ESTIMATE
+        estimate = NO_ESTIMATE
         if position is not None:
             pos_ned_m = _sum(origin_ned_m, (position.x, position.y, position.z))
             vel_ned_m_s = (position.vx, position.vy, position.vz)
@@ -96,7 +96,7 @@ class CompanionLog:
             at_us,
             armed,
             beat.custom_mode,
-            int(app.phase),
+            app.phase,
             landed is not None and landed.landed_state == common.MAV_LANDED_STATE_ON_GROUND,
             armed and beat.system_status >= common.MAV_STATE_CRITICAL,
             0,

@@ -1,28 +1,27 @@
 """The on-board application of one UAV: beacons, ranging, localisation and formation control. No I/O.
 
-`OwnState` holds the newest telemetry of the autopilot, and `Traffic` exchanges beacons and distances with the
-other UAVs. `CooperativeLocalisation` estimates positions from both, `Guidance` computes setpoints from the
+`Traffic` exchanges beacons and distances with the other UAVs. `CooperativeLocalisation` estimates positions from both, `Guidance` computes setpoints from the
 positions, and `FlightSequence` selects the flight phase and the commands.
 """
 
 import math
 from collections.abc import Iterable, Sequence
+from typing import ClassVar
 
-import numpy as np
+from msgspec.structs import replace
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Message
-from autopilot.mavlink.local_messages import LocalPosition, PositionTarget
-from autopilot.onboard.application import NOTHING, Estimate, OnboardOutput
-from autopilot.onboard.client.autopilots import PX4, AutopilotInterface
-from autopilot.onboard.client.commands import CommandSender
-from autopilot.onboard.client.own_state import Fix, OwnState
+from autopilot.onboard.application import Application, Estimate, Reports, Status
+from autopilot.onboard.client.own_state import Fix
+from autopilot.onboard.context import Context
 from autopilot.onboard.formation import messages
 from autopilot.onboard.formation.avoidance import FRESH_US
 from autopilot.onboard.formation.flight_phases import FlightSequence, Situation
 from autopilot.onboard.formation.formation_control import Level
 from autopilot.onboard.formation.formation_plan import FormationPlan
 from autopilot.onboard.formation.guidance import SETPOINT_PERIOD_US, Guidance
+from autopilot.onboard.formation.motion import STAYS_AWAY
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.localisation.common_frame import CommonFrame
 from autopilot.onboard.localisation.localisation import CooperativeLocalisation
@@ -32,13 +31,14 @@ from autopilot.onboard.localisation.uncertainty import Others
 from autopilot.onboard.radio.beacon import GpsError
 from autopilot.onboard.radio.neighbourhood import Neighbourhood
 from autopilot.onboard.radio.traffic import Traffic
-from autopilot.parameters.config import AnyMotion, Devices, OnboardConfig, Site
+from autopilot.parameters.config import OnboardConfig
 from foundation.types import Vector
-from netsim.wire.messages import Delivery, FtmResult, RxItem, Sent, Survey, TxItem
+from netsim.wire.messages import Delivery, FtmResult, RxItem, Sent, Survey
 
 LONGEST_GAP_US = 200_000
 """Longest time between two setpoints by which the reference is advanced; a longer gap is cut to this."""
-HEARTBEAT_PERIOD_US = 1_000_000
+GAIN_PERIOD_US = 1_000_000
+"""Period of the requests of the autopilot's gain."""
 SHORTEST_LOOP_US, LONGEST_LOOP_US = 1_000, 40_000
 """Range of the period at which `OnboardApp.on_timer` is called."""
 TELEMETRY_GAP_US = 500_000
@@ -51,38 +51,32 @@ _BACK, _LOST = "ranging is back", "ranging lost: correction frozen, then fading"
 _UNKNOWN: Vector = (math.nan, math.nan, math.nan)
 
 
-class OnboardApp:
-    """One UAV's application; see `autopilot.onboard.application.Application`.
+class OnboardApp(Application):
+    """One UAV's part of the formation; see `autopilot.onboard.application.Application`."""
 
-    Args:
-        station: index of this UAV in the formation and on the radio; its MAVLink system id is one more.
-        places_ned_m: N places (3,) of the formation, site NED; the UAVs start on level ground below them.
-        heading_deg: heading of the formation at these places.
-        motion: motion of the formation after all UAVs have reached their places; None: no motion.
-        site: origin of the places' frame.
-        config: settings.
-        devices: properties of the UAV's GPS receiver and radio.
-        rng: random generator for the phases and jitters of beacons and ranging requests.
-        autopilot: commands of the UAV's autopilot; coflight's own has PX4's.
+    Settings: ClassVar = OnboardConfig
+    reports = Reports(phases=FlightPhase, formed=(FlightPhase.ON_STATION,), absent=tuple(STAYS_AWAY))
 
-    """
+    def __init__(self, settings: OnboardConfig) -> None:
+        self._config = settings
 
-    def __init__(
-        self, *, station: int, places_ned_m: Sequence[Sequence[float]], heading_deg: float = 0.0,
-        motion: AnyMotion | None = None, site: Site, config: OnboardConfig, devices: Devices,
-        rng: np.random.Generator, autopilot: AutopilotInterface = PX4,
-    ) -> None:  # fmt: skip
-        places = np.array(places_ned_m, float).reshape(-1, 3)
+    def start(self, context: Context) -> None:
+        """Create the parts."""
+        feeds = self._config.wind_feed_forward
+        if feeds is None:
+            feeds = context.autopilot_kind == "px4"
+        self._config = config = replace(self._config, wind_feed_forward=feeds)
+        places = context.places_ned_m
         self.localisation: CooperativeLocalisation | None = None
         """The filter of the neighbourhood; None if the UAV flies on GPS alone or on the truth."""
-        self._station = station
-        self._autopilot = autopilot
-        self._gain_names = autopilot.gain_names
+        self._context = context
+        self._station = context.uav
+        self._autopilot = context.autopilot.interface
+        self._gain_names = self._autopilot.gain_names
         """Names by which the gain is requested: all, until it has been received by one."""
-        self._config = config
-        self._near = Neighbourhood(station, places, config.neighbours)
+        self._near = Neighbourhood(context.uav, places, config.neighbours)
         self._traffic = Traffic(
-            station=station, stations=len(places), config=config, devices=devices, rng=rng, near=self._near
+            radio=context.radio, config=config, devices=context.devices, rng=context.rng, near=self._near
         )
         self._table = self._traffic.table
         self._model = LocalisationModel(
@@ -95,20 +89,22 @@ class OnboardApp:
             self.localisation = CooperativeLocalisation(
                 own=self._near.own, places_ned_m=places[self._near.members], model=self._model
             )
+        elif config.localisation == "truth":
+            context.request_truth()
         self._frame: CommonFrame | None = None
         """None if the neighbourhood is the whole formation: all UAVs then share one frame anyway."""
         if self.localisation is not None and not self._near.whole:
             self._frame = CommonFrame(self._near.members, self._table)
         self._guidance = Guidance(
-            station=station, plan=FormationPlan(places, heading_deg, motion), config=config, near=self._near
-        )
-        self._commands = CommandSender(target_system=station + 1)
-        self._flight = FlightSequence(
-            commands=self._commands, on_station_tolerance_m=config.on_station_tolerance_m,
-            on_station_hold_s=config.on_station_hold_s, held=config.hold, shortfall=self._shortfall,
-            autopilot=autopilot,
+            station=context.uav, plan=FormationPlan(places, context.heading_deg, context.motion),
+            config=config, near=self._near,
         )  # fmt: skip
-        self._own = OwnState(site=site, gps_delay_s=devices.gps_delay_s, autopilot=autopilot)
+        self._flight = FlightSequence(
+            commands=context.autopilot.commands, on_station_tolerance_m=config.on_station_tolerance_m,
+            on_station_hold_s=config.on_station_hold_s, held=config.hold, shortfall=self._shortfall,
+            autopilot=self._autopilot,
+        )  # fmt: skip
+        self._own = context.autopilot.own
         self._support = Support(
             self.localisation, self._table, watched=self._guidance.layers.watched,
             range_silence_us=self._traffic.ranging.silence_us,
@@ -117,71 +113,62 @@ class OnboardApp:
         self._now_us = -1
         self._flown_us = -1
         self._setpoint_us = 0
+        self._odometry_us = -1
+        """Time of the newest odometry that localisation has used."""
         self._fix_taken: Fix | None = None
         """The newest fix that localisation has used."""
-        self._heartbeat_out_us = 0
-        self._reported: tuple[FlightPhase, int | None] | None = None
-        """Phase and start of the motion in the last heartbeat."""
+        self._gain_us = 0
+        """Time of the next request of the gain."""
+        self._status = Status(FlightPhase.WAITING)
         self._due_us = 0
         """An iteration that ends before this time has nothing to do."""
 
     # ---- inputs
 
-    def on_mavlink(self, msg: Message, now_us: int) -> None:
+    def on_mavlink(self, message: Message, now_us: int) -> None:
         """Process a message of the autopilot; message types that are not used are ignored."""
-        match msg.get_type():
+        match message.get_type():
             case "LOCAL_POSITION_NED":
-                self._on_local_position(msg, now_us)
+                self._on_local_position(message)
             case "GPS_RAW_INT":
-                if self._own.on_gps(msg):
-                    self._take_fix()
-            case "ALTITUDE":
-                self._own.on_altitude(msg)
-            case "SCALED_PRESSURE" if self._autopilot.barometer_message == "SCALED_PRESSURE":
-                self._own.on_pressure(msg)
-            case "SYS_STATUS":
-                self._own.on_status(msg)
+                self._take_fix()
             case "ATTITUDE_QUATERNION":
                 if self._guidance.wind is not None:
-                    self._guidance.wind.on_attitude((msg.q1, msg.q2, msg.q3, msg.q4))
-            case "GPS_GLOBAL_ORIGIN":
-                self._own.on_origin(msg)
-            case "HEARTBEAT":
-                self._own.on_heartbeat(msg, now_us)
+                    self._guidance.wind.on_attitude((message.q1, message.q2, message.q3, message.q4))
             case "PARAM_VALUE":
-                if msg.param_id in self._gain_names and 0.0 <= msg.param_value < math.inf:
-                    self._guidance.position_gain_1_s = msg.param_value
-                    self._gain_names = (msg.param_id,)
+                if message.param_id in self._gain_names and 0.0 <= message.param_value < math.inf:
+                    self._guidance.position_gain_1_s = message.param_value
+                    self._gain_names = (message.param_id,)
             case "COMMAND_ACK":
-                self._commands.on_ack(msg, now_us)
                 self._due_us = 0
             case "HIL_STATE_QUATERNION":
-                if self._config.localisation == "truth":
-                    self._own.on_truth(msg)
+                self._own.on_truth(message)
 
-    def on_request(self, msg: common.MAVLink_message) -> list[common.MAVLink_message]:
+    def on_request(self, message: Message) -> Sequence[Message]:
         """Return the acknowledgement of a command; MAV_CMD_USER_1 releases a flight that is held."""
-        if msg.get_msgId() not in messages.COMMANDS:
+        if message.get_messageId() not in messages.COMMANDS:
             return []
-        known = self._config.hold and msg.command == common.MAV_CMD_USER_1
+        known = self._config.hold and message.command == common.MAV_CMD_USER_1
         if known and self._flight.held:
             self._flight.held = False
             self._flight.texts.append("released: flying to its place")
-        return [messages.acknowledgement(msg, accepted=known)]
+        return [messages.acknowledgement(message, accepted=known)]
 
-    def _on_local_position(self, msg: Message | LocalPosition, now_us: int) -> None:
-        if self._own.time_us < 0:
-            self._due_us = 0
-        own, wind, before_us = self._own, self._guidance.wind, self._own.time_us
-        if not own.on_local_position(msg, now_us):
+    def _on_local_position(self, message: Message) -> None:
+        own, wind, before_us = self._own, self._guidance.wind, self._odometry_us
+        if own.time_us <= before_us:
             return
-        if 0 <= before_us < own.time_us - TELEMETRY_GAP_US:
+        self._odometry_us = own.time_us
+        if before_us < 0:
+            self._due_us = 0
+        elif before_us < own.time_us - TELEMETRY_GAP_US:
             self._restart_odometry()
         if self.localisation is not None:
             self.localisation.on_odometry(self._near.own, own.time_us, own.odometry_ned_m, own.vel_ned_m_s)
             self._take_fix()  # a fix newer than the odometry had to wait for it
         if wind is not None:
-            wind.on_velocity(own.time_us, (msg.vx, msg.vy, msg.vz), flying=self._flight.in_formation)
+            velocity_m_s = (message.vx, message.vy, message.vz)
+            wind.on_velocity(own.time_us, velocity_m_s, flying=self._flight.in_formation)
 
     def _restart_odometry(self) -> None:
         """Make all UAVs discard this UAV's odometry, which misses the motion during a telemetry gap."""
@@ -239,35 +226,31 @@ class OnboardApp:
 
     # ---- output
 
-    def on_timer(self, now_us: int) -> OnboardOutput:
-        """Return everything to send in the iteration that begins at ``now_us``; called once in each."""
+    def on_timer(self, now_us: int) -> None:
+        """Run the iteration that begins at ``now_us``."""
         # The iteration is assumed as long as the previous one, and the first one as short as possible.
         loop_us = now_us - self._now_us if self._now_us >= 0 else SHORTEST_LOOP_US
         self._now_us = now_us
         if not SHORTEST_LOOP_US <= loop_us <= LONGEST_LOOP_US:
             loop_us = SHORTEST_LOOP_US if loop_us < SHORTEST_LOOP_US else LONGEST_LOOP_US
         if now_us + loop_us <= self._due_us:
-            return NOTHING
-        mavlink: list[Message | PositionTarget] = []
+            return
         if now_us >= self._setpoint_us and self._own.time_us >= 0:
-            mavlink += self._fly(now_us)
+            self._fly(now_us)
             self._setpoint_us = now_us - now_us % SETPOINT_PERIOD_US + SETPOINT_PERIOD_US
-        mavlink += self._commands.on_timer(now_us)
-        phase, start_us = reported = (self._flight.phase, self._guidance.start.start_us)
-        if self._reported != reported or now_us >= self._heartbeat_out_us:
-            self._reported = reported
-            self._heartbeat_out_us = now_us + HEARTBEAT_PERIOD_US
-            mavlink += messages.heartbeat(*reported, now_us)
+        if now_us >= self._gain_us:
+            self._gain_us = now_us + GAIN_PERIOD_US
             # Requested each time, because a ground station may change it in flight.
-            mavlink += messages.gain_requests(self._gain_names, self._station + 1)
-        if self._flight.texts:
-            mavlink += map(messages.warning, self._flight.texts)
-            self._flight.texts.clear()
-        radio: tuple[TxItem, ...] = ()
+            for request in messages.gain_requests(self._gain_names, self._station + 1):
+                self._context.autopilot.send(request)
+        for text in self._flight.texts:
+            self._context.warn(text)
+        self._flight.texts.clear()
+        phase, start_us = self._flight.phase, self._guidance.start.start_us
         ranges = self.localisation is not None and phase is not FlightPhase.WAITING
         radio_us = self._traffic.next_deadline_us(ranging=ranges)
         if self._own.time_us >= 0 and radio_us < now_us + loop_us:
-            radio = self._traffic.due(
+            self._traffic.send(
                 self._own, now_us, now_us + loop_us,
                 ranging=ranges, variance_m2=self._distance_variance_m2,
                 phase=phase, motion_start_ms=None if start_us is None else start_us // 1_000,
@@ -276,21 +259,22 @@ class OnboardApp:
             radio_us = self._traffic.next_deadline_us(ranging=ranges)
         self._due_us = 0  # until there is a position
         if self._own.time_us >= 0:
-            commands_us = self._commands.next_deadline_us()
-            self._due_us = min(self._setpoint_us, commands_us, self._heartbeat_out_us, radio_us)
-        return OnboardOutput(mavlink, radio) if mavlink or radio else NOTHING
+            commands_us = self._context.autopilot.commands.next_deadline_us()
+            self._due_us = min(self._setpoint_us, commands_us, self._gain_us, radio_us)
 
-    @property
-    def phase(self) -> FlightPhase:
-        """Current phase of the flight."""
-        return self._flight.phase
+    def status(self) -> Status:
+        """Return phase and start of the motion."""
+        phase, start_us = self._flight.phase, self._guidance.start.start_us
+        if phase is not self._status.phase or start_us != self._status.motion_start_us:
+            self._status = Status(phase, motion_start_us=start_us)
+        return self._status
 
     def troubles(self) -> dict[str, int]:
         """Return counts of the faults that occurred so far and were handled."""
         counts = {
             "bad_beacons": self._table.bad_beacons,
             "beacons_missed": self._table.beacons_missed,
-            "commands_refused": self._commands.refusals,
+            "commands_refused": self._context.autopilot.commands.refusals,
             "height_steps": self._own.height.steps,
         }
         if self.localisation is not None:
@@ -321,8 +305,8 @@ class OnboardApp:
 
     # ---- flight
 
-    def _fly(self, now_us: int) -> list[PositionTarget]:
-        """Update localisation, phase and motion start; return the setpoint, if the phase needs one."""
+    def _fly(self, now_us: int) -> None:
+        """Update localisation, phase and motion start; send the setpoint, if the phase needs one."""
         guidance, flight, own = self._guidance, self._flight, self._own
         since_us = now_us - self._flown_us if self._flown_us >= 0 else SETPOINT_PERIOD_US
         self._flown_us = now_us
@@ -338,12 +322,12 @@ class OnboardApp:
         phase = flight.phase
         guidance.agree(now_us, on_station=phase is FlightPhase.ON_STATION, table=self._table)
         if own.origin_ned_m is None or not flight.needs_setpoint:
-            return []
+            return
         if flight.in_formation:
             setpoint = guidance.follow(own, believed_ned_m, self._known_others(now_us), now_us, dt_s)
         else:
             setpoint = guidance.wait(own, now_us)
-        return [messages.offboard_setpoint(setpoint, self._station + 1, now_us)]
+        self._context.autopilot.send(messages.offboard_setpoint(setpoint, self._station + 1, now_us))
 
     def _correct(self, now_us: int, dt_s: float) -> None:
         """Update the correction from the estimated true position."""

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autopilot.onboard.client.autopilot_client import AutopilotClient
-from autopilot.parameters.config import AnyMotion, Devices, Site
+from autopilot.parameters.config import AnyMotion, AutopilotKind, Devices, Site
 from netsim.wire.messages import MAX_PAYLOAD_BYTES, Broadcast, FtmRequest, TxItem, Unicast
 
 MOST_ITEMS = 10_000
@@ -41,9 +41,7 @@ class Radio:
         self._check_payload(payload)
         self._check_station("destination", destination)
         return self._submit(
-            Unicast(
-                seq=next(self._seq), at_us=self._time_us(at_us), destination=destination, payload=payload
-            )
+            Unicast(seq=next(self._seq), at_us=self._time_us(at_us), destination=destination, payload=payload)
         )
 
     def range_to(self, peer: int, *, at_us: int | None = None) -> int:
@@ -98,13 +96,14 @@ class Context:
         rng: random generator; it depends on the run's seed and the UAV only.
         radio: the UAV's radio.
         autopilot: the UAV's autopilot.
+        autopilot_kind: which program it is.
 
     """
 
     def __init__(
         self, *, uav: int, places_ned_m: Sequence[Sequence[float]], heading_deg: float = 0.0,
         motion: AnyMotion | None = None, site: Site, devices: Devices, loop_period_us: int,
-        rng: np.random.Generator, autopilot: AutopilotClient,
+        rng: np.random.Generator, autopilot: AutopilotClient, autopilot_kind: AutopilotKind = "own",
     ) -> None:  # fmt: skip
         places = np.array(places_ned_m, float).reshape(-1, 3)
         places.flags.writeable = False
@@ -118,6 +117,7 @@ class Context:
         self.rng = rng
         self.radio = Radio(station=uav, stations=len(places), loop_us=loop_period_us)
         self.autopilot = autopilot
+        self.autopilot_kind = autopilot_kind
         self.needs_truth = False
         self._warnings: list[str] = []
 

@@ -25,8 +25,8 @@ from autopilot.mavlink.codec import Message, stamp
 from autopilot.mavlink.components import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
 from autopilot.mavlink.local_messages import PositionTarget
 from autopilot.mavlink.telemetry import CompanionEncoder
-from autopilot.onboard.application import NOTHING, Application
 from autopilot.onboard.factory import make_application
+from autopilot.onboard.programs import NOTHING, Programs
 from autopilot.parameters.config import VehicleConfig
 from autopilot.process.autopilot_socket import AutopilotSocket
 from autopilot.process.iteration import APPLICATION, Iterate, Iterated
@@ -43,7 +43,10 @@ ORIGIN_PERIOD_US = 1_000_000
 ORIGIN_KNOWN_PERIOD_US = 10_000_000
 _PAUSED_S = 0.5
 """Wall time without a request after which the autopilot's messages are read anyway: simulated time rests."""
-_REPORTED = frozenset({common.MAVLINK_MSG_ID_HEARTBEAT, common.MAVLINK_MSG_ID_NAMED_VALUE_INT})
+_REPORTED = frozenset({
+    common.MAVLINK_MSG_ID_HEARTBEAT, common.MAVLINK_MSG_ID_NAMED_VALUE_INT,
+    common.MAVLINK_MSG_ID_DEBUG_FLOAT_ARRAY,
+})  # fmt: skip
 """Messages that are reported to the simulator: the application's phase and start, the autopilot's mode."""
 
 
@@ -62,7 +65,7 @@ class Companion:
 
     def __init__(self, config: VehicleConfig) -> None:
         self._system = config.instance + 1
-        self.app: Application = make_application(config)
+        self.app: Programs = make_application(config)
         self._origin_us = 0
         self._has_origin = False
         is_px4 = config.autopilot.is_px4(config.instance)

@@ -117,7 +117,8 @@ def _warm_up_distances(vehicle: Vehicle, now_us: int) -> None:
 
     Raises WarmUpError.
     """
-    localisation = vehicle.app.localisation if isinstance(vehicle.app, OnboardApp) else None
+    app = None if vehicle.app is None else vehicle.app.application
+    localisation = app.localisation if isinstance(app, OnboardApp) else None
     if localisation is None or localisation.distance_variance_m2(1, now_us) is None:
         raise WarmUpError("the vehicles of the warm-up are not localised")
 

@@ -32,9 +32,8 @@ from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation import site_plan
 from autopilot.navigation.mode_registry import MODES, mode_table, user_row
 from autopilot.navigation.site_frame import SiteFrame
-from autopilot.onboard.application import NOTHING, Application
 from autopilot.onboard.factory import make_application
-from autopilot.onboard.formation.messages import COMMANDS
+from autopilot.onboard.programs import NOTHING, Programs
 from autopilot.parameters.config import VehicleConfig
 from autopilot.parameters.table import ParameterSet, Settings
 from autopilot.services.flight_data import FlightData
@@ -69,7 +68,11 @@ _MODE_DISARMED = common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 _MODE_ARMED = _MODE_DISARMED | common.MAV_MODE_FLAG_SAFETY_ARMED
 _LOCKSTEP_FLAG = 1
 _HIL_STATE_QUATERNION = common.MAVLINK_MSG_ID_HIL_STATE_QUATERNION
-_TO_GROUND_TOO = frozenset({common.MAVLINK_MSG_ID_HEARTBEAT, common.MAVLINK_MSG_ID_NAMED_VALUE_INT})
+_COMMANDS = frozenset({common.MAVLINK_MSG_ID_COMMAND_LONG, common.MAVLINK_MSG_ID_COMMAND_INT})
+_TO_GROUND_TOO = frozenset({
+    common.MAVLINK_MSG_ID_HEARTBEAT, common.MAVLINK_MSG_ID_NAMED_VALUE_INT,
+    common.MAVLINK_MSG_ID_DEBUG_FLOAT_ARRAY,
+})  # fmt: skip
 """Messages of the application about itself, which go to the simulator and the ground station."""
 
 
@@ -158,11 +161,11 @@ class Vehicle:
         self._before_conditions = self.offboard.takes | self.manual.takes
         """Messages that conditions depend on; processed first, so that a mode request in the same step
         succeeds."""
-        self._uses_truth = config.onboard.localisation == "truth"
         self._loop_period_us = config.onboard.loop_period_us
-        self.app: Application | None = make_application(config) if config.onboard.enabled else None
+        self.app: Programs | None = make_application(config) if config.onboard.enabled else None
         if self.app is not None:
             self.messaging.send_to_application = self.app.on_mavlink
+        self._uses_truth = self.app is not None and self.app.needs_truth
         self.has_begun = False
         """Whether there was a step."""
         self._announced: tuple[FlightMode, bool, bool] | None = None
@@ -381,7 +384,7 @@ class Vehicle:
                 self.messaging.post(reply(_GROUND, message))
             else:
                 self.messaging.on_message(message, now_us, APPLICATION_PARTNER)
-                if kind in COMMANDS:
+                if kind in _COMMANDS:
                     self._decide_us = now_us  # decide at the next sample
         return output.radio
 

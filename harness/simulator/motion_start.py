@@ -13,10 +13,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from autopilot.onboard.formation import messages
+from autopilot.onboard import programs
 from harness.simulator.messages import FormationMoves
 
-START_NAME = messages.START_NAME.decode("ascii")
+START_NAME = programs.START_NAME.decode("ascii")
 """Name of the message's value: milliseconds on the run's clock, an unsigned number in its signed field."""
 
 

@@ -7,10 +7,7 @@ from pymavlink.dialects.v20 import common
 from autopilot.mavlink.components import AUTOPILOT_COMPONENT
 from autopilot.mavlink.local_messages import PositionTarget
 from autopilot.onboard.formation.guidance import Setpoint
-from autopilot.onboard.formation.phases import FlightPhase
 
-START_NAME = b"start_ms"
-"""Name of the NAMED_VALUE_INT with the start of the formation's motion, ms on the formation's clock."""
 COMMANDS = frozenset({common.MAVLINK_MSG_ID_COMMAND_LONG, common.MAVLINK_MSG_ID_COMMAND_INT})
 _LOCAL_NED = int(common.MAV_FRAME_LOCAL_NED)
 _NO_YAW = common.POSITION_TARGET_TYPEMASK_YAW_IGNORE | common.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
@@ -32,17 +29,6 @@ def offboard_setpoint(setpoint: Setpoint, target_system: int, now_us: int) -> Po
     )  # fmt: skip
 
 
-def heartbeat(phase: FlightPhase, start_us: int | None, now_us: int) -> list[common.MAVLink_message]:
-    """Return a HEARTBEAT with the phase as custom mode and, once agreed, the start of the motion."""
-    beat = common.MAVLink_heartbeat_message(
-        common.MAV_TYPE_ONBOARD_CONTROLLER, common.MAV_AUTOPILOT_INVALID, 0, int(phase),
-        common.MAV_STATE_ACTIVE, 3,
-    )  # fmt: skip
-    if start_us is None:
-        return [beat]
-    return [beat, common.MAVLink_named_value_int_message(now_us // 1_000, START_NAME, start_us // 1_000)]
-
-
 def gain_requests(names: Sequence[str], target_system: int) -> list[common.MAVLink_message]:
     """Return a PARAM_REQUEST_READ of each possible name of the position loop's gain."""
     return [
@@ -59,8 +45,3 @@ def acknowledgement(command: common.MAVLink_message, *, accepted: bool) -> commo
     return common.MAVLink_command_ack_message(
         command.command, result, 255, 0, command.get_srcSystem(), command.get_srcComponent()
     )
-
-
-def warning(text: str) -> common.MAVLink_message:
-    """Return a STATUSTEXT of severity warning."""
-    return common.MAVLink_statustext_message(common.MAV_SEVERITY_WARNING, text.encode("ascii"))

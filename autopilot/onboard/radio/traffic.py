@@ -5,13 +5,14 @@ It stores no positions: the caller passes the content of the beacons and receive
 
 import math
 from collections.abc import Callable
-from itertools import chain, count, repeat
+from itertools import chain, repeat
 from operator import itemgetter
 
 import numpy as np
 
 from autopilot.onboard.client.commands import NEVER_US
 from autopilot.onboard.client.own_state import OwnState
+from autopilot.onboard.context import Radio
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.radio import beacon as wire
 from autopilot.onboard.radio.neighbour_table import WAIT_US, NeighbourTable
@@ -19,7 +20,7 @@ from autopilot.onboard.radio.neighbourhood import Neighbourhood
 from autopilot.onboard.radio.ranging import RangingPolicy, RangingSchedule, VarianceOf
 from autopilot.onboard.radio.scheduled_ranging import ScheduledRanging
 from autopilot.parameters.config import Devices, OnboardConfig
-from netsim.wire.messages import Broadcast, FtmRequest, FtmResult, TxItem
+from netsim.wire.messages import FtmResult
 
 BEACON_JITTER = 0.02
 """Half width of each beacon's random shift, in periods: it separates UAVs that send at the same time."""
@@ -36,10 +37,11 @@ class Traffic:
     """
 
     def __init__(
-        self, *, station: int, stations: int, config: OnboardConfig, devices: Devices,
-        rng: np.random.Generator, near: Neighbourhood | None = None,
+        self, *, radio: Radio, config: OnboardConfig, devices: Devices, rng: np.random.Generator,
+        near: Neighbourhood | None = None,
     ) -> None:  # fmt: skip
-        self._station, self._stations = station, stations
+        self._radio = radio
+        self._station, self._stations = station, stations = radio.station, radio.stations
         self._trip_std_m = devices.ftm_trip_std_m
         self._range_floor_var_m2 = config.range_floor_std_m**2
         self.ranging = self._policy(config, near, rng)
@@ -48,7 +50,6 @@ class Traffic:
         """Random numbers 0..1 of the beacon phase and jitters."""
         self._encoded: dict[int, tuple[int, bytes]] = {}
         """Newest distance to each peer, encoded for beacons: its measurement time, ms, and its bytes."""
-        self._seq = count()
         self._beacon_seq = 0
         self._period_us = config.beacon_period_ms * 1_000
         self.table = NeighbourTable(
@@ -83,17 +84,16 @@ class Traffic:
         self._encoded[item.peer] = (distance.time_ms, wire.encode_distance(distance))
         return distance
 
-    def due(
+    def send(
         self, own: OwnState, now_us: int, until_us: int, *, ranging: bool,
         variance_m2: VarianceOf | None = None, phase: FlightPhase = FlightPhase.WAITING,
         motion_start_ms: int | None = None, gps_error: Callable[[], wire.GpsError | None] | None = None,
-    ) -> tuple[TxItem, ...]:  # fmt: skip
-        """Return the items for the radio in [now, until): beacons, and ranging requests if ``ranging``.
+    ) -> None:  # fmt: skip
+        """Pass the radio its items in [now, until): beacons, and ranging requests if ``ranging``.
 
         ``variance_m2`` is called for possible requests, ``gps_error`` once per beacon. ``phase`` and
         ``motion_start_ms`` are copied into beacons.
         """
-        items: list[TxItem] = []
         if self._slot_us is None:
             self._slot_us = now_us + next(self._draws) * self._period_us
             self._beacon_us = int(self._slot_us)
@@ -109,7 +109,7 @@ class Traffic:
                 None if gps_error is None else gps_error(),
             )  # fmt: skip
             self._beacon_seq = (self._beacon_seq + 1) % wire.SEQ_MODULUS
-            items.append(Broadcast(seq=next(self._seq), at_us=max(self._beacon_us, now_us), payload=payload))
+            self._radio.broadcast(payload, at_us=max(self._beacon_us, now_us))
             self._slot_us += self._period_us
             self._beacon_us = int(
                 self._slot_us + (2.0 * BEACON_JITTER * next(self._draws) - BEACON_JITTER) * self._period_us
@@ -118,11 +118,11 @@ class Traffic:
             requests = self.ranging.due(
                 now_us, until_us, lambda peer: self.table.reaches(peer, now_us), variance_m2
             )
-            items += [FtmRequest(seq=next(self._seq), at_us=at_us, peer=peer) for at_us, peer in requests]
-        return tuple(items)
+            for at_us, peer in requests:
+                self._radio.range_to(peer, at_us=at_us)
 
     def next_deadline_us(self, *, ranging: bool) -> int:
-        """Return the time at which `due` next returns an item."""
+        """Return the time at which `send` next passes an item."""
         return int(min(self._beacon_us, self.ranging.next_us if ranging else NEVER_US))
 
     def _policy(
