@@ -29,7 +29,8 @@ if TYPE_CHECKING:
         ModeInputs,
         StopMode,
     )
-    from autopilot.onboard.application import Application
+    from autopilot.onboard.application import Application, Estimate, Reports, Status
+    from autopilot.onboard.context import Context
     from autopilot.services.service import MavlinkService
     from autopilot.services.user_service import ServiceContext
     from foundation.types import (
@@ -50,14 +51,16 @@ if TYPE_CHECKING:
     from netsim.emulator.interface import NetworkEmulator
     from netsim.phy.interfaces import ErrorModel, Fading, Propagation
     from netsim.transport.guest import Guest
+    from netsim.wire.messages import Delivery, FtmResult, Sent, Survey
 
 __all__ = [
-    "Application", "AttitudeSetpoint", "Campaign", "Condition", "Controller", "ControllerContext",
-    "ControllerInputs", "Course", "ErrorModel", "EstimatorState", "Fading", "FlightMode",
-    "FlightModeBehaviour", "Guest", "MavlinkService", "ModeContext", "ModeEntry", "ModeInputs",
-    "ModeTraits", "NetworkEmulator", "OneProcessSwarm", "Physics", "Propagation", "RateSetpoint",
-    "Scenario", "ScenarioError", "ServiceContext", "SetupError", "StopMode", "Swarm",
-    "SwarmError", "SwarmTimeoutError", "SwarmTruth", "ThrustTorque", "TrajectorySetpoint",
+    "Application", "AttitudeSetpoint", "Campaign", "Condition", "Context", "Controller",
+    "ControllerContext", "ControllerInputs", "Course", "Delivery", "ErrorModel", "Estimate",
+    "EstimatorState", "Fading", "FlightMode", "FlightModeBehaviour", "FtmResult", "Guest",
+    "MavlinkService", "ModeContext", "ModeEntry", "ModeInputs", "ModeTraits", "NetworkEmulator",
+    "OneProcessSwarm", "Physics", "Propagation", "RateSetpoint", "Reports", "Scenario",
+    "ScenarioError", "Sent", "ServiceContext", "SetupError", "Status", "StopMode", "Survey",
+    "Swarm", "SwarmError", "SwarmTimeoutError", "SwarmTruth", "ThrustTorque", "TrajectorySetpoint",
     "load_scenario",
 ]  # fmt: skip
 
@@ -66,15 +69,19 @@ _PLACES = {
     "AttitudeSetpoint": "foundation.types:AttitudeSetpoint",
     "Campaign": "harness.campaign:Campaign",
     "Condition": "autopilot.commander.arming_checks:Condition",
+    "Context": "autopilot.onboard.context:Context",
     "Controller": "autopilot.control.controller:Controller",
     "ControllerContext": "autopilot.control.controller:ControllerContext",
     "ControllerInputs": "autopilot.control.controller:ControllerInputs",
     "Course": "foundation.types:Course",
+    "Delivery": "netsim.wire.messages:Delivery",
     "ErrorModel": "netsim.phy.interfaces:ErrorModel",
+    "Estimate": "autopilot.onboard.application:Estimate",
     "EstimatorState": "foundation.types:EstimatorState",
     "Fading": "netsim.phy.interfaces:Fading",
     "FlightMode": "autopilot.mavlink.modes:FlightMode",
     "FlightModeBehaviour": "autopilot.navigation.flight_mode:FlightModeBehaviour",
+    "FtmResult": "netsim.wire.messages:FtmResult",
     "Guest": "netsim.transport.guest:Guest",
     "MavlinkService": "autopilot.services.service:MavlinkService",
     "ModeContext": "autopilot.navigation.flight_mode:ModeContext",
@@ -86,11 +93,15 @@ _PLACES = {
     "Physics": "harness.world.physics.interface:Physics",
     "Propagation": "netsim.phy.interfaces:Propagation",
     "RateSetpoint": "foundation.types:RateSetpoint",
+    "Reports": "autopilot.onboard.application:Reports",
     "Scenario": "harness.scenario.scenario:Scenario",
     "ScenarioError": "harness.scenario.scenario:ScenarioError",
+    "Sent": "netsim.wire.messages:Sent",
     "ServiceContext": "autopilot.services.user_service:ServiceContext",
     "SetupError": "harness.launch.run_messages:SetupError",
+    "Status": "autopilot.onboard.application:Status",
     "StopMode": "autopilot.navigation.flight_mode:StopMode",
+    "Survey": "netsim.wire.messages:Survey",
     "Swarm": "harness.launch.swarm:Swarm",
     "SwarmError": "harness.launch.run_messages:SwarmError",
     "SwarmTimeoutError": "harness.launch.run_messages:SwarmTimeoutError",

@@ -1,7 +1,8 @@
 """The on-board application of one UAV: beacons, ranging, localisation and formation control. No I/O.
 
-`Traffic` exchanges beacons and distances with the other UAVs. `CooperativeLocalisation` estimates positions from both, `Guidance` computes setpoints from the
-positions, and `FlightSequence` selects the flight phase and the commands.
+`Traffic` exchanges beacons and distances with the other UAVs. `CooperativeLocalisation` estimates positions
+from both, `Guidance` computes setpoints from the positions, and `FlightSequence` selects the flight phase
+and the commands.
 """
 
 import math
@@ -125,7 +126,7 @@ class OnboardApp(Application):
 
     # ---- inputs
 
-    def on_mavlink(self, message: Message, now_us: int) -> None:
+    def on_mavlink(self, message: Message, now_us: int) -> None:  # noqa: ARG002  the client has used it
         """Process a message of the autopilot; message types that are not used are ignored."""
         match message.get_type():
             case "LOCAL_POSITION_NED":

@@ -35,7 +35,7 @@ class RunningPhase(IntEnum):
 
 
 class Reports(Struct, frozen=True, kw_only=True):
-    """What `Application.status` reports: declared by the class, so that logs and displays have names for it."""
+    """What `Application.status` reports: declared by the class, so that logs and displays have names."""
 
     phases: type[IntEnum] = RunningPhase
     """Phases of a flight; values 0..254. Displays show the names in lower case, ``_`` as a space."""
@@ -54,7 +54,7 @@ class Reports(Struct, frozen=True, kw_only=True):
             raise ValueError(f"phases: {self.phases.__name__} has a value out of 0..{HIGHEST_PHASE}")
         for field, members in (("formed", self.formed), ("absent", self.absent)):
             for each in members:
-                if not isinstance(each, self.phases):
+                if each not in self.phases:
                     raise ValueError(f"{field}: {each!r} is no member of {self.phases.__name__}")
         if len(self.values) > MOST_VALUES:
             raise ValueError(f"values: {len(self.values)} names; expected at most {MOST_VALUES}")
@@ -124,7 +124,7 @@ class Application(Protocol):
         follows.
         """
 
-    def on_request(self, message: Message) -> Sequence[Message]:
+    def on_request(self, message: Message) -> Sequence[Message]:  # noqa: ARG002  for subclasses
         """Return the answers to a message that a station on a link addressed to the application."""
         return ()
 
@@ -142,7 +142,7 @@ class Application(Protocol):
         """Return the present status."""
         return Status()
 
-    def estimate(self, now_us: int) -> Estimate:
+    def estimate(self, now_us: int) -> Estimate:  # noqa: ARG002  for subclasses
         """Return the position estimate at ``now_us``, which may be after the last iteration."""
         return NO_ESTIMATE
 

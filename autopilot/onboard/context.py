@@ -1,4 +1,4 @@
-"""What an application is given: its vehicle's number, places and site, a generator, radio and autopilot. No I/O."""
+"""What an application is given: number, places, site, generator, radio and autopilot of its UAV. No I/O."""
 
 from collections.abc import Iterator, Sequence
 from itertools import count
@@ -37,7 +37,7 @@ class Radio:
         return self._submit(Broadcast(seq=next(self._seq), at_us=self._time_us(at_us), payload=payload))
 
     def unicast(self, destination: int, payload: bytes, *, at_us: int | None = None) -> int:
-        """Send a datagram to one station, with acknowledgement and repetitions; `Sent` reports the outcome."""
+        """Send a datagram to one station, acknowledged and repeated; `Sent` reports the outcome."""
         self._check_payload(payload)
         self._check_station("destination", destination)
         return self._submit(
@@ -65,12 +65,12 @@ class Radio:
             return self.now_us
         if not self.now_us <= at_us <= self.now_us + self._loop_us:
             raise ValueError(
-                f"at_us: {at_us}; expected {self.now_us} to {self.now_us + self._loop_us}, until the next iteration"
+                f"at_us: {at_us}; expected {self.now_us} to {self.now_us + self._loop_us}, the next iteration"
             )
         return at_us
 
     def _check_station(self, name: str, number: int) -> None:
-        if not isinstance(number, int) or number < 0 or number == self.station:
+        if number < 0 or number == self.station:
             raise ValueError(f"{name}: {number!r}; expected the number of another station")
 
     @staticmethod
@@ -86,8 +86,8 @@ class Context:
 
     Attributes:
         uav: number of the UAV, 0 to ``len(places_ned_m) - 1``; its MAVLink system id is one more.
-        places_ned_m: (N, 3) places of the scenario's formation, site NED; the UAVs start on level ground below
-            them. Read-only.
+        places_ned_m: (N, 3) places of the scenario's formation, site NED, read-only; the UAVs start on level
+            ground below them.
         heading_deg: heading of the formation at these places, clockwise from north.
         motion: motion of the formation that the scenario defines; None: none.
         site: origin of the site's frame.

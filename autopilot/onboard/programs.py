@@ -1,12 +1,13 @@
-"""The applications of one UAV, with what they share: its autopilot's client and its radio. No I/O.
+"""The application of one UAV with its context, as vehicles and companions call it. No I/O.
 
-`Programs` is what a vehicle's process, or a companion beside a PX4 or ArduPilot, calls. It passes messages and
-radio items to the applications, and returns what they send. An exception of the user's code, or a wrong value that
-it returns, is raised as ExtensionFailure.
+`Programs` is what a vehicle's process, or a companion beside a PX4 or ArduPilot, calls. It passes messages
+and radio items to the application, and returns what it sends. An exception of the user's code, or a wrong
+value that it returns, is raised as ExtensionFailure.
 """
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from enum import IntEnum
 from typing import Final, ParamSpec, TypeVar
 
 from msgspec import Struct
@@ -69,9 +70,9 @@ class Programs:
         return self._context.needs_truth
 
     @property
-    def phase(self) -> int:
-        """Phase of the flight, 0..254."""
-        return int(self.status.phase)
+    def phase(self) -> IntEnum:
+        """Phase of the flight, a member of `Reports.phases`."""
+        return self.status.phase
 
     @property
     def values(self) -> tuple[float, ...]:

@@ -240,10 +240,10 @@ class OnboardConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     enabled: bool = True
     """False: no application; the vehicles are controlled by the ground station alone."""
     application: str = "formation"
-    """The application: "formation", which the other fields configure, ``package.module:Class``, or the name of
-    an entry point of ``coflight.applications``."""
+    """The application: ``formation``, which the other fields configure, ``package.module:Class``, or the name
+    of an entry point of ``coflight.applications``."""
     settings: dict[str, Any] = {}
-    """Settings of the user's application, by its class attribute ``Settings``: table ``[onboard.settings]``."""
+    """Settings of the user's application, of its own type: table ``[onboard.settings]``."""
     hold: bool = False
     """Run beacons and ranging only; take off when a ground station sends component 191 MAV_CMD_USER_1."""
     localisation: Literal["gps", "ftm", "truth"] = "ftm"

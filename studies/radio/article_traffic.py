@@ -10,11 +10,12 @@ import numpy as np
 from msgspec import Struct
 
 from autopilot.onboard.client.own_state import OwnState
+from autopilot.onboard.context import Radio
 from autopilot.onboard.radio.traffic import Traffic
 from foundation.types import Array
 from harness.scenario.scenario import Scenario
 from netsim.emulator.emulator import Emulator
-from netsim.wire.messages import Delivery, FtmResult, RxItem, TxBatch
+from netsim.wire.messages import Delivery, FtmResult, RxItem, TxBatch, TxItem
 
 SWAY_M = 0.2
 SWAY_HZ = 0.3
@@ -54,7 +55,7 @@ def record(scenario: Scenario, seconds: float) -> list[Step]:
         batches = tuple(
             TxBatch(station=i, now_us=now_us, items=items)
             for i, application in enumerate(applications)
-            if (items := application.traffic.due(application.own, now_us, now_us + step_us, ranging=True))
+            if (items := application.send(now_us, now_us + step_us))
         )
         motion = _motion(places_ned_m, 1e-6 * now_us)
         step = Step(at_us=now_us, to_us=now_us + step_us, batches=batches, motion=motion)
@@ -82,10 +83,16 @@ class _Application:
         self.own.time_us = 0
         north_m, east_m, down_m = place_ned_m.tolist()
         self.own.odometry_ned_m = (north_m, east_m, down_m)
+        self._radio = Radio(station=station, stations=scenario.agents, loop_us=config.onboard.loop_period_us)
         self.traffic = Traffic(
-            station=station, stations=scenario.agents, config=config.onboard, devices=config.devices,
+            radio=self._radio, config=config.onboard, devices=config.devices,
             rng=np.random.default_rng([scenario.run.seed, station]),
         )  # fmt: skip
+
+    def send(self, now_us: int, until_us: int) -> tuple[TxItem, ...]:
+        self._radio.now_us = now_us
+        self.traffic.send(self.own, now_us, until_us, ranging=True)
+        return self._radio.take()
 
     def receive(self, item: RxItem, now_us: int) -> None:
         if isinstance(item, Delivery):

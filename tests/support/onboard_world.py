@@ -9,11 +9,11 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+from onboard_apps import formation_app
 from pymavlink.dialects.v20 import common
 
-from autopilot.onboard.app import OnboardApp
-from autopilot.onboard.application import NOTHING
 from autopilot.onboard.formation.phases import FlightPhase
+from autopilot.onboard.programs import NOTHING
 from autopilot.parameters.config import Devices, OnboardConfig, Site
 from foundation.geometry.geodesy import ned_to_geodetic
 from netsim.wire.messages import Broadcast, Delivery, FtmRequest, FtmResult
@@ -154,7 +154,7 @@ class SwarmWorld:
         streams = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(self.n + 2)]
         self.rng, self.radio_rng = streams[0], streams[1]
         self.apps = [
-            OnboardApp(
+            formation_app(
                 station=i,
                 places_ned_m=self.places,
                 site=SITE,

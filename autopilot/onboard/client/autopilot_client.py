@@ -89,8 +89,9 @@ class AutopilotClient:
 
     @property
     def pos_ned_m(self) -> Vector | None:
-        """Position: north and east as the autopilot estimates it, which includes the GPS error, and down from
-        the ground of the start; site NED. None: unknown.
+        """Position, site NED; None: unknown.
+
+        North and east are those of the autopilot, with the GPS error; down is from the ground of the start.
         """
         own = self.own
         return None if own.origin_ned_m is None or own.time_us < 0 else own.autopilot_ned_m

@@ -1,4 +1,4 @@
-"""From the ground to the mode that follows setpoints: arming, the autopilot's take-off, the hand-over. No I/O.
+"""From the ground to the mode that follows setpoints: arming, take-off, hand-over. No I/O.
 
 The autopilot performs the take-off itself, because its spool-up and landed-state logic are designed for it.
 It holds the uncorrected position, however, which drifts with the GPS bias. At `HAND_OVER_HEIGHT_M`, during

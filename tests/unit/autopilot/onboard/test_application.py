@@ -1,60 +1,107 @@
-"""The interface of the on-board application: a minimal one flies in place of the built-in one."""
+"""The public interface of on-board applications: a user's class in place of the built-in one."""
 
 import math
 
 import numpy as np
+import pytest
+from msgspec.structs import replace
 from vehicle_world import Flight, vehicle_config
 
 from autopilot.logs.vehicle_record import VEHICLE_RECORD, record
-from autopilot.onboard.application import NOTHING, Estimate, OnboardOutput
-from autopilot.vehicle import vehicle as vehicle_module
-from netsim.wire.messages import Broadcast, Delivery
-
-UNKNOWN = (math.nan, math.nan, math.nan)
-
-
-class Echo:
-    """Sends back each datagram that it receives."""
-
-    phase = 7
-
-    def __init__(self):
-        self.seen, self.payloads = set(), []
-
-    def on_mavlink(self, msg, _now_us):
-        self.seen.add(msg.get_type())
-
-    def on_request(self, _msg):
-        return []
-
-    def on_radio(self, items, _now_us):
-        self.payloads += [item.payload for item in items]
-
-    def on_timer(self, now_us):
-        payloads, self.payloads = self.payloads, []
-        items = [Broadcast(seq=i, at_us=now_us, payload=each) for i, each in enumerate(payloads)]
-        return OnboardOutput((), tuple(items)) if items else NOTHING
-
-    def estimate(self, _now_us):
-        return Estimate(UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN)
-
-    def troubles(self):
-        return {"echoes_lost": 0}
+from autopilot.onboard.factory import load_application
+from autopilot.parameters.config import OnboardConfig
+from foundation.extension_failure import ExtensionFailure
+from foundation.extensions import ExtensionError
+from netsim.wire.messages import Delivery
 
 
-def test_another_application_receives_telemetry_and_uses_the_radio(monkeypatch):
-    monkeypatch.setattr(vehicle_module, "make_application", lambda _: Echo())
-    flight = Flight(vehicle_config(onboard=True))
-    for _ in range(500):
-        flight.step()
+def steps(flight, count):
+    return [flight.step() for _ in range(count)]
+
+
+def flight_of(application, **settings):
+    config = vehicle_config(onboard=True)
+    onboard = replace(config.onboard, application=f"user_applications:{application}", settings=settings)
+    return Flight(replace(config, onboard=onboard))
+
+
+def test_it_receives_telemetry_and_settings_uses_the_radio_and_reports():
+    flight = flight_of("Echo", prefix=">")
+    outputs = steps(flight, 500)
     vehicle = flight.vehicle
-    assert {"HEARTBEAT", "LOCAL_POSITION_NED"} <= vehicle.app.seen
-    time_us = flight.now_us
-    item = Delivery(source=1, seq=0, received_ns=1_000 * time_us, rssi_dbm=-60.0, payload=b"abc")
-    vehicle.app.on_radio([item], time_us)
+    assert {"HEARTBEAT", "LOCAL_POSITION_NED"} <= vehicle.app.application.seen
+    item = Delivery(source=1, seq=0, received_ns=1_000 * flight.now_us, rssi_dbm=-60.0, payload=b"abc")
+    vehicle.app.on_radio([item], flight.now_us)
     sent = []
     for _ in range(10):  # the loop's period is 20 ms, 5 steps
-        sent += flight.step().radio
-    assert [each.payload for each in sent] == [b"abc"]
+        output = flight.step()
+        outputs.append(output)
+        sent += output.radio
+    assert [each.payload for each in sent] == [b">abc"]
     assert vehicle.troubles() == {"offboard_rejected": 0, "echoes_lost": 0}
-    assert np.frombuffer(record(vehicle), VEHICLE_RECORD)["phase"] == Echo.phase
+    assert np.frombuffer(record(vehicle), VEHICLE_RECORD)["phase"] == 3
+    assert vehicle.app.values[0] == 1.0
+    assert math.isnan(vehicle.app.values[1])
+    messages = [message for output in outputs for message in output.simulator]
+    beats = [message for message in messages if message.get_type() == "HEARTBEAT" and message.autopilot == 8]
+    assert {message.custom_mode for message in beats} == {3}
+    arrays = [message for message in messages if message.get_type() == "DEBUG_FLOAT_ARRAY"]
+    assert len(arrays) == pytest.approx(510 * 4 / 200, abs=2)
+
+
+def test_the_client_takes_off_follows_and_reports_a_landing():
+    flight = flight_of("Hop")
+    autopilot = flight.vehicle.app._context.autopilot
+    for _ in range(30 * 250):
+        flight.step()
+        if flight.vehicle.app.phase == 7:
+            break
+    assert flight.vehicle.app.phase == 7
+    assert autopilot.follows
+
+
+def test_an_exception_names_application_cause_and_place():
+    config = vehicle_config(onboard=True)
+    onboard = replace(config.onboard, application="user_applications:Raises")
+    flight = Flight(replace(config, instance=1, onboard=onboard, places_ned_m=config.places_ned_m * 2))
+    with pytest.raises(ExtensionFailure) as caught:
+        steps(flight, 600)
+    line = str(caught.value)
+    assert line.startswith("onboard.application user_applications:Raises: ZeroDivisionError: as written (")
+    assert "user_applications.py:" in line
+    assert 2_000_000 <= flight.now_us <= 2_040_000
+
+
+@pytest.mark.parametrize(
+    ("fields", "line"),
+    [
+        (
+            {"application": "no_such_module:App"},
+            "onboard.application: no module no_such_module; expected it to be installed, or its folder in PYTHONPATH",
+        ),
+        (
+            {"application": "consensus"},
+            "onboard.application: 'consensus' is not installed; expected package.module:Class or one of formation",
+        ),
+        (
+            {"application": "user_applications:Phase"},
+            "onboard.application: user_applications:Phase has no method start; expected a subclass of coflight.Application",
+        ),
+        (
+            {"application": "user_applications:Hop", "settings": {"x": 1}},
+            "onboard.settings: user_applications:Hop has no class attribute Settings",
+        ),
+        (
+            {"application": "user_applications:Echo", "settings": {"prefix": 1}},
+            "onboard.settings.prefix: expected `str`, got `int`",
+        ),
+        (
+            {"settings": {"x": 1}},
+            "onboard.settings: the formation's settings are fields of [onboard] itself",
+        ),
+    ],
+)
+def test_what_cannot_be_used_is_named_in_one_line(fields, line):
+    with pytest.raises(ExtensionError) as caught:
+        load_application(OnboardConfig(**fields))
+    assert str(caught.value) == line

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from beacons import Beacon, encode
+from onboard_apps import formation_app
 from onboard_world import (
     ALONE,
     MODE_LAND,
@@ -18,7 +19,6 @@ from onboard_world import (
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.modes import FlightMode
-from autopilot.onboard.app import OnboardApp
 from autopilot.onboard.client.commands import CommandSender
 from autopilot.onboard.client.own_state import OwnState
 from autopilot.onboard.formation import messages
@@ -93,7 +93,7 @@ def test_a_refused_command_is_repeated_every_second():
 
 
 def test_an_unanswered_command_is_repeated_with_its_confirmation_raised():
-    app = OnboardApp(
+    app = formation_app(
         station=0, places_ned_m=ALONE, site=SITE, config=GPS, devices=Devices(), rng=np.random.default_rng(1)
     )
     sent = []
@@ -273,7 +273,7 @@ def test_uavs_that_answer_are_located_before_take_off_at_a_long_ranging_period()
     w.dead.add(2)
     w.run_until(lambda w: all(app.phase is FlightPhase.TAKE_OFF for app in w.apps[:2]), limit_s=13.0)
     for app in w.apps[:2]:
-        assert app.localisation.located.tolist() == [True, True, False]
+        assert app.application.localisation.located.tolist() == [True, True, False]
 
 
 @pytest.mark.parametrize("ranging", ["all_pairs", "scheduled"])
@@ -282,7 +282,7 @@ def test_neighbours_are_avoided_without_a_channel_while_odometry_is_valid(rangin
     w.run_until(phase_is(FlightPhase.ON_STATION), limit_s=25.0)
     w.run(3.0)
     app, called_us, pushes_m_s = w.apps[0], [], []
-    avoidance = app._guidance._avoidance
+    avoidance = app.application._guidance._avoidance
     original = avoidance.velocity_change_ne_m_s
 
     def spy(now_us, **kwargs):
@@ -302,7 +302,7 @@ def test_neighbours_are_avoided_without_a_channel_while_odometry_is_valid(rangin
     w.run(20.0)
     assert np.diff(called_us).max() <= 50_000 + STEP_US
     # Support lasts for the policy's silence after the last distance, of which one may be lost.
-    silence_us = app._traffic.ranging.silence_us
+    silence_us = app.application._traffic.ranging.silence_us
     coasted_us = called_us[-1] - cut_us - round(COAST_S * 1e6)
     assert 0.5 * silence_us < coasted_us <= silence_us + 100_000
 
@@ -314,13 +314,13 @@ def test_the_position_loops_gain_is_requested_and_used():
     w.run_until(phase_is(FlightPhase.ON_STATION), limit_s=25.0)
     parameters = ParameterSet(Settings())
     service = ParameterService(parameters)
-    reference, own = app._guidance._reference, app._own
-    avoidance = app._guidance._avoidance
+    reference, own = app.application._guidance._reference, app.application._own
+    avoidance = app.application._guidance._avoidance
     original = avoidance.velocity_change_ne_m_s
     found = []
 
     def spy(now_us, *, desired_ne_m_s, **kwargs):
-        way_ne_m = (reference.pos_ned_m - app._guidance.believed_ned_m(own, now_us))[:2]
+        way_ne_m = (reference.pos_ned_m - app.application._guidance.believed_ned_m(own, now_us))[:2]
         found.append((desired_ne_m_s - reference.vel_ned_m_s[:2], way_ne_m))
         return original(now_us, desired_ne_m_s=desired_ne_m_s, **kwargs)
 
@@ -337,7 +337,7 @@ def test_the_position_loops_gain_is_requested_and_used():
         assert np.abs(way).max() > 0.0
         assert desired == pytest.approx(gain_1_s * way)
     app.on_mavlink(common.MAVLink_param_value_message(b"MPC_XY_P", np.nan, 9, 1, 0), w.now_us)
-    assert app._guidance.position_gain_1_s == 1.5
+    assert app.application._guidance.position_gain_1_s == 1.5
 
 
 def test_odometry_restarts_after_a_telemetry_gap():
@@ -352,8 +352,8 @@ def test_odometry_restarts_after_a_telemetry_gap():
     w.pos[0, :2] += (4.0, 0.0)
     w.run(1.5)
     w._telemetry = telemetry
-    believed = {app: app.localisation for app in w.apps}
-    while w.apps[0]._own.time_us < w.now_us - 100_000:
+    believed = {app: app.application.localisation for app in w.apps}
+    while w.apps[0].application._own.time_us < w.now_us - 100_000:
         w._step()
     for _ in range(60):  # 6 s: two ranging rounds
         w.run(0.1)
@@ -363,13 +363,13 @@ def test_odometry_restarts_after_a_telemetry_gap():
             if others["fresh"].all():
                 pos_ned_m = others["pos_ned_m"]
                 error_m = np.linalg.norm(pos_ned_m[1, :2] - pos_ned_m[0, :2]) - true_m
-                assert abs(error_m) < 4.0 * others["std_m"].max() + 0.1, app._station
+                assert abs(error_m) < 4.0 * others["std_m"].max() + 0.1, app.application._station
     assert all(localisation.located.all() for localisation in believed.values())
 
 
 def test_the_own_gps_may_be_newer_than_the_odometry():
     """A receiver without delay: its message arrives before the position of its time."""
-    app = OnboardApp(
+    app = formation_app(
         station=0, places_ned_m=PAIR, site=SITE, config=OnboardConfig(),
         devices=Devices(gps_delay_s=0.0), rng=np.random.default_rng(1),
     )  # fmt: skip
@@ -380,15 +380,15 @@ def test_the_own_gps_may_be_newer_than_the_odometry():
             early_us = now_us - 4_000
             fix = common.MAVLink_gps_raw_int_message(early_us, 3, lat, lon, 488_000, 150, 250, 0, 0, 10)
             app.on_mavlink(fix, early_us)
-            assert app.localisation.members["fix_us"][0] < early_us - 1_000  # not yet
+            assert app.application.localisation.members["fix_us"][0] < early_us - 1_000  # not yet
         app.on_mavlink(common.MAVLink_local_position_ned_message(now_us // 1_000, 0, 0, 0, 0, 0, 0), now_us)
         if k % 6 == 0:
-            assert early_us - 1_000 < app.localisation.members["fix_us"][0] <= early_us
+            assert early_us - 1_000 < app.application.localisation.members["fix_us"][0] <= early_us
 
 
 def test_the_estimate_is_extrapolated_to_now():
     """At 10 m/s the newest position, 20 ms old, is 0.2 m behind; the extrapolation is limited to 50 ms."""
-    app = OnboardApp(
+    app = formation_app(
         station=0, places_ned_m=ALONE, site=SITE, config=GPS, devices=Devices(), rng=np.random.default_rng(1)
     )
     app.on_mavlink(common.MAVLink_local_position_ned_message(4, 1, 2, -3, 10, 0, -1), 4_000)
@@ -399,7 +399,7 @@ def test_the_estimate_is_extrapolated_to_now():
 
 def test_the_estimate_from_the_truth_has_its_standard_deviation():
     truth = OnboardConfig(localisation="truth")
-    app = OnboardApp(
+    app = formation_app(
         station=0,
         places_ned_m=ALONE,
         site=SITE,
@@ -445,12 +445,12 @@ def test_an_invalid_datagram_is_counted_and_changes_nothing(spoil):
     w = world()
     w.run(2.0)
     app = w.apps[0]
-    state, cov = app.localisation.state.copy(), app.localisation.cov.copy()
+    state, cov = app.application.localisation.state.copy(), app.application.localisation.cov.copy()
     delivery = Delivery(source=1, seq=0, received_ns=0, rssi_dbm=-60.0, payload=spoil(w.now_us))
     app.on_radio([delivery], w.now_us)
     assert app.troubles()["bad_beacons"] == 1
-    assert np.array_equal(app.localisation.state, state)
-    assert np.array_equal(app.localisation.cov, cov)
+    assert np.array_equal(app.application.localisation.state, state)
+    assert np.array_equal(app.application.localisation.cov, cov)
 
 
 def test_the_boot_time_of_the_autopilot_has_no_effect():

@@ -6,10 +6,10 @@ from onboard_world import ALONE, STEP_US, phase_is, world
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.local_messages import PositionTarget
-from autopilot.onboard.application import NOTHING
 from autopilot.onboard.formation.formation_plan import FormationPlan, RacetrackMotion
 from autopilot.onboard.formation.guidance import SETPOINT_PERIOD_US
 from autopilot.onboard.formation.phases import FlightPhase
+from autopilot.onboard.programs import NOTHING
 from autopilot.parameters.config import OnboardConfig
 
 GPS = OnboardConfig(localisation="gps")
@@ -64,7 +64,7 @@ def test_a_step_before_the_deadline_has_nothing_to_send():
 
         def spy(now_us, app=app, on_timer=on_timer, outputs=outputs, always=always):
             if always:
-                app._due_us = 0
+                app.application._due_us = 0
             out = on_timer(now_us)
             if out is not NOTHING:
                 sent_messages = [m if isinstance(m, PositionTarget) else m.to_dict() for m in out.mavlink]
@@ -130,9 +130,9 @@ def test_setpoints_follow_a_moving_plan_at_any_loop_period(loop_us):
     def spy(now_us):
         out = on_timer(now_us)
         if any(isinstance(message, PositionTarget) for message in out.mavlink):
-            since_s = (now_us - app._guidance.start.start_us) * 1e-6
+            since_s = (now_us - app.application._guidance.start.start_us) * 1e-6
             target = plan.own(0, since_s + 0.5 * SETPOINT_PERIOD_US * 1e-6)
-            reference = app._guidance._reference
+            reference = app.application._guidance._reference
             misses_m.append(np.abs(reference.pos_ned_m - target.pos_ned_m).max())
             apart_m_s2.append(np.abs(reference.acc_ned_m_s2 - target.acc_ned_m_s2).max())
         return out

@@ -46,7 +46,7 @@ def test_gps_alone_is_at_least_five_times_worse(flown):
 
 def test_the_shape_of_all_own_estimates_has_the_predicted_accuracy(flown):
     # Each filter has its own data; the result requires that they agree on the heading of the whole.
-    predicted_m = flown.apps[0].localisation.shape_std_m(flown.now_us)
+    predicted_m = flown.apps[0].application.localisation.shape_std_m(flown.now_us)
     assert predicted_m < 0.12
     assert estimated_shape_rms_m(flown) < 1.25 * predicted_m
 

@@ -89,5 +89,5 @@ def test_estimates_are_finite_at_the_bounds_of_the_filters_settings(end):
     world.run(8.0)
     for app in world.apps:
         assert np.isfinite(app.estimate(world.now_us).pos_ned_m).all()
-        assert np.isfinite(app.localisation.cov).all()
-        assert (app.localisation.cov.diagonal() >= 0.0).all()
+        assert np.isfinite(app.application.localisation.cov).all()
+        assert (app.application.localisation.cov.diagonal() >= 0.0).all()

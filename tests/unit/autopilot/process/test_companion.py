@@ -12,9 +12,8 @@ from pymavlink.dialects.v20 import common
 from autopilot.logs.companion_record import CompanionLog
 from autopilot.logs.vehicle_record import VEHICLE_RECORD
 from autopilot.mavlink.codec import Encoder, Parser, stamp
-from autopilot.onboard.application import OnboardOutput
-from autopilot.onboard.formation.messages import warning
 from autopilot.onboard.formation.phases import FlightPhase
+from autopilot.onboard.programs import OnboardOutput
 from autopilot.parameters.config import VehicleConfig, VehiclePorts
 from autopilot.process import companion as companion_module
 from autopilot.process.companion import Companion, CompanionProcess
@@ -75,7 +74,7 @@ def fly(companion, until_ms, period_ms=40, begin_ms=40, px4=(attitude,)):
 @pytest.mark.parametrize("gap_ms", [30_000, 60_000, 3_600_000, 4_000_000_000])
 def test_a_leap_of_the_clock_is_followed_and_causes_no_burst(ranging, gap_ms):
     companion = Companion(config(ranging=ranging))
-    period_ms = companion.app._config.beacon_period_ms
+    period_ms = companion.app.application._config.beacon_period_ms
     px4 = (lambda _: origin(), attitude, position)
     sent = [output.radio for output in fly(companion, 2_000, px4=px4)]
     before = len(sent)
@@ -111,7 +110,8 @@ def test_long_texts_are_sent_in_chunks_of_one_id():
     companion = Companion(config())
     companion.on_message(from_px4(attitude(100)), 100_000)
     text = "formation not localised in 10 s: beacons of 0 of 7 other UAVs received"
-    companion.app.on_timer = lambda _: OnboardOutput([warning(text)], ())
+    warning = common.MAVLink_statustext_message(common.MAV_SEVERITY_WARNING, text.encode())
+    companion.app.on_timer = lambda _: OnboardOutput([warning], ())
     sent = [m for m in companion.on_timer((), 100_000).mavlink if m.get_type() == "STATUSTEXT"]
     assert "".join(message.text for message in sent) == text
     assert [(message.id, message.chunk_seq) for message in sent] == [(1, 0), (1, 1)]
@@ -203,7 +203,7 @@ def test_messages_that_arrive_in_a_pause_wait_for_the_next_iteration(monkeypatch
         process = CompanionProcess(settings, ends[0], stack)
         px4.connect(process._autopilot._socket.getsockname())
         encoder = Encoder(system=SYSTEM, component=1)
-        own = process._companion.app._own
+        own = process._companion.app.application._own
         release = common.MAVLink_command_long_message(
             SYSTEM, 191, common.MAV_CMD_USER_1, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         )

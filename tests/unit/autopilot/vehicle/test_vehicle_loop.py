@@ -7,7 +7,7 @@ from msgspec.structs import replace
 from pymavlink.dialects.v20 import common
 from vehicle_world import STEP_US, Flight, vehicle_config
 
-from autopilot.onboard.application import OnboardOutput
+from autopilot.onboard.programs import OnboardOutput
 from autopilot.services.service import NEVER_US
 from autopilot.vehicle.vehicle import DECISION_PERIOD_US, Vehicle
 from netsim.wire.messages import Broadcast, Delivery

@@ -10,10 +10,9 @@ from autopilot.mavlink.modes import FlightMode
 from autopilot.onboard.client.autopilots import ARDUPILOT, PX4
 from autopilot.onboard.client.commands import CommandSender
 from autopilot.onboard.client.own_state import OwnState
+from autopilot.onboard.client.take_off import HAND_OVER_HEIGHT_M, READY_TIMEOUT_US
 from autopilot.onboard.formation.flight_phases import (
-    HAND_OVER_HEIGHT_M,
     HEARTBEAT_LAG_US,
-    READY_TIMEOUT_US,
     TAKE_OFF_HEIGHT_M,
     FlightSequence,
     Situation,

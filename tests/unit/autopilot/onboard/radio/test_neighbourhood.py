@@ -122,7 +122,7 @@ def fly(places, **config):
 def test_a_formation_of_neighbourhoods_keeps_its_shape():
     places = grid_ned_m(4, 6)
     w, since_s = fly(places, neighbours=6, ranging_airtime=0.3)
-    assert max(app.localisation.count for app in w.apps) < 14
+    assert max(app.application.localisation.count for app in w.apps) < 14
     truth, estimates = w.flown(since_s=since_s)
     assert rms([shape_errors_m(row, places) for row in truth]) < 0.25
     assert rms([shape_errors_m(*rows) for rows in zip(estimates, truth, strict=True)]) < 0.2

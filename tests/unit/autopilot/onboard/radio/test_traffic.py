@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from beacons import Beacon, decode, encode
+from onboard_apps import CollectingTraffic
 
 from autopilot.onboard.client.own_state import Fix, OwnState
 from autopilot.onboard.formation.phases import FlightPhase
@@ -23,7 +24,6 @@ from autopilot.onboard.radio.neighbour_table import (
     receive_beacon,
 )
 from autopilot.onboard.radio.scheduled_ranging import CHECK_LATEST_US, CHECK_US, UNKNOWN_PERIOD_US, owner
-from autopilot.onboard.radio.traffic import Traffic
 from autopilot.parameters.config import SESSION_S, Devices, OnboardConfig, Site
 from netsim.wire.messages import Broadcast, FtmRequest, FtmResult
 
@@ -33,7 +33,7 @@ SCHEDULED = OnboardConfig(ranging="scheduled")
 
 
 def traffic_of(station=0, stations=8, *, config=None):
-    return Traffic(
+    return CollectingTraffic(
         station=station, stations=stations, config=config or OnboardConfig(), devices=Devices(),
         rng=np.random.default_rng((1, station)),
     )  # fmt: skip
@@ -147,7 +147,7 @@ def test_a_sequence_gap_beyond_the_delay_tolerance_is_a_restart():
 class Flight:
     """A station that receives its neighbours every 100 ms, and whose sessions succeed after 4 ms."""
 
-    traffic: Traffic
+    traffic: CollectingTraffic
     neighbours: tuple
     now_us: int = 0
     silent: int | None = None
