@@ -94,8 +94,8 @@ class ErrorModel(Protocol):
 class RadioContext(Struct, frozen=True, kw_only=True):
     """What a model receives when it is created, as ``Class(context)``.
 
-    With an attribute ``Settings``, a msgspec Struct or a dataclass, it is ``Class(context, settings)``; a class
-    without a constructor is created without arguments.
+    With an attribute ``Settings``, a msgspec Struct or a dataclass, it is ``Class(context, settings)``; a
+    class without a constructor is created without arguments.
     """
 
     config: RadioConfig
