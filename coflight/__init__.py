@@ -48,20 +48,21 @@ if TYPE_CHECKING:
     from harness.scenario.scenario_file import load as load_scenario
     from harness.world.physics.interface import Physics
     from netsim.emulator.interface import NetworkEmulator
-    from netsim.phy.interfaces import ErrorModel, Fading, Propagation
+    from netsim.phy.interfaces import AntennaPattern, ErrorModel, Fading, PathLoss, RadioContext, Shadowing
     from netsim.transport.guest import Guest
 
 __all__ = [
-    "Application", "AttitudeSetpoint", "Campaign", "Condition", "Controller", "ControllerContext",
-    "ControllerInputs", "Course", "ErrorModel", "EstimatorState", "Fading", "FlightMode",
+    "AntennaPattern", "Application", "AttitudeSetpoint", "Campaign", "Condition", "Controller",
+    "ControllerContext", "ControllerInputs", "Course", "ErrorModel", "EstimatorState", "Fading", "FlightMode",
     "FlightModeBehaviour", "Guest", "MavlinkService", "ModeContext", "ModeEntry", "ModeInputs",
-    "ModeTraits", "NetworkEmulator", "OneProcessSwarm", "Physics", "Propagation", "RateSetpoint",
-    "Scenario", "ScenarioError", "ServiceContext", "SetupError", "StopMode", "Swarm",
-    "SwarmError", "SwarmTimeoutError", "SwarmTruth", "ThrustTorque", "TrajectorySetpoint",
+    "ModeTraits", "NetworkEmulator", "OneProcessSwarm", "PathLoss", "Physics", "RadioContext",
+    "RateSetpoint", "Scenario", "ScenarioError", "ServiceContext", "SetupError", "Shadowing", "StopMode",
+    "Swarm", "SwarmError", "SwarmTimeoutError", "SwarmTruth", "ThrustTorque", "TrajectorySetpoint",
     "load_scenario",
 ]  # fmt: skip
 
 _PLACES = {
+    "AntennaPattern": "netsim.phy.interfaces:AntennaPattern",
     "Application": "autopilot.onboard.application:Application",
     "AttitudeSetpoint": "foundation.types:AttitudeSetpoint",
     "Campaign": "harness.campaign:Campaign",
@@ -83,13 +84,15 @@ _PLACES = {
     "ModeTraits": "autopilot.commander.mode_table:ModeTraits",
     "NetworkEmulator": "netsim.emulator.interface:NetworkEmulator",
     "OneProcessSwarm": "harness.launch.one_process:OneProcessSwarm",
+    "PathLoss": "netsim.phy.interfaces:PathLoss",
     "Physics": "harness.world.physics.interface:Physics",
-    "Propagation": "netsim.phy.interfaces:Propagation",
+    "RadioContext": "netsim.phy.interfaces:RadioContext",
     "RateSetpoint": "foundation.types:RateSetpoint",
     "Scenario": "harness.scenario.scenario:Scenario",
     "ScenarioError": "harness.scenario.scenario:ScenarioError",
     "ServiceContext": "autopilot.services.user_service:ServiceContext",
     "SetupError": "harness.launch.run_messages:SetupError",
+    "Shadowing": "netsim.phy.interfaces:Shadowing",
     "StopMode": "autopilot.navigation.flight_mode:StopMode",
     "Swarm": "harness.launch.swarm:Swarm",
     "SwarmError": "harness.launch.run_messages:SwarmError",

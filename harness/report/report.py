@@ -35,6 +35,7 @@ from harness.simulator.messages import Formed
 from harness.simulator.motion_start import flown_start_us, since_start_s
 from harness.simulator.truth_record import AIR_RECORD, TRUTH_RECORD
 from netsim.emulator.log_layout import FRAME_LOG, SESSION_LOG
+from netsim.radio_models import registry
 
 LOGS = ("events.jsonl", "flight.parquet", "radio.parquet", "ftm.parquet", "air.parquet")
 """Files that a seed determines byte for byte, in their order in ``log_sha256``."""
@@ -284,7 +285,8 @@ def _manifest(
         "processes": [msgspec.to_builtins(process) for process in outcome.processes],
         "versions": {"python": platform.python_version(), **versions(DISTRIBUTIONS)},
         "extensions": {
-            field: origin_of(name, group) for field, (name, group) in named(scenario.autopilot).items()
+            field: origin_of(name, group)
+            for field, (name, group) in (named(scenario.autopilot) | registry.named(scenario.radio)).items()
         },
         "checkout": msgspec.to_builtins(outcome.checkout),
         "platform": platform.platform(),

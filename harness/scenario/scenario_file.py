@@ -18,6 +18,7 @@ from harness.scenario.formation_shape import FormationFileError
 from harness.scenario.scenario import Scenario, ScenarioError
 from harness.scenario.validation_errors import InvalidTable, convert
 from harness.world.faults import EXPECTED
+from netsim.radio_models import registry
 
 ARRAYS_OF_TABLES = ("faults", "wind.gusts")
 _EXPECTED = {**EXPECTED, r"formation\.motion\.kind": "one of track, racetrack"}
@@ -81,8 +82,15 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
         links = autopilot_settings.with_signing_key(scenario.links, path.parent)
     except ValueError as error:
         raise ScenarioError(f"{path}: links.signing_key_file: {error}") from None
+    # an override of a packaged scenario names a module or file of the current folder
+    folder = Path() if packaged.FOLDER in path.parents else path.parent
+    radio = registry.with_folder(scenario.radio, folder)
     try:
-        return msgspec.structs.replace(scenario, autopilot=autopilot, links=links)
+        registry.check_models(radio, scenario.agents + len(radio.guests))
+    except ExtensionError as error:
+        raise ScenarioError(f"{path}: {error}") from None
+    try:
+        return msgspec.structs.replace(scenario, autopilot=autopilot, links=links, radio=radio)
     except ValueError as error:  # contents of the files conflict with other settings
         raise ScenarioError(f"{path}: {error}") from None
 

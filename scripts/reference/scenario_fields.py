@@ -130,12 +130,20 @@ def _rows(path: str, info: StructType) -> Iterator[tuple[str, ...]]:
                 "docstring"
             )
         inner, repeated = _unwrapped(each.type)
-        kind = ("array of tables" if repeated else "table") if inner else _type(each.type)
+        is_text = _may_be_text(each.type)
+        kind = "text or table" if inner and is_text else "array of tables" if repeated else "table"
+        kind = kind if inner else _type(each.type)
         unit = "" if inner else unit_and_frame(each.name)
         yield (
             f"`{_join(path, each.encode_name)}`", kind, unit, "" if inner else _range(each.type),
-            _default(each, info, is_table=bool(inner)), one_line(texts[each.name]),
+            _default(each, info, is_table=bool(inner) and not is_text), one_line(texts[each.name]),
         )  # fmt: skip
+
+
+def _may_be_text(kind: Type) -> bool:
+    """Whether a text may stand instead of a table."""
+    types = kind.types if isinstance(kind, UnionType) else (kind,)
+    return any(isinstance(each.type if isinstance(each, Metadata) else each, StrType) for each in types)
 
 
 def _heading(path: str, info: StructType) -> str:
