@@ -10,7 +10,6 @@ import numpy as np
 from msgspec import Struct
 
 from foundation.types import Array
-from harness.world.physics.model import IRIS
 from harness.world.sensors.config import GpsOverrides, SensorsConfig
 from harness.world.wind import WindConfig
 from studies.vehicle.solo import PLAIN, Solo, Track, solo_config
@@ -100,7 +99,7 @@ def track_hover(hover: Hover) -> Track:
     )
     with Solo(
         config,
-        plant=PLAIN if hover.plant == "plain" else IRIS,
+        plant=PLAIN if hover.plant == "plain" else None,
         sensors=sensors,
         wind=wind,
         seed=np.random.SeedSequence([hover.seed, 1]),

@@ -274,7 +274,7 @@ def test_applications_bind_the_ports_that_px4s_send_to(scenario):
 
 
 def test_the_vehicles_settings_are_read_by_its_application_process(scenario):
-    config = scenario().vehicle(1, run_id="x", radio_endpoint="tcp/127.0.0.1:7447", log_path=None)
+    config = scenario().vehicle_config(1, run_id="x", radio_endpoint="tcp/127.0.0.1:7447", log_path=None)
     assert isinstance(config, VehicleConfig)
     assert (config.ports.companion_local_udp, config.ports.companion_remote_udp) == (14581, 14541)
 
