@@ -2,10 +2,11 @@
 
 Gains that the file does not give are those of the Iris, scaled. The loop gain of a rate is the angular
 acceleration per normalised torque times the gain, so MC_*RATE_K is inversely proportional to that
-acceleration. Motors that are slower than the Iris's limit the bandwidth: gains of rate and attitude fall with
-the mean of the motors' time constants.
+acceleration; roll and pitch get the mean loop gain of the Iris's. Motors that are slower than the Iris's
+limit the bandwidth: gains of rate and attitude fall with the mean of the motors' time constants.
 """
 
+import numpy as np
 from msgspec.structs import replace
 
 from autopilot.control.mixing import effectiveness, mixer
@@ -16,6 +17,8 @@ from foundation.types import Array
 
 MOST_RATE_K, LEAST_RATE_K = 5.0, 0.01
 """Range of MC_ROLLRATE_K and the others."""
+LEAST_HOVER = 0.1
+"""Least value of MPC_THR_HOVER."""
 
 
 def control_params(airframe: Airframe) -> ControlParams:
@@ -24,7 +27,9 @@ def control_params(airframe: Airframe) -> ControlParams:
     Raises ValueError for an airframe that cannot control thrust, roll, pitch and yaw.
     """
     base, given, propulsion = ControlParams(), airframe.gains, airframe.propulsion
-    ratio = acceleration_rad_s2(IRIS) / acceleration_rad_s2(airframe)
+    roll, pitch, yaw = acceleration_rad_s2(IRIS).tolist()
+    tilt = 0.5 * (roll + pitch)
+    ratio = np.array((tilt, tilt, yaw)) / acceleration_rad_s2(airframe)
     slower = min(IRIS.propulsion.lag_s / propulsion.lag_s, 1.0)
     roll_k, pitch_k, yaw_k = (
         min(max(k * float(share) * slower, LEAST_RATE_K), MOST_RATE_K)
@@ -33,7 +38,9 @@ def control_params(airframe: Airframe) -> ControlParams:
     return replace(
         base,
         allocation=allocation_params(airframe),
-        position=replace(base.position, thr_hover=_or(given.hover_thrust, airframe.hover_share)),
+        position=replace(
+            base.position, thr_hover=_or(given.hover_thrust, max(airframe.hover_share, LEAST_HOVER))
+        ),
         disturbance=replace(base.disturbance, thrust_lag_s=_or(given.thrust_lag_s, propulsion.lag_s)),
         attitude=replace(
             base.attitude,

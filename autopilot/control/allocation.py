@@ -51,9 +51,7 @@ class Allocation:
 
 
 @inner
-def _yaw_bounds(
-    fixed: Array, yaw: Array, ceiling: Array, low: float, high: float
-) -> tuple[float, float]:
+def _yaw_bounds(fixed: Array, yaw: Array, ceiling: Array, low: float, high: float) -> tuple[float, float]:
     """Return the interval of feasible yaw demands.
 
     A demand y is feasible if one collective c in [low, high] keeps all of ``fixed + c + y * yaw`` in

@@ -49,7 +49,7 @@ def mixer(params: AllocationParams) -> Mixer:
     if np.linalg.matrix_rank(matrix) < 4:
         raise ValueError("rotors: they cannot produce thrust, roll, pitch and yaw independently")
     # with as many rotors as demands the pseudo-inverse is the inverse
-    inverse = np.linalg.inv(matrix) if count == 4 else np.linalg.pinv(matrix)
+    inverse = np.asarray(np.linalg.inv(matrix) if count == 4 else np.linalg.pinv(matrix), dtype=np.float64)
     lift = np.ones(count)
     if np.abs(matrix[1:].sum(axis=1)).max() > _ROUNDING:
         lift = inverse[:, 0] * (count / inverse[:, 0].sum())
@@ -65,12 +65,12 @@ def mixer_without(params: AllocationParams, failed: Collection[int]) -> Mixer | 
     """Return the mixer that flies on without some rotors; None if that is not possible.
 
     Rotors that a hover without net torque leaves without thrust are not used either, since controls cannot be
-    negative: of a hexacopter the one opposite to the failed one. If the others cannot control yaw, it is given
-    up, and the balance of the hover keeps the rate of rotation low.
+    negative: of a hexacopter the one opposite to the failed one. If the others cannot control yaw, it is
+    given up, and the balance of the hover keeps the rate of rotation low.
     """
     matrix = effectiveness(params)
     count = matrix.shape[1]
-    norms = _norms(np.linalg.pinv(matrix))
+    norms = _norms(np.asarray(np.linalg.pinv(matrix), dtype=np.float64))
     used = [rotor for rotor in range(count) if rotor not in failed]
     while len(used) >= 3:
         inverse = np.linalg.pinv(matrix[:, used])

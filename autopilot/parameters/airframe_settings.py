@@ -9,8 +9,10 @@ from foundation.airframe.description import Airframe
 from foundation.airframe.files import IRIS
 
 _LEAST_CURRENT_SHARE = 0.5
-"""A motor has failed if it draws less than this share of the current that is expected in hover, at full thrust
-and proportionally less below."""
+"""A motor has failed if it draws less than this share of the current in hover at full thrust, and
+proportionally less below."""
+_MOST_AVERAGE_A, _MOST_PER_THRUST_A = 500.0, 50.0
+"""Greatest values of BAT_AVRG_CURRENT and FD_ACT_MOT_C2T."""
 _TYPE_OF_ROTORS = {
     3: common.MAV_TYPE_TRICOPTER,
     4: common.MAV_TYPE_QUADROTOR,
@@ -35,7 +37,7 @@ def settings_of(airframe: Airframe) -> Settings:
             base.battery,
             cells=battery.cells,
             capacity_mah=battery.capacity_mah,
-            average_current_a=airframe.average_current_a,
+            average_current_a=min(airframe.average_current_a, _MOST_AVERAGE_A),
         ),
         battery_sim=replace(
             base.battery_sim,
@@ -46,14 +48,17 @@ def settings_of(airframe: Airframe) -> Settings:
         ),
         failure_detector=replace(
             base.failure_detector,
-            motor_current_per_thrust_a=_LEAST_CURRENT_SHARE * airframe.motor_current_a,
+            motor_current_per_thrust_a=min(
+                _LEAST_CURRENT_SHARE * airframe.motor_current_a, _MOST_PER_THRUST_A
+            ),
         ),
     )
 
 
 def mav_type(airframe: Airframe) -> int:
     """Return the MAV_TYPE of a multicopter by its number of rotors."""
-    return _TYPE_OF_ROTORS.get(len(airframe.rotors), common.MAV_TYPE_GENERIC)
+    found: int = _TYPE_OF_ROTORS.get(len(airframe.rotors), common.MAV_TYPE_GENERIC)
+    return found
 
 
 def stated_of(airframe: Airframe) -> dict[str, float]:

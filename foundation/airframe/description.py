@@ -27,8 +27,12 @@ CLEARANCE_M = 0.05
 LEAST_UPRIGHT = 0.5
 """Least cosine between a rotor's axis and the upward direction of the body."""
 
-Positive = Annotated[float, Meta(gt=0.0)]
-NonNegative = Annotated[float, Meta(ge=0.0)]
+Inertia = Annotated[float, Meta(ge=1e-9, le=1e5)]
+Speed = Annotated[float, Meta(gt=0.0, le=1e5)]
+Coefficient = Annotated[float, Meta(ge=0.0, le=1.0)]
+Current = Annotated[float, Meta(gt=0.0, le=1_000.0)]
+RateGain = Annotated[float, Meta(ge=0.01, le=5.0)]
+Direction = Annotated[float, Meta(ge=-1.0, le=1.0)]
 Side = Annotated[float, Meta(ge=0.005, le=20.0)]
 Offset = Annotated[float, Meta(ge=-10.0, le=10.0)]
 Lag = Annotated[float, Meta(ge=0.001, le=1.0)]
@@ -41,7 +45,7 @@ class Body(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Sides of the box that collides, along the body's axes; its centre is the centre of mass."""
     friction: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.8
     """Coefficient against the ground, whose own is 1.0; 0.8: rubber feet on asphalt."""
-    drag_n_s_m: NonNegative = 0.0
+    drag_n_s_m: Annotated[float, Meta(ge=0.0, le=1_000.0)] = 0.0
     """Drag of the body over its air speed, N/(m/s), in addition to that of the rotors."""
 
 
@@ -52,13 +56,13 @@ class Propulsion(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     ``thrust_n_s2`` times the square of the speed.
     """
 
-    thrust_n_s2: Positive
+    thrust_n_s2: Annotated[float, Meta(ge=1e-12, le=1.0)]
     """Static thrust over the square of the rotor's speed, N/(rad/s)^2, at sea level."""
-    moment_m: Annotated[float, Meta(ge=0.0, le=1.0)]
+    moment_m: Coefficient
     """Torque about the rotor's axis over its static thrust."""
-    idle_rad_s: NonNegative
+    idle_rad_s: Annotated[float, Meta(ge=0.0, le=1e5)]
     """Speed at control 0 while armed."""
-    range_rad_s: Positive
+    range_rad_s: Speed
     """Speed that a control of 1 adds."""
     rise_s: Lag
     """Time constant of the rotor's speed while it rises."""
@@ -66,11 +70,11 @@ class Propulsion(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Time constant of the rotor's speed while it falls."""
     radius_m: Annotated[float, Meta(ge=0.005, le=5.0)]
     """Radius of the propeller, for ground effect, spacing and derived currents."""
-    drag_n_s2_m: NonNegative = 0.0
+    drag_n_s2_m: Coefficient = 0.0
     """In-plane force over rotor speed and in-plane air speed, N/(rad/s)/(m/s)."""
-    rolling_moment_n_s2: NonNegative = 0.0
+    rolling_moment_n_s2: Coefficient = 0.0
     """Rolling moment over rotor speed and in-plane air speed, N m/(rad/s)/(m/s)."""
-    axial_speed_limit_m_s: Positive = 25.0
+    axial_speed_limit_m_s: Annotated[float, Meta(ge=0.1, le=1_000.0)] = 25.0
     """Axial climb speed through the air at which the linearly falling thrust reaches zero."""
 
     @property
@@ -101,8 +105,8 @@ class Rotor(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Hub, from the centre of mass."""
     turns: Literal["ccw", "cw"]
     """Direction of rotation seen from above."""
-    axis_frd: Vector = (0.0, 0.0, -1.0)
-    """Direction of the thrust, of any length; (0, 0, -1) is upright."""
+    axis_frd: tuple[Direction, Direction, Direction] = (0.0, 0.0, -1.0)
+    """Direction of the thrust; its length does not matter. (0, 0, -1) is upright."""
 
     def __post_init__(self) -> None:
         """Check the axis. Raises ValueError."""
@@ -132,12 +136,12 @@ class Battery(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Capacity of the full pack."""
     cell_resistance_ohm: Annotated[float, Meta(ge=0.0, le=0.2)] = 0.005
     """Resistance of one cell that is not nearly empty."""
-    avionics_current_a: NonNegative = 1.0
+    avionics_current_a: Annotated[float, Meta(ge=0.0, le=500.0)] = 1.0
     """Current of everything except the motors."""
-    motor_current_a: Positive | None = None
+    motor_current_a: Current | None = None
     """Current of one motor at ``motor_current_at_rad_s``; derived from the momentum theory of a hovering
     rotor if missing."""
-    motor_current_at_rad_s: Positive | None = None
+    motor_current_at_rad_s: Speed | None = None
     """Rotor speed of ``motor_current_a``; the hover speed if missing."""
     average_current_a: Annotated[float, Meta(gt=0.0, le=500.0)] | None = None
     """First value of the average current, for the remaining time; that of the hover if missing."""
@@ -148,13 +152,13 @@ class Gains(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     hover_thrust: Annotated[float, Meta(ge=0.1, le=0.8)] | None = None
     """MPC_THR_HOVER: thrust above idle over its range in hover."""
-    thrust_lag_s: NonNegative | None = None
+    thrust_lag_s: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
     """Time constant of the thrust in the disturbance observer."""
-    roll_rate_k: Positive | None = None
+    roll_rate_k: RateGain | None = None
     """MC_ROLLRATE_K"""
-    pitch_rate_k: Positive | None = None
+    pitch_rate_k: RateGain | None = None
     """MC_PITCHRATE_K"""
-    yaw_rate_k: Positive | None = None
+    yaw_rate_k: RateGain | None = None
     """MC_YAWRATE_K"""
     roll_p: Annotated[float, Meta(gt=0.0, le=12.0)] | None = None
     """MC_ROLL_P, 1/s"""
@@ -167,9 +171,9 @@ class Gains(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 class Airframe(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One airframe. Raises ValueError with the field for values that contradict each other."""
 
-    mass_kg: Annotated[float, Meta(gt=0.0, le=1_000.0)]
+    mass_kg: Annotated[float, Meta(ge=1e-4, le=1_000.0)]
     """Mass at take-off."""
-    inertia_kg_m2: tuple[Positive, Positive, Positive]
+    inertia_kg_m2: tuple[Inertia, Inertia, Inertia]
     """Principal moments of inertia about the body's axes."""
     body: Body
     """Collision shape, friction and drag."""

@@ -69,5 +69,13 @@ class Flight:
         return self.at(rows[rows < len(self)])
 
 
-_SERIES = ("time_us", "pos_ned_m", "q_ned_frd", "desired_pos_ned_m", "heading_rad", "alive", "believed_pos_ned_m")
+_SERIES = (
+    "time_us",
+    "pos_ned_m",
+    "q_ned_frd",
+    "desired_pos_ned_m",
+    "heading_rad",
+    "alive",
+    "believed_pos_ned_m",
+)
 """Fields whose first axis is time."""

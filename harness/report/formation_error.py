@@ -51,8 +51,8 @@ class FormationError:
 def formation_error(flight: Flight) -> FormationError:
     """Return the absolute error and the shape error of every vehicle at every instant.
 
-    Heights of places, as autopilots', are relative to the landed vehicle; true heights are those of its centre
-    of mass above the ground. So ``flight.standing_height_m`` is no error.
+    Heights of places, as autopilots', are relative to the landed vehicle; true heights are those of its
+    centre of mass above the ground. So ``flight.standing_height_m`` is no error.
 
     The shape error remains after the translation and the rotation about the vertical that align the places of
     the living vehicles with their positions in the least-squares sense.

@@ -28,8 +28,8 @@ class VehicleTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """The scenario's ``[vehicle]`` table."""
 
     airframe: str = DEFAULT
-    """Airframe of all vehicles: the name of a packaged one, a file (.toml) relative to the scenario, or a name
-    in ``airframes``."""
+    """Airframe of all vehicles: the name of a packaged one, a file (.toml) relative to the scenario, or a
+    name in ``airframes``."""
     per_uav: dict[str, OneVehicle] = {}
     """Airframes of single vehicles by their number."""
     airframes: dict[str, Airframe] = {}
@@ -93,8 +93,8 @@ def check(config: VehicleTable, autopilot: AutopilotConfig, agents: int) -> None
             raise ValueError(f"{field}: {error}") from None
         if autopilot.is_external(instance) and airframe != files.IRIS:
             raise ValueError(
-                f"{field}: UAV {instance} runs {autopilot.kind_of(instance)}, whose parameters are those of the "
-                f"Iris; expected {DEFAULT} instead of {name}, or autopilot.kind to be own"
+                f"{field}: {name} for UAV {instance}, which runs {autopilot.kind_of(instance)} with the "
+                f"parameters of the Iris; expected {DEFAULT}, or autopilot.kind to be own"
             )
         if not any(airframe is each for each in checked):
             checked.append(airframe)

@@ -128,8 +128,8 @@ class MotorLoss(Fault, frozen=True, kw_only=True, tag="motor"):
     """A rotor loses part of its thrust and torques at every speed, as with a broken propeller."""
 
     motor: Motor
-    """Number of the rotor in the airframe's file, from 0. Of the Iris, in PX4's order: front right, back left,
-    front left, back right."""
+    """Number of the rotor in the airframe's file, from 0. Of the Iris, in PX4's order: front right, back
+    left, front left, back right."""
     effectiveness: Annotated[float, Meta(ge=0.0, le=1.0)]
     """Remaining fraction of thrust and torques."""
 
@@ -138,8 +138,8 @@ class MotorStop(Fault, frozen=True, kw_only=True):
     """A motor has no current: its rotor runs down and stops."""
 
     motor: Motor
-    """Number of the rotor in the airframe's file, from 0. Of the Iris, in PX4's order: front right, back left,
-    front left, back right."""
+    """Number of the rotor in the airframe's file, from 0. Of the Iris, in PX4's order: front right, back
+    left, front left, back right."""
 
 
 class RadioAttenuation(Fault, frozen=True, kw_only=True):
@@ -247,9 +247,7 @@ class Faults:
     A fault is active in steps at or after its start and before its end. ``rng`` is used for noise only.
     """
 
-    def __init__(
-        self, faults: Iterable[AnyFault], rotors: Sequence[int], rng: np.random.Generator
-    ) -> None:
+    def __init__(self, faults: Iterable[AnyFault], rotors: Sequence[int], rng: np.random.Generator) -> None:
         """Schedule the faults of the scenario; ``rotors`` (n,) are the vehicles' numbers of rotors.
 
         Raises ValueError for a vehicle or motor that does not exist.

@@ -112,14 +112,18 @@ _RECORD = np.dtype(
 
 
 def solo_config(
-    *, params: dict[str, float] | None = None, seed: int = 0, gps_delay_s: float = Devices().gps_delay_s,
+    *,
+    params: dict[str, float] | None = None,
+    seed: int = 0,
+    gps_delay_s: float = Devices().gps_delay_s,
     airframe: Airframe = IRIS,
 ) -> VehicleConfig:
     """Return the configuration of a single vehicle without the on-board application."""
     return VehicleConfig(
-        run_id="solo", instance=0, seed=seed, airframe=airframe, onboard=OnboardConfig(enabled=False, localisation="gps"),
-        autopilot=AutopilotConfig(params=params or {}), devices=Devices(gps_delay_s=gps_delay_s),
-        places_ned_m=((0.0, 0.0, -5.0),),
+        run_id="solo", instance=0, seed=seed, airframe=airframe,
+        onboard=OnboardConfig(enabled=False, localisation="gps"),
+        autopilot=AutopilotConfig(params=params or {}),
+        devices=Devices(gps_delay_s=gps_delay_s), places_ned_m=((0.0, 0.0, -5.0),),
     )  # fmt: skip
 
 
@@ -150,7 +154,10 @@ class Solo:
         """(1, n) motors without current."""
         self._start_ned_m = np.array((0.0, 0.0, -plant.standing_height_m))
         self.world = World(
-            airframes=[plant], spawn_pos_ned_m=[self._start_ned_m], spawn_yaw_rad=spawn_yaw_rad, step_us=STEP_US
+            airframes=[plant],
+            spawn_pos_ned_m=[self._start_ned_m],
+            spawn_yaw_rad=spawn_yaw_rad,
+            step_us=STEP_US,
         )
         self._standing_height_m = plant.standing_height_m
         self._wind = GustyWind(wind, 1, np.random.default_rng(seed))

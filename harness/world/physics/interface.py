@@ -33,10 +33,11 @@ class Physics(Protocol):
         """Advance by one step with everything held over it.
 
         R is the greatest number of rotors of a vehicle; elements beyond a vehicle's own have no meaning.
-        ``controls`` (n, R): motors, 0..1 in the order of the airframe's rotors; ``armed`` (n,); ``wind_force_ned_n`` (n, 3) in N at
-        the centres of mass; ``rotors_stopped`` (n,) or (n, R): rotors that run down whatever the controls
-        are; ``air_vel_ned_m_s`` (n, 3) in m/s, None for air at rest; ``rotor_effectiveness`` (n, R):
-        remaining part of each rotor's thrust and torques, 0..1, None for intact rotors.
+        ``controls`` (n, R): motors, 0..1 in the order of the airframe's rotors; ``armed`` (n,);
+        ``wind_force_ned_n`` (n, 3) in N at the centres of mass; ``rotors_stopped`` (n,) or (n, R): rotors
+        that run down whatever the controls are; ``air_vel_ned_m_s`` (n, 3) in m/s, None for air at rest;
+        ``rotor_effectiveness`` (n, R): remaining part of each rotor's thrust and torques, 0..1, None for
+        intact rotors.
         """
 
     @property

@@ -28,7 +28,7 @@ class RotorKernelModel(NamedTuple):
     Elements beyond a vehicle's own rotors are zero and not used.
     """
 
-    count: NDArray[np.int64]
+    rotors: NDArray[np.int64]
     """(n,) number of rotors"""
     hubs_frd_m: Array
     """(n, R, 3)"""
@@ -73,7 +73,7 @@ def kernel_model(
         turning[i, :count] = [rotor.direction for rotor in airframe.rotors]
     units = [airframe.propulsion for airframe in airframes]
     return RotorKernelModel(
-        count=np.array([len(airframe.rotors) for airframe in airframes]),
+        rotors=np.array([len(airframe.rotors) for airframe in airframes]),
         hubs_frd_m=hubs_frd_m,
         axes_frd=axes_frd,
         turning=turning,
@@ -111,7 +111,7 @@ def rotor_speeds(
     """
     after_rad_s = np.zeros_like(speed_rad_s)
     for vehicle in range(speed_rad_s.shape[0]):
-        for rotor in range(model.count[vehicle]):
+        for rotor in range(model.rotors[vehicle]):
             target_rad_s = 0.0
             if armed[vehicle] and not stopped[vehicle, rotor]:
                 control = controls[vehicle, rotor]
@@ -172,7 +172,7 @@ def wrenches(
         thrust_n_s2, moment_m = model.thrust_n_s2[vehicle], model.moment_m[vehicle]
         drag_n_s2_m, rolling_n_s2 = model.drag_n_s2_m[vehicle], model.rolling_n_s2[vehicle]
         radius_m, limit_m_s = model.ground_effect_radius_m[vehicle], model.axial_speed_limit_m_s[vehicle]
-        for rotor in range(model.count[vehicle]):
+        for rotor in range(model.rotors[vehicle]):
             hub_m, axis = model.hubs_frd_m[vehicle, rotor], model.axes_frd[vehicle, rotor]
             x, y, z = hub_m[0], hub_m[1], hub_m[2]
             turning = model.turning[vehicle, rotor]

@@ -54,8 +54,9 @@ def fly(
     ``before`` and ``after`` (n,) are rows of `BODY`, ``truth`` (n,) of `TRUTH`; the speeds of the rotors
     before the step are input, those after it, ``rotor_speed_rad_s`` (n, R), output. Rotors that are
     ``stopped`` (n, R), or not ``armed`` (n,), run down. ``effectiveness`` (n, R), ``air_vel_ned_m_s`` (n, 3)
-    and ``density_ratio`` (n,) are those of `wrenches`; ``wind_force_ned_n`` (n, 3) acts at the centres of mass. If some vehicles are ``near`` (n,) something, Bullet must step those with
-    force and torque ``applied`` (n, 2, 3), NED, and `finish_step` must be called afterwards.
+    and ``density_ratio`` (n,) are those of `wrenches`; ``wind_force_ned_n`` (n, 3) acts at the centres of
+    mass. If some vehicles are ``near`` (n,) something, Bullet must step those with force and torque
+    ``applied`` (n, 2, 3), NED, and `finish_step` must be called afterwards.
     """
     n = len(before)
     any_near = False

@@ -25,8 +25,8 @@ GRAVITY_M_S2 = 9.8066
 """Value of Gazebo-classic's worlds."""
 REACH_DIAGONALS = 2.0
 """Distance between two vehicles, in diagonals of the largest vehicle's shape, within which Bullet steps them;
-half of it is the height above the ground. Vehicles touch within one diagonal, and Bullet searches contacts at the positions
-at the begin of a step, so it holds every body with a contact at any speed."""
+half of it is the height above the ground. Vehicles touch within one diagonal, and Bullet searches contacts at
+the positions at the begin of a step, so it holds every body with a contact at any speed."""
 RELEASE_RATIO = 1.25
 """Bullet releases a vehicle at this multiple of the distance, a hysteresis for vehicles that hover at the
 limit."""

@@ -260,7 +260,7 @@ def test_overrides_accept_numbers_strings_words_and_new_tables():
         ('faults=[{kind="gps_loss", uav=0, start_s=-1.0}]', "faults[0].start_s: expected `float` >= 0.0"),
         (
             'faults=[{kind="motor", uav=0, motor=4, effectiveness=0.5}]',
-            "faults[0].motor: expected `int` <= 3",
+            "faults[0].motor: 4 is none of the 4 motors of UAV 0 from 0 on",
         ),
         (
             'faults=[{kind="motor", uav=0, motor=0, effectiveness=1.5}]',
