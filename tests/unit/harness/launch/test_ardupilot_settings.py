@@ -206,7 +206,7 @@ def static_thrusts_n(controls):
     thrusts_n = []
     for control in controls:
         speeds = rotor_speeds(model, np.zeros((1, 4)), np.full((1, 4), control), armed, stopped)
-        thrusts_n.append(model.thrust_n_s2 * speeds[0, 0] ** 2)
+        thrusts_n.append(model.thrust_n_s2[0] * speeds[0, 0] ** 2)
     return np.array(thrusts_n)
 
 

@@ -7,9 +7,9 @@ import pytest
 from fastcrc import crc16
 from pymavlink.dialects.v20 import common
 
-from autopilot.mavlink.hil import HilParser, HilSensor
+from autopilot.mavlink.hil import EscReport, HilParser, HilSensor
 from autopilot.mavlink.hil_schema import ESC_STATUS
-from foundation.airframe.files import IRIS
+from foundation.airframe.files import IRIS, load
 from harness.simulator.hil import SensorEncoder
 from harness.simulator.hil_frames import encode_rows
 from harness.world import esc
@@ -95,3 +95,20 @@ def test_a_stopped_motor_shortens_the_frame_but_not_its_content():
     (frame,) = encode_rows(ESC_STATUS, rows, 255)
     assert frame[1] == 1  # the payload is only the low byte of the time
     assert payload_of(frame)[2] == (1, *[0] * 4, *[0.0] * 8, 0)
+
+
+def test_six_motors_are_reported_in_two_messages_to_the_vehicles_that_have_them():
+    """A quadrotor beside a hexacopter gets only the first one; 4 A at 806.7 rad/s is the Iris's alone."""
+    hexacopter = load("hexacopter")
+    speeds = np.full((2, 6), 540.0)
+    first, second = esc.SpeedControllers([IRIS, hexacopter]).statuses(4_000, speeds)
+    assert (first.absent, second.absent) == (frozenset(), frozenset({0}))
+    assert (first.rows["index"].tolist(), second.rows["index"].tolist()) == ([0, 0], [4, 4])
+    expected_a = hexacopter.motor_current_a * (540.0 / hexacopter.hover_rad_s) ** 3
+    np.testing.assert_allclose(second.rows["current"][1], [expected_a] * 2 + [0.0] * 2, rtol=1e-6)
+    quadrotor, six = (
+        HilParser(EscReport).push(bytes(data))
+        for data in SensorEncoder().encode(4_000, frame_of(4_000, fix=False), (first, second))
+    )
+    assert [message.index for message in quadrotor if isinstance(message, EscReport)] == [0]
+    assert [message.index for message in six if isinstance(message, EscReport)] == [0, 4]
