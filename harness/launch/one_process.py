@@ -108,6 +108,7 @@ class _Flight:
                 on_message=simulation.on_message,
                 on_silent=simulation.on_silent,
                 on_lost=simulation.on_lost,
+                rotors=physics.scenario.most_rotors,
             )
 
         self._simulation = stack.enter_context(
