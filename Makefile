@@ -27,7 +27,7 @@ help:
 	@echo "make bench [ARGS='--quick | --agents 8 --json']   measure what flying costs (docs/results/performance.md)"
 	@echo "make bench-radio [ARGS='--peer COMMAND']      measure what the radio costs"
 	@echo "make docs                                    build the documentation site into build/site"
-	@echo "make wheel                                   build the wheel, install it elsewhere and fly with it"
+	@echo "make wheel                                   build the wheel, install it elsewhere, fly with it, test the examples"
 	@echo "make lock [ARGS=--upgrade]                   write the lock files with the hashes of all packages"
 	@echo "make setup [PYTHON=/path/to/python3.11]      make the environment .venv; the targets above do it too"
 	@echo "make lint | format | clean"
@@ -51,7 +51,7 @@ $(DEV): requirements-dev.lock $(STAMP)
 swarm: $(STAMP)
 	$(BIN)/coflight fly article $(ARGS)
 
-# builds the wheel, installs it into a new environment and flies from a folder outside the checkout
+# builds the wheel, installs it into a new environment, flies and tests the examples outside the checkout
 wheel: $(DEV)
 	$(BIN)/python scripts/try_wheel.py
 

@@ -49,22 +49,22 @@ if TYPE_CHECKING:
     from harness.scenario.scenario_file import load as load_scenario
     from harness.world.physics.interface import Physics
     from netsim.emulator.interface import NetworkEmulator
-    from netsim.phy.interfaces import ErrorModel, Fading, Propagation
+    from netsim.phy.interfaces import AntennaPattern, ErrorModel, Fading, PathLoss, RadioContext, Shadowing
     from netsim.transport.guest import Guest
     from netsim.wire.messages import Delivery, FtmResult, Sent, Survey
 
 __all__ = [
-    "Application", "AttitudeSetpoint", "Campaign", "Condition", "Context", "Controller",
-    "ControllerContext", "ControllerInputs", "Course", "Delivery", "ErrorModel", "Estimate",
-    "EstimatorState", "Fading", "FlightMode", "FlightModeBehaviour", "FtmResult", "Guest",
-    "MavlinkService", "ModeContext", "ModeEntry", "ModeInputs", "ModeTraits", "NetworkEmulator",
-    "OneProcessSwarm", "Physics", "Propagation", "RateSetpoint", "Reports", "Scenario",
-    "ScenarioError", "Sent", "ServiceContext", "SetupError", "Status", "StopMode", "Survey",
-    "Swarm", "SwarmError", "SwarmTimeoutError", "SwarmTruth", "ThrustTorque", "TrajectorySetpoint",
-    "load_scenario",
+    "AntennaPattern", "Application", "AttitudeSetpoint", "Campaign", "Condition", "Context", "Controller",
+    "ControllerContext", "ControllerInputs", "Course", "Delivery", "ErrorModel", "Estimate", "EstimatorState",
+    "Fading", "FlightMode", "FlightModeBehaviour", "FtmResult", "Guest", "MavlinkService", "ModeContext",
+    "ModeEntry", "ModeInputs", "ModeTraits", "NetworkEmulator", "OneProcessSwarm", "PathLoss", "Physics",
+    "RadioContext", "RateSetpoint", "Reports", "Scenario", "ScenarioError", "Sent", "ServiceContext",
+    "SetupError", "Shadowing", "Status", "StopMode", "Survey", "Swarm", "SwarmError", "SwarmTimeoutError",
+    "SwarmTruth", "ThrustTorque", "TrajectorySetpoint", "load_scenario",
 ]  # fmt: skip
 
 _PLACES = {
+    "AntennaPattern": "netsim.phy.interfaces:AntennaPattern",
     "Application": "autopilot.onboard.application:Application",
     "AttitudeSetpoint": "foundation.types:AttitudeSetpoint",
     "Campaign": "harness.campaign:Campaign",
@@ -90,8 +90,9 @@ _PLACES = {
     "ModeTraits": "autopilot.commander.mode_table:ModeTraits",
     "NetworkEmulator": "netsim.emulator.interface:NetworkEmulator",
     "OneProcessSwarm": "harness.launch.one_process:OneProcessSwarm",
+    "PathLoss": "netsim.phy.interfaces:PathLoss",
     "Physics": "harness.world.physics.interface:Physics",
-    "Propagation": "netsim.phy.interfaces:Propagation",
+    "RadioContext": "netsim.phy.interfaces:RadioContext",
     "RateSetpoint": "foundation.types:RateSetpoint",
     "Reports": "autopilot.onboard.application:Reports",
     "Scenario": "harness.scenario.scenario:Scenario",
@@ -99,6 +100,7 @@ _PLACES = {
     "Sent": "netsim.wire.messages:Sent",
     "ServiceContext": "autopilot.services.user_service:ServiceContext",
     "SetupError": "harness.launch.run_messages:SetupError",
+    "Shadowing": "netsim.phy.interfaces:Shadowing",
     "Status": "autopilot.onboard.application:Status",
     "StopMode": "autopilot.navigation.flight_mode:StopMode",
     "Survey": "netsim.wire.messages:Survey",

@@ -5,6 +5,8 @@ UNITS = {
     "bytes_s": "byte/s", "bytes": "byte", "lambda": "wavelength", "fraction": "1", "dbm": "dBm", "dbi": "dBi",
     "db": "dB", "deg": "°", "rad": "rad", "mhz": "MHz", "khz": "kHz", "hz": "Hz", "ppm": "ppm", "ps": "ps",
     "ns": "ns", "us": "µs", "ms": "ms", "mbps": "Mbit/s", "s": "s", "m": "m", "n": "N", "k": "K",
+    "n_s_m": "N s/m", "n_s2_m": "N s²/m", "n_s2": "N s²", "kg_m2": "kg m²", "kg": "kg", "ohm": "Ω",
+    "mah": "mAh",
 }  # fmt: skip
 """By the end of a name, the longest ends first."""
 FRAMES = {"ned": "NED", "frd": "FRD"}

@@ -1,9 +1,10 @@
-"""Build the wheel, install it into a new environment and fly with it from a folder outside the checkout.
+"""Build the wheel, install it elsewhere, fly with it and test the examples, all outside the checkout.
 
 ``python scripts/try_wheel.py``. Exit status: 0 if every step succeeds; otherwise that of the failing step.
 """
 
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -23,7 +24,7 @@ def run(*command: str | Path, cwd: Path) -> None:
 
 
 def main() -> None:
-    """Build, install, fly, report."""
+    """Build, install, fly, report, test the examples."""
     with tempfile.TemporaryDirectory(prefix="coflight-wheel-") as name:
         folder = Path(name)
         run(sys.executable, "-m", "build", "--no-isolation", "--outdir", folder, ROOT, cwd=folder)
@@ -38,6 +39,13 @@ def main() -> None:
         run(coflight, "report", "run", "--figures", cwd=folder)
         run(coflight, "export", "run", "--time", "17", "--out", "array.nec", cwd=folder)
         print((folder / "array.nec").read_text(encoding="ascii").splitlines()[0])
+        tools = ROOT / "requirements-dev.lock"
+        run(*pip, "--require-hashes", "--no-deps", "--requirement", tools, cwd=folder)
+        for project in sorted(path.parent for path in ROOT.glob("examples/*/pyproject.toml")):
+            copy = folder / project.name
+            shutil.copytree(project, copy)
+            run(*pip, "--no-deps", "--no-build-isolation", copy, cwd=folder)
+            run(python, "-m", "pytest", "-q", cwd=copy)
 
 
 if __name__ == "__main__":

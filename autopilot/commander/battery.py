@@ -12,11 +12,14 @@ from typing import Annotated, NamedTuple
 
 from msgspec import Meta, Struct
 
+from foundation.airframe.description import Propulsion
+from foundation.airframe.files import IRIS
+
 US_PER_S = 1_000_000
 AS_PER_MAH = 3.6
 SAMPLE_PERIOD_US = 100_000
 """The model is evaluated at 10 Hz; the steps in between only accumulate the motors' currents."""
-IRIS_CAPACITY_MAH = 5_100.0
+IRIS_CAPACITY_MAH = IRIS.battery.capacity_mah
 """Charge of the pack if BAT1_CAPACITY is unknown."""
 
 Fraction = Annotated[float, Meta(ge=0.0, le=1.0)]
@@ -67,7 +70,7 @@ class BatterySimParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     hover_motor_current_a: NonNegative = 4.0
     """Current of one motor at the rotor speed below"""
     hover_rotor_rad_s: Positive = 806.7
-    """Hover rotor speed; Iris: 1.55 kg on four rotors of 5.84e-6 N s^2, 3.80 N each"""
+    """Rotor speed of that current; that of the Iris in hover: 1.55 kg on four rotors, 3.80 N each"""
 
 
 class BatterySample(NamedTuple):
@@ -99,15 +102,20 @@ class BatterySimulator:
     """Simulated pack of one vehicle; call `update` several times a second.
 
     The motor current is proportional to rotor power, the cube of the speed, which follows the command u as in
-    the physics: 1000 u + 100 rad/s. That a lower voltage requires a greater current is neglected.
+    the physics: idle speed plus u times the range. That a lower voltage requires a greater current is
+    neglected.
     """
 
-    def __init__(self, params: BatterySimParams, pack: BatteryParams) -> None:
+    def __init__(
+        self, params: BatterySimParams, pack: BatteryParams, propulsion: Propulsion = IRIS.propulsion
+    ) -> None:
         self.params = params
         self.pack = pack
+        self._range_rad_s = propulsion.range_rad_s
+        self._idle = propulsion.idle_rad_s / propulsion.range_rad_s
         self._drawn_mah = (1.0 - params.initial) * self.capacity_mah
         self._cubes = 0.0
-        """Sum over the updates and motors of (u + 0.1)^3."""
+        """Sum over the updates and motors of the cubes of the speed, as a multiple of the range."""
         self._steps = 0
         self._begin_us: int | None = None
         """Begin of the present sample; None before the first step."""
@@ -129,13 +137,13 @@ class BatterySimulator:
         self.pack = pack
 
     def update(self, now_us: int, controls: Sequence[float], *, armed: bool) -> BatterySample | None:
-        """Draw the current of the motor ``controls`` (4,), 0..1; return a sample if one is due.
+        """Draw the current of the motor ``controls`` (n,), 0..1; return a sample if one is due.
 
         The controls apply to the time since the last update; updates are assumed to be equally spaced.
         """
         if armed:
             for control in controls:
-                speed = control + 0.1
+                speed = control + self._idle
                 self._cubes += speed * speed * speed
         self._steps += 1
         if now_us < self._due_us:
@@ -153,7 +161,7 @@ class BatterySimulator:
             return None
         if params.drain_s > 0.0:
             return self._drain(now_us, elapsed_s, armed=armed)
-        in_hover = params.hover_rotor_rad_s / 1000.0
+        in_hover = params.hover_rotor_rad_s / self._range_rad_s
         current_a = params.avionics_current_a + params.hover_motor_current_a * cubes / in_hover**3
         self._draw(current_a * elapsed_s / AS_PER_MAH)
         charge = self.charge

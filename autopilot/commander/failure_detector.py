@@ -116,7 +116,7 @@ class FailureDetector:
     def on_esc(
         self, time_us: int, currents_a: Sequence[float], controls: Sequence[float], thrust_model_factor: float
     ) -> None:
-        """Update with the currents of an armed vehicle's motors (4,) and their demanded controls 0..1.
+        """Update with the currents of an armed vehicle's motors (n,) and their demanded controls 0..1.
 
         A motor has failed if its demand exceeds the minimum thrust and its current is too low in all samples
         over the time-out; samples that are too far apart are not combined.

@@ -2,18 +2,23 @@
 
 Demands are normalised as in PX4: collective thrust 0..1 of full thrust, roll and pitch torque such that a
 demand of 1 changes the rotors by 0.71 of full thrust (root mean square), yaw such that the most used rotor
-changes by 1. Saturation reduces yaw first, then collective thrust, roll and pitch last. The airframe is a
-quadrotor, so thrust and three torques determine the four rotor thrusts; collective thrust alone causes no
-torque on a balanced frame.
+changes by 1. Saturation reduces yaw first, then collective thrust, roll and pitch last.
+
+The thrust of a rotor, 0..1, is lift (collective + torques), where `autopilot.control.mixing` has the lift of
+each rotor. The kernels divide by it: each rotor has the range 0..1/lift for collective and torques.
 """
 
+from collections.abc import Collection
 from math import sqrt
 from typing import Annotated
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
+from autopilot.control.mixing import Mixer, mixer, mixer_without
 from autopilot.control.params import AllocationParams
+from foundation.airframe.description import MOST_ROTORS
 from foundation.kernels.inner import inner
 from foundation.kernels.records import new_record
 from foundation.types import Array
@@ -22,33 +27,46 @@ from foundation.types import Array
 class Allocation:
     """Record: settings and results of control allocation."""
 
-    mix: Annotated[Array, (4, 3)]
-    """Relative thrust of each rotor per normalised roll, pitch and yaw torque."""
+    rotors: int
+    """Number of rotors of the airframe."""
+    used: int
+    """Number of rotors in use; the next four fields have one row for each."""
+    index: Annotated[NDArray[np.int64], MOST_ROTORS]
+    """Number of the rotor."""
+    mix: Annotated[Array, (MOST_ROTORS, 3)]
+    """Relative thrust per normalised roll, pitch and yaw torque, over the lift."""
+    lift: Annotated[Array, MOST_ROTORS]
+    """Relative thrust per collective thrust."""
+    ceiling: Annotated[Array, MOST_ROTORS]
+    """1 over the lift."""
+    controls_yaw: bool
     yaw_thrust_margin: float
     thrust_model_factor: float
     thrust: float
     """Collective thrust of the last allocation, 0..1."""
     unallocated: Annotated[Array, 3]
     """Normalised roll, pitch and yaw torque of the last demand that was not achieved."""
-    controls: Annotated[Array, 4]
+    controls: Annotated[Array, MOST_ROTORS]
     """Motor controls, 0..1."""
 
 
 @inner
-def _yaw_bounds(fixed: Array, yaw: Array, low: float, high: float) -> tuple[float, float]:
+def _yaw_bounds(fixed: Array, yaw: Array, ceiling: Array, low: float, high: float) -> tuple[float, float]:
     """Return the interval of feasible yaw demands.
 
-    A demand y is feasible if one collective c in [low, high] keeps all of ``fixed + c + y * yaw`` in 0..1.
-    Three conditions: the spread of the rotors is at most 1, none is over 1 at c = low, none under 0 at c =
-    high. Each is linear in y, so the set is an interval; it may be empty (lower > upper).
+    A demand y is feasible if one collective c in [low, high] keeps all of ``fixed + c + y * yaw`` in
+    0..``ceiling``, (m,) each. Three conditions: no rotor is over its ceiling at the collective at which
+    another is at 0, none at c = low, and none is under 0 at c = high. Each is linear in y, so the set is an
+    interval; it may be empty (lower > upper).
     """
     lower, upper = -np.inf, np.inf
-    for i in range(4):
-        for j in range(6):
-            if j < 4:
-                slope, room = yaw[i] - yaw[j], 1.0 - (fixed[i] - fixed[j])
-            elif j == 4:
-                slope, room = yaw[i], 1.0 - fixed[i] - low
+    used = fixed.size
+    for i in range(used):
+        for j in range(used + 2):
+            if j < used:
+                slope, room = yaw[i] - yaw[j], ceiling[i] - (fixed[i] - fixed[j])
+            elif j == used:
+                slope, room = yaw[i], ceiling[i] - fixed[i] - low
             else:
                 slope, room = -yaw[i], fixed[i] + high
             if slope > 1e-9:
@@ -61,13 +79,13 @@ def _yaw_bounds(fixed: Array, yaw: Array, low: float, high: float) -> tuple[floa
 
 
 @inner
-def _extremes(fixed: Array, yaw: Array, y: float) -> tuple[float, float]:
-    """Return the least and the greatest element of ``fixed + y * yaw``, (4,) each."""
-    least = most = fixed[0] + y * yaw[0]
-    for i in range(1, 4):
+def _extremes(fixed: Array, yaw: Array, ceiling: Array, y: float) -> tuple[float, float]:
+    """Return the least element of ``fixed + y * yaw``, and the least distance from the ceiling, (m,) each."""
+    least, room = np.inf, np.inf
+    for i in range(fixed.size):
         value = fixed[i] + y * yaw[i]
-        least, most = min(least, value), max(most, value)
-    return least, most
+        least, room = min(least, value), min(room, ceiling[i] - value)
+    return least, room
 
 
 @njit(cache=True)
@@ -77,75 +95,56 @@ def allocate(allocation: Allocation, thrust: float, torque: Array, highest: floa
     ``thrust`` 0..1 is collective, ``torque`` (3,) normalised, FRD. Torque may raise the collective up to
     ``highest``, which must be 0 on the ground.
     """
-    mix, controls, yaw_margin = allocation.mix, allocation.controls, allocation.yaw_thrust_margin
+    used, index, lift = allocation.used, allocation.index, allocation.lift
+    mix, ceiling = allocation.mix, allocation.ceiling[:used]
+    controls, yaw_margin = allocation.controls, allocation.yaw_thrust_margin
     factor = allocation.thrust_model_factor
-    fixed, yaw = np.empty(4), mix[:, 2]
-    for i in range(4):
+    fixed, yaw = np.empty(used), mix[:used, 2]
+    for i in range(used):
         fixed[i] = mix[i, 0] * torque[0] + mix[i, 1] * torque[1]
     thrust = min(max(thrust, 0.0), 1.0)
-    lowest, most = _extremes(fixed, yaw, 0.0)
-    spread = most - lowest
+    lowest, _ = _extremes(fixed, yaw, ceiling, 0.0)
 
     scale = 1.0
     high = max(thrust, highest)
-    y_lower, y_upper = _yaw_bounds(fixed, yaw, 0.0, high)
+    y_lower, y_upper = _yaw_bounds(fixed, yaw, ceiling, 0.0, high)
     if y_lower > y_upper:
-        if spread > 1.0:
-            scale = 1.0 / spread
+        for i in range(used):
+            spread = fixed[i] - lowest
+            if spread > ceiling[i]:
+                scale = min(scale, ceiling[i] / spread)
         if -lowest * scale > high:
             scale = high / -lowest
-        for i in range(4):
+        for i in range(used):
             fixed[i] *= scale
-        y_lower, y_upper = _yaw_bounds(fixed, yaw, 0.0, high)
-        if y_lower > y_upper:  # the spread is exactly 1: rounding closed the interval
+        y_lower, y_upper = _yaw_bounds(fixed, yaw, ceiling, 0.0, high)
+        if y_lower > y_upper:  # a spread is exactly the ceiling: rounding closed the interval
             y_lower = y_upper = 0.0
     y = min(max(0.0, y_lower), y_upper)
-    lowest, most = _extremes(fixed, yaw, y)
-    collective = max(min(thrust, 1.0 - most), min(-lowest, 1.0 - most))
+    lowest, room = _extremes(fixed, yaw, ceiling, y)
+    collective = max(min(thrust, room), min(-lowest, room))
 
     # yaw within the remaining margin at this collective, or at one lower by at most the yaw margin
-    y_lower, y_upper = _yaw_bounds(fixed, yaw, max(collective - yaw_margin, 0.0), collective)
-    if y_lower <= y_upper:
+    y_lower, y_upper = _yaw_bounds(fixed, yaw, ceiling, max(collective - yaw_margin, 0.0), collective)
+    if y_lower <= y_upper and allocation.controls_yaw:
         y = min(max(torque[2], y_lower), y_upper)
-        _, most = _extremes(fixed, yaw, y)
-        collective = max(min(collective, 1.0 - most), 0.0)
+        _, room = _extremes(fixed, yaw, ceiling, y)
+        collective = max(min(collective, room), 0.0)
 
-    for i in range(4):
-        relative_thrust = min(max(fixed[i] + collective + y * yaw[i], 0.0), 1.0)
+    for i in range(used):
+        relative_thrust = min(max(lift[i] * (fixed[i] + collective + y * yaw[i]), 0.0), 1.0)
         # positive root of factor u^2 + (1 - factor) u = relative thrust
         linear = 1.0 - factor
         if factor < 1e-6:
-            controls[i] = relative_thrust
+            control = relative_thrust
         else:
             root = sqrt(linear * linear + 4.0 * factor * relative_thrust)
-            controls[i] = min((root - linear) / (2.0 * factor), 1.0)
+            control = min((root - linear) / (2.0 * factor), 1.0)
+        controls[index[i]] = control
     allocation.unallocated[0] = torque[0] * (1.0 - scale)
     allocation.unallocated[1] = torque[1] * (1.0 - scale)
     allocation.unallocated[2] = torque[2] - y
     allocation.thrust = collective
-
-
-def effectiveness(params: AllocationParams) -> Array:
-    """Return thrust along -z and torque about x, y, z (FRD), N and N m, per newton of each rotor, (4, 4)."""
-    rows = []
-    for rotor in params.rotors:
-        x_m, y_m, _ = rotor.pos_frd_m
-        # r x (0, 0, -1) = (-y, x, 0); a counter-clockwise rotor turns the body clockwise, which is +z down
-        rows.append((1.0, -y_m, x_m, rotor.torque_ratio_m))
-    return np.array(rows).T
-
-
-def mixer(params: AllocationParams) -> Array:
-    """Return the relative thrust of each rotor per normalised roll, pitch and yaw torque, (4, 3)."""
-    matrix = effectiveness(params)
-    if np.linalg.matrix_rank(matrix) < 4:
-        raise ValueError("the rotors cannot produce thrust, roll, pitch and yaw independently")
-    if np.abs(matrix[1:3].sum(axis=1)).max() > 1e-9:
-        raise ValueError("the rotors' thrust is not balanced about the centre of mass")
-    mix = np.asarray(np.linalg.inv(matrix)[:, 1:], dtype=np.float64)
-    mix[:, :2] /= np.sqrt((mix[:, :2] ** 2).sum(axis=0) / 2.0)
-    mix[:, 2] /= np.abs(mix[:, 2]).max()
-    return np.ascontiguousarray(mix)
 
 
 class Allocator:
@@ -154,16 +153,42 @@ class Allocator:
     def __init__(self, params: AllocationParams, record: Allocation | None = None) -> None:
         """None creates a record. Raises ValueError for an infeasible airframe."""
         self.record = new_record(Allocation) if record is None else record
+        self.failed: frozenset[int] = frozenset()
+        """Motors that are known to have failed."""
         self.set_params(params)
 
     def set_params(self, params: AllocationParams) -> None:
-        """Change the settings, in effect from the next demand.
+        """Change the settings, in effect from the next demand; failed motors stay removed.
 
         Raises ValueError for an infeasible airframe.
         """
-        self.record.mix[:] = mixer(params)
+        intact = mixer(params)
+        self.params, self._intact = params, intact
+        self.record.rotors = len(params.rotors)
         self.record.yaw_thrust_margin = params.yaw_thrust_margin
         self.record.thrust_model_factor = params.thrust_model_factor
+        self.remove(self.failed)
+
+    @property
+    def controls_yaw(self) -> bool:
+        """Whether yaw is controlled; False after a failure that takes this from the airframe."""
+        return bool(self.record.controls_yaw)
+
+    def remove(self, failed: Collection[int]) -> None:
+        """Use the airframe without these motors, from the next demand; all are used if it cannot fly so."""
+        self.failed = frozenset(failed)
+        removed = None
+        if failed and self.params.failure_mode:
+            removed = mixer_without(self.params, failed)
+        self._use(self._intact if removed is None else removed)
+
+    def _use(self, used: Mixer) -> None:
+        record, count = self.record, len(used.rotors)
+        record.used, record.controls_yaw = count, used.controls_yaw
+        record.index[:count], record.lift[:count] = used.rotors, used.lift
+        record.ceiling[:count] = 1.0 / used.lift
+        record.mix[:count] = used.torque / used.lift[:, np.newaxis]
+        record.controls[[rotor for rotor in range(MOST_ROTORS) if rotor not in used.rotors]] = 0.0
 
     def reset(self) -> None:
         """Reset the collective and the unallocated torque to zero."""
@@ -171,6 +196,6 @@ class Allocator:
         self.record.unallocated[:] = 0.0
 
     def allocate(self, thrust: float, torque: Array, *, airmode: bool) -> Array:
-        """Return the motor controls (4,) of `allocate`; with ``airmode`` torque may raise the thrust."""
+        """Return the motor controls (n,) of `allocate`; with ``airmode`` torque may raise the thrust."""
         allocate(self.record, thrust, torque, 1.0 if airmode else 0.0)
-        return self.record.controls.copy()
+        return self.record.controls[: self.record.rotors].copy()

@@ -62,11 +62,11 @@ def rate_setpoint(
     return rate
 
 
-def set_attitude(attitude: Attitude, params: AttitudeParams) -> None:
-    """Change the settings, in effect from the next update."""
-    attitude.yaw_weight = params.yaw_weight
+def set_attitude(attitude: Attitude, params: AttitudeParams, *, controls_yaw: bool = True) -> None:
+    """Change the settings, in effect from the next update; without control of yaw its error has no effect."""
+    attitude.yaw_weight = weight = params.yaw_weight if controls_yaw else 0.0
     # only the weighted part of a yaw error is in the error quaternion: compensate that in the gain
-    yaw_gain = params.yaw_p / params.yaw_weight if params.yaw_weight > 1e-4 else 0.0
+    yaw_gain = params.yaw_p / weight if weight > 1e-4 else 0.0
     attitude.gain[:] = (params.roll_p, params.pitch_p, yaw_gain)
     attitude.rate_max_rad_s[:] = (
         params.roll_rate_max_rad_s, params.pitch_rate_max_rad_s, params.yaw_rate_max_rad_s,

@@ -44,7 +44,7 @@ class FlightController:
         self._updates: Array = block["updates"]
         self._hover_thrust: Array = block["hover"]["thrust"]
         self._thrust: Array = block["allocation"]["thrust"]
-        self._controls: Array = block["allocation"]["controls"][0]
+        self._controls: Array = block["allocation"]["controls"][0, : len(params.allocation.rotors)]
         self._unallocated: Array = block["allocation"]["unallocated"][0]
         self._rate_setpoint_frd_rad_s: Array = block["rate_setpoint_frd_rad_s"][0]
         self._torque: Array = block["torque"][0]
@@ -78,12 +78,23 @@ class FlightController:
         self._position.set_params(params.position, integral_share=_integral_share(params))
         self._disturbance.set_params(params.disturbance)
         self._hover.set_params(params.hover_thrust, start=params.position.thr_hover)
-        set_attitude(self._state.attitude, params.attitude)
+        set_attitude(self._state.attitude, params.attitude, controls_yaw=self._allocator.controls_yaw)
         self._rates.set_params(params.rate)
         self._takeoff.set_params(params.position)
         self.block["position_divider"] = params.position_divider
         if was_observing != params.disturbance.enabled:
             self._hand_over_disturbance(to_observer=not was_observing)
+
+    def remove_motors(self, failed: frozenset[int]) -> None:
+        """Fly without these motors from the next update, without control of yaw if need be.
+
+        All are used if the others cannot fly (a quadrotor), or CA_FAILURE_MODE is 0.
+        """
+        if failed != self._allocator.failed:
+            self._allocator.remove(failed)
+            set_attitude(
+                self._state.attitude, self.params.attitude, controls_yaw=self._allocator.controls_yaw
+            )
 
     @property
     def thrust(self) -> float:
@@ -102,7 +113,7 @@ class FlightController:
 
     @property
     def controls(self) -> list[float]:
-        """Motor controls (4,) of the last update."""
+        """Motor controls (n,) of the last update."""
         controls: list[float] = self._controls.tolist()
         return controls
 
@@ -155,7 +166,7 @@ class FlightController:
         self._controls[:] = 0.0
 
     def update(self, state: EstimatorState, setpoint: Setpoint, *, dt_s: float, landed: bool) -> list[float]:
-        """Return the motor controls (4,), 0..1, for the next ``dt_s`` (> 0).
+        """Return the motor controls (n,), 0..1, for the next ``dt_s`` (> 0).
 
         Controls are in the order of the airframe's rotors. Call it at every inertial sample: rates and
         attitude run every time, position every ``position_divider``-th time. While ``landed`` nothing

@@ -10,11 +10,13 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
+from foundation.airframe.description import Rotor
+from foundation.airframe.files import IRIS
+
 NonNegative = Annotated[float, Meta(ge=0.0)]
 Positive = Annotated[float, Meta(gt=0.0)]
 Fraction = Annotated[float, Meta(ge=0.0, le=1.0)]
 Tilt = Annotated[float, Meta(gt=0.0, le=radians(89.0))]
-Vector = tuple[float, float, float]
 
 
 class PositionParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -150,35 +152,22 @@ class RateParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """IMU_DGYRO_CUTOFF: cutoff of the low-pass filter of the D term"""
 
 
-class Rotor(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One rotor, with thrust along -z of the body."""
-
-    pos_frd_m: Vector
-    """CA_ROTORi_PX, _PY, _PZ: position from the centre of mass"""
-    torque_ratio_m: float
-    """CA_ROTORi_KM: yaw torque per thrust; positive if it turns counter-clockwise seen from above"""
-
-
-IRIS_ROTORS = (
-    Rotor(pos_frd_m=(0.13, 0.22, -0.023), torque_ratio_m=0.06),
-    Rotor(pos_frd_m=(-0.13, -0.20, -0.023), torque_ratio_m=0.06),
-    Rotor(pos_frd_m=(0.13, -0.22, -0.023), torque_ratio_m=-0.06),
-    Rotor(pos_frd_m=(-0.13, 0.20, -0.023), torque_ratio_m=-0.06),
-)
-"""Front right, back left, front left, back right."""
-
-
 class AllocationParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Airframe: rotor positions and thrust model."""
+    """Rotors and thrust model."""
 
-    rotors: tuple[Rotor, Rotor, Rotor, Rotor] = IRIS_ROTORS
-    """CA_ROTORi_*, in the order of the motor controls"""
-    thrust_model_factor: Fraction = 5.0 / 6.0
+    rotors: tuple[Rotor, ...] = IRIS.rotors
+    """CA_ROTORi_PX, _PY, _PZ, _AX, _AY, _AZ: in the order of the motor controls"""
+    moment_m: float = IRIS.propulsion.moment_m
+    """CA_ROTORi_KM, without the sign: torque about the axis of a rotor per thrust"""
+    thrust_model_factor: Fraction = IRIS.propulsion.thrust_model_factor
     """THR_MDL_FAC: factor of the quadratic term in thrust = factor u^2 + (1 - factor) u.
     A rotor at w = 1000 u + 100 rad/s with thrust k w^2 has, relative to idle and as a fraction of full
     thrust, exactly (w^2 - 100^2) / (1100^2 - 100^2) = 5/6 u^2 + 1/6 u."""
     yaw_thrust_margin: Fraction = 0.15
     """Greatest reduction of collective thrust that keeps yaw authority at full thrust (PX4: fixed)"""
+    failure_mode: Annotated[int, Meta(ge=0, le=1)] = 1
+    """CA_FAILURE_MODE: 1: failed motors are removed from the allocation if the others can hover, without yaw
+    control if need be; 0: failures are ignored (PX4: 0)"""
 
 
 class TrajectoryParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

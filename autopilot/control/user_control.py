@@ -8,7 +8,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from autopilot.control.allocation import effectiveness, mixer
 from autopilot.control.cascade import airmode_above, observe
 from autopilot.control.controller import (
     TORQUE_MAX,
@@ -19,6 +18,7 @@ from autopilot.control.controller import (
 )
 from autopilot.control.flight import INPUTS, FlightController
 from autopilot.control.inner_loop import follow_demand
+from autopilot.control.mixing import effectiveness, mixer
 from autopilot.control.params import ControlParams
 from autopilot.control.takeoff import TakeoffPhase
 from foundation.extension_failure import ExtensionFailure, failure
@@ -144,5 +144,5 @@ class UserFlightController(FlightController):
 
 def unit_torque_m(params: ControlParams) -> tuple[float, float, float]:
     """Return the torque of a normalised demand of 1 about each axis, N m per newton of a rotor's thrust."""
-    x, y, z = np.diag(effectiveness(params.allocation)[1:] @ mixer(params.allocation)).tolist()
+    x, y, z = np.diag(effectiveness(params.allocation)[1:] @ mixer(params.allocation).torque).tolist()
     return x, y, z

@@ -46,7 +46,7 @@ class SensorsParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 class SensorInput:
     """Passes messages to the estimator and stores the last ones for telemetry."""
 
-    def __init__(self, estimator: Estimator, params: SensorsParams, clock: Clock) -> None:
+    def __init__(self, estimator: Estimator, params: SensorsParams, clock: Clock, *, rotors: int = 4) -> None:
         """``clock`` is that of the vehicle; this object writes its ``inertial_us``."""
         self.sensor: Message | None = None
         """The last HIL_SENSOR of sensor 0."""
@@ -55,8 +55,11 @@ class SensorInput:
         self.gps: Message | None = None
         self.gps_us = 0
         self.motor_currents_a: Sequence[float] | None = None
-        """(4,) of the last ESC_STATUS; None before the first."""
+        """(rotors,) of the last ESC_STATUS of all motors; None before the first."""
         self.motor_currents_us = 0
+        self._rotors = rotors
+        self._currents_a: list[float] = []
+        """Of the first motors, until all have arrived."""
         self._estimator = estimator
         self._clock = clock
         self._seen_us = dict.fromkeys((_BARO, _MAG, _GPS), LONG_AGO_US)
@@ -82,8 +85,8 @@ class SensorInput:
             elif kind == _GPS_ID:
                 self._take_gps(message, now_us)
                 new_fix = True
-            elif kind == _ESC_ID and message.index == 0:
-                self.motor_currents_a, self.motor_currents_us = message.current, now_us
+            elif kind == _ESC_ID:
+                self._take_currents(message, now_us)
         return new_fix
 
     def conditions(self, now_us: int) -> int:
@@ -93,6 +96,16 @@ class SensorInput:
             if now_us - seen_us <= TIMEOUTS_US[condition]:
                 bits |= condition
         return bits
+
+    def _take_currents(self, message: Message, now_us: int) -> None:
+        """Store the currents of four motors; those of all are complete with the last ones."""
+        first = message.index
+        if first > len(self._currents_a):
+            return  # an earlier message is missing
+        self._currents_a = [*self._currents_a[:first], *message.current]
+        if len(self._currents_a) >= self._rotors:
+            self.motor_currents_a, self.motor_currents_us = self._currents_a[: self._rotors], now_us
+            self._currents_a = []
 
     def _take_sensor(self, message: Message, now_us: int) -> None:
         self.sensor = message

@@ -34,7 +34,7 @@ class ModeRow(NamedTuple):
     make: Callable[..., FlightModeBehaviour]
     """Creates the behaviour from a `ModeContext` and the behaviours of ``parts``."""
     parts: tuple[FlightMode, ...] = ()
-    """Modes of earlier rows whose behaviours are parts of this one."""
+    """Modes of earlier rows; their behaviours are parts of this one."""
 
 
 def _row(mode: FlightMode, kind: type[StopMode], *parts: FlightMode) -> ModeRow:

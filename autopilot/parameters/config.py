@@ -9,6 +9,9 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta, Struct, field
 from msgspec.structs import replace
 
+from foundation.airframe.description import Airframe
+from foundation.airframe.files import IRIS
+
 REMEMBERED_S = 2.0
 """How long the application stores its vehicle's past positions; older distances cannot be used."""
 SESSION_S = 0.5
@@ -378,6 +381,7 @@ class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     epoch_unix_us: Annotated[int, Meta(ge=0)] = 0
     """The date of simulated time 0, reported by SYSTEM_TIME."""
     site: Site = Site()
+    airframe: Airframe = IRIS
     ports: VehiclePorts = VehiclePorts()
     autopilot: AutopilotConfig = AutopilotConfig()
     links: LinksConfig = LinksConfig()

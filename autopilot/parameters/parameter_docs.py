@@ -13,14 +13,15 @@ from autopilot.parameters.table import TABLE, ParameterSet, Row, Settings
 from foundation.docstrings import field_docstrings
 
 PREFIXES = {
-    "BAT": "Battery", "BAT1": "Battery", "CBRK": "Circuit breakers", "CF": "Of this project alone",
+    "BAT": "Battery", "BAT1": "Battery", "CA": "Control allocation", "CBRK": "Circuit breakers",
+    "CF": "Of this project alone",
     "COM": "Commander and failsafes", "EKF2": "Estimator", "FD": "Failure detector", "GF": "Geofence",
     "HTE": "Hover thrust estimator", "IMU": "Inertial sensors", "LNDMC": "Land detector",
     "MC": "Attitude and rate control", "MIS": "Missions", "MPC": "Position control and modes",
     "NAV": "Navigation", "RTL": "Return", "SENS": "Sensors", "SIM": "Simulated battery", "THR": "Motors",
 }  # fmt: skip
 _MORE_PREFIXES = {
-    "CA": "Geometry", "CAL": "Calibration", "CP": "Obstacles", "MAN": "Manual control", "MAV": "MAVLink",
+    "CAL": "Calibration", "CP": "Obstacles", "MAN": "Manual control", "MAV": "MAVLink",
     "MNT": "Gimbal", "RC": "Remote control", "SDLOG": "Log", "SYS": "System",
     "TRIG": "Camera", "UAVCAN": "CAN bus",
 }  # fmt: skip

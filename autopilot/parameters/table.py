@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from enum import IntEnum
 from operator import attrgetter
+from types import MappingProxyType
 from typing import NamedTuple, TypeVar
 
 from msgspec import Struct, structs
@@ -92,6 +93,7 @@ TABLE = (
     Parameter("BAT_CRIT_THR", "battery.critical", "norm", 0.0, 0.5),
     Parameter("BAT_EMERGEN_THR", "battery.emergency", "norm", 0.0, 0.5),
     Parameter("BAT_LOW_THR", "battery.low", "norm", 0.0, 0.5),
+    Parameter("CA_FAILURE_MODE", "control.allocation.failure_mode", "", 0, 1, is_integer=True),
     Parameter("CBRK_FLIGHTTERM", "commander.termination_breaker", "", 0, 121_212, is_integer=True),
     Parameter("CF_DOB_ACC_MAX", "control.disturbance.acc_max_m_s2", "m/s^2", 0.1, 20.0),
     Parameter("CF_DOB_CUTOFF", "control.disturbance.cutoff_hz", "Hz", 0.1, 20.0),
@@ -287,15 +289,22 @@ class ParameterSet:
     """
 
     def __init__(
-        self, settings: Settings, overrides: Mapping[str, float] | None = None, *, system: int = 1
+        self,
+        settings: Settings,
+        overrides: Mapping[str, float] | None = None,
+        *,
+        system: int = 1,
+        vehicle: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
         """Start from ``settings`` and apply ``overrides``. Raises ParameterError.
 
         The order of pairs is checked after all changes, so the order of ``overrides`` does not matter.
-        ``system`` is the vehicle's MAVLink system id.
+        ``system`` is the vehicle's MAVLink system id, ``vehicle`` has values of parameters without effect.
         """
         self.settings = self._defaults = settings
-        self.stated = {row.name: row.default for row in STATED} | {"MAV_SYS_ID": float(system)}
+        own = {"MAV_SYS_ID": float(system), **vehicle}
+        self._stated_defaults = {row.name: row.default for row in STATED} | own
+        self.stated = dict(self._stated_defaults)
         """Values of the parameters without effect."""
         self.version = 0
         """Increases with every change."""
@@ -351,8 +360,8 @@ class ParameterSet:
         settings = before
         for name in names:
             if name in stated:
-                if not STATED_OF[name].read_only and stated[name] != STATED_OF[name].default:
-                    stated[name] = STATED_OF[name].default
+                if not STATED_OF[name].read_only and stated[name] != self._stated_defaults[name]:
+                    stated[name] = self._stated_defaults[name]
                     changed.append(name)
                 continue
             if _only_at_start(name):

@@ -6,6 +6,8 @@ Written by `autopilot.vehicle.vehicle` and by the parts that own the values: pil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+from pymavlink.dialects.v20 import common
+
 from autopilot.commander.battery import BatteryMonitor, BatteryParams
 from autopilot.commander.commander import Commander
 from autopilot.estimation.clock import Clock
@@ -36,6 +38,7 @@ class FlightData:
     state: EstimatorState
     """The estimate at this step."""
     clock: Clock = field(default_factory=Clock)
+    mav_type: int = common.MAV_TYPE_QUADROTOR
     conditions: int = 0
     """`autopilot.commander.arming_checks.Condition` bits."""
     causes: int = 0

@@ -43,7 +43,7 @@ class Chunks:
         ]
 
 
-def heartbeat(commander: Commander, conditions: int) -> Message:
+def heartbeat(commander: Commander, conditions: int, mav_type: int) -> Message:
     """HEARTBEAT of a PX4 multicopter."""
     if commander.armed:
         system_status = common.MAV_STATE_CRITICAL if commander.failsafe else common.MAV_STATE_ACTIVE
@@ -51,7 +51,7 @@ def heartbeat(commander: Commander, conditions: int) -> Message:
         system_status = common.MAV_STATE_STANDBY if conditions & _ATTITUDE else common.MAV_STATE_UNINIT
     armed = common.MAV_MODE_FLAG_SAFETY_ARMED if commander.armed else 0
     return common.MAVLink_heartbeat_message(
-        common.MAV_TYPE_QUADROTOR,
+        mav_type,
         common.MAV_AUTOPILOT_PX4,
         commander.mode.base_mode | armed,
         commander.mode.custom_mode,

@@ -14,6 +14,8 @@ from foundation.geometry.rotations import quat_rotate_inverse, quat_to_euler
 _CENTIDEGREES = 36_000
 _OUTPUTS = 32
 """Capacity of ACTUATOR_OUTPUT_STATUS."""
+_SERVOS = 8
+"""Outputs of SERVO_OUTPUT_RAW without its extension."""
 
 
 class MotionTelemetry(Part):
@@ -204,7 +206,8 @@ class MotionTelemetry(Part):
         """SERVO_OUTPUT_RAW: the motors' controls as pulse widths, 1000 to 2000 us; 900 us disarmed."""
         armed = self._flight.commander.armed
         widths_us = [whole(1000.0 + 1000.0 * u, U16) if armed else 900 for u in self._flight.motors()]
-        return common.MAVLink_servo_output_raw_message(self._flight.now_us % 2**32, 0, *widths_us, 0, 0, 0, 0)
+        unused = [0] * (_SERVOS - len(widths_us))
+        return common.MAVLink_servo_output_raw_message(self._flight.now_us % 2**32, 0, *widths_us, *unused)
 
     def actuator_output_status(self) -> Message:
         """ACTUATOR_OUTPUT_STATUS: number of motors, and their controls in 0..1."""

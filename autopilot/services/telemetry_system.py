@@ -44,7 +44,7 @@ class SystemState(Part):
 
     def heartbeat(self) -> Message:
         """HEARTBEAT."""
-        return heartbeat(self._flight.commander, self._flight.conditions)
+        return heartbeat(self._flight.commander, self._flight.conditions, self._flight.mav_type)
 
     def extended_sys_state(self) -> Message:
         """EXTENDED_SYS_STATE."""

@@ -38,7 +38,6 @@ _AIDS = MAG_FIELDS | BARO_FIELDS
 _HANDED_OVER = HEADER_BYTES + HIL_ACTUATOR_CONTROLS.offset("flags") + 4
 _HANDED_OVER_BIT = BATCH_HANDED_OVER >> 32
 """Offset of a byte of the flags in a frame, and the bit in it."""
-_ROTORS = 4
 _RECEIVE_BYTES = 4096
 US_PER_S = 1_000_000
 Blocks = tuple[Records, Records, Records, Records]
@@ -100,7 +99,7 @@ def inertial_step(
         c: CascadeState = cascade[0]
         c.dt_s = (time_us - clock["now_us"]) / US_PER_S  # the other inputs are unchanged
         follow_trajectory(cascade, filtered.estimate[:])
-        for i in range(_ROTORS):
+        for i in range(c.allocation.rotors):
             reply["controls"][i] = c.allocation.controls[i]
     clock["now_us"] = clock["inertial_us"] = clock["estimate_us"] = time_us
     reply["time_usec"] = time_us

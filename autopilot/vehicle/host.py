@@ -17,6 +17,7 @@ from autopilot.mavlink.codec import Encoder, Message
 from autopilot.mavlink.components import AUTOPILOT_COMPONENT
 from autopilot.mavlink.hil import TO_VEHICLE, HilActuatorControls, HilEncoder, HilParser, HilSensor
 from autopilot.parameters import parameter_file
+from autopilot.parameters.airframe_settings import mav_type
 from autopilot.parameters.config import VehicleConfig
 from autopilot.services.service import GROUND_STATION, NEVER_US, Addressed
 from autopilot.services.status import TEXT_BYTES
@@ -72,7 +73,7 @@ class Host:
     def introduction(self) -> bytes:
         """Return the heartbeat that identifies the vehicle when it connects to the simulator."""
         beat = common.MAVLink_heartbeat_message(
-            common.MAV_TYPE_QUADROTOR, common.MAV_AUTOPILOT_PX4, 0, 0, common.MAV_STATE_UNINIT, 3
+            mav_type(self._config.airframe), common.MAV_AUTOPILOT_PX4, 0, 0, common.MAV_STATE_UNINIT, 3
         )
         return Encoder(system=self._config.instance + 1, component=AUTOPILOT_COMPONENT).encode(beat)
 

@@ -17,6 +17,7 @@ from autopilot.parameters.table import ParameterSet
 from autopilot.services.flight_data import FlightData
 from autopilot.services.manual_control import ManualControlService
 from autopilot.services.offboard import OffboardService
+from foundation.airframe.description import Airframe
 
 SLOW_PERIOD_US = 100_000
 _TERMINATE = 4
@@ -34,6 +35,7 @@ class Monitor:
         sensors: SensorInput,
         offboard: OffboardService,
         manual: ManualControlService,
+        airframe: Airframe,
     ) -> None:
         settings = parameters.settings
         self.battery = BatteryMonitor(settings.battery)
@@ -41,7 +43,7 @@ class Monitor:
         self.breach: Breach | None = None
         """Breach found at the last check."""
         self.failures = FailureDetector(settings.failure_detector)
-        self._pack = BatterySimulator(settings.battery_sim, settings.battery)
+        self._pack = BatterySimulator(settings.battery_sim, settings.battery, airframe.propulsion)
         self._sensors = sensors
         self._offboard = offboard
         self._manual = manual

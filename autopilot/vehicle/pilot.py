@@ -25,8 +25,8 @@ from autopilot.services.offboard import OffboardService
 from foundation.geometry.geodesy import geodetic_to_ned, ned_to_geodetic
 from foundation.types import Array, Setpoint, TrajectorySetpoint
 
-_NO_MOTORS = (0.0,) * 12
-"""Controls in addition to those of the motors"""
+_CONTROLS = 16
+"""Of HIL_ACTUATOR_CONTROLS"""
 _FENCE_WARNS = 1
 """Values of GF_ACTION up to this one do not restrict targets."""
 _HEIGHT_MAX_M = 1e5
@@ -86,7 +86,8 @@ class Pilot:
     @property
     def controls(self) -> list[float]:
         """Controls (16,) of HIL_ACTUATOR_CONTROLS."""
-        return [*self.controller.controls, *_NO_MOTORS]
+        motors = self.controller.controls
+        return motors + [0.0] * (_CONTROLS - len(motors))
 
     # ---- requests in flight; the result is the reason for refusal or None
 

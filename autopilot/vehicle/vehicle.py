@@ -34,8 +34,9 @@ from autopilot.navigation.mode_registry import MODES, mode_table, user_row
 from autopilot.navigation.site_frame import SiteFrame
 from autopilot.onboard.factory import make_application
 from autopilot.onboard.programs import NOTHING, Programs
+from autopilot.parameters.airframe_settings import mav_type, settings_of, stated_of
 from autopilot.parameters.config import VehicleConfig
-from autopilot.parameters.table import ParameterSet, Settings
+from autopilot.parameters.table import ParameterSet
 from autopilot.services.flight_data import FlightData
 from autopilot.services.manual_control import ManualControlService
 from autopilot.services.offboard import OffboardService
@@ -102,7 +103,7 @@ class Vehicle:
         """
         self.config = config
         self._system = config.instance + 1
-        defaults = Settings()
+        defaults = settings_of(config.airframe)
         estimation = replace(
             defaults.estimation,
             magnetic_field_ned_gauss=config.site.magnetic_field_ned_gauss,
@@ -113,7 +114,12 @@ class Vehicle:
         modes = [*MODES]
         for number, each in enumerate(extensions.modes):
             modes.append(user_row(number, each.kind.traits, each.make, each.title))
-        self.parameters = ParameterSet(defaults, config.autopilot.params, system=self._system)
+        self.parameters = ParameterSet(
+            defaults,
+            config.autopilot.params,
+            system=self._system,
+            vehicle=stated_of(config.airframe),
+        )
         settings = self.parameters.settings
         self.shared = SharedState()
         """What full and fast steps both update"""
@@ -121,12 +127,18 @@ class Vehicle:
         self.estimator = Estimator(settings.estimation, clock)
         self.commander = Commander(settings.commander, mode_table(modes))
         self.flight = FlightData(
-            estimator=self.estimator, commander=self.commander, state=self.estimator.state, clock=clock
+            estimator=self.estimator,
+            commander=self.commander,
+            state=self.estimator.state,
+            clock=clock,
+            mav_type=mav_type(config.airframe),
         )
         self.offboard = OffboardService(self.flight)
         self.manual = ManualControlService(self.commander)
         self.site = SiteFrame(config.site)
-        self._sensors = SensorInput(self.estimator, settings.sensors, clock)
+        self._sensors = SensorInput(
+            self.estimator, settings.sensors, clock, rotors=len(config.airframe.rotors)
+        )
         self.parameters.subscribe(self.estimator.set_params, "estimation")
         self.parameters.subscribe(self._sensors.set_params, "sensors")
         self.parameters.subscribe(self.commander.set_params, "commander")
@@ -136,6 +148,7 @@ class Vehicle:
             sensors=self._sensors,
             offboard=self.offboard,
             manual=self.manual,
+            airframe=config.airframe,
         )
         self.flight.battery = self.monitor.battery
         self.pilot = Pilot(
@@ -274,7 +287,7 @@ class Vehicle:
 
     def heartbeat(self) -> Message:
         """Return the present HEARTBEAT."""
-        return heartbeat(self.commander, self.flight.conditions)
+        return heartbeat(self.commander, self.flight.conditions, self.flight.mav_type)
 
     def has_been_at(self, now_us: int) -> bool:
         """Return whether there was a step at that time or later; a step at that time is a repetition."""
@@ -315,6 +328,7 @@ class Vehicle:
         if self.estimator.numerical_failure and not self.commander.armed:
             self.estimator.restart()
         self.monitor.update(flight, has_mission=pilot.mission_valid)
+        pilot.controller.remove_motors(self.monitor.failures.failed_motors)
 
     def _is_addressed(self, link_messages: Sequence[Addressed]) -> bool:
         """Return whether a link message is addressed to this vehicle; others must not change its timing."""
@@ -405,7 +419,7 @@ class Vehicle:
                 self.flight.flights += 1
             self._announced = present
             self._announce_us = _next(now_us, _HEARTBEAT_PERIOD_US)
-            message = heartbeat(self.commander, self.flight.conditions)
+            message = heartbeat(self.commander, self.flight.conditions, self.flight.mav_type)
             simulator.append(message)
             if self.app is not None:
                 self.app.on_mavlink(message, now_us)

@@ -20,10 +20,11 @@ from pathlib import Path
 from autopilot.commander.battery import BatteryParams
 from autopilot.estimation.atmosphere import GRAVITY_M_S2
 from autopilot.parameters.config import AutopilotConfig
+from foundation.airframe.description import Airframe
+from foundation.airframe.files import IRIS
 from harness.launch.external_process import AutopilotError, ExternalProcessConfig
 from harness.scenario.scenario import Scenario
 from harness.simulator.ardupilot_json import PWM_MAX_US, PWM_MIN_US
-from harness.world.physics.model import IRIS, VehicleModel
 from harness.world.sensors.config import PROFILES
 
 LOOP_RATES_HZ = (50, 400)
@@ -122,7 +123,7 @@ def parameters(scenario: Scenario) -> dict[str, float]:
     }
 
 
-def thrust_curve(model: VehicleModel) -> dict[str, float]:
+def thrust_curve(airframe: Airframe) -> dict[str, float]:
     """Return MOT_THST_EXPO and MOT_THST_HOVER of a vehicle.
 
     A control u turns a rotor at w0 + w1 u, and thrust is proportional to the square of the speed. Over the
@@ -131,10 +132,11 @@ def thrust_curve(model: VehicleModel) -> dict[str, float]:
 
         e = a / (a + b),   a = (w1 (u1 - u0))^2,   b = 2 (w0 + w1 u0) w1 (u1 - u0).
     """
-    span_rad_s = model.control_speed_rad_s * (SPIN_MAX - SPIN_MIN)
-    least_rad_s = model.armed_speed_rad_s + model.control_speed_rad_s * SPIN_MIN
+    unit = airframe.propulsion
+    span_rad_s = unit.range_rad_s * (SPIN_MAX - SPIN_MIN)
+    least_rad_s = unit.idle_rad_s + unit.range_rad_s * SPIN_MIN
     square, linear = span_rad_s**2, 2.0 * least_rad_s * span_rad_s
-    hover_rad_s2 = model.mass_kg * GRAVITY_M_S2 / (4.0 * model.thrust_n_s2)
+    hover_rad_s2 = airframe.mass_kg * GRAVITY_M_S2 / (len(airframe.rotors) * unit.thrust_n_s2)
     return {
         "MOT_SPIN_ARM": SPIN_ARM,
         "MOT_SPIN_MIN": SPIN_MIN,

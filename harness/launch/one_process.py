@@ -63,7 +63,7 @@ RUN_ID = "one-process"
 MANY = "use Swarm (in pytest: --coflight-processes many)"
 """Advice after a request that one process cannot fulfil."""
 FAILED_STATUS = 2
-"""Exit status of a vehicle's process whose user code has failed"""
+"""Exit status of a vehicle's process after a failure of user code"""
 STOP_LIMIT_S = 10.0
 """Wall time that the flight has to end its step and write its data."""
 
@@ -71,8 +71,8 @@ STOP_LIMIT_S = 10.0
 class _Flight:
     """The composed simulation; `fly` executes commands until Stop. Constructed and used in one thread.
 
-    ``emit(name, event)`` receives the events of physics server and vehicles, ``on_failure(name, failure)`` a
-    vehicle whose user code has failed.
+    ``emit(name, event)`` receives the events of physics server and vehicles, ``on_failure(name, failure)``
+    the failure of user code on a vehicle.
     """
 
     def __init__(
@@ -108,6 +108,7 @@ class _Flight:
                 on_message=simulation.on_message,
                 on_silent=simulation.on_silent,
                 on_lost=simulation.on_lost,
+                rotors=physics.scenario.most_rotors,
             )
 
         self._simulation = stack.enter_context(

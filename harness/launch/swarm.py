@@ -350,7 +350,7 @@ class Swarm:
 
         Raises ValueError for an invalid fault.
         """
-        fault = validated(fault, self.scenario.agents, other_compasses=self.scenario.ardupilots)
+        fault = validated(fault, self.scenario.rotors(), other_compasses=self.scenario.ardupilots)
         self._intervene(f"inject {msgspec.json.encode(fault).decode()}")
         self._processes.send(InjectFault(fault=fault))
 

@@ -1,10 +1,11 @@
 """A flight as arrays: input of the analysis and of the figures."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.airframe.files import IRIS
 from foundation.types import Array
 
 
@@ -29,6 +30,8 @@ class Flight:
     """(T, N)"""
     believed_pos_ned_m: Array | None = None
     """(T, N, 3) positions estimated by the vehicles, NaN if unknown; None if not recorded."""
+    standing_height_m: float | tuple[float, ...] = IRIS.standing_height_m
+    """Height of the centre of mass of a landed vehicle, of all or (N,)."""
 
     def __post_init__(self) -> None:
         """Check the shapes."""
@@ -53,7 +56,7 @@ class Flight:
 
     def at(self, rows: NDArray[np.intp] | slice) -> "Flight":
         """Return the flight at some of its instants."""
-        series = {each.name: getattr(self, each.name) for each in fields(self)}
+        series = {name: getattr(self, name) for name in _SERIES}
         return replace(self, **{name: each[rows] for name, each in series.items() if each is not None})
 
     def sampled(self, rate_hz: float) -> "Flight":
@@ -64,3 +67,15 @@ class Flight:
         sampled_us = self.time_us[0] + np.round(periods * 1e6 / rate_hz).astype(np.int64)
         rows = np.unique(np.searchsorted(self.time_us, sampled_us))
         return self.at(rows[rows < len(self)])
+
+
+_SERIES = (
+    "time_us",
+    "pos_ned_m",
+    "q_ned_frd",
+    "desired_pos_ned_m",
+    "heading_rad",
+    "alive",
+    "believed_pos_ned_m",
+)
+"""Fields whose first axis is time."""

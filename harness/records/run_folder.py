@@ -213,7 +213,7 @@ class RunFolder:
         simulator_unix: str | None = None,
     ) -> Path:
         """Write the settings of one UAV's process with the simulator's actual port; returns the path."""
-        config = scenario.vehicle(
+        config = scenario.vehicle_config(
             instance, run_id=run_id, radio_endpoint=radio_endpoint, log_path=str(self.raw_vehicle(instance))
         )
         ports = msgspec.structs.replace(

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from antenna.analysis.statistics import pointing_errors_deg
 from antenna.solvers.ports import MAIN_LOBE_DEG
 from autopilot.logs.vehicle_record import VEHICLE_RECORD
-from autopilot.onboard.formation.formation_plan import FormationPlan
 from foundation.records.record_log import read
 from harness.records import columns
 from harness.records.flight import Flight
@@ -25,7 +24,7 @@ from harness.records.run_folder import RunFolder
 from harness.report.flown_array import GainSeries
 from harness.scenario.scenario import Scenario
 from harness.simulator.motion_start import flown_start_us, since_start_s
-from harness.simulator.truth_record import AIR_RECORD, TRUTH_RECORD
+from harness.simulator.truth_record import AIR_RECORD, truth_record
 from netsim.emulator.log_layout import FRAME_LOG, RECEPTION_LOG, SESSION_LOG
 from netsim.phy.receptions import OUTCOMES, STATES
 
@@ -37,10 +36,10 @@ def write_tables(
 
     ``desired`` returns the places (T, agents, 3), site NED, at T times in us.
 
-    Returns the flight: records (instants, agents) of `FLIGHT_RECORD`.
+    Returns the flight: records (instants, agents) of `flight_record`.
     """
     flight = merge(
-        read(folder.raw_truth, TRUTH_RECORD),
+        read(folder.raw_truth, truth_record(scenario.most_rotors)),
         [read(folder.raw_vehicle(i), VEHICLE_RECORD) for i in range(scenario.agents)],
     )
     flight["desired_pos_ned_m"] = desired(flight["time_us"][:, 0])
@@ -68,7 +67,7 @@ def receptions_table(records: NDArray[Any]) -> pa.Table:
     return table
 
 
-def flight_of(records: NDArray[Any], plan: FormationPlan, *, start_us: int | None) -> Flight:
+def flight_of(records: NDArray[Any], scenario: Scenario, *, start_us: int | None) -> Flight:
     """Return the flight of (T, N) records with the fields `_ANALYSED`.
 
     ``start_us``: start of the formation's motion; None if it never moved.
@@ -79,9 +78,10 @@ def flight_of(records: NDArray[Any], plan: FormationPlan, *, start_us: int | Non
         pos_ned_m=records["pos_ned_m"],
         q_ned_frd=records["q_ned_frd"],
         desired_pos_ned_m=records["desired_pos_ned_m"],
-        heading_rad=plan.headings(since_start_s(time_us, start_us)),
+        heading_rad=scenario.plan().headings(since_start_s(time_us, start_us)),
         alive=records["alive"],
         believed_pos_ned_m=records["onboard_pos_ned_m"],
+        standing_height_m=tuple(airframe.standing_height_m for airframe in scenario.airframes()),
     )
 
 
@@ -95,7 +95,7 @@ def make_flight(table: pa.Table, scenario: Scenario, *, start_us: int | None) ->
     for name in _ANALYSED:
         for column, values in _columns(name, records[name]):
             values[:] = table.column(column).to_numpy()
-    return flight_of(records.reshape(-1, scenario.agents), scenario.plan(), start_us=start_us)
+    return flight_of(records.reshape(-1, scenario.agents), scenario, start_us=start_us)
 
 
 def read_flight(folder: RunFolder, scenario: Scenario) -> Flight:
@@ -124,12 +124,12 @@ def merge(truth: NDArray[Any], vehicles: list[NDArray[Any]]) -> NDArray[Any]:
 
     Missing values are NaN or 0, and so are the desired places.
 
-    Returns (instants, vehicles) records of `FLIGHT_RECORD`. An incomplete instant is omitted.
+    Returns (instants, vehicles) records of `flight_record`. An incomplete instant is omitted.
     """
     n = len(vehicles)
     truth = truth[: len(truth) // n * n].reshape(-1, n)
-    flight = np.zeros(truth.shape, dtype=FLIGHT_RECORD)
-    for name in TRUTH_RECORD.fields or ():
+    flight = np.zeros(truth.shape, dtype=flight_record(truth.dtype))
+    for name in truth.dtype.names or ():
         flight[name] = truth[name]
     times_us = truth["time_us"][:, 0]
     for i, rows in enumerate(vehicles):
@@ -144,15 +144,21 @@ def merge(truth: NDArray[Any], vehicles: list[NDArray[Any]]) -> NDArray[Any]:
 
 def _vehicle_fields() -> list[str]:
     """Return the fields of the vehicle's record that the truth's record does not have."""
-    return [name for name in VEHICLE_RECORD.names or () if name not in (TRUTH_RECORD.names or ())]
+    return [name for name in VEHICLE_RECORD.names or () if name not in (OF_QUADROTORS.names or ())]
 
 
-FLIGHT_RECORD = np.dtype(
-    [(name, TRUTH_RECORD[name]) for name in TRUTH_RECORD.names or ()]
-    + [(name, VEHICLE_RECORD[name]) for name in _vehicle_fields()]
-    + [("desired_pos_ned_m", np.dtype(("f8", 3)))]
-)
-"""Truth, estimates, and desired position by the formation's plan."""
+def flight_record(truth: np.dtype[Any]) -> np.dtype[Any]:
+    """Return the layout of truth, as `truth_record`, estimates, and desired position by the plan."""
+    return np.dtype(
+        [(name, truth[name]) for name in truth.names or ()]
+        + [(name, VEHICLE_RECORD[name]) for name in _vehicle_fields()]
+        + [("desired_pos_ned_m", np.dtype(("f8", 3)))]
+    )
+
+
+OF_QUADROTORS = truth_record(4)
+FLIGHT_RECORD = flight_record(OF_QUADROTORS)
+"""Layout of a run of quadrotors; with more rotors it has more rotor speeds."""
 _ANALYSED = ("time_us", "pos_ned_m", "q_ned_frd", "desired_pos_ned_m", "alive", "onboard_pos_ned_m")
 """Fields of which a `Flight` consists"""
 GAIN_TYPES = {
@@ -201,6 +207,6 @@ def _labels(name: str, count: int) -> tuple[str, ...]:
         return ("w", "x", "y", "z")
     if "frd" in name:
         return ("f", "r", "d")
-    if count == 3:
+    if count == 3 and not name.startswith("rotor"):
         return ("n", "e", "d")
     return tuple(str(k) for k in range(count))

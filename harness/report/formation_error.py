@@ -7,14 +7,6 @@ from numpy.typing import NDArray
 
 from foundation.types import Array
 from harness.records.flight import Flight
-from harness.world.physics.model import IRIS
-
-_OVER_ITS_PLACE_NED_M = np.array([0.0, 0.0, -IRIS.standing_height_m])
-"""True position of a vehicle whose place is at the origin.
-
-Heights of places, as autopilots', are relative to the landed vehicle; true heights are those of its centre of
-mass above the ground.
-"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,17 +51,19 @@ class FormationError:
 def formation_error(flight: Flight) -> FormationError:
     """Return the absolute error and the shape error of every vehicle at every instant.
 
-    The height of a place is relative to the landed vehicle: the 5.5 cm from the ground to its centre of mass
-    are no error.
+    Heights of places, as autopilots', are relative to the landed vehicle; true heights are those of its
+    centre of mass above the ground. So ``flight.standing_height_m`` is no error.
 
     The shape error remains after the translation and the rotation about the vertical that align the places of
     the living vehicles with their positions in the least-squares sense.
     """
     alive = flight.alive
     aligned_ned_m, yaw_rad = _align(flight)
+    over_its_place_ned_m = np.zeros((alive.shape[1], 3))
+    over_its_place_ned_m[:, 2] -= flight.standing_height_m
     shape_defined = alive & (alive.sum(axis=1, keepdims=True) >= 2)
     return FormationError(
-        absolute=_error_series(flight.pos_ned_m - flight.desired_pos_ned_m - _OVER_ITS_PLACE_NED_M, alive),
+        absolute=_error_series(flight.pos_ned_m - flight.desired_pos_ned_m - over_its_place_ned_m, alive),
         shape=_error_series(flight.pos_ned_m - aligned_ned_m, shape_defined),
         yaw_rad=yaw_rad,
     )

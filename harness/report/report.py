@@ -33,8 +33,9 @@ from harness.report.formation_error import FormationError, formation_error
 from harness.scenario.scenario import Scenario
 from harness.simulator.messages import Formed
 from harness.simulator.motion_start import flown_start_us, since_start_s
-from harness.simulator.truth_record import AIR_RECORD, TRUTH_RECORD
+from harness.simulator.truth_record import AIR_RECORD, truth_record
 from netsim.emulator.log_layout import FRAME_LOG, SESSION_LOG
+from netsim.radio_models import registry
 
 LOGS = ("events.jsonl", "flight.parquet", "radio.parquet", "ftm.parquet", "air.parquet")
 """Files that a seed determines byte for byte, in their order in ``log_sha256``."""
@@ -92,7 +93,7 @@ def _write_tables(folder: RunFolder, scenario: Scenario, outcome: RunOutcome) ->
     log_sha256 = hashlib.sha256("".join(hashes.values()).encode()).hexdigest()
     if folder.receptions.exists():
         hashes[folder.receptions.name] = _sha256(folder.receptions)
-    whole = flight_of(records, plan, start_us=start_us)
+    whole = flight_of(records, scenario, start_us=start_us)
     window = _window(whole, outcome.formed_us, scenario)
     error = formation_error(window) if len(window) else None
     antenna = _antenna(window, scenario)
@@ -139,7 +140,8 @@ def finish_later(folder: RunFolder) -> dict[str, Any]:
     with folder.held():
         outcome = read_outcome(folder)  # what the launcher wrote in the end, if it has just ended
         if outcome.simulated_us is None:
-            formed_us, truth = _formed_us(folder), read(folder.raw_truth, TRUTH_RECORD)
+            formed_us = _formed_us(folder)
+            truth = read(folder.raw_truth, truth_record(scenario.most_rotors))
             times_us = (*truth["time_us"][-1:].tolist(), formed_us or 0)  # events are written earlier
             outcome = msgspec.structs.replace(outcome, simulated_us=max(times_us), formed_us=formed_us)
         return finish(folder, scenario, outcome, draw=False)
@@ -284,7 +286,8 @@ def _manifest(
         "processes": [msgspec.to_builtins(process) for process in outcome.processes],
         "versions": {"python": platform.python_version(), **versions(DISTRIBUTIONS)},
         "extensions": {
-            field: origin_of(name, group) for field, (name, group) in named(scenario.autopilot).items()
+            field: origin_of(name, group)
+            for field, (name, group) in (named(scenario.autopilot) | registry.named(scenario.radio)).items()
         },
         "checkout": msgspec.to_builtins(outcome.checkout),
         "platform": platform.platform(),

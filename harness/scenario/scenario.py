@@ -4,7 +4,6 @@ Each package defines the settings of its part. All processes of a run read the o
 folder; `harness.scenario.scenario_file` reads it from a TOML file.
 """
 
-import math
 from datetime import UTC, datetime, timedelta
 from ipaddress import IPv4Address
 from typing import Annotated, Literal
@@ -29,7 +28,9 @@ from autopilot.parameters.config import (
     VehicleConfig,
     VehiclePorts,
 )
-from harness.scenario import autopilot_settings, formation_shape
+from foundation.airframe.description import Airframe
+from harness.scenario import airframe_choice, autopilot_settings, formation_shape
+from harness.scenario.airframe_choice import VehicleTable
 from harness.scenario.formation_shape import FormationConfig
 from harness.world.faults import MOST_TIME_S, AnyFault, check
 from harness.world.physics.environment import EnvironmentConfig
@@ -175,6 +176,8 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Faults by time: tables ``[[faults]]``."""
     sensors: SensorsConfig = SensorsConfig()
     """Error models of the sensors."""
+    vehicle: VehicleTable = VehicleTable()
+    """Airframes of the vehicles."""
     autopilot: AutopilotConfig = AutopilotConfig()
     """Parameters, geofence, mission and PX4."""
     links: LinksConfig = LinksConfig()
@@ -191,6 +194,7 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     def __post_init__(self) -> None:
         """Check what no single field can."""
         autopilot_settings.check(self.autopilot, self.site, self.agents)
+        airframe_choice.check(self.vehicle, self.autopilot, self.agents)
         if self.onboard.loop_period_us % self.run.step_us:
             raise ValueError(
                 f"onboard.loop_period_ms: {self.onboard.loop_period_ms} ms is no whole number of steps; "
@@ -199,7 +203,7 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         if self.onboard.wind_feed_forward:
             self._check_wind()
         for number, fault in enumerate(self.faults):
-            check(fault, self.agents, path=f"faults[{number}]", other_compasses=self.ardupilots)
+            check(fault, self.rotors(), path=f"faults[{number}]", other_compasses=self.ardupilots)
         try:
             radio_settings.check(self.radio, self.agents)
         except ValueError as error:
@@ -212,12 +216,7 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
                 f"at most {LONGEST_SESSION_S:g} s"
             )
         places_ned_m = self.places_ned_m()
-        i, j = np.triu_indices(len(places_ned_m), 1)
-        nearest_m = min(np.linalg.norm(places_ned_m[i] - places_ned_m[j], axis=1), default=math.inf)
-        if not nearest_m >= MIN_SPACING_M:
-            raise ValueError(
-                f"formation: places {nearest_m:.2f} m apart; vehicles this size need {MIN_SPACING_M} m"
-            )
+        airframe_choice.check_spacing(self.airframes(), places_ned_m)
         if self.formation.motion is not None:
             try:
                 formation_plan.check(places_ned_m, self.formation.motion)
@@ -255,6 +254,19 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         is_own = any(base and base <= port < base + self.agents for base in own)
         return 0 if is_own and IPv4Address(links.companion_host).is_loopback else port
 
+    def airframes(self) -> tuple[Airframe, ...]:
+        """Return the airframe of each vehicle."""
+        return tuple(self.vehicle.airframe_of(i) for i in range(self.agents))
+
+    def rotors(self) -> tuple[int, ...]:
+        """Return the number of rotors of each vehicle."""
+        return tuple(len(airframe.rotors) for airframe in self.airframes())
+
+    @property
+    def most_rotors(self) -> int:
+        """Greatest number of rotors of a vehicle: that of the rotor speeds in records."""
+        return max(self.rotors())
+
     def plan(self) -> FormationPlan:
         """Return the plan of the formation's motion."""
         return FormationPlan(self.places_ned_m(), self.formation.heading_deg, self.formation.motion)
@@ -272,7 +284,7 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             radio_endpoint=None,
         )
 
-    def vehicle(
+    def vehicle_config(
         self, instance: int, *, run_id: str, radio_endpoint: str | None, log_path: str | None
     ) -> VehicleConfig:
         """Return the settings of vehicle ``instance``."""
@@ -283,6 +295,7 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             step_us=self.run.step_us,
             epoch_unix_us=self.run.epoch_unix_us,
             site=self.site,
+            airframe=self.vehicle.airframe_of(instance),
             ports=msgspec.structs.replace(self.vehicle_ports(instance), radio_endpoint=radio_endpoint),
             autopilot=self.autopilot.for_uav(instance),
             links=self.links,
@@ -317,5 +330,3 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 LONGEST_SESSION_S = REMEMBERED_S - SESSION_S
 """Longest time from the first to the last burst of a ranging session; the rest is for queue and beacons."""
-MIN_SPACING_M = 0.8
-"""Least distance between two places: an Iris measures 0.55 m across its rotors."""

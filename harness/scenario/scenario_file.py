@@ -10,14 +10,16 @@ import msgspec
 from autopilot.navigation.plan_file import PlanFileError
 from autopilot.parameters.parameter_file import ParameterFileError
 from autopilot.vehicle.extensions import load_extensions
+from foundation.airframe.files import AirframeError
 from foundation.extensions import ExtensionError
 from foundation.text_file import TextFileError, read_text
-from harness.scenario import autopilot_settings, element_file, formation_shape, packaged
+from harness.scenario import airframe_choice, autopilot_settings, element_file, formation_shape, packaged
 from harness.scenario.element_file import ElementFileError
 from harness.scenario.formation_shape import FormationFileError
 from harness.scenario.scenario import Scenario, ScenarioError
 from harness.scenario.validation_errors import InvalidTable, convert
 from harness.world.faults import EXPECTED
+from netsim.radio_models import registry
 
 ARRAYS_OF_TABLES = ("faults", "wind.gusts")
 _EXPECTED = {**EXPECTED, r"formation\.motion\.kind": "one of track, racetrack"}
@@ -60,10 +62,14 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
             table["formation"] = formation_shape.with_points(formation, path.parent)
         if isinstance(antenna := table.get("antenna"), dict):
             table["antenna"] = element_file.with_deck(antenna, path.parent)
+        if isinstance(vehicle := table.get("vehicle"), dict):
+            table["vehicle"] = airframe_choice.with_files(vehicle, path.parent)
         scenario = convert(table, Scenario, _EXPECTED)
         autopilot = autopilot_settings.with_parameter_file(scenario.autopilot, path.parent)
         autopilot = autopilot_settings.with_plan_file(autopilot, path.parent)
     except InvalidTable as error:
+        raise ScenarioError(f"{path}: {error}") from None
+    except AirframeError as error:
         raise ScenarioError(f"{path}: {error}") from None
     except FormationFileError as error:
         raise ScenarioError(f"{path}: formation.file: {error}") from None
@@ -81,8 +87,15 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
         links = autopilot_settings.with_signing_key(scenario.links, path.parent)
     except ValueError as error:
         raise ScenarioError(f"{path}: links.signing_key_file: {error}") from None
+    # an override of a packaged scenario names a module or file of the current folder
+    folder = Path() if packaged.FOLDER in path.parents else path.parent
+    radio = registry.with_folder(scenario.radio, folder)
     try:
-        return msgspec.structs.replace(scenario, autopilot=autopilot, links=links)
+        registry.check_models(radio, scenario.agents + len(radio.guests))
+    except ExtensionError as error:
+        raise ScenarioError(f"{path}: {error}") from None
+    try:
+        return msgspec.structs.replace(scenario, autopilot=autopilot, links=links, radio=radio)
     except ValueError as error:  # contents of the files conflict with other settings
         raise ScenarioError(f"{path}: {error}") from None
 

@@ -16,7 +16,6 @@ from foundation.kernels.inner import constant
 from foundation.types import Array
 from netsim.wire.lockstep import BATCH_HANDED_OVER
 
-ROTORS = 4
 BUFFER_BYTES = 250
 """Buffer of one vehicle; longer input is received in parts."""
 ANSWER_BYTES = HIL_ACTUATOR_CONTROLS.frame_bytes
@@ -25,7 +24,7 @@ _ANSWER, _PAYLOAD_BYTES = HIL_ACTUATOR_CONTROLS.dtype, HIL_ACTUATOR_CONTROLS.pay
 _ANSWER_ID = constant(HIL_ACTUATOR_CONTROLS.message_id)
 _ANSWER_EXTRA = constant(HIL_ACTUATOR_CONTROLS.crc_extra)
 _ARMED = common.MAV_MODE_FLAG_SAFETY_ARMED
-_UNUSED_CONTROLS = (0.0,) * 12
+_CONTROLS = HIL_ACTUATOR_CONTROLS.dtype["controls"].shape[0]
 
 CONNECTION_STATE = np.dtype(
     [
@@ -53,9 +52,10 @@ def is_armed(answer: HilActuatorControls) -> bool:
 class ActuatorInbox:
     """Answers of n vehicles in a step, and the motor controls of their last answers."""
 
-    def __init__(self, vehicles: int) -> None:
-        self.controls: Array = np.zeros((vehicles, ROTORS))
-        """(n, 4) of the last answer, 0..1 in PX4's order"""
+    def __init__(self, vehicles: int, rotors: int = 4) -> None:
+        """``rotors`` is the greatest number of rotors of a vehicle, R."""
+        self.controls: Array = np.zeros((vehicles, rotors))
+        """(n, R) of the last answer, 0..1 in the order of the airframe's rotors"""
         self.armed: NDArray[np.bool_] = np.zeros(vehicles, dtype=np.bool_)
         """(n,) of the last answer"""
         self.states = np.zeros(vehicles, CONNECTION_STATE)
@@ -85,7 +85,7 @@ class ActuatorInbox:
 
     def put(self, instance: int, answer: HilActuatorControls) -> None:
         """Store an answer that a parser unpacked."""
-        self.controls[instance] = answer.controls[:ROTORS]
+        self.controls[instance] = answer.controls[: self.controls.shape[1]]
         self.armed[instance] = is_armed(answer)
         state = self.states[instance]
         state["answered_us"] = state["newest_us"] = answer.time_usec
@@ -96,7 +96,8 @@ class ActuatorInbox:
         newest_us = int(self.states["newest_us"][instance])
         if not newest_us:
             return None
-        controls = (*self.controls[instance].tolist(), *_UNUSED_CONTROLS)
+        unused = (0.0,) * (_CONTROLS - self.controls.shape[1])
+        controls = (*self.controls[instance].tolist(), *unused)
         return HilActuatorControls(newest_us, controls, _ARMED if self.armed[instance] else 0, 0)
 
 
@@ -106,7 +107,7 @@ def unpack(
 ) -> int:
     """Unpack the rows of ``octets`` (n, ...) that hold exactly one answer to the sensors of ``time_us``.
 
-    Fills ``controls`` (n, 4) and ``armed`` (n,), and updates ``states`` (n,) of `CONNECTION_STATE`; returns
+    Fills ``controls`` (n, R) and ``armed`` (n,), and updates ``states`` (n,) of `CONNECTION_STATE`; returns
     the number of rows unpacked.
     """
     unpacked = 0
@@ -122,7 +123,7 @@ def unpack(
         answer = row[PAYLOAD : PAYLOAD + _PAYLOAD_BYTES].view(_ANSWER)[0]
         if np.int64(answer["time_usec"]) != time_us:
             continue
-        for rotor in range(ROTORS):
+        for rotor in range(controls.shape[1]):
             controls[i, rotor] = answer["controls"][rotor]
         armed[i] = answer["mode"] & _ARMED != 0
         state["answered_us"] = time_us

@@ -24,7 +24,6 @@ from autopilot.mavlink.codec import Encoder
 from autopilot.mavlink.hil import HilActuatorControls
 from autopilot.parameters.config import Site
 from foundation.types import Array
-from harness.simulator.actuator_inbox import ROTORS
 from harness.simulator.hil_frames import SIMULATOR_COMPONENT_ID, SIMULATOR_SYSTEM_ID
 from harness.simulator.parameter_check import ParameterCheck
 from harness.world.physics.truth import Truth
@@ -35,7 +34,8 @@ SERVO_PACKETS = {18_458: struct.Struct("<HHI16H"), 29_569: struct.Struct("<HHI32
 _MAGIC = struct.Struct("<H")
 PWM_MIN_US, PWM_MAX_US = 1_000, 2_000
 """Pulse widths of controls 0 and 1: MOT_PWM_MIN and MOT_PWM_MAX."""
-CONTROLS = 16
+CONTROLS, ROTORS = 16, 4
+"""Outputs of an answer, and those of the Iris, the only airframe that an ArduPilot may fly."""
 _HALF_US = 0.5
 """ArduPilot adds the difference of two time stamps, as a floating-point number of us, to an integer and cuts
 off the fraction: half a microsecond more in each step makes the sum exact."""

@@ -28,6 +28,7 @@ from autopilot.parameters.config import Site
 from foundation.geometry.geodesy import ned_to_geodetic
 from foundation.types import Array
 from harness.simulator.hil_frames import InertialFrames, encode_rows, write_samples
+from harness.world.esc import EscStatus
 from harness.world.physics.truth import Truth
 from harness.world.sensors.suite import GpsFixes, SensorFrame
 from netsim.wire.lockstep import BATCH_DELIVERED
@@ -70,19 +71,19 @@ class SensorEncoder:
         self,
         time_us: int,
         frame: SensorFrame,
-        escs: NDArray[np.void] | None = None,
+        escs: Sequence[EscStatus] = (),
         truth: Truth | None = None,
         delivered: Collection[int] = (),
     ) -> Sequence[bytes | memoryview]:
         """Return the frames for each vehicle, valid until the next call.
 
-        They are ESC_STATUS if its rows ``escs`` are given, HIL_GPS if a fix is due, HIL_STATE_QUATERNION if
+        They are ESC_STATUS, one for each of ``escs``, HIL_GPS if a fix is due, HIL_STATE_QUATERNION if
         ``truth`` is given, and last HIL_SENSOR, which advances the vehicle's clock. In HIL_SENSOR the
         vehicles ``delivered`` are notified of a delivery by their radio in this step.
         """
         others: list[list[bytes]] = []
-        if escs is not None:
-            others.append(self._but(self._px4, self._encode(ESC_STATUS, escs)))
+        for rows, absent in escs:
+            others.append(self._but(self._px4 | absent, self._encode(ESC_STATUS, rows)))
         if self._px4_rc and time_us % RC_PERIOD_US == 0:
             vehicles = len(frame.accel_frd_m_s2)
             own = frozenset(range(vehicles)) - self._px4

@@ -149,7 +149,7 @@ class Lockstep:
     ``policies`` has one policy per vehicle, by default `OWN`. ``listeners`` has one TCP socket per slot;
     ``own_listener`` is a Unix socket to which all of coflight's own vehicles may connect instead. Vehicles in
     this process have ``links`` instead. ``ardupilots`` are the links of ArduPilots by vehicle, which own
-    their listeners.
+    their listeners. ``rotors`` is the greatest number of rotors of a vehicle.
     """
 
     def __init__(
@@ -164,6 +164,7 @@ class Lockstep:
         own_listener: socket.socket | None = None,
         links: Sequence[Link] = (),
         ardupilots: Mapping[int, ArduPilotLink] | None = None,
+        rotors: int = 4,
     ) -> None:
         vehicles = len(links or listeners)
         ardupilots = ardupilots or {}
@@ -188,7 +189,7 @@ class Lockstep:
         self._handshake = Handshake(reachable, ardupilots)
         self._watchdog = watchdog
         self._on_message, self._on_silent, self._on_lost = on_message, on_silent, on_lost
-        self._inbox = ActuatorInbox(vehicles)
+        self._inbox = ActuatorInbox(vehicles, rotors)
         self._inbox.states["needs_parser"] = [
             slot.policy != OWN or slot.instance in ardupilots for slot in self.slots
         ]

@@ -277,6 +277,7 @@ def serve(
             on_lost=simulation.on_lost,
             policies=policies,
             ardupilots={i: ArduPilotLink(sock, listeners[i], system=i + 1) for i, sock in states.items()},
+            rotors=scenario.most_rotors,
         )
 
     def make_applications(simulation: Simulation) -> ApplicationLinks:

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common as mavlink
 
 from autopilot.mavlink.ardupilot_modes import label_of
@@ -43,11 +42,10 @@ from harness.simulator.messages import (
     VehicleTruth,
 )
 from harness.simulator.motion_start import START_NAME, agreed, start_us
-from harness.simulator.truth_record import AIR_RECORD, EVENT_KINDS, TRUTH_RECORD
+from harness.simulator.truth_record import AIR_RECORD, EVENT_KINDS, truth_record
 from harness.world import esc
 from harness.world.faults import MOST_ATTENUATION_DB, AnyFault, Faults, kind
 from harness.world.physics.interface import Physics, PhysicsFactory
-from harness.world.physics.model import IRIS
 from harness.world.physics.truth import Truth
 from harness.world.physics.world import World
 from harness.world.sensors.suite import SensorFrame, SensorSuite
@@ -55,7 +53,7 @@ from harness.world.wind import Wind, WindNow
 
 STREAM = 250
 """Part of the seed that separates the physics' random streams from those of the run's other processes."""
-_RECORDED_OF_TRUTH = ("pos_ned_m", "vel_ned_m_s", "q_ned_frd", "omega_frd_rad_s", "rotor_speed_rad_s")
+_RECORDED_OF_TRUTH = ("pos_ned_m", "vel_ned_m_s", "q_ned_frd", "omega_frd_rad_s")
 
 
 class Simulation:
@@ -87,7 +85,8 @@ class Simulation:
         streams = np.random.SeedSequence([scenario.run.seed, STREAM]).spawn(3)
         self._plan = scenario.plan()
         spawn_ned_m = scenario.places_ned_m()  # on the ground below the formation
-        spawn_ned_m[:, 2] = -IRIS.standing_height_m
+        airframes = scenario.airframes()
+        spawn_ned_m[:, 2] = [-airframe.standing_height_m for airframe in airframes]
         self._wind = Wind(
             scenario.wind,
             n,
@@ -102,7 +101,9 @@ class Simulation:
             seed=streams[1],
             temperature_offset_k=scenario.environment.temperature_offset_k,
         )
-        self._faults = Faults(scenario.faults, n, np.random.default_rng(streams[2]))
+        rotors = [len(airframe.rotors) for airframe in airframes]
+        self._faults = Faults(scenario.faults, rotors, np.random.default_rng(streams[2]))
+        self._escs = esc.SpeedControllers(airframes)
         kinds = [scenario.autopilot.kind_of(i) for i in range(n)]
         self._external = frozenset(i for i, kind in enumerate(kinds) if kind != "own")
         """Vehicles whose autopilot is another program."""
@@ -127,7 +128,8 @@ class Simulation:
         self._sends_truth = scenario.onboard.enabled and scenario.onboard.localisation == "truth"
         self.time_us = self._step_us  # to PX4 0 is a clock that is not set
         self.formed = False
-        self._inbox = ActuatorInbox(n)
+        self._truth_record = truth_record(max(rotors))
+        self._inbox = ActuatorInbox(n, max(rotors))
         self._wind_now = WindNow(np.zeros((n, 3)), np.zeros((n, 3)))
         self._lost: tuple[int, ...] = ()
         self._without_application: set[int] = set()
@@ -146,7 +148,7 @@ class Simulation:
         with contextlib.ExitStack() as stack:  # closes everything if a part cannot be opened
             keep = stack.enter_context
             self._world: Physics = physics(
-                model=IRIS,
+                airframes=airframes,
                 spawn_pos_ned_m=spawn_ned_m,
                 spawn_yaw_rad=float(np.radians(scenario.formation.heading_deg)),
                 step_us=self._step_us,
@@ -154,7 +156,7 @@ class Simulation:
                 ground_altitude_m=scenario.site.altitude_m,
             )
             keep(contextlib.closing(self._world))
-            self._truth_log = keep(contextlib.closing(RecordLog(config.truth_log_path, TRUTH_RECORD)))
+            self._truth_log = keep(contextlib.closing(RecordLog(config.truth_log_path, self._truth_record)))
             self._air_log = keep(contextlib.closing(RecordLog(config.air_log_path, AIR_RECORD)))
             self._event_log = keep(Path(config.event_log_path).open("wb", buffering=0))  # noqa: SIM115
             self.lockstep = keep(contextlib.closing(make_lockstep(self)))
@@ -194,7 +196,7 @@ class Simulation:
             delivered = emulator.delivered(self.time_us)
         alive = [slot.alive for slot in self.lockstep.slots] if recorded else []
         announced = tuple(vehicle for vehicle in delivered if vehicle not in self._external)
-        frames = self._encoder.encode(self.time_us, frame, self._escs(truth), sent_truth, announced)
+        frames = self._encoder.encode(self.time_us, frame, self._statuses(truth), sent_truth, announced)
         self.lockstep.send(self._with_states(frames, frame, truth) if self._state_encoders else frames)
         applications = self._applications
         if applications is not None:
@@ -280,12 +282,12 @@ class Simulation:
                 )
             )
 
-    def _escs(self, truth: Truth) -> NDArray[np.void] | None:
-        """Return ESC_STATUS of the motors' speed controllers (n,) if it is due in this step."""
+    def _statuses(self, truth: Truth) -> Sequence[esc.EscStatus]:
+        """Return ESC_STATUS of the motors' speed controllers if it is due in this step."""
         if self.time_us % esc.PERIOD_US >= self._step_us or not self._has_escs:
-            return None
+            return ()
         effectiveness, density_ratio = self._faults.rotor_effectiveness, self._world.density_ratio
-        return esc.statuses(self.time_us, truth.rotor_speed_rad_s, effectiveness, density_ratio)
+        return self._escs.statuses(self.time_us, truth.rotor_speed_rad_s, effectiveness, density_ratio)
 
     def settle(self) -> None:
         """Wait until the emulator has completed the requested interval."""
@@ -330,13 +332,14 @@ class Simulation:
         self._open.close()
 
     def _record(self, truth: Truth, alive: list[bool]) -> None:
-        rows = np.empty(len(alive), TRUTH_RECORD)
+        rows = np.empty(len(alive), self._truth_record)
         rows["time_us"] = self.time_us
         rows["uav"] = self._instances
         rows["alive"] = alive
         rows["armed"] = self._inbox.armed
         for name in _RECORDED_OF_TRUTH:
             rows[name] = truth.rows[name]
+        rows["rotor_speed_rad_s"] = truth.rotor_speed_rad_s
         rows["wind_force_ned_n"] = self._wind_now.force_ned_n
         rows["wind_vel_ned_m_s"] = self._wind_now.air_vel_ned_m_s
         self._truth_log.append_array(rows)

@@ -6,7 +6,7 @@ noises by their variances; rotors' effectivenesses are multiplied.
 """
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Annotated, Literal, NamedTuple, TypeVar, get_args
 
 import msgspec
@@ -14,10 +14,10 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
+from foundation.airframe.description import MOST_ROTORS
 from foundation.types import Array, Vector
 from harness.scenario.validation_errors import explain
 
-ROTORS = 4
 MOST_TIME_S = 1e6
 """Eleven days: the latest time of a fault."""
 LEAST_DURATION_S = 0.004
@@ -25,7 +25,7 @@ LEAST_DURATION_S = 0.004
 the next interval of the channel, at multiples of ``onboard.loop_period_ms``."""
 Start = Annotated[float, Meta(ge=0.0, le=MOST_TIME_S)]
 Duration = Annotated[float, Meta(ge=LEAST_DURATION_S, le=MOST_TIME_S)]
-Motor = Annotated[int, Meta(ge=0, lt=ROTORS)]
+Motor = Annotated[int, Meta(ge=0, lt=MOST_ROTORS)]
 
 # per axis; far beyond plausible values, and well within the ranges of the messages
 PositionOffset = Annotated[float, Meta(ge=-10_000.0, le=10_000.0)]
@@ -128,7 +128,8 @@ class MotorLoss(Fault, frozen=True, kw_only=True, tag="motor"):
     """A rotor loses part of its thrust and torques at every speed, as with a broken propeller."""
 
     motor: Motor
-    """In PX4's order: front right, back left, front left, back right."""
+    """Number of the rotor in the airframe's file, from 0. Of the Iris, in PX4's order: front right, back
+    left, front left, back right."""
     effectiveness: Annotated[float, Meta(ge=0.0, le=1.0)]
     """Remaining fraction of thrust and torques."""
 
@@ -137,7 +138,8 @@ class MotorStop(Fault, frozen=True, kw_only=True):
     """A motor has no current: its rotor runs down and stops."""
 
     motor: Motor
-    """In PX4's order: front right, back left, front left, back right."""
+    """Number of the rotor in the airframe's file, from 0. Of the Iris, in PX4's order: front right, back
+    left, front left, back right."""
 
 
 class RadioAttenuation(Fault, frozen=True, kw_only=True):
@@ -182,14 +184,23 @@ class FaultChange(NamedTuple):
 
 
 def check(
-    fault: AnyFault, vehicles: int, *, path: str, other_compasses: Collection[int] = frozenset()
+    fault: AnyFault, rotors: Sequence[int], *, path: str, other_compasses: Collection[int] = frozenset()
 ) -> None:
     """Check that a fault's vehicle exists and can have it. Raises ValueError with the field's path.
 
-    ``other_compasses`` are the vehicles whose autopilot simulates its compass itself.
+    ``rotors`` are the numbers of rotors of all vehicles, ``other_compasses`` the vehicles whose autopilot
+    simulates its compass itself.
     """
+    vehicles = len(rotors)
     if fault.uav != "all" and fault.uav >= vehicles:
         raise ValueError(f"{path}.uav: {fault.uav} is none of {vehicles} vehicles from 0 on")
+    if isinstance(fault, MotorLoss | MotorStop):
+        for vehicle in range(vehicles) if fault.uav == "all" else (fault.uav,):
+            if fault.motor >= rotors[vehicle]:
+                raise ValueError(
+                    f"{path}.motor: {fault.motor} is none of the {rotors[vehicle]} motors of UAV {vehicle} "
+                    "from 0 on"
+                )
     if isinstance(fault, MagBias | MagYaw):
         for vehicle in other_compasses:
             if fault.uav in ("all", vehicle):
@@ -199,13 +210,15 @@ def check(
                 )
 
 
-def validated(fault: AnyFault, vehicles: int, *, other_compasses: Collection[int] = frozenset()) -> AnyFault:
+def validated(
+    fault: AnyFault, rotors: Sequence[int], *, other_compasses: Collection[int] = frozenset()
+) -> AnyFault:
     """Return a fault that a program constructed after checking all its values. Raises as `check`."""
     try:
         valid: AnyFault = msgspec.convert(msgspec.to_builtins(fault), AnyFault)
     except msgspec.ValidationError as error:
         raise ValueError(explain(error, EXPECTED, root="fault")) from None
-    check(valid, vehicles, path="fault", other_compasses=other_compasses)
+    check(valid, rotors, path="fault", other_compasses=other_compasses)
     return valid
 
 
@@ -234,9 +247,14 @@ class Faults:
     A fault is active in steps at or after its start and before its end. ``rng`` is used for noise only.
     """
 
-    def __init__(self, faults: Iterable[AnyFault], vehicles: int, rng: np.random.Generator) -> None:
-        """Schedule the faults of the scenario. Raises ValueError for a vehicle that does not exist."""
-        self._vehicles = vehicles
+    def __init__(self, faults: Iterable[AnyFault], rotors: Sequence[int], rng: np.random.Generator) -> None:
+        """Schedule the faults of the scenario; ``rotors`` (n,) are the vehicles' numbers of rotors.
+
+        Raises ValueError for a vehicle or motor that does not exist.
+        """
+        self._vehicles = len(rotors)
+        self._rotors = tuple(rotors)
+        self._most_rotors = max(rotors)
         self._rng = rng
         self._now_us = 0
         self._waiting: list[_Scheduled] = []
@@ -256,9 +274,9 @@ class Faults:
         self.gps_lost: NDArray[np.bool_] | None = None
         """(n,)"""
         self.rotor_effectiveness: Array | None = None
-        """(n, 4)"""
+        """(n, R), R the greatest number of rotors"""
         self.rotor_stopped: NDArray[np.bool_] | None = None
-        """(n, 4)"""
+        """(n, R)"""
         self.extra_attenuation_db = 0.0
         """In addition to the attenuation of every link."""
         self.range_offsets_m: Mapping[int, float] = {}
@@ -268,7 +286,7 @@ class Faults:
 
     def add(self, fault: AnyFault, now_us: int) -> None:
         """Schedule a fault for ``start_s`` after ``now_us``. Raises ValueError for a wrong vehicle."""
-        check(fault, self._vehicles, path="fault")
+        check(fault, self._rotors, path="fault")
         start_us = now_us + round(fault.start_s * 1e6)
         end_us = math.inf if fault.duration_s is None else start_us + round(fault.duration_s * 1e6)
         self._waiting.append(_Scheduled(start_us, end_us, self._added, fault))
@@ -331,11 +349,11 @@ class Faults:
         for fault in active:
             if isinstance(fault, MotorLoss):
                 if self.rotor_effectiveness is None:
-                    self.rotor_effectiveness = np.ones((self._vehicles, ROTORS))
+                    self.rotor_effectiveness = np.ones((self._vehicles, self._most_rotors))
                 self.rotor_effectiveness[_affected(fault), fault.motor] *= fault.effectiveness
             elif isinstance(fault, MotorStop):
                 if self.rotor_stopped is None:
-                    self.rotor_stopped = np.zeros((self._vehicles, ROTORS), dtype=np.bool_)
+                    self.rotor_stopped = np.zeros((self._vehicles, self._most_rotors), dtype=np.bool_)
                 self.rotor_stopped[_affected(fault), fault.motor] = True
         losses_db = (fault.attenuation_db for fault in active if isinstance(fault, RadioAttenuation))
         self.extra_attenuation_db = min(sum(losses_db, 0.0), MOST_ATTENUATION_DB)

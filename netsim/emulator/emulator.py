@@ -28,11 +28,9 @@ from netsim.model.config import RadioConfig, StationConfig
 from netsim.model.event_queue import EventQueue
 from netsim.model.random_streams import Model, RandomStreams
 from netsim.model.tables import Integers
-from netsim.phy.fading import make_fading
 from netsim.phy.frames import DATA_OVERHEAD_BYTES, GROUP, UDP_OVERHEAD_BYTES, FrameKind, Transmission
-from netsim.phy.interfaces import FadingFactory, PropagationFactory
-from netsim.phy.path_gain import PathGain
 from netsim.phy.propagation import Links, Trajectories, is_possible
+from netsim.radio_models.registry import make_models
 from netsim.wire.messages import Broadcast, FtmRequest, RxItem, Sent, TxBatch, TxItem, Unicast
 
 NOTHING_PENDING_US = 2**62 // 1000
@@ -45,9 +43,9 @@ class Emulator:
     """All radios of a run and the channel between them.
 
     ``seed`` seeds the emulator; every model and link has a separate stream derived from it.
-    ``on_transmission`` is called with every frame that has ended. ``propagation`` and ``fading`` create other
-    models than the built-in ones (`netsim.phy.interfaces`). Raises ValueError for inconsistent settings
-    (`netsim.emulator.settings_checks`).
+    ``on_transmission`` is called with every frame that has ended. Raises ValueError for inconsistent settings
+    (`netsim.emulator.settings_checks`), and for models that cannot be created
+    (`netsim.radio_models.registry`).
     """
 
     def __init__(
@@ -57,8 +55,6 @@ class Emulator:
         stations: int,
         seed: np.random.SeedSequence,
         on_transmission: Callable[[Transmission], None] | None = None,
-        propagation: PropagationFactory = PathGain,
-        fading: FadingFactory = make_fading,
     ) -> None:
         self._vehicles = stations - len(config.guests)
         check(config, self._vehicles)
@@ -82,10 +78,10 @@ class Emulator:
         self._level = np.tile([1.0, 0.0, 0.0, 0.0], (stations, 1))
         """Default attitudes (n, 4), wxyz."""
         self._shapes = (stations, 3), (stations, 3), self._level.shape
-        self.links = Links(
-            config, self.trajectories, stations, self._streams, propagation=propagation, fading=fading
-        )
-        channel = IdealChannel if config.channel == "ideal" else partial(Radios, streams=self._streams)
+        models = make_models(config, stations, self._streams)
+        self.links = Links(config, self.trajectories, stations, self._streams, models)
+        emulated = partial(Radios, streams=self._streams, errors=models.error_model)
+        channel = IdealChannel if config.channel == "ideal" else emulated
         self._channel: Radios | IdealChannel = channel(
             config=config,
             queue=self.queue,

@@ -31,9 +31,7 @@ from netsim.phy.receptions import OUTCOMES, Receptions, without_noise
 
 def undisturbed(config: RadioConfig) -> RadioConfig:
     """Return the settings without fading, shadowing, blocked lines of sight and interferers."""
-    return msgspec.structs.replace(
-        config, rician_k_db=None, shadowing_std_db=0.0, nlos_fraction=0.0, interferers=()
-    )
+    return msgspec.structs.replace(config, fading="none", shadowing="none", nlos_fraction=0.0, interferers=())
 
 
 class IdealChannel:

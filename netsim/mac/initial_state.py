@@ -10,7 +10,8 @@ from netsim.model.config import RadioConfig
 from netsim.model.event_queue import NEVER_NS
 from netsim.model.records import BUFFERED_DRAWS
 from netsim.model.tables import Tables
-from netsim.phy.errors import error_model
+from netsim.phy.errors import error_table
+from netsim.phy.interfaces import ErrorModel
 from netsim.phy.medium import PREAMBLE_SINR
 from netsim.phy.modes import MODE_NAMES, PhyMode, phy_mode, response_mode
 from netsim.phy.propagation import thermal_noise_mw
@@ -19,13 +20,14 @@ from netsim.phy.propagation import thermal_noise_mw
 class ModeRows(dict[PhyMode, int]):
     """Row numbers of modes in ``tables``; a row is filled at the first access to its mode."""
 
-    def __init__(self, tables: Tables) -> None:
+    def __init__(self, tables: Tables, errors: ErrorModel) -> None:
         self.tables = tables
+        self._errors = errors
 
     def __missing__(self, mode: PhyMode) -> int:
         """Fill the rows of a mode and of the mode of its responses."""
         row = self[mode] = MODE_NAMES.index(mode.name)
-        errors, phy = error_model(mode), self.tables.modes[row]
+        errors, phy = error_table(mode, self._errors), self.tables.modes[row]
         phy.preamble_ns, phy.bits_per_symbol, phy.vht = mode.preamble_ns, mode.bits_per_symbol, mode.vht
         phy.hazard_count, phy.clean_linear = len(errors.log_hazards), errors.clean_linear
         phy.log_hazards[: len(errors.log_hazards)] = errors.log_hazards
@@ -34,12 +36,17 @@ class ModeRows(dict[PhyMode, int]):
 
 
 def silent_block(
-    config: RadioConfig, *, stations: int, queues: Sequence[AccessParameters], observed: bool
+    config: RadioConfig,
+    *,
+    stations: int,
+    queues: Sequence[AccessParameters],
+    errors: ErrorModel,
+    observed: bool,
 ) -> tuple[Block, ModeRows]:
     """Return tables of stations with these queues each; ``observed``: report the end of every frame."""
     block = t.new_block(stations=stations, categories=len(queues))
     tables = t.tables_of(block)
-    modes = ModeRows(tables)
+    modes = ModeRows(tables, errors)
     noise_mw = thermal_noise_mw(config.bandwidth_mhz, config.noise_figure_db)
     preamble_mw = max(10.0 ** (config.cca_preamble_dbm / 10.0), PREAMBLE_SINR * noise_mw)
     energy_mw = 10.0 ** (config.cca_energy_dbm / 10.0)

@@ -23,7 +23,10 @@ from netsim.model.event_queue import NEVER_NS, EventQueue
 from netsim.model.random_streams import FloatStream, Model, RandomStreams
 from netsim.model.records import BUFFERED_DRAWS
 from netsim.model.tables import Integers
+from netsim.phy.errors import ERRORS
+from netsim.phy.fading import SampledFading
 from netsim.phy.frames import KINDS, Frame, Transmission
+from netsim.phy.interfaces import ErrorModel
 from netsim.phy.modes import MODE_NAMES, phy_mode
 from netsim.phy.path_loss import Doubles
 from netsim.phy.propagation import Links
@@ -52,6 +55,7 @@ class Radios:
         streams: RandomStreams,
         on_group_frame: OnGroupFrame,
         on_ended: Callable[[Transmission], None] | None,
+        errors: ErrorModel = ERRORS,
     ) -> None:
         self._config = config
         self._queue = queue
@@ -64,10 +68,11 @@ class Radios:
         """Queue by access category; with DCF all share one."""
         self._queues_each = len(parameters)
         block, self._modes = silent_block(
-            config, stations=stations, queues=parameters, observed=on_ended is not None
+            config, stations=stations, queues=parameters, errors=errors, observed=on_ended is not None
         )
         self._use(block)
         self._fading_block = _NO_FADING if links.fading is None else links.fading.block
+        self._sampled = links.fading if isinstance(links.fading, SampledFading) else None
         self._links_version = links.version
         self._uppers: list[Upper] = []
         self._backoffs = [streams.uniforms(Model.BACKOFF, i) for i in range(stations)]
@@ -240,6 +245,9 @@ class Radios:
     def _update_budget(self, source: int, at_ns: int) -> None:
         row = self._links.row(source, at_ns)
         until_ns = max(row.until_ns, at_ns)
+        if self._sampled is not None:
+            self._sampled.sample(source, at_ns)
+            until_ns = at_ns  # the next frame needs gains of its own
         loop.set_budget(self._block, source, row.powers_mw, row.delays_ns, until_ns, row.longest_delay_ns)
 
     def _choose_mode(self, q: int) -> None:

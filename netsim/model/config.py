@@ -4,7 +4,7 @@ Frozen, keyword-only and range-checked by msgspec when a scenario is decoded. Th
 use them are in `netsim.phy`, `netsim.mac` and `netsim.ftm`.
 """
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct
 
@@ -19,6 +19,7 @@ Mode = Literal[
 AccessCategory = Literal["vo", "vi", "be", "bk"]
 Metres = Annotated[float, Meta(ge=-1e5, le=1e5)]
 PowerDbm = Annotated[float, Meta(ge=-50.0, le=50.0)]
+ModelName = Annotated[str, Meta(min_length=1, max_length=200)]
 
 
 class FtmConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -101,6 +102,18 @@ class GuestConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Position in the site's NED frame, metres."""
 
 
+class RadioModel(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A model of the radio with its settings, such as the table ``[radio.path_loss]``."""
+
+    model: ModelName
+    """A built-in name, a name of an installed package's entry points, or ``package.module:Class``."""
+    settings: dict[str, Any] = {}
+    """Settings of the model, checked against its own type."""
+    folder: str = ""
+    """Folder where the module is looked up first and to which paths in the settings are relative; "": that of
+    the scenario's file."""
+
+
 class RadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of the 802.11 channel and of all radios."""
 
@@ -115,20 +128,26 @@ class RadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Bandwidth of the channel, MHz."""
     tx_power_dbm: PowerDbm = 16.0
     """Transmit power of each radio at its antenna port, dBm."""
-    antenna: Literal["isotropic", "dipole"] = "isotropic"
-    """``dipole``: a half-wave dipole along the body's z axis, which tilts with the vehicle."""
+    antenna: ModelName | RadioModel = "isotropic"
+    """Antenna pattern: ``isotropic``; ``dipole``, a half-wave dipole along the body's z axis, which tilts
+    with the vehicle; or a model of one's own."""
     antenna_gain_dbi: Annotated[float, Meta(ge=-50.0, le=50.0)] = 0.0
     """Peak gain."""
     noise_figure_db: Annotated[float, Meta(ge=0.0, le=50.0)] = 7.0
     """Noise figure of each receiver, dB."""
-    path_loss: Literal["friis", "log_distance", "two_ray"] = "log_distance"
-    """``log_distance`` uses ``path_loss_exponent``; ``two_ray`` adds the ground-reflected ray."""
+    path_loss: ModelName | RadioModel = "log_distance"
+    """``friis``; ``log_distance`` with ``path_loss_exponent``; ``two_ray`` with the ground-reflected ray;
+    ``table`` or ``grid`` from a file; or a model of one's own (docs/how-to/radio-models.md)."""
     path_loss_exponent: Annotated[float, Meta(ge=1.0, le=8.0)] = 2.0
     """Log-distance exponent beyond 1 m; at 1 m the loss is Friis."""
+    shadowing: ModelName | RadioModel = "log_normal"
+    """``log_normal`` with ``shadowing_std_db``, ``none``, or a model of one's own."""
     shadowing_std_db: NonNegative = 0.0
     """Standard deviation of log-normal shadowing, a function of the positions of both ends."""
     shadowing_distance_m: Positive = 20.0
     """Distance over which the correlation of the shadowing falls to 1/e."""
+    fading: ModelName | RadioModel = "rician"
+    """Small-scale fading: ``rician`` with ``rician_k_db``, ``none``, or a model of one's own."""
     rician_k_db: Annotated[float, Meta(ge=-20.0, le=60.0)] | None = 12.0
     """Rician K factor of small-scale fading; None: no fading."""
     fading_doppler_hz: NonNegative = 5.0
@@ -140,6 +159,8 @@ class RadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Mean duration of a blockage."""
     nlos_loss_db: NonNegative = 10.0
     """Extra loss while the line of sight is blocked."""
+    error_model: ModelName | RadioModel = "published"
+    """Packet errors by noise: ``published``, or a model of one's own."""
     extra_attenuation_db: Annotated[float, Meta(ge=0.0, le=1_000.0)] = 0.0
     """Attenuation added to every link: 20 dB degrades the channel, 200 dB cuts it."""
     cca_energy_dbm: Annotated[float, Meta(ge=-100.0, le=0.0)] = -62.0

@@ -27,6 +27,9 @@ class Model(IntEnum):
     NLOS_BIAS = 10
     RATE = 11
     HOST_LOSS = 12
+    PATH_LOSS = 13
+    ERROR_MODEL = 14
+    ANTENNA = 15
 
 
 class FloatStream:

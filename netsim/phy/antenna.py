@@ -16,6 +16,7 @@ from math import pi
 
 import numpy as np
 
+from netsim.phy.interfaces import AntennaPattern
 from netsim.phy.path_loss import Doubles, GroundRay
 
 UNPOLARISED = 0.01
@@ -23,14 +24,31 @@ _PEAK = 1.0 + UNPOLARISED + 0.5 * UNPOLARISED**2
 """Power between two dipoles in their peak directions; all results are divided by it."""
 
 
-def body_z_ned(q_ned_frd: Doubles) -> Doubles:
-    """Return the dipole axes (n, 3) in NED, the bodies' z axes, from quaternions (n, 4), wxyz.
+class Dipole:
+    """Selects half-wave dipoles along the bodies' z axes, which couple as in this module."""
 
-    Quaternions are normalised.
+
+def rotations_ned_frd(q_ned_frd: Doubles) -> Doubles:
+    """Return the rotations (n, 3, 3) from FRD to NED of quaternions (n, 4), wxyz.
+
+    The third column is the body's z axis in NED. Quaternions are normalised.
     """
     lengths = np.sqrt(np.einsum("ij,ij->i", q_ned_frd, q_ned_frd))
     w, x, y, z = (q_ned_frd / np.maximum(lengths, 1e-12)[:, None]).T
-    return np.stack((2.0 * (x * z + w * y), 2.0 * (y * z - w * x), w * w - x * x - y * y + z * z), axis=1)
+    columns = (
+        (w * w + x * x - y * y - z * z, 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)),
+        (2.0 * (x * y - w * z), w * w - x * x + y * y - z * z, 2.0 * (y * z + w * x)),
+        (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), w * w - x * x - y * y + z * z),
+    )
+    return np.array(columns).transpose(2, 1, 0)
+
+
+def pattern_gain_db(pattern: AntennaPattern, directions_ned: Doubles, rotations: Doubles) -> Doubles:
+    """Return the gains (m, n) in dB of m antennas with a pattern in directions (m, n, 3) in NED.
+
+    ``rotations`` (m, 3, 3) are those of `rotations_ned_frd`.
+    """
+    return pattern.gain_db(np.einsum("ijk,ikl->ijl", directions_ned, rotations))
 
 
 def _strength(cosine: Doubles) -> Doubles:

@@ -124,7 +124,7 @@ class PublishedErrors:
 
 
 ERRORS: ErrorModel = PublishedErrors()
-"""The error model of all modes; `error_model` caches its tables."""
+"""The built-in error model; `error_table` caches its tables."""
 
 
 @njit(cache=True)
@@ -173,11 +173,15 @@ class PacketErrorModel:
 
 
 @cache
-def error_model(mode: PhyMode) -> PacketErrorModel:
-    """Return the cached error model of a mode."""
+def _published(mode: PhyMode) -> PacketErrorModel:
     return PacketErrorModel(mode, ERRORS)
+
+
+def error_table(mode: PhyMode, errors: ErrorModel = ERRORS) -> PacketErrorModel:
+    """Return the table of an error model for a mode; those of the built-in one are cached."""
+    return _published(mode) if errors is ERRORS else PacketErrorModel(mode, errors)
 
 
 def packet_error_rate(mode: PhyMode, frame_bytes: int, snr_linear: float) -> float:
     """Return the loss probability of a frame at a constant SNR, without preamble errors."""
-    return -expm1(-8 * frame_bytes * error_model(mode).hazard_per_bit(snr_linear))
+    return -expm1(-8 * frame_bytes * error_table(mode).hazard_per_bit(snr_linear))

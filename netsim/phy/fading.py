@@ -21,7 +21,6 @@ from math import cos, pi, prod, sin, sqrt
 import numpy as np
 from numba import njit
 
-from netsim.model.config import RadioConfig
 from netsim.model.random_streams import Model, RandomStreams
 from netsim.phy.interfaces import Fading
 from netsim.phy.path_loss import SPEED_OF_LIGHT_M_S, Doubles
@@ -64,8 +63,10 @@ def _turn(
 
 @njit(cache=True)
 def gain(block: Doubles, stations: int, source: int, receiver: int, at_ns: int) -> float:
-    """Return the power gain of a link by fading, from the data of `RicianFading.block`."""
+    """Return the power gain of a link by fading, from the block of `RicianFading` or `SampledFading`."""
     links, link = stations * stations, source * stations + receiver
+    if len(block) == links:  # gains of frames that begin now
+        return float(block[link])
     theta_rad, rate_rad_ns = block[_HEAD + link], block[_HEAD + links + link]
     angle_rad = theta_rad + rate_rad_ns * (at_ns - int(block[0]))
     real, imaginary = block[1], 0.0
@@ -95,21 +96,23 @@ def _parts(block: Doubles, n: int) -> tuple[Doubles, Doubles, Doubles, Doubles]:
     return theta_rad, rates_rad_ns, cosines, weights
 
 
-def make_fading(config: RadioConfig, stations: int, streams: RandomStreams) -> Fading | None:
-    """Return the fading of the settings; None if ``radio.rician_k_db`` is not set."""
-    if config.rician_k_db is None:
-        return None
-    return RicianFading(
-        k_db=config.rician_k_db,
-        doppler_hz=config.fading_doppler_hz,
-        frequency_mhz=config.frequency_mhz,
-        stations=stations,
-        streams=streams,
-    )
+class SampledFading:
+    """Fading by a model in Python, which is called at the beginning of each frame."""
+
+    def __init__(self, model: Fading, stations: int) -> None:
+        self._model = model
+        self._rows = np.ones((stations, stations))
+        self.block = self._rows.reshape(-1)
+        """Data of `gain`: gains by source and receiver, those of a source as of its last `sample`."""
+        self.move = model.move
+
+    def sample(self, source: int, at_ns: int) -> None:
+        """Set the gains of a frame that a station begins now."""
+        self._rows[source] = self._model.gains(source, at_ns)
 
 
 class RicianFading:
-    """Rician fading of all links."""
+    """Rician fading of all links, computed in the kernel `gain`."""
 
     def __init__(
         self, *, k_db: float, doppler_hz: float, frequency_mhz: float, stations: int, streams: RandomStreams

@@ -1,73 +1,75 @@
-"""Interfaces of the radio's models: propagation, small-scale fading and packet errors.
+"""Interfaces of the radio's models: path loss, shadowing, fading, packet errors and antenna pattern.
 
-The built-in models are `netsim.phy.path_gain.PathGain`, `netsim.phy.fading.RicianFading` and
-`netsim.phy.errors.PublishedErrors`. All models are functions of their arguments and of the random streams
-that their factory received: equal arguments give equal bytes in any order of calls, because link budgets are
-computed on demand and cached. Times are simulated time in ns. Frames: world NED in metres.
+`netsim.radio_models.registry` creates them by the names in ``[radio]``; docs/how-to/radio-models.md shows a
+model of one's own. All models are functions of their arguments, their settings and `RadioContext.generator`:
+equal arguments give equal bytes in any order of calls, because link budgets are computed on demand and
+cached. Arguments must not be changed. Times are simulated time in ns. Frames: world NED in metres from the
+site's origin, body FRD.
 """
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+from msgspec import Struct
+
 from netsim.model.config import RadioConfig
-from netsim.model.random_streams import RandomStreams
+from netsim.model.random_streams import Model, RandomStreams
 from netsim.phy.modes import PhyMode
 from netsim.phy.path_loss import Doubles
 
 
-class Propagation(Protocol):
-    """Mean gains and distances between positions; consumer: `netsim.phy.propagation.Links`.
+class PathLoss(Protocol):
+    """Mean loss between isotropic antennas; consumer: `netsim.phy.path_gain.PathGain`.
 
-    A gain is a linear power ratio, relative to isotropic antennas in free space at 1 m
-    (`netsim.phy.path_loss.REFERENCE_DISTANCE_M`). Transmit power, ``radio.antenna_gain_dbi`` at both ends,
-    extra attenuation, blocked lines of sight and fading are applied by the consumer.
+    Transmit power, ``radio.antenna_gain_dbi`` and antenna patterns, shadowing, extra attenuation, blocked
+    lines of sight and fading are applied by the consumer. Losses must be equal in both directions.
     """
 
-    @property
-    def power_law_exponent(self) -> float | None:
-        """Exponent e if every gain is max(distance, 1 m)^-e: a kernel then replaces `between_stations`.
+    def loss_db(self, from_ned_m: Doubles, to_ned_m: Doubles, distance_m: Doubles) -> Doubles:
+        """Return the losses (m, n) in dB from m positions to n, at least 0; infinity: nothing is received.
 
-        None: `between_stations` is called.
+        ``from_ned_m`` (m, 3) and ``to_ned_m`` (n, 3) are positions; ``distance_m`` (m, n) is at least 1 m,
+        also where the positions are closer. Entries of a station to itself may be any valid loss.
         """
 
-    @property
-    def uses_attitudes(self) -> bool:
-        """Whether gains depend on attitudes; budgets are then computed again when an attitude changes."""
 
-    def between_stations(
-        self, sources: slice, pos_ned_m: Doubles, axes_ned: Doubles | None
-    ) -> tuple[Doubles, Doubles]:
-        """Return gains and distances in metres, both (m, n), from the m ``sources`` to all n stations.
+class Shadowing(Protocol):
+    """Variation of the mean received power with the positions; consumer: `netsim.phy.path_gain.PathGain`.
 
-        ``sources`` is `netsim.phy.path_gain.ALL` or a slice of station numbers; ``pos_ned_m`` (n, 3);
-        ``axes_ned`` (n, 3) are the bodies' z axes, None unless `uses_attitudes`. Entries of a station to
-        itself are ignored. Arguments must not be changed.
+    It must be equal in both directions.
+    """
+
+    def gain_db(self, from_ned_m: Doubles, to_ned_m: Doubles, distance_m: Doubles) -> Doubles:
+        """Return finite gains (m, n) in dB, positive for more power.
+
+        Positions are as in `PathLoss.loss_db`; ``distance_m`` (m, n) has no least value.
         """
 
-    def from_others(
-        self, from_ned_m: Doubles, to_ned_m: Doubles, to_axes_ned: Doubles | None
-    ) -> tuple[Doubles, Doubles]:
-        """Return gains and distances in metres, both (m, n), from m interferers to n stations.
 
-        ``from_ned_m`` (m, 3); ``to_ned_m`` and ``to_axes_ned`` as in `between_stations`.
+class AntennaPattern(Protocol):
+    """Pattern of every station's antenna, without polarisation; consumer: `netsim.phy.path_gain.PathGain`."""
+
+    def gain_db(self, direction_frd: Doubles) -> Doubles:
+        """Return gains (m, n) in dB, relative to ``radio.antenna_gain_dbi``; minus infinity for nothing.
+
+        ``direction_frd`` (m, n, 3) are unit vectors in the bodies' frames, from the m or n antennas to the
+        other stations.
         """
 
 
 class Fading(Protocol):
-    """Small-scale fading of all links as a sum of waves; consumer: the kernel `netsim.phy.fading.gain`.
+    """Small-scale fading of all links; consumer: `netsim.phy.fading.SampledFading`.
 
-    The power gain of a link is |h|^2, where h is a line-of-sight amplitude plus waves that rotate with the
-    link's phase theta (see `netsim.phy.fading`). The gain must be reciprocal and a function of seed, pair and
-    time. Call order: `move` with times that do not decrease; gains refer to times after the last `move`.
+    Gains must be equal in both directions and a function of seed, pair and time. Call order: `move` with
+    times that do not decrease; gains refer to times after the last `move`.
     """
 
-    @property
-    def block(self) -> Doubles:
-        """Data of the kernel, one array for the whole run, changed only by `move`.
+    def gains(self, source: int, at_ns: int) -> Doubles:
+        """Return the power gains (n,) of a frame that a station sends at ``at_ns``, linear and at least 0.
 
-        Shape (2 + n^2 (2 + 5 * SECTORS),): time of the last `move` in ns, line-of-sight amplitude, theta (n,
-        n) in rad, its rate (n, n) in rad/ns, the waves' cosines (n, n, SECTORS) and weights (n, n, SECTORS,
-        4).
+        Their mean over time should be 1. The station's own entry is ignored.
         """
 
     def move(self, at_ns: int, pos_ned_m: Doubles, vel_ned_m_s: Doubles) -> None:
@@ -82,14 +84,32 @@ class ErrorModel(Protocol):
     """
 
     def hazard(self, mode: PhyMode) -> Callable[[float], float]:
-        """Return the hazard of one data bit, positive and finite, as a function of the SNR in dB.
+        """Return the hazard of one data bit, at least 0 and finite, as a function of the SNR in dB.
 
         The SNR is power over noise in the whole channel. The function is evaluated once per mode, from -10 dB
         upwards in steps of 0.05 dB to 45 dB or the first hazard below 1e-17, from where on it counts as 0.
         """
 
 
-PropagationFactory = Callable[[RadioConfig, RandomStreams], Propagation]
-"""Creates the propagation model from the settings; random values are drawn from the streams."""
-FadingFactory = Callable[[RadioConfig, int, RandomStreams], Fading | None]
-"""Creates the fading model for a number of stations; None: the settings exclude fading."""
+class RadioContext(Struct, frozen=True, kw_only=True):
+    """What a model receives when it is created, as ``Class(context)``.
+
+    With an attribute ``Settings``, a msgspec Struct or a dataclass, it is ``Class(context, settings)``; a
+    class without a constructor is created without arguments.
+    """
+
+    config: RadioConfig
+    """Settings of the radio, such as ``frequency_mhz``."""
+    stations: int
+    """Number of vehicles and guests, the n of positions and gains of all stations."""
+    folder: Path
+    """Folder of the scenario's file, to which paths in settings are relative."""
+    streams: RandomStreams
+    stream: Model
+
+    def generator(self, *index: int) -> np.random.Generator:
+        """Return a new random generator of this kind of model for a station, link or pair.
+
+        It depends on the run's seed and ``index`` alone, not on the order of calls.
+        """
+        return self.streams.generator(self.stream, *index)

@@ -1,109 +1,165 @@
 """Total gain of path loss, antennas and shadowing from many positions to many, as arrays.
 
-Gains are relative to isotropic antennas in free space at the reference distance of `netsim.phy.path_loss`.
+A gain is a linear power ratio, relative to isotropic antennas in free space at the reference distance of
+`netsim.phy.path_loss`. Transmit power, ``radio.antenna_gain_dbi`` at both ends, extra attenuation, blocked
+lines of sight and fading are applied by `netsim.phy.propagation`.
 """
 
 import numpy as np
 
 from netsim.model.config import RadioConfig
-from netsim.model.random_streams import RandomStreams
-from netsim.phy.antenna import direct_coupling, reflected_coupling, unpolarised_source_coupling
+from netsim.phy.antenna import (
+    Dipole,
+    direct_coupling,
+    pattern_gain_db,
+    reflected_coupling,
+    unpolarised_source_coupling,
+)
+from netsim.phy.interfaces import AntennaPattern, PathLoss
+from netsim.phy.models import RadioModels
 from netsim.phy.path_loss import (
     REFERENCE_DISTANCE_M,
-    Complexes,
     Doubles,
-    GroundRay,
-    ground_permittivity,
+    PowerLaw,
+    TwoRay,
+    friis_loss_db,
     ground_ray,
     reflection,
     two_ray_gain,
 )
-from netsim.phy.shadowing import Shadowing
 
 ALL = slice(None)
 """Selects all stations as sources."""
 
 
 class PathGain:
-    """The built-in propagation models, as selected by the settings."""
+    """Product of the models of path loss, antennas and shadowing."""
 
-    def __init__(self, config: RadioConfig, streams: RandomStreams) -> None:
-        self._frequency_mhz = config.frequency_mhz
-        self._bandwidth_mhz = config.bandwidth_mhz
-        self._two_ray = config.path_loss == "two_ray"
-        self._exponent = 2.0 if config.path_loss == "friis" else config.path_loss_exponent
-        """Exponent of the power law, if that is the path loss."""
-        self.uses_attitudes = config.antenna == "dipole"
-        """See `netsim.phy.interfaces.Propagation`."""
-        self._permittivity = ground_permittivity(config.frequency_mhz)
-        self._shadowing: Shadowing | None = None
-        if config.shadowing_std_db > 0.0:
-            self._shadowing = Shadowing(config.shadowing_std_db, config.shadowing_distance_m, streams)
+    def __init__(self, config: RadioConfig, models: RadioModels) -> None:
+        self._loss = models.path_loss
+        self._shadowing = models.shadowing
+        self._dipole = isinstance(models.antenna, Dipole)
+        self._pattern: AntennaPattern | None = None if isinstance(models.antenna, Dipole) else models.antenna
+        self.uses_attitudes = models.antenna is not None
+        """Whether gains depend on attitudes; budgets are then computed again when an attitude changes."""
+        self._reference_db = friis_loss_db(REFERENCE_DISTANCE_M, config.frequency_mhz)
 
     @property
     def power_law_exponent(self) -> float | None:
-        """See `netsim.phy.interfaces.Propagation`."""
-        plain = not (self._two_ray or self.uses_attitudes or self._shadowing is not None)
-        return self._exponent if plain else None
+        """Exponent e if every gain is max(distance, 1 m)^-e: a kernel then replaces `between_stations`.
+
+        None: `between_stations` is called.
+        """
+        plain = self._shadowing is None and not self.uses_attitudes
+        return self._loss.exponent if plain and isinstance(self._loss, PowerLaw) else None
 
     def between_stations(
-        self, sources: slice, pos_ned_m: Doubles, axes_ned: Doubles | None
+        self, sources: slice, pos_ned_m: Doubles, rotations: Doubles | None
     ) -> tuple[Doubles, Doubles]:
-        """See `netsim.phy.interfaces.Propagation`; without ``axes_ned`` antennas are isotropic."""
+        """Return gains and distances in metres, both (m, n), from the m ``sources`` to all n stations.
+
+        ``sources`` is `ALL` or a slice of station numbers; ``pos_ned_m`` (n, 3); ``rotations`` (n, 3, 3) from
+        FRD to NED, None unless `uses_attitudes`. Entries of a station to itself have no meaning.
+        """
         from_ned_m = pos_ned_m if sources == ALL else pos_ned_m[sources]
         away_m = pos_ned_m - from_ned_m[:, None]
         distances_m = np.sqrt(np.einsum("ijk,ijk->ij", away_m, away_m))
-        field: Doubles | float = 1.0
-        beside: Doubles | float = 0.0
-        if axes_ned is not None:
-            directions = away_m / np.maximum(distances_m, 1e-9)[..., None]
-            field, beside = direct_coupling(directions, axes_ned[sources], axes_ned)
-        if not self._two_ray:
-            gains = (field * field + beside) * self._power_law(distances_m)
-            return self._shadowed(gains, from_ned_m, pos_ned_m, distances_m), distances_m
-        ray = ground_ray(from_ned_m, pos_ned_m, distances_m)
-        vertical, horizontal = reflection(self._permittivity, ray)
-        if axes_ned is None:
-            gains = self._two_rays(distances_m, ray, field, vertical)
+        axes_ned: Doubles | None = None
+        if self._dipole and rotations is not None:
+            axes_ned = np.ascontiguousarray(rotations[:, :, 2])
+        loss = self._loss
+        if isinstance(loss, TwoRay):
+            gains = _two_rays(loss, from_ned_m, pos_ned_m, distances_m, sources, axes_ned)
         else:
-            vertical_field, horizontal_field, reflected_beside = reflected_coupling(
-                ray, axes_ned[sources], axes_ned
-            )
-            polarised = vertical * vertical_field + horizontal * horizontal_field
-            # the unpolarised parts are incoherent: powers add
-            kept = 0.5 * (np.abs(vertical) ** 2 + np.abs(horizontal) ** 2)
-            beside = beside / np.maximum(distances_m, REFERENCE_DISTANCE_M) ** 2
-            beside += reflected_beside * kept / np.maximum(ray.distance_m, REFERENCE_DISTANCE_M) ** 2
-            gains = self._two_rays(distances_m, ray, field, polarised) + beside
+            gains = self._direct(loss, from_ned_m, pos_ned_m, distances_m)
+            if axes_ned is not None:
+                directions = away_m / np.maximum(distances_m, 1e-9)[..., None]
+                field, beside = direct_coupling(directions, axes_ned[sources], axes_ned)
+                gains = (field * field + beside) * gains
+        if self._pattern is not None and rotations is not None:
+            directions = _directions(away_m, distances_m)
+            towards_db = pattern_gain_db(self._pattern, directions, rotations[sources])
+            if sources == ALL:
+                back_db = towards_db.T
+            else:
+                back_db = pattern_gain_db(self._pattern, -directions.swapaxes(0, 1), rotations).T
+            gains = gains * 10.0 ** ((towards_db + back_db) / 10.0)
         return self._shadowed(gains, from_ned_m, pos_ned_m, distances_m), distances_m
 
     def from_others(
-        self, from_ned_m: Doubles, to_ned_m: Doubles, to_axes_ned: Doubles | None
+        self, from_ned_m: Doubles, to_ned_m: Doubles, to_rotations: Doubles | None
     ) -> tuple[Doubles, Doubles]:
-        """See `netsim.phy.interfaces.Propagation`; the sources' antennas are unknown."""
+        """Return gains and distances in metres, both (m, n), from m interferers to n stations.
+
+        ``from_ned_m`` (m, 3); ``to_ned_m`` and ``to_rotations`` as in `between_stations`. The sources'
+        antennas are isotropic, of unknown polarisation.
+        """
         away_m = to_ned_m - from_ned_m[:, None]
         distances_m = np.sqrt(np.einsum("ijk,ijk->ij", away_m, away_m))
-        if self._two_ray:
-            ray = ground_ray(from_ned_m, to_ned_m, distances_m)
-            gains = self._two_rays(distances_m, ray, 1.0, reflection(self._permittivity, ray)[0])
+        loss = self._loss
+        if isinstance(loss, TwoRay):
+            gains = _two_rays(loss, from_ned_m, to_ned_m, distances_m, ALL, None)
         else:
-            gains = self._power_law(distances_m)
-        if to_axes_ned is not None:
+            gains = self._direct(loss, from_ned_m, to_ned_m, distances_m)
+        if self._dipole and to_rotations is not None:
             directions = away_m / np.maximum(distances_m, 1e-9)[..., None]
-            gains = gains * unpolarised_source_coupling(directions, to_axes_ned)
+            axes_ned = np.ascontiguousarray(to_rotations[:, :, 2])
+            gains = gains * unpolarised_source_coupling(directions, axes_ned)
+        if self._pattern is not None and to_rotations is not None:
+            back = -_directions(away_m, distances_m).swapaxes(0, 1)
+            gains = gains * 10.0 ** (pattern_gain_db(self._pattern, back, to_rotations).T / 10.0)
         return self._shadowed(gains, from_ned_m, to_ned_m, distances_m), distances_m
 
-    def _power_law(self, distances_m: Doubles) -> Doubles:
-        return np.asarray(np.maximum(distances_m, REFERENCE_DISTANCE_M) ** -self._exponent)
-
-    def _two_rays(
-        self, distances_m: Doubles, ray: GroundRay, direct: Doubles | float, reflected: Complexes
+    def _direct(
+        self, loss: PathLoss | PowerLaw, from_ned_m: Doubles, to_ned_m: Doubles, distances_m: Doubles
     ) -> Doubles:
-        return two_ray_gain(distances_m, ray, direct, reflected, self._frequency_mhz, self._bandwidth_mhz)
+        """Return the gains (m, n) of a path loss."""
+        limited_m = np.maximum(distances_m, REFERENCE_DISTANCE_M)
+        if isinstance(loss, PowerLaw):
+            return np.asarray(limited_m**-loss.exponent)
+        losses_db = loss.loss_db(from_ned_m, to_ned_m, limited_m)
+        return np.asarray(10.0 ** ((self._reference_db - losses_db) / 10.0))
 
     def _shadowed(
         self, gains: Doubles, from_ned_m: Doubles, to_ned_m: Doubles, distances_m: Doubles
     ) -> Doubles:
         if self._shadowing is None:
             return gains
-        return gains * 10.0 ** (self._shadowing.between_db(from_ned_m, to_ned_m, distances_m) / 10.0)
+        shadowing_db = self._shadowing.gain_db(from_ned_m, to_ned_m, distances_m)
+        return np.asarray(gains * 10.0 ** (shadowing_db / 10.0))
+
+
+def _directions(away_m: Doubles, distances_m: Doubles) -> Doubles:
+    """Return unit vectors (m, n, 3) of displacements; north where there is none."""
+    directions = away_m / np.maximum(distances_m, 1e-9)[..., None]
+    directions[distances_m < 1e-9] = (1.0, 0.0, 0.0)
+    return directions
+
+
+def _two_rays(
+    loss: TwoRay,
+    from_ned_m: Doubles,
+    to_ned_m: Doubles,
+    distances_m: Doubles,
+    sources: slice,
+    axes_ned: Doubles | None,
+) -> Doubles:
+    """Return the gains (m, n) of direct and reflected rays between isotropic antennas or dipoles.
+
+    ``axes_ned`` (n, 3) are the dipoles' axes, of which ``sources`` selects those of the m transmitters; None:
+    isotropic.
+    """
+    ray = ground_ray(from_ned_m, to_ned_m, distances_m)
+    vertical, horizontal = reflection(loss.permittivity, ray)
+    if axes_ned is None:
+        return two_ray_gain(distances_m, ray, 1.0, vertical, loss.frequency_mhz, loss.bandwidth_mhz)
+    directions = (to_ned_m - from_ned_m[:, None]) / np.maximum(distances_m, 1e-9)[..., None]
+    field, beside = direct_coupling(directions, axes_ned[sources], axes_ned)
+    vertical_field, horizontal_field, reflected_beside = reflected_coupling(ray, axes_ned[sources], axes_ned)
+    polarised = vertical * vertical_field + horizontal * horizontal_field
+    # the unpolarised parts are incoherent: powers add
+    kept = 0.5 * (np.abs(vertical) ** 2 + np.abs(horizontal) ** 2)
+    beside = beside / np.maximum(distances_m, REFERENCE_DISTANCE_M) ** 2
+    beside += reflected_beside * kept / np.maximum(ray.distance_m, REFERENCE_DISTANCE_M) ** 2
+    gains = two_ray_gain(distances_m, ray, field, polarised, loss.frequency_mhz, loss.bandwidth_mhz)
+    return np.asarray(gains + beside)

@@ -34,6 +34,27 @@ def ground_permittivity(frequency_mhz: float) -> complex:
     return complex(15.0 * f_ghz**-0.1, -17.98 * 0.035 * f_ghz**1.63 / f_ghz)
 
 
+class PowerLaw(Struct, frozen=True):
+    """Path loss of Friis at 1 m, from where the power falls with the distance to the power of -``exponent``.
+
+    `netsim.phy.propagation` computes it in a kernel if nothing else shapes the gains.
+    """
+
+    exponent: float
+
+
+class TwoRay(Struct, frozen=True, kw_only=True):
+    """Path loss of the direct and the ground-reflected ray, which antennas weight separately."""
+
+    frequency_mhz: float
+    bandwidth_mhz: float
+
+    @property
+    def permittivity(self) -> complex:
+        """Complex permittivity of the ground."""
+        return ground_permittivity(self.frequency_mhz)
+
+
 class GroundRay(Struct, frozen=True, kw_only=True):
     """Geometry of the ground-reflected rays from m positions to n positions."""
 

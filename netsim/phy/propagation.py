@@ -1,7 +1,7 @@
 """Positions of the stations, and link budgets: received powers and propagation delays.
 
-The models are in `netsim.phy.path_gain` (path loss, antennas, shadowing), `netsim.phy.obstruction` and
-`netsim.phy.fading`; a budget is the product of the enabled ones.
+The models are composed by `netsim.phy.path_gain` (path loss, antennas, shadowing), `netsim.phy.obstruction`
+and `netsim.phy.fading`; a budget is the product of the enabled ones.
 """
 
 from collections.abc import Callable
@@ -16,9 +16,8 @@ from netsim.model.config import RadioConfig
 from netsim.model.event_queue import NEVER_NS
 from netsim.model.random_streams import RandomStreams
 from netsim.model.tables import Integers
-from netsim.phy.antenna import body_z_ned
-from netsim.phy.fading import make_fading
-from netsim.phy.interfaces import Fading, FadingFactory, Propagation, PropagationFactory
+from netsim.phy.antenna import rotations_ned_frd
+from netsim.phy.models import RadioModels
 from netsim.phy.obstruction import Obstruction
 from netsim.phy.path_gain import ALL, PathGain
 from netsim.phy.path_loss import REFERENCE_DISTANCE_M, SPEED_OF_LIGHT_M_S, Doubles, friis_loss_db
@@ -117,7 +116,7 @@ class Trajectories:
         self._rows: tuple[list[list[float]], list[list[float]]] | None = None
         """Positions and velocities as lists of floats, created on demand."""
         self._attitudes: bytes | None = None
-        self._axes_ned: Doubles | None = None
+        self._rotations: Doubles | None = None
         self.moving = False
         self.on_set: Callable[[int, Doubles, Doubles], None] | None = None
         """Called with time, positions and velocities by `set`, before it changes the motion."""
@@ -145,7 +144,7 @@ class Trajectories:
             self._pos_ned_m, self._vel_ned_m_s = places, velocities
         attitudes = None if q_ned_frd is None else np.array(q_ned_frd, np.float64).tobytes()
         if attitudes != self._attitudes:
-            self._attitudes, self._axes_ned = attitudes, None
+            self._attitudes, self._rotations = attitudes, None
             self.pose_version += 1
         self.moving = moving
         self.at_ns = at_ns
@@ -170,13 +169,13 @@ class Trajectories:
         (ua, va, wa), (ub, vb, wb) = velocities[a], velocities[b]
         return hypot(xa - xb + dt_s * (ua - ub), ya - yb + dt_s * (va - vb), za - zb + dt_s * (wa - wb))
 
-    def body_z_ned(self) -> Doubles:
-        """Return the bodies' z axes (n, 3) in NED."""
-        if self._axes_ned is None:
+    def rotations_ned_frd(self) -> Doubles:
+        """Return the rotations (n, 3, 3) from FRD to NED."""
+        if self._rotations is None:
             level = np.tile([1.0, 0.0, 0.0, 0.0], len(self._pos_ned_m))
             attitudes = level if self._attitudes is None else np.frombuffer(self._attitudes)
-            self._axes_ned = body_z_ned(attitudes.reshape(-1, 4))
-        return self._axes_ned
+            self._rotations = rotations_ned_frd(attitudes.reshape(-1, 4))
+        return self._rotations
 
 
 class LinkRow(Struct, frozen=True):
@@ -203,9 +202,7 @@ class Links:
         trajectories: Trajectories,
         stations: int,
         streams: RandomStreams,
-        *,
-        propagation: PropagationFactory = PathGain,
-        fading: FadingFactory = make_fading,
+        models: RadioModels,
     ) -> None:
         self._config = config
         self._trajectories = trajectories
@@ -219,14 +216,14 @@ class Links:
         self._powers_version = 0
         self._rows: dict[int, tuple[int, LinkRow]] = {}
         """By source: `version` and link budget."""
-        self._propagation: Propagation = propagation(config, streams)
+        self._propagation = PathGain(config, models)
         self._exponent = self._propagation.power_law_exponent
         self._uses_attitudes = self._propagation.uses_attitudes
         self._together = stations <= COMPUTED_TOGETHER
         self._poses_of: tuple[int, int] | None = None
         """Pose version and time of the following, which `_use_poses` sets."""
         self._poses: tuple[Doubles, Doubles | None]
-        """Positions (n, 3) and the bodies' z axes."""
+        """Positions (n, 3) and rotations from FRD to NED."""
         self._paths: tuple[Doubles, Doubles] | None = None
         """Gains and distances of all links, computed on demand."""
         self._interferer_rows: list[LinkRow] = []
@@ -240,7 +237,7 @@ class Links:
                 streams=streams,
             )
         self._blocked_gain = 10.0 ** (-config.nlos_loss_db / 10.0)
-        self.fading: Fading | None = fading(config, stations, streams)
+        self.fading = models.fading
         if self.fading is not None:
             trajectories.on_set = self.fading.move
         self._distances_m = np.empty(stations)
@@ -335,8 +332,8 @@ class Links:
         since_ns = at_ns - (at_ns - trajectories.at_ns) % ROW_LIFETIME_NS if trajectories.moving else 0
         key = trajectories.pose_version, since_ns
         if key != self._poses_of:
-            axes_ned = trajectories.body_z_ned() if self._uses_attitudes else None
-            self._poses_of, self._poses = key, (trajectories.positions_ned_m(since_ns), axes_ned)
+            rotations = trajectories.rotations_ned_frd() if self._uses_attitudes else None
+            self._poses_of, self._poses = key, (trajectories.positions_ned_m(since_ns), rotations)
             self._paths, self._interferer_rows = None, []
         return since_ns
 

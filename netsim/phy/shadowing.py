@@ -25,8 +25,8 @@ _Waves = tuple[Doubles, Doubles, Doubles, Doubles]
 """Cosine and sine of k . pos, then of l . pos + phase, each (n, waves)."""
 
 
-class Shadowing:
-    """Shadowing field of one run."""
+class LogNormalShadowing:
+    """Shadowing field of one run; see `netsim.phy.interfaces.Shadowing`."""
 
     def __init__(self, std_db: float, distance_m: float, streams: RandomStreams) -> None:
         generator = streams.generator(Model.SHADOWING)
@@ -47,7 +47,7 @@ class Shadowing:
         cosine, sine = np.cos(angles), np.sin(angles)
         return cosine[:, :WAVES], sine[:, :WAVES], cosine[:, WAVES:], sine[:, WAVES:]
 
-    def between_db(self, from_ned_m: Doubles, to_ned_m: Doubles, distances_m: Doubles) -> Doubles:
+    def gain_db(self, from_ned_m: Doubles, to_ned_m: Doubles, distance_m: Doubles) -> Doubles:
         """Return the shadowing (m, n) in dB from m positions to n positions; positive is more power.
 
         Waves at ``to_ned_m`` are cached for the next call with the same array, which must not be modified.
@@ -61,5 +61,5 @@ class Shadowing:
         ahead, back = np.hstack((cos_k, -sin_k)), np.hstack((cos_l, -sin_l))
         both = ahead @ np.hstack((to[2], to[3])).T + back @ np.hstack((to[0], to[1])).T
         return np.asarray(
-            self._amplitude_db * both / np.sqrt(2.0 + 2.0 * np.exp(-2.0 / self._distance_m * distances_m))
+            self._amplitude_db * both / np.sqrt(2.0 + 2.0 * np.exp(-2.0 / self._distance_m * distance_m))
         )

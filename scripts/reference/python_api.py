@@ -25,7 +25,7 @@ from harness.launch.one_process import OneProcessSwarm
 from harness.launch.swarm import SetupError, Swarm, SwarmError, SwarmTimeoutError, SwarmTruth
 from harness.world.physics.interface import Physics
 from netsim.emulator.interface import NetworkEmulator
-from netsim.phy.interfaces import ErrorModel, Fading, Propagation
+from netsim.phy.interfaces import AntennaPattern, ErrorModel, Fading, PathLoss, RadioContext, Shadowing
 from reference.markdown import UndocumentedError, one_line, paragraphs, table
 
 INTRODUCTION = """# Python API
@@ -36,13 +36,14 @@ docstrings by `scripts/write_reference.py`.
 """
 
 PROTOCOLS = (
-    Application, Controller, FlightModeBehaviour, MavlinkService, Propagation, Fading, ErrorModel,
-    NetworkEmulator, Physics,
+    Application, Controller, FlightModeBehaviour, MavlinkService, PathLoss, Shadowing, AntennaPattern, Fading,
+    ErrorModel, NetworkEmulator, Physics,
 )  # fmt: skip
 EXCHANGED: dict[type, tuple[type, ...]] = {
     Controller: (ControllerContext, ControllerInputs, ThrustTorque),
     FlightModeBehaviour: (ModeTraits,),
     MavlinkService: (ServiceContext,),
+    PathLoss: (RadioContext,),
 }
 """Types that the members of a protocol exchange, all of them names of `coflight`."""
 PROTOCOLS_INTRODUCTION = """The built-in parts are reached through these protocols of `typing`, so that

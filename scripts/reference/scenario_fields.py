@@ -43,7 +43,8 @@ from the defaults; entries of arrays of tables have fields that are required. A 
 on the command line, as in `--set wind.mean_n=2` or, of the first fault, `--set faults.0.uav=3`. Unknown
 fields and values out of range are refused with a line for each that names the path.
 
-Paths with `[]` belong to arrays of tables, such as `[[faults]]`. `optional` fields may be left out: TOML has
+Paths with `[]` belong to arrays of tables, such as `[[faults]]`, those with `NAME` to tables with names of
+their own, such as `[vehicle.per_uav.3]`. `optional` fields may be left out: TOML has
 no empty value. Units are those that the names end in; NED is north, east, down from the site's origin, FRD
 forward, right, down of the vehicle's body. The parameters of `autopilot.params` are in
 [Parameters](parameters.md).
@@ -98,24 +99,29 @@ def _tables(info: StructType, path: str) -> Iterator[tuple[str, StructType]]:
     """Yield every table of the file with its path, a tagged union's variants one after the other."""
     yield path, info
     for each in info.fields:
-        inner, repeated = _unwrapped(each.type)
+        inner, suffix = _unwrapped(each.type)
         for variant in inner:
-            yield from _tables(variant, _join(path, each.encode_name) + ("[]" if repeated else ""))
+            yield from _tables(variant, _join(path, each.encode_name) + suffix)
 
 
-def _unwrapped(kind: Type) -> tuple[list[StructType], bool]:
-    """Return the tables that a field holds, if it holds any, and whether in an array."""
+_KINDS = {"": "table", "[]": "array of tables", ".NAME": "tables by name"}
+"""What a field with tables is, by the suffix of its path."""
+
+
+def _unwrapped(kind: Type) -> tuple[list[StructType], str]:
+    """Return the tables that a field holds, if it holds any, and the suffix of their path."""
     match kind:
         case Metadata(type=inner):
             return _unwrapped(inner)
         case StructType():
-            return [kind], False
+            return [kind], ""
         case UnionType(types=types):
-            return [each for each in types if isinstance(each, StructType)], False
+            return [each for each in types if isinstance(each, StructType)], ""
         case VarTupleType(item_type=item):
-            inner_tables, _ = _unwrapped(item)
-            return inner_tables, bool(inner_tables)
-    return [], False
+            return _unwrapped(item)[0], "[]"
+        case DictType(value_type=value):
+            return _unwrapped(value)[0], ".NAME"
+    return [], ""
 
 
 def _rows(path: str, info: StructType) -> Iterator[tuple[str, ...]]:
@@ -129,13 +135,20 @@ def _rows(path: str, info: StructType) -> Iterator[tuple[str, ...]]:
                 f"{info.cls.__module__}.{info.cls.__name__}.{each.name}: a field of the scenario without a "
                 "docstring"
             )
-        inner, repeated = _unwrapped(each.type)
-        kind = ("array of tables" if repeated else "table") if inner else _type(each.type)
+        inner, suffix = _unwrapped(each.type)
+        is_text = _may_be_text(each.type)
+        kind = "text or table" if inner and is_text else _KINDS[suffix] if inner else _type(each.type)
         unit = "" if inner else unit_and_frame(each.name)
         yield (
             f"`{_join(path, each.encode_name)}`", kind, unit, "" if inner else _range(each.type),
-            _default(each, info, is_table=bool(inner)), one_line(texts[each.name]),
+            _default(each, info, is_table=bool(inner) and not is_text), one_line(texts[each.name]),
         )  # fmt: skip
+
+
+def _may_be_text(kind: Type) -> bool:
+    """Whether a text may stand instead of a table."""
+    types = kind.types if isinstance(kind, UnionType) else (kind,)
+    return any(isinstance(each.type if isinstance(each, Metadata) else each, StrType) for each in types)
 
 
 def _heading(path: str, info: StructType) -> str:

@@ -78,7 +78,7 @@ class _Application:
     """Radio part of one vehicle's application."""
 
     def __init__(self, scenario: Scenario, station: int, place_ned_m: Array) -> None:
-        config = scenario.vehicle(station, run_id="bench", radio_endpoint=None, log_path=None)
+        config = scenario.vehicle_config(station, run_id="bench", radio_endpoint=None, log_path=None)
         self.own = OwnState(site=config.site, gps_delay_s=config.devices.gps_delay_s)
         self.own.time_us = 0
         north_m, east_m, down_m = place_ned_m.tolist()

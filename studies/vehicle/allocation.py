@@ -9,13 +9,15 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from autopilot.control.allocation import Allocator, effectiveness, mixer
+from autopilot.control.allocation import Allocator
+from autopilot.control.mixing import effectiveness, mixer
 from autopilot.control.params import AllocationParams
+from foundation.airframe.files import IRIS
 from foundation.types import Array
-from harness.world.physics.model import IRIS
 
-IDLE_N = IRIS.thrust_n_s2 * IRIS.armed_speed_rad_s**2
-RANGE_N = IRIS.thrust_n_s2 * (IRIS.armed_speed_rad_s + IRIS.control_speed_rad_s) ** 2 - IDLE_N
+_UNIT = IRIS.propulsion
+IDLE_N = _UNIT.thrust_n_s2 * _UNIT.idle_rad_s**2
+RANGE_N = _UNIT.thrust_n_s2 * (_UNIT.idle_rad_s + _UNIT.range_rad_s) ** 2 - IDLE_N
 """Thrust of an armed rotor at control 0 (`IDLE_N`), and the increase at control 1 (`RANGE_N`)."""
 _MARGIN = 1e-6
 """Distance from the border of the achievable set within which rounding decides."""
@@ -54,9 +56,9 @@ def check_allocation(demands: int, seed: int) -> AllocationResult:
         collective[k] = allocator.record.thrust
 
     levers = effectiveness(params)[1:]  # (3, 4) N m per N
-    scale = levers @ mixer(params) * RANGE_N  # (3, 3) N m per normalised torque
-    speed_rad_s = IRIS.armed_speed_rad_s + IRIS.control_speed_rad_s * controls
-    given_n_m = IRIS.thrust_n_s2 * speed_rad_s**2 @ levers.T
+    scale = levers @ mixer(params).torque * RANGE_N  # (3, 3) N m per normalised torque
+    speed_rad_s = _UNIT.idle_rad_s + _UNIT.range_rad_s * controls
+    given_n_m = _UNIT.thrust_n_s2 * speed_rad_s**2 @ levers.T
     demanded_n_m = torques @ scale.T
     # without airmode the collective may not rise, which limits the torque: only airmode guarantees it
     promised = airmode & _is_achievable(demanded_n_m[:, :2], levers[:2] * RANGE_N)

@@ -8,13 +8,20 @@ from msgspec.structs import replace
 
 from studies.common.command_line import JsonOption, Page, Validation
 from studies.common.runner import Subject
-from studies.vehicle import attitude_sections, estimation_section, hover_section, move_section
+from studies.vehicle import (
+    airframe_section,
+    attitude_sections,
+    estimation_section,
+    hover_section,
+    move_section,
+)
 from studies.vehicle.plan import QUICK, VehiclePlan
 
 SUBJECTS: dict[str, Subject[VehiclePlan]] = {
     "px4": Subject(hover_section.px4_jobs, hover_section.judge_px4),
     "hover": Subject(hover_section.hover_jobs, hover_section.judge_hover),
     "steps": Subject(move_section.jobs, move_section.judge),
+    "airframes": Subject(airframe_section.jobs, airframe_section.judge),
     "upsets": Subject(attitude_sections.upset_jobs, attitude_sections.judge_upsets),
     "allocation": Subject(attitude_sections.allocation_jobs, attitude_sections.judge_allocation),
     "estimator": Subject(estimation_section.jobs, estimation_section.judge),

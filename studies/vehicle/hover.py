@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 from msgspec import Struct
 
+from foundation.airframe.files import DEFAULT, load
 from foundation.types import Array
-from harness.world.physics.model import IRIS
 from harness.world.sensors.config import GpsOverrides, SensorsConfig
 from harness.world.wind import WindConfig
 from studies.vehicle.solo import PLAIN, Solo, Track, solo_config
@@ -61,6 +61,10 @@ class Hover(Struct, frozen=True, kw_only=True):
     observer: bool = True
     px4_estimator: bool = False
     measure_s: float = MEASURE_S
+    airframe: str = DEFAULT
+    """Name of a packaged airframe"""
+    stopped_motor: int | None = None
+    """Motor that stops when the measurement begins"""
 
 
 class HoverResult(Struct, frozen=True, kw_only=True):
@@ -94,13 +98,14 @@ def track_hover(hover: Hover) -> Track:
         params=(PX4_ESTIMATOR if hover.px4_estimator else {}) | ({} if hover.observer else WITHOUT_OBSERVER),
         seed=hover.seed,
         gps_delay_s=sensors.gps_model().delay_s,
+        airframe=load(hover.airframe),
     )
     wind = WindConfig(
         mean_n=hover.mean_n, gust_rms_fraction=hover.gust_rms_n / hover.mean_n if hover.mean_n > 0.0 else 0.0
     )
     with Solo(
         config,
-        plant=PLAIN if hover.plant == "plain" else IRIS,
+        plant=PLAIN if hover.plant == "plain" else None,
         sensors=sensors,
         wind=wind,
         seed=np.random.SeedSequence([hover.seed, 1]),
@@ -111,6 +116,8 @@ def track_hover(hover: Hover) -> Track:
         solo.offboard()
         solo.run(SETTLE_S)
         start_s = solo.now_s
+        if hover.stopped_motor is not None:
+            solo.rotors_stopped[0, hover.stopped_motor] = True
         solo.run(hover.measure_s)
         return solo.track.after(start_s)
 

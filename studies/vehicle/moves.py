@@ -14,6 +14,7 @@ from autopilot.control import ControlParams
 from autopilot.control.params import TrajectoryParams
 from autopilot.navigation.guide import Guide
 from autopilot.parameters.config import Vector
+from foundation.airframe.files import DEFAULT, load
 from foundation.types import Array
 from studies.vehicle.hover import SENSORS
 from studies.vehicle.solo import STEP_S, Solo, solo_config
@@ -64,13 +65,13 @@ def allowed_s(distance_m: float, limits: TrajectoryParams | None = None) -> floa
     return 1.15 * minimum_time_s(distance_m, limits or ControlParams().trajectory) + 1.0
 
 
-def fly_move(seed: int, distance_m: float) -> Array:
+def fly_move(seed: int, distance_m: float, airframe: str = DEFAULT) -> Array:
     """Fly a position step; return the distance over the commanded distance, (T,), every `TRACE_S`."""
     limits = ControlParams().trajectory
     course_rad = float(np.random.default_rng([seed, 3]).uniform(-math.pi, math.pi))
     along = np.array((math.cos(course_rad), math.sin(course_rad), 0.0))
     hover = np.array((0.0, 0.0, -HEIGHT_M))
-    with _hovering(seed) as solo:
+    with _hovering(seed, airframe) as solo:
         solo.set_position(*hover.tolist())
         solo.offboard()
         solo.run(_SETTLE_S + LEAD_S)
@@ -85,11 +86,11 @@ def fly_move(seed: int, distance_m: float) -> Array:
     return np.asarray((track.pos_ned_m[::TRACE_EVERY] - hover) @ along / distance_m)
 
 
-def fly_velocity_step(seed: int, vel_ned_m_s: Vector) -> Array:
+def fly_velocity_step(seed: int, vel_ned_m_s: Vector, airframe: str = DEFAULT) -> Array:
     """Fly an unshaped velocity step from rest; return 8 s of speed over command, (T,), every `TRACE_S`."""
     commanded = np.array(vel_ned_m_s)
     speed_m_s = float(np.linalg.norm(commanded))
-    with _hovering(seed) as solo:
+    with _hovering(seed, airframe) as solo:
         solo.set_velocity(0.0, 0.0, 0.0)
         solo.offboard()
         solo.run(_SETTLE_S + LEAD_S)
@@ -118,10 +119,10 @@ def band_of(distance_m: float) -> float:
     return max(BAND_FRACTION, BAND_M / distance_m)
 
 
-def _hovering(seed: int) -> Solo:
+def _hovering(seed: int, airframe: str) -> Solo:
     """Return a vehicle that has taken off to 10 m in calm air, with Gazebo's sensors."""
     sensors = SENSORS["gazebo"]
-    config = solo_config(seed=seed, gps_delay_s=sensors.gps_model().delay_s)
+    config = solo_config(seed=seed, gps_delay_s=sensors.gps_model().delay_s, airframe=load(airframe))
     solo = Solo(config, sensors=sensors, seed=np.random.SeedSequence([seed, 2]))
     solo.take_off(HEIGHT_M)
     return solo

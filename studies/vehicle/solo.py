@@ -5,13 +5,12 @@ fails here as well. A flight is determined by its arguments.
 """
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 from msgspec import structs
-from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Message
@@ -20,11 +19,12 @@ from autopilot.mavlink.modes import FlightMode, mode_from_custom
 from autopilot.parameters.config import AutopilotConfig, Devices, OnboardConfig, VehicleConfig
 from autopilot.services.service import GROUND_STATION, Partner, reply
 from autopilot.vehicle.vehicle import StepOutput, Vehicle
+from foundation.airframe.description import Airframe
+from foundation.airframe.files import IRIS
 from foundation.types import Array, TrajectorySetpoint
 from harness.simulator.actuator_inbox import is_armed
 from harness.simulator.hil import SensorEncoder
 from harness.world import esc
-from harness.world.physics.model import IRIS, VehicleModel
 from harness.world.physics.world import World
 from harness.world.sensors.config import SensorsConfig
 from harness.world.sensors.suite import SensorFrame, SensorSuite
@@ -46,7 +46,11 @@ _READY_LIMIT_S = 30.0
 _RETRY_S = 0.5
 _TAKE_OFF_LIMIT_S = 40.0
 
-PLAIN = replace(IRIS, rotor_drag_n_s2_m=0.0, rolling_moment_n_s2=0.0, drag_n_s_m=0.25)
+PLAIN = structs.replace(
+    IRIS,
+    propulsion=structs.replace(IRIS.propulsion, drag_n_s2_m=0.0, rolling_moment_n_s2=0.0),
+    body=structs.replace(IRIS.body, drag_n_s_m=0.25),
+)
 """Iris with linear drag of 0.25 N/(m/s) as the only drag: the 6-DOF body on which a real PX4 was measured."""
 
 
@@ -108,13 +112,18 @@ _RECORD = np.dtype(
 
 
 def solo_config(
-    *, params: dict[str, float] | None = None, seed: int = 0, gps_delay_s: float = Devices().gps_delay_s
+    *,
+    params: dict[str, float] | None = None,
+    seed: int = 0,
+    gps_delay_s: float = Devices().gps_delay_s,
+    airframe: Airframe = IRIS,
 ) -> VehicleConfig:
     """Return the configuration of a single vehicle without the on-board application."""
     return VehicleConfig(
-        run_id="solo", instance=0, seed=seed, onboard=OnboardConfig(enabled=False, localisation="gps"),
-        autopilot=AutopilotConfig(params=params or {}), devices=Devices(gps_delay_s=gps_delay_s),
-        places_ned_m=((0.0, 0.0, -5.0),),
+        run_id="solo", instance=0, seed=seed, airframe=airframe,
+        onboard=OnboardConfig(enabled=False, localisation="gps"),
+        autopilot=AutopilotConfig(params=params or {}),
+        devices=Devices(gps_delay_s=gps_delay_s), places_ned_m=((0.0, 0.0, -5.0),),
     )  # fmt: skip
 
 
@@ -125,7 +134,7 @@ class Solo:
         self,
         config: VehicleConfig,
         *,
-        plant: VehicleModel = IRIS,
+        plant: Airframe | None = None,
         sensors: SensorsConfig | None = None,
         wind: WindConfig = CALM,
         seed: np.random.SeedSequence,
@@ -133,11 +142,22 @@ class Solo:
         imu_noise: float = 1.0,
         recording: bool = True,
     ) -> None:
-        """Place the vehicle on the ground. ``imu_noise`` scales the inertial errors of the sensor profile."""
+        """Place the vehicle on the ground. ``imu_noise`` scales the inertial errors of the sensor profile.
+
+        ``plant`` is the airframe of the physics; None: that of ``config``, from which the autopilot has its.
+        """
         self.vehicle = Vehicle(config)
+        plant = config.airframe if plant is None else plant
+        self._escs = esc.SpeedControllers([plant])
+        self._rotors = len(plant.rotors)
+        self.rotors_stopped = np.zeros((1, self._rotors), dtype=np.bool_)
+        """(1, n) motors without current."""
         self._start_ned_m = np.array((0.0, 0.0, -plant.standing_height_m))
         self.world = World(
-            model=plant, spawn_pos_ned_m=[self._start_ned_m], spawn_yaw_rad=spawn_yaw_rad, step_us=STEP_US
+            airframes=[plant],
+            spawn_pos_ned_m=[self._start_ned_m],
+            spawn_yaw_rad=spawn_yaw_rad,
+            step_us=STEP_US,
         )
         self._standing_height_m = plant.standing_height_m
         self._wind = GustyWind(wind, 1, np.random.default_rng(seed))
@@ -150,7 +170,6 @@ class Solo:
         self._parser = HilParser(*TO_VEHICLE)
         self._from_vehicle = HilParser(HilActuatorControls)
         self._encoder = HilEncoder(system=config.instance + 1, component=1)
-        self._not_stopped = np.zeros(1, dtype=np.bool_)
         self.gps = True
         """False drops the GPS fixes before they reach the vehicle."""
         self.stream: list[bytes] | None = None
@@ -188,13 +207,13 @@ class Solo:
     def step(self, *, streams: bool = False, controls: Array | None = None) -> StepOutput:
         """Advance vehicle, then world, by one step.
 
-        ``streams``: both links are active. ``controls`` (4,) replace the motor controls of the vehicle, which
+        ``streams``: both links are active. ``controls`` (n,) replace the motor controls of the vehicle, which
         gets no notice of it.
         """
         self.now_us += STEP_US
         if self._setpoint is not None and self.now_us % SETPOINT_PERIOD_US == 0:
             self._to_send.append(self._setpoint)
-        (frame,) = self._hil.encode(self.now_us, self._read_sensors(), self._escs())
+        (frame,) = self._hil.encode(self.now_us, self._read_sensors(), self._statuses())
         data = bytes(frame)  # a copy: the frame is valid only until the next one
         if self.stream is not None:
             self.stream.append(data)
@@ -212,10 +231,10 @@ class Solo:
         if not isinstance(answer, HilActuatorControls):
             raise FlightError(f"unexpected message from the vehicle: {answer!r}")
         self.world.step(
-            np.array([answer.controls[:4] if controls is None else controls]),
+            np.array([answer.controls[: self._rotors] if controls is None else controls]),
             np.array([is_armed(answer)]),
             self._wind.step(STEP_S),
-            rotors_stopped=self._not_stopped,
+            rotors_stopped=self.rotors_stopped,
         )
         if self._recording:
             self._record()
@@ -325,11 +344,11 @@ class Solo:
             gyro_frd_rad_s=gyro + self._imu_noise * (frame.gyro_frd_rad_s - gyro),
         )
 
-    def _escs(self) -> NDArray[np.void] | None:
-        """Return ESC_STATUS (1,) in steps that have them, as the physics server does; else None."""
+    def _statuses(self) -> Sequence[esc.EscStatus]:
+        """Return ESC_STATUS in steps that have them, as the physics server does."""
         if self.now_us % esc.PERIOD_US >= STEP_US:
-            return None
-        return esc.statuses(self.now_us, self._measured.rotor_speed_rad_s)
+            return ()
+        return self._escs.statuses(self.now_us, self._measured.rotor_speed_rad_s)
 
     def _receive(self, output: StepOutput) -> None:
         self.received += [

@@ -15,7 +15,7 @@ from paths import ROOT
 from scipy.optimize import linprog
 from typer.testing import CliRunner
 
-from autopilot.control.allocation import effectiveness
+from autopilot.control.mixing import effectiveness
 from autopilot.control.params import AllocationParams
 from foundation.exit_status import BAD_INPUT
 from harness.world.sensors.config import PROFILES

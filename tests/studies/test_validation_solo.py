@@ -80,7 +80,9 @@ def test_inertial_noise_scales_without_changing_its_pattern():
 
 def test_plain_body_has_linear_drag_of_0_25_newton_per_metre_per_second():
     """Level at 10 m/s north with rotors at rest: F = -0.25 v, a = F / 1.55 kg, and gravity down."""
-    with World(model=PLAIN, spawn_pos_ned_m=[[0.0, 0.0, -500.0]], spawn_yaw_rad=0.0, step_us=4_000) as world:
+    with World(
+        airframes=[PLAIN], spawn_pos_ned_m=[[0.0, 0.0, -500.0]], spawn_yaw_rad=0.0, step_us=4_000
+    ) as world:
         force = np.array([[1550.0, 0.0, 0.0]])  # 1000 m/s^2 for 10 ms
         none = (np.zeros((1, 4)), np.zeros(1, dtype=np.bool_))
         for _ in range(3):

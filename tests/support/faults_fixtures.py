@@ -14,6 +14,7 @@ from harness.world.sensors.suite import SensorSuite
 STEP_US = 4_000
 SITE = Site()
 N = 3
+ROTORS = (4,) * N
 HIT = 1
 """The vehicle with the faults."""
 BEGIN_US, END_US = 1_000_000, 2_000_000
@@ -42,7 +43,7 @@ def fault_of(name, **fields):
 
 
 def faults_of(*faults, seed=5):
-    return Faults(faults, N, np.random.default_rng(seed))
+    return Faults(faults, ROTORS, np.random.default_rng(seed))
 
 
 def fly(*faults, until_us=3_000_000, profile="consumer", seed=5):

@@ -6,8 +6,11 @@ import numpy as np
 
 from netsim.emulator.emulator import Emulator
 from netsim.model.config import RadioConfig
+from netsim.model.random_streams import RandomStreams
 from netsim.phy.frames import Transmission
 from netsim.phy.path_loss import Doubles
+from netsim.phy.propagation import Links, Trajectories
+from netsim.radio_models.registry import make_models
 from netsim.wire.messages import Broadcast, FtmRequest, RxItem, Survey, TxBatch, TxItem, Unicast
 
 STEP_US = 4_000
@@ -82,3 +85,9 @@ class Swarm:
             self.now_us += STEP_US
         self.received += arrived
         return arrived
+
+
+def make_links(config: RadioConfig, trajectories: Trajectories, stations: int, seed: int) -> Links:
+    """Return the link budgets of stations with the models of the settings."""
+    streams = RandomStreams(np.random.SeedSequence(seed))
+    return Links(config, trajectories, stations, streams, make_models(config, stations, streams))

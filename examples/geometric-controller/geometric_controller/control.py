@@ -136,7 +136,7 @@ def rotation(q_ned_frd: Array) -> Array:
 
 
 def frame(force_ned: Array, yaw_rad: float) -> Array:
-    """Return the attitude (3, 3) whose thrust has the direction of a force (3,), with a heading."""
+    """Return the attitude (3, 3) in which thrust has the direction of a force (3,), with a heading."""
     down = -force_ned / np.linalg.norm(force_ned)
     right = np.cross(down, (math.cos(yaw_rad), math.sin(yaw_rad), 0.0))
     right /= np.linalg.norm(right)

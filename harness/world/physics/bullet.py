@@ -4,15 +4,15 @@ The only import of pybullet in the product. Bullet integrates and handles collis
 forces are inputs.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import pybullet
 from numpy.typing import NDArray
 
+from foundation.airframe.description import Airframe
 from foundation.types import Array
-from harness.world.physics.model import VehicleModel
 
 GROUND_HALF_WIDTH_M = 10_000.0
 SOLVER_RESIDUAL = 1e-16
@@ -35,13 +35,13 @@ NO_TOUCHES = Touches(frozenset(), {})
 
 
 class Bullet:
-    """Vehicles of one model over flat ground (down = 0). Close it.
+    """Vehicles with these airframes over flat ground (down = 0). Close it.
 
     Bullet's world has NED axes, its bodies FRD axes.
     """
 
-    def __init__(self, model: VehicleModel, *, step_s: float, gravity_m_s2: float) -> None:
-        self._model = model
+    def __init__(self, airframes: Sequence[Airframe], *, step_s: float, gravity_m_s2: float) -> None:
+        self._airframes = tuple(airframes)
         self._client: int | None = pybullet.connect(pybullet.DIRECT)
         self._bodies: dict[int, int] = {}
         """Bullet's number of each vehicle"""
@@ -70,14 +70,15 @@ class Bullet:
 
     def hold(self, vehicle: int, body: np.void) -> None:
         """Add a vehicle with the state of a row of `harness.world.physics.bodies.BODY`."""
-        client, model = self._client, self._model
+        client, airframe = self._client, self._airframes[vehicle]
         w, x, y, z = body["q_ned_frd"].tolist()
         # removing a body removes its shape, so each has its own
+        half_extents_m = [side_m / 2.0 for side_m in airframe.body.size_m]
         shape = pybullet.createCollisionShape(
-            pybullet.GEOM_BOX, halfExtents=[side_m / 2.0 for side_m in model.box_m], physicsClientId=client
+            pybullet.GEOM_BOX, halfExtents=half_extents_m, physicsClientId=client
         )
         number = pybullet.createMultiBody(
-            model.mass_kg,
+            airframe.mass_kg,
             shape,
             basePosition=body["pos_ned_m"].tolist(),
             baseOrientation=(x, y, z, w),
@@ -88,8 +89,8 @@ class Bullet:
             -1,
             linearDamping=0.0,
             angularDamping=0.0,
-            localInertiaDiagonal=model.inertia_diagonal_kg_m2,
-            lateralFriction=model.friction,
+            localInertiaDiagonal=airframe.inertia_kg_m2,
+            lateralFriction=airframe.body.friction,
             restitution=0.0,
             activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
             physicsClientId=client,

@@ -45,4 +45,4 @@ class Surroundings(NamedTuple):
     density_ratio: Array
     """(n,) over `SEA_LEVEL_DENSITY_KG_M3`"""
     effectiveness: Array
-    """(n, 4) remaining fraction of each rotor's thrust and torques"""
+    """(n, R) remaining fraction of each rotor's thrust and torques"""

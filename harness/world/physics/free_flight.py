@@ -29,7 +29,7 @@ SERIES = 0.020833333333
 
 @njit(cache=True)
 def coast(
-    mass_kg: float,
+    mass_kg: Array,
     inertia_kg_m2: Array,
     gravity_m_s2: float,
     step_s: float,
@@ -39,16 +39,17 @@ def coast(
 ) -> None:
     """Step free bodies from rows ``before`` (n,) of `bodies.BODY` to ``after`` (n,).
 
-    ``applied`` (n, 2, 3) are force and torque, NED, without gravity; ``inertia_kg_m2`` (3,) is diagonal.
+    ``applied`` (n, 2, 3) are force and torque, NED, without gravity; ``mass_kg`` is (n,), ``inertia_kg_m2``
+    (n, 3) diagonal.
     """
-    ix, iy, iz = inertia_kg_m2[0], inertia_kg_m2[1], inertia_kg_m2[2]
     for i in range(len(before)):
-        was, now = before[i], after[i]
+        was, now, mass = before[i], after[i], mass_kg[i]
+        ix, iy, iz = inertia_kg_m2[i, 0], inertia_kg_m2[i, 1], inertia_kg_m2[i, 2]
         force_ned, torque_ned, q = applied[i, 0], applied[i, 1], was["q_ned_frd"]
-        now["vel_ned_m_s"][0] = _limited(was["vel_ned_m_s"][0] + step_s * (force_ned[0] / mass_kg))
-        now["vel_ned_m_s"][1] = _limited(was["vel_ned_m_s"][1] + step_s * (force_ned[1] / mass_kg))
+        now["vel_ned_m_s"][0] = _limited(was["vel_ned_m_s"][0] + step_s * (force_ned[0] / mass))
+        now["vel_ned_m_s"][1] = _limited(was["vel_ned_m_s"][1] + step_s * (force_ned[1] / mass))
         now["vel_ned_m_s"][2] = _limited(
-            was["vel_ned_m_s"][2] + step_s * (force_ned[2] / mass_kg + gravity_m_s2)
+            was["vel_ned_m_s"][2] + step_s * (force_ned[2] / mass + gravity_m_s2)
         )
         omega_ned = was["omega_ned_rad_s"]
         roll, pitch, yaw = in_frd(q, omega_ned[0], omega_ned[1], omega_ned[2])

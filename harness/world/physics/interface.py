@@ -1,13 +1,14 @@
 """What the simulation requires of a physics engine; consumer: `harness.simulator.simulation`."""
 
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from foundation.airframe.description import Airframe
 from foundation.types import Array
 from harness.world.physics.environment import EnvironmentConfig
-from harness.world.physics.model import VehicleModel
 from harness.world.physics.truth import Contact, Truth
 
 
@@ -31,10 +32,12 @@ class Physics(Protocol):
     ) -> None:
         """Advance by one step with everything held over it.
 
-        ``controls`` (n, 4): motors, 0..1 in PX4's order; ``armed`` (n,); ``wind_force_ned_n`` (n, 3) in N at
-        the centres of mass; ``rotors_stopped`` (n,) or (n, 4): rotors that run down whatever the controls
-        are; ``air_vel_ned_m_s`` (n, 3) in m/s, None for air at rest; ``rotor_effectiveness`` (n, 4):
-        remaining part of each rotor's thrust and torques, 0..1, None for intact rotors.
+        R is the greatest number of rotors of a vehicle; elements beyond a vehicle's own have no meaning.
+        ``controls`` (n, R): motors, 0..1 in the order of the airframe's rotors; ``armed`` (n,);
+        ``wind_force_ned_n`` (n, 3) in N at the centres of mass; ``rotors_stopped`` (n,) or (n, R): rotors
+        that run down whatever the controls are; ``air_vel_ned_m_s`` (n, 3) in m/s, None for air at rest;
+        ``rotor_effectiveness`` (n, R): remaining part of each rotor's thrust and torques, 0..1, None for
+        intact rotors.
         """
 
     @property
@@ -59,16 +62,16 @@ class PhysicsFactory(Protocol):
     def __call__(
         self,
         *,
-        model: VehicleModel,
+        airframes: Sequence[Airframe],
         spawn_pos_ned_m: ArrayLike,
         spawn_yaw_rad: float,
         step_us: int,
         environment: EnvironmentConfig,
         ground_altitude_m: float,
     ) -> Physics:
-        """Return an engine with vehicles of one ``model``, at rest and level.
+        """Return an engine with n vehicles, at rest and level.
 
-        ``spawn_pos_ned_m`` (n, 3): centres of mass; ``spawn_yaw_rad``: heading, clockwise from north;
-        ``step_us``: length of a step in us; ``ground_altitude_m``: ground above mean sea level. Raises
-        ValueError for a spawn below the ground.
+        ``airframes`` (n): one for each vehicle; ``spawn_pos_ned_m`` (n, 3): centres of mass;
+        ``spawn_yaw_rad``: heading, clockwise from north; ``step_us``: length of a step in us;
+        ``ground_altitude_m``: ground above mean sea level. Raises ValueError for a spawn below the ground.
         """

@@ -9,38 +9,47 @@ the vehicle's tilt.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from foundation.airframe.description import Airframe
 from foundation.types import Array
 from harness.world.physics.environment import Surroundings
-from harness.world.physics.model import VehicleModel
 from harness.world.physics.rotation import in_frd, in_ned
 
 
 class RotorKernelModel(NamedTuple):
-    """`VehicleModel` as an argument of kernels."""
+    """Rotors of n vehicles as an argument of kernels; R is the greatest number of rotors of a vehicle.
 
+    Elements beyond a vehicle's own rotors are zero and not used.
+    """
+
+    rotors: NDArray[np.int64]
+    """(n,) number of rotors"""
     hubs_frd_m: Array
-    """(4, 3)"""
+    """(n, R, 3)"""
+    axes_frd: Array
+    """(n, R, 3) direction of the thrust, of length 1"""
     turning: Array
-    """(4,) +1 counter-clockwise from above"""
-    thrust_n_s2: float
-    moment_m: float
-    drag_n_s2_m: float
-    rolling_n_s2: float
-    body_drag_n_s_m: float
-    ground_effect_radius_m: float
+    """(n, R) +1 counter-clockwise from above"""
+    thrust_n_s2: Array
+    """(n,), like all that follow; see `foundation.airframe.description.Propulsion`"""
+    moment_m: Array
+    drag_n_s2_m: Array
+    rolling_n_s2: Array
+    body_drag_n_s_m: Array
+    ground_effect_radius_m: Array
     """Radius of a rotor; 0 disables the ground effect"""
-    axial_speed_limit_m_s: float
-    armed_speed_rad_s: float
-    control_speed_rad_s: float
-    rise: float
+    axial_speed_limit_m_s: Array
+    idle_rad_s: Array
+    range_rad_s: Array
+    rise: Array
     """Fraction of a motor's speed error that remains after one step while it rises."""
-    fall: float
+    fall: Array
 
 
 LEAST_HEIGHT_RADII = 0.5
@@ -51,23 +60,40 @@ MOST_AXIAL_FACTOR = 1.2
 induce 5.5 m/s, sqrt(3.8 N / (2 rho A)); from about there a rotor is in its vortex ring state."""
 
 
-def kernel_model(model: VehicleModel, *, step_s: float, ground_effect: bool = False) -> RotorKernelModel:
-    """Return the kernels' model for steps of ``step_s``."""
+def kernel_model(
+    airframes: Sequence[Airframe], *, step_s: float, ground_effect: bool = False
+) -> RotorKernelModel:
+    """Return the kernels' model of vehicles with these airframes for steps of ``step_s``."""
+    n, most = len(airframes), most_rotors(airframes)
+    hubs_frd_m, axes_frd, turning = np.zeros((n, most, 3)), np.zeros((n, most, 3)), np.zeros((n, most))
+    for i, airframe in enumerate(airframes):
+        count = len(airframe.rotors)
+        hubs_frd_m[i, :count] = [rotor.position_frd_m for rotor in airframe.rotors]
+        axes_frd[i, :count] = [rotor.thrust_axis_frd for rotor in airframe.rotors]
+        turning[i, :count] = [rotor.direction for rotor in airframe.rotors]
+    units = [airframe.propulsion for airframe in airframes]
     return RotorKernelModel(
-        hubs_frd_m=np.array(model.rotor_hubs_flu_m) * (1.0, -1.0, -1.0),
-        turning=np.array(model.rotor_turning),
-        thrust_n_s2=model.thrust_n_s2,
-        moment_m=model.moment_m,
-        drag_n_s2_m=model.rotor_drag_n_s2_m,
-        rolling_n_s2=model.rolling_moment_n_s2,
-        body_drag_n_s_m=model.drag_n_s_m,
-        ground_effect_radius_m=model.rotor_radius_m if ground_effect else 0.0,
-        axial_speed_limit_m_s=model.axial_speed_limit_m_s,
-        armed_speed_rad_s=model.armed_speed_rad_s,
-        control_speed_rad_s=model.control_speed_rad_s,
-        rise=math.exp(-step_s / model.motor_rise_s),
-        fall=math.exp(-step_s / model.motor_fall_s),
+        rotors=np.array([len(airframe.rotors) for airframe in airframes]),
+        hubs_frd_m=hubs_frd_m,
+        axes_frd=axes_frd,
+        turning=turning,
+        thrust_n_s2=np.array([unit.thrust_n_s2 for unit in units]),
+        moment_m=np.array([unit.moment_m for unit in units]),
+        drag_n_s2_m=np.array([unit.drag_n_s2_m for unit in units]),
+        rolling_n_s2=np.array([unit.rolling_moment_n_s2 for unit in units]),
+        body_drag_n_s_m=np.array([airframe.body.drag_n_s_m for airframe in airframes]),
+        ground_effect_radius_m=np.array([unit.radius_m if ground_effect else 0.0 for unit in units]),
+        axial_speed_limit_m_s=np.array([unit.axial_speed_limit_m_s for unit in units]),
+        idle_rad_s=np.array([unit.idle_rad_s for unit in units]),
+        range_rad_s=np.array([unit.range_rad_s for unit in units]),
+        rise=np.array([math.exp(-step_s / unit.rise_s) for unit in units]),
+        fall=np.array([math.exp(-step_s / unit.fall_s) for unit in units]),
     )
+
+
+def most_rotors(airframes: Sequence[Airframe]) -> int:
+    """Return the greatest number of rotors of a vehicle: the length R of rows of rotors."""
+    return max(len(airframe.rotors) for airframe in airframes)
 
 
 @njit(cache=True)
@@ -78,22 +104,22 @@ def rotor_speeds(
     armed: NDArray[np.bool_],
     stopped: NDArray[np.bool_],
 ) -> Array:
-    """Return the rotor speeds (n, 4) after a step: a first-order lag towards those of ``controls`` (n, 4).
+    """Return the rotor speeds (n, R) after a step: a first-order lag towards those of ``controls`` (n, R).
 
-    Controls are limited to 0..1, NaN counts as 0; rotors that are ``stopped`` (n, 4), or not ``armed`` (n,),
+    Controls are limited to 0..1, NaN counts as 0; rotors that are ``stopped`` (n, R), or not ``armed`` (n,),
     spin down.
     """
-    after_rad_s = np.empty_like(speed_rad_s)
+    after_rad_s = np.zeros_like(speed_rad_s)
     for vehicle in range(speed_rad_s.shape[0]):
-        for rotor in range(4):
+        for rotor in range(model.rotors[vehicle]):
             target_rad_s = 0.0
             if armed[vehicle] and not stopped[vehicle, rotor]:
                 control = controls[vehicle, rotor]
                 if not control > 0.0:  # also NaN
                     control = 0.0
-                target_rad_s = model.armed_speed_rad_s + model.control_speed_rad_s * min(control, 1.0)
+                target_rad_s = model.idle_rad_s[vehicle] + model.range_rad_s[vehicle] * min(control, 1.0)
             now_rad_s = speed_rad_s[vehicle, rotor]
-            left = model.rise if target_rad_s > now_rad_s else model.fall
+            left = model.rise[vehicle] if target_rad_s > now_rad_s else model.fall[vehicle]
             after_rad_s[vehicle, rotor] = target_rad_s + left * (now_rad_s - target_rad_s)
     return after_rad_s
 
@@ -143,36 +169,45 @@ def wrenches(
         down = in_frd(q, 0.0, 0.0, 1.0)
         force[:] = 0.0
         torque[:] = 0.0
-        for rotor in range(4):
-            hub_m = model.hubs_frd_m[rotor]
+        thrust_n_s2, moment_m = model.thrust_n_s2[vehicle], model.moment_m[vehicle]
+        drag_n_s2_m, rolling_n_s2 = model.drag_n_s2_m[vehicle], model.rolling_n_s2[vehicle]
+        radius_m, limit_m_s = model.ground_effect_radius_m[vehicle], model.axial_speed_limit_m_s[vehicle]
+        for rotor in range(model.rotors[vehicle]):
+            hub_m, axis = model.hubs_frd_m[vehicle, rotor], model.axes_frd[vehicle, rotor]
             x, y, z = hub_m[0], hub_m[1], hub_m[2]
-            turning = model.turning[rotor]
+            turning = model.turning[vehicle, rotor]
             speed = rotor_speed_rad_s[vehicle, rotor]
             air_x = vel[0] + omega[1] * z - omega[2] * y
             air_y = vel[1] + omega[2] * x - omega[0] * z
             air_z = vel[2] + omega[0] * y - omega[1] * x
+            along = air_x * axis[0] + air_y * axis[1] + air_z * axis[2]
             blades = density * surroundings.effectiveness[vehicle, rotor]
-            static_thrust = blades * (model.thrust_n_s2 * speed * speed)
-            up = static_thrust * axial_factor(air_z, model.axial_speed_limit_m_s)
-            if model.ground_effect_radius_m > 0.0 and down[2] > 0.0:  # not upside down
+            static_thrust = blades * (thrust_n_s2 * speed * speed)
+            thrust = static_thrust * axial_factor(-along, limit_m_s)
+            if radius_m > 0.0 and down[2] > 0.0:  # not upside down
                 height_m = -body["pos_ned_m"][2] - (down[0] * x + down[1] * y + down[2] * z)
-                more = ground_effect(height_m, model.ground_effect_radius_m) - 1.0
-                up *= 1.0 + down[2] * more  # full effect when level, none at 90 degrees
-            drag_x = blades * (-model.drag_n_s2_m * speed * air_x)
-            drag_y = blades * (-model.drag_n_s2_m * speed * air_y)
-            force[0] += drag_x
-            force[1] += drag_y
-            force[2] -= up
-            # hub x force, then the rolling moment; the reaction to a counter-clockwise rotor turns the body
-            # clockwise seen from above, which is the positive sense about FRD's z
-            rolling_x = blades * (turning * model.rolling_n_s2 * speed * air_x)
-            rolling_y = blades * (turning * model.rolling_n_s2 * speed * air_y)
-            torque[0] += -y * up - z * drag_y - rolling_x
-            torque[1] += z * drag_x + x * up - rolling_y
-            torque[2] += x * drag_y - y * drag_x + turning * model.moment_m * static_thrust
+                more = ground_effect(height_m, radius_m) - 1.0
+                thrust *= 1.0 + down[2] * more  # full effect when level, none at 90 degrees
+            # in the plane of the rotor
+            air_x -= along * axis[0]
+            air_y -= along * axis[1]
+            air_z -= along * axis[2]
+            rotor_x = blades * (-drag_n_s2_m * speed * air_x) + thrust * axis[0]
+            rotor_y = blades * (-drag_n_s2_m * speed * air_y) + thrust * axis[1]
+            rotor_z = blades * (-drag_n_s2_m * speed * air_z) + thrust * axis[2]
+            force[0] += rotor_x
+            force[1] += rotor_y
+            force[2] += rotor_z
+            # hub x force, then the rolling moment, then the reaction to the rotor's torque: that to a
+            # counter-clockwise rotor turns the body clockwise seen from above
+            rolling = turning * rolling_n_s2 * speed
+            reaction = turning * moment_m * static_thrust
+            torque[0] += y * rotor_z - z * rotor_y - blades * (rolling * air_x) - reaction * axis[0]
+            torque[1] += z * rotor_x - x * rotor_z - blades * (rolling * air_y) - reaction * axis[1]
+            torque[2] += x * rotor_y - y * rotor_x - blades * (rolling * air_z) - reaction * axis[2]
         north_n, east_n, down_n = in_ned(q, force[0], force[1], force[2])
-        if model.body_drag_n_s_m > 0.0:
-            body_drag_n_s_m = density * model.body_drag_n_s_m
+        if model.body_drag_n_s_m[vehicle] > 0.0:
+            body_drag_n_s_m = density * model.body_drag_n_s_m[vehicle]
             north_n -= body_drag_n_s_m * north_m_s
             east_n -= body_drag_n_s_m * east_m_s
             down_n -= body_drag_n_s_m * down_m_s

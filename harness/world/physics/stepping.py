@@ -21,8 +21,9 @@ class StepModel(NamedTuple):
 
     rotors: RotorKernelModel
     inertia_kg_m2: Array
-    """(3,)"""
-    mass_kg: float
+    """(n, 3)"""
+    mass_kg: Array
+    """(n,)"""
     gravity_m_s2: float
     step_s: float
     reach_m: float
@@ -34,7 +35,7 @@ class StepModel(NamedTuple):
 def fly(
     model: StepModel,
     before: NDArray[np.void],
-    truth_before: NDArray[np.void],
+    rotor_speed_before_rad_s: Array,
     controls: Array,
     armed: NDArray[np.bool_],
     stopped: NDArray[np.bool_],
@@ -45,38 +46,38 @@ def fly(
     near: NDArray[np.bool_],
     applied: Array,
     after: NDArray[np.void],
+    rotor_speed_rad_s: Array,
     truth: NDArray[np.void],
 ) -> bool:
     """Step n vehicles; returns whether ``near`` has changed, if all are free.
 
-    ``before`` and ``after`` (n,) are rows of `BODY`, ``truth_before`` and ``truth`` (n,) of `TRUTH`. Rotors
-    that are ``stopped`` (n, 4), or not ``armed`` (n,), run down. ``effectiveness`` (n, 4),
-    ``air_vel_ned_m_s`` (n, 3) and ``density_ratio`` (n,) are those of `wrenches`; ``wind_force_ned_n`` (n, 3)
-    acts at the centres of mass. If some vehicles are ``near`` (n,) something, Bullet must step those with
-    force and torque ``applied`` (n, 2, 3), NED, and `finish_step` must be called afterwards.
+    ``before`` and ``after`` (n,) are rows of `BODY`, ``truth`` (n,) of `TRUTH`; the speeds of the rotors
+    before the step are input, those after it, ``rotor_speed_rad_s`` (n, R), output. Rotors that are
+    ``stopped`` (n, R), or not ``armed`` (n,), run down. ``effectiveness`` (n, R), ``air_vel_ned_m_s`` (n, 3)
+    and ``density_ratio`` (n,) are those of `wrenches`; ``wind_force_ned_n`` (n, 3) acts at the centres of
+    mass. If some vehicles are ``near`` (n,) something, Bullet must step those with force and torque
+    ``applied`` (n, 2, 3), NED, and `finish_step` must be called afterwards.
     """
     n = len(before)
     any_near = False
     for i in range(n):
         any_near |= near[i]
-    rotor_speed_rad_s = rotor_speeds(
-        model.rotors, truth_before["rotor_speed_rad_s"], controls, armed, stopped
-    )
+    speed_rad_s = rotor_speeds(model.rotors, rotor_speed_before_rad_s, controls, armed, stopped)
     force_ned_n, torque_ned_n_m = wrenches(
-        model.rotors, before, rotor_speed_rad_s, Surroundings(air_vel_ned_m_s, density_ratio, effectiveness)
+        model.rotors, before, speed_rad_s, Surroundings(air_vel_ned_m_s, density_ratio, effectiveness)
     )
     for i in range(n):
         for axis in range(3):
             applied[i, 0, axis] = force_ned_n[i, axis] + wind_force_ned_n[i, axis]
         applied[i, 1, 0], applied[i, 1, 1], applied[i, 1, 2] = integrable_torque(
-            model.inertia_kg_m2,
+            model.inertia_kg_m2[i],
             before[i]["q_ned_frd"],
             before[i]["omega_ned_rad_s"],
             torque_ned_n_m[i],
             model.step_s,
         )
-        for rotor in range(4):
-            truth[i]["rotor_speed_rad_s"][rotor] = rotor_speed_rad_s[i, rotor]
+        for rotor in range(speed_rad_s.shape[1]):
+            rotor_speed_rad_s[i, rotor] = speed_rad_s[i, rotor]
     coast(model.mass_kg, model.inertia_kg_m2, model.gravity_m_s2, model.step_s, before, applied, after)
     return not any_near and finish_step(model, before, after, near, truth)
 

@@ -13,22 +13,21 @@ TRUTH = np.dtype(
         ("vel_ned_m_s", "f8", 3),
         ("q_ned_frd", "f8", 4),
         ("omega_frd_rad_s", "f8", 3),
-        ("rotor_speed_rad_s", "f8", 4),
         ("acc_ned_m_s2", "f8", 3),
         ("specific_force_frd_m_s2", "f8", 3),
         ("mean_omega_frd_rad_s", "f8", 3),
     ]
 )
-"""Row of one vehicle with the fields of `Truth`; one argument of kernels."""
+"""Row of one vehicle with the fields of `Truth` but the rotors' speeds; one argument of kernels."""
 
 
 class Truth:
     """State of n vehicles at the end of a step, and means over that step.
 
-    A view of ``rows`` (n,) of `TRUTH`, which are not changed afterwards.
+    A view of ``rows`` (n,) of `TRUTH` and of the rotors' speeds (n, R), which are not changed afterwards.
     """
 
-    def __init__(self, rows: NDArray[np.void]) -> None:
+    def __init__(self, rows: NDArray[np.void], rotor_speed_rad_s: Array) -> None:
         self.rows = rows
         self.pos_ned_m: Array = rows["pos_ned_m"]
         """(n, 3) centre of mass, from the site's origin; the ground is down = 0."""
@@ -36,8 +35,8 @@ class Truth:
         self.q_ned_frd: Array = rows["q_ned_frd"]
         """(n, 4) wxyz."""
         self.omega_frd_rad_s: Array = rows["omega_frd_rad_s"]
-        self.rotor_speed_rad_s: Array = rows["rotor_speed_rad_s"]
-        """(n, 4)."""
+        self.rotor_speed_rad_s = rotor_speed_rad_s
+        """(n, R), R the greatest number of rotors of a vehicle; 0 beyond those of the vehicle."""
         self.acc_ned_m_s2: Array = rows["acc_ned_m_s2"]
         """(n, 3) mean acceleration over the step, including contact forces."""
         self.specific_force_frd_m_s2: Array = rows["specific_force_frd_m_s2"]

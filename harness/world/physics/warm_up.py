@@ -3,10 +3,10 @@
 import numpy as np
 
 from autopilot.parameters.config import Site
+from foundation.airframe.files import IRIS
 from harness.simulator.actuator_inbox import ActuatorInbox
 from harness.simulator.hil import SensorEncoder
 from harness.world.physics.environment import EnvironmentConfig
-from harness.world.physics.model import IRIS
 from harness.world.physics.world import World
 from harness.world.sensors.config import SensorsConfig
 from harness.world.sensors.suite import SensorSuite
@@ -18,7 +18,7 @@ _STEP_US = 4_000
 
 def warm_up() -> None:
     """Simulate the lift-off of two vehicles with sensors and HIL messages for a fraction of a second."""
-    ActuatorInbox(2).unpack(0)
+    ActuatorInbox(2, len(IRIS.rotors)).unpack(0)
     spawn_ned_m = np.array([[0.0, 0.0, -IRIS.standing_height_m], [0.0, 5.0, -IRIS.standing_height_m]])
     vehicles, encoder = len(spawn_ned_m), SensorEncoder()
     sensors = SensorSuite(
@@ -29,7 +29,7 @@ def warm_up() -> None:
         seed=np.random.SeedSequence(0),
     )
     with World(
-        model=IRIS,
+        airframes=[IRIS] * vehicles,
         spawn_pos_ned_m=spawn_ned_m,
         spawn_yaw_rad=0.0,
         step_us=_STEP_US,
@@ -44,7 +44,7 @@ def warm_up() -> None:
             encoder.encode(step * _STEP_US, sensors.sample(step * _STEP_US, world.truth))
             world.vehicle_contacts  # noqa: B018  compiles the search for contacts
             world.step(
-                np.full((vehicles, 4), 0.8),
+                np.full((vehicles, len(IRIS.rotors)), 0.8),
                 np.ones(vehicles, dtype=bool),
                 forces.step(dt_s, time_us=step * _STEP_US, height_m=height_m).force_ned_n,
                 air_vel_ned_m_s=turbulent_air.step(

@@ -6,42 +6,43 @@ stepped with the same scheme by `harness.world.physics.free_flight`. Forces are 
 """
 
 import math
+from collections.abc import Sequence
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from foundation.airframe.description import Airframe
 from foundation.types import Array
 from harness.world.physics.bodies import BODY
 from harness.world.physics.bullet import NO_TOUCHES, Bullet, Touches
 from harness.world.physics.environment import STANDARD, EnvironmentConfig
-from harness.world.physics.model import VehicleModel
-from harness.world.physics.rotors import kernel_model
+from harness.world.physics.rotors import kernel_model, most_rotors
 from harness.world.physics.stepping import StepModel, finish_step, fly
 from harness.world.physics.truth import TRUTH, Contact, Truth
 
 GRAVITY_M_S2 = 9.8066
 """Value of Gazebo-classic's worlds."""
 REACH_DIAGONALS = 2.0
-"""Distance between two vehicles, in diagonals of their shape, within which Bullet steps them; half of it is
-the height above the ground. Vehicles touch within one diagonal, and Bullet searches contacts at the positions
-at the begin of a step, so it holds every body with a contact at any speed."""
+"""Distance between two vehicles, in diagonals of the largest vehicle's shape, within which Bullet steps them;
+half of it is the height above the ground. Vehicles touch within one diagonal, and Bullet searches contacts at
+the positions at the begin of a step, so it holds every body with a contact at any speed."""
 RELEASE_RATIO = 1.25
 """Bullet releases a vehicle at this multiple of the distance, a hysteresis for vehicles that hover at the
 limit."""
 
 
 class World:
-    """Vehicles of one model over flat ground (down = 0), advanced in fixed steps.
+    """Vehicles over flat ground (down = 0), advanced in fixed steps.
 
     The arguments are those of `harness.world.physics.interface.PhysicsFactory`; landed vehicles spawn
-    ``model.standing_height_m`` above the ground. Instances are independent.
+    ``standing_height_m`` of their airframe above the ground. Instances are independent.
     """
 
     def __init__(
         self,
         *,
-        model: VehicleModel,
+        airframes: Sequence[Airframe],
         spawn_pos_ned_m: ArrayLike,
         spawn_yaw_rad: float,
         step_us: int,
@@ -49,29 +50,30 @@ class World:
         ground_altitude_m: float = 0.0,
     ) -> None:
         spawn = np.array(spawn_pos_ned_m, dtype=np.float64).reshape(-1, 3)
-        below = np.flatnonzero(spawn[:, 2] > -model.standing_height_m + 1e-9)
-        if below.size:
-            raise ValueError(
-                f"vehicle {below[0]} spawns with its centre {spawn[below[0], 2]:g} m down, "
-                f"but it stands at {-model.standing_height_m:g} m"
-            )
+        for vehicle, (airframe, (_, _, down_m)) in enumerate(zip(airframes, spawn.tolist(), strict=True)):
+            if down_m > -airframe.standing_height_m + 1e-9:
+                raise ValueError(
+                    f"vehicle {vehicle} spawns with its centre {down_m:g} m down, "
+                    f"but it stands at {-airframe.standing_height_m:g} m"
+                )
+        diagonal_m = max(math.dist(airframe.body.size_m, (0.0, 0.0, 0.0)) for airframe in airframes)
         step_s = step_us * 1e-6
         self._model = StepModel(
-            rotors=kernel_model(model, step_s=step_s, ground_effect=environment.ground_effect),
-            inertia_kg_m2=np.array(model.inertia_diagonal_kg_m2),
-            mass_kg=model.mass_kg,
+            rotors=kernel_model(airframes, step_s=step_s, ground_effect=environment.ground_effect),
+            inertia_kg_m2=np.array([airframe.inertia_kg_m2 for airframe in airframes]),
+            mass_kg=np.array([airframe.mass_kg for airframe in airframes]),
             gravity_m_s2=GRAVITY_M_S2,
             step_s=step_s,
-            reach_m=REACH_DIAGONALS * math.dist(model.box_m, (0.0, 0.0, 0.0)),
+            reach_m=REACH_DIAGONALS * diagonal_m,
             release_ratio=RELEASE_RATIO,
         )
         self._environment = environment
         self._ground_altitude_m = ground_altitude_m
 
-        vehicles = len(spawn)
+        vehicles, rotors = len(spawn), most_rotors(airframes)
         self._air_at_rest = np.zeros((vehicles, 3))
-        self._whole_rotors = np.ones((vehicles, 4))
-        self._none_stopped = np.zeros((vehicles, 4), dtype=np.bool_)
+        self._whole_rotors = np.ones((vehicles, rotors))
+        self._none_stopped = np.zeros((vehicles, rotors), dtype=np.bool_)
         self.density_ratio = np.ones(vehicles)
         """(n,) air density over `SEA_LEVEL_DENSITY_KG_M3` in the last step."""
         self._applied = np.empty((vehicles, 2, 3))
@@ -80,13 +82,13 @@ class World:
         self._bodies["q_ned_frd"] = math.cos(spawn_yaw_rad / 2.0), 0.0, 0.0, math.sin(spawn_yaw_rad / 2.0)
         self._near = np.zeros(vehicles, dtype=np.bool_)
         """Vehicles that Bullet steps."""
-        self._bullet = Bullet(model, step_s=step_s, gravity_m_s2=GRAVITY_M_S2)
+        self._bullet = Bullet(airframes, step_s=step_s, gravity_m_s2=GRAVITY_M_S2)
         self._touches: Touches | None = NO_TOUCHES
         """Contacts of the last step; None: not queried yet."""
         rows = np.zeros(vehicles, TRUTH)
         if finish_step(self._model, self._bodies, self._bodies, self._near, rows):
             self._hand_over()
-        self.truth = Truth(rows)
+        self.truth = Truth(rows, np.zeros((vehicles, rotors)))
         """State of all vehicles at the end of the last step."""
 
     def step(
@@ -107,20 +109,22 @@ class World:
         if rotors_stopped is None:
             rotors_stopped = self._none_stopped
         elif rotors_stopped.ndim == 1:
-            rotors_stopped = np.repeat(rotors_stopped[:, None], 4, axis=1)
+            rotors_stopped = np.repeat(rotors_stopped[:, None], self._none_stopped.shape[1], axis=1)
         after, rows = np.empty_like(before), np.empty(len(before), TRUTH)
         if rotor_effectiveness is None:
             rotor_effectiveness = self._whole_rotors
         if air_vel_ned_m_s is None:
             air_vel_ned_m_s = self._air_at_rest
+        rotor_speed_rad_s = np.empty_like(self._whole_rotors)
         changed = fly(
-            self._model, before, self.truth.rows, controls, armed, rotors_stopped, rotor_effectiveness,
-            wind_force_ned_n, air_vel_ned_m_s, self.density_ratio, self._near, self._applied, after, rows,
+            self._model, before, self.truth.rotor_speed_rad_s, controls, armed, rotors_stopped,
+            rotor_effectiveness, wind_force_ned_n, air_vel_ned_m_s, self.density_ratio, self._near,
+            self._applied, after, rotor_speed_rad_s, rows,
         )  # fmt: skip
         if self._bullet.holds:
             self._bullet.step(before, self._applied, after)
             changed = finish_step(self._model, before, after, self._near, rows)
-        self._bodies, self.truth, self._touches = after, Truth(rows), None
+        self._bodies, self.truth, self._touches = after, Truth(rows, rotor_speed_rad_s), None
         if changed:
             self._hand_over()
 

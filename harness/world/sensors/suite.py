@@ -128,7 +128,7 @@ class SensorSuite:
         self._recent: deque[Truth] = deque(maxlen=delay_steps + 1)
         self._last_baro: BaroSamples | None = None
         self._no_offset_m = np.zeros(vehicles)
-        self._no_faults = Faults((), vehicles, np.random.default_rng(0))
+        self._no_faults = Faults((), (0,) * vehicles, np.random.default_rng(0))
 
     def sample(self, time_us: int, truth: Truth, faults: Faults | None = None) -> SensorFrame:
         """Sample all sensors at the end of a step with state ``truth`` at ``time_us``.

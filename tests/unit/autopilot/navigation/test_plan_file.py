@@ -248,7 +248,7 @@ def write_scenario(folder, toml, plan=SAMPLE):
 
 def test_a_scenario_refers_to_a_plan_file_next_to_it(tmp_path):
     scenario = load_scenario(write_scenario(tmp_path, 'plan_file = "site.plan"'))
-    config = scenario.vehicle(1, run_id="r", radio_endpoint=None, log_path=None)
+    config = scenario.vehicle_config(1, run_id="r", radio_endpoint=None, log_path=None)
     config = msgspec.json.decode(msgspec.json.encode(config), type=type(config))  # as passed to the process
     plans = site_plan.plans(config.autopilot, config.site)
     read = loads(json.dumps(SAMPLE))

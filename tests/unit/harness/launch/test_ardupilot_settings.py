@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from foundation.airframe.files import IRIS
 from harness.launch import ardupilot, external_autopilots, px4
 from harness.launch.external_process import AutopilotError
 from harness.scenario.scenario import ScenarioError
 from harness.scenario.scenario_file import load
-from harness.world.physics.model import IRIS
 from harness.world.physics.rotors import kernel_model, rotor_speeds
 
 EXAMPLE = "agents = 3\n[formation]\nheading_deg = -90.0\n"
@@ -202,11 +202,11 @@ def test_the_loop_runs_at_every_other_step_within_ardupilots_range(scenario, ste
 
 def static_thrusts_n(controls):
     """Return the thrust of a rotor after a long time at each control, without motion, at sea level."""
-    model, armed, stopped = kernel_model(IRIS, step_s=10.0), np.ones(1, bool), np.zeros((1, 4), bool)
+    model, armed, stopped = kernel_model([IRIS], step_s=10.0), np.ones(1, bool), np.zeros((1, 4), bool)
     thrusts_n = []
     for control in controls:
         speeds = rotor_speeds(model, np.zeros((1, 4)), np.full((1, 4), control), armed, stopped)
-        thrusts_n.append(model.thrust_n_s2 * speeds[0, 0] ** 2)
+        thrusts_n.append(model.thrust_n_s2[0] * speeds[0, 0] ** 2)
     return np.array(thrusts_n)
 
 

@@ -14,6 +14,7 @@ from world_truth import truth_with
 from autopilot.estimation.atmosphere import pressure_pa
 from autopilot.mavlink.codec import Parser
 from autopilot.parameters.config import VehicleConfig
+from foundation.airframe.files import IRIS
 from harness.launch import external_autopilots, px4
 from harness.launch.external_process import AutopilotError
 from harness.launch.px4_parameters import PARAMETER_LIST, known_parameters
@@ -283,7 +284,7 @@ def test_applications_bind_the_ports_that_px4s_send_to(scenario):
 
 
 def test_the_vehicles_settings_are_read_by_its_application_process(scenario):
-    config = scenario().vehicle(1, run_id="x", radio_endpoint="tcp/127.0.0.1:7447", log_path=None)
+    config = scenario().vehicle_config(1, run_id="x", radio_endpoint="tcp/127.0.0.1:7447", log_path=None)
     assert isinstance(config, VehicleConfig)
     assert (config.ports.companion_local_udp, config.ports.companion_remote_udp) == (14581, 14541)
 
@@ -306,9 +307,11 @@ def second_of_sensors(encoder, vehicles, steps=250, *, escs=False):
     )  # fmt: skip
     parsers = [Parser() for _ in range(vehicles)]
     received = [[] for _ in range(vehicles)]
+    controllers = esc.SpeedControllers([IRIS] * vehicles)
     for k in range(1, steps + 1):
         frame = suite.sample(k * STEP_US, truth)
-        motors = esc.statuses(k * STEP_US, truth.rotor_speed_rad_s) if escs and k % 25 == 0 else None
+        due = escs and k % 25 == 0
+        motors = controllers.statuses(k * STEP_US, truth.rotor_speed_rad_s) if due else ()
         for i, data in enumerate(encoder.encode(k * STEP_US, frame, motors)):
             received[i].append(parsers[i].push(data))
     assert all(parser.bad_bytes == 0 for parser in parsers)

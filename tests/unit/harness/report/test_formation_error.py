@@ -6,9 +6,9 @@ from scipy.optimize import minimize
 
 from autopilot.onboard.formation.formation_plan import FormationPlan
 from autopilot.parameters.config import RacetrackMotion
+from foundation.airframe.files import IRIS
 from harness.records.flight import Flight
 from harness.report.formation_error import formation_error
-from harness.world.physics.model import IRIS
 
 PLACES_NED_M = np.array([[n, e, -10.0] for n in (-1.25, 1.25) for e in (-12.75, -4.25, 4.25, 12.75)])
 

@@ -83,12 +83,12 @@ def test_a_ring_begins_ahead_and_continues_clockwise():
 
 def test_a_vehicles_settings_have_the_motion_of_the_formation():
     scenario = load(ROOT / "scenarios" / "racetrack.toml", ["formation.heading_deg=40"])
-    config = scenario.vehicle(2, run_id="test", radio_endpoint=None, log_path=None)
+    config = scenario.vehicle_config(2, run_id="test", radio_endpoint=None, log_path=None)
     assert config.motion == scenario.formation.motion
     assert config.heading_deg == 40.0
     own = FormationPlan(np.array(config.places_ned_m), config.heading_deg, config.motion).own(2, 50.0)
     np.testing.assert_allclose(own.pos_ned_m, scenario.plan().at(50.0).pos_ned_m[2])
-    assert load(ARTICLE).vehicle(0, run_id="test", radio_endpoint=None, log_path=None).motion is None
+    assert load(ARTICLE).vehicle_config(0, run_id="test", radio_endpoint=None, log_path=None).motion is None
 
 
 def test_overrides_accept_numbers_strings_words_and_new_tables():
@@ -260,7 +260,7 @@ def test_overrides_accept_numbers_strings_words_and_new_tables():
         ('faults=[{kind="gps_loss", uav=0, start_s=-1.0}]', "faults[0].start_s: expected `float` >= 0.0"),
         (
             'faults=[{kind="motor", uav=0, motor=4, effectiveness=0.5}]',
-            "faults[0].motor: expected `int` <= 3",
+            "faults[0].motor: 4 is none of the 4 motors of UAV 0 from 0 on",
         ),
         (
             'faults=[{kind="motor", uav=0, motor=0, effectiveness=1.5}]',
@@ -285,7 +285,7 @@ def test_a_wrong_field_is_named(override, message):
 
 def companion_ports(scenario):
     return [
-        scenario.vehicle(i, run_id="x", radio_endpoint=None, log_path=None).ports.companion_remote_udp
+        scenario.vehicle_config(i, run_id="x", radio_endpoint=None, log_path=None).ports.companion_remote_udp
         for i in range(scenario.agents)
     ]
 
@@ -306,7 +306,7 @@ def test_on_other_machines_every_companion_port_is_free():
 
 
 def test_links_are_local_by_default():
-    vehicle = load(ARTICLE).vehicle(0, run_id="x", radio_endpoint=None, log_path=None)
+    vehicle = load(ARTICLE).vehicle_config(0, run_id="x", radio_endpoint=None, log_path=None)
     links = vehicle.links
     assert {links.host, links.ground_station_host, links.companion_host} == {"127.0.0.1"}
     assert (links.bandwidth_bytes_s, links.signing_key_file) == (0, None)
@@ -388,7 +388,7 @@ def test_a_missing_a_broken_and_a_binary_file_are_named(tmp_path):
 
 def test_a_vehicles_settings_have_the_properties_of_its_devices():
     overrides = ["sensors.gps.delay_s=0.2", "radio.bandwidth_mhz=40"]
-    config = load(ARTICLE, overrides).vehicle(0, run_id="test", radio_endpoint=None, log_path=None)
+    config = load(ARTICLE, overrides).vehicle_config(0, run_id="test", radio_endpoint=None, log_path=None)
     assert config.devices.gps_delay_s == 0.2
     assert config.devices.ftm_trip_std_m == pytest.approx(0.161, abs=0.001)  # 1075 ps, c/2
     assert Vehicle(config).parameters.get("EKF2_GPS_DELAY") == pytest.approx(200.0)
@@ -421,7 +421,7 @@ def test_every_length_has_a_limit(override, where):
 
 def test_vehicles_settings_have_the_date_of_time_0():
     def told_us(*overrides):
-        vehicle = load(ARTICLE, overrides).vehicle(0, run_id="x", radio_endpoint=None, log_path=None)
+        vehicle = load(ARTICLE, overrides).vehicle_config(0, run_id="x", radio_endpoint=None, log_path=None)
         return vehicle.epoch_unix_us
 
     assert told_us("run.epoch_utc=1970-01-01T00:00:01.5Z") == 1_500_000

@@ -208,7 +208,7 @@ def test_the_height_is_the_barometers_with_its_faults():
     )  # fmt: skip
     faults = Faults(
         (BaroBias(uav=1, start_s=1.0, duration_s=1.0, offset_m=3.0), BaroFreeze(uav=1, start_s=3.0)),
-        2,
+        (4, 4),
         np.random.default_rng(1),
     )
     encoder = encoder_of()

@@ -18,7 +18,7 @@ from harness.records.run_folder import PhysicsConfig, RunFolder
 from harness.scenario.scenario_file import load
 from harness.simulator.actuator_inbox import ActuatorInbox
 from harness.simulator.simulation import Simulation
-from harness.simulator.truth_record import TRUTH_RECORD
+from harness.simulator.truth_record import truth_record
 
 ARMED = 128
 """MAV_MODE_FLAG_SAFETY_ARMED"""
@@ -85,7 +85,7 @@ def test_the_lost_are_disarmed_from_their_last_step_on(folder):
         simulation.step()
     assert [vehicle.armed for vehicle in simulation.vehicles()] == [True, False]
     simulation.close()
-    truth = read(folder.raw_truth, TRUTH_RECORD)
+    truth = read(folder.raw_truth, truth_record(4))
     assert truth["armed"][-2:].tolist() == [True, False]
     assert np.array_equal(truth["alive"][-2:], truth["armed"][-2:])
 

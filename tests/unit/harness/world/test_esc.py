@@ -7,14 +7,16 @@ import pytest
 from fastcrc import crc16
 from pymavlink.dialects.v20 import common
 
-from autopilot.mavlink.hil import HilParser, HilSensor
+from autopilot.mavlink.hil import EscReport, HilParser, HilSensor
 from autopilot.mavlink.hil_schema import ESC_STATUS
+from foundation.airframe.files import IRIS, load
 from harness.simulator.hil import SensorEncoder
 from harness.simulator.hil_frames import encode_rows
 from harness.world import esc
 from harness.world.sensors.suite import GpsFixes, SensorFrame
 
 SPEEDS = np.array([[806.7, 0.0, 1100.0, 403.35], [806.7] * 4])
+ESCS = esc.SpeedControllers([IRIS, IRIS])
 
 
 def payload_of(frame):
@@ -34,7 +36,7 @@ def test_current_is_four_amperes_at_hover_and_proportional_to_the_cube_of_the_sp
     """1100/806.7 cubed is 2.535; half the speed is an eighth; half a propeller takes half."""
     effectiveness = np.ones((2, 4))
     effectiveness[1, 0] = 0.5
-    rows = esc.statuses(0, SPEEDS, effectiveness)
+    ((rows, _),) = ESCS.statuses(0, SPEEDS, effectiveness)
     np.testing.assert_allclose(rows["current"][0], (4.0, 0.0, 4.0 * 2.535, 0.5), rtol=1e-3)
     np.testing.assert_allclose(rows["current"][1], (2.0, 4.0, 4.0, 4.0))
     np.testing.assert_allclose(rows["rpm"][0], SPEEDS[0] * 9.5493, atol=0.51)
@@ -44,8 +46,8 @@ def test_current_is_proportional_to_the_density():
     """0.9 of the density at one vehicle, with whole and half propellers."""
     effectiveness = np.ones((2, 4))
     effectiveness[1, 0] = 0.5
-    thick = esc.statuses(0, SPEEDS, effectiveness)
-    thin = esc.statuses(0, SPEEDS, effectiveness, np.array((1.0, 0.9)))
+    ((thick, _),) = ESCS.statuses(0, SPEEDS, effectiveness)
+    ((thin, _),) = ESCS.statuses(0, SPEEDS, effectiveness, np.array((1.0, 0.9)))
     np.testing.assert_allclose(thin["current"], thick["current"] * [[1.0], [0.9]], rtol=1e-6)
     np.testing.assert_array_equal(thin["rpm"], thick["rpm"])
 
@@ -69,7 +71,7 @@ def frame_of(time_us, *, fix):
 def test_it_is_sent_first_with_consecutive_sequence_numbers(fix):
     encoder = SensorEncoder()
     plain = [list(map(bytes, encoder.encode(4_000, frame_of(4_000, fix=False))))]  # overwritten later
-    sent = encoder.encode(8_000, frame_of(8_000, fix=fix), esc.statuses(8_000, SPEEDS))
+    sent = encoder.encode(8_000, frame_of(8_000, fix=fix), ESCS.statuses(8_000, SPEEDS))
     assert plain[0][0][4] == 0
     for vehicle, data in enumerate(sent):
         length = 10 + data[1] + 2
@@ -89,6 +91,24 @@ def test_it_is_sent_first_with_consecutive_sequence_numbers(fix):
 
 
 def test_a_stopped_motor_shortens_the_frame_but_not_its_content():
-    (frame,) = encode_rows(ESC_STATUS, esc.statuses(1, np.zeros((1, 4))), 255)
+    ((rows, _),) = esc.SpeedControllers([IRIS]).statuses(1, np.zeros((1, 4)))
+    (frame,) = encode_rows(ESC_STATUS, rows, 255)
     assert frame[1] == 1  # the payload is only the low byte of the time
     assert payload_of(frame)[2] == (1, *[0] * 4, *[0.0] * 8, 0)
+
+
+def test_six_motors_are_reported_in_two_messages_to_the_vehicles_that_have_them():
+    """A quadrotor beside a hexacopter gets only the first one; 4 A at 806.7 rad/s is the Iris's alone."""
+    hexacopter = load("hexacopter")
+    speeds = np.full((2, 6), 540.0)
+    first, second = esc.SpeedControllers([IRIS, hexacopter]).statuses(4_000, speeds)
+    assert (first.absent, second.absent) == (frozenset(), frozenset({0}))
+    assert (first.rows["index"].tolist(), second.rows["index"].tolist()) == ([0, 0], [4, 4])
+    expected_a = hexacopter.motor_current_a * (540.0 / hexacopter.hover_rad_s) ** 3
+    np.testing.assert_allclose(second.rows["current"][1], [expected_a] * 2 + [0.0] * 2, rtol=1e-6)
+    quadrotor, six = (
+        HilParser(EscReport).push(bytes(data))
+        for data in SensorEncoder().encode(4_000, frame_of(4_000, fix=False), (first, second))
+    )
+    assert [message.index for message in quadrotor if isinstance(message, EscReport)] == [0]
+    assert [message.index for message in six if isinstance(message, EscReport)] == [0, 4]

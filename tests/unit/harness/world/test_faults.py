@@ -23,12 +23,12 @@ from pymavlink.dialects.v20 import common
 from autopilot.estimation import atmosphere
 from autopilot.mavlink.codec import Parser
 from autopilot.navigation.site_frame import SiteFrame
+from foundation.airframe.files import IRIS
 from harness.cli.progress import describe
 from harness.simulator.hil import SensorEncoder
 from harness.simulator.messages import FaultChanged
 from harness.simulator.truth_record import EVENT_KINDS
 from harness.world.faults import AnyFault, kind
-from harness.world.physics.model import IRIS
 from harness.world.physics.world import World
 
 AFFECTED = {
@@ -221,7 +221,9 @@ def spin(*faults, steps=500):
     spawn = [(0.0, 5.0 * i, -200.0) for i in range(N)]
     state = faults_of(*faults)
     seen = []
-    with World(model=IRIS, spawn_pos_ned_m=spawn, spawn_yaw_rad=0.0, step_us=STEP_US) as world:
+    with World(
+        airframes=[IRIS] * len(spawn), spawn_pos_ned_m=spawn, spawn_yaw_rad=0.0, step_us=STEP_US
+    ) as world:
         for step in range(1, steps + 1):
             state.advance(step * STEP_US)
             stopped = np.zeros((N, 4), bool) if state.rotor_stopped is None else state.rotor_stopped

@@ -5,7 +5,7 @@ import math
 import msgspec
 import numpy as np
 import pytest
-from faults_fixtures import BEGIN_US, N, fault_of, faults_of, fly
+from faults_fixtures import BEGIN_US, ROTORS, N, fault_of, faults_of, fly
 
 from autopilot.mavlink.codec import Parser
 from harness.simulator.hil import SensorEncoder
@@ -15,14 +15,14 @@ from netsim.wire.lockstep import Advance
 
 
 def test_a_fault_of_a_program_is_validated_before_it_is_sent():
-    with pytest.raises(ValueError, match=r"^fault\.motor: expected `int` <= 3$"):
-        validated(catalogue.MotorStop(uav=0, motor=7), N)
+    with pytest.raises(ValueError, match=r"^fault\.motor: 7 is none of the 4 motors of UAV 0"):
+        validated(catalogue.MotorStop(uav=0, motor=7), ROTORS)
     with pytest.raises(ValueError, match=r'^fault\.uav: .*, expected a number or "all"$'):
-        validated(catalogue.GpsLoss(uav="some"), N)
+        validated(catalogue.GpsLoss(uav="some"), ROTORS)
     with pytest.raises(ValueError, match=r"fault\.uav: 3 is none of 3 vehicles"):
-        validated(catalogue.GpsLoss(uav=3), N)
+        validated(catalogue.GpsLoss(uav=3), ROTORS)
     sound = catalogue.GpsBias(uav=2, offset_ned_m=(1.0, 2.0, 3.0))
-    assert validated(sound, N) == sound
+    assert validated(sound, ROTORS) == sound
 
 
 LIMITS = {
@@ -56,7 +56,7 @@ def test_every_number_has_a_finite_limit(name, field, most):
         with pytest.raises(msgspec.ValidationError, match=field):
             fault_of(name, **put(value))
         with pytest.raises(ValueError, match=rf"^fault\.{field}"):
-            validated(msgspec.structs.replace(sound, **put(value)), N)
+            validated(msgspec.structs.replace(sound, **put(value)), ROTORS)
 
 
 def test_every_float_of_every_fault_has_a_test_of_its_limit():

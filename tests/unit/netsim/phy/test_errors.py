@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from paths import REFERENCE as REFERENCE_FOLDER
 
-from netsim.phy.errors import error_model, hard_decision_bound, packet_error_rate, soft_decision_bound
+from netsim.phy.errors import error_table, hard_decision_bound, packet_error_rate, soft_decision_bound
 from netsim.phy.modes import phy_mode
 from netsim.phy.vht_tables import VHT_COUNTS
 
@@ -101,14 +101,14 @@ def test_the_hazard_of_non_ht_follows_the_formula(name):
     for db in np.arange(-12.0, 47.0, 0.33):
         exact = hard_decision_bound(mode, linear(db))
         if 1e-12 < exact < 1e-2:
-            assert error_model(mode).hazard_per_bit(linear(db)) == pytest.approx(exact, rel=0.02)
+            assert error_table(mode).hazard_per_bit(linear(db)) == pytest.approx(exact, rel=0.02)
 
 
 @pytest.mark.parametrize("name", VHT)
 def test_hazard_of_vht_matches_the_counts(name):
     """In every row up to the last dB; there in all its rows together, each within four standard errors."""
     mode = phy_mode(name, 80)
-    hazard = error_model(mode).hazard_per_bit
+    hazard = error_table(mode).hazard_per_bit
     rows = VHT_COUNTS[name]
     for snr_db, frame_bytes, frames, lost in rows[:-4]:
         counted = -math.log1p(-lost / frames) / (8 * frame_bytes)
@@ -132,7 +132,7 @@ def test_counts_range_from_certain_loss_to_one_in_a_thousand(name):
 @pytest.mark.parametrize("name", VHT)
 def test_hazard_is_extrapolated_beyond_the_counts(name):
     """Above, its slope in e-folds per dB goes on growing with the ratio; far below, the decoder guesses."""
-    hazard = error_model(phy_mode(name, 80)).hazard_per_bit
+    hazard = error_table(phy_mode(name, 80)).hazard_per_bit
     last_db = VHT_COUNTS[name][-1][0]
     before, at, after = (math.log(hazard(linear(last_db + d))) for d in (-1.0, 0.0, 1.0))
     assert before - at < at - after < 1.9 * (before - at)
@@ -141,7 +141,7 @@ def test_hazard_is_extrapolated_beyond_the_counts(name):
 
 def test_qpsk_equals_two_bpsk_of_half_the_power():
     """The same code at 3.01 dB more: the hazard is the same, on average over 13 points known to 10 % each."""
-    bpsk, qpsk = (error_model(phy_mode(f"vht_mcs{i}", 80)) for i in (0, 1))
+    bpsk, qpsk = (error_table(phy_mode(f"vht_mcs{i}", 80)) for i in (0, 1))
     ratios = linear(np.arange(-2.0, 1.1, 0.25))
     logs = [math.log(qpsk.hazard_per_bit(2.0 * ratio) / bpsk.hazard_per_bit(ratio)) for ratio in ratios]
     assert abs(np.mean(logs)) < 4 * 0.1 / math.sqrt(len(logs))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from netsim_air import Air
-from netsim_swarm import Swarm
+from netsim_swarm import Swarm, make_links
 from numba import njit
 
 from netsim.mac.interference import Interferer
@@ -18,7 +18,7 @@ from netsim.model.tables import open_air
 from netsim.phy.fading import gain
 from netsim.phy.frames import GROUP, Frame, FrameKind
 from netsim.phy.modes import phy_mode
-from netsim.phy.propagation import LinkRow, Links, Trajectories
+from netsim.phy.propagation import LinkRow, Trajectories
 
 A, B, C = range(3)
 UNDETECTED_DBM = -200.0
@@ -228,7 +228,7 @@ def test_a_long_burst_is_one_busy_period_in_parts_that_follow_the_receivers():
     trajectories = Trajectories(1)
     trajectories.set(0, [(100.0, 0.0, 0.0)], [(-90.0, 0.0, 0.0)])
     config = RadioConfig(bandwidth_mhz=20, interferers=interferer(1.0, 1e7))
-    links = Links(config, trajectories, 1, RandomStreams(np.random.SeedSequence(1)))
+    links = make_links(config, trajectories, 1, seed=1)
     channel = Channel(stations=1, links=links, interferers=config.interferers)
     # 20 dBm less 46.78 dB over 1 m are -62 dBm at 57.6 m, after 471 ms: from the part at 480 ms on it is busy
     channel.queue.run_until(479 * MILLISECOND_NS)
@@ -290,7 +290,7 @@ def test_frames_have_the_faded_power_of_their_beginning():
     config = RadioConfig(bandwidth_mhz=20, rician_k_db=-10.0, fading_doppler_hz=20.0)
     trajectories = Trajectories(2)
     trajectories.set(0, [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0)], [(0.0, 0.0, 0.0)] * 2)
-    links = Links(config, trajectories, 2, RandomStreams(np.random.SeedSequence(4)))
+    links = make_links(config, trajectories, 2, seed=4)
     channel = Channel(stations=2, links=links, rician_k_db=-10.0)
     for k in range(30):
         channel.send(10_000 * k, k % 2)

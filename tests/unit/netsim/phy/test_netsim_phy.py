@@ -4,12 +4,12 @@ import msgspec
 import numpy as np
 import pytest
 from netsim_air import A, Air, B, C
+from netsim_swarm import make_links
 
 from netsim.model.config import RadioConfig
-from netsim.model.random_streams import RandomStreams
 from netsim.phy.modes import phy_mode, response_mode
 from netsim.phy.path_loss import friis_loss_db
-from netsim.phy.propagation import Links, Trajectories, thermal_noise_mw
+from netsim.phy.propagation import Trajectories, thermal_noise_mw
 
 ALL_MODES = [f"ofdm{rate}" for rate in (6, 9, 12, 18, 24, 36, 48, 54)] + [f"vht_mcs{i}" for i in range(10)]
 
@@ -74,7 +74,7 @@ REST = [(0.0, 0.0, 0.0)] * 2
 def links(stations=2, **settings):
     config = RadioConfig(frequency_mhz=5180.0, rician_k_db=None, **settings)
     trajectories = Trajectories(stations)
-    return Links(config, trajectories, stations, RandomStreams(np.random.SeedSequence(5))), trajectories
+    return make_links(config, trajectories, stations, seed=5), trajectories
 
 
 def test_received_power_falls_with_the_exponent_and_follows_the_vehicles():

@@ -6,9 +6,9 @@ from math import cos, log10, pi, radians, sin, sqrt
 import numpy as np
 import pytest
 from msgspec import structs
+from netsim_swarm import make_links
 
 from netsim.model.config import InterfererConfig, RadioConfig, StationConfig
-from netsim.model.random_streams import RandomStreams
 from netsim.phy.antenna import UNPOLARISED
 from netsim.phy.path_loss import (
     LEAST_HEIGHT_M,
@@ -18,7 +18,7 @@ from netsim.phy.path_loss import (
     reflection,
     two_ray_gain,
 )
-from netsim.phy.propagation import FARTHEST_PLACE_M, FASTEST_M_S, Links, Trajectories, is_possible
+from netsim.phy.propagation import FARTHEST_PLACE_M, FASTEST_M_S, Trajectories, is_possible
 
 MHZ = 5180.0
 WAVE_NUMBER = 2.0 * pi * MHZ * 1e6 / SPEED_OF_LIGHT_M_S
@@ -43,7 +43,7 @@ def budget(places, attitudes=None, seed=5, **settings):
     """(Links, Trajectories) of stations at rest at these places."""
     config = RadioConfig(frequency_mhz=MHZ, rician_k_db=None, **settings)
     trajectories = Trajectories(len(places))
-    links = Links(config, trajectories, len(places), RandomStreams(np.random.SeedSequence(seed)))
+    links = make_links(config, trajectories, len(places), seed=seed)
     trajectories.set(0, list(places), [REST] * len(places), attitudes)
     return links, trajectories
 

@@ -4,6 +4,7 @@ from math import exp, pi
 
 import numpy as np
 import pytest
+from netsim_swarm import make_links
 from scipy.special import j0
 
 from netsim.model.config import RadioConfig
@@ -12,8 +13,8 @@ from netsim.model.random_streams import RandomStreams
 from netsim.phy.fading import SECTORS, RicianFading, _turn, gain
 from netsim.phy.obstruction import KEPT_NS, Obstruction
 from netsim.phy.path_loss import SPEED_OF_LIGHT_M_S
-from netsim.phy.propagation import ROW_LIFETIME_NS, Links, Trajectories, _power_law
-from netsim.phy.shadowing import Shadowing
+from netsim.phy.propagation import ROW_LIFETIME_NS, Trajectories, _power_law
+from netsim.phy.shadowing import LogNormalShadowing
 
 SECOND_NS = 1_000_000_000
 REST = (0.0, 0.0, 0.0)
@@ -27,13 +28,13 @@ def streams(seed=5):
 
 
 def shadowing_db(field, places):
-    return field.between_db(places, places, np.linalg.norm(places - places[:, None], axis=2))
+    return field.gain_db(places, places, np.linalg.norm(places - places[:, None], axis=2))
 
 
 def shadowing_of(places, links, *, seeds=2_500, std_db=4.0):
     """(seeds, links) in dB of the links (end, end) between the places, each seed with a field of its own."""
     places, ends = np.array(places), tuple(zip(*links, strict=True))
-    fields = (Shadowing(std_db, 20.0, streams(seed)) for seed in range(seeds))
+    fields = (LogNormalShadowing(std_db, 20.0, streams(seed)) for seed in range(seeds))
     return np.array([shadowing_db(field, places)[ends] for field in fields])
 
 
@@ -59,20 +60,20 @@ def test_shadowing_has_its_deviation_and_gudmundsons_correlation():
 def test_shadowing_is_reciprocal_and_a_function_of_position():
     rng = np.random.default_rng(2)
     places = rng.uniform(-100.0, 100.0, (10, 3))
-    field = Shadowing(4.0, 20.0, streams())
+    field = LogNormalShadowing(4.0, 20.0, streams())
     matrix_db = shadowing_db(field, places)
     assert matrix_db == pytest.approx(matrix_db.T, abs=1e-9)
     # independent of the station, and of whether it is an interferer
     order = rng.permutation(10)
     assert shadowing_db(field, places[order]) == pytest.approx(matrix_db[np.ix_(order, order)], abs=1e-9)
     apart = np.linalg.norm(places[3:] - places[:3, None], axis=2)
-    assert field.between_db(places[:3], places[3:], apart) == pytest.approx(matrix_db[:3, 3:], abs=1e-9)
+    assert field.gain_db(places[:3], places[3:], apart) == pytest.approx(matrix_db[:3, 3:], abs=1e-9)
 
 
 def links_of(places, velocities, **settings):
     config = RadioConfig(**settings)
     trajectories = Trajectories(len(places))
-    links = Links(config, trajectories, len(places), streams())
+    links = make_links(config, trajectories, len(places), seed=5)
     trajectories.set(0, places, velocities)
     return links, trajectories
 

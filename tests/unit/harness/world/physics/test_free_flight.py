@@ -5,16 +5,17 @@ import itertools
 import numpy as np
 import pytest
 
+from foundation.airframe.files import IRIS
 from foundation.geometry.rotations import quat_rotate
 from harness.world.physics.bodies import BODY, near_something
 from harness.world.physics.bullet import Bullet
 from harness.world.physics.free_flight import MOST_RATE, coast
-from harness.world.physics.model import IRIS
 from harness.world.physics.world import GRAVITY_M_S2, RELEASE_RATIO, World
 
-INERTIA = np.array(IRIS.inertia_diagonal_kg_m2)
-HALF_DIAGONAL_M = 0.5 * float(np.linalg.norm(IRIS.box_m))
-CORNERS_FRD_M = 0.5 * np.array(IRIS.box_m) * list(itertools.product((-1.0, 1.0), repeat=3))
+INERTIA = np.array(IRIS.inertia_kg_m2)
+MASSES = np.full(60, IRIS.mass_kg), np.tile(INERTIA, (60, 1))
+HALF_DIAGONAL_M = 0.5 * float(np.linalg.norm(IRIS.body.size_m))
+CORNERS_FRD_M = 0.5 * np.array(IRIS.body.size_m) * list(itertools.product((-1.0, 1.0), repeat=3))
 
 
 def thrown(rng, count, *, rate_rad_s):
@@ -43,12 +44,12 @@ def test_a_step_equals_bullets_except_for_rounding(step_s, rate_rad_s):
     """At small angular rates, where a series is used, and above Bullet's limits of rotation and rate."""
     rng = np.random.default_rng(3)
     before = thrown(rng, 16, rate_rad_s=rate_rad_s)
-    bullet = Bullet(IRIS, step_s=step_s, gravity_m_s2=GRAVITY_M_S2)
+    bullet = Bullet([IRIS] * 60, step_s=step_s, gravity_m_s2=GRAVITY_M_S2)
     for i, row in enumerate(before):
         bullet.hold(i, row)
     applied = rng.normal(size=(16, 2, 3)) * [[[20.0], [2.0]]]
     free, bullets = np.zeros(16, BODY), np.zeros(16, BODY)
-    coast(IRIS.mass_kg, INERTIA, GRAVITY_M_S2, step_s, before, applied, free)
+    coast(*MASSES, GRAVITY_M_S2, step_s, before, applied, free)
     bullet.step(before, applied, bullets)
     bullet.close()
     apart = differences(free, bullets)
@@ -63,7 +64,7 @@ def test_a_flight_of_five_seconds_equals_bullets():
     rng = np.random.default_rng(5)
     free = thrown(rng, 8, rate_rad_s=1.0)
     bullets = free.copy()
-    bullet = Bullet(IRIS, step_s=0.004, gravity_m_s2=GRAVITY_M_S2)
+    bullet = Bullet([IRIS] * 60, step_s=0.004, gravity_m_s2=GRAVITY_M_S2)
     for i, row in enumerate(free):
         bullet.hold(i, row)
     for _ in range(1_250):
@@ -71,7 +72,7 @@ def test_a_flight_of_five_seconds_equals_bullets():
         applied[:, 0, 2] -= IRIS.mass_kg * GRAVITY_M_S2
         was_free, was_bullets = free, bullets
         free, bullets = np.zeros(8, BODY), np.zeros(8, BODY)
-        coast(IRIS.mass_kg, INERTIA, GRAVITY_M_S2, 0.004, was_free, applied, free)
+        coast(*MASSES, GRAVITY_M_S2, 0.004, was_free, applied, free)
         bullet.step(was_bullets, applied, bullets)
     bullet.close()
     assert max(differences(free, bullets).values()) < 1e-10
@@ -87,10 +88,10 @@ def test_bullet_limits_rates_as_free_flight_does(field, applied_as, axis, sign):
     before[field][0, axis] = 99.9 * sign
     applied = np.zeros((1, 2, 3))
     applied[0, applied_as, axis] = 1e3 * sign
-    bullet = Bullet(IRIS, step_s=0.004, gravity_m_s2=GRAVITY_M_S2)
+    bullet = Bullet([IRIS] * 60, step_s=0.004, gravity_m_s2=GRAVITY_M_S2)
     bullet.hold(0, before[0])
     free, bullets = np.zeros(1, BODY), np.zeros(1, BODY)
-    coast(IRIS.mass_kg, INERTIA, GRAVITY_M_S2, 0.004, before, applied, free)
+    coast(*MASSES, GRAVITY_M_S2, 0.004, before, applied, free)
     bullet.step(before, applied, bullets)
     bullet.close()
     assert free[field][0, axis] == bullets[field][0, axis] == sign * MOST_RATE
@@ -123,7 +124,9 @@ def test_free_bodies_cannot_touch_anything():
     Others are as near as their shapes' spheres: a bound, for which no two attitudes need be tried.
     """
     rng = np.random.default_rng(2)
-    with World(model=IRIS, spawn_pos_ned_m=[(0.0, 0.0, -9.0)], spawn_yaw_rad=0.0, step_us=4_000) as world:
+    with World(
+        airframes=[IRIS], spawn_pos_ned_m=[(0.0, 0.0, -9.0)], spawn_yaw_rad=0.0, step_us=4_000
+    ) as world:
         reach_m, release_ratio = world._model.reach_m, world._model.release_ratio
     free_ones, nearest_ground_m, nearest_other_m = 0, np.inf, np.inf
     for _ in range(2_000):
@@ -156,7 +159,9 @@ def test_vehicles_change_between_free_flight_and_bullet():
         """Return heights by step, and the vehicles in Bullet by step."""
         n = len(places)
         held, truths = [], []
-        with World(model=IRIS, spawn_pos_ned_m=places, spawn_yaw_rad=0.7, step_us=4_000) as world:
+        with World(
+            airframes=[IRIS] * len(places), spawn_pos_ned_m=places, spawn_yaw_rad=0.7, step_us=4_000
+        ) as world:
             for step in range(900):
                 controls = np.array([CONTROLS[place](step) for place in places])[:, None].repeat(4, axis=1)
                 world.step(controls, np.ones(n, bool), np.zeros((n, 3)), rotors_stopped=np.zeros(n, bool))
@@ -184,7 +189,9 @@ def test_vehicles_change_between_free_flight_and_bullet():
 def test_two_that_meet_in_flight_are_stepped_by_bullet_and_collide():
     places = [(0.0, 0.0, -30.0), (0.0, 0.0, -34.0)]
     contacts = []
-    with World(model=IRIS, spawn_pos_ned_m=places, spawn_yaw_rad=0.0, step_us=4_000) as world:
+    with World(
+        airframes=[IRIS] * len(places), spawn_pos_ned_m=places, spawn_yaw_rad=0.0, step_us=4_000
+    ) as world:
         for _ in range(400):
             controls = np.array([[0.707] * 4, [0.0] * 4])
             world.step(controls, np.ones(2, bool), np.zeros((2, 3)), rotors_stopped=np.zeros(2, bool))

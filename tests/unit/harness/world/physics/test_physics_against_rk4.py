@@ -8,7 +8,7 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from harness.world.physics.model import IRIS
+from foundation.airframe.files import IRIS
 from harness.world.physics.world import World
 
 STEP_S = 0.004
@@ -75,7 +75,7 @@ def test_a_rough_flight_agrees_with_a_fourth_order_integrator_in_gazebos_frames(
     ]
     rotor_speed = np.zeros(4)
     largest_tilt_rad = largest_rate_rad_s = 0.0
-    with World(model=IRIS, spawn_pos_ned_m=start_ned_m, spawn_yaw_rad=yaw_rad, step_us=4_000) as world:
+    with World(airframes=[IRIS], spawn_pos_ned_m=start_ned_m, spawn_yaw_rad=yaw_rad, step_us=4_000) as world:
         for step in range(300):
             control = np.array(controls[step // 75])
             world.step(control[None], np.ones(1, bool), wind_ned_n[None], rotors_stopped=np.zeros(1, bool))

@@ -1,19 +1,20 @@
 """The rotor kernels compared with values and signs from the Iris's parameters."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from airframe_changes import changed
 
+from foundation.airframe.files import IRIS
 from foundation.geometry.rotations import quat_rotate, quat_rotate_inverse
 from harness.world.physics.bodies import BODY
 from harness.world.physics.environment import Surroundings
-from harness.world.physics.model import IRIS
 from harness.world.physics.rotors import kernel_model, rotor_speeds, wrenches
 
 STEP_S = 0.004
-MODEL = kernel_model(IRIS, step_s=STEP_S)
+MODEL = kernel_model([IRIS], step_s=STEP_S)
+THREE = kernel_model([IRIS] * 3, step_s=STEP_S)
 LEVEL = np.array([[1.0, 0.0, 0.0, 0.0]])
 STILL = np.zeros((1, 3))
 WEIGHT_N = 1.55 * 9.8066
@@ -163,7 +164,10 @@ def test_the_wrench_rotates_with_the_vehicle():
     vel_ned = np.array([quat_rotate(row, np.array(vel_frd)) for row in q])
     omega_ned = np.array([quat_rotate(row, np.array(omega_frd)) for row in q])
     force, torque = wrenches(
-        MODEL, bodies(q, vel_ned, omega_ned), np.tile(speeds, (vehicles, 1)), calm(vehicles)
+        kernel_model([IRIS] * vehicles, step_s=STEP_S),
+        bodies(q, vel_ned, omega_ned),
+        np.tile(speeds, (vehicles, 1)),
+        calm(vehicles),
     )
     expected_force, expected_torque = level_wrench(speeds, vel_frd, omega_frd)
     for row in range(vehicles):
@@ -181,7 +185,7 @@ def test_compiled_and_interpreted_kernels_agree():
     armed = np.array((True, False, True))
     near_ground = bodies(q, vel, omega, height_m=rng.uniform(0.0, 1.0, 3))
     around = Surroundings(rng.standard_normal((3, 3)), rng.uniform(0.7, 1.0, 3), rng.random((3, 4)))
-    model = kernel_model(replace(IRIS, drag_n_s_m=0.2), step_s=STEP_S, ground_effect=True)
+    model = kernel_model([changed(body={"drag_n_s_m": 0.2})] * 3, step_s=STEP_S, ground_effect=True)
     interpreted = getattr(wrenches, "py_func", wrenches)
     np.testing.assert_allclose(
         wrenches(model, near_ground, speeds, around),
@@ -191,7 +195,7 @@ def test_compiled_and_interpreted_kernels_agree():
     )
     interpreted = getattr(rotor_speeds, "py_func", rotor_speeds)
     np.testing.assert_allclose(
-        rotor_speeds(MODEL, speeds, controls, armed, stopped),
-        interpreted(MODEL, speeds, controls, armed, stopped),
+        rotor_speeds(THREE, speeds, controls, armed, stopped),
+        interpreted(THREE, speeds, controls, armed, stopped),
         rtol=1e-12,
     )

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from foundation.airframe.files import IRIS
 from foundation.geometry.rotations import quat_from_rotation_vector, quat_multiply, quat_rotate
-from harness.world.physics.model import IRIS
 from harness.world.physics.world import GRAVITY_M_S2, World
 
 STEP_US = 4_000
@@ -17,7 +17,9 @@ INERTIA = np.array((0.029125, 0.029125, 0.055225))
 
 
 def world_at(*pos_ned_m, yaw_rad=0.0, step_us=STEP_US):
-    return World(model=IRIS, spawn_pos_ned_m=pos_ned_m, spawn_yaw_rad=yaw_rad, step_us=step_us)
+    return World(
+        airframes=[IRIS] * len(pos_ned_m), spawn_pos_ned_m=pos_ned_m, spawn_yaw_rad=yaw_rad, step_us=step_us
+    )
 
 
 def fly(world, controls, steps, *, armed=True, wind_n=(0.0, 0.0, 0.0), stopped=False):

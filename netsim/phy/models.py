@@ -1,0 +1,23 @@
+"""The models of one run's radio, as `netsim.radio_models.registry` selects them.
+
+Built-in models with a faster or a combined computation are classes of their own; all others implement a
+protocol of `netsim.phy.interfaces`.
+"""
+
+from msgspec import Struct
+
+from netsim.phy.antenna import Dipole
+from netsim.phy.fading import RicianFading, SampledFading
+from netsim.phy.interfaces import AntennaPattern, ErrorModel, PathLoss, Shadowing
+from netsim.phy.path_loss import PowerLaw, TwoRay
+
+
+class RadioModels(Struct, frozen=True, kw_only=True):
+    """One model of each kind."""
+
+    path_loss: PathLoss | PowerLaw | TwoRay
+    antenna: AntennaPattern | Dipole | None
+    """None: isotropic."""
+    shadowing: Shadowing | None
+    fading: RicianFading | SampledFading | None
+    error_model: ErrorModel
