@@ -9,7 +9,7 @@ import math
 
 from pymavlink.dialects.v20 import common
 
-from autopilot.logs.vehicle_record import ROW, VEHICLE_RECORD
+from autopilot.logs.vehicle_record import ROW, pack_values, vehicle_record
 from autopilot.mavlink.codec import Message
 from autopilot.navigation.site_frame import LEAST_FIX_TYPE, UNKNOWN_NED_M, message_ned_m
 from autopilot.onboard.application import NO_ESTIMATE
@@ -44,7 +44,7 @@ class CompanionLog:
         self._fix_ned_m = self._origin_ned_m = UNKNOWN_NED_M
         """Position of the newest fix, and offset of a local position, whose height is unchanged."""
         self._written_us = 0
-        self._log = RecordLog(path, VEHICLE_RECORD)
+        self._log = RecordLog(path, vehicle_record(app.layout.columns))
 
     def on_message(self, message: Message, now_us: int) -> None:
         """Store a message of the own PX4, before the application has it; write a row if one is due before it.
@@ -112,7 +112,7 @@ class CompanionLog:
             *estimate.correction_ned_m,
             *estimate.odometry_offset_ned_m,
             *target_ned_m,
-        )
+        ) + pack_values(app.values)
 
 
 def _sum(first: Vector, second: Vector) -> Vector:

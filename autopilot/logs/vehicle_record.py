@@ -1,7 +1,10 @@
 """The record of one vehicle: a row of fixed layout per period, later compared with the true state."""
 
 import math
+from collections.abc import Sequence
+from functools import cache
 from struct import Struct
+from typing import Any
 
 import numpy as np
 
@@ -37,6 +40,13 @@ altitude is left out. ``gps_pos_ned_m`` is the last fix, which describes an earl
 ``odometry_offset_ned_m`` is the part of it that comes from ranging and all vehicles' GPS, and is constant
 while no radio data arrive."""
 
+
+def vehicle_record(columns: Sequence[str]) -> np.dtype[Any]:
+    """Return `VEHICLE_RECORD` followed by the numbers of the application's status; `Layout.columns`."""
+    fixed = [(name, VEHICLE_RECORD[name]) for name in VEHICLE_RECORD.names or ()]
+    return np.dtype(fixed + [(name, np.dtype("f8")) for name in columns])
+
+
 ROW = Struct("<q?IB??If" + "3d3f4f" + "3d3d" + "3f3f3f" + "3d")
 """The same row for `struct`: a tenth of numpy's time to build one from a tuple with arrays."""
 _SINGLE_MAX = 3.402823e38
@@ -45,8 +55,18 @@ _SINGLE_MAX = 3.402823e38
 NO_PHASE = 255
 
 
+@cache
+def _numbers(count: int) -> Struct:
+    return Struct(f"<{count}d")
+
+
+def pack_values(values: Sequence[float]) -> bytes:
+    """Return the last fields of a row, the numbers of the application's status."""
+    return _numbers(len(values)).pack(*values) if values else b""
+
+
 def record(vehicle: Vehicle) -> bytes:
-    """Return the row of `VEHICLE_RECORD` for the vehicle's state after its last step."""
+    """Return the row of `vehicle_record` for the vehicle's state after its last step."""
     flight, app = vehicle.flight, vehicle.app
     state, commander = flight.state, flight.commander
     north_m, east_m, down_m = state.pos_ned_m.tolist()
@@ -76,4 +96,4 @@ def record(vehicle: Vehicle) -> bytes:
         *vehicle.site.fix_ned_m(flight.gps), *believed_ned_m,
         *std_ned_m, *correction_ned_m, *odometry_offset_ned_m,
         setpoint_n_m + origin_n_m, setpoint_e_m + origin_e_m, setpoint_d_m + origin_d_m,
-    )  # fmt: skip
+    ) + (pack_values(app.values) if app is not None else b"")  # fmt: skip

@@ -32,7 +32,7 @@ from autopilot.onboard.localisation.uncertainty import Others
 from autopilot.onboard.radio.beacon import GpsError
 from autopilot.onboard.radio.neighbourhood import Neighbourhood
 from autopilot.onboard.radio.traffic import Traffic
-from autopilot.parameters.config import OnboardConfig
+from autopilot.parameters.onboard_config import OnboardConfig
 from foundation.types import Vector
 from netsim.wire.messages import Delivery, FtmResult, RxItem, Sent, Survey
 
@@ -56,7 +56,12 @@ class OnboardApp(Application):
     """One UAV's part of the formation; see `autopilot.onboard.application.Application`."""
 
     Settings: ClassVar = OnboardConfig
-    reports = Reports(phases=FlightPhase, formed=(FlightPhase.ON_STATION,), absent=tuple(STAYS_AWAY))
+    reports = Reports(
+        phases=FlightPhase,
+        formed=(FlightPhase.ON_STATION,),
+        absent=tuple(STAYS_AWAY),
+        placed=(FlightPhase.JOINING, FlightPhase.ON_STATION),
+    )
 
     def __init__(self, settings: OnboardConfig) -> None:
         self._config = settings

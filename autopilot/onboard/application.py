@@ -25,6 +25,8 @@ HIGHEST_PHASE = 254
 """255 means in logs that a vehicle has no application."""
 MOST_VALUES = 58
 """Numbers of a status: those of a DEBUG_FLOAT_ARRAY."""
+MOST_TEXT = 50
+"""Characters of a status: those of a STATUSTEXT."""
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,30}")
 
 
@@ -44,6 +46,9 @@ class Reports(Struct, frozen=True, kw_only=True):
     without those in ``absent``; it never does if this is empty."""
     absent: tuple[IntEnum, ...] = ()
     """Phases in which it takes no part, such as after landing."""
+    placed: tuple[IntEnum, ...] = ()
+    """Phases in which it flies to its place of the scenario's formation, or is there: displays then show its
+    distance from it."""
     values: tuple[str, ...] = ()
     """Names of the numbers of a status, at most 58: lower case, with their units, such as ``spread_m``. They
     are columns ``app_spread_m`` of ``flight.parquet``."""
@@ -52,7 +57,8 @@ class Reports(Struct, frozen=True, kw_only=True):
         """Check numbers and names; raises ValueError."""
         if not all(0 <= phase <= HIGHEST_PHASE for phase in self.phases):
             raise ValueError(f"phases: {self.phases.__name__} has a value out of 0..{HIGHEST_PHASE}")
-        for field, members in (("formed", self.formed), ("absent", self.absent)):
+        for field in ("formed", "absent", "placed"):
+            members: tuple[IntEnum, ...] = getattr(self, field)
             for each in members:
                 if each not in self.phases:
                     raise ValueError(f"{field}: {each!r} is no member of {self.phases.__name__}")
@@ -61,6 +67,41 @@ class Reports(Struct, frozen=True, kw_only=True):
         for name in self.values:
             if not _NAME.fullmatch(name):
                 raise ValueError(f"values: {name!r}; expected lower-case letters, digits and _, at most 31")
+        if len(set(self.values)) < len(self.values):
+            raise ValueError("values: a name occurs twice")
+
+    def layout(self) -> "Layout":
+        """Return the same as numbers and texts."""
+        return Layout(
+            phases={int(phase): phase.name.lower().replace("_", " ") for phase in self.phases},
+            formed=frozenset(map(int, self.formed)),
+            absent=frozenset(map(int, self.absent)),
+            placed=frozenset(map(int, self.placed)),
+            values=self.values,
+        )
+
+
+class Layout(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """`Reports` of a swarm's applications as numbers and texts, for processes without their classes.
+
+    Fields as in `Reports`; phases by their numbers.
+    """
+
+    phases: dict[int, str] = {}
+    """Names in lower case."""
+    formed: frozenset[int] = frozenset()
+    absent: frozenset[int] = frozenset()
+    placed: frozenset[int] = frozenset()
+    values: tuple[str, ...] = ()
+    """Those of the application, and those of other programs as ``PROGRAM_NAME``."""
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the numbers in tables."""
+        return tuple(f"app_{name}" for name in self.values)
+
+
+NO_APPLICATION = Layout()
 
 
 class Status(Struct, frozen=True):
@@ -69,7 +110,8 @@ class Status(Struct, frozen=True):
     phase: IntEnum = RunningPhase.RUNNING
     """A member of `Reports.phases`: sent as custom mode of the application's HEARTBEAT, and logged."""
     text: str = ""
-    """ASCII; sent to ground stations as STATUSTEXT (information) whenever it changes. Empty: nothing."""
+    """At most 50 ASCII characters; sent to ground stations as STATUSTEXT (information), shown and recorded
+    among the run's events whenever it changes. Empty: nothing."""
     values: Mapping[str, float] = {}
     """Numbers by the names of `Reports.values`; those that are missing are NaN. They are logged with each row
     of ``flight.parquet``, sent as DEBUG_FLOAT_ARRAY, and part of a swarm's truth."""

@@ -8,46 +8,77 @@ from numpy.typing import NDArray
 
 from autopilot.onboard.client.autopilot_client import AutopilotClient
 from autopilot.parameters.config import AnyMotion, AutopilotKind, Devices, Site
-from netsim.wire.messages import MAX_PAYLOAD_BYTES, Broadcast, FtmRequest, TxItem, Unicast
+from netsim.wire.messages import (
+    DEFAULT_PORT,
+    MAX_PAYLOAD_BYTES,
+    Broadcast,
+    Delivery,
+    FtmRequest,
+    FtmResult,
+    RxItem,
+    Sent,
+    TxItem,
+    Unicast,
+)
 
 MOST_ITEMS = 10_000
 """Transmissions of one iteration; an application that submits more has failed."""
 
 
 class Radio:
-    """The radio of one UAV: collects the transmissions of an iteration.
+    """The radio of one UAV as one of its programs uses it: collects the transmissions of an iteration.
+
+    Datagrams are sent to, and received at, the program's UDP port.
 
     Times ``at_us`` are when the application passes the item to its host's stack: from the present iteration
     until the next one; None: at once. All methods raise ValueError or TypeError for an item that cannot be
     sent, and return its sequence number, which the item's result carries.
     """
 
-    def __init__(self, *, station: int, stations: int, loop_us: int) -> None:
+    def __init__(
+        self, *, station: int, stations: int, loop_us: int, port: int = DEFAULT_PORT, program: int = 0,
+        programs: int = 1,
+    ) -> None:  # fmt: skip
+        """``program`` is the number of the program among the ``programs`` of the UAV, from 0."""
         self.station, self.stations = station, stations
         """The own station number, which is the UAV's, and the number of UAVs."""
         self.now_us = 0
         """Time of the present iteration."""
         self._loop_us = loop_us
-        self._seq: Iterator[int] = count()
+        self.port = port
+        self._program, self._programs = program, programs
+        # sequence numbers of a UAV's programs alternate, so that each result belongs to one
+        self._numbers: Iterator[int] = count(program, programs)
         self._items: list[TxItem] = []
 
     def broadcast(self, payload: bytes, *, at_us: int | None = None) -> int:
         """Send a datagram of at most 1472 bytes to every station in range; it is not acknowledged."""
         self._check_payload(payload)
-        return self._submit(Broadcast(seq=next(self._seq), at_us=self._time_us(at_us), payload=payload))
+        seq, time_us = next(self._numbers), self._time_us(at_us)
+        return self._submit(Broadcast(seq=seq, at_us=time_us, payload=payload, port=self.port))
 
     def unicast(self, destination: int, payload: bytes, *, at_us: int | None = None) -> int:
         """Send a datagram to one station, acknowledged and repeated; `Sent` reports the outcome."""
         self._check_payload(payload)
         self._check_station("destination", destination)
+        seq, time_us = next(self._numbers), self._time_us(at_us)
         return self._submit(
-            Unicast(seq=next(self._seq), at_us=self._time_us(at_us), destination=destination, payload=payload)
+            Unicast(seq=seq, at_us=time_us, destination=destination, payload=payload, port=self.port)
         )
 
     def range_to(self, peer: int, *, at_us: int | None = None) -> int:
         """Start a ranging session (FTM) with a UAV; `FtmResult` reports its distance."""
         self._check_station("peer", peer)
-        return self._submit(FtmRequest(seq=next(self._seq), at_us=self._time_us(at_us), peer=peer))
+        return self._submit(FtmRequest(seq=next(self._numbers), at_us=self._time_us(at_us), peer=peer))
+
+    def is_for(self, item: RxItem) -> bool:
+        """Whether what the radio received or measured is for this program."""
+        match item:
+            case Delivery():
+                return item.port == self.port
+            case FtmResult() | Sent():
+                return item.seq % self._programs == self._program
+        return True
 
     def take(self) -> tuple[TxItem, ...]:
         """Return the collected transmissions and forget them."""
@@ -93,8 +124,8 @@ class Context:
         site: origin of the site's frame.
         devices: data-sheet values of the GPS receiver and the radio.
         loop_period_us: period of `Application.on_timer`.
-        rng: random generator; it depends on the run's seed and the UAV only.
-        radio: the UAV's radio.
+        rng: random generator; it depends on the run's seed, the UAV and the program only.
+        radio: the UAV's radio, at the program's port.
         autopilot: the UAV's autopilot.
         autopilot_kind: which program it is.
 
@@ -103,7 +134,8 @@ class Context:
     def __init__(
         self, *, uav: int, places_ned_m: Sequence[Sequence[float]], heading_deg: float = 0.0,
         motion: AnyMotion | None = None, site: Site, devices: Devices, loop_period_us: int,
-        rng: np.random.Generator, autopilot: AutopilotClient, autopilot_kind: AutopilotKind = "own",
+        rng: np.random.Generator, radio: Radio, autopilot: AutopilotClient,
+        autopilot_kind: AutopilotKind = "own",
     ) -> None:  # fmt: skip
         places = np.array(places_ned_m, float).reshape(-1, 3)
         places.flags.writeable = False
@@ -115,7 +147,7 @@ class Context:
         self.devices = devices
         self.loop_period_us = loop_period_us
         self.rng = rng
-        self.radio = Radio(station=uav, stations=len(places), loop_us=loop_period_us)
+        self.radio = radio
         self.autopilot = autopilot
         self.autopilot_kind = autopilot_kind
         self.needs_truth = False

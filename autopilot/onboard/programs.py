@@ -1,27 +1,22 @@
-"""The application of one UAV with its context, as vehicles and companions call it. No I/O.
+"""All programs of one UAV, as vehicles and companions call them. No I/O.
 
 `Programs` is what a vehicle's process, or a companion beside a PX4 or ArduPilot, calls. It passes messages
-and radio items to the application, and returns what it sends. An exception of the user's code, or a wrong
-value that it returns, is raised as ExtensionFailure.
+and radio items to the programs, datagrams by their port, and returns what they send.
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from enum import IntEnum
-from typing import Final, ParamSpec, TypeVar
+from collections.abc import Mapping, Sequence
+from typing import Final
 
 from msgspec import Struct
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.local_messages import PositionTarget
-from autopilot.onboard.application import Application, Estimate, Status
-from autopilot.onboard.context import Context
-from foundation.extension_failure import ExtensionFailure, failure
-from netsim.wire.messages import RxItem, TxItem
-
-P = ParamSpec("P")
-R = TypeVar("R")
+from autopilot.onboard.application import MOST_VALUES, Application, Estimate, Layout, Status
+from autopilot.onboard.client.autopilot_client import AutopilotClient
+from autopilot.onboard.program import Program
+from netsim.wire.messages import Delivery, RxItem, TxItem
 
 HEARTBEAT_PERIOD_US = 1_000_000
 VALUES_PERIOD_US = 200_000
@@ -29,11 +24,11 @@ VALUES_PERIOD_US = 200_000
 START_NAME = b"start_ms"
 """Name of the NAMED_VALUE_INT with the start of the formation's motion, ms of simulated time."""
 VALUES_NAME = b"app"
-"""Name of the DEBUG_FLOAT_ARRAY with the numbers of a status, in the order of `Reports.values`."""
+"""Name of the DEBUG_FLOAT_ARRAY with the numbers of the statuses, in the order of `Layout.values`."""
 
 
 class OnboardOutput(Struct, frozen=True):
-    """What the applications of a UAV send in one iteration of their loop."""
+    """What the programs of a UAV send in one iteration of their loop."""
 
     mavlink: Sequence[Message | PositionTarget]
     """Messages to the autopilot of the same UAV; `PositionTarget` is the setpoint of offboard mode."""
@@ -46,83 +41,100 @@ NOTHING: Final = OnboardOutput((), ())
 
 
 class Programs:
-    """One application with its context.
+    """The programs of one UAV, which share ``autopilot`` and the sequence numbers of the radio.
 
-    ``title`` begins the lines of its failures, such as ``onboard.application my_package.app:App``.
+    The first of ``programs`` flies the UAV: phase, estimate and answers are its own.
     """
 
-    def __init__(self, application: Application, context: Context, *, title: str) -> None:
-        self.application = application
-        self._context = context
-        self._title = title
-        self._reports = application.reports
-        self._call(application.start, context)
-        self.status = self._checked(self._call(application.status))
-        """Status after the last iteration."""
+    def __init__(self, programs: Sequence[Program], autopilot: AutopilotClient, layout: Layout) -> None:
+        self.layout = layout
+        self._first, *self._others = programs
+        self._all = tuple(programs)
+        self._autopilot = autopilot
         self._reported: tuple[int, int | None] | None = None
         """Phase and start of the motion in the last heartbeat."""
         self._heartbeat_us = self._values_us = 0
-        self._text = ""
+        self._texts = [""] * len(programs)
+
+    @property
+    def application(self) -> Application:
+        """The application that flies the UAV."""
+        return self._first.application
 
     @property
     def needs_truth(self) -> bool:
         """Whether the simulator's true state is passed on."""
-        return self._context.needs_truth
+        return any(program.context.needs_truth for program in self._all)
 
     @property
-    def phase(self) -> IntEnum:
-        """Phase of the flight, a member of `Reports.phases`."""
-        return self.status.phase
+    def status(self) -> Status:
+        """Status of the application that flies the UAV."""
+        return self._first.status
+
+    @property
+    def phase(self) -> int:
+        """Its phase."""
+        return self._first.status.phase
 
     @property
     def values(self) -> tuple[float, ...]:
-        """The numbers of the status, in the order of `Reports.values`; NaN where it has none."""
-        values = self.status.values
-        return tuple(values.get(name, math.nan) for name in self._reports.values)
+        """The numbers of all statuses, in the order of `Layout.values`; NaN where there is none."""
+        names = self.layout.values
+        if not names:
+            return ()
+        found: dict[str, float] = {}
+        for program in self._all:
+            found |= program.values
+        return tuple([found.get(name, math.nan) for name in names])
 
     def on_mavlink(self, message: Message, now_us: int) -> None:
         """Process a message of the autopilot."""
-        self._context.autopilot.on_message(message, now_us)
-        try:
-            self.application.on_mavlink(message, now_us)
-        except Exception as error:
-            raise failure(self._title, error) from error
+        self._autopilot.on_message(message, now_us)
+        for program in self._all:
+            program.on_mavlink(message, now_us)
 
     def on_request(self, message: Message) -> Sequence[Message]:
-        """Return the answers to a message that a station addressed to the application."""
-        return list(self._call(self.application.on_request, message))
+        """Return the answers to a message that a station addressed to the UAV's applications."""
+        return [answer for program in self._all for answer in program.on_request(message)]
 
-    def on_radio(self, items: Iterable[RxItem], now_us: int) -> None:
-        """Process what the radio received and measured."""
-        self._call(self.application.on_radio, items, now_us)
+    def on_radio(self, items: Sequence[RxItem], now_us: int) -> None:
+        """Pass on what the radio received and measured: datagrams by port, results to who asked for them."""
+        if not self._others:
+            port = self._first.context.radio.port
+            mine = [item for item in items if type(item) is not Delivery or item.port == port]
+            self._first.on_radio(mine, now_us)
+            return
+        for program in self._all:
+            radio = program.context.radio
+            mine = [item for item in items if radio.is_for(item)]
+            if mine:
+                program.on_radio(mine, now_us)
 
     def on_timer(self, now_us: int) -> OnboardOutput:
         """Run one iteration and return everything to send."""
-        context, application = self._context, self.application
-        context.radio.now_us = now_us
-        context.autopilot.begin(now_us)
-        try:
-            application.on_timer(now_us)
-            status = application.status()
-        except Exception as error:
-            raise failure(self._title, error) from error
-        if status is not self.status:
-            self.status = self._checked(status)
-        mavlink = context.autopilot.take(now_us)
+        self._autopilot.begin(now_us)
+        radio: tuple[TxItem, ...] = ()
+        for program in self._all:
+            program.context.radio.now_us = now_us
+            program.on_timer(now_us)
+            radio += program.context.radio.take()
+        mavlink = self._autopilot.take(now_us)
         mavlink += self._report(now_us)
-        radio = context.radio.take()
         return OnboardOutput(mavlink, radio) if mavlink or radio else NOTHING
 
     def estimate(self, now_us: int) -> Estimate:
-        """Return the application's position estimate."""
-        return self._call(self.application.estimate, now_us)
+        """Return the position estimate of the application that flies the UAV."""
+        return self._first.estimate(now_us)
 
     def troubles(self) -> Mapping[str, int]:
-        """Return counts of the faults that were handled."""
-        return self._call(self.application.troubles)
+        """Return counts of the faults that were handled; those of others begin with the program's name."""
+        counts = {**self._first.troubles()}
+        for program in self._others:
+            counts |= {f"{program.name}_{what}": count for what, count in program.troubles().items()}
+        return counts
 
     def _report(self, now_us: int) -> list[Message]:
-        """Return the messages with the status that are due."""
+        """Return the messages with the statuses that are due."""
         status, messages = self.status, []
         reported = (int(status.phase), status.motion_start_us)
         if reported != self._reported or now_us >= self._heartbeat_us:
@@ -132,40 +144,18 @@ class Programs:
             if status.motion_start_us is not None:
                 start_ms = status.motion_start_us // 1_000
                 messages.append(common.MAVLink_named_value_int_message(now_us // 1_000, START_NAME, start_ms))
-        if self._reports.values and now_us >= self._values_us:
+        if self.layout.values and now_us >= self._values_us:
             self._values_us = now_us + VALUES_PERIOD_US
-            values = (*self.values, *[0.0] * (58 - len(self._reports.values)))
+            unused = [0.0] * (MOST_VALUES - len(self.layout.values))
+            values = (*self.values, *unused)
             messages.append(common.MAVLink_debug_float_array_message(now_us, VALUES_NAME, 0, values))
-        if status.text and status.text != self._text:
-            messages.append(_text(common.MAV_SEVERITY_INFO, status.text))
-        self._text = status.text
-        messages += [_text(common.MAV_SEVERITY_WARNING, text) for text in self._context.take_warnings()]
+        for number, program in enumerate(self._all):
+            text = program.status.text
+            if text and text != self._texts[number]:
+                messages.append(_text(common.MAV_SEVERITY_INFO, text))
+            self._texts[number] = text
+            messages += [_text(common.MAV_SEVERITY_WARNING, each) for each in program.context.take_warnings()]
         return messages
-
-    def _checked(self, status: Status) -> Status:
-        """Return a status whose phase and numbers are declared. Raises ExtensionFailure."""
-        reports = self._reports
-        if not isinstance(status, Status):
-            raise self._refused(f"status returned a {type(status).__name__}; expected a Status")
-        if not isinstance(status.phase, reports.phases):
-            raise self._refused(
-                f"status has the phase {status.phase!r}; expected a member of {reports.phases.__name__}"
-            )
-        unknown = sorted(set(status.values) - set(reports.values))
-        if unknown:
-            names = ", ".join(reports.values) or "none"
-            raise self._refused(f"status has a number {unknown[0]!r}; its reports declare {names}")
-        return status
-
-    def _refused(self, what: str) -> ExtensionFailure:
-        return ExtensionFailure(f"{self._title}: {what}")
-
-    def _call(self, method: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
-        """Call a method of the application. Raises ExtensionFailure."""
-        try:
-            return method(*args, **kwargs)
-        except Exception as error:
-            raise failure(self._title, error) from error
 
 
 def _heartbeat(status: Status) -> Message:

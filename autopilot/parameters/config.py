@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta, Struct, field
 from msgspec.structs import replace
 
+from autopilot.parameters.onboard_config import OnboardConfig
 from foundation.airframe.description import Airframe
 from foundation.airframe.files import IRIS
 
@@ -29,8 +30,6 @@ Gauss = Annotated[float, Meta(ge=-2.0, le=2.0)]
 Angle = Annotated[float, Meta(ge=-360.0, le=360.0)]
 """In degrees."""
 Seconds = Annotated[float, Meta(ge=0.0, le=1e5)]
-ErrorStd = Annotated[float, Meta(ge=0.001, le=1_000.0)]
-"""In metres; within the range in which a filter that squares and inverts it stays well conditioned."""
 
 
 class Site(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -235,72 +234,6 @@ def _ipv4(field: str, text: str) -> IPv4Address:
         return IPv4Address(text)
     except ValueError:
         raise ValueError(f"{field}: {text!r} is not an IPv4 address such as 127.0.0.1 or 0.0.0.0") from None
-
-
-class OnboardConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The scenario's ``[onboard]`` table: the application with each autopilot."""
-
-    enabled: bool = True
-    """False: no application; the vehicles are controlled by the ground station alone."""
-    application: str = "formation"
-    """The application: ``formation``, which the other fields configure, ``package.module:Class``, or the name
-    of an entry point of ``coflight.applications``."""
-    settings: dict[str, Any] = {}
-    """Settings of the user's application, of its own type: table ``[onboard.settings]``."""
-    hold: bool = False
-    """Run beacons and ranging only; take off when a ground station sends component 191 MAV_CMD_USER_1."""
-    localisation: Literal["gps", "ftm", "truth"] = "ftm"
-    """Source of the position estimate. ftm: the own position corrected by all vehicles' GPS and the FTM
-    distances. gps: the own GPS alone. truth: the simulator. The last two are references for the first."""
-    loop_period_ms: Annotated[int, Meta(ge=4, le=40)] = 40
-    """Period of the application's loop, which exchanges data with autopilot and radio at multiples of it: a
-    whole number of steps. The channel advances in equal intervals."""
-    beacon_period_ms: Annotated[int, Meta(ge=10, le=1_000)] = 100
-    """Period of a UAV's beacons, milliseconds."""
-    neighbours: Annotated[int, Meta(ge=0, le=254)] = 0
-    """Number of UAVs with the nearest places that are localised, ranged to and avoided, plus those that have
-    this one among theirs; 0: all. With ``ftm``, neighbourhoods agree on a common frame by beacons."""
-    ranging: Literal["all_pairs", "scheduled"] = "all_pairs"
-    """all_pairs: every UAV to every other in each period. scheduled: each pair once, in its own slot, if the
-    distance is worth its airtime."""
-    ftm_period_s: Annotated[float, Meta(ge=0.02, le=3600.0)] = 1.0
-    """With ``all_pairs``: period in which each UAV ranges to every other once."""
-    ranging_slot_ms: Annotated[int, Meta(ge=2, le=1_000)] = 4
-    """With ``scheduled``: length of each pair's slot; the slots of all pairs repeat in turn."""
-    ranging_airtime: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.1
-    """With ``scheduled``: channel occupancy from all causes, as measured by the own radio, above which only
-    the more valuable distances are measured."""
-    wind_feed_forward: bool | None = None
-    """Compensate the estimated wind by tilt; for autopilots that do not do so themselves. Default: beside a
-    PX4 only. ArduPilot takes accelerations as those of the path, so it cannot be used there."""
-    climb_speed_m_s: Annotated[float, Meta(gt=0.0, le=5.0)] = 1.5
-    """Speed of the climb to the height of the formation, m/s."""
-    on_station_tolerance_m: Annotated[float, Meta(gt=0.0, le=1_000.0)] = 0.7
-    """Largest estimated distance from the own place that counts as being on station."""
-    on_station_hold_s: Seconds = 2.0
-    """Time within ``on_station_tolerance_m`` after which the UAV reports that it is on its place."""
-    gps_bias_std_m: ErrorStd = 1.5
-    """Standard deviation of GPS errors that the localisation filter assumes; horizontal, per axis."""
-    gps_bias_time_constant_s: Annotated[float, Meta(ge=0.1, le=1e6)] = 60.0
-    """Correlation time of the GPS errors that the localisation filter assumes, seconds."""
-    odometry_drift_m_sqrt_s: Annotated[float, Meta(ge=1e-4, le=10.0)] = 0.1
-    """Error of the integrated velocity after one second; horizontal, per axis.
-
-    It grows with the square root of time.
-    """
-    range_floor_std_m: ErrorStd = 0.05
-    """Error of a range that averaging within an FTM session does not reduce."""
-    safety_radius_m: Annotated[float, Meta(ge=0.0, le=1_000.0)] = 1.2
-    """Neighbours nearer than this plus two sigma are avoided.
-
-    A UAV at its place keeps at most 0.6 of the distance between the two places; one that is away from its
-    place keeps more, by half of the distance to it.
-    """
-
-    @property
-    def loop_period_us(self) -> int:
-        """Period of the application's loop in microseconds."""
-        return 1_000 * self.loop_period_ms
 
 
 class TrackMotion(

@@ -25,7 +25,7 @@ from autopilot.mavlink.codec import Message, stamp
 from autopilot.mavlink.components import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
 from autopilot.mavlink.local_messages import PositionTarget
 from autopilot.mavlink.telemetry import CompanionEncoder
-from autopilot.onboard.factory import make_application
+from autopilot.onboard.factory import make_programs
 from autopilot.onboard.programs import NOTHING, Programs
 from autopilot.parameters.config import VehicleConfig
 from autopilot.process.autopilot_socket import AutopilotSocket
@@ -45,9 +45,9 @@ _PAUSED_S = 0.5
 """Wall time without a request after which the autopilot's messages are read anyway: simulated time rests."""
 _REPORTED = frozenset({
     common.MAVLINK_MSG_ID_HEARTBEAT, common.MAVLINK_MSG_ID_NAMED_VALUE_INT,
-    common.MAVLINK_MSG_ID_DEBUG_FLOAT_ARRAY,
+    common.MAVLINK_MSG_ID_DEBUG_FLOAT_ARRAY, common.MAVLINK_MSG_ID_STATUSTEXT,
 })  # fmt: skip
-"""Messages that are reported to the simulator: the application's phase and start, the autopilot's mode."""
+"""Messages that are reported to the simulator: the application's status, the autopilot's mode."""
 
 
 class CompanionOutput(Struct, frozen=True, kw_only=True):
@@ -65,7 +65,7 @@ class Companion:
 
     def __init__(self, config: VehicleConfig) -> None:
         self._system = config.instance + 1
-        self.app: Programs = make_application(config)
+        self.app: Programs = make_programs(config)
         self._origin_us = 0
         self._has_origin = False
         is_px4 = config.autopilot.is_px4(config.instance)

@@ -12,7 +12,7 @@ from typing import Protocol
 from pymavlink.dialects.v20 import common
 
 from autopilot.logs.ulog_file import FlightLog
-from autopilot.logs.vehicle_record import VEHICLE_RECORD, record
+from autopilot.logs.vehicle_record import record, vehicle_record
 from autopilot.mavlink.codec import Encoder, Message
 from autopilot.mavlink.components import AUTOPILOT_COMPONENT
 from autopilot.mavlink.hil import TO_VEHICLE, HilActuatorControls, HilEncoder, HilParser, HilSensor
@@ -66,7 +66,9 @@ class Host:
         """Buffer for the simulator's bytes, used by `inertial_step` and `push`"""
         self._waiting: list[Message] = []
         self._links_waiting: Links = []
-        self._log = None if config.log_path is None else RecordLog(config.log_path, VEHICLE_RECORD)
+        self.record = vehicle_record(self.vehicle.columns)
+        """Layout of the log"""
+        self._log = None if config.log_path is None else RecordLog(config.log_path, self.record)
         self._flight_log: FlightLog | None = None
         self._may_log = config.params_path is not None
 

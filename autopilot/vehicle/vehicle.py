@@ -32,7 +32,7 @@ from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation import site_plan
 from autopilot.navigation.mode_registry import MODES, mode_table, user_row
 from autopilot.navigation.site_frame import SiteFrame
-from autopilot.onboard.factory import make_application
+from autopilot.onboard.factory import make_programs
 from autopilot.onboard.programs import NOTHING, Programs
 from autopilot.parameters.airframe_settings import mav_type, settings_of, stated_of
 from autopilot.parameters.config import VehicleConfig
@@ -72,7 +72,7 @@ _HIL_STATE_QUATERNION = common.MAVLINK_MSG_ID_HIL_STATE_QUATERNION
 _COMMANDS = frozenset({common.MAVLINK_MSG_ID_COMMAND_LONG, common.MAVLINK_MSG_ID_COMMAND_INT})
 _TO_GROUND_TOO = frozenset({
     common.MAVLINK_MSG_ID_HEARTBEAT, common.MAVLINK_MSG_ID_NAMED_VALUE_INT,
-    common.MAVLINK_MSG_ID_DEBUG_FLOAT_ARRAY,
+    common.MAVLINK_MSG_ID_DEBUG_FLOAT_ARRAY, common.MAVLINK_MSG_ID_STATUSTEXT,
 })  # fmt: skip
 """Messages of the application about itself, which go to the simulator and the ground station."""
 
@@ -175,7 +175,7 @@ class Vehicle:
         """Messages that conditions depend on; processed first, so that a mode request in the same step
         succeeds."""
         self._loop_period_us = config.onboard.loop_period_us
-        self.app: Programs | None = make_application(config) if config.onboard.enabled else None
+        self.app: Programs | None = make_programs(config) if config.onboard.enabled else None
         if self.app is not None:
             self.messaging.send_to_application = self.app.on_mavlink
         self._uses_truth = self.app is not None and self.app.needs_truth
@@ -186,6 +186,11 @@ class Vehicle:
         self._decide_us = 0
         self._loop_us = NEVER_US
         """Time of the next loop of the application, set at the first step."""
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the numbers that the application reports, in tables."""
+        return () if self.app is None else self.app.layout.columns
 
     def step(
         self,
@@ -210,7 +215,7 @@ class Vehicle:
         self._sense(sim_messages, now_us)
         simulator: list[Message] = []
         if begins:
-            simulator.append(_interval_request())
+            simulator.append(_interval_request(requested=self._uses_truth))
             if self.app is not None:
                 self._loop_us = _next(now_us - 1, self._loop_period_us)
         loops = now_us >= self._loop_us
@@ -394,8 +399,6 @@ class Vehicle:
             if kind in _TO_GROUND_TOO:
                 simulator.append(message)
                 self.messaging.post(reply(_GROUND, message))
-            elif kind == common.MAVLINK_MSG_ID_STATUSTEXT:
-                self.messaging.post(reply(_GROUND, message))
             else:
                 self.messaging.on_message(message, now_us, APPLICATION_PARTNER)
                 if kind in _COMMANDS:
@@ -444,9 +447,13 @@ def _next(now_us: int, period_us: int) -> int:
     return now_us - now_us % period_us + period_us
 
 
-def _interval_request() -> Message:
-    """Return the message that PX4 sends to a simulator on connecting, in addition to the heartbeat."""
+def _interval_request(*, requested: bool) -> Message:
+    """Return the message that PX4 sends to a simulator on connecting, in addition to the heartbeat.
+
+    PX4 always requests HIL_STATE_QUATERNION; an interval of -1 disables it.
+    """
     truth = float(common.MAVLINK_MSG_ID_HIL_STATE_QUATERNION)
+    interval_us = _TRUTH_INTERVAL_US if requested else -1.0
     return common.MAVLink_command_long_message(
-        0, 0, common.MAV_CMD_SET_MESSAGE_INTERVAL, 0, truth, _TRUTH_INTERVAL_US, 0.0, 0.0, 0.0, 0.0, 0.0
+        0, 0, common.MAV_CMD_SET_MESSAGE_INTERVAL, 0, truth, interval_us, 0.0, 0.0, 0.0, 0.0, 0.0
     )

@@ -4,6 +4,7 @@ Input are the messages of the processes (`harness.launch.run_messages.Message`),
 """
 
 import contextlib
+import math
 import time
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
@@ -25,6 +26,7 @@ from harness.launch.supervisor import Exited
 from harness.simulator.messages import (
     ApplicationLost,
     ApplicationSilent,
+    ApplicationText,
     Collision,
     FaultChanged,
     FormationMoves,
@@ -42,6 +44,8 @@ PACE_WINDOW_S, STEADY_WINDOW_S = 2.0, 10.0
 BAR_WIDTH = 30
 MOST_TROUBLES, MOST_TROUBLES_IN_A_LINE = 10, 3
 """Vehicles in trouble that are shown: with them the live view has 14 lines, of a terminal's usual 24."""
+MOST_NUMBERS = 4
+"""Numbers of the applications' statuses that are shown; all are recorded."""
 _IGNORE_CLOSED_TERMINAL = contextlib.suppress(OSError)
 """Writing to a closed terminal does not fail a run: SIGHUP ends the run in order."""
 
@@ -70,6 +74,8 @@ def describe(message: Message) -> str | None:
             return f"{_at(message.time_us)}: formation reached"
         case FormationMoves():
             return f"{_at(message.time_us)}: formation moves at {message.start_us * 1e-6:.3f} s"
+        case ApplicationText():
+            return f"{_at(message.time_us)}: {uav(message.instance)}: {message.text}"
         case VehicleLost():
             return f"{_at(message.time_us)}: {uav(message.instance)} lost: {message.reason}"
         case ApplicationLost():
@@ -279,12 +285,24 @@ def fleet(vehicles: Sequence[VehicleTruth]) -> str:
     errors_m = [error for error in map(error_m, vehicles) if error is not None]
     if errors_m:
         parts.append(f"largest error {max(errors_m):.2f} m")
+    parts += _ranges(alive)
     return ", ".join(parts)
+
+
+def _ranges(vehicles: Sequence[VehicleTruth]) -> list[str]:
+    """Return the least and the greatest of each number that the applications report, as text."""
+    parts = []
+    for name in list(vehicles[0].values)[:MOST_NUMBERS] if vehicles else ():
+        values = [value for each in vehicles if not math.isnan(value := each.values.get(name, math.nan))]
+        if values:
+            least, greatest = f"{min(values):.4g}", f"{max(values):.4g}"
+            parts.append(f"{name} {least}" + (f" to {greatest}" if greatest != least else ""))
+    return parts
 
 
 def _activity(vehicle: VehicleTruth) -> str:
     """Return the phase of a vehicle, or the mode in which a ground station flies it."""
-    if vehicle.phase in ("", "held", "yielded") and vehicle.mode:
+    if (not vehicle.phase or vehicle.aim == "dropped") and vehicle.mode:
         return f"in {vehicle.mode}" if vehicle.armed else vehicle.phase or "disarmed"
     return vehicle.phase or ("armed" if vehicle.armed else "starting")
 
@@ -297,8 +315,8 @@ def _view(flight: _Flight, progress: Progress) -> Group:
     if stage is not None and stage.end_s is not None:
         bar = [ProgressBar(total=stage.end_s, completed=progress.time_us * 1e-6, width=BAR_WIDTH)]
     elif stage is not None and stage.forming:
-        phases = [vehicle.phase for vehicle in progress.vehicles if vehicle.alive]
-        bar = [ProgressBar(total=len(phases) or 1, completed=phases.count("on station"), width=BAR_WIDTH)]
+        aims = [vehicle.aim for vehicle in progress.vehicles if vehicle.alive]
+        bar = [ProgressBar(total=len(aims) or 1, completed=aims.count("reached"), width=BAR_WIDTH)]
     first.add_row(*([stage.name] if stage is not None else []), *bar, _time(progress, stage))
     lines = [_pace(progress, flight.pace.factor, stage, flight.left_s()), fleet(progress.vehicles)]
     shown = [f"{uav(each.instance)}: {each.text}" for each in troubles[:MOST_TROUBLES]]

@@ -30,14 +30,11 @@ LAG_WINDOW_S, LAG_SHARE = 10.0, 0.1
 A tenth is what a watch beside the run shows: 6 s after a minute. A single stop of the machine, as when
 processes load at the start, lies in one half.
 """
-_ON_THE_WAY = frozenset({"waiting", "localising", "arming", "take off", "joining"})
-_IN_PLACE = frozenset({"joining", "on station"})
-_AWAY = frozenset({"yielded", "landed"})
 
 
 def error_m(vehicle: VehicleTruth) -> float | None:
     """Return the distance from its place; None for a vehicle whose application does not fly to its place."""
-    return vehicle.error_m if vehicle.alive and vehicle.phase in _IN_PLACE else None
+    return vehicle.error_m if vehicle.alive and vehicle.is_placed else None
 
 
 class Trouble(NamedTuple):
@@ -109,12 +106,12 @@ class Troubles:
             return Trouble(2, instance, f"disarmed at a height of {height_m:.1f} m")
         if (reason := self._without_application.get(instance)) is not None:
             return Trouble(3, instance, f"without its application: {reason}; mode {vehicle.mode}")
-        if self._forms and vehicle.phase in _AWAY:
+        if self._forms and vehicle.aim == "dropped":
             return Trouble(3, instance, f"has left the formation: mode {vehicle.mode}, {height_m:.1f} m high")
-        if vehicle.phase == "on station" and vehicle.error_m > FAR_M:
+        if vehicle.aim == "reached" and vehicle.is_placed and vehicle.error_m > FAR_M:
             return Trouble(4, instance, f"{vehicle.error_m:.1f} m from its place")
         place = self._places.get(instance)
-        if vehicle.phase in _ON_THE_WAY and place is not None:
+        if vehicle.aim == "ahead" and place is not None:
             since_s = (time_us - place.time_us) * 1e-6
             if since_s > STUCK_S:
                 return Trouble(5, instance, f"no progress for {since_s:.0f} s: {vehicle.phase}")

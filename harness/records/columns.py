@@ -16,7 +16,7 @@ from autopilot.commander.failsafe import Cause
 from autopilot.logs.vehicle_record import NO_PHASE
 from autopilot.mavlink.ardupilot_modes import COPTER_MODES
 from autopilot.mavlink.modes import EXTERNAL_MODES, FlightMode
-from autopilot.onboard.formation.phases import FlightPhase
+from autopilot.onboard.application import Layout
 from foundation.unit_names import frame_of, unit_of
 from harness.scenario.scenario import Scenario
 from netsim.phy.modes import MODE_NAMES
@@ -110,7 +110,6 @@ def _mode_text(name: str) -> str:
 
 
 _TIME = Column(description="Simulated time.")
-_PHASES = {str(int(phase)): _in_words(phase.name) for phase in FlightPhase}
 _NOT_LISTED = {FlightMode.DESCEND, *EXTERNAL_MODES}
 """Descend has the number of Land; the names of the external modes are the user's."""
 _MODES = {
@@ -132,58 +131,73 @@ _STATUSES = {
 }
 """As `netsim.ftm.session` describes them."""
 
-FLIGHT = TableKind(
-    name="flight",
-    description="Truth, estimates and places; estimates are NaN where a vehicle has none.",
-    row="a vehicle at a recorded instant (`run.record_rate_hz`)",
-    columns={
-        "time_us": _TIME,
-        "uav": Column(description="Number of the vehicle, from 0."),
-        "alive": Column(description="False once the process of the vehicle has ended or is given up."),
-        "armed": Column(description="Whether the vehicle itself reports that its motors are armed."),
-        "pos_ned_m": Column(description="True position."),
-        "vel_ned_m_s": Column(description="True velocity over ground."),
-        "q_ned_frd": Column(description="True attitude."),
-        "omega_frd_rad_s": Column(description="True angular rate."),
-        "wind_force_ned_n": Column(
-            description="Force of the wind in the step before; 0 where the air moves instead."
-        ),
-        "wind_vel_ned_m_s": Column(
-            description="Velocity of the air in the step before; 0 where the wind is a force."
-        ),
-        "rotor_speed_rad_s": Column(description="Speed of each rotor."),
-        "mode": Column(description="The autopilot's custom mode: PX4's, or ArduPilot's.", values=_MODES),
-        "phase": Column(
-            description="Phase of the on-board application.",
-            values=_PHASES | {str(NO_PHASE): "no application"},
-        ),
-        "landed": Column(description="Whether the land detector reports ground contact."),
-        "failsafe": Column(description="Whether a failsafe is active."),
-        "causes": Column(
-            description="Causes of failsafes: the sum of these bits.",
-            values={str(int(cause)): _in_words(cause.name) for cause in Cause},
-        ),
-        "battery_remaining": Column(description="Charge that is left, 0 to 1."),
-        "estimator_pos_ned_m": Column(
-            description="Position by the estimator; its height is that of the barometer above the start."
-        ),
-        "estimator_vel_ned_m_s": Column(description="Velocity by the estimator."),
-        "estimator_q_ned_frd": Column(description="Attitude by the estimator."),
-        "gps_pos_ned_m": Column(
-            description="The last GPS fix, measured `sensors.gps.delay_s` before it arrived."
-        ),
-        "onboard_pos_ned_m": Column(description="Position by the localisation of the on-board application."),
-        "onboard_pos_std_m": Column(description="Standard deviation of it, by the application.", frame="NED"),
-        "correction_ned_m": Column(
-            description="What the application subtracts from the estimator's position to get its own."
-        ),
-        "odometry_offset_ned_m": Column(
-            description="The part of the correction that comes from ranging and from GPS of all UAVs."
-        ),
-        "setpoint_pos_ned_m": Column(description="Position setpoint; NaN on an axis without one."),
-        "desired_pos_ned_m": Column(description="Place of the vehicle by the plan of the formation."),
-    },
-)
+
+def flight_kind(applications: Layout) -> TableKind:
+    """Return the kind of ``flight.parquet`` in a run with these applications."""
+    phases = {str(phase): name for phase, name in applications.phases.items()}
+    return TableKind(
+        name="flight",
+        description="Truth, estimates and places; estimates are NaN where a vehicle has none.",
+        row="a vehicle at a recorded instant (`run.record_rate_hz`)",
+        columns={
+            "time_us": _TIME,
+            "uav": Column(description="Number of the vehicle, from 0."),
+            "alive": Column(description="False once the process of the vehicle has ended or is given up."),
+            "armed": Column(description="Whether the vehicle itself reports that its motors are armed."),
+            "pos_ned_m": Column(description="True position."),
+            "vel_ned_m_s": Column(description="True velocity over ground."),
+            "q_ned_frd": Column(description="True attitude."),
+            "omega_frd_rad_s": Column(description="True angular rate."),
+            "wind_force_ned_n": Column(
+                description="Force of the wind in the step before; 0 where the air moves instead."
+            ),
+            "wind_vel_ned_m_s": Column(
+                description="Velocity of the air in the step before; 0 where the wind is a force."
+            ),
+            "rotor_speed_rad_s": Column(description="Speed of each rotor."),
+            "mode": Column(description="The autopilot's custom mode: PX4's, or ArduPilot's.", values=_MODES),
+            "phase": Column(
+                description="Phase of the on-board application.",
+                values=phases | {str(NO_PHASE): "no application"},
+            ),
+            "landed": Column(description="Whether the land detector reports ground contact."),
+            "failsafe": Column(description="Whether a failsafe is active."),
+            "causes": Column(
+                description="Causes of failsafes: the sum of these bits.",
+                values={str(int(cause)): _in_words(cause.name) for cause in Cause},
+            ),
+            "battery_remaining": Column(description="Charge that is left, 0 to 1."),
+            "estimator_pos_ned_m": Column(
+                description="Position by the estimator; its height is that of the barometer above the start."
+            ),
+            "estimator_vel_ned_m_s": Column(description="Velocity by the estimator."),
+            "estimator_q_ned_frd": Column(description="Attitude by the estimator."),
+            "gps_pos_ned_m": Column(
+                description="The last GPS fix, measured `sensors.gps.delay_s` before it arrived."
+            ),
+            "onboard_pos_ned_m": Column(
+                description="Position by the localisation of the on-board application."
+            ),
+            "onboard_pos_std_m": Column(
+                description="Standard deviation of it, by the application.", frame="NED"
+            ),
+            "correction_ned_m": Column(
+                description="What the application subtracts from the estimator's position to get its own."
+            ),
+            "odometry_offset_ned_m": Column(
+                description="The part of the correction that comes from ranging and from GPS of all UAVs."
+            ),
+            "setpoint_pos_ned_m": Column(description="Position setpoint; NaN on an axis without one."),
+            "desired_pos_ned_m": Column(description="Place of the vehicle by the plan of the formation."),
+            **{f"app_{name}": _number(name) for name in applications.values},
+        },
+    )
+
+
+def _number(name: str) -> Column:
+    return Column(description=f"Number `{name}` of the application's status; NaN: not reported.")
+
+
 RADIO = TableKind(
     name="radio",
     description="Frames on the channel.",

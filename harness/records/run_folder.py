@@ -24,6 +24,8 @@ from typing import Self
 import msgspec
 from msgspec import Struct
 
+from autopilot.onboard.application import NO_APPLICATION, Layout
+from autopilot.onboard.factory import layout_of
 from harness.records import beacon_dissector
 from harness.scenario.scenario import Scenario
 from harness.scenario.validation_errors import explain
@@ -38,9 +40,17 @@ class PhysicsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     truth_log_path: str
     air_log_path: str
     event_log_path: str
+    applications: Layout = NO_APPLICATION
+    """What the on-board applications report."""
     connect_timeout_s: float = 120.0
     profile_from_us: int | None = None
     """Simulated time from which the process profiles itself; None: never."""
+
+
+class _Applications(Struct, frozen=True):
+    """The part of `PhysicsConfig` that tables depend on."""
+
+    applications: Layout
 
 
 LISTED = 3
@@ -198,6 +208,7 @@ class RunFolder:
             truth_log_path=str(self.raw_truth),
             air_log_path=str(self.raw_air),
             event_log_path=str(self.events),
+            applications=layout_of(scenario.onboard),
             profile_from_us=self._profile_from_us,
         )
         return self.write_config("physics", config)
@@ -224,6 +235,11 @@ class RunFolder:
             config, ports=ports, params_path=params_path, profile_from_us=self._profile_from_us
         )
         return self.write_config(f"uav-{instance}", config)
+
+    def applications(self) -> Layout:
+        """Return what the run's on-board applications report. Raises OSError and msgspec.DecodeError."""
+        settings = (self.config / "physics.json").read_bytes()
+        return msgspec.json.decode(settings, type=_Applications).applications
 
     def write_config(self, name: str, config: msgspec.Struct) -> Path:
         """Write the settings of a process; returns the path."""

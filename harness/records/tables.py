@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from antenna.analysis.statistics import pointing_errors_deg
 from antenna.solvers.ports import MAIN_LOBE_DEG
-from autopilot.logs.vehicle_record import VEHICLE_RECORD
+from autopilot.logs.vehicle_record import VEHICLE_RECORD, vehicle_record
 from foundation.records.record_log import read
 from harness.records import columns
 from harness.records.flight import Flight
@@ -38,14 +38,16 @@ def write_tables(
 
     Returns the flight: records (instants, agents) of `flight_record`.
     """
+    applications = folder.applications()
+    layout = vehicle_record(applications.columns)
     flight = merge(
         read(folder.raw_truth, truth_record(scenario.most_rotors)),
-        [read(folder.raw_vehicle(i), VEHICLE_RECORD) for i in range(scenario.agents)],
+        [read(folder.raw_vehicle(i), layout) for i in range(scenario.agents)],
     )
     flight["desired_pos_ned_m"] = desired(flight["time_us"][:, 0])
     about = columns.origin(scenario)
     for target, kind, records in (
-        (folder.flight, columns.FLIGHT, flight.ravel()),
+        (folder.flight, columns.flight_kind(applications), flight.ravel()),
         (folder.radio, columns.RADIO, read(folder.raw_frames, FRAME_LOG)),
         (folder.ftm, columns.FTM, read(folder.raw_sessions, SESSION_LOG)),
         (folder.air, columns.AIR, read(folder.raw_air, AIR_RECORD)),
@@ -128,30 +130,30 @@ def merge(truth: NDArray[Any], vehicles: list[NDArray[Any]]) -> NDArray[Any]:
     """
     n = len(vehicles)
     truth = truth[: len(truth) // n * n].reshape(-1, n)
-    flight = np.zeros(truth.shape, dtype=flight_record(truth.dtype))
+    flight = np.zeros(truth.shape, dtype=flight_record(truth.dtype, vehicles[0].dtype))
     for name in truth.dtype.names or ():
         flight[name] = truth[name]
     times_us = truth["time_us"][:, 0]
     for i, rows in enumerate(vehicles):
         rows = rows[np.isin(rows["time_us"], times_us)]
         at = np.searchsorted(times_us, rows["time_us"])
-        for name in _vehicle_fields():
+        for name in _vehicle_fields(rows.dtype):
             if np.issubdtype(flight[name].dtype, np.floating):
                 flight[name][:, i] = np.nan
             flight[name][at, i] = rows[name]
     return flight
 
 
-def _vehicle_fields() -> list[str]:
+def _vehicle_fields(vehicle: np.dtype[Any]) -> list[str]:
     """Return the fields of the vehicle's record that the truth's record does not have."""
-    return [name for name in VEHICLE_RECORD.names or () if name not in (OF_QUADROTORS.names or ())]
+    return [name for name in vehicle.names or () if name not in (OF_QUADROTORS.names or ())]
 
 
-def flight_record(truth: np.dtype[Any]) -> np.dtype[Any]:
-    """Return the layout of truth, as `truth_record`, estimates, and desired position by the plan."""
+def flight_record(truth: np.dtype[Any], vehicle: np.dtype[Any] = VEHICLE_RECORD) -> np.dtype[Any]:
+    """Return the layout of truth, as `truth_record`, estimates, as `vehicle_record`, and desired position."""
     return np.dtype(
         [(name, truth[name]) for name in truth.names or ()]
-        + [(name, VEHICLE_RECORD[name]) for name in _vehicle_fields()]
+        + [(name, vehicle[name]) for name in _vehicle_fields(vehicle)]
         + [("desired_pos_ned_m", np.dtype(("f8", 3)))]
     )
 

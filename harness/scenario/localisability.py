@@ -16,7 +16,7 @@ from msgspec import Struct
 from autopilot.onboard.localisation.model import LOCALISE_TIMEOUT_US, SHAPE_STD_M
 from autopilot.onboard.localisation.predicted_shape import is_near_line, predicted_shape_std_m, width_m
 from autopilot.onboard.radio.neighbourhood import linked
-from autopilot.parameters.config import OnboardConfig
+from autopilot.parameters.onboard_config import OnboardConfig
 from harness.scenario.scenario import Scenario
 from netsim.ftm.stamps import distance_m, round_trip_std_ps
 

@@ -14,6 +14,7 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from antenna.model.config import AntennaConfig
+from autopilot.onboard.factory import layout_of
 from autopilot.onboard.formation import formation_plan
 from autopilot.onboard.formation.formation_plan import FormationPlan
 from autopilot.parameters.config import (
@@ -22,12 +23,12 @@ from autopilot.parameters.config import (
     AutopilotConfig,
     Devices,
     LinksConfig,
-    OnboardConfig,
     Port,
     Site,
     VehicleConfig,
     VehiclePorts,
 )
+from autopilot.parameters.onboard_config import OnboardConfig
 from foundation.airframe.description import Airframe
 from harness.scenario import airframe_choice, autopilot_settings, formation_shape
 from harness.scenario.airframe_choice import VehicleTable
@@ -200,6 +201,12 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
                 f"onboard.loop_period_ms: {self.onboard.loop_period_ms} ms is no whole number of steps; "
                 f"expected a multiple of {self.run.step_us / 1e3:g}"
             )
+        for number, program in enumerate(self.onboard.programs):
+            wrong = [uav for uav in program.uavs if uav >= self.agents] if program.uavs != "all" else []
+            if wrong:
+                raise ValueError(
+                    f"onboard.programs[{number}].uavs: there is no UAV {wrong[0]} among {self.agents}"
+                )
         if self.onboard.wind_feed_forward:
             self._check_wind()
         for number, fault in enumerate(self.faults):
@@ -318,8 +325,8 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     @property
     def forms(self) -> bool:
-        """Whether all UAVs fly to the formation by themselves; otherwise no formation is asked for."""
-        return self.onboard.enabled and not self.onboard.hold
+        """Whether the applications reach their aim by themselves; otherwise no run waits for it."""
+        return not self.onboard.hold and bool(layout_of(self.onboard).formed)
 
     @property
     def record_period_us(self) -> int:

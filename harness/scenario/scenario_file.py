@@ -8,6 +8,8 @@ from typing import Any
 import msgspec
 
 from autopilot.navigation.plan_file import PlanFileError
+from autopilot.onboard.factory import layout_of
+from autopilot.parameters.onboard_config import FORMATION
 from autopilot.parameters.parameter_file import ParameterFileError
 from autopilot.vehicle.extensions import load_extensions
 from foundation.airframe.files import AirframeError
@@ -21,7 +23,7 @@ from harness.scenario.validation_errors import InvalidTable, convert
 from harness.world.faults import EXPECTED
 from netsim.radio_models import registry
 
-ARRAYS_OF_TABLES = ("faults", "wind.gusts")
+ARRAYS_OF_TABLES = ("faults", "wind.gusts", "onboard.programs")
 _EXPECTED = {**EXPECTED, r"formation\.motion\.kind": "one of track, racetrack"}
 
 
@@ -79,23 +81,29 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
         raise ScenarioError(f"{path}: autopilot.plan_file: {error}") from None
     except ParameterFileError as error:
         raise ScenarioError(f"{path}: autopilot.params_file: {error}") from None
+    # an override of a packaged scenario names a module or file of the current folder
+    folder = Path() if packaged.FOLDER in path.parents else path.parent
+    onboard = scenario.onboard
+    if onboard.application != FORMATION or onboard.programs:
+        onboard = msgspec.structs.replace(onboard, folder=str((folder / onboard.folder).resolve()))
     try:
         load_extensions(autopilot)
+        layout_of(onboard)
     except ExtensionError as error:
         raise ScenarioError(f"{path}: {error}") from None
     try:
         links = autopilot_settings.with_signing_key(scenario.links, path.parent)
     except ValueError as error:
         raise ScenarioError(f"{path}: links.signing_key_file: {error}") from None
-    # an override of a packaged scenario names a module or file of the current folder
-    folder = Path() if packaged.FOLDER in path.parents else path.parent
     radio = registry.with_folder(scenario.radio, folder)
     try:
         registry.check_models(radio, scenario.agents + len(radio.guests))
     except ExtensionError as error:
         raise ScenarioError(f"{path}: {error}") from None
     try:
-        return msgspec.structs.replace(scenario, autopilot=autopilot, links=links, radio=radio)
+        return msgspec.structs.replace(
+            scenario, autopilot=autopilot, links=links, onboard=onboard, radio=radio
+        )
     except ValueError as error:  # contents of the files conflict with other settings
         raise ScenarioError(f"{path}: {error}") from None
 

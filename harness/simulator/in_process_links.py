@@ -9,7 +9,6 @@ from pathlib import Path
 
 import msgspec
 
-from autopilot.logs.vehicle_record import VEHICLE_RECORD
 from autopilot.parameters.config import VehicleConfig
 from autopilot.vehicle.host import Host, warnings
 from foundation.extension_failure import ExtensionFailure
@@ -133,5 +132,5 @@ class InProcessLink:
         self._is_open = False
         self.host.close()
         if self.killed and self._log_path is not None:
-            block_bytes = BLOCK_ROWS * VEHICLE_RECORD.itemsize
+            block_bytes = BLOCK_ROWS * self.host.record.itemsize
             os.truncate(self._log_path, Path(self._log_path).stat().st_size // block_bytes * block_bytes)

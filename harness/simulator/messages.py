@@ -79,12 +79,20 @@ class VehicleTruth(Struct, frozen=True, kw_only=True):
     armed: bool
     mode: str
     phase: str
-    """Phase of the on-board application: see `autopilot.onboard`."""
+    """Phase of the on-board application, see `coflight.Reports`; empty without one."""
     pos_ned_m: Vector
     vel_ned_m_s: Vector
     q_ned_frd: Quaternion
     error_m: float
     """Horizontal distance from its (moving) place in the formation."""
+    aim: Literal["unknown", "ahead", "reached", "dropped"] = "unknown"
+    """Whether the application has reached its aim, by its phase: ``dropped`` in its absent phases."""
+    is_placed: bool = False
+    """Whether its application flies to its place in the formation, or is there."""
+    text: str = ""
+    """Text of the application's status."""
+    values: dict[str, float] = {}
+    """Numbers of the application's status; NaN: not reported so far."""
 
 
 class Progress(SimulatorEvent, frozen=True, kw_only=True):
@@ -113,7 +121,14 @@ class Paused(SimulatorEvent, frozen=True, kw_only=True):
 
 
 class Formed(SimulatorEvent, frozen=True, kw_only=True):
-    """Every application reports to be on station, for the first time; departed vehicles do not count."""
+    """Every application has reached its aim, for the first time; those in absent phases do not count."""
+
+
+class ApplicationText(SimulatorEvent, frozen=True, kw_only=True):
+    """The status of an on-board application has a new text."""
+
+    instance: int
+    text: str
 
 
 class FormationMoves(SimulatorEvent, frozen=True, kw_only=True):
@@ -180,6 +195,7 @@ AnyEvent = (
     | Paused
     | Formed
     | FormationMoves
+    | ApplicationText
     | VehicleLost
     | ApplicationLost
     | ApplicationSilent

@@ -13,15 +13,14 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from autopilot.onboard import programs
 from harness.simulator.messages import FormationMoves
-
-START_NAME = programs.START_NAME.decode("ascii")
-"""Name of the message's value: milliseconds on the run's clock, an unsigned number in its signed field."""
 
 
 def start_us(value: int) -> int:
-    """Return the start of a NAMED_VALUE_INT's value, us; a vehicle without a start sends no such message."""
+    """Return the start of a NAMED_VALUE_INT's value, us; a vehicle without a start sends no such message.
+
+    The value is milliseconds on the run's clock, an unsigned number in its signed field.
+    """
     return (value & 0xFFFF_FFFF) * 1_000
 
 

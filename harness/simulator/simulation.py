@@ -16,13 +16,12 @@ from pymavlink.dialects.v20 import common as mavlink
 from autopilot.mavlink.ardupilot_modes import label_of
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.components import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
-from autopilot.onboard.formation.motion import STAYS_AWAY
-from autopilot.onboard.formation.phases import FlightPhase
 from foundation.processes.child_protocol import Warned
 from foundation.records.record_log import RecordLog
 from harness.records.run_folder import PhysicsConfig
 from harness.simulator.actuator_inbox import ActuatorInbox
 from harness.simulator.application_links import ApplicationLinks
+from harness.simulator.application_status import ApplicationStatus
 from harness.simulator.ardupilot_json import StateEncoder
 from harness.simulator.emulator_client import EmulatorClient
 from harness.simulator.hil import TRUTH_PERIOD_US, SensorEncoder
@@ -31,6 +30,7 @@ from harness.simulator.messages import (
     AnyEvent,
     ApplicationLost,
     ApplicationSilent,
+    ApplicationText,
     Collision,
     FaultChanged,
     FormationMoves,
@@ -41,7 +41,7 @@ from harness.simulator.messages import (
     VehicleSilent,
     VehicleTruth,
 )
-from harness.simulator.motion_start import START_NAME, agreed, start_us
+from harness.simulator.motion_start import agreed
 from harness.simulator.truth_record import AIR_RECORD, EVENT_KINDS, truth_record
 from harness.world import esc
 from harness.world.faults import MOST_ATTENUATION_DB, AnyFault, Faults, kind
@@ -125,7 +125,7 @@ class Simulation:
             if kind == "ardupilot"
         }
         self._has_escs = len(self._external) < n
-        self._sends_truth = scenario.onboard.enabled and scenario.onboard.localisation == "truth"
+        self._sends_truth = False
         self.time_us = self._step_us  # to PX4 0 is a clock that is not set
         self.formed = False
         self._truth_record = truth_record(max(rotors))
@@ -136,11 +136,11 @@ class Simulation:
         """Vehicles whose application was lost."""
         self._instances = np.arange(n)
         self._modes = [""] * n
-        self._phases: list[FlightPhase | None] = [None] * n
-        self._starts_us: list[int | None] = [None] * n
+        self._applied = [ApplicationStatus(config.applications) for _ in range(n)]
+        """What the vehicles' applications report"""
         self._start_us: int | None = None
-        """Start of the formation's motion: reported by each vehicle, and agreed by the majority."""
-        self._phase_changed = False
+        """Start of the formation's motion that the majority of the applications reports."""
+        self._status_changed = False
         """Whether the formation may have been reached, or its start agreed, since the last check."""
         self._touching: set[tuple[int, int]] = set()
         self._attenuation_db = scenario.radio.extra_attenuation_db
@@ -240,7 +240,7 @@ class Simulation:
             rotor_effectiveness=self._faults.rotor_effectiveness,
         )
         self.time_us += self._step_us
-        if self._phase_changed:
+        if self._status_changed:
             self._notice_formation()
             self._notice_motion()
 
@@ -303,6 +303,7 @@ class Simulation:
     def vehicles(self) -> tuple[VehicleTruth, ...]:
         """Return the present truth of all vehicles."""
         truth = self._world.truth
+        applied = self._applied
         since_start_s = 0.0 if self._start_us is None else (self.time_us - self._start_us) * 1e-6
         places_ned_m = self._plan.at(since_start_s).pos_ned_m
         error_m = np.linalg.norm((truth.pos_ned_m - places_ned_m)[:, :2], axis=1)
@@ -311,11 +312,15 @@ class Simulation:
                 alive=slot.alive,
                 armed=bool(self._inbox.armed[i]),
                 mode=self._modes[i],
-                phase=_name(self._phases[i]),
+                phase=applied[i].phase_text,
                 pos_ned_m=tuple(truth.pos_ned_m[i].tolist()),
                 vel_ned_m_s=tuple(truth.vel_ned_m_s[i].tolist()),
                 q_ned_frd=tuple(truth.q_ned_frd[i].tolist()),
                 error_m=float(error_m[i]),
+                aim=applied[i].aim,
+                is_placed=applied[i].is_placed,
+                text=applied[i].text,
+                values=applied[i].values,
             )
             for i, slot in enumerate(self.lockstep.slots)
         )
@@ -357,23 +362,23 @@ class Simulation:
         self._touching = set(contacts)
 
     def _notice_formation(self) -> None:
-        """Report the formation once all vehicles that have not left it are on station."""
-        self._phase_changed = False
+        """Report the formation once all applications, without absent ones, have reached their aim."""
+        self._status_changed = False
         if not self.formed:
-            phases = [
-                phase
-                for phase, slot in zip(self._phases, self.lockstep.slots, strict=True)
-                if slot.alive and phase not in STAYS_AWAY and slot.instance not in self._without_application
-            ]
-            if phases and all(phase == FlightPhase.ON_STATION for phase in phases):
+            aims = {
+                status.aim
+                for status, slot in zip(self._applied, self.lockstep.slots, strict=True)
+                if slot.alive and slot.instance not in self._without_application
+            }
+            if aims - {"dropped"} == {"reached"}:
                 self.formed = True
                 self._emit(Formed(time_us=self.time_us))
 
     def _notice_motion(self) -> None:
         """Report the start of the formation's motion that most of the living vehicles agree on."""
         starts_us = [
-            start
-            for start, slot in zip(self._starts_us, self.lockstep.slots, strict=True)
+            status.motion_start_us
+            for status, slot in zip(self._applied, self.lockstep.slots, strict=True)
             if slot.alive and slot.instance not in self._without_application
         ]
         agreed_us = agreed(starts_us)
@@ -382,22 +387,25 @@ class Simulation:
             self._emit(FormationMoves(time_us=self.time_us, start_us=agreed_us))
 
     def on_message(self, instance: int, message: Message) -> None:
-        """Process a vehicle's message other than an answer: its mode, phase or start of motion."""
+        """Process a vehicle's message other than an answer: mode, status of its application, requests."""
         if instance in self._state_encoders:
             self._state_encoders[instance].parameters.on_message(message, self.time_us)
-        if message.get_msgId() == mavlink.MAVLINK_MSG_ID_NAMED_VALUE_INT:
-            if message.get_srcComponent() == APPLICATION_COMPONENT and message.name == START_NAME:
-                self._starts_us[instance] = start_us(message.value)
-                self._phase_changed = True
-            return
-        if message.get_msgId() != mavlink.MAVLINK_MSG_ID_HEARTBEAT:
-            return
-        if message.get_srcComponent() == AUTOPILOT_COMPONENT:
-            self._modes[instance] = label_of(message)
-        elif message.get_srcComponent() == APPLICATION_COMPONENT:
-            with contextlib.suppress(ValueError):
-                self._phases[instance] = FlightPhase(message.custom_mode)
-                self._phase_changed = True
+        if message.get_srcComponent() == APPLICATION_COMPONENT:
+            self._on_status(instance, message)
+        elif message.get_srcComponent() == AUTOPILOT_COMPONENT:
+            if message.get_msgId() == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+                self._modes[instance] = label_of(message)
+            elif message.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
+                self._sends_truth |= instance not in self._external and _requests_truth(message)
+
+    def _on_status(self, instance: int, message: Message) -> None:
+        """Process a message of an application about itself."""
+        status = self._applied[instance]
+        text = status.text
+        status.on_message(message)
+        self._status_changed = True
+        if status.text != text:
+            self._emit(ApplicationText(time_us=self.time_us, instance=instance, text=status.text))
 
     def on_silent(self, instance: int, wall_silence_s: float) -> None:
         """Report a vehicle that has not answered for a while."""
@@ -406,7 +414,7 @@ class Simulation:
     def on_lost(self, instance: int, reason: str) -> None:
         """Report a vehicle that was removed from the run."""
         self._lost += (instance,)
-        self._phase_changed = True  # all others may be on station
+        self._status_changed = True  # all others may be on station
         self._emit(VehicleLost(time_us=self.time_us, instance=instance, reason=reason))
 
     def on_application_silent(self, instance: int, wall_silence_s: float) -> None:
@@ -416,8 +424,8 @@ class Simulation:
     def on_application_lost(self, instance: int, reason: str) -> None:
         """Report an application that was given up; its phase is unknown from now on."""
         self._without_application.add(instance)
-        self._phases[instance] = None
-        self._phase_changed = True  # all others may be on station
+        self._applied[instance].forget()
+        self._status_changed = True  # all others may be on station
         self._emit(ApplicationLost(time_us=self.time_us, instance=instance, reason=reason))
 
     def _emit(self, event: AnyEvent) -> None:
@@ -427,8 +435,13 @@ class Simulation:
         self._on_event(event)
 
 
-def _name(phase: FlightPhase | None) -> str:
-    return "" if phase is None else phase.name.lower().replace("_", " ")
+def _requests_truth(message: Message) -> bool:
+    """Whether a COMMAND_LONG requests HIL_STATE_QUATERNION."""
+    return bool(
+        message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+        and message.param1 == mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION
+        and message.param2 > 0.0
+    )
 
 
 def run(

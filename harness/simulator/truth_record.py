@@ -31,5 +31,8 @@ def truth_record(rotors: int) -> np.dtype[Any]:
 
 AIR_RECORD = np.dtype([("time_us", "i8"), ("busy_ns", "i8")])
 """One row per recorded instant: total time since the start for which the channel was occupied."""
-EVENT_KINDS = ("formed", "formationmoves", "vehiclelost", "applicationlost", "collision", "faultchanged")
+EVENT_KINDS = (
+    "formed", "formationmoves", "applicationtext", "vehiclelost", "applicationlost", "collision",
+    "faultchanged",
+)  # fmt: skip
 """Events in simulated time, which are written to events.jsonl."""

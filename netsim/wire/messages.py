@@ -17,6 +17,8 @@ VERSION = 5
 """First field of every message; incremented with every change of a message's fields."""
 MAX_PAYLOAD_BYTES = 1472
 """Largest UDP payload that fits one 1500-byte IP packet."""
+DEFAULT_PORT = 50_802
+"""UDP port of datagrams whose sender names none."""
 
 MAX_STATION = 65_535
 Station = Annotated[int, Meta(ge=0, le=MAX_STATION)]
@@ -34,6 +36,7 @@ class Broadcast(Struct, frozen=True, kw_only=True, array_like=True, gc=False, ta
     at_us: TimeUs
     """Time at which the application passes it to its host stack; not before the batch's ``now_us``."""
     payload: Annotated[bytes, Meta(max_length=MAX_PAYLOAD_BYTES)]
+    port: Annotated[int, Meta(ge=1, le=65_535)] = DEFAULT_PORT
 
 
 class FtmRequest(Struct, frozen=True, kw_only=True, array_like=True, gc=False, tag="f"):
@@ -51,6 +54,7 @@ class Unicast(Struct, frozen=True, kw_only=True, array_like=True, gc=False, tag=
     at_us: TimeUs
     destination: Station
     payload: Annotated[bytes, Meta(max_length=MAX_PAYLOAD_BYTES)]
+    port: Annotated[int, Meta(ge=1, le=65_535)] = DEFAULT_PORT
 
 
 TxItem = Broadcast | FtmRequest | Unicast
@@ -81,6 +85,7 @@ class Delivery(Struct, frozen=True, kw_only=True, array_like=True, gc=False, tag
     """End of the frame at this antenna."""
     rssi_dbm: float
     payload: bytes
+    port: int = DEFAULT_PORT
 
 
 class FtmResult(Struct, frozen=True, kw_only=True, array_like=True, gc=False, tag="r"):

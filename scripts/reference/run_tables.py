@@ -4,8 +4,10 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from autopilot.onboard.factory import layout_of
+from autopilot.parameters.onboard_config import OnboardConfig
 from harness.campaign.columns import IDENTIFICATION, RESULTS
-from harness.records.columns import AIR, FLIGHT, FTM, GAINS, RADIO, RECEPTIONS, Column, TableKind
+from harness.records.columns import AIR, FTM, GAINS, RADIO, RECEPTIONS, Column, TableKind, flight_kind
 from harness.records.tables import FLIGHT_RECORD, GAIN_TYPES, column_names
 from harness.simulator.truth_record import AIR_RECORD
 from netsim.emulator.log_layout import FRAME_LOG, RECEPTION_LOG, SESSION_LOG
@@ -49,8 +51,8 @@ HEAD = ("column", "type", "unit", "frame", "meaning")
 _NAMES = {"double": "float64", "string": "text"}
 """Names of Arrow's types that NumPy calls otherwise"""
 LAYOUTS = (
-    (FLIGHT, FLIGHT_RECORD), (RADIO, FRAME_LOG), (RECEPTIONS, RECEPTION_LOG), (FTM, SESSION_LOG),
-    (AIR, AIR_RECORD),
+    (flight_kind(layout_of(OnboardConfig())), FLIGHT_RECORD), (RADIO, FRAME_LOG),
+    (RECEPTIONS, RECEPTION_LOG), (FTM, SESSION_LOG), (AIR, AIR_RECORD),
 )  # fmt: skip
 """Tables that are made of records"""
 

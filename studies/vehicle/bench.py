@@ -27,7 +27,8 @@ from autopilot.estimation.sensor_input import SensorInput
 from autopilot.mavlink.codec import Encoder
 from autopilot.mavlink.hil import TO_VEHICLE, HilActuatorControls, HilEncoder, HilParser
 from autopilot.onboard.app import OnboardApp
-from autopilot.parameters.config import OnboardConfig, VehicleConfig
+from autopilot.parameters.config import VehicleConfig
+from autopilot.parameters.onboard_config import OnboardConfig
 from autopilot.services.service import Services
 from autopilot.services.streams import MessageStreams
 from autopilot.vehicle.fast_step import FastSteps

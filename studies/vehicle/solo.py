@@ -16,7 +16,8 @@ from pymavlink.dialects.v20 import common
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.hil import TO_VEHICLE, HilActuatorControls, HilEncoder, HilParser
 from autopilot.mavlink.modes import FlightMode, mode_from_custom
-from autopilot.parameters.config import AutopilotConfig, Devices, OnboardConfig, VehicleConfig
+from autopilot.parameters.config import AutopilotConfig, Devices, VehicleConfig
+from autopilot.parameters.onboard_config import OnboardConfig
 from autopilot.services.service import GROUND_STATION, Partner, reply
 from autopilot.vehicle.vehicle import StepOutput, Vehicle
 from foundation.airframe.description import Airframe

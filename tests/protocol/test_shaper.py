@@ -5,7 +5,8 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import frame_bytes
-from autopilot.parameters.config import LinksConfig, OnboardConfig, VehicleConfig
+from autopilot.parameters.config import LinksConfig, VehicleConfig
+from autopilot.parameters.onboard_config import OnboardConfig
 from autopilot.services.service import BROADCAST, COMPANION, GROUND_STATION, Addressed, Partner
 from autopilot.services.shaper import BURST_US, MAX_WAITING, TRANSFER_SHARE, Shaper, Shapers
 from studies.vehicle.solo import STEP_US, Solo

@@ -14,7 +14,8 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.programs import NOTHING
-from autopilot.parameters.config import Devices, OnboardConfig, Site
+from autopilot.parameters.config import Devices, Site
+from autopilot.parameters.onboard_config import OnboardConfig
 from foundation.geometry.geodesy import ned_to_geodetic
 from netsim.wire.messages import Broadcast, Delivery, FtmRequest, FtmResult
 

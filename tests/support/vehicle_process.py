@@ -13,7 +13,8 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Encoder
 from autopilot.mavlink.hil import HilActuatorControls, HilParser
-from autopilot.parameters.config import OnboardConfig, VehicleConfig, VehiclePorts
+from autopilot.parameters.config import VehicleConfig, VehiclePorts
+from autopilot.parameters.onboard_config import OnboardConfig
 
 STEP_US = 4_000
 DEADLINE_S = 30.0

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from autopilot.parameters.config import AutopilotConfig, OnboardConfig, VehicleConfig
+from autopilot.parameters.config import AutopilotConfig, VehicleConfig
+from autopilot.parameters.onboard_config import OnboardConfig
 from studies.vehicle.solo import STEP_US, Solo
 
 __all__ = ["STEP_US", "Flight", "vehicle_config"]

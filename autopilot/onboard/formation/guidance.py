@@ -15,7 +15,7 @@ from autopilot.onboard.formation.wind_observer import WindObserver
 from autopilot.onboard.localisation.uncertainty import Others
 from autopilot.onboard.radio.neighbour_table import NeighbourTable
 from autopilot.onboard.radio.neighbourhood import Neighbourhood
-from autopilot.parameters.config import OnboardConfig
+from autopilot.parameters.onboard_config import OnboardConfig
 from foundation.types import Vector
 
 SETPOINT_PERIOD_US = 40_000

@@ -19,7 +19,8 @@ from autopilot.onboard.radio.neighbour_table import WAIT_US, NeighbourTable
 from autopilot.onboard.radio.neighbourhood import Neighbourhood
 from autopilot.onboard.radio.ranging import RangingPolicy, RangingSchedule, VarianceOf
 from autopilot.onboard.radio.scheduled_ranging import ScheduledRanging
-from autopilot.parameters.config import Devices, OnboardConfig
+from autopilot.parameters.config import Devices
+from autopilot.parameters.onboard_config import OnboardConfig
 from netsim.wire.messages import FtmResult
 
 BEACON_JITTER = 0.02

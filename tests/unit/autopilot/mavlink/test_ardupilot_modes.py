@@ -5,7 +5,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from autopilot.mavlink.ardupilot_modes import COPTER_MODES, GUIDED, counterpart, label_of
 from autopilot.mavlink.modes import EXTERNAL_MODES, FlightMode
-from harness.records.columns import FLIGHT
+from autopilot.onboard.application import NO_APPLICATION
+from harness.records.columns import flight_kind
+
+FLIGHT = flight_kind(NO_APPLICATION)
 
 
 def heartbeat(mode, autopilot=mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA):

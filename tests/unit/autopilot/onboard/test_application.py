@@ -9,7 +9,7 @@ from vehicle_world import Flight, vehicle_config
 
 from autopilot.logs.vehicle_record import VEHICLE_RECORD, record
 from autopilot.onboard.factory import load_application
-from autopilot.parameters.config import OnboardConfig
+from autopilot.parameters.onboard_config import OnboardConfig
 from foundation.extension_failure import ExtensionFailure
 from foundation.extensions import ExtensionError
 from netsim.wire.messages import Delivery
@@ -77,15 +77,24 @@ def test_an_exception_names_application_cause_and_place():
     [
         (
             {"application": "no_such_module:App"},
-            "onboard.application: no module no_such_module; expected it to be installed, or its folder in PYTHONPATH",
+            (
+                "onboard.application: no module no_such_module; "
+                "expected it to be installed, or its folder in PYTHONPATH"
+            ),
         ),
         (
             {"application": "consensus"},
-            "onboard.application: 'consensus' is not installed; expected package.module:Class or one of formation",
+            (
+                "onboard.application: 'consensus' is not installed; "
+                "expected package.module:Class or one of formation"
+            ),
         ),
         (
             {"application": "user_applications:Phase"},
-            "onboard.application: user_applications:Phase has no method start; expected a subclass of coflight.Application",
+            (
+                "onboard.application: user_applications:Phase has no method start; "
+                "expected a subclass of coflight.Application"
+            ),
         ),
         (
             {"application": "user_applications:Hop", "settings": {"x": 1}},

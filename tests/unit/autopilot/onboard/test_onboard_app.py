@@ -25,7 +25,8 @@ from autopilot.onboard.formation import messages
 from autopilot.onboard.formation.flight_phases import FlightSequence, Situation
 from autopilot.onboard.formation.formation_control import COAST_S
 from autopilot.onboard.formation.phases import FlightPhase
-from autopilot.parameters.config import Devices, OnboardConfig
+from autopilot.parameters.config import Devices
+from autopilot.parameters.onboard_config import OnboardConfig
 from autopilot.parameters.table import ParameterSet, Settings
 from autopilot.services.parameter import ParameterService
 from autopilot.services.service import APPLICATION_PARTNER

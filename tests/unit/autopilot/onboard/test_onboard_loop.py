@@ -10,7 +10,7 @@ from autopilot.onboard.formation.formation_plan import FormationPlan, RacetrackM
 from autopilot.onboard.formation.guidance import SETPOINT_PERIOD_US
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.programs import NOTHING
-from autopilot.parameters.config import OnboardConfig
+from autopilot.parameters.onboard_config import OnboardConfig
 
 GPS = OnboardConfig(localisation="gps")
 

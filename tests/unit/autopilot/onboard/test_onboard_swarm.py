@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from onboard_world import Errors, SwarmWorld, article_places_ned_m, rms, shape_errors_m
 
-from autopilot.parameters.config import OnboardConfig
+from autopilot.parameters.onboard_config import OnboardConfig
 
 PLACES = article_places_ned_m()
 FORMATION_S = 15.0

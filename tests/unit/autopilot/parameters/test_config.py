@@ -14,7 +14,8 @@ from onboard_world import SwarmWorld
 
 from autopilot.onboard.formation.formation_plan import FormationPlan, check
 from autopilot.parameters import config as settings
-from autopilot.parameters.config import OnboardConfig, RacetrackMotion, TrackMotion
+from autopilot.parameters.config import RacetrackMotion, TrackMotion
+from autopilot.parameters.onboard_config import OnboardConfig
 
 TABLES = [
     table

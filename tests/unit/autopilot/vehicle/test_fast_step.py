@@ -5,7 +5,8 @@ from fastcrc import crc16
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.hil import TO_VEHICLE, HilParser, HilSensor, pack
-from autopilot.parameters.config import OnboardConfig, VehicleConfig
+from autopilot.parameters.config import VehicleConfig
+from autopilot.parameters.onboard_config import OnboardConfig
 from autopilot.services.service import GROUND_STATION, NEVER_US, Addressed, Partner
 from autopilot.vehicle.host import Host
 from autopilot.vehicle.shared_state import FastStepLimits

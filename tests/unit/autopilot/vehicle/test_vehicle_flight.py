@@ -13,7 +13,8 @@ from autopilot.mavlink.codec import Encoder, Parser, stamp
 from autopilot.mavlink.modes import FlightMode
 from autopilot.onboard.application import Estimate
 from autopilot.onboard.formation.phases import FlightPhase
-from autopilot.parameters.config import OnboardConfig, VehicleConfig
+from autopilot.parameters.config import VehicleConfig
+from autopilot.parameters.onboard_config import OnboardConfig
 from autopilot.parameters.table import ParameterError
 from autopilot.services.service import COMPANION, GROUND_STATION, Addressed, Partner
 from autopilot.vehicle.vehicle import DECISION_PERIOD_US, Vehicle

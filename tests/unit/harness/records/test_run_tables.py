@@ -11,7 +11,9 @@ import pytest
 from paths import SCENARIOS
 
 from autopilot.logs.vehicle_record import NO_PHASE
+from autopilot.onboard.factory import layout_of
 from autopilot.onboard.formation.phases import FlightPhase
+from autopilot.parameters.onboard_config import OnboardConfig
 from foundation import exit_status
 from harness.cli import export
 from harness.launch.one_process import fly
@@ -29,6 +31,8 @@ SETTINGS = (
     "radio.log_receptions=true", "run.epoch_utc=2027-01-01T01:00:00+01:00",
 )  # fmt: skip
 TABLES = ("flight", "radio", "receptions", "ftm", "air", "gains")
+
+FLIGHT = columns.flight_kind(layout_of(OnboardConfig()))
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +104,11 @@ def test_every_value_of_an_enumeration_has_a_meaning(run, name, field):
         (columns.RECEPTIONS, "reception", STATES),
         (columns.RADIO, "mode", MODE_NAMES),
         (columns.RADIO, "kind", [kind.value for kind in FrameKind]),
-        (columns.FLIGHT, "phase", [str(int(phase)) for phase in FlightPhase] + [str(NO_PHASE)]),
+        (
+            columns.flight_kind(layout_of(OnboardConfig())),
+            "phase",
+            [str(int(phase)) for phase in FlightPhase] + [str(NO_PHASE)],
+        ),
     ],
 )
 def test_all_possible_values_of_an_enumeration_have_a_meaning(table, field, values):

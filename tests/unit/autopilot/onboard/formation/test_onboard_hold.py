@@ -5,7 +5,7 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import stamp
 from autopilot.onboard.formation.phases import FlightPhase
-from autopilot.parameters.config import OnboardConfig
+from autopilot.parameters.onboard_config import OnboardConfig
 from netsim.wire.messages import Broadcast, FtmRequest
 
 PAIR = ((-3.0, 0.0, -8.0), (3.0, 0.0, -8.0))

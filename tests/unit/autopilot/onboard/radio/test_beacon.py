@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from autopilot.onboard.client.own_state import Fix
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.radio import beacon as wire
-from autopilot.parameters.config import OnboardConfig
+from autopilot.parameters.onboard_config import OnboardConfig
 from netsim.wire.messages import MAX_PAYLOAD_BYTES
 
 single = st.floats(-1e4, 1e4, width=32)

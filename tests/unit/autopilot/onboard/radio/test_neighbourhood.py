@@ -7,7 +7,7 @@ from onboard_world import SwarmWorld, rms, shape_errors_m
 from autopilot.onboard.localisation.common_frame import MISFIT_M, laid_onto
 from autopilot.onboard.radio.neighbourhood import Neighbourhood, linked
 from autopilot.onboard.radio.scheduled_ranging import ScheduledRanging
-from autopilot.parameters.config import OnboardConfig
+from autopilot.parameters.onboard_config import OnboardConfig
 
 
 def grid_ned_m(rows, columns, row_m=5.0, column_m=6.0):

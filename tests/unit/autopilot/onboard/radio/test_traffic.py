@@ -24,7 +24,8 @@ from autopilot.onboard.radio.neighbour_table import (
     receive_beacon,
 )
 from autopilot.onboard.radio.scheduled_ranging import CHECK_LATEST_US, CHECK_US, UNKNOWN_PERIOD_US, owner
-from autopilot.parameters.config import SESSION_S, Devices, OnboardConfig, Site
+from autopilot.parameters.config import SESSION_S, Devices, Site
+from autopilot.parameters.onboard_config import OnboardConfig
 from netsim.wire.messages import Broadcast, FtmRequest, FtmResult
 
 STATIONS = 200

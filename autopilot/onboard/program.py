@@ -1,0 +1,149 @@
+"""One application with its context: calls its methods and checks what they return. No I/O.
+
+An exception of the application, or a wrong value that it returns, is raised as ExtensionFailure.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import ParamSpec, TypeVar
+
+import msgspec
+
+from autopilot.mavlink.codec import Message
+from autopilot.onboard.application import (
+    MOST_TEXT,
+    MOST_VALUES,
+    Application,
+    Estimate,
+    Layout,
+    Reports,
+    Status,
+)
+from autopilot.onboard.context import Context
+from foundation.extension_failure import ExtensionFailure, failure
+from netsim.wire.messages import RxItem
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+class Program:
+    """An application that has been started.
+
+    ``title`` begins the lines of its failures, such as ``onboard.application my_package.app:App``.
+    """
+
+    def __init__(self, application: Application, context: Context, *, title: str, name: str = "") -> None:
+        self.application = application
+        self.context = context
+        self.name = name
+        """Empty for the application that flies the UAV; others have names."""
+        self._title = title
+        self._reports = application.reports
+        self._call(application.start, context)
+        self.status = self._checked(self._call(application.status))
+        """Status after the last iteration."""
+
+    @property
+    def values(self) -> Mapping[str, float]:
+        """The numbers of the status by their names in the UAV's `Layout`."""
+        values = self.status.values
+        if not self.name:
+            return values
+        phase = {f"{self.name}_phase": float(self.status.phase)} if _has_phase_value(self._reports) else {}
+        return phase | {f"{self.name}_{name}": value for name, value in values.items()}
+
+    def on_mavlink(self, message: Message, now_us: int) -> None:
+        """Process a message of the autopilot."""
+        try:
+            self.application.on_mavlink(message, now_us)
+        except Exception as error:
+            raise failure(self._title, error) from error
+
+    def on_request(self, message: Message) -> Sequence[Message]:
+        """Return the answers to a message that a station addressed to the UAV's applications."""
+        answers = self._call(self.application.on_request, message)
+        if not isinstance(answers, Sequence):
+            raise self._refused(f"on_request returned a {type(answers).__name__}; expected a sequence")
+        return answers
+
+    def on_radio(self, items: Iterable[RxItem], now_us: int) -> None:
+        """Process what the radio received and measured."""
+        self._call(self.application.on_radio, items, now_us)
+
+    def on_timer(self, now_us: int) -> None:
+        """Run one iteration; `status` is then the new one."""
+        application = self.application
+        try:
+            application.on_timer(now_us)
+            status = application.status()
+        except Exception as error:
+            raise failure(self._title, error) from error
+        if status is not self.status:
+            self.status = self._checked(status)
+
+    def estimate(self, now_us: int) -> Estimate:
+        """Return the application's position estimate."""
+        estimate = self._call(self.application.estimate, now_us)
+        if not isinstance(estimate, Estimate):
+            raise self._refused(f"estimate returned a {type(estimate).__name__}; expected an Estimate")
+        return estimate
+
+    def troubles(self) -> Mapping[str, int]:
+        """Return counts of the faults that were handled."""
+        return self._call(self.application.troubles)
+
+    def _checked(self, status: Status) -> Status:
+        """Return a status whose phase, numbers and text are as declared. Raises ExtensionFailure."""
+        reports = self._reports
+        if not isinstance(status, Status):
+            raise self._refused(f"status returned a {type(status).__name__}; expected a Status")
+        if not isinstance(status.phase, reports.phases):
+            raise self._refused(
+                f"status has the phase {status.phase!r}; expected a member of {reports.phases.__name__}"
+            )
+        text: object = status.text
+        if not (isinstance(text, str) and text.isascii() and len(text) <= MOST_TEXT):
+            raise self._refused(
+                f"status has the text {text!r:.100}; expected at most {MOST_TEXT} ASCII characters"
+            )
+        for name, value in status.values.items():
+            if name not in reports.values:
+                names = ", ".join(reports.values) or "none"
+                raise self._refused(f"status has a number {name!r}; its reports declare {names}")
+            try:
+                float(value)
+            except (TypeError, ValueError):
+                raise self._refused(f"status has {value!r:.100} as {name}; expected a number") from None
+        return status
+
+    def _refused(self, what: str) -> ExtensionFailure:
+        return ExtensionFailure(f"{self._title}: {what}")
+
+    def _call(self, method: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
+        """Call a method of the application. Raises ExtensionFailure."""
+        try:
+            return method(*args, **kwargs)
+        except Exception as error:
+            raise failure(self._title, error) from error
+
+
+def layout(first: Reports, others: Mapping[str, Reports]) -> Layout:
+    """Return the layout of a UAV's programs: the application that flies it, and the others by their names.
+
+    Numbers of others begin with the program's name; the phase is one of them, unless there is only one.
+    Raises ValueError for too many numbers, and for names that occur twice.
+    """
+    values = [*first.values]
+    for name, reports in others.items():
+        values += [f"{name}_phase"] if _has_phase_value(reports) else []
+        values += [f"{name}_{value}" for value in reports.values]
+    if len(values) > MOST_VALUES:
+        raise ValueError(f"{len(values)} numbers of all programs; expected at most {MOST_VALUES}")
+    twice = sorted({value for value in values if values.count(value) > 1})
+    if twice:
+        raise ValueError(f"the number {twice[0]} of two programs; expected other names")
+    return msgspec.structs.replace(first.layout(), values=tuple(values))
+
+
+def _has_phase_value(reports: Reports) -> bool:
+    return len(reports.phases) > 1
