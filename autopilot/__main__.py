@@ -19,6 +19,7 @@ import time
 import traceback
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -43,6 +44,7 @@ from autopilot.parameters.table import ParameterError
 from autopilot.process.profile_groups import PROFILE_GROUPS
 from autopilot.services.service import COMPANION, GROUND_STATION, Addressed, Partner
 from autopilot.vehicle.host import Host, Links, warnings
+from foundation.extension_call import end_stuck, watched
 from foundation.extension_failure import ExtensionFailure
 from foundation.extensions import ExtensionError
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Warned, emit, end_with_parent
@@ -306,6 +308,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             end_with_parent()
             yield_when_woken()
         with contextlib.ExitStack() as stack:
+            stack.enter_context(watched(config.call_limit_s, on_stuck=partial(end_stuck, "uav")))
             VehicleProcess(config, stack).run()
     except (
         OSError,

@@ -5,9 +5,14 @@ with its traceback, is for the vehicle's log.
 """
 
 import traceback
+from pathlib import Path
 
 MOST_CHARACTERS = 300
 """Of the user's own text in a line."""
+_OWN = tuple(
+    f"{Path(__file__).parents[1] / package}/" for package in ("autopilot", "coflight", "foundation", "netsim")
+)
+"""Folders of coflight's code that the user's code calls."""
 
 
 class ExtensionFailure(Exception):
@@ -18,8 +23,9 @@ def failure(title: str, error: BaseException) -> ExtensionFailure:
     """Return the failure for an exception that the user's code has raised.
 
     ``title`` names the code, such as ``autopilot.controller my_package.control:Lqr``. The line ends with the
-    place where the exception was raised.
+    place where the exception was raised, or in the user's code where coflight refused an argument.
     """
-    last = traceback.extract_tb(error.__traceback__)[-1]
+    frames = traceback.extract_tb(error.__traceback__)
+    last = next((frame for frame in reversed(frames) if not frame.filename.startswith(_OWN)), frames[-1])
     text = " ".join(f"{type(error).__name__}: {error}".split())[:MOST_CHARACTERS]
     return ExtensionFailure(f"{title}: {text} ({last.filename}:{last.lineno})")

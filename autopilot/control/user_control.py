@@ -21,7 +21,7 @@ from autopilot.control.inner_loop import follow_demand
 from autopilot.control.mixing import effectiveness, mixer
 from autopilot.control.params import ControlParams
 from autopilot.control.takeoff import TakeoffPhase
-from foundation.extension_failure import ExtensionFailure, failure
+from foundation.extension_call import ExtensionCall
 from foundation.types import Array, AttitudeSetpoint, EstimatorState, Setpoint, TrajectorySetpoint
 
 
@@ -38,7 +38,7 @@ class UserFlightController(FlightController):
     ) -> None:
         """``make`` creates the controller; ``title`` begins the lines of its failures."""
         super().__init__(params)
-        self._title = title
+        self._call = ExtensionCall(title)
         context = ControllerContext(
             instance=instance,
             rotors=len(params.allocation.rotors),
@@ -110,36 +110,31 @@ class UserFlightController(FlightController):
 
     def _demand(self, inputs: ControllerInputs) -> tuple[float, Array]:
         """Return the controller's demand once it is valid."""
-        try:
+        with self._call:
             if not self._runs:
                 self._runs = True
                 self._controller.reset(inputs.state)
             demand = self._controller.update(inputs)
-        except Exception as error:
-            raise failure(self._title, error) from error
         return self._checked(demand)
 
     def _checked(self, demand: object) -> tuple[float, Array]:
         """Return thrust and torque of a demand. Raises ExtensionFailure for one that cannot be allocated."""
         if not isinstance(demand, ThrustTorque):
-            raise self._refused(f"update returned a {type(demand).__name__}; expected a ThrustTorque")
+            raise self._call.refused(f"update returned a {type(demand).__name__}; expected a ThrustTorque")
         try:
             thrust, torque = float(demand.thrust), np.asarray(demand.torque, dtype=np.float64)
         except (TypeError, ValueError) as error:
-            raise self._refused(f"update returned {demand!r:.100}: {error}") from error
+            raise self._call.refused(f"update returned {demand!r:.100}: {error}") from error
         if torque.shape != (3,):
-            raise self._refused(f"update returned a torque of shape {torque.shape}; expected (3,)")
+            raise self._call.refused(f"update returned a torque of shape {torque.shape}; expected (3,)")
         if not 0.0 <= thrust <= 1.0:  # also refuses NaN
-            raise self._refused(f"update returned a thrust of {thrust:g}; expected 0 to 1")
+            raise self._call.refused(f"update returned a thrust of {thrust:g}; expected 0 to 1")
         if not (np.abs(torque) <= TORQUE_MAX).all():
             values = ", ".join(f"{value:g}" for value in torque)
-            raise self._refused(
+            raise self._call.refused(
                 f"update returned a torque of ({values}); expected {-TORQUE_MAX:g} to {TORQUE_MAX:g}"
             )
         return thrust, torque
-
-    def _refused(self, what: str) -> ExtensionFailure:
-        return ExtensionFailure(f"{self._title}: {what}")
 
 
 def unit_torque_m(params: ControlParams) -> tuple[float, float, float]:

@@ -20,16 +20,18 @@ from autopilot.onboard.formation import messages
 from autopilot.onboard.formation.avoidance import FRESH_US
 from autopilot.onboard.formation.flight_phases import FlightSequence, Situation
 from autopilot.onboard.formation.formation_control import Level
-from autopilot.onboard.formation.formation_plan import FormationPlan
 from autopilot.onboard.formation.guidance import SETPOINT_PERIOD_US, Guidance
 from autopilot.onboard.formation.motion import STAYS_AWAY
 from autopilot.onboard.formation.phases import FlightPhase
+from autopilot.onboard.formation.warm_up import warm_up
 from autopilot.onboard.localisation.common_frame import CommonFrame
 from autopilot.onboard.localisation.localisation import CooperativeLocalisation
-from autopilot.onboard.localisation.model import LOCALISE_TIMEOUT_US, SHAPE_STD_M, LocalisationModel
+from autopilot.onboard.localisation.model import LocalisationModel
 from autopilot.onboard.localisation.ranging_health import Support
 from autopilot.onboard.localisation.uncertainty import Others
+from autopilot.onboard.predicted_shape import LOCALISE_TIMEOUT_US, SHAPE_STD_M
 from autopilot.onboard.radio.beacon import GpsError
+from autopilot.onboard.radio.beacon_dissector import FILE_NAME, dissector
 from autopilot.onboard.radio.neighbourhood import Neighbourhood
 from autopilot.onboard.radio.traffic import Traffic
 from autopilot.parameters.onboard_config import OnboardConfig
@@ -65,6 +67,16 @@ class OnboardApp(Application):
 
     def __init__(self, settings: OnboardConfig) -> None:
         self._config = settings
+
+    @classmethod
+    def warm_up(cls) -> None:
+        """Call the kernels that two UAVs near each other do not use."""
+        warm_up()
+
+    @classmethod
+    def dissectors(cls, port: int) -> dict[str, str]:
+        """Return the dissector of beacons."""
+        return {FILE_NAME: dissector(port)}
 
     def start(self, context: Context) -> None:
         """Create the parts."""
@@ -102,7 +114,7 @@ class OnboardApp(Application):
         if self.localisation is not None and not self._near.whole:
             self._frame = CommonFrame(self._near.members, self._table)
         self._guidance = Guidance(
-            station=context.uav, plan=FormationPlan(places, context.heading_deg, context.motion),
+            station=context.uav, plan=context.plan,
             config=config, near=self._near,
         )  # fmt: skip
         self._flight = FlightSequence(

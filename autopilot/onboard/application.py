@@ -191,3 +191,18 @@ class Application(Protocol):
     def troubles(self) -> Mapping[str, int]:
         """Return counts of the faults that occurred so far and were handled, by name."""
         return {}
+
+    @classmethod
+    def warm_up(cls) -> None:
+        """Call compiled functions once, with discarded results, so that none is compiled in flight.
+
+        Called before the first object is created, in each process that has the application.
+        """
+
+    @classmethod
+    def dissectors(cls, port: int) -> Mapping[str, str]:  # noqa: ARG003  for subclasses
+        """Return Wireshark's dissectors (Lua) of its datagrams to a UDP port, by the names of their files.
+
+        They are written to a run's folder next to the capture of its channel (``radio.capture``).
+        """
+        return {}

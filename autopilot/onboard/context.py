@@ -1,13 +1,13 @@
 """What an application is given: number, places, site, generator, radio and autopilot of its UAV. No I/O."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import count
 
 import numpy as np
-from numpy.typing import NDArray
 
 from autopilot.onboard.client.autopilot_client import AutopilotClient
-from autopilot.parameters.config import AnyMotion, AutopilotKind, Devices, Site
+from autopilot.onboard.formation_plan import FormationPlan
+from autopilot.parameters.config import AutopilotKind, Devices, Site
 from netsim.wire.messages import (
     DEFAULT_PORT,
     MAX_PAYLOAD_BYTES,
@@ -119,8 +119,7 @@ class Context:
         uav: number of the UAV, 0 to ``len(places_ned_m) - 1``; its MAVLink system id is one more.
         places_ned_m: (N, 3) places of the scenario's formation, site NED, read-only; the UAVs start on level
             ground below them.
-        heading_deg: heading of the formation at these places, clockwise from north.
-        motion: motion of the formation that the scenario defines; None: none.
+        plan: these places over time, if the scenario's formation moves.
         site: origin of the site's frame.
         devices: data-sheet values of the GPS receiver and the radio.
         loop_period_us: period of `Application.on_timer`.
@@ -132,17 +131,13 @@ class Context:
     """
 
     def __init__(
-        self, *, uav: int, places_ned_m: Sequence[Sequence[float]], heading_deg: float = 0.0,
-        motion: AnyMotion | None = None, site: Site, devices: Devices, loop_period_us: int,
+        self, *, uav: int, plan: FormationPlan, site: Site, devices: Devices, loop_period_us: int,
         rng: np.random.Generator, radio: Radio, autopilot: AutopilotClient,
         autopilot_kind: AutopilotKind = "own",
     ) -> None:  # fmt: skip
-        places = np.array(places_ned_m, float).reshape(-1, 3)
-        places.flags.writeable = False
         self.uav = uav
-        self.places_ned_m: NDArray[np.float64] = places
-        self.heading_deg = heading_deg
-        self.motion = motion
+        self.places_ned_m = plan.at(0.0).pos_ned_m
+        self.plan = plan
         self.site = site
         self.devices = devices
         self.loop_period_us = loop_period_us
@@ -155,7 +150,7 @@ class Context:
 
     def warn(self, text: str) -> None:
         """Send a text (ASCII) to ground stations as a STATUSTEXT of severity warning."""
-        self._warnings.append(text)
+        self._warnings.append(str(text))
 
     def take_warnings(self) -> list[str]:
         """Return the collected warnings and forget them."""

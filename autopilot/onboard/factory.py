@@ -10,11 +10,12 @@ from autopilot.onboard.application import NO_APPLICATION, Application, Layout
 from autopilot.onboard.client.autopilot_client import AutopilotClient
 from autopilot.onboard.client.autopilots import ARDUPILOT, PX4
 from autopilot.onboard.context import Context, Radio
+from autopilot.onboard.formation_plan import FormationPlan
 from autopilot.onboard.program import Program, layout
 from autopilot.onboard.programs import Programs
 from autopilot.parameters.config import VehicleConfig
 from autopilot.parameters.onboard_config import OnboardConfig, ProgramConfig
-from foundation.extension_failure import failure
+from foundation.extension_call import ExtensionCall
 from foundation.extensions import ExtensionError, convert, is_path, load, registered
 
 APPLICATIONS = "coflight.applications"
@@ -22,7 +23,8 @@ APPLICATIONS = "coflight.applications"
 BUILT_IN = {"formation": "autopilot.onboard.app:OnboardApp"}
 """Places of the applications by name; imported when they are used."""
 _METHODS = (
-    "start", "on_mavlink", "on_request", "on_radio", "on_timer", "status", "estimate", "troubles",
+    "start", "on_mavlink", "on_request", "on_radio", "on_timer", "status", "estimate", "troubles", "warm_up",
+    "dissectors",
 )  # fmt: skip
 
 
@@ -37,10 +39,15 @@ class Loaded(NamedTuple):
 
     def make(self) -> Application:
         """Return a new application. Raises ExtensionFailure."""
-        try:
+        with ExtensionCall(self.title):
+            self.kind.warm_up()
             return self.kind(*self.settings)
-        except Exception as error:
-            raise failure(self.title, error) from error
+
+    def dissectors(self, port: int) -> dict[str, str]:
+        """Return Wireshark's dissectors by the names of their files. Raises ExtensionFailure."""
+        with ExtensionCall(self.title):
+            found = self.kind.dissectors(port)
+            return {Path(name).name: str(text) for name, text in found.items()}
 
 
 def load_application(config: OnboardConfig) -> Loaded:
@@ -73,6 +80,20 @@ def layout_of(config: OnboardConfig) -> Layout:
         raise ExtensionError(f"onboard.programs: {error}") from None
 
 
+def dissectors_of(config: OnboardConfig) -> dict[str, str]:
+    """Return Wireshark's dissectors of all programs by the names of their files; raises as `layout_of`.
+
+    Raises ExtensionFailure for an exception of the user's code.
+    """
+    if not config.enabled:
+        return {}
+    found = load_application(config).dissectors(config.port)
+    programs = zip(config.programs, load_programs(config).values(), strict=True)
+    for program, loaded in programs:
+        found |= loaded.dissectors(program.port)
+    return found
+
+
 def make_programs(config: VehicleConfig) -> Programs:
     """Return the programs of a UAV.
 
@@ -93,8 +114,9 @@ def make_programs(config: VehicleConfig) -> Programs:
             continue
         seed = [config.seed, config.instance, APPLICATION_COMPONENT, number][: 4 if number else 3]
         context = Context(
-            uav=config.instance, places_ned_m=config.places_ned_m, heading_deg=config.heading_deg,
-            motion=config.motion, site=config.site, devices=config.devices,
+            uav=config.instance,
+            plan=FormationPlan(np.array(config.places_ned_m), config.heading_deg, config.motion),
+            site=config.site, devices=config.devices,
             loop_period_us=onboard.loop_period_us, rng=np.random.default_rng(np.random.SeedSequence(seed)),
             radio=Radio(
                 station=config.instance, stations=len(config.places_ned_m), loop_us=onboard.loop_period_us,

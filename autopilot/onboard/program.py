@@ -3,8 +3,7 @@
 An exception of the application, or a wrong value that it returns, is raised as ExtensionFailure.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import ParamSpec, TypeVar
+from collections.abc import Iterable, Mapping, Sequence
 
 import msgspec
 
@@ -18,12 +17,10 @@ from autopilot.onboard.application import (
     Reports,
     Status,
 )
+from autopilot.onboard.client.autopilot_client import check_message
 from autopilot.onboard.context import Context
-from foundation.extension_failure import ExtensionFailure, failure
+from foundation.extension_call import ExtensionCall
 from netsim.wire.messages import RxItem
-
-P = ParamSpec("P")
-R = TypeVar("R")
 
 
 class Program:
@@ -37,11 +34,18 @@ class Program:
         self.context = context
         self.name = name
         """Empty for the application that flies the UAV; others have names."""
-        self._title = title
+        self._call = ExtensionCall(title)
         self._reports = application.reports
-        self._call(application.start, context)
-        self.status = self._checked(self._call(application.status))
+        with self._call:
+            application.start(context)
+            status = application.status()
+        self.status = self._checked(status)
         """Status after the last iteration."""
+
+    @property
+    def title(self) -> str:
+        """Beginning of its failures."""
+        return self._call.title
 
     @property
     def values(self) -> Mapping[str, float]:
@@ -54,77 +58,67 @@ class Program:
 
     def on_mavlink(self, message: Message, now_us: int) -> None:
         """Process a message of the autopilot."""
-        try:
+        with self._call:
             self.application.on_mavlink(message, now_us)
-        except Exception as error:
-            raise failure(self._title, error) from error
 
     def on_request(self, message: Message) -> Sequence[Message]:
         """Return the answers to a message that a station addressed to the UAV's applications."""
-        answers = self._call(self.application.on_request, message)
-        if not isinstance(answers, Sequence):
-            raise self._refused(f"on_request returned a {type(answers).__name__}; expected a sequence")
+        with self._call:
+            answers = list(self.application.on_request(message))
+            for answer in answers:
+                check_message(answer)
         return answers
 
     def on_radio(self, items: Iterable[RxItem], now_us: int) -> None:
         """Process what the radio received and measured."""
-        self._call(self.application.on_radio, items, now_us)
+        with self._call:
+            self.application.on_radio(items, now_us)
 
     def on_timer(self, now_us: int) -> None:
         """Run one iteration; `status` is then the new one."""
         application = self.application
-        try:
+        with self._call:
             application.on_timer(now_us)
             status = application.status()
-        except Exception as error:
-            raise failure(self._title, error) from error
         if status is not self.status:
             self.status = self._checked(status)
 
     def estimate(self, now_us: int) -> Estimate:
         """Return the application's position estimate."""
-        estimate = self._call(self.application.estimate, now_us)
+        with self._call:
+            estimate = self.application.estimate(now_us)
         if not isinstance(estimate, Estimate):
-            raise self._refused(f"estimate returned a {type(estimate).__name__}; expected an Estimate")
+            raise self._call.refused(f"estimate returned a {type(estimate).__name__}; expected an Estimate")
         return estimate
 
     def troubles(self) -> Mapping[str, int]:
         """Return counts of the faults that were handled."""
-        return self._call(self.application.troubles)
+        with self._call:
+            return {str(name): int(count) for name, count in self.application.troubles().items()}
 
     def _checked(self, status: Status) -> Status:
         """Return a status whose phase, numbers and text are as declared. Raises ExtensionFailure."""
         reports = self._reports
         if not isinstance(status, Status):
-            raise self._refused(f"status returned a {type(status).__name__}; expected a Status")
+            raise self._call.refused(f"status returned a {type(status).__name__}; expected a Status")
         if not isinstance(status.phase, reports.phases):
-            raise self._refused(
+            raise self._call.refused(
                 f"status has the phase {status.phase!r}; expected a member of {reports.phases.__name__}"
             )
         text: object = status.text
         if not (isinstance(text, str) and text.isascii() and len(text) <= MOST_TEXT):
-            raise self._refused(
+            raise self._call.refused(
                 f"status has the text {text!r:.100}; expected at most {MOST_TEXT} ASCII characters"
             )
         for name, value in status.values.items():
             if name not in reports.values:
                 names = ", ".join(reports.values) or "none"
-                raise self._refused(f"status has a number {name!r}; its reports declare {names}")
+                raise self._call.refused(f"status has a number {name!r}; its reports declare {names}")
             try:
                 float(value)
             except (TypeError, ValueError):
-                raise self._refused(f"status has {value!r:.100} as {name}; expected a number") from None
+                raise self._call.refused(f"status has {value!r:.100} as {name}; expected a number") from None
         return status
-
-    def _refused(self, what: str) -> ExtensionFailure:
-        return ExtensionFailure(f"{self._title}: {what}")
-
-    def _call(self, method: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
-        """Call a method of the application. Raises ExtensionFailure."""
-        try:
-            return method(*args, **kwargs)
-        except Exception as error:
-            raise failure(self._title, error) from error
 
 
 def layout(first: Reports, others: Mapping[str, Reports]) -> Layout:

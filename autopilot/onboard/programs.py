@@ -18,6 +18,8 @@ from autopilot.onboard.client.autopilot_client import AutopilotClient
 from autopilot.onboard.program import Program
 from netsim.wire.messages import Delivery, RxItem, TxItem
 
+MANY_ITEMS = 1_000
+"""Transmissions of one iteration beyond which a program floods its radio's queue, which is reported once."""
 HEARTBEAT_PERIOD_US = 1_000_000
 VALUES_PERIOD_US = 200_000
 """Period of the numbers of a status on links and to the simulator; logs have those of each row."""
@@ -55,6 +57,8 @@ class Programs:
         """Phase and start of the motion in the last heartbeat."""
         self._heartbeat_us = self._values_us = 0
         self._texts = [""] * len(programs)
+        self._flooding: set[Program] = set()
+        """Programs that have been reported."""
 
     @property
     def application(self) -> Application:
@@ -117,7 +121,11 @@ class Programs:
         for program in self._all:
             program.context.radio.now_us = now_us
             program.on_timer(now_us)
-            radio += program.context.radio.take()
+            items = program.context.radio.take()
+            if len(items) > MANY_ITEMS and program not in self._flooding:
+                self._flooding.add(program)
+                program.context.warn(f"{program.title} sends {len(items)} items at once: most are dropped")
+            radio += items
         mavlink = self._autopilot.take(now_us)
         mavlink += self._report(now_us)
         return OnboardOutput(mavlink, radio) if mavlink or radio else NOTHING

@@ -13,7 +13,9 @@ import os
 import queue
 import socket
 import sys
+import traceback
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -32,6 +34,8 @@ from autopilot.process.autopilot_socket import AutopilotSocket
 from autopilot.process.iteration import APPLICATION, Iterate, Iterated
 from autopilot.process.streams import ARDUPILOT_STREAMS, PX4_STREAMS, Streams
 from autopilot.services.status import Chunks
+from foundation.extension_call import end_stuck, watched
+from foundation.extension_failure import ExtensionFailure
 from foundation.processes.child_protocol import Finished, Ready, Stop, commands, emit
 from foundation.processes.message_stream import MessageStream
 from foundation.processes.scheduling import yield_when_woken
@@ -261,7 +265,12 @@ def main(arguments: Sequence[str]) -> int:
         yield_when_woken()
         with contextlib.ExitStack() as stack:
             simulator = stack.enter_context(socket.socket(fileno=given.simulator_fd))
+            stack.enter_context(watched(config.call_limit_s, on_stuck=partial(end_stuck, APPLICATION)))
             CompanionProcess(config, simulator, stack).run(inbox)
+    except ExtensionFailure as error:
+        traceback.print_exception(error)
+        sys.stderr.write(f"{APPLICATION}: {error}\n")
+        return 2
     except (OSError, ValueError) as error:
         sys.stderr.write(f"{APPLICATION}: {error}\n")
         return 2

@@ -17,15 +17,6 @@ from autopilot.mavlink.hil import HilActuatorControls, HilSensor, pack
 from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation.flight_mode import ManualInput, ModeInputs
 from autopilot.navigation.setpoints import Navigator
-from autopilot.onboard.app import OnboardApp
-from autopilot.onboard.client.own_state import Fix
-from autopilot.onboard.formation.phases import FlightPhase
-from autopilot.onboard.localisation.common_frame import CommonFrame
-from autopilot.onboard.localisation.localisation import CooperativeLocalisation
-from autopilot.onboard.localisation.model import LocalisationModel
-from autopilot.onboard.radio.beacon import GpsError
-from autopilot.onboard.radio.neighbour_table import NeighbourTable
-from autopilot.onboard.radio.neighbourhood import Neighbourhood
 from autopilot.parameters.config import Site, VehicleConfig
 from autopilot.services.service import NEVER_US
 from autopilot.vehicle.fast_step import FastSteps
@@ -64,14 +55,12 @@ def warm_up() -> None:
             sent.append(vehicle.step(sim_messages=sensors, radio_items=inboxes[i]).radio)
         inboxes = [_arrivals(sent[1 - i], sent[i], other=1 - i, time_us=time_us) for i in range(2)]
         joining_steps += all(
-            vehicle.app is not None and vehicle.app.phase >= FlightPhase.JOINING for vehicle in vehicles
+            vehicle.app is not None and vehicle.app.phase in vehicle.app.layout.placed for vehicle in vehicles
         )
         if joining_steps > JOINING_STEPS and _warm_up_inertial_step(vehicles[0], time_us):
             _warm_up_modes(vehicles[0])
-            _warm_up_distances(vehicles[0], time_us)
-            _warm_up_common_frame()
             return
-    raise WarmUpError("the vehicles of the warm-up did not reach phase JOINING")
+    raise WarmUpError("the vehicles of the warm-up were not on their way in time")
 
 
 def _warm_up_modes(vehicle: Vehicle) -> None:
@@ -112,17 +101,6 @@ class _Hover:
         return ThrustTorque(inputs.hover_thrust, (0.0, 0.0, 0.0))
 
 
-def _warm_up_distances(vehicle: Vehicle, now_us: int) -> None:
-    """Compute the variance of a distance, which the application does only to select measurements.
-
-    Raises WarmUpError.
-    """
-    app = None if vehicle.app is None else vehicle.app.application
-    localisation = app.localisation if isinstance(app, OnboardApp) else None
-    if localisation is None or localisation.distance_variance_m2(1, now_us) is None:
-        raise WarmUpError("the vehicles of the warm-up are not localised")
-
-
 def _warm_up_inertial_step(vehicle: Vehicle, now_us: int) -> bool:
     """Run a fast step as `autopilot.vehicle.host` does; False if not possible now. Raises WarmUpError."""
     steps = FastSteps()
@@ -137,24 +115,6 @@ def _warm_up_inertial_step(vehicle: Vehicle, now_us: int) -> bool:
     if steps.step(len(frame)) is None:
         raise WarmUpError("an inertial sample was rejected")
     return True
-
-
-def _warm_up_common_frame() -> None:
-    """Align the frames of two neighbours, as in a formation with several neighbourhoods."""
-    near = Neighbourhood(0, np.array(((0.0, 0.0, -10.0), (0.0, 5.0, -10.0), (0.0, 20.0, -10.0))), 1)
-    localisation = CooperativeLocalisation(
-        own=near.own, places_ned_m=np.zeros((len(near.members), 3)), model=LocalisationModel()
-    )
-    neighbours = NeighbourTable(station=0, stations=3, period_us=100_000, gps_std_m=1.0, near=near)
-    frame = CommonFrame(near.members, neighbours)
-    for row, station in enumerate(near.members.tolist()):
-        localisation.on_odometry(row, 1_000, (0.0, float(row), 0.0), (0.0, 0.0, 0.0))
-        localisation.located[row] = True
-        neighbours.note_fix(station, Fix(1, (0.0, float(row), 0.0)), GpsError((0.0, 0.0, 0.0), 1.0), 1_000)
-    frame.update(2_000, localisation)
-    neighbours.pages.put(1, b"no beacon")
-    neighbours.read(2_000)  # the path without localisation
-    neighbours.all_held(np.arange(3), 1_000)
 
 
 def _sensors(site: Site, time_us: int, pos_ned_m: Array, climb_m_s: float) -> list[common.MAVLink_message]:

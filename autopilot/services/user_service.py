@@ -9,7 +9,7 @@ from autopilot.mavlink.codec import Message
 from autopilot.parameters.table import ParameterSet
 from autopilot.services.flight_data import FlightData
 from autopilot.services.service import NEVER_US, Addressed, MavlinkService, Partner
-from foundation.extension_failure import ExtensionFailure, failure
+from foundation.extension_call import ExtensionCall
 from foundation.extensions import ExtensionError
 
 
@@ -33,42 +33,30 @@ class UserService:
     def __init__(self, service: MavlinkService, title: str) -> None:
         """``title`` begins the lines of its failures."""
         self._service = service
-        self._title = title
-        try:
+        self._call = ExtensionCall(title)
+        with self._call:
             takes: object = service.takes
-        except Exception as error:
-            raise failure(title, error) from error
         if not isinstance(takes, frozenset | set) or not all(type(kind) is int for kind in takes):
-            raise self._refused(f"takes is {takes!r:.100}; expected a frozenset of message ids")
+            raise self._call.refused(f"takes is {takes!r:.100}; expected a frozenset of message ids")
         self.takes = frozenset(takes)
         """Ids of the messages that it handles."""
 
     def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
         """Return the service's answers to a message."""
-        try:
+        with self._call:
             return self._checked("on_message", self._service.on_message(message, now_us, partner))
-        except ExtensionFailure:
-            raise
-        except Exception as error:
-            raise failure(self._title, error) from error
 
     def on_timer(self, now_us: int) -> Sequence[Addressed]:
         """Return the service's messages that are due."""
-        try:
+        with self._call:
             return self._checked("on_timer", self._service.on_timer(now_us))
-        except ExtensionFailure:
-            raise
-        except Exception as error:
-            raise failure(self._title, error) from error
 
     def next_deadline_us(self) -> int:
         """Return the time of the service's next work."""
-        try:
+        with self._call:
             due_us = self._service.next_deadline_us()
-        except Exception as error:
-            raise failure(self._title, error) from error
         if type(due_us) is not int or not 0 <= due_us <= NEVER_US:
-            raise self._refused(f"next_deadline_us returned {due_us!r:.100}; expected 0 to NEVER_US")
+            raise self._call.refused(f"next_deadline_us returned {due_us!r:.100}; expected 0 to NEVER_US")
         return due_us
 
     def _checked(self, method: str, messages: Iterable[object]) -> list[Addressed]:
@@ -76,11 +64,8 @@ class UserService:
         checked = list(messages)
         for each in checked:
             if not (isinstance(each, Addressed) and hasattr(each.message, "get_msgId")):
-                raise self._refused(f"{method} returned {each!r:.100}; expected messages of `reply`")
+                raise self._call.refused(f"{method} returned {each!r:.100}; expected messages of `reply`")
         return [each for each in checked if isinstance(each, Addressed)]
-
-    def _refused(self, what: str) -> ExtensionFailure:
-        return ExtensionFailure(f"{self._title}: {what}")
 
 
 def check_ids(services: Sequence[tuple[str, MavlinkService]], built_in: Sequence[MavlinkService]) -> None:

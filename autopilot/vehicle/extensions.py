@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from autopilot.commander.mode_table import ModeTraits
 from autopilot.parameters.config import AutopilotConfig
-from foundation.extension_failure import failure
+from foundation.extension_call import ExtensionCall
 from foundation.extensions import ExtensionError, convert, is_path, load, registered
 
 CONTROLLERS, MODES, SERVICES = "coflight.controllers", "coflight.modes", "coflight.services"
@@ -28,10 +28,8 @@ class Extension(NamedTuple):
 
     def make(self, context: object) -> Any:  # noqa: ANN401  an object of the user's class
         """Create an object. Raises ExtensionFailure for an exception of the user's code."""
-        try:
+        with ExtensionCall(self.title):
             return self.kind(context, *self.settings)
-        except Exception as error:
-            raise failure(self.title, error) from error
 
 
 class Extensions(NamedTuple):

@@ -34,6 +34,7 @@ import numba
 from numba.core.dispatcher import Dispatcher
 
 from autopilot.parameters.config import VehicleConfig
+from foundation.extension_call import FAILED_STATUS, watched
 from foundation.extension_failure import ExtensionFailure
 from foundation.processes.child_protocol import Finished, Ready, Stop
 from foundation.system_error import described
@@ -62,8 +63,6 @@ RUN_ID = "one-process"
 """Prefix of the radio's Zenoh keys, which are not used here."""
 MANY = "use Swarm (in pytest: --coflight-processes many)"
 """Advice after a request that one process cannot fulfil."""
-FAILED_STATUS = 2
-"""Exit status of a vehicle's process after a failure of user code"""
 STOP_LIMIT_S = 10.0
 """Wall time that the flight has to end its step and write its data."""
 
@@ -130,7 +129,7 @@ class _Flight:
             "time_us": simulation.time_us,
             "formed": simulation.formed,
             RADIO: {"counters": self._emulator.counters},
-            **{link.host.name: link.host.vehicle.troubles() for link in self.links},
+            **{link.host.name: link.troubles() for link in self.links},
         }
         self._emit(Finished(name=PHYSICS, details=details))
 
@@ -157,6 +156,8 @@ class _ThreadSupervisor(Supervisor):
         code, last_words = 1, ""
         try:
             with contextlib.ExitStack() as stack:
+                limit_s = physics.scenario.run.silence_limit_s
+                stack.enter_context(watched(limit_s, on_stuck=self._on_stuck))
                 self._flight = _Flight(
                     physics,
                     radio,
@@ -175,10 +176,18 @@ class _ThreadSupervisor(Supervisor):
                 self.log_path(NAME).write_text(traceback.format_exc(), encoding="utf-8")
         finally:  # always report the end
             self._flight = None
-            ended = Exited(
-                name=NAME, pid=os.getpid(), returncode=code, log_tail=last_words, last_words=last_words
-            )
-            self._received.put((PHYSICS, ended))
+            self._report_end(code, last_words)
+
+    def _report_end(self, code: int, last_words: str) -> None:
+        ended = Exited(
+            name=NAME, pid=os.getpid(), returncode=code, log_tail=last_words, last_words=last_words
+        )
+        self._received.put((PHYSICS, ended))
+
+    def _on_stuck(self, line: str) -> None:
+        """Report the end of a flight whose thread is in a call that cannot be ended, and abandon it."""
+        self._thread = None
+        self._report_end(FAILED_STATUS, f"{line} in one process; {MANY}")
 
     def _emit_event(self, name: str, event: Any) -> None:  # noqa: ANN401  any event
         self._received.put((name, event))

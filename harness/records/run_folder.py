@@ -25,8 +25,7 @@ import msgspec
 from msgspec import Struct
 
 from autopilot.onboard.application import NO_APPLICATION, Layout
-from autopilot.onboard.factory import layout_of
-from harness.records import beacon_dissector
+from autopilot.onboard.factory import dissectors_of, layout_of
 from harness.scenario.scenario import Scenario
 from harness.scenario.validation_errors import explain
 from netsim.model.config import ServerConfig
@@ -90,7 +89,6 @@ class RunFolder:
         self.outcome = self.raw / "outcome.json"
         self.capture = path / "radio.pcapng"
         self.receptions, self.raw_receptions = path / "receptions.parquet", self.raw / "receptions.bin"
-        self.dissector = path / beacon_dissector.FILE_NAME
         self.raw_frames, self.raw_sessions = self.raw / "frames.bin", self.raw / "sessions.bin"
 
     def create(self) -> Self:
@@ -180,10 +178,11 @@ class RunFolder:
     def write_radio_config(self, scenario: Scenario, *, run_id: str) -> Path:
         """Write the settings of the 802.11 emulator's process; returns the path.
 
-        If it writes a capture, Wireshark's dissector of beacons is also written.
+        If it writes a capture, Wireshark's dissectors of the applications' datagrams are also written.
         """
         if scenario.radio.capture:
-            self.dissector.write_text(beacon_dissector.dissector(), encoding="utf-8")
+            for name, text in dissectors_of(scenario.onboard).items():
+                (self.path / name).write_text(text, encoding="utf-8")
         config = ServerConfig(
             run_id=run_id,
             host=scenario.ports.host,

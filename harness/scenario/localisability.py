@@ -1,6 +1,6 @@
 """Whether ranging determines the shape of a scenario's formation, and what to change if it does not.
 
-The prediction is that of `autopilot.onboard.localisation.predicted_shape`, for one round of distances, and
+The prediction is that of `autopilot.onboard.predicted_shape`, for one round of distances, and
 its limit is that of the take-off. Flights agree with it: docs/concepts/ranging-and-localisation.md.
 """
 
@@ -13,9 +13,14 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
-from autopilot.onboard.localisation.model import LOCALISE_TIMEOUT_US, SHAPE_STD_M
-from autopilot.onboard.localisation.predicted_shape import is_near_line, predicted_shape_std_m, width_m
-from autopilot.onboard.radio.neighbourhood import linked
+from autopilot.onboard.predicted_shape import (
+    LOCALISE_TIMEOUT_US,
+    SHAPE_STD_M,
+    is_near_line,
+    linked,
+    predicted_shape_std_m,
+    width_m,
+)
 from autopilot.parameters.onboard_config import OnboardConfig
 from harness.scenario.scenario import Scenario
 from netsim.ftm.stamps import distance_m, round_trip_std_ps

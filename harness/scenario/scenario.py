@@ -14,9 +14,9 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from antenna.model.config import AntennaConfig
+from autopilot.onboard import formation_plan
 from autopilot.onboard.factory import layout_of
-from autopilot.onboard.formation import formation_plan
-from autopilot.onboard.formation.formation_plan import FormationPlan
+from autopilot.onboard.formation_plan import FormationPlan
 from autopilot.parameters.config import (
     REMEMBERED_S,
     SESSION_S,
@@ -315,6 +315,7 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             heading_deg=self.formation.heading_deg,
             motion=self.formation.motion,
             log_path=log_path,
+            call_limit_s=self.run.silence_limit_s,
             record_period_us=self.record_period_us,
         )
 

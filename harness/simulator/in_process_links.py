@@ -4,7 +4,7 @@ They replace the sockets and the Zenoh session of a run of many processes.
 """
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import msgspec
@@ -100,6 +100,16 @@ class InProcessLink:
         except ExtensionFailure as failure:
             self._has_failed = True
             self._on_failure(self.host.name, failure)
+
+    def troubles(self) -> Mapping[str, int]:
+        """Return the vehicle's counts of faults; none once the user's code has failed."""
+        if not self._has_failed:
+            try:
+                return self.host.vehicle.troubles()
+            except ExtensionFailure as failure:
+                self._has_failed = True
+                self._on_failure(self.host.name, failure)
+        return {}
 
     def _step(self, data: bytes | memoryview) -> None:
         host = self.host

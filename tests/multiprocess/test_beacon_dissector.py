@@ -20,8 +20,8 @@ from paths import SCENARIOS
 from autopilot.onboard.client.own_state import Fix
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.radio import beacon as wire
+from autopilot.onboard.radio.beacon_dissector import FLAGS, LENGTH_ERROR, PREFIX, dissector
 from harness.launch.one_process import fly
-from harness.records.beacon_dissector import FLAGS, LENGTH_ERROR, PREFIX, dissector
 from harness.records.run_folder import RunFolder
 from harness.scenario.scenario_file import load
 from netsim.capture.pcapng_writer import Capture

@@ -6,6 +6,8 @@ from autopilot.onboard.app import OnboardApp
 from autopilot.onboard.client.autopilot_client import AutopilotClient
 from autopilot.onboard.client.autopilots import PX4
 from autopilot.onboard.context import Context, Radio
+from autopilot.onboard.formation_plan import FormationPlan
+from autopilot.onboard.program import Program
 from autopilot.onboard.programs import Programs
 from autopilot.onboard.radio.traffic import Traffic
 from autopilot.parameters.config import Devices, Site
@@ -17,15 +19,17 @@ def formation_app(
 ):  # fmt: skip
     """Return the `Programs` of a UAV with the formation application; it is the attribute ``application``."""
     site, devices = site or Site(), devices or Devices()
+    client = AutopilotClient(
+        system=station + 1, site=site, gps_delay_s=devices.gps_delay_s, interface=autopilot
+    )
     context = Context(
-        uav=station, places_ned_m=places_ned_m, motion=motion, site=site, devices=devices,
+        uav=station, plan=FormationPlan(np.array(places_ned_m), 0.0, motion), site=site, devices=devices,
         loop_period_us=loop_us, rng=rng or np.random.default_rng(1),
-        autopilot=AutopilotClient(
-            system=station + 1, site=site, gps_delay_s=devices.gps_delay_s, interface=autopilot
-        ),
+        radio=Radio(station=station, stations=len(places_ned_m), loop_us=loop_us), autopilot=client,
         autopilot_kind=autopilot_kind,
     )  # fmt: skip
-    return Programs(OnboardApp(config), context, title="onboard.application formation")
+    program = Program(OnboardApp(config), context, title="onboard")
+    return Programs([program], client, OnboardApp.reports.layout())
 
 
 class CollectingTraffic(Traffic):

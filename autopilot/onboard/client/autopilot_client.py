@@ -41,6 +41,7 @@ _IGNORE_ACC = (
 )
 _IGNORE_YAW = common.POSITION_TARGET_TYPEMASK_YAW_IGNORE
 _IGNORE_YAW_RATE = common.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
+_PACKER = common.MAVLink(None)
 _ZERO: Vector = (0.0, 0.0, 0.0)
 
 
@@ -205,7 +206,11 @@ class AutopilotClient:
         self._requested.add(name)
 
     def send(self, message: Message | PositionTarget) -> None:
-        """Send any message to the autopilot, at the end of the iteration."""
+        """Send any message to the autopilot, at the end of the iteration.
+
+        Raises TypeError or `struct.error` for what is no MAVLink message, or has fields of wrong types.
+        """
+        check_message(message)
         self._outgoing.append(message)
 
     # ---- of the host
@@ -276,6 +281,17 @@ class AutopilotClient:
         if self.interface.integers_are_bytes and message.param_type in integers:
             return float(struct.unpack("<i", struct.pack("<f", value))[0])
         return value
+
+
+def check_message(message: Message | PositionTarget) -> None:
+    """Check that an application's message can be sent; raises TypeError or `struct.error`."""
+    if isinstance(message, PositionTarget):
+        if not all(isinstance(value, float | int) for value in message):
+            raise TypeError(f"{message!r:.200}; expected numbers")
+    elif isinstance(message, common.MAVLink_message):
+        message.pack(_PACKER)
+    else:
+        raise TypeError(f"{message!r:.100}; expected a MAVLink message")
 
 
 def _finite(name: str, vector: Vector) -> Vector:

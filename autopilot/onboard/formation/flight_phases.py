@@ -16,7 +16,7 @@ from autopilot.onboard.client.commands import CommandSender
 from autopilot.onboard.client.own_state import OwnState
 from autopilot.onboard.client.take_off import TakeOff
 from autopilot.onboard.formation.phases import FlightPhase
-from autopilot.onboard.localisation.model import LOCALISE_TIMEOUT_US, SHAPE_STD_M
+from autopilot.onboard.predicted_shape import LOCALISE_TIMEOUT_US, SHAPE_STD_M
 
 TAKE_OFF_HEIGHT_M = 2.5
 FLOWN_HEIGHT_M = 0.3

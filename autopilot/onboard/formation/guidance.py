@@ -8,10 +8,10 @@ which the position estimate contains the GPS error.
 from autopilot.onboard.client.own_state import OwnState
 from autopilot.onboard.formation.avoidance import Avoidance
 from autopilot.onboard.formation.formation_control import Correction, FormationReference
-from autopilot.onboard.formation.formation_plan import FormationPlan
 from autopilot.onboard.formation.height_layers import HeightLayers
 from autopilot.onboard.formation.motion import MotionStart
 from autopilot.onboard.formation.wind_observer import WindObserver
+from autopilot.onboard.formation_plan import FormationPlan
 from autopilot.onboard.localisation.uncertainty import Others
 from autopilot.onboard.radio.neighbour_table import NeighbourTable
 from autopilot.onboard.radio.neighbourhood import Neighbourhood

@@ -6,10 +6,6 @@ CLOCK_TOLERANCE_US = 10_000
 """A time stamp may be this far in the future; beyond that it is rejected."""
 SILENCE_US = 3_000_000
 """A UAV without a beacon for this long is not waited for and not part of the geometry."""
-SHAPE_STD_M = 0.35
-"""Expected error of the formation's shape below which it is localised, and take-off no longer waits."""
-LOCALISE_TIMEOUT_US = 10_000_000
-"""Longest time for which take-off waits for it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

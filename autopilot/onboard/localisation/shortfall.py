@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from autopilot.onboard.localisation.predicted_shape import is_near_line, width_m
-from autopilot.onboard.radio.neighbourhood import Flags
+from autopilot.onboard.predicted_shape import Flags, is_near_line, width_m
 from foundation.types import Array
 
 

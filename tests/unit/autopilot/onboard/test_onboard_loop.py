@@ -6,9 +6,9 @@ from onboard_world import ALONE, STEP_US, phase_is, world
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.local_messages import PositionTarget
-from autopilot.onboard.formation.formation_plan import FormationPlan, RacetrackMotion
 from autopilot.onboard.formation.guidance import SETPOINT_PERIOD_US
 from autopilot.onboard.formation.phases import FlightPhase
+from autopilot.onboard.formation_plan import FormationPlan, RacetrackMotion
 from autopilot.onboard.programs import NOTHING
 from autopilot.parameters.onboard_config import OnboardConfig
 

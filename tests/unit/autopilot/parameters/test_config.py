@@ -12,7 +12,7 @@ from msgspec import Struct
 from msgspec.inspect import DictType, FloatType, StructType, Type, type_info
 from onboard_world import SwarmWorld
 
-from autopilot.onboard.formation.formation_plan import FormationPlan, check
+from autopilot.onboard.formation_plan import FormationPlan, check
 from autopilot.parameters import config as settings
 from autopilot.parameters.config import RacetrackMotion, TrackMotion
 from autopilot.parameters.onboard_config import OnboardConfig

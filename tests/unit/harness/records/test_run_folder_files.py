@@ -4,7 +4,7 @@ import msgspec
 import pytest
 from paths import SCENARIOS
 
-from harness.records.beacon_dissector import dissector
+from autopilot.onboard.radio.beacon_dissector import dissector
 from harness.records.run_folder import RunFolder
 from harness.scenario.scenario import ScenarioError
 from harness.scenario.scenario_file import load

@@ -7,7 +7,7 @@ from matplotlib.image import imread
 
 from antenna.analysis.gain_figures import gain_density_figure, patterns_figure
 from antenna.model.geometry import grid
-from autopilot.onboard.formation.formation_plan import FormationPlan
+from autopilot.onboard.formation_plan import FormationPlan
 from autopilot.parameters.config import RacetrackMotion
 from harness.records.flight import Flight
 from harness.report import figures

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from antenna.model.config import AntennaConfig
 from antenna.model.geometry import ElementsTouch, grid
-from autopilot.onboard.formation.formation_plan import FormationPlan
+from autopilot.onboard.formation_plan import FormationPlan
 from autopilot.parameters.config import RacetrackMotion
 from harness.records.flight import Flight
 from harness.report.flown_array import (

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from autopilot.onboard.formation.formation_plan import FormationPlan
+from autopilot.onboard.formation_plan import FormationPlan
 from autopilot.parameters.config import RacetrackMotion
 from foundation.airframe.files import IRIS
 from harness.records.flight import Flight

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from paths import ROOT
 
-from autopilot.onboard.formation.formation_plan import FormationPlan
+from autopilot.onboard.formation_plan import FormationPlan
 from autopilot.vehicle.vehicle import Vehicle
 from harness.scenario.scenario import Scenario, ScenarioError
 from harness.scenario.scenario_file import load

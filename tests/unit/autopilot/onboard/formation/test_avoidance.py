@@ -21,7 +21,7 @@ from autopilot.onboard.formation.avoidance import (
     _nearest,
 )
 from autopilot.onboard.formation.formation_control import FormationReference
-from autopilot.onboard.formation.formation_plan import FormationPlan
+from autopilot.onboard.formation_plan import FormationPlan
 from autopilot.onboard.localisation.uncertainty import SEEN
 from autopilot.parameters.config import RacetrackMotion
 

@@ -17,7 +17,6 @@ from autopilot.onboard.formation.formation_control import (
     FormationReference,
     joining_time_s,
 )
-from autopilot.onboard.formation.formation_plan import FormationPlan
 from autopilot.onboard.formation.height_layers import (
     BACK_S,
     DRIFT_SIGMAS,
@@ -28,6 +27,7 @@ from autopilot.onboard.formation.height_layers import (
     apart_s,
     layers,
 )
+from autopilot.onboard.formation_plan import FormationPlan
 from autopilot.parameters.config import RacetrackMotion
 
 DT_S = 0.05

@@ -5,7 +5,8 @@ import pytest
 from onboard_world import SwarmWorld, rms, shape_errors_m
 
 from autopilot.onboard.localisation.common_frame import MISFIT_M, laid_onto
-from autopilot.onboard.radio.neighbourhood import Neighbourhood, linked
+from autopilot.onboard.predicted_shape import linked
+from autopilot.onboard.radio.neighbourhood import Neighbourhood
 from autopilot.onboard.radio.scheduled_ranging import ScheduledRanging
 from autopilot.parameters.onboard_config import OnboardConfig
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.radio import beacon as wire
-from netsim.capture.ieee80211 import UDP_PORT
 
 FILE_NAME = "coflight_beacon.lua"
 PREFIX = "coflight_beacon"
@@ -94,8 +93,8 @@ DissectorTable.get("udp.port"):add(PORT, beacon)
 """
 
 
-def dissector() -> str:
-    """Return the Lua script: ``wireshark -X lua_script:FILE CAPTURE``."""
+def dissector(port: int) -> str:
+    """Return the Lua script for datagrams to a UDP port: ``wireshark -X lua_script:FILE CAPTURE``."""
     header, ranges = wire.HEADER, wire.RANGE
     at = {name: offset for name, _, offset in _placed(header)}
     leading = {
@@ -111,7 +110,7 @@ def dissector() -> str:
     head = f"""
         -- Wireshark dissector of coflight's beacons, version {wire.VERSION}, generated from their layout:
         --   wireshark -X lua_script:{FILE_NAME} radio.pcapng
-        local PORT = {UDP_PORT}
+        local PORT = {port}
         local HEADER_BYTES, RANGE_BYTES = {header.itemsize}, {ranges.itemsize}
         local STATION_AT, FLAGS_AT, COUNT_AT = {at["station"]}, {at["flags"]}, {at["count"]}
         local LEADING_BYTES = {1 + max(at[name] for name in leading)}

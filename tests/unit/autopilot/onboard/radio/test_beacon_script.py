@@ -6,7 +6,7 @@ import pytest
 
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.radio import beacon as wire
-from harness.records.beacon_dissector import FLAGS, dissector
+from autopilot.onboard.radio.beacon_dissector import FLAGS, dissector
 from netsim.capture.ieee80211 import UDP_PORT
 
 LINE = re.compile(

@@ -6,13 +6,37 @@ observes one direction only, that between its ends, so no distance observes posi
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
-from autopilot.onboard.localisation.model import LocalisationModel
-from autopilot.onboard.radio.neighbourhood import Flags
+from autopilot.parameters.onboard_config import OnboardConfig
 from foundation.types import Array
 
-ACCURATE_STD_M = LocalisationModel().range_floor_std_m
+Flags = NDArray[np.bool_]
+SHAPE_STD_M = 0.35
+"""Expected error of the formation's shape below which it is localised, and take-off no longer waits."""
+LOCALISE_TIMEOUT_US = 10_000_000
+"""Longest time for which take-off waits for it."""
+ACCURATE_STD_M = OnboardConfig().range_floor_std_m
 """One sigma of accurate distances: the least that the filter assumes by default."""
+_ROUND_M = 3
+"""Decimals of distances between places, so that ties in a grid are resolved by UAV number."""
+
+
+def linked(places_ned_m: Array, nearest: int) -> Flags:
+    """Return (N, N), symmetric: whether two UAVs are neighbours; none is its own neighbour.
+
+    Two are neighbours if either is among the ``nearest`` of the other by places_ned_m (N, 3); 0: all are.
+    """
+    count = len(places_ned_m)
+    if nearest == 0 or nearest >= count - 1:
+        return ~np.eye(count, dtype=bool)
+    found = np.zeros((count, count), bool)
+    for station in range(count):
+        way_m = places_ned_m - places_ned_m[station]
+        apart_m = np.sqrt((way_m**2).sum(axis=1)).round(_ROUND_M)
+        apart_m[station] = -1.0
+        found[station, np.argsort(apart_m, kind="stable")[1 : nearest + 1]] = True
+    return found | found.T
 
 
 def predicted_shape_std_m(

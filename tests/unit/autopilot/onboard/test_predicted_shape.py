@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from autopilot.onboard.localisation.kernels import STATES
-from autopilot.onboard.localisation.model import SHAPE_STD_M
-from autopilot.onboard.localisation.predicted_shape import predicted_shape_std_m, width_m
 from autopilot.onboard.localisation.uncertainty import shape_variance
-from autopilot.onboard.radio.neighbourhood import linked
+from autopilot.onboard.predicted_shape import SHAPE_STD_M, linked, predicted_shape_std_m, width_m
 
 GPS_M, DISTANCE_M = 1.5, 0.05
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import simpson
 from scipy.spatial.distance import pdist
 
-from autopilot.onboard.formation.formation_plan import FormationPlan, check
+from autopilot.onboard.formation_plan import FormationPlan, check
 from autopilot.parameters.config import RacetrackMotion, TrackMotion
 
 PLACES_NED_M = np.array([[n, e, -10.0 - e / 10] for n in (-1.25, 1.25) for e in (-12.75, -4.25, 4.25, 12.75)])
