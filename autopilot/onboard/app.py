@@ -164,7 +164,7 @@ class OnboardApp(Application):
 
     def on_request(self, message: Message) -> Sequence[Message]:
         """Return the acknowledgement of a command; MAV_CMD_USER_1 releases a flight that is held."""
-        if message.get_messageId() not in messages.COMMANDS:
+        if message.get_msgId() not in messages.COMMANDS:
             return []
         known = self._config.hold and message.command == common.MAV_CMD_USER_1
         if known and self._flight.held:

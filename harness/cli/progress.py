@@ -4,7 +4,6 @@ Input are the messages of the processes (`harness.launch.run_messages.Message`),
 """
 
 import contextlib
-import math
 import time
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
@@ -292,11 +291,11 @@ def fleet(vehicles: Sequence[VehicleTruth]) -> str:
 def _ranges(vehicles: Sequence[VehicleTruth]) -> list[str]:
     """Return the least and the greatest of each number that the applications report, as text."""
     parts = []
-    for name in list(vehicles[0].values)[:MOST_NUMBERS] if vehicles else ():
-        values = [value for each in vehicles if not math.isnan(value := each.values.get(name, math.nan))]
-        if values:
-            least, greatest = f"{min(values):.4g}", f"{max(values):.4g}"
-            parts.append(f"{name} {least}" + (f" to {greatest}" if greatest != least else ""))
+    names = list(dict.fromkeys(name for vehicle in vehicles for name in vehicle.values))
+    for name in names[:MOST_NUMBERS]:
+        values = [vehicle.values[name] for vehicle in vehicles if name in vehicle.values]
+        least, greatest = f"{min(values):.4g}", f"{max(values):.4g}"
+        parts.append(f"{name} {least}" + (f" to {greatest}" if greatest != least else ""))
     return parts
 
 

@@ -22,6 +22,7 @@ from typing import Any, ClassVar, Literal, Self
 
 import msgspec
 
+from autopilot.onboard.factory import layout_of
 from foundation.profiling.profiler import KindProfile
 from foundation.system_error import in_words
 from harness.launch import ground_links, profiling
@@ -214,7 +215,16 @@ class Swarm:
         return self._run(RunUntil(time_us=self._after_us(duration_s), speed=self._speed))
 
     def run_until_formed(self, *, timeout_s: float) -> SwarmTruth:
-        """Fly until every living vehicle reports to be on station. Raises SwarmTimeoutError."""
+        """Fly until every application has reached its aim; of the formation, until all are on station.
+
+        Raises SwarmTimeoutError, and SwarmError for an application without an aim.
+        """
+        onboard = self.scenario.onboard
+        if onboard.enabled and not layout_of(onboard).formed:
+            raise SwarmError(
+                f"onboard.application {onboard.application} reports no phase in which it has formed; "
+                "use run or run_until"
+            )
         deadline_us = self._after_us(timeout_s)
         truth = self._run(RunUntil(time_us=deadline_us, stop_when_formed=True, speed=self._speed))
         if self._processes.formed_us is None:

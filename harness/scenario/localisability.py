@@ -21,7 +21,7 @@ from autopilot.onboard.predicted_shape import (
     predicted_shape_std_m,
     width_m,
 )
-from autopilot.parameters.onboard_config import OnboardConfig
+from autopilot.parameters.onboard_config import FORMATION, OnboardConfig
 from harness.scenario.scenario import Scenario
 from netsim.ftm.stamps import distance_m, round_trip_std_ps
 
@@ -85,10 +85,11 @@ def predict(scenario: Scenario) -> Prediction:
 def warning(scenario: Scenario) -> str | None:
     """Return one line for the user if take-off will wait for its time-out; None: it does not by prediction.
 
-    None also without ranging, without an application, and for a swarm that waits for a ground station.
+    None also without ranging, with another application, and for a swarm that waits for a ground station.
     """
     onboard = scenario.onboard
-    if not onboard.enabled or onboard.hold or onboard.localisation != "ftm":
+    flies_it = onboard.enabled and onboard.application == FORMATION and not onboard.hold
+    if not flies_it or onboard.localisation != "ftm":
         return None
     found = predict(scenario)
     if found.localises:

@@ -24,7 +24,8 @@ class ApplicationStatus:
         self.motion_start_us: int | None = None
         """Start of the formation's motion that it reports."""
         self.text = ""
-        self.values = dict.fromkeys(layout.values, math.nan)
+        self.values: dict[str, float] = {}
+        """Numbers that it reports, without those that are not finite."""
 
     def on_message(self, message: Message) -> None:
         """Process a message of the application; other kinds and unknown phases are ignored."""
@@ -37,7 +38,8 @@ class ApplicationStatus:
                     self.motion_start_us = start_us(message.value)
             case common.MAVLINK_MSG_ID_DEBUG_FLOAT_ARRAY:
                 if message.name == _VALUES:
-                    self.values = dict(zip(self._layout.values, message.data, strict=False))
+                    named = zip(self._layout.values, message.data, strict=False)
+                    self.values = {name: value for name, value in named if math.isfinite(value)}
             case common.MAVLINK_MSG_ID_STATUSTEXT:
                 if message.severity == common.MAV_SEVERITY_INFO:
                     self.text = message.text

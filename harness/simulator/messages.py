@@ -92,7 +92,7 @@ class VehicleTruth(Struct, frozen=True, kw_only=True):
     text: str = ""
     """Text of the application's status."""
     values: dict[str, float] = {}
-    """Numbers of the application's status; NaN: not reported so far."""
+    """Numbers of the application's status, without those that are unknown or not finite."""
 
 
 class Progress(SimulatorEvent, frozen=True, kw_only=True):

@@ -20,12 +20,13 @@ from paths import SCENARIOS
 from autopilot.onboard.client.own_state import Fix
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.radio import beacon as wire
-from autopilot.onboard.radio.beacon_dissector import FLAGS, LENGTH_ERROR, PREFIX, dissector
+from autopilot.onboard.radio.beacon_dissector import FILE_NAME, FLAGS, LENGTH_ERROR, PREFIX, dissector
 from harness.launch.one_process import fly
 from harness.records.run_folder import RunFolder
 from harness.scenario.scenario_file import load
 from netsim.capture.pcapng_writer import Capture
 from netsim.model.config import RadioConfig
+from netsim.wire.messages import DEFAULT_PORT
 
 pytestmark = [
     pytest.mark.multiprocess,
@@ -145,7 +146,7 @@ def payloads(path):
 @pytest.fixture(scope="module")
 def script(tmp_path_factory):
     path = tmp_path_factory.mktemp("lua") / "coflight_beacon.lua"
-    path.write_text(dissector())
+    path.write_text(dissector(DEFAULT_PORT))
     return path
 
 
@@ -162,12 +163,12 @@ def test_beacons_of_a_flight_equal_those_of_the_decoder(tmp_path):
     fly(scenario, tmp_path / "run", until_s=4.5)
     folder = RunFolder(tmp_path / "run")
     contents = payloads(folder.capture)
-    found = beacons_of(folder.capture, folder.dissector)
+    found = beacons_of(folder.capture, folder.path / FILE_NAME)
     assert len(found) == len(contents) > 50
     for fields, content in zip(found, contents, strict=True):
         compare(fields, content)
     assert max(len(content) for content in contents) == wire.HEADER_BYTES + 2 * wire.RANGE_BYTES
-    rows = dissected(folder.capture, folder.dissector)
+    rows = dissected(folder.capture, folder.path / FILE_NAME)
     assert rows == [
         (
             PREFIX,
@@ -177,7 +178,7 @@ def test_beacons_of_a_flight_equal_those_of_the_decoder(tmp_path):
         )
         for content in contents
     ]
-    times = tshark(folder.capture, folder.dissector, "-T", "fields", "-e", "frame.time_epoch").split()
+    times = tshark(folder.capture, folder.path / FILE_NAME, "-T", "fields", "-e", "frame.time_epoch").split()
     starts_ns = sorted(pq.read_table(folder.radio).to_pydict()["start_ns"])
     assert [int(each.replace(".", "")) for each in times] == [
         1_000 * EPOCH_UNIX_US + start_ns for start_ns in starts_ns

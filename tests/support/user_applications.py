@@ -16,6 +16,7 @@ class Phase(IntEnum):
 
 class EchoSettings(Struct, frozen=True):
     prefix: Annotated[str, Meta(max_length=4)] = ""
+    greets: bool = False
 
 
 class Echo(Application):
@@ -26,7 +27,7 @@ class Echo(Application):
 
     def __init__(self, settings):
         self.prefix = settings.prefix.encode()
-        self.seen, self.payloads, self.count = set(), [], 0
+        self.seen, self.payloads, self.count = set(), [b"hello"] if settings.greets else [], 0
 
     def start(self, context):
         self.context = context
@@ -70,8 +71,9 @@ class Hop(Application):
         autopilot.take_off(3.0)
         if now_us % 1_000_000 == 0 and autopilot.pos_ned_m is not None:
             peer = (context.uav + 1) % len(context.places_ned_m)
-            context.radio.unicast(peer, b"hop")
-            context.radio.range_to(peer)
+            if peer != context.uav:
+                context.radio.unicast(peer, b"hop")
+                context.radio.range_to(peer)
         if autopilot.follows:
             self.phase = max(self.phase, Phase.MEETING)
             north_m, east_m, down_m = context.places_ned_m[context.uav]

@@ -73,7 +73,7 @@ def test_every_sensor_message_is_answered_once_with_its_time_and_no_thrust():
 def test_the_first_step_sends_px4s_request_to_the_simulator():
     vehicle = Vehicle(vehicle_config())
     interval, heartbeat = vehicle.step(sim_messages=[sensor(4_000)]).simulator
-    assert (interval.command, interval.param1, interval.param2) == (511, 115.0, 5000.0)
+    assert (interval.command, interval.param1, interval.param2) == (511, 115.0, -1.0)
     assert (heartbeat.get_type(), heartbeat.autopilot, heartbeat.base_mode) == ("HEARTBEAT", 12, 29)
     later = [vehicle.step(sim_messages=[sensor(t)]).simulator for t in range(8_000, 2_008_000, 4_000)]
     assert sum(map(len, later)) == 2
@@ -307,7 +307,7 @@ def test_the_applications_estimate_is_recorded_for_the_records_time(flight):
     def estimate(now_us):
         return Estimate((now_us, 0.0, 0.0), *[(0.0, 0.0, 0.0)] * 3)
 
-    flight.vehicle.app = SimpleNamespace(phase=FlightPhase.ON_STATION, estimate=estimate)
+    flight.vehicle.app = SimpleNamespace(phase=FlightPhase.ON_STATION, estimate=estimate, values=())
     row = np.frombuffer(record(flight.vehicle), dtype=VEHICLE_RECORD)[0]
     assert row["onboard_pos_ned_m"][0] == row["time_us"] == flight.now_us
 

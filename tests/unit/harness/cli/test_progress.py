@@ -5,6 +5,7 @@ import io
 import re
 
 import pytest
+from application_phases import standing
 from msgspec import structs
 from rich.console import Console
 
@@ -38,7 +39,7 @@ def vehicle(
         alive=alive,
         armed=armed,
         mode=mode,
-        phase=phase,
+        **standing(phase),
         pos_ned_m=(1.0, 2.0, -10.5),
         vel_ned_m_s=(0.0, 0.0, 0.0),
         q_ned_frd=(1.0, 0.0, 0.0, 0.0),

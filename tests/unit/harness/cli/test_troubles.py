@@ -2,6 +2,8 @@
 
 from collections.abc import Iterable
 
+from application_phases import standing
+
 from harness.cli.troubles import FAR_M, STUCK_S, Lag, Troubles
 from harness.simulator.messages import Progress, VehicleLost, VehicleSilent, VehicleTruth
 
@@ -16,7 +18,7 @@ def vehicle(
     error_m: float = 0.3,
 ) -> VehicleTruth:
     return VehicleTruth(
-        alive=alive, armed=armed, mode=mode, phase=phase, pos_ned_m=(0.0, 0.0, -height_m),
+        alive=alive, armed=armed, mode=mode, **standing(phase), pos_ned_m=(0.0, 0.0, -height_m),
         vel_ned_m_s=(0.0, 0.0, 0.0), q_ned_frd=(1.0, 0.0, 0.0, 0.0), error_m=error_m,
     )  # fmt: skip
 

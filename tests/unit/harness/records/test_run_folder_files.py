@@ -9,6 +9,7 @@ from harness.records.run_folder import RunFolder
 from harness.scenario.scenario import ScenarioError
 from harness.scenario.scenario_file import load
 from netsim.model.config import ServerConfig
+from netsim.wire.messages import DEFAULT_PORT
 
 ARTICLE = SCENARIOS / "article.toml"
 
@@ -25,7 +26,7 @@ def test_a_capture_has_the_epoch_of_the_scenario_and_a_dissector_beside_it(kind,
     config = radio_config(folder, f"radio.capture={kind}")
     assert config.capture_path == str(tmp_path / "run" / "radio.pcapng")
     assert config.epoch_unix_us == 1_904_281_689_500_000
-    assert (tmp_path / "run" / "coflight_beacon.lua").read_text() == dissector()
+    assert (tmp_path / "run" / "coflight_beacon.lua").read_text() == dissector(DEFAULT_PORT)
 
 
 def test_a_run_without_a_capture_has_no_dissector(tmp_path):

@@ -8,6 +8,7 @@ from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.radio import beacon as wire
 from autopilot.onboard.radio.beacon_dissector import FLAGS, dissector
 from netsim.capture.ieee80211 import UDP_PORT
+from netsim.wire.messages import DEFAULT_PORT
 
 LINE = re.compile(
     r"\{at = (\d+), size = (\d+), field = ProtoField\.(\w+)\(\"coflight_beacon\.([\w.]+)\"(.*)\},"
@@ -17,7 +18,7 @@ KINDS = {"uint8": "u1", "uint16": "<u2", "uint32": "<u4", "uint64": "<u8", "floa
 
 @pytest.mark.parametrize(("layout", "prefix"), [(wire.HEADER, ""), (wire.RANGE, "range.")])
 def test_every_field_of_the_layout_is_in_the_script_once(layout, prefix):
-    fields = [found.groups() for found in LINE.finditer(dissector())]
+    fields = [found.groups() for found in LINE.finditer(dissector(DEFAULT_PORT))]
     part = [field for field in fields if field[3].startswith("range.") == bool(prefix)]
     assert [(name, KINDS[kind], int(at)) for at, _, kind, name, _ in part] == [
         (f"{prefix}{name}", layout[name].str.replace("|", ""), layout.fields[name][1])
@@ -28,13 +29,13 @@ def test_every_field_of_the_layout_is_in_the_script_once(layout, prefix):
 
 def test_every_quantity_has_the_unit_of_its_name():
     units = {"m": "m", "s": "m/s", "mm": "mm", "ms": "ms", "us": "us"}
-    for *_, name, rest in (found.groups() for found in LINE.finditer(dissector())):
+    for *_, name, rest in (found.groups() for found in LINE.finditer(dissector(DEFAULT_PORT))):
         unit = re.search(r'unit = "([^"]+)"', rest)
         assert (unit and unit[1]) == units.get(name.rpartition("_")[2]), name
 
 
 def test_constants_are_those_of_the_beacon():
-    script = dissector()
+    script = dissector(DEFAULT_PORT)
     assert f"local PORT = {UDP_PORT}\n" in script
     assert f"HEADER_BYTES, RANGE_BYTES = {wire.HEADER_BYTES}, {wire.RANGE_BYTES}\n" in script
     assert f"{{at = 0, least = {wire.VERSION}, most = {wire.VERSION}}},  -- version\n" in script
