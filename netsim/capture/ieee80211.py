@@ -11,18 +11,12 @@ from struct import Struct as Layout
 from typing import Protocol, runtime_checkable
 from zlib import crc32
 
-from netsim.phy.frames import DATA_OVERHEAD_BYTES, GROUP, UDP_OVERHEAD_BYTES, Frame, FrameKind
+from netsim.phy.frames import DATA_OVERHEAD_BYTES, GROUP, UDP_OVERHEAD_BYTES, Datagram, Frame, FrameKind
+from netsim.wire.messages import DEFAULT_PORT
 
 GROUP_ADDRESS = bytes.fromhex("ffffffffffff")
 NETWORK_ADDRESS = bytes.fromhex("020000010000")
 """BSSID, locally administered; no station has this address."""
-UDP_PORT = 50_802
-"""Source and destination port, from the dynamic range.
-
-Wireshark has no protocol for it and guesses from the payload: it decodes some beacons as Thrift. A
-dissector registered for the port prevents that, as does ``tshark -d udp.port==50802,data`` ("Decode As").
-"""
-
 _FRAME_CONTROL = {
     FrameKind.DATA: 0x08,
     FrameKind.RTS: 0xB4,
@@ -105,9 +99,11 @@ def _action(frame: Frame) -> bytes:
 
 def _datagram(frame: Frame) -> bytes:
     """Return LLC/SNAP, IPv4 and UDP headers and the payload; the IPv4 identification is ``frame.seq``."""
-    payload = frame.body
-    if not isinstance(payload, bytes):
-        payload = bytes(max(0, frame.frame_bytes - DATA_OVERHEAD_BYTES - UDP_OVERHEAD_BYTES))
+    datagram = frame.body
+    if not isinstance(datagram, Datagram):
+        payload_bytes = max(0, frame.frame_bytes - DATA_OVERHEAD_BYTES - UDP_OVERHEAD_BYTES)
+        datagram = Datagram(DEFAULT_PORT, bytes(payload_bytes))
+    port, payload = datagram
     source, destination = ipv4_address(frame.source), ipv4_address(frame.destination)
     udp_bytes = _UDP_BYTES + len(payload)
     header = (
@@ -115,7 +111,7 @@ def _datagram(frame: Frame) -> bytes:
     )  # fmt: skip
     checksum = _checksum(_IPV4.pack(*header, 0, source, destination))
     pseudo_header = source + destination + _PROTOCOL_UDP.to_bytes(2, "big") + udp_bytes.to_bytes(2, "big")
-    udp = _UDP.pack(UDP_PORT, UDP_PORT, udp_bytes, 0) + payload
+    udp = _UDP.pack(port, port, udp_bytes, 0) + payload
     udp_checksum = _checksum(pseudo_header + udp) or 0xFFFF  # 0 means "no checksum"
     ipv4 = _IPV4.pack(*header, checksum, source, destination)
     return _SNAP_IPV4 + ipv4 + udp[:6] + udp_checksum.to_bytes(2, "big") + payload

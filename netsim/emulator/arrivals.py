@@ -10,6 +10,7 @@ from netsim.emulator.records import Tally
 from netsim.ftm.initiator import Ranging
 from netsim.mac.jobs import GroupReception
 from netsim.model.random_streams import FloatStream, Model, RandomStreams
+from netsim.phy.frames import Datagram
 from netsim.wire.messages import Delivery, FtmResult, RxItem, Sent, Survey
 
 _Received = tuple[int, int, int, RxItem]
@@ -47,9 +48,9 @@ class Arrivals:
 
     def add_datagram(self, received: GroupReception) -> None:
         """Add a datagram to the deliveries of its receivers, except where the host loses it."""
-        source, seq, payload = received.source, received.seq, received.body
-        if not isinstance(payload, bytes):
-            raise TypeError("the body of a group frame must be bytes")
+        source, seq, datagram = received.source, received.seq, received.body
+        if not isinstance(datagram, Datagram):
+            raise TypeError("the body of a data frame must be a Datagram")
         for station, end_ns, power_mw in zip(
             received.stations, received.ends_ns, received.powers_mw, strict=True
         ):
@@ -57,7 +58,10 @@ class Arrivals:
                 self._tally.lost_by_hosts += 1
                 continue
             rssi_dbm = 10.0 * log10(power_mw)
-            item = Delivery(source=source, seq=seq, received_ns=end_ns, rssi_dbm=rssi_dbm, payload=payload)
+            item = Delivery(
+                source=source, seq=seq, received_ns=end_ns, rssi_dbm=rssi_dbm, payload=datagram.payload,
+                port=datagram.port,
+            )  # fmt: skip
             self._received[station].append((end_ns, source, seq, item))
 
     def add_report(self, station: int, sent: Sent) -> None:

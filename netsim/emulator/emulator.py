@@ -28,7 +28,14 @@ from netsim.model.config import RadioConfig, StationConfig
 from netsim.model.event_queue import EventQueue
 from netsim.model.random_streams import Model, RandomStreams
 from netsim.model.tables import Integers
-from netsim.phy.frames import DATA_OVERHEAD_BYTES, GROUP, UDP_OVERHEAD_BYTES, FrameKind, Transmission
+from netsim.phy.frames import (
+    DATA_OVERHEAD_BYTES,
+    GROUP,
+    UDP_OVERHEAD_BYTES,
+    Datagram,
+    FrameKind,
+    Transmission,
+)
 from netsim.phy.propagation import Links, Trajectories, is_possible
 from netsim.radio_models.registry import make_models
 from netsim.wire.messages import Broadcast, FtmRequest, RxItem, Sent, TxBatch, TxItem, Unicast
@@ -218,7 +225,7 @@ class Emulator:
             retry_limit=config.rts_retry_limit,
             done=self._on_broadcast_done,
             seq=item.seq,
-            body=item.payload,
+            body=Datagram(item.port, item.payload),
             rts=config.broadcast_rts,
         )
         self._macs[station].enqueue(config.broadcast_access_category, job)
@@ -243,7 +250,7 @@ class Emulator:
             retry_limit=config.retry_limit,
             done=partial(self._on_unicast_done, station),
             seq=item.seq,
-            body=item.payload,
+            body=Datagram(item.port, item.payload),
             rts=frame_bytes > config.rts_threshold_bytes,
         )
         self._macs[station].enqueue(config.data_access_category, job)

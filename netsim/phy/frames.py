@@ -1,6 +1,7 @@
 """Frames, their sizes, and their transmissions."""
 
 from enum import StrEnum
+from typing import NamedTuple
 
 from msgspec import Struct
 
@@ -20,6 +21,14 @@ UDP_OVERHEAD_BYTES = 8 + 20 + 8
 """LLC/SNAP, IPv4 and UDP headers."""
 MAX_MSDU_BYTES = 2304
 """Largest frame body after the MAC header (9.2.4.7)."""
+
+
+class Datagram(NamedTuple):
+    """Body of a data frame."""
+
+    port: int
+    """UDP port, source and destination."""
+    payload: bytes
 
 
 class FrameKind(StrEnum):

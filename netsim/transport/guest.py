@@ -16,6 +16,7 @@ from netsim.transport.asynchronous_radio import AsynchronousRadio
 from netsim.transport.lockstep_radio import RadioLost, directory_key
 from netsim.transport.zenoh_session import Transport
 from netsim.wire.messages import (
+    DEFAULT_PORT,
     MAX_PAYLOAD_BYTES,
     MAX_STATION,
     Broadcast,
@@ -67,15 +68,16 @@ class Guest:
             raise RadioLost(f"{endpoint}: no response of a radio emulator of this version")
         return directory
 
-    def broadcast(self, payload: bytes) -> int:
-        """Send a datagram to every station in range; return its sequence number."""
-        return self._send(Broadcast(seq=self._seq + 1, at_us=0, payload=_checked(payload)))
+    def broadcast(self, payload: bytes, *, port: int = DEFAULT_PORT) -> int:
+        """Send a datagram to a UDP port of every station in range; return its sequence number."""
+        return self._send(Broadcast(seq=self._seq + 1, at_us=0, payload=_checked(payload), port=_port(port)))
 
-    def unicast(self, destination: int, payload: bytes) -> int:
-        """Send a datagram to one station; a `Sent` with the returned sequence number follows."""
+    def unicast(self, destination: int, payload: bytes, *, port: int = DEFAULT_PORT) -> int:
+        """Send a datagram to a UDP port of a station; a `Sent` with the returned sequence number follows."""
         item = Unicast(
-            seq=self._seq + 1, at_us=0, destination=_station(destination), payload=_checked(payload)
-        )
+            seq=self._seq + 1, at_us=0, destination=_station(destination), payload=_checked(payload),
+            port=_port(port),
+        )  # fmt: skip
         return self._send(item)
 
     def request_ftm(self, peer: int) -> int:
@@ -119,6 +121,12 @@ def _checked(payload: object) -> bytes:
     if not isinstance(payload, bytes) or len(payload) > MAX_PAYLOAD_BYTES:
         raise ValueError(f"a datagram must have at most {MAX_PAYLOAD_BYTES} bytes, not {payload!r:.40}")
     return payload
+
+
+def _port(number: int) -> int:
+    if not 1 <= number <= 65_535:
+        raise ValueError(f"a UDP port must be 1 to 65535, not {number}")
+    return number
 
 
 def _station(number: int) -> int:

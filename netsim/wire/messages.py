@@ -18,7 +18,11 @@ VERSION = 5
 MAX_PAYLOAD_BYTES = 1472
 """Largest UDP payload that fits one 1500-byte IP packet."""
 DEFAULT_PORT = 50_802
-"""UDP port of datagrams whose sender names none."""
+"""UDP port of datagrams whose sender names none, from the dynamic range.
+
+Wireshark has no protocol for it and guesses from the payload: it decodes some beacons as Thrift. A dissector
+registered for the port prevents that, as does ``tshark -d udp.port==50802,data`` ("Decode As").
+"""
 
 MAX_STATION = 65_535
 Station = Annotated[int, Meta(ge=0, le=MAX_STATION)]

@@ -71,7 +71,14 @@ class Run:
             items = []
             for number in range(30):
                 at_us = 20_000 * number
-                items.append(Broadcast(seq=2 * number, at_us=at_us, payload=PAYLOAD * (1 + number % 8)))
+                items.append(
+                    Broadcast(
+                        seq=2 * number,
+                        at_us=at_us,
+                        payload=PAYLOAD * (1 + number % 8),
+                        port=4000 + number % 2,
+                    )
+                )
                 peer = (station + 1 + number % (STATIONS - 1)) % STATIONS
                 items.append(FtmRequest(seq=2 * number + 1, at_us=at_us + 2_500 * station, peer=peer))
             self.emulator.submit(TxBatch(station=station, now_us=0, items=tuple(items)))
@@ -136,14 +143,16 @@ def test_every_transmission_has_its_kind_time_and_valid_checksums(run):
 
 def test_payloads_addresses_and_retries_match_the_frames(run):
     rows = tshark(
-        run.path, "udp.payload", "ip.id", "ip.src", "ip.dst", "wlan.sa", "wlan.da", "wlan.fc.retry",
-        condition="wlan.fc.type_subtype == 32",
+        run.path, "udp.payload", "udp.srcport", "udp.dstport", "ip.id", "ip.src", "ip.dst", "wlan.sa",
+        "wlan.da", "wlan.fc.retry", condition="wlan.fc.type_subtype == 32",
     )  # fmt: skip
     sent = [t.frame for t in run.transmissions if t.frame.kind == "data"]
     assert len(rows) == len(sent)
     for row, frame in zip(rows, sent, strict=True):
         assert row == [
-            frame.body.hex(),
+            frame.body.payload.hex(),
+            str(frame.body.port),
+            str(frame.body.port),
             f"0x{frame.seq:04x}",
             f"10.1.0.{frame.source}",
             "10.255.255.255",

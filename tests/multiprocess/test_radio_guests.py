@@ -115,8 +115,9 @@ def test_programs_of_the_documentation_are_stations(lab, tmp_path):
 
 def test_unicast_is_acknowledged_and_ranging_completes(lab):
     with Guest(lab, name="s0") as one, Guest(lab, name="s2") as other:
-        seq = one.unicast(other.station, b"to you alone")
-        assert wait_for(other, Delivery).payload == b"to you alone"
+        seq = one.unicast(other.station, b"to you alone", port=4000)
+        received = wait_for(other, Delivery)
+        assert (received.payload, received.port) == (b"to you alone", 4000)
         sent = wait_for(one, Sent)
         assert (sent.seq, sent.status, sent.destination) == (seq, "acknowledged", 2)
         seq = other.request_ftm(peer=1)

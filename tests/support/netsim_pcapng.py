@@ -4,8 +4,9 @@ import struct
 
 import numpy as np
 
-from netsim.phy.frames import GROUP, Frame, FrameKind, Transmission
+from netsim.phy.frames import GROUP, Datagram, Frame, FrameKind, Transmission
 from netsim.phy.modes import phy_mode
+from netsim.wire.messages import DEFAULT_PORT
 
 OFDM24 = phy_mode("ofdm24", 20)
 RADIOTAP_FIELDS = {
@@ -30,7 +31,7 @@ def datagram(payload=b"hello", *, source=0, sequence=1, seq=0, destination=GROUP
         frame_bytes=len(payload) + 64,
         seq=seq,
         sequence=sequence,
-        body=payload,
+        body=Datagram(DEFAULT_PORT, payload),
     )
 
 

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from netsim_pcapng import OFDM24, datagram, radiotap
 
-from netsim.capture.ieee80211 import NETWORK_ADDRESS, UDP_PORT, address, mpdu
+from netsim.capture.ieee80211 import NETWORK_ADDRESS, address, mpdu
 from netsim.capture.radiotap import Radiotap
-from netsim.phy.frames import ACK_BYTES, CTS_BYTES, GROUP, RTS_BYTES, Frame, FrameKind
+from netsim.phy.frames import ACK_BYTES, CTS_BYTES, GROUP, RTS_BYTES, Datagram, Frame, FrameKind
 from netsim.phy.modes import phy_mode
 
 NON_HT = [f"ofdm{rate}" for rate in (6, 9, 12, 18, 24, 36, 48, 54)]
@@ -51,14 +51,16 @@ stations = st.integers(0, 65_535)
     nav_ns=st.integers(0, 32_767_000),
     payload=st.binary(max_size=1472),
     retry=st.booleans(),
+    port=st.integers(1, 65_535),
 )
 def test_a_datagram_has_every_header_and_valid_checksums(
-    source, destination, sequence, seq, nav_ns, payload, retry
+    source, destination, sequence, seq, nav_ns, payload, retry, port
 ):
     """Layout by offset: 802.11 header 0..24, LLC/SNAP ..32, IPv4 ..52, UDP ..60, payload, FCS 4."""
     frame = Frame(
         kind=FrameKind.DATA, source=source, destination=destination, mode=OFDM24,
-        frame_bytes=len(payload) + 64, nav_ns=nav_ns, seq=seq, sequence=sequence, body=payload,
+        frame_bytes=len(payload) + 64, nav_ns=nav_ns, seq=seq, sequence=sequence,
+        body=Datagram(port, payload),
     )  # fmt: skip
     data = mpdu(frame, retry=retry)
     assert len(data) == frame.frame_bytes
@@ -75,7 +77,7 @@ def test_a_datagram_has_every_header_and_valid_checksums(
     assert struct.unpack(">H", ip[2:4]) == (len(ip) + len(udp),)
     pseudo_header = ip[12:] + struct.pack(">HH", 17, len(udp))
     assert ones_complement_sum(pseudo_header + udp) == 0xFFFF
-    assert struct.unpack(">HHH", udp[:6]) == (UDP_PORT, UDP_PORT, len(udp))
+    assert struct.unpack(">HHH", udp[:6]) == (port, port, len(udp))
     assert udp[6:8] != b"\x00\x00"  # would be no checksum
     assert udp[8:] == payload
 
@@ -147,7 +149,12 @@ def test_a_data_frame_without_a_body_is_a_datagram_of_zeros(frame_bytes):
 
 def test_body_of_wrong_length_is_rejected():
     frame = Frame(
-        kind=FrameKind.DATA, source=0, destination=GROUP, mode=OFDM24, frame_bytes=100, body=b"too short"
+        kind=FrameKind.DATA,
+        source=0,
+        destination=GROUP,
+        mode=OFDM24,
+        frame_bytes=100,
+        body=Datagram(1, b"too short"),
     )
     with pytest.raises(ValueError, match="expected 100"):
         mpdu(frame)

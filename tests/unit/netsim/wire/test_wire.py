@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from netsim.wire.lockstep import pack_rows, unpack_rows
 from netsim.wire.messages import (
+    DEFAULT_PORT,
     VERSION,
     Ack,
     Broadcast,
@@ -34,14 +35,14 @@ MESSAGES = [
         items=(
             Broadcast(seq=1, at_us=4100, payload=b"\x00\xff"),
             FtmRequest(seq=2, at_us=4200, peer=5),
-            Unicast(seq=3, at_us=4300, destination=1, payload=b"to one"),
+            Unicast(seq=3, at_us=4300, destination=1, payload=b"to one", port=1),
         ),
     ),
     RxBatch(
         station=0,
         release_us=8000,
         items=(
-            Delivery(source=1, seq=7, received_ns=4_123_456, rssi_dbm=-61.5, payload=b"abc"),
+            Delivery(source=1, seq=7, received_ns=4_123_456, rssi_dbm=-61.5, payload=b"abc", port=65_535),
             FtmResult(
                 peer=2,
                 seq=9,
@@ -101,6 +102,18 @@ def test_out_of_range_fields_decode_to_none():
     raw = msgspec.msgpack.encode([VERSION, 3, 4000, [["b", 1, 4100, b"x" * 2000]]])
     assert decode(TxBatch, raw) is None
     raw = msgspec.msgpack.encode([VERSION, -3, 4000, []])
+    assert decode(TxBatch, raw) is None
+
+
+def test_a_datagram_without_a_port_has_the_default():
+    items = [["b", 1, 4100, b"abc"], ["u", 1, 4100, 2, b"abc"]]
+    batch = decode(TxBatch, msgspec.msgpack.encode([VERSION, 3, 4000, items]))
+    assert [item.port for item in batch.items] == [DEFAULT_PORT] * 2
+
+
+@pytest.mark.parametrize("port", [0, -1, 65_536, "80", None])
+def test_a_port_that_udp_does_not_have_decodes_to_none(port):
+    raw = msgspec.msgpack.encode([VERSION, 3, 4000, [["b", 1, 4100, b"abc", port]]])
     assert decode(TxBatch, raw) is None
 
 

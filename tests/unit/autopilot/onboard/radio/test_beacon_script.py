@@ -7,7 +7,6 @@ import pytest
 from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.radio import beacon as wire
 from autopilot.onboard.radio.beacon_dissector import FLAGS, dissector
-from netsim.capture.ieee80211 import UDP_PORT
 from netsim.wire.messages import DEFAULT_PORT
 
 LINE = re.compile(
@@ -36,7 +35,7 @@ def test_every_quantity_has_the_unit_of_its_name():
 
 def test_constants_are_those_of_the_beacon():
     script = dissector(DEFAULT_PORT)
-    assert f"local PORT = {UDP_PORT}\n" in script
+    assert f"local PORT = {DEFAULT_PORT}\n" in script
     assert f"HEADER_BYTES, RANGE_BYTES = {wire.HEADER_BYTES}, {wire.RANGE_BYTES}\n" in script
     assert f"{{at = 0, least = {wire.VERSION}, most = {wire.VERSION}}},  -- version\n" in script
     assert f"least = 0, most = {max(FlightPhase):d}}},  -- phase\n" in script
