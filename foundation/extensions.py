@@ -8,8 +8,9 @@ import difflib
 import importlib
 import re
 import sys
+import threading
 import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import is_dataclass
 from importlib.machinery import PathFinder
@@ -30,6 +31,10 @@ _REPLACEMENTS = {
     " | null`": "`",
 }
 """In msgspec's texts. TOML has no null: an optional field is omitted."""
+
+
+CHECK_LIMIT_S = 30.0
+"""Wall time in which code of the user must return while a scenario is read."""
 
 
 class ExtensionError(ValueError):
@@ -191,6 +196,30 @@ def _unknown(value: object, kind: msgspec.inspect.Type, path: str) -> Iterator[s
                 yield from _unknown(inner_value, inner, f"{path}.{key}")
         case _:
             pass
+
+
+def check_bounded(check: Callable[[], object], title: str, *, limit_s: float = CHECK_LIMIT_S) -> None:
+    """Call a check of the user's code, and raise its exception.
+
+    Raises ExtensionError, which begins with ``title``, if the check does not return within ``limit_s`` of
+    wall time; its thread then continues until the process ends.
+    """
+    outcome: list[BaseException | None] = []
+
+    def run() -> None:
+        try:
+            check()
+            outcome.append(None)
+        except BaseException as error:  # noqa: BLE001  raised in the caller's thread
+            outcome.append(error)
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    thread.join(limit_s)
+    if not outcome:
+        raise ExtensionError(f"{title} does not return; it was given {limit_s:g} s of wall time")
+    if outcome[0] is not None:
+        raise outcome[0]
 
 
 def registered(group: str) -> dict[str, str]:

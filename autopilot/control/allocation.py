@@ -1,8 +1,9 @@
 """Control allocation: thrust and torque to motor controls.
 
-Demands are normalised as in PX4: collective thrust 0..1 of full thrust, roll and pitch torque such that a
-demand of 1 changes the rotors by 0.71 of full thrust (root mean square), yaw such that the most used rotor
-changes by 1. Saturation reduces yaw first, then collective thrust, roll and pitch last.
+Demands are normalised as in PX4, but roll and pitch separately: collective thrust 0..1 of full thrust, roll
+and pitch torque such that a demand of 1 changes the rotors by 0.71 of full thrust (root mean square), yaw
+such that the most used rotor changes by 1. Saturation reduces yaw first, then collective thrust, roll and
+pitch last.
 
 The thrust of a rotor, 0..1, is lift (collective + torques), where `autopilot.control.mixing` has the lift of
 each rotor. The kernels divide by it: each rotor has the range 0..1/lift for collective and torques.

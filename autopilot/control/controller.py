@@ -10,6 +10,7 @@ from typing import Protocol
 from msgspec import Struct
 
 from autopilot.control.params import ControlParams
+from foundation.airframe.description import Airframe
 from foundation.types import Array, EstimatorState, Setpoint, Triple, Vector
 
 TORQUE_MAX = 10.0
@@ -34,10 +35,11 @@ class ControllerContext(Struct, frozen=True, kw_only=True):
 
     instance: int
     """Number of the UAV."""
-    rotors: int
-    """Number of rotors."""
+    airframe: Airframe
+    """Mass, inertia, rotors and battery of the vehicle, as in its airframe file."""
     unit_torque_m: Vector
-    """Normalised torque of 1 about x, y and z (FRD): N m per newton of one rotor's full thrust above idle."""
+    """Normalised torque of 1 about x, y and z (FRD): N m per newton of one rotor's full thrust above idle,
+    which is ``airframe.propulsion.range_n``."""
     params: ControlParams
     """The autopilot's parameters at the start: limits of tilt, rates, speeds and accelerations."""
 
@@ -64,6 +66,9 @@ class ControllerInputs(Struct, kw_only=True):
     """(3,) acceleration that gravity and thrust do not explain, such as wind; zero if CF_DOB_EN is 0."""
     unallocated: Array
     """(3,) normalised torque of the last demand that the rotors could not produce."""
+    controls_yaw: bool
+    """False: a motor has failed, and the others cannot control yaw, so the vehicle turns about its thrust;
+    ``unallocated`` then has the whole torque about z."""
 
 
 class Controller(Protocol):

@@ -93,10 +93,11 @@ def mixer_without(params: AllocationParams, failed: Collection[int]) -> Mixer | 
 
 
 def _norms(inverse: Array) -> Array:
-    """Return the norms (3,) of roll, pitch and yaw, PX4's, from the inverse (n, 4) of all rotors.
+    """Return the norms (3,) of roll, pitch and yaw from the inverse (n, 4) of all rotors.
 
     Those of roll and pitch are root mean squares times sqrt(2), over the rotors that the torque uses; that of
-    yaw is the greatest element.
+    yaw is the greatest element. PX4 divides roll and pitch by the greater of both, here each has its own:
+    the gains of `autopilot.control.airframe_gains` refer to these.
     """
     columns = inverse[:, 1:]
     used = (np.abs(columns[:, :2]) > _ROUNDING).sum(axis=0)

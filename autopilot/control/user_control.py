@@ -21,6 +21,8 @@ from autopilot.control.inner_loop import follow_demand
 from autopilot.control.mixing import effectiveness, mixer
 from autopilot.control.params import ControlParams
 from autopilot.control.takeoff import TakeoffPhase
+from foundation.airframe.description import Airframe
+from foundation.airframe.files import IRIS
 from foundation.extension_call import ExtensionCall
 from foundation.types import Array, AttitudeSetpoint, EstimatorState, Setpoint, TrajectorySetpoint
 
@@ -35,13 +37,14 @@ class UserFlightController(FlightController):
         make: Callable[[ControllerContext], Controller],
         title: str,
         instance: int,
+        airframe: Airframe = IRIS,
     ) -> None:
         """``make`` creates the controller; ``title`` begins the lines of its failures."""
         super().__init__(params)
         self._call = ExtensionCall(title)
         context = ControllerContext(
             instance=instance,
-            rotors=len(params.allocation.rotors),
+            airframe=airframe,
             unit_torque_m=unit_torque_m(params),
             params=params,
         )
@@ -103,6 +106,7 @@ class UserFlightController(FlightController):
                     hover_thrust=self.hover_thrust,
                     disturbance_ned_m_s2=self.disturbance_ned_m_s2,
                     unallocated=self._unallocated.copy(),
+                    controls_yaw=self._allocator.controls_yaw,
                 )
             )
         follow_demand(self.block, thrust, torque, airmode_above(landed, self.params.position.thr_min))

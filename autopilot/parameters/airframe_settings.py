@@ -14,7 +14,6 @@ proportionally less below."""
 _MOST_AVERAGE_A, _MOST_PER_THRUST_A = 500.0, 50.0
 """Greatest values of BAT_AVRG_CURRENT and FD_ACT_MOT_C2T."""
 _TYPE_OF_ROTORS = {
-    3: common.MAV_TYPE_TRICOPTER,
     4: common.MAV_TYPE_QUADROTOR,
     6: common.MAV_TYPE_HEXAROTOR,
     8: common.MAV_TYPE_OCTOROTOR,

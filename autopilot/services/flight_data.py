@@ -66,7 +66,7 @@ class FlightData:
     attitude_setpoint: Callable[[], AttitudeSetpoint | None] = lambda: None
     """Setpoint of the attitude controller; evaluated only when it is reported."""
     motors: Callable[[], Sequence[float]] = lambda: (0.0, 0.0, 0.0, 0.0)
-    """(4,) present controls, 0..1."""
+    """(n,) present motor controls, 0..1."""
     armed_us: int = 0
     """Time of the last arming; like the next two, 0 before the first."""
     took_off_us: int = 0

@@ -22,11 +22,10 @@ from autopilot.services.command import TakeoffAltitude
 from autopilot.services.flight_data import FlightData, Home
 from autopilot.services.manual_control import ManualControlService
 from autopilot.services.offboard import OffboardService
+from foundation.airframe.description import MOST_ROTORS
 from foundation.geometry.geodesy import geodetic_to_ned, ned_to_geodetic
 from foundation.types import Array, Setpoint, TrajectorySetpoint
 
-_CONTROLS = 16
-"""Of HIL_ACTUATOR_CONTROLS"""
 _FENCE_WARNS = 1
 """Values of GF_ACTION up to this one do not restrict targets."""
 _HEIGHT_MAX_M = 1e5
@@ -87,7 +86,7 @@ class Pilot:
     def controls(self) -> list[float]:
         """Controls (16,) of HIL_ACTUATOR_CONTROLS."""
         motors = self.controller.controls
-        return motors + [0.0] * (_CONTROLS - len(motors))
+        return motors + [0.0] * (MOST_ROTORS - len(motors))
 
     # ---- requests in flight; the result is the reason for refusal or None
 

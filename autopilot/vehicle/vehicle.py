@@ -434,7 +434,11 @@ class Vehicle:
         if extension is None:
             return FlightController(control)
         return UserFlightController(
-            control, make=extension.make, title=extension.title, instance=self.config.instance
+            control,
+            make=extension.make,
+            title=extension.title,
+            instance=self.config.instance,
+            airframe=self.config.airframe,
         )
 
     def _actuators(self, now_us: int) -> HilActuatorControls:

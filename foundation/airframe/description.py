@@ -13,10 +13,12 @@ from foundation.types import Vector
 
 MOST_ROTORS = 16
 """Controls in HIL_ACTUATOR_CONTROLS."""
-LEAST_ROTORS = 3
+LEAST_ROTORS = 4
+"""Thrust and three torques are four demands; tilting a rotor by a servo is not modelled."""
 GRAVITY_M_S2 = 9.8066
-"""Of the simulated world, for hover values."""
-AIR_DENSITY_KG_M3 = 1.225
+"""Of the simulated world: the value of Gazebo-classic's worlds."""
+SEA_LEVEL_DENSITY_KG_M3 = 1.225
+"""Air density for which `Propulsion.thrust_n_s2` is given."""
 CELL_V = 3.7
 """Voltage of a lithium-polymer cell under load, for currents that are derived."""
 MOTOR_AND_BLADE_EFFICIENCY = 0.5
@@ -26,6 +28,8 @@ CLEARANCE_M = 0.05
 """Between the discs of two vehicles at their places."""
 LEAST_UPRIGHT = 0.5
 """Least cosine between a rotor's axis and the upward direction of the body."""
+MOST_HOVER_SHARE = 0.8
+"""Greatest share of the thrust range in hover, that of PX4's MPC_THR_HOVER."""
 
 Inertia = Annotated[float, Meta(ge=1e-9, le=1e5)]
 Speed = Annotated[float, Meta(gt=0.0, le=1e5)]
@@ -150,7 +154,7 @@ class Battery(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 class Gains(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The ``[gains]`` table; what is missing is derived by `autopilot.control.airframe_gains`."""
 
-    hover_thrust: Annotated[float, Meta(ge=0.1, le=0.8)] | None = None
+    hover_thrust: Annotated[float, Meta(ge=0.1, le=MOST_HOVER_SHARE)] | None = None
     """MPC_THR_HOVER: thrust above idle over its range in hover."""
     thrust_lag_s: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
     """Time constant of the thrust in the disturbance observer."""
@@ -260,7 +264,7 @@ class Airframe(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             return self.battery.motor_current_a
         thrust_n = self.propulsion.thrust_n_s2 * self.current_speed_rad_s**2
         area_m2 = math.pi * self.propulsion.radius_m**2
-        induced_m_s = math.sqrt(thrust_n / (2.0 * AIR_DENSITY_KG_M3 * area_m2))
+        induced_m_s = math.sqrt(thrust_n / (2.0 * SEA_LEVEL_DENSITY_KG_M3 * area_m2))
         return thrust_n * induced_m_s / (MOTOR_AND_BLADE_EFFICIENCY * CELL_V * self.battery.cells)
 
     @property
@@ -270,7 +274,3 @@ class Airframe(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             return self.battery.average_current_a
         of_motor_a = self.motor_current_a * (self.hover_rad_s / self.current_speed_rad_s) ** 3
         return self.battery.avionics_current_a + len(self.rotors) * of_motor_a
-
-
-MOST_HOVER_SHARE = 0.8
-"""Greatest share of the thrust range in hover, that of PX4's MPC_THR_HOVER."""

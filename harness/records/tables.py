@@ -209,6 +209,6 @@ def _labels(name: str, count: int) -> tuple[str, ...]:
         return ("w", "x", "y", "z")
     if "frd" in name:
         return ("f", "r", "d")
-    if count == 3 and not name.startswith("rotor"):
+    if count == 3:
         return ("n", "e", "d")
     return tuple(str(k) for k in range(count))

@@ -24,7 +24,7 @@ from harness.world.faults import EXPECTED
 from netsim.radio_models import registry
 
 ARRAYS_OF_TABLES = ("faults", "wind.gusts", "onboard.programs")
-_EXPECTED = {**EXPECTED, r"formation\.motion\.kind": "one of track, racetrack"}
+_EXPECTED = {**EXPECTED, **registry.EXPECTED, r"formation\.motion\.kind": "one of track, racetrack"}
 
 
 def read_table(path: Path) -> dict[str, Any]:

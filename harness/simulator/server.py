@@ -42,6 +42,7 @@ from harness.simulator.messages import (
 from harness.simulator.profile_groups import PROFILE_GROUPS
 from harness.simulator.response_watchdog import ResponseWatchdog
 from harness.simulator.simulation import Simulation, run
+from netsim.radio_models import registry
 from netsim.transport.interval_stream import time_masters_end
 
 PROGRESS_PERIOD_S = 0.2
@@ -375,7 +376,12 @@ def main() -> int:
         )
         applications, states = map(_sockets, (arguments.application_fds, arguments.state_fds))
         serve(config, listeners, own_listener, clock, applications, states)
-    except (ConnectTimeout, RadioSilent, OSError, ValueError) as error:
+    except RadioSilent as error:
+        users = [f"{field} {name}" for field, (name, _) in registry.named(config.scenario.radio).items()]
+        calls = f"; it calls {', '.join(users)}" if users else ""
+        print(f"physics: {error}{calls}", file=sys.stderr)
+        return 2
+    except (ConnectTimeout, OSError, ValueError) as error:
         print(f"physics: {in_words(error) if isinstance(error, OSError) else error}", file=sys.stderr)
         return 2
     return 0

@@ -23,6 +23,14 @@ def describe(error: BaseException) -> str:
     return f"{type(error).__name__}: {text} at {last.filename}:{last.lineno}"
 
 
+def _read_only(argument: object) -> object:
+    if not isinstance(argument, np.ndarray):
+        return argument
+    view = argument.view()
+    view.flags.writeable = False
+    return view
+
+
 class _Checked:
     """A model that ``field`` of the scenario selects by ``name``."""
 
@@ -31,10 +39,13 @@ class _Checked:
         self._at = f"{field}: {name}"
 
     def _call(self, method: str, *arguments: object) -> Any:  # noqa: ANN401
-        """Return the result of a method. Raises ExtensionError if the method raises an exception."""
+        """Return the result of a method. Raises ExtensionError if the method raises an exception.
+
+        Arrays are passed as views that the method cannot change: they belong to the emulator.
+        """
         try:
-            return getattr(self._model, method)(*arguments)
-        except Exception as error:
+            return getattr(self._model, method)(*map(_read_only, arguments))
+        except (Exception, SystemExit) as error:
             raise ExtensionError(f"{self._at}.{method} raised {describe(error)}") from error
 
     def _array(self, method: str, shape: tuple[int, ...], what: str, *arguments: object) -> Doubles:
@@ -65,7 +76,25 @@ class _Checked:
         raise ExtensionError(f"{self._at}.{method} returned {values[first]:g}{at}; expected {expected}")
 
 
-class CheckedPathLoss(_Checked):
+class _CheckedLinks(_Checked):
+    """A model of links between positions."""
+
+    def check_reciprocity(
+        self, method: str, from_ned_m: Doubles, to_ned_m: Doubles, distance_m: Doubles
+    ) -> None:
+        """Call a method for both directions. Raises ExtensionError if the results differ."""
+        call = getattr(self, method)
+        there_db, back_db = call(from_ned_m, to_ned_m, distance_m), call(to_ned_m, from_ned_m, distance_m.T).T
+        different = ~np.isclose(there_db, back_db, rtol=1e-6, atol=1e-6)
+        if different.any():
+            i, j = np.argwhere(different)[0]
+            raise ExtensionError(
+                f"{self._at}.{method} returned {there_db[i, j]:g} dB from {from_ned_m[i].tolist()} to "
+                f"{to_ned_m[j].tolist()}, and {back_db[i, j]:g} dB back; expected equal values"
+            )
+
+
+class CheckedPathLoss(_CheckedLinks):
     """See `netsim.phy.interfaces.PathLoss`."""
 
     def loss_db(self, from_ned_m: Doubles, to_ned_m: Doubles, distance_m: Doubles) -> Doubles:
@@ -77,7 +106,7 @@ class CheckedPathLoss(_Checked):
         return losses_db
 
 
-class CheckedShadowing(_Checked):
+class CheckedShadowing(_CheckedLinks):
     """See `netsim.phy.interfaces.Shadowing`."""
 
     def gain_db(self, from_ned_m: Doubles, to_ned_m: Doubles, distance_m: Doubles) -> Doubles:
@@ -134,7 +163,7 @@ class CheckedErrorModel(_Checked):
         def checked(snr_db: float) -> float:
             try:
                 hazard = float(function(snr_db))
-            except Exception as error:
+            except (Exception, SystemExit) as error:
                 raise ExtensionError(f"{self._at}.hazard({mode.name}) raised {describe(error)}") from error
             if not 0.0 <= hazard < inf:
                 raise ExtensionError(

@@ -72,17 +72,18 @@ class LossGrid:
         away_m = np.linalg.norm(points_m - grid.transmitters_m[:, None, None, None], axis=-1)
         free_db = friis_loss_db(REFERENCE_DISTANCE_M, file_mhz) + _spread_db(away_m)
         excess_db = np.where(np.isfinite(grid.gains_db), -grid.gains_db - free_db, settings.no_path_loss_db)
-        self._last_ned_m: Doubles | None = None
+        self._last_ned_m: Doubles = np.empty((0, 3))
         self._last_samples: tuple[Doubles, Doubles]
         """Weights and excess losses of the last receivers."""
         self._excess_db = RegularGridInterpolator(grid.axes_m, np.moveaxis(excess_db, 0, -1))
 
     def loss_db(self, from_ned_m: Doubles, to_ned_m: Doubles, distance_m: Doubles) -> Doubles:
         """See `netsim.phy.interfaces.PathLoss`."""
-        if to_ned_m is not self._last_ned_m:  # the same for the links of all sources at a time
+        if not np.array_equal(to_ned_m, self._last_ned_m):  # equal for the links of all sources at a time
             self._last_ned_m, self._last_samples = to_ned_m, self._samples(to_ned_m)
         to_weights, to_db = self._last_samples
-        from_weights, from_db = self._last_samples if from_ned_m is to_ned_m else self._samples(from_ned_m)
+        same = np.array_equal(from_ned_m, to_ned_m)
+        from_weights, from_db = self._last_samples if same else self._samples(from_ned_m)
         sums = from_weights @ to_db.T + from_db @ to_weights.T
         weights = from_weights.sum(axis=1)[:, None] + to_weights.sum(axis=1)
         return np.asarray(np.maximum(self._reference_db + _spread_db(distance_m) + sums / weights, 0.0))

@@ -37,6 +37,8 @@ def read_grid(path: Path) -> GridFile:
         raise ValueError(f"{path}: not NetCDF: {' '.join(str(error).split())}") from None
     except ValueError as error:
         reason = str(error).splitlines()[0]
+        if reason.startswith("did not find a match in any of xarray's"):
+            reason = "not NetCDF"
         raise ValueError(f"{path}: {reason}") from None
 
 
@@ -54,20 +56,32 @@ def _grid(dataset: xr.Dataset) -> GridFile:
     gains = gains.transpose(TRANSMITTER, *AXES)
     axes_m = [np.asarray(dataset[axis], np.float64) for axis in AXES]
     for name, axis_m in zip(AXES, axes_m, strict=True):
-        if axis_m.ndim != 1 or len(axis_m) < 2 or not (np.diff(axis_m) > 0.0).all():
-            raise ValueError(f"{name}: expected at least two increasing coordinates")
+        increasing = axis_m.ndim == 1 and len(axis_m) >= 2 and (np.diff(axis_m) > 0.0).all()
+        if not (increasing and np.isfinite(axis_m).all()):
+            raise ValueError(f"{name}: expected at least two increasing, finite coordinates")
     places = [np.atleast_1d(np.asarray(dataset[f"{TRANSMITTER}_{axis}"], np.float64)) for axis in AXES]
-    if any(place.shape != (len(gains),) for place in places):
+    if not len(gains) or any(place.shape != (len(gains),) for place in places):
         raise ValueError(
-            f"transmitter_east_m and others: expected one value for each of {len(gains)} transmitters"
+            f"transmitter_east_m and others: expected one value for each of {max(len(gains), 1)} transmitters"
         )
     transmitters_m = np.stack(places, axis=1)
     if not np.isfinite(transmitters_m).all():
         raise ValueError("transmitter_east_m and others: expected finite coordinates")
-    frequency_mhz = dataset.attrs.get("frequency_mhz")
+    gains_db = np.asarray(gains, np.float64)
+    if not np.isfinite(gains_db).any():
+        raise ValueError(f"{GAIN}: no point has a path; expected gains in dB")
     return GridFile(
         axes_m=(axes_m[0], axes_m[1], axes_m[2]),
-        gains_db=np.asarray(gains, np.float64),
+        gains_db=gains_db,
         transmitters_m=transmitters_m,
-        frequency_mhz=None if frequency_mhz is None else float(frequency_mhz),
+        frequency_mhz=_frequency_mhz(dataset.attrs.get("frequency_mhz")),
     )
+
+
+def _frequency_mhz(attribute: object) -> float | None:
+    if attribute is None:
+        return None
+    try:
+        return float(np.asarray(attribute, np.float64).reshape(()))
+    except ValueError:
+        raise ValueError(f"attribute frequency_mhz: {attribute!r}; expected a number") from None

@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from foundation.extensions import ExtensionError, convert, is_path, load, registered
+from foundation.extensions import ExtensionError, check_bounded, convert, is_path, load, registered
 from netsim.model.config import RadioConfig, RadioModel
 from netsim.model.random_streams import Model, RandomStreams
 from netsim.phy.antenna import Dipole
@@ -45,6 +45,8 @@ STREAMS = {
     "antenna": Model.ANTENNA,
 }
 """Kinds of models, which are fields of ``[radio]``, with the streams of their random generators."""
+EXPECTED = {rf"radio\.({'|'.join(STREAMS)})": "the name of a model, or a table with model and settings"}
+"""Expected values of fields, for `harness.scenario.validation_errors.explain`."""
 METHODS = {
     "path_loss": ("loss_db(from_ned_m, to_ned_m, distance_m)",),
     "shadowing": ("gain_db(from_ned_m, to_ned_m, distance_m)",),
@@ -128,27 +130,36 @@ def with_folder(config: RadioConfig, folder: Path) -> RadioConfig:
 def check_models(config: RadioConfig, stations: int) -> None:
     """Create the models that are not built in, and call each once with a few positions.
 
-    Raises ExtensionError as `make_models`.
+    Raises ExtensionError as `make_models`, and for a model that does not return.
     """
+    for kind in STREAMS:
+        name = chosen(config, kind).model
+        if name not in BUILT_IN[kind]:
+            check_bounded(partial(_check_model, config, stations, kind), f"radio.{kind}: {name}")
+        else:
+            _create(config, stations, RandomStreams(np.random.SeedSequence(0)), kind)
+
+
+def _check_model(config: RadioConfig, stations: int, kind: str) -> None:
+    """Create a model, and call its methods with a few positions."""
     streams = RandomStreams(np.random.SeedSequence(0))
     from_ned_m = np.array([(0.0, 0.0, -10.0), (30.0, 0.0, -10.0)])
     to_ned_m = np.array([(0.0, 50.0, -20.0), (300.0, 400.0, -5.0), (2.0, 2.0, -1.0)])
     distance_m = np.linalg.norm(to_ned_m - from_ned_m[:, None], axis=2)
-    for kind in STREAMS:
-        match _create(config, stations, streams, kind):
-            case CheckedPathLoss() as model:
-                model.loss_db(from_ned_m, to_ned_m, distance_m)
-            case CheckedShadowing() as model:
-                model.gain_db(from_ned_m, to_ned_m, distance_m)
-            case CheckedAntennaPattern() as model:
-                model.gain_db(np.stack((np.eye(3), -np.eye(3))))
-            case CheckedFading() as model:
-                model.move(0, np.zeros((stations, 3)), np.zeros((stations, 3)))
-                model.gains(0, 0)
-            case CheckedErrorModel() as model:
-                hazard = model.hazard(phy_mode(config.control_mode, config.bandwidth_mhz))
-                for snr_db in (-10.0, 5.0, 20.0):
-                    hazard(snr_db)
+    match _create(config, stations, streams, kind):
+        case CheckedPathLoss() as model:
+            model.check_reciprocity("loss_db", from_ned_m, to_ned_m, distance_m)
+        case CheckedShadowing() as model:
+            model.check_reciprocity("gain_db", from_ned_m, to_ned_m, distance_m)
+        case CheckedAntennaPattern() as model:
+            model.gain_db(np.stack((np.eye(3), -np.eye(3))))
+        case CheckedFading() as model:
+            model.move(0, np.zeros((stations, 3)), np.zeros((stations, 3)))
+            model.gains(0, 0)
+        case CheckedErrorModel() as model:
+            hazard = model.hazard(phy_mode(config.control_mode, config.bandwidth_mhz))
+            for snr_db in (-10.0, 5.0, 20.0):
+                hazard(snr_db)
 
 
 def chosen(config: RadioConfig, kind: str) -> RadioModel:
@@ -244,6 +255,7 @@ def _instance(found: object, choice: RadioModel, context: RadioContext, field: s
     except ValueError as error:
         text = " ".join(str(error).split())
         known = text.partition(":")[0] in choice.settings
-        raise ExtensionError(f"{field}.settings{'.' if known else ': '}{text}") from error
-    except Exception as error:
+        where = f"{field}.settings." if known else f"{field}: {name}: "
+        raise ExtensionError(f"{where}{text}") from error
+    except (Exception, SystemExit) as error:
         raise ExtensionError(f"{field}: {name} raised {describe(error)}") from error

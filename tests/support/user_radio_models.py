@@ -1,5 +1,7 @@
 """Models of the radio as a user writes them, right and wrong ones."""
 
+import sys
+import threading
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -107,6 +109,9 @@ class Drawn:
 
 # --- wrong ones
 
+UNTIL = threading.Event()
+"""Set to let `waits` return."""
+
 
 class WithoutMethod:
     pass
@@ -147,6 +152,32 @@ def no_array(_distance_m):
 
 def raises(distance_m):
     return distance_m / {}
+
+
+def exits(_distance_m):
+    sys.exit(3)
+
+
+def changes_distances(distance_m):
+    distance_m += 5.0
+    return 60.0 + distance_m
+
+
+def waits(distance_m):
+    UNTIL.wait()
+    return 60.0 + 0.0 * distance_m
+
+
+class RefusesRadio:
+    def __init__(self, _radio):
+        raise ValueError("5 GHz only")
+
+
+class UpwardsOnly:
+    """A loss that differs between the two directions of a link."""
+
+    def loss_db(self, from_ned_m, to_ned_m, distance_m):
+        return 60.0 + np.maximum(to_ned_m[:, 2] - from_ned_m[:, None, 2], 0.0) + 0.0 * distance_m
 
 
 def fine_until_far(distance_m):

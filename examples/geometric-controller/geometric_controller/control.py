@@ -36,7 +36,7 @@ TORQUE_MAX = 1.5
 
 
 class Settings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Gains, and the properties of the Iris."""
+    """Gains."""
 
     position_1_s2: tuple[Positive, Positive, Positive] = (2.5, 2.5, 4.0)
     """Acceleration per position error; north, east, down."""
@@ -48,10 +48,6 @@ class Settings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Angular acceleration per body rate error, about roll and pitch; yaw has half of it."""
     position_error_max_m: Positive = 2.0
     """Greater position errors count as this one, per axis."""
-    inertia_kg_m2: tuple[Positive, Positive, Positive] = (0.029125, 0.029125, 0.055225)
-    """About FRD axes."""
-    rotor_thrust_n: Positive = 7.0
-    """Full thrust of one rotor above idle."""
 
 
 class GeometricController:
@@ -62,8 +58,8 @@ class GeometricController:
     def __init__(self, context: ControllerContext, settings: Settings) -> None:
         self._settings = settings
         self._params = context.params.position
-        self._inertia = np.array(settings.inertia_kg_m2)
-        self._torque_nm = np.array(context.unit_torque_m) * settings.rotor_thrust_n
+        self._inertia = np.array(context.airframe.inertia_kg_m2)
+        self._torque_nm = np.array(context.unit_torque_m) * context.airframe.propulsion.range_n
         """(3,) torque of a normalised demand of 1."""
         self._attitude_gain = settings.attitude_1_s2 * np.array((1.0, 1.0, 0.2))
         self._rate_gain = settings.rate_1_s * np.array((1.0, 1.0, 0.5))
@@ -88,6 +84,8 @@ class GeometricController:
                 # equation (15): the component of the demanded force along the present thrust axis
                 share = max(-float(force_ned @ attitude[:, 2]), 0.0) / GRAVITY_M_S2
                 thrust = max(inputs.hover_thrust * share, self._params.thr_min)
+            if not inputs.controls_yaw:  # an error of half a turn would hide those of roll and pitch
+                desired = frame(-desired[:, 2], math.atan2(attitude[1, 0], attitude[0, 0]))
             desired_frd = attitude.T @ (setpoint.yaw_rate_rad_s * DOWN)
             error = attitude_error(attitude, desired)
         alpha = -self._attitude_gain * error - self._rate_gain * (omega_frd - desired_frd)

@@ -23,6 +23,7 @@ from coflight import (
     RateSetpoint,
     TrajectorySetpoint,
 )
+from foundation.airframe.files import IRIS
 
 PARAMS = ControlParams()
 ZERO = np.zeros(3)
@@ -31,11 +32,11 @@ HOVER_THRUST = 0.53
 
 
 def controller(settings=None):
-    context = ControllerContext(instance=0, rotors=4, unit_torque_m=unit_torque_m(PARAMS), params=PARAMS)
+    context = ControllerContext(instance=0, airframe=IRIS, unit_torque_m=unit_torque_m(PARAMS), params=PARAMS)
     return GeometricController(context, settings or Settings())
 
 
-def inputs(setpoint, *, yaw_rad=0.0, **state):
+def inputs(setpoint, *, yaw_rad=0.0, controls_yaw=True, **state):
     values = {
         "q_ned_frd": LEVEL, "vel_ned_m_s": ZERO, "pos_ned_m": ZERO, "omega_frd_rad_s": ZERO,
         "acc_ned_m_s2": ZERO, "gyro_bias_rad_s": ZERO, "accel_bias_m_s2": ZERO, "pos_std_m": ZERO,
@@ -46,7 +47,7 @@ def inputs(setpoint, *, yaw_rad=0.0, **state):
     return ControllerInputs(
         state=EstimatorState(**(values | state)), setpoint=setpoint, yaw_rad=yaw_rad, dt_s=0.004,
         landed=False, climb_max_m_s=math.inf, hover_thrust=HOVER_THRUST, disturbance_ned_m_s2=ZERO,
-        unallocated=ZERO,
+        unallocated=ZERO, controls_yaw=controls_yaw,
     )  # fmt: skip
 
 
@@ -72,8 +73,8 @@ def test_the_wind_is_held_off_by_a_tilt_against_it():
 
 def test_the_attitude_converges_from_any_attitude_within_a_quarter_turn():
     rng, own = np.random.default_rng(1), controller()
-    inertia = np.array(Settings().inertia_kg_m2)
-    unit_nm = np.array(unit_torque_m(PARAMS)) * Settings().rotor_thrust_n
+    inertia = np.array(IRIS.inertia_kg_m2)
+    unit_nm = np.array(unit_torque_m(PARAMS)) * IRIS.propulsion.range_n
     for _ in range(20):
         desired = random_attitude(rng)
         axis = rng.standard_normal(3)

@@ -6,10 +6,8 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from autopilot.estimation import atmosphere
+from foundation.airframe.description import SEA_LEVEL_DENSITY_KG_M3
 from foundation.types import Array
-
-SEA_LEVEL_DENSITY_KG_M3 = 1.225
-"""Air density for which the rotors' constants hold: Gazebo's motor model has no other."""
 
 
 class EnvironmentConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

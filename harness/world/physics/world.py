@@ -12,7 +12,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from foundation.airframe.description import Airframe
+from foundation.airframe.description import GRAVITY_M_S2, Airframe
 from foundation.types import Array
 from harness.world.physics.bodies import BODY
 from harness.world.physics.bullet import NO_TOUCHES, Bullet, Touches
@@ -21,8 +21,6 @@ from harness.world.physics.rotors import kernel_model, most_rotors
 from harness.world.physics.stepping import StepModel, finish_step, fly
 from harness.world.physics.truth import TRUTH, Contact, Truth
 
-GRAVITY_M_S2 = 9.8066
-"""Value of Gazebo-classic's worlds."""
 REACH_DIAGONALS = 2.0
 """Distance between two vehicles, in diagonals of the largest vehicle's shape, within which Bullet steps them;
 half of it is the height above the ground. Vehicles touch within one diagonal, and Bullet searches contacts at

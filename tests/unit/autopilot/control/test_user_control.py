@@ -8,8 +8,10 @@ from control_fixtures import DT_S, Gusts, Iris, estimate
 from user_extensions import CascadeAgain
 
 from autopilot.control import ControlParams, FlightController
+from autopilot.control.airframe_gains import acceleration_rad_s2, control_params
 from autopilot.control.controller import TORQUE_MAX, ThrustTorque
 from autopilot.control.user_control import UserFlightController, unit_torque_m
+from foundation.airframe.files import load
 from foundation.extension_failure import ExtensionFailure
 from foundation.geometry.rotations import quat_from_euler
 from foundation.types import AttitudeSetpoint, RateSetpoint, TrajectorySetpoint
@@ -117,12 +119,32 @@ def test_a_unit_of_torque_is_that_of_the_rotors_thrusts():
     factor = PARAMS.allocation.thrust_model_factor
     thrusts = factor * motors**2 + (1.0 - factor) * motors  # relative to a rotor's full thrust
     moments = [
-        np.cross(rotor.pos_frd_m, (0.0, 0.0, -thrust)) + np.array((0.0, 0.0, rotor.torque_ratio_m * thrust))
+        np.cross(rotor.position_frd_m, (0.0, 0.0, -thrust))
+        + np.array((0.0, 0.0, rotor.direction * PARAMS.allocation.moment_m * thrust))
         for rotor, thrust in zip(PARAMS.allocation.rotors, thrusts, strict=True)
     ]
     np.testing.assert_allclose(np.sum(moments, axis=0), torque * unit_torque_m(PARAMS), atol=1e-12)
     assert thrusts.mean() == pytest.approx(0.5)
     assert controller.thrust == pytest.approx(0.5)
+
+
+def test_a_controller_knows_its_airframe_and_that_yaw_is_given_up():
+    hexacopter, recorder, contexts = load("hexacopter"), Recorder(), []
+    controller = UserFlightController(
+        control_params(hexacopter),
+        make=lambda context: contexts.append(context) or recorder,
+        title="autopilot.controller my:Own",
+        instance=0,
+        airframe=hexacopter,
+    )
+    assert contexts[0].airframe is hexacopter
+    unit_n_m = np.array(contexts[0].unit_torque_m) * hexacopter.propulsion.range_n
+    np.testing.assert_allclose(unit_n_m / hexacopter.inertia_kg_m2, acceleration_rad_s2(hexacopter))
+    air = estimate(pos_ned_m=(0.0, 0.0, -5.0))
+    controller.update(air, LEVEL, dt_s=DT_S, landed=False)
+    controller.remove_motors(frozenset({1}))
+    controller.update(air, LEVEL, dt_s=DT_S, landed=False)
+    assert [each.controls_yaw for each in recorder.inputs] == [True, False]
 
 
 def test_the_part_of_a_demand_that_the_rotors_cannot_produce_is_reported():

@@ -93,6 +93,15 @@ def test_a_wrong_file_is_one_line_with_file_and_field(tmp_path, old, new, messag
     assert "\n" not in str(caught.value)
 
 
+def test_three_rotors_are_refused(tmp_path):
+    """They cannot produce thrust and three torques independently."""
+    head, *rotors = TEXT.split("[[rotors]]")
+    path = tmp_path / "tri.toml"
+    path.write_text("[[rotors]]".join((head, *rotors[1:])))
+    with pytest.raises(AirframeError, match="rotors: expected `array` of length >= 4"):
+        load("tri.toml", tmp_path)
+
+
 def test_what_does_not_exist_is_named():
     with pytest.raises(
         AirframeError, match=r"there is no airframe 'x501'; expected one of crazyflie, .*x500"

@@ -10,13 +10,14 @@ from msgspec import structs
 from world_truth import truth_with
 
 from autopilot.parameters.config import Site
+from foundation.airframe.description import GRAVITY_M_S2
 from foundation.airframe.files import IRIS
 from foundation.geometry.rotations import quat_from_rotation_vector
 from harness.world.physics.bodies import BODY
 from harness.world.physics.environment import EnvironmentConfig, Surroundings
 from harness.world.physics.rotors import ground_effect, kernel_model, wrenches
 from harness.world.physics.truth import TRUTH
-from harness.world.physics.world import GRAVITY_M_S2, World
+from harness.world.physics.world import World
 from harness.world.sensors.config import SensorsConfig
 from harness.world.sensors.suite import SensorSuite
 from harness.world.wind.turbulence import Turbulence, TurbulenceScales

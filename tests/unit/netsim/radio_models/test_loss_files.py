@@ -212,8 +212,8 @@ def test_a_file_of_one_transmitter_needs_no_dimension_for_it(tmp_path):
         ),
         (lambda data: data.drop_vars("transmitter_up_m"), "no variable transmitter_up_m; expected "),
         (lambda data: data.isel(up_m=0), "path_gain_db has the dimensions "),
-        (lambda data: data.isel(up_m=[0]), "up_m: expected at least two increasing coordinates"),
-        (lambda data: data.isel(up_m=[1, 0]), "up_m: expected at least two increasing coordinates"),
+        (lambda data: data.isel(up_m=[0]), "up_m: expected at least two increasing, finite coordinates"),
+        (lambda data: data.isel(up_m=[1, 0]), "up_m: expected at least two increasing, finite coordinates"),
         (
             lambda data: data.isel(transmitter=0).assign(path_gain_db=data["path_gain_db"]),
             "transmitter_east_m and",
@@ -222,6 +222,15 @@ def test_a_file_of_one_transmitter_needs_no_dimension_for_it(tmp_path):
             lambda data: data.assign_attrs(frequency_mhz=2437.0),
             "it is for 2437 MHz; radio.frequency_mhz is",
         ),
+        (
+            lambda data: data.assign_attrs(frequency_mhz="C band"),
+            "attribute frequency_mhz: 'C band'; exp",
+        ),
+        (
+            lambda data: data.isel(transmitter=[]),
+            "transmitter_east_m and others: expected one value",
+        ),
+        (lambda data: data.assign(path_gain_db=data["path_gain_db"] - np.inf), "path_gain_db: no point has"),
         (lambda data: -data, "path gains of up to "),
     ],
 )

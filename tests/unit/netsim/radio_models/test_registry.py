@@ -1,13 +1,15 @@
 """Models are found by name; each error is one line with the field, the model and what is expected."""
 
 import sys
+import threading
+from functools import partial
 
 import msgspec
 import numpy as np
 import pytest
 from netsim_swarm import Swarm
 
-from foundation.extensions import ExtensionError
+from foundation.extensions import ExtensionError, check_bounded
 from harness.scenario.scenario import ScenarioError
 from harness.scenario.scenario_file import load as load_scenario
 from netsim.model.config import RadioConfig, RadioModel
@@ -55,6 +57,10 @@ def test_built_in_names_are_those_of_the_fields_before():
         ("path_loss", f"{OWN}:gain_above_one", None, "expected losses of 0 dB or more, since less is a"),
         ("path_loss", f"{OWN}:no_array", None, ".loss_db returned str; expected an array of floats, a loss"),
         ("path_loss", f"{OWN}:raises", None, ".loss_db raised TypeError: "),
+        ("path_loss", f"{OWN}:exits", None, ".loss_db raised SystemExit: 3 at "),
+        ("path_loss", f"{OWN}:changes_distances", None, ".loss_db raised ValueError: output array is read-"),
+        ("path_loss", f"{OWN}:RefusesRadio", None, "RefusesRadio: 5 GHz only"),
+        ("path_loss", f"{OWN}:UpwardsOnly", None, "returned 60 dB from [0.0, 0.0, -10.0] to [0.0, 50.0"),
         ("shadowing", f"{OWN}:InfiniteShadow", None, ".gain_db returned -inf at a distance of 50.99"),
         ("antenna", f"{OWN}:InfiniteGain", None, ".gain_db returned inf; expected gains in dB, or -inf"),
         ("fading", f"{OWN}:NegativeFading", None, ".gains returned -0.5; expected linear power gains of 0"),
@@ -64,6 +70,16 @@ def test_built_in_names_are_those_of_the_fields_before():
 )  # fmt: skip
 def test_each_error_is_one_line(kind, model, settings, expected):
     assert expected in refusal(kind, model, settings)
+
+
+def test_a_model_that_does_not_return_is_given_up(monkeypatch):
+    released = threading.Event()
+    monkeypatch.setattr("user_radio_models.UNTIL", released)
+    monkeypatch.setattr("netsim.radio_models.registry.check_bounded", partial(check_bounded, limit_s=0.2))
+    assert refusal("path_loss", f"{OWN}:waits").endswith(
+        f"{OWN}:waits does not return; it was given 0.2 s of wall time"
+    )
+    released.set()
 
 
 def test_an_error_during_the_run_names_the_model_too():

@@ -5,12 +5,13 @@ import itertools
 import numpy as np
 import pytest
 
+from foundation.airframe.description import GRAVITY_M_S2
 from foundation.airframe.files import IRIS
 from foundation.geometry.rotations import quat_rotate
 from harness.world.physics.bodies import BODY, near_something
 from harness.world.physics.bullet import Bullet
 from harness.world.physics.free_flight import MOST_RATE, coast
-from harness.world.physics.world import GRAVITY_M_S2, RELEASE_RATIO, World
+from harness.world.physics.world import RELEASE_RATIO, World
 
 INERTIA = np.array(IRIS.inertia_kg_m2)
 MASSES = np.full(60, IRIS.mass_kg), np.tile(INERTIA, (60, 1))

@@ -5,12 +5,13 @@ import pytest
 from airframe_changes import changed
 from msgspec import structs
 
+from foundation.airframe.description import GRAVITY_M_S2
 from foundation.airframe.files import IRIS, load, names
 from foundation.geometry.rotations import quat_from_rotation_vector, quat_rotate
 from harness.world.physics.bodies import BODY
 from harness.world.physics.environment import Surroundings
 from harness.world.physics.rotors import kernel_model, wrenches
-from harness.world.physics.world import GRAVITY_M_S2, World
+from harness.world.physics.world import World
 
 STEP_US = 4_000
 ALL = [load(name) for name in names()]

@@ -5,9 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from foundation.airframe.description import GRAVITY_M_S2
 from foundation.airframe.files import IRIS
 from foundation.geometry.rotations import quat_from_rotation_vector, quat_multiply, quat_rotate
-from harness.world.physics.world import GRAVITY_M_S2, World
+from harness.world.physics.world import World
 
 STEP_US = 4_000
 STEP_S = 0.004
