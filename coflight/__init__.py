@@ -46,34 +46,50 @@ if TYPE_CHECKING:
     from harness.launch.truth import SwarmTruth
     from harness.scenario.scenario import Scenario, ScenarioError
     from harness.scenario.scenario_file import load as load_scenario
+    from harness.world.faults import UserFault
+    from harness.world.interfaces import (
+        AutopilotSensor,
+        Effects,
+        FaultModel,
+        Reading,
+        Sensor,
+        SensorFaultModel,
+        WorldContext,
+        WorldInputs,
+    )
+    from harness.world.obstacles import Obstacles
     from harness.world.physics.interface import Physics
     from netsim.emulator.interface import NetworkEmulator
     from netsim.phy.interfaces import AntennaPattern, ErrorModel, Fading, PathLoss, RadioContext, Shadowing
     from netsim.transport.guest import Guest
 
 __all__ = [
-    "AntennaPattern", "Application", "AttitudeSetpoint", "Campaign", "Condition", "Controller",
-    "ControllerContext", "ControllerInputs", "Course", "ErrorModel", "EstimatorState", "Fading", "FlightMode",
-    "FlightModeBehaviour", "Guest", "MavlinkService", "ModeContext", "ModeEntry", "ModeInputs",
-    "ModeTraits", "NetworkEmulator", "OneProcessSwarm", "PathLoss", "Physics", "RadioContext",
-    "RateSetpoint", "Scenario", "ScenarioError", "ServiceContext", "SetupError", "Shadowing", "StopMode",
-    "Swarm", "SwarmError", "SwarmTimeoutError", "SwarmTruth", "ThrustTorque", "TrajectorySetpoint",
-    "load_scenario",
+    "AntennaPattern", "Application", "AttitudeSetpoint", "AutopilotSensor", "Campaign", "Condition",
+    "Controller", "ControllerContext", "ControllerInputs", "Course", "Effects", "ErrorModel",
+    "EstimatorState", "Fading", "FaultModel", "FlightMode", "FlightModeBehaviour", "Guest",
+    "MavlinkService", "ModeContext", "ModeEntry", "ModeInputs", "ModeTraits", "NetworkEmulator",
+    "Obstacles", "OneProcessSwarm", "PathLoss", "Physics", "RadioContext", "RateSetpoint", "Reading",
+    "Scenario", "ScenarioError", "Sensor", "SensorFaultModel", "ServiceContext", "SetupError",
+    "Shadowing", "StopMode", "Swarm", "SwarmError", "SwarmTimeoutError", "SwarmTruth", "ThrustTorque",
+    "TrajectorySetpoint", "UserFault", "WorldContext", "WorldInputs", "load_scenario",
 ]  # fmt: skip
 
 _PLACES = {
     "AntennaPattern": "netsim.phy.interfaces:AntennaPattern",
     "Application": "autopilot.onboard.application:Application",
     "AttitudeSetpoint": "foundation.types:AttitudeSetpoint",
+    "AutopilotSensor": "harness.world.interfaces:AutopilotSensor",
     "Campaign": "harness.campaign:Campaign",
     "Condition": "autopilot.commander.arming_checks:Condition",
     "Controller": "autopilot.control.controller:Controller",
     "ControllerContext": "autopilot.control.controller:ControllerContext",
     "ControllerInputs": "autopilot.control.controller:ControllerInputs",
     "Course": "foundation.types:Course",
+    "Effects": "harness.world.interfaces:Effects",
     "ErrorModel": "netsim.phy.interfaces:ErrorModel",
     "EstimatorState": "foundation.types:EstimatorState",
     "Fading": "netsim.phy.interfaces:Fading",
+    "FaultModel": "harness.world.interfaces:FaultModel",
     "FlightMode": "autopilot.mavlink.modes:FlightMode",
     "FlightModeBehaviour": "autopilot.navigation.flight_mode:FlightModeBehaviour",
     "Guest": "netsim.transport.guest:Guest",
@@ -83,13 +99,17 @@ _PLACES = {
     "ModeInputs": "autopilot.navigation.flight_mode:ModeInputs",
     "ModeTraits": "autopilot.commander.mode_table:ModeTraits",
     "NetworkEmulator": "netsim.emulator.interface:NetworkEmulator",
+    "Obstacles": "harness.world.obstacles:Obstacles",
     "OneProcessSwarm": "harness.launch.one_process:OneProcessSwarm",
     "PathLoss": "netsim.phy.interfaces:PathLoss",
     "Physics": "harness.world.physics.interface:Physics",
     "RadioContext": "netsim.phy.interfaces:RadioContext",
     "RateSetpoint": "foundation.types:RateSetpoint",
+    "Reading": "harness.world.interfaces:Reading",
     "Scenario": "harness.scenario.scenario:Scenario",
     "ScenarioError": "harness.scenario.scenario:ScenarioError",
+    "Sensor": "harness.world.interfaces:Sensor",
+    "SensorFaultModel": "harness.world.interfaces:SensorFaultModel",
     "ServiceContext": "autopilot.services.user_service:ServiceContext",
     "SetupError": "harness.launch.run_messages:SetupError",
     "Shadowing": "netsim.phy.interfaces:Shadowing",
@@ -100,6 +120,9 @@ _PLACES = {
     "SwarmTruth": "harness.launch.truth:SwarmTruth",
     "ThrustTorque": "autopilot.control.controller:ThrustTorque",
     "TrajectorySetpoint": "foundation.types:TrajectorySetpoint",
+    "UserFault": "harness.world.faults:UserFault",
+    "WorldContext": "harness.world.interfaces:WorldContext",
+    "WorldInputs": "harness.world.interfaces:WorldInputs",
     "load_scenario": "harness.scenario.scenario_file:load",
 }
 

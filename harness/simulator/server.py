@@ -11,6 +11,7 @@ import queue
 import socket
 import sys
 import time
+import traceback
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +19,7 @@ from typing import Any
 
 import msgspec
 
+from foundation.extension_failure import ExtensionFailure
 from foundation.processes.child_protocol import Finished, Ready, Stop, commands, emit
 from foundation.profiling.profiler import profiled
 from foundation.system_error import in_words
@@ -377,6 +379,10 @@ def main() -> int:
         serve(config, listeners, own_listener, clock, applications, states)
     except (ConnectTimeout, RadioSilent, OSError, ValueError) as error:
         print(f"physics: {in_words(error) if isinstance(error, OSError) else error}", file=sys.stderr)
+        return 2
+    except ExtensionFailure as error:
+        traceback.print_exception(error)
+        print(f"physics: {error}", file=sys.stderr)
         return 2
     return 0
 

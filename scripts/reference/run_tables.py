@@ -5,9 +5,9 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from harness.campaign.columns import IDENTIFICATION, RESULTS
-from harness.records.columns import AIR, FLIGHT, FTM, GAINS, RADIO, RECEPTIONS, Column, TableKind
+from harness.records.columns import AIR, FLIGHT, FTM, GAINS, RADIO, RECEPTIONS, SENSORS, Column, TableKind
 from harness.records.tables import FLIGHT_RECORD, GAIN_TYPES, column_names
-from harness.simulator.truth_record import AIR_RECORD
+from harness.simulator.truth_record import AIR_RECORD, SENSOR_RECORD
 from netsim.emulator.log_layout import FRAME_LOG, RECEPTION_LOG, SESSION_LOG
 from reference.markdown import UndocumentedError, table
 
@@ -50,7 +50,7 @@ _NAMES = {"double": "float64", "string": "text"}
 """Names of Arrow's types that NumPy calls otherwise"""
 LAYOUTS = (
     (FLIGHT, FLIGHT_RECORD), (RADIO, FRAME_LOG), (RECEPTIONS, RECEPTION_LOG), (FTM, SESSION_LOG),
-    (AIR, AIR_RECORD),
+    (AIR, AIR_RECORD), (SENSORS, SENSOR_RECORD),
 )  # fmt: skip
 """Tables that are made of records"""
 
