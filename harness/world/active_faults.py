@@ -131,7 +131,9 @@ class Faults:
         start_us = now_us + round(fault.start_s * 1e6)
         end_us = math.inf if fault.duration_s is None else start_us + round(fault.duration_s * 1e6)
         models: dict[int, CheckedFault] = {}
-        if isinstance(fault, UserFault) and self._make is not None:
+        if isinstance(fault, UserFault):
+            if self._make is None:
+                raise TypeError("a fault of the user requires `make`")
             models = {i: self._make(fault, self._added, i) for i in range(self._vehicles)[_affected(fault)]}
         self._waiting.append(_Scheduled(start_us, end_us, self._added, fault, models))
         self._added += 1
