@@ -47,6 +47,18 @@ if TYPE_CHECKING:
     from harness.launch.truth import SwarmTruth
     from harness.scenario.scenario import Scenario, ScenarioError
     from harness.scenario.scenario_file import load as load_scenario
+    from harness.world.faults import UserFault
+    from harness.world.interfaces import (
+        AutopilotSensor,
+        Effects,
+        FaultModel,
+        Reading,
+        Sensor,
+        SensorFaultModel,
+        WorldContext,
+        WorldInputs,
+    )
+    from harness.world.obstacles import Obstacles
     from harness.world.physics.interface import Physics
     from netsim.emulator.interface import NetworkEmulator
     from netsim.phy.interfaces import AntennaPattern, ErrorModel, Fading, PathLoss, RadioContext, Shadowing
@@ -54,19 +66,22 @@ if TYPE_CHECKING:
     from netsim.wire.messages import Delivery, FtmResult, Sent, Survey
 
 __all__ = [
-    "AntennaPattern", "Application", "AttitudeSetpoint", "Campaign", "Condition", "Context", "Controller",
-    "ControllerContext", "ControllerInputs", "Course", "Delivery", "ErrorModel", "Estimate", "EstimatorState",
-    "Fading", "FlightMode", "FlightModeBehaviour", "FtmResult", "Guest", "MavlinkService", "ModeContext",
-    "ModeEntry", "ModeInputs", "ModeTraits", "NetworkEmulator", "OneProcessSwarm", "PathLoss", "Physics",
-    "RadioContext", "RateSetpoint", "Reports", "Scenario", "ScenarioError", "Sent", "ServiceContext",
+    "AntennaPattern", "Application", "AttitudeSetpoint", "AutopilotSensor", "Campaign", "Condition",
+    "Context", "Controller", "ControllerContext", "ControllerInputs", "Course", "Delivery", "Effects",
+    "ErrorModel", "Estimate", "EstimatorState", "Fading", "FaultModel", "FlightMode", "FlightModeBehaviour",
+    "FtmResult", "Guest", "MavlinkService", "ModeContext", "ModeEntry", "ModeInputs", "ModeTraits",
+    "NetworkEmulator", "Obstacles", "OneProcessSwarm", "PathLoss", "Physics", "RadioContext", "RateSetpoint",
+    "Reading", "Reports", "Scenario", "ScenarioError", "Sensor", "SensorFaultModel", "Sent", "ServiceContext",
     "SetupError", "Shadowing", "Status", "StopMode", "Survey", "Swarm", "SwarmError", "SwarmTimeoutError",
-    "SwarmTruth", "ThrustTorque", "TrajectorySetpoint", "load_scenario",
+    "SwarmTruth", "ThrustTorque", "TrajectorySetpoint", "UserFault", "WorldContext", "WorldInputs",
+    "load_scenario",
 ]  # fmt: skip
 
 _PLACES = {
     "AntennaPattern": "netsim.phy.interfaces:AntennaPattern",
     "Application": "autopilot.onboard.application:Application",
     "AttitudeSetpoint": "foundation.types:AttitudeSetpoint",
+    "AutopilotSensor": "harness.world.interfaces:AutopilotSensor",
     "Campaign": "harness.campaign:Campaign",
     "Condition": "autopilot.commander.arming_checks:Condition",
     "Context": "autopilot.onboard.context:Context",
@@ -75,10 +90,12 @@ _PLACES = {
     "ControllerInputs": "autopilot.control.controller:ControllerInputs",
     "Course": "foundation.types:Course",
     "Delivery": "netsim.wire.messages:Delivery",
+    "Effects": "harness.world.interfaces:Effects",
     "ErrorModel": "netsim.phy.interfaces:ErrorModel",
     "Estimate": "autopilot.onboard.application:Estimate",
     "EstimatorState": "foundation.types:EstimatorState",
     "Fading": "netsim.phy.interfaces:Fading",
+    "FaultModel": "harness.world.interfaces:FaultModel",
     "FlightMode": "autopilot.mavlink.modes:FlightMode",
     "FlightModeBehaviour": "autopilot.navigation.flight_mode:FlightModeBehaviour",
     "FtmResult": "netsim.wire.messages:FtmResult",
@@ -89,14 +106,18 @@ _PLACES = {
     "ModeInputs": "autopilot.navigation.flight_mode:ModeInputs",
     "ModeTraits": "autopilot.commander.mode_table:ModeTraits",
     "NetworkEmulator": "netsim.emulator.interface:NetworkEmulator",
+    "Obstacles": "harness.world.obstacles:Obstacles",
     "OneProcessSwarm": "harness.launch.one_process:OneProcessSwarm",
     "PathLoss": "netsim.phy.interfaces:PathLoss",
     "Physics": "harness.world.physics.interface:Physics",
     "RadioContext": "netsim.phy.interfaces:RadioContext",
     "RateSetpoint": "foundation.types:RateSetpoint",
+    "Reading": "harness.world.interfaces:Reading",
     "Reports": "autopilot.onboard.application:Reports",
     "Scenario": "harness.scenario.scenario:Scenario",
     "ScenarioError": "harness.scenario.scenario:ScenarioError",
+    "Sensor": "harness.world.interfaces:Sensor",
+    "SensorFaultModel": "harness.world.interfaces:SensorFaultModel",
     "Sent": "netsim.wire.messages:Sent",
     "ServiceContext": "autopilot.services.user_service:ServiceContext",
     "SetupError": "harness.launch.run_messages:SetupError",
@@ -110,6 +131,9 @@ _PLACES = {
     "SwarmTruth": "harness.launch.truth:SwarmTruth",
     "ThrustTorque": "autopilot.control.controller:ThrustTorque",
     "TrajectorySetpoint": "foundation.types:TrajectorySetpoint",
+    "UserFault": "harness.world.faults:UserFault",
+    "WorldContext": "harness.world.interfaces:WorldContext",
+    "WorldInputs": "harness.world.interfaces:WorldInputs",
     "load_scenario": "harness.scenario.scenario_file:load",
 }
 

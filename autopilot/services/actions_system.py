@@ -100,7 +100,7 @@ class SystemCommands:
         elif message_id == _MESSAGE_INTERVAL:
             messages = (self._interval(request, 1),)
         elif streams.is_supported(message_id):
-            messages = (streams.form(message_id),)
+            messages = streams.form(message_id)
         else:
             return Answer(UNSUPPORTED)
         sent = tuple(message for message in messages if message is not None)

@@ -52,6 +52,8 @@ class FlightData:
     """The last HIL_GPS."""
     gps_us: int = 0
     """Time of its arrival."""
+    distances: dict[int, Message] = field(default_factory=dict)
+    """The last DISTANCE_SENSOR of each range finder by its id."""
     truth: Message | None = None
     """The last HIL_STATE_QUATERNION, if the simulator sends the true state."""
     origin_known: bool = False

@@ -12,8 +12,8 @@ from autopilot.mavlink.codec import Message
 from autopilot.mavlink.dialect import by_id
 from autopilot.services.service import NEVER_US
 
-Builder = Callable[[], Message | None]
-"""Builds a message from the current values; None while there are none."""
+Builder = Callable[[], Message | list[Message] | None]
+"""Builds a message from the current values, or one for each of several devices; None while there are none."""
 
 _HEARTBEAT = common.MAVLINK_MSG_ID_HEARTBEAT
 SECOND_US = 1_000_000
@@ -25,16 +25,16 @@ GROUND_STATION_HZ: dict[int, float] = by_id(
     GLOBAL_POSITION_INT=50.0, POSITION_TARGET_LOCAL_NED=50.0, ATTITUDE_TARGET=50.0, SERVO_OUTPUT_RAW=50.0,
     GPS_RAW_INT=5.0, VFR_HUD=4.0, ALTITUDE=1.0, EXTENDED_SYS_STATE=1.0, SYS_STATUS=1.0, SCALED_PRESSURE=1.0,
     GPS_GLOBAL_ORIGIN=1.0, MISSION_CURRENT=1.0, BATTERY_STATUS=0.5, ESTIMATOR_STATUS=0.5, HOME_POSITION=0.5,
-    CURRENT_MODE=0.5, PING=0.1, VIBRATION=0.1,
+    CURRENT_MODE=0.5, DISTANCE_SENSOR=0.5, PING=0.1, VIBRATION=0.1,
 )  # fmt: skip
 """PX4 v1.17's rates to port 14550."""
 
 COMPANION_HZ: dict[int, float] = by_id(
     HEARTBEAT=1.0, ATTITUDE=100.0, HIGHRES_IMU=50.0, ATTITUDE_QUATERNION=50.0, GLOBAL_POSITION_INT=50.0,
     LOCAL_POSITION_NED=30.0, ODOMETRY=30.0, TIMESYNC=10.0, ALTITUDE=10.0, SERVO_OUTPUT_RAW=10.0,
-    GPS_RAW_INT=10.0, ATTITUDE_TARGET=10.0, POSITION_TARGET_LOCAL_NED=10.0, VFR_HUD=10.0,
-    EXTENDED_SYS_STATE=5.0, SYS_STATUS=5.0, ESTIMATOR_STATUS=1.0, SYSTEM_TIME=1.0, GPS_GLOBAL_ORIGIN=1.0,
-    MISSION_CURRENT=1.0, BATTERY_STATUS=0.5, HOME_POSITION=0.5, CURRENT_MODE=0.5,
+    GPS_RAW_INT=10.0, DISTANCE_SENSOR=10.0, ATTITUDE_TARGET=10.0, POSITION_TARGET_LOCAL_NED=10.0,
+    VFR_HUD=10.0, EXTENDED_SYS_STATE=5.0, SYS_STATUS=5.0, ESTIMATOR_STATUS=1.0, SYSTEM_TIME=1.0,
+    GPS_GLOBAL_ORIGIN=1.0, MISSION_CURRENT=1.0, BATTERY_STATUS=0.5, HOME_POSITION=0.5, CURRENT_MODE=0.5,
 )  # fmt: skip
 """PX4 v1.17's rates to port 14540."""
 
@@ -51,7 +51,7 @@ APPLICATION_WITH_ATTITUDE_HZ = {
 }
 """The same and the attitude, from which the application estimates the wind."""
 
-ON_NEW_DATA = frozenset({common.MAVLINK_MSG_ID_GPS_RAW_INT})
+ON_NEW_DATA = frozenset({common.MAVLINK_MSG_ID_GPS_RAW_INT, common.MAVLINK_MSG_ID_DISTANCE_SENSOR})
 """Sent only with new data, at most at the stream's rate."""
 
 
@@ -99,7 +99,7 @@ class MessageStreams:
         streams = self._streams
         if not self._active:
             streams = {_HEARTBEAT: streams[_HEARTBEAT]} if _HEARTBEAT in streams else {}
-        messages = []
+        messages: list[Message] = []
         deadline_us = NEVER_US
         for message_id, stream in streams.items():
             if not stream.has_new_data:
@@ -111,10 +111,7 @@ class MessageStreams:
                     due_us = now_us + stream.interval_us
                 stream.due_us = due_us
                 stream.has_new_data = message_id not in ON_NEW_DATA
-                build = self._builders.get(message_id)
-                message = None if build is None else build()
-                if message is not None:
-                    messages.append(message)
+                messages += self.form(message_id)
             if stream.has_new_data and due_us < deadline_us:
                 deadline_us = due_us
         self.deadline_us = deadline_us
@@ -131,10 +128,13 @@ class MessageStreams:
         """Whether there is a builder for the message."""
         return message_id in self._builders
 
-    def form(self, message_id: int) -> Message | None:
-        """Build a message; None while there is no data."""
+    def form(self, message_id: int) -> Sequence[Message]:
+        """Build a message, of several devices one for each; none while there is no data."""
         build = self._builders.get(message_id)
-        return None if build is None else build()
+        built = None if build is None else build()
+        if built is None:
+            return ()
+        return built if isinstance(built, list) else (built,)
 
     def hasten(self, message_id: int, now_us: int) -> None:
         """Send a stream's message with the next step, because its content has changed."""

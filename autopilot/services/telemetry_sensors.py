@@ -14,8 +14,8 @@ GRAVITY_M_S2 = 9.80665
 _CHANNELS = 18
 """Capacity of RC_CHANNELS."""
 _RSSI_UNKNOWN = 255
-SILENT = (common.MAVLINK_MSG_ID_DISTANCE_SENSOR, common.MAVLINK_MSG_ID_WIND_COV)
-"""Streams that can be requested but are never sent, as in PX4: no range finder, no wind estimate."""
+SILENT = (common.MAVLINK_MSG_ID_WIND_COV,)
+"""Streams that can be requested but are never sent, as in PX4: no wind estimate."""
 _VIBRATION_WEIGHT = 0.01
 """Weight of the newest sample in the low-pass of PX4's vibration metrics."""
 
@@ -98,6 +98,10 @@ class Sensors(Part):
         return common.MAVLink_rc_channels_message(
             self.boot_ms(), len(widths_us), *widths_us, *unused, _RSSI_UNKNOWN
         )
+
+    def distance_sensor(self) -> list[Message] | None:
+        """DISTANCE_SENSOR: the last reading of each range finder, as received."""
+        return list(self._flight.distances.values()) or None
 
     def hil_state_quaternion(self) -> Message | None:
         """HIL_STATE_QUATERNION: the true state, if the simulator sends it."""

@@ -9,27 +9,11 @@ from typing import Any, NamedTuple
 
 from autopilot.commander.mode_table import ModeTraits
 from autopilot.parameters.config import AutopilotConfig
-from foundation.extension_call import ExtensionCall
-from foundation.extensions import ExtensionError, convert, is_path, load, registered
+from foundation.extension_class import Extension, load_class
+from foundation.extensions import ExtensionError
 
 CONTROLLERS, MODES, SERVICES = "coflight.controllers", "coflight.modes", "coflight.services"
 """Groups of entry points."""
-
-
-class Extension(NamedTuple):
-    """A class of the user, with its settings."""
-
-    title: str
-    """Field and name in the scenario, with which the lines of its failures begin."""
-    kind: Any
-    """The class."""
-    settings: tuple[object, ...]
-    """The converted settings; empty if it has none."""
-
-    def make(self, context: object) -> Any:  # noqa: ANN401  an object of the user's class
-        """Create an object. Raises ExtensionFailure for an exception of the user's code."""
-        with ExtensionCall(self.title):
-            return self.kind(context, *self.settings)
 
 
 class Extensions(NamedTuple):
@@ -47,7 +31,7 @@ def load_extensions(config: AutopilotConfig) -> Extensions:
     """
     controller = None
     if config.controller is not None:
-        controller = _load(
+        controller = load_class(
             config.controller, CONTROLLERS, config.controller_settings,
             field="autopilot.controller", settings_field="autopilot.controller_settings",
             protocol="Controller", members=("reset", "update"),
@@ -72,23 +56,6 @@ def load_extensions(config: AutopilotConfig) -> Extensions:
     return Extensions(controller, modes, services)
 
 
-def path_of(name: str, group: str, *, field: str) -> str:
-    """Return ``package.module:Name`` for the name of an entry point; a path is returned unchanged.
-
-    Raises ExtensionError.
-    """
-    if is_path(name):
-        return name
-    installed = registered(group)
-    if name not in installed:
-        there = ", ".join(installed) or "none"
-        raise ExtensionError(
-            f"{field}: {name!r} is not installed; expected package.module:Class or an entry point of {group} "
-            f"({there})"
-        )
-    return installed[name]
-
-
 def named(config: AutopilotConfig) -> dict[str, tuple[str, str]]:
     """Return the name of all code that the settings name, and its group of entry points, by field."""
     found = {} if config.controller is None else {"autopilot.controller": (config.controller, CONTROLLERS)}
@@ -111,30 +78,9 @@ def _load_all(
         twice = next(name for number, name in enumerate(names) if name in names[:number])
         raise ExtensionError(f"{field}: {twice!r} is in it twice")
     return tuple(
-        _load(
+        load_class(
             name, group, settings.get(name, {}), field=f"{field}[{number}]",
             settings_field=f"{settings_field}.{name}", protocol=protocol, members=members,
         )
         for number, name in enumerate(names)
     )  # fmt: skip
-
-
-def _load(
-    name: str, group: str, settings: Mapping[str, Any], *,
-    field: str, settings_field: str, protocol: str, members: Sequence[str],
-) -> Extension:  # fmt: skip
-    """Import a class, check that it has the members of its protocol, and convert its settings."""
-    kind: Any = load(path_of(name, group, field=field), field=field)
-    if not isinstance(kind, type):
-        raise ExtensionError(f"{field}: {name} is a {type(kind).__name__}; expected a class")
-    missing = [member for member in members if not hasattr(kind, member)]
-    if missing:
-        raise ExtensionError(f"{field}: {name} lacks {', '.join(missing)}; expected a coflight.{protocol}")
-    settings_kind = getattr(kind, "Settings", None)
-    if settings_kind is None:
-        if settings:
-            raise ExtensionError(f"{settings_field}: {name} has no settings; expected a class Settings in it")
-        return Extension(f"{field} {name}", kind, ())
-    if not isinstance(settings_kind, type):
-        raise ExtensionError(f"{field}: {name}.Settings is no class")
-    return Extension(f"{field} {name}", kind, (convert(settings, settings_kind, field=settings_field),))

@@ -44,9 +44,9 @@ from autopilot.services.streams import (
     MessageStreams,
 )
 from autopilot.services.telemetry import Telemetry
-from autopilot.vehicle.extensions import Extension
 from autopilot.vehicle.pilot import Pilot
 from autopilot.vehicle.service_registry import ServiceParts, make_services
+from foundation.extension_class import Extension
 
 _OUTSIDE = (GROUND_STATION, COMPANION)
 
@@ -166,6 +166,11 @@ class Messaging:
         """Mark the streams of a new GPS fix as due."""
         for streams in self.streams.values():
             streams.on_new_data(common.MAVLINK_MSG_ID_GPS_RAW_INT)
+
+    def on_new_distance(self) -> None:
+        """Mark the streams of new readings of range finders as due."""
+        for streams in self.streams.values():
+            streams.on_new_data(common.MAVLINK_MSG_ID_DISTANCE_SENSOR)
 
     def on_saved(self, error: str | None) -> None:
         """Reply with the result of the file write that `take_save_request` started; None: success."""

@@ -27,8 +27,8 @@ from autopilot.services.plan_transfer import PlanTransfer
 from autopilot.services.service import MavlinkService, Partner, Services
 from autopilot.services.telemetry import Telemetry
 from autopilot.services.user_service import ServiceContext, UserService, check_ids
-from autopilot.vehicle.extensions import Extension
 from autopilot.vehicle.pilot import Pilot
+from foundation.extension_class import Extension
 
 
 class ServiceParts(NamedTuple):

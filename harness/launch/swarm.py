@@ -55,7 +55,9 @@ from harness.simulator.messages import (
     SetSpeed,
     VehicleLost,
 )
-from harness.world.faults import MOST_ATTENUATION_DB, AnyFault, validated
+from harness.world.active_faults import MOST_ATTENUATION_DB
+from harness.world.faults import AnyFault, UserFault, validated
+from harness.world.user_models import fault_class
 
 __all__ = ["SetupError", "Swarm", "SwarmError", "SwarmTimeoutError", "SwarmTruth"]
 
@@ -361,6 +363,9 @@ class Swarm:
         Raises ValueError for an invalid fault.
         """
         fault = validated(fault, self.scenario.rotors(), other_compasses=self.scenario.ardupilots)
+        if isinstance(fault, UserFault):
+            fault = msgspec.structs.replace(fault, folder=str(Path(fault.folder).resolve()))
+            fault_class(fault, "fault")
         self._intervene(f"inject {msgspec.json.encode(fault).decode()}")
         self._processes.send(InjectFault(fault=fault))
 

@@ -265,6 +265,21 @@ RECEPTIONS = TableKind(
         ),
     },
 )
+SENSORS = TableKind(
+    name="sensors",
+    description="Readings of the scenario's own sensors (`sensors.extra`), if it has some.",
+    row="a value of a reading, in the order of arrival, sensor and vehicle",
+    columns={
+        "time_us": Column(description="Simulated time at which the reading arrives."),
+        "measured_us": Column(description="Simulated time that the reading belongs to."),
+        "uav": Column(description="Number of the vehicle, from 0."),
+        "sensor": Column(description="Name of the sensor (`sensors.extra.name`)."),
+        "column": Column(description="Name of the value, which states its unit."),
+        "value": Column(
+            description="The value; NaN where the sensor had none.", unit="that of the name in `column`"
+        ),
+    },
+)
 FTM = TableKind(
     name="ftm",
     description="Results of ranging.",

@@ -4,6 +4,7 @@ manifest.json summary.json events.jsonl      what ran, results, events
 flight.parquet radio.parquet ftm.parquet      truth and estimates, every frame, every ranging session
 air.parquet                                   channel occupancy over time
 receptions.parquet                            each frame at each station (radio.log_receptions)
+sensors.parquet                               readings of the scenario's own sensors (sensors.extra)
 radio.pcapng coflight_beacon.lua              capture of the channel, Wireshark's dissector of beacons
 gains.parquet antenna.nec patterns.nc         antenna: gains over time, median instant as NEC deck, patterns
 figures/*.png *.pdf                           figures, each in both formats
@@ -41,6 +42,8 @@ class PhysicsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     event_log_path: str
     applications: Layout = NO_APPLICATION
     """What the on-board applications report."""
+    sensor_log_path: str | None = None
+    """None: the scenario has no sensors of its own."""
     connect_timeout_s: float = 120.0
     profile_from_us: int | None = None
     """Simulated time from which the process profiles itself; None: never."""
@@ -89,6 +92,7 @@ class RunFolder:
         self.outcome = self.raw / "outcome.json"
         self.capture = path / "radio.pcapng"
         self.receptions, self.raw_receptions = path / "receptions.parquet", self.raw / "receptions.bin"
+        self.sensors, self.raw_sensors = path / "sensors.parquet", self.raw / "sensors.bin"
         self.raw_frames, self.raw_sessions = self.raw / "frames.bin", self.raw / "sessions.bin"
 
     def create(self) -> Self:
@@ -134,7 +138,7 @@ class RunFolder:
         """Delete results that are not complete, and are made of the raw logs again."""
         radio = (self.radio, self.receptions, self.ftm, self.air)
         antenna = (self.gains, self.deck, self.patterns)
-        for path in (self.manifest, self.summary, self.flight, *radio, *antenna):
+        for path in (self.manifest, self.summary, self.flight, self.sensors, *radio, *antenna):
             path.unlink(missing_ok=True)
 
     @contextlib.contextmanager
@@ -208,6 +212,7 @@ class RunFolder:
             air_log_path=str(self.raw_air),
             event_log_path=str(self.events),
             applications=layout_of(scenario.onboard),
+            sensor_log_path=str(self.raw_sensors) if scenario.sensors.extra else None,
             profile_from_us=self._profile_from_us,
         )
         return self.write_config("physics", config)

@@ -24,7 +24,7 @@ from harness.records.run_folder import RunFolder
 from harness.report.flown_array import GainSeries
 from harness.scenario.scenario import Scenario
 from harness.simulator.motion_start import flown_start_us, since_start_s
-from harness.simulator.truth_record import AIR_RECORD, truth_record
+from harness.simulator.truth_record import AIR_RECORD, SENSOR_RECORD, truth_record
 from netsim.emulator.log_layout import FRAME_LOG, RECEPTION_LOG, SESSION_LOG
 from netsim.phy.receptions import OUTCOMES, STATES
 
@@ -53,6 +53,9 @@ def write_tables(
         (folder.air, columns.AIR, read(folder.raw_air, AIR_RECORD)),
     ):
         _write(target, columns.describe(_table(records), kind, about))
+    if scenario.sensors.extra:
+        readings = _table(read(folder.raw_sensors, SENSOR_RECORD))
+        _write(folder.sensors, columns.describe(readings, columns.SENSORS, about))
     if scenario.radio.log_receptions:
         table = receptions_table(read(folder.raw_receptions, RECEPTION_LOG))
         _write(folder.receptions, columns.describe(table, columns.RECEPTIONS, about))

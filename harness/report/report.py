@@ -34,6 +34,7 @@ from harness.scenario.scenario import Scenario
 from harness.simulator.messages import Formed
 from harness.simulator.motion_start import flown_start_us, since_start_s
 from harness.simulator.truth_record import AIR_RECORD, truth_record
+from harness.world import user_models
 from netsim.emulator.log_layout import FRAME_LOG, SESSION_LOG
 from netsim.radio_models import registry
 
@@ -90,6 +91,8 @@ def _write_tables(folder: RunFolder, scenario: Scenario, outcome: RunOutcome) ->
     records = write_tables(folder, scenario, lambda time_us: plan.places(since_start_s(time_us, start_us)))
     sessions = read(folder.raw_sessions, SESSION_LOG)
     hashes = {name: _sha256(folder.path / name) for name in LOGS}
+    if folder.sensors.exists():
+        hashes[folder.sensors.name] = _sha256(folder.sensors)
     log_sha256 = hashlib.sha256("".join(hashes.values()).encode()).hexdigest()
     if folder.receptions.exists():
         hashes[folder.receptions.name] = _sha256(folder.receptions)
@@ -287,7 +290,11 @@ def _manifest(
         "versions": {"python": platform.python_version(), **versions(DISTRIBUTIONS)},
         "extensions": {
             field: origin_of(name, group)
-            for field, (name, group) in (named(scenario.autopilot) | registry.named(scenario.radio)).items()
+            for field, (name, group) in (
+                named(scenario.autopilot)
+                | registry.named(scenario.radio)
+                | user_models.named(scenario.sensors.extra, scenario.faults)
+            ).items()
         },
         "checkout": msgspec.to_builtins(outcome.checkout),
         "platform": platform.platform(),

@@ -30,7 +30,7 @@ from autopilot.parameters.config import (
 )
 from autopilot.parameters.onboard_config import OnboardConfig
 from foundation.airframe.description import Airframe
-from harness.scenario import airframe_choice, autopilot_settings, formation_shape
+from harness.scenario import airframe_choice, autopilot_settings, formation_shape, world_checks
 from harness.scenario.airframe_choice import VehicleTable
 from harness.scenario.formation_shape import FormationConfig
 from harness.world.faults import MOST_TIME_S, AnyFault, check
@@ -176,7 +176,7 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     faults: tuple[AnyFault, ...] = ()
     """Faults by time: tables ``[[faults]]``."""
     sensors: SensorsConfig = SensorsConfig()
-    """Error models of the sensors."""
+    """Error models of the sensors, and sensors in addition."""
     vehicle: VehicleTable = VehicleTable()
     """Airframes of the vehicles."""
     autopilot: AutopilotConfig = AutopilotConfig()
@@ -211,6 +211,7 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             self._check_wind()
         for number, fault in enumerate(self.faults):
             check(fault, self.rotors(), path=f"faults[{number}]", other_compasses=self.ardupilots)
+        world_checks.check_sensors(self.sensors.extra, self.agents)
         try:
             radio_settings.check(self.radio, self.agents)
         except ValueError as error:

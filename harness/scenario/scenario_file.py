@@ -15,7 +15,14 @@ from autopilot.vehicle.extensions import load_extensions
 from foundation.airframe.files import AirframeError
 from foundation.extensions import ExtensionError
 from foundation.text_file import TextFileError, read_text
-from harness.scenario import airframe_choice, autopilot_settings, element_file, formation_shape, packaged
+from harness.scenario import (
+    airframe_choice,
+    autopilot_settings,
+    element_file,
+    formation_shape,
+    packaged,
+    world_checks,
+)
 from harness.scenario.element_file import ElementFileError
 from harness.scenario.formation_shape import FormationFileError
 from harness.scenario.scenario import Scenario, ScenarioError
@@ -23,7 +30,7 @@ from harness.scenario.validation_errors import InvalidTable, convert
 from harness.world.faults import EXPECTED
 from netsim.radio_models import registry
 
-ARRAYS_OF_TABLES = ("faults", "wind.gusts", "onboard.programs")
+ARRAYS_OF_TABLES = ("faults", "wind.gusts", "sensors.extra", "sensors.boxes", "onboard.programs")
 _EXPECTED = {**EXPECTED, **registry.EXPECTED, r"formation\.motion\.kind": "one of track, racetrack"}
 
 
@@ -98,11 +105,29 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
     radio = registry.with_folder(scenario.radio, folder)
     try:
         registry.check_models(radio, scenario.agents + len(radio.guests))
+        sensors, faults = world_checks.with_folder(scenario.sensors, scenario.faults, folder)
+        world_checks.check_models(
+            sensors,
+            faults,
+            seed=scenario.run.seed,
+            site=scenario.site,
+            airframes=scenario.airframes(),
+            places_ned_m=scenario.places_ned_m(),
+            step_us=scenario.run.step_us,
+            ardupilots=scenario.ardupilots,
+            external=[i for i in range(scenario.agents) if scenario.autopilot.is_external(i)],
+        )
     except ExtensionError as error:
         raise ScenarioError(f"{path}: {error}") from None
     try:
         return msgspec.structs.replace(
-            scenario, autopilot=autopilot, links=links, onboard=onboard, radio=radio
+            scenario,
+            autopilot=autopilot,
+            links=links,
+            onboard=onboard,
+            radio=radio,
+            sensors=sensors,
+            faults=faults,
         )
     except ValueError as error:  # contents of the files conflict with other settings
         raise ScenarioError(f"{path}: {error}") from None

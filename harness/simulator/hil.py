@@ -27,9 +27,16 @@ from autopilot.mavlink.hil_schema import (
 from autopilot.parameters.config import Site
 from foundation.geometry.geodesy import ned_to_geodetic
 from foundation.types import Array
-from harness.simulator.hil_frames import InertialFrames, encode_rows, write_samples
+from harness.simulator.hil_frames import (
+    SIMULATOR_COMPONENT_ID,
+    SIMULATOR_SYSTEM_ID,
+    InertialFrames,
+    encode_rows,
+    write_samples,
+)
 from harness.world.esc import EscStatus
 from harness.world.physics.truth import Truth
+from harness.world.sensors.extra import Arrival
 from harness.world.sensors.suite import GpsFixes, SensorFrame
 from netsim.wire.lockstep import BATCH_DELIVERED
 
@@ -65,6 +72,8 @@ class SensorEncoder:
         self._epoch_us = epoch_us
         self._px4_rc = px4_rc
         self._sequence = 0
+        self._link = mavlink.MAVLink(None, srcSystem=SIMULATOR_SYSTEM_ID, srcComponent=SIMULATOR_COMPONENT_ID)
+        """Source of the messages of the scenario's own sensors."""
         self._inertial = InertialFrames(0, IMU_FIELDS)
 
     def encode(
@@ -74,13 +83,16 @@ class SensorEncoder:
         escs: Sequence[EscStatus] = (),
         truth: Truth | None = None,
         delivered: Collection[int] = (),
+        arrivals: Sequence[Arrival] = (),
     ) -> Sequence[bytes | memoryview]:
         """Return the frames for each vehicle, valid until the next call.
 
-        They are ESC_STATUS, one for each of ``escs``, HIL_GPS if a fix is due, HIL_STATE_QUATERNION if
-        ``truth`` is given, and last HIL_SENSOR, which advances the vehicle's clock. In HIL_SENSOR the
-        vehicles ``delivered`` are notified of a delivery by their radio in this step.
+        They are the messages of ``arrivals``, ESC_STATUS, one for each of ``escs``, HIL_GPS if a fix is due,
+        HIL_STATE_QUATERNION if ``truth`` is given, and last HIL_SENSOR, which advances the vehicle's clock.
+        In HIL_SENSOR the vehicles ``delivered`` are notified of a delivery by their radio in this step.
+        Raises ExtensionFailure for a sensor of the user without a valid message.
         """
+        own_messages = self._readings(arrivals) if arrivals else {}
         others: list[list[bytes]] = []
         for rows, absent in escs:
             others.append(self._but(self._px4 | absent, self._encode(ESC_STATUS, rows)))
@@ -93,7 +105,19 @@ class SensorEncoder:
         if truth is not None:
             others.append(self._encode(HIL_STATE_QUATERNION, _states(time_us, truth, self._site)))
         sensors = self._sensors(time_us, frame, delivered)
-        return [b"".join(parts) for parts in zip(*others, sensors, strict=True)] if others else sensors
+        if others:
+            sensors = [b"".join(parts) for parts in zip(*others, sensors, strict=True)]
+        if own_messages:
+            sensors = [own_messages.get(vehicle, b"") + bytes(each) for vehicle, each in enumerate(sensors)]
+        return sensors
+
+    def _readings(self, arrivals: Sequence[Arrival]) -> dict[int, bytes]:
+        """Return the frames of readings by vehicle."""
+        frames: dict[int, bytes] = {}
+        for sensor, reading in arrivals:
+            self._link.seq = self._next()
+            frames[sensor.vehicle] = frames.get(sensor.vehicle, b"") + sensor.frame(reading, self._link)
+        return frames
 
     def _sensors(
         self, time_us: int, frame: SensorFrame, delivered: Collection[int]

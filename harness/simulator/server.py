@@ -11,13 +11,17 @@ import queue
 import socket
 import sys
 import time
+import traceback
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
+from foundation.extension_call import end_stuck, watched
+from foundation.extension_failure import ExtensionFailure
 from foundation.processes.child_protocol import Finished, Ready, Stop, commands, emit
 from foundation.profiling.profiler import profiled
 from foundation.system_error import in_words
@@ -375,7 +379,9 @@ def main() -> int:
             for fd in (arguments.own_listen_fd, arguments.interval_fd)
         )
         applications, states = map(_sockets, (arguments.application_fds, arguments.state_fds))
-        serve(config, listeners, own_listener, clock, applications, states)
+        limit_s = config.scenario.run.silence_limit_s
+        with watched(limit_s, on_stuck=partial(end_stuck, "physics")):
+            serve(config, listeners, own_listener, clock, applications, states)
     except RadioSilent as error:
         users = [f"{field} {name}" for field, (name, _) in registry.named(config.scenario.radio).items()]
         calls = f"; it calls {', '.join(users)}" if users else ""
@@ -383,6 +389,10 @@ def main() -> int:
         return 2
     except (ConnectTimeout, OSError, ValueError) as error:
         print(f"physics: {in_words(error) if isinstance(error, OSError) else error}", file=sys.stderr)
+        return 2
+    except ExtensionFailure as error:
+        traceback.print_exception(error)
+        print(f"physics: {error}", file=sys.stderr)
         return 2
     return 0
 

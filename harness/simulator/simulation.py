@@ -42,13 +42,18 @@ from harness.simulator.messages import (
     VehicleTruth,
 )
 from harness.simulator.motion_start import agreed
-from harness.simulator.truth_record import AIR_RECORD, EVENT_KINDS, truth_record
+from harness.simulator.truth_record import AIR_RECORD, EVENT_KINDS, SENSOR_RECORD, truth_record
 from harness.world import esc
-from harness.world.faults import MOST_ATTENUATION_DB, AnyFault, Faults, kind
+from harness.world.active_faults import MOST_ATTENUATION_DB, Faults
+from harness.world.faults import AnyFault, title
+from harness.world.interfaces import WorldInputs, inputs_of
+from harness.world.obstacles import Obstacles
 from harness.world.physics.interface import Physics, PhysicsFactory
 from harness.world.physics.truth import Truth
 from harness.world.physics.world import World
+from harness.world.sensors.extra import Arrival, ExtraSensors
 from harness.world.sensors.suite import SensorFrame, SensorSuite
+from harness.world.user_models import WorldModels
 from harness.world.wind import Wind, WindNow
 
 STREAM = 250
@@ -101,8 +106,17 @@ class Simulation:
             seed=streams[1],
             temperature_offset_k=scenario.environment.temperature_offset_k,
         )
-        rotors = [len(airframe.rotors) for airframe in airframes]
-        self._faults = Faults(scenario.faults, rotors, np.random.default_rng(streams[2]))
+        self._rotors = rotors = [len(airframe.rotors) for airframe in airframes]
+        models = WorldModels(
+            seed=scenario.run.seed,
+            stream=STREAM,
+            airframes=airframes,
+            site=scenario.site,
+            obstacles=Obstacles(scenario.sensors.boxes),
+            step_us=self._step_us,
+        )
+        self._faults = Faults(scenario.faults, rotors, np.random.default_rng(streams[2]), models.fault)
+        self._extra_sensors = ExtraSensors(models.sensors(scenario.sensors.extra), self._step_us)
         self._escs = esc.SpeedControllers(airframes)
         kinds = [scenario.autopilot.kind_of(i) for i in range(n)]
         self._external = frozenset(i for i, kind in enumerate(kinds) if kind != "own")
@@ -132,6 +146,7 @@ class Simulation:
         self._inbox = ActuatorInbox(n, max(rotors))
         self._wind_now = WindNow(np.zeros((n, 3)), np.zeros((n, 3)))
         self._lost: tuple[int, ...] = ()
+        self._alive = np.ones(n, dtype=np.bool_)
         self._without_application: set[int] = set()
         """Vehicles whose application was lost."""
         self._instances = np.arange(n)
@@ -157,6 +172,9 @@ class Simulation:
             )
             keep(contextlib.closing(self._world))
             self._truth_log = keep(contextlib.closing(RecordLog(config.truth_log_path, self._truth_record)))
+            self._sensor_log: RecordLog | None = None
+            if config.sensor_log_path is not None:
+                self._sensor_log = keep(contextlib.closing(RecordLog(config.sensor_log_path, SENSOR_RECORD)))
             self._air_log = keep(contextlib.closing(RecordLog(config.air_log_path, AIR_RECORD)))
             self._event_log = keep(Path(config.event_log_path).open("wb", buffering=0))  # noqa: SIM115
             self.lockstep = keep(contextlib.closing(make_lockstep(self)))
@@ -187,6 +205,7 @@ class Simulation:
         recorded = self.time_us % self._record_period_us == 0
         self._advance_faults()
         frame = self._sensors.sample(self.time_us, truth, self._faults)
+        arrivals = self._sample_extra() if self._extra_sensors else ()
         sends_truth = self._sends_truth and self.time_us % TRUTH_PERIOD_US < self._step_us
         sent_truth = truth if sends_truth else None
         delivered: tuple[int, ...] = ()
@@ -196,7 +215,9 @@ class Simulation:
             delivered = emulator.delivered(self.time_us)
         alive = [slot.alive for slot in self.lockstep.slots] if recorded else []
         announced = tuple(vehicle for vehicle in delivered if vehicle not in self._external)
-        frames = self._encoder.encode(self.time_us, frame, self._statuses(truth), sent_truth, announced)
+        frames = self._encoder.encode(
+            self.time_us, frame, self._statuses(truth), sent_truth, announced, arrivals
+        )
         self.lockstep.send(self._with_states(frames, frame, truth) if self._state_encoders else frames)
         applications = self._applications
         if applications is not None:
@@ -231,10 +252,13 @@ class Simulation:
                 senders=inbox.senders + applied,
                 silent=self._lost,
             )
+        force_ned_n = self._wind_now.force_ned_n
+        if self._faults.force_ned_n is not None:
+            force_ned_n = force_ned_n + self._faults.force_ned_n
         self._world.step(
             inbox.controls,
             inbox.armed,
-            self._wind_now.force_ned_n,
+            force_ned_n,
             rotors_stopped=self._faults.rotor_stopped,
             air_vel_ned_m_s=self._wind_now.air_vel_ned_m_s,
             rotor_effectiveness=self._faults.rotor_effectiveness,
@@ -268,15 +292,30 @@ class Simulation:
         """Schedule a fault for ``start_s`` after the next step. Raises ValueError for a wrong vehicle."""
         self._faults.add(fault, self.time_us)
 
+    def _inputs_of(self, vehicle: int) -> WorldInputs:
+        """Return the present truth for sensors and faults of a vehicle."""
+        return inputs_of(self.time_us, self._world.truth, self._alive, vehicle, self._rotors[vehicle])
+
+    def _sample_extra(self) -> list[Arrival]:
+        """Sample the scenario's own sensors; return and record the readings that arrive."""
+        arrivals = self._extra_sensors.sample(self.time_us, self._inputs_of, self._faults, self._lost)
+        if self._sensor_log is not None:
+            self._sensor_log.append(
+                (self.time_us, reading.measured_us, sensor.vehicle, sensor.name, column, value)
+                for sensor, reading in arrivals
+                for column, value in zip(sensor.columns, reading.values, strict=True)
+            )
+        return arrivals
+
     def _advance_faults(self) -> None:
         """Advance the faults to this step, and report which of them end and begin."""
-        for change in self._faults.advance(self.time_us):
+        for change in self._faults.advance(self.time_us, self._inputs_of):
             self._emit(
                 FaultChanged(
                     time_us=self.time_us,
                     number=change.number,
                     instance=None if change.fault.uav == "all" else change.fault.uav,
-                    what=kind(change.fault),
+                    what=title(change.fault),
                     motor=change.motor,
                     change="began" if change.began else "ended",
                 )
@@ -414,6 +453,7 @@ class Simulation:
     def on_lost(self, instance: int, reason: str) -> None:
         """Report a vehicle that was removed from the run."""
         self._lost += (instance,)
+        self._alive[instance] = False
         self._status_changed = True  # all others may be on station
         self._emit(VehicleLost(time_us=self.time_us, instance=instance, reason=reason))
 

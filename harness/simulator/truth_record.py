@@ -1,8 +1,10 @@
-"""Log records of the physics server: the truth of each vehicle, and the channel's occupancy."""
+"""Log records of the physics server: truth, readings of the scenario's own sensors, channel occupancy."""
 
 from typing import Any
 
 import numpy as np
+
+from harness.world.sensors.config import MOST_NAME
 
 
 def truth_record(rotors: int) -> np.dtype[Any]:
@@ -31,6 +33,17 @@ def truth_record(rotors: int) -> np.dtype[Any]:
 
 AIR_RECORD = np.dtype([("time_us", "i8"), ("busy_ns", "i8")])
 """One row per recorded instant: total time since the start for which the channel was occupied."""
+SENSOR_RECORD = np.dtype(
+    [
+        ("time_us", "i8"),
+        ("measured_us", "i8"),
+        ("uav", "i2"),
+        ("sensor", f"S{MOST_NAME}"),
+        ("column", f"S{MOST_NAME}"),
+        ("value", "f8"),
+    ]
+)
+"""One row per value of a reading of the scenario's own sensors, when it arrives."""
 EVENT_KINDS = (
     "formed", "formationmoves", "applicationtext", "vehiclelost", "applicationlost", "collision",
     "faultchanged",

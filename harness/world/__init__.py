@@ -1,4 +1,5 @@
 """The physical world: rigid bodies in PyBullet, sensors, wind, motor controllers, injected faults.
 
-Import `physics.world`, `sensors.suite`, `wind` or `faults`. No sockets. `harness.simulator` steps them.
+Import `physics.world`, `sensors.suite`, `wind`, `faults`, and `user_models` for code of users. No sockets.
+`harness.simulator` steps them.
 """

@@ -23,6 +23,17 @@ from harness.campaign import CampaignError, ClusterError
 from harness.launch import pytest_plugin
 from harness.launch.one_process import OneProcessSwarm
 from harness.launch.swarm import SetupError, Swarm, SwarmError, SwarmTimeoutError, SwarmTruth
+from harness.world.interfaces import (
+    AutopilotSensor,
+    Effects,
+    FaultModel,
+    Reading,
+    Sensor,
+    SensorFaultModel,
+    WorldContext,
+    WorldInputs,
+)
+from harness.world.obstacles import Obstacles
 from harness.world.physics.interface import Physics
 from netsim.emulator.interface import NetworkEmulator
 from netsim.phy.interfaces import AntennaPattern, ErrorModel, Fading, PathLoss, RadioContext, Shadowing
@@ -37,13 +48,15 @@ docstrings by `scripts/write_reference.py`.
 
 PROTOCOLS = (
     Application, Controller, FlightModeBehaviour, MavlinkService, PathLoss, Shadowing, AntennaPattern, Fading,
-    ErrorModel, NetworkEmulator, Physics,
+    ErrorModel, Sensor, AutopilotSensor, FaultModel, SensorFaultModel, NetworkEmulator, Physics,
 )  # fmt: skip
 EXCHANGED: dict[type, tuple[type, ...]] = {
     Controller: (ControllerContext, ControllerInputs, ThrustTorque),
     FlightModeBehaviour: (ModeTraits,),
     MavlinkService: (ServiceContext,),
     PathLoss: (RadioContext,),
+    Sensor: (WorldContext, WorldInputs, Reading, Obstacles),
+    FaultModel: (Effects,),
 }
 """Types that the members of a protocol exchange, all of them names of `coflight`."""
 PROTOCOLS_INTRODUCTION = """The built-in parts are reached through these protocols of `typing`, so that
@@ -165,9 +178,10 @@ def _returned(getter: Callable[..., Any]) -> str:
 
 
 def _name(annotation: object) -> str:
-    """Return an annotation as it is written, without the modules of its names."""
+    """Return an annotation as it is written, without the modules of its names and without ranges."""
     text = annotation if isinstance(annotation, str) else inspect.formatannotation(annotation)
-    return re.sub(r"\b(?:[a-z_0-9]+\.)+(?=[A-Za-z])", "", text)
+    text = re.sub(r"\b(?:[a-z_0-9]+\.)+(?=[A-Za-z])", "", text)
+    return re.sub(r"Annotated\[(\w+), Meta\([^()]*\)\]", r"\1", text)  # the meaning states the range
 
 
 def _doc(what: object, name: str) -> str:

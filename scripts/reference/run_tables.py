@@ -7,9 +7,19 @@ import numpy as np
 from autopilot.onboard.factory import layout_of
 from autopilot.parameters.onboard_config import OnboardConfig
 from harness.campaign.columns import IDENTIFICATION, RESULTS
-from harness.records.columns import AIR, FTM, GAINS, RADIO, RECEPTIONS, Column, TableKind, flight_kind
+from harness.records.columns import (
+    AIR,
+    FTM,
+    GAINS,
+    RADIO,
+    RECEPTIONS,
+    SENSORS,
+    Column,
+    TableKind,
+    flight_kind,
+)
 from harness.records.tables import FLIGHT_RECORD, GAIN_TYPES, column_names
-from harness.simulator.truth_record import AIR_RECORD
+from harness.simulator.truth_record import AIR_RECORD, SENSOR_RECORD
 from netsim.emulator.log_layout import FRAME_LOG, RECEPTION_LOG, SESSION_LOG
 from reference.markdown import UndocumentedError, table
 
@@ -53,6 +63,7 @@ _NAMES = {"double": "float64", "string": "text"}
 LAYOUTS = (
     (flight_kind(layout_of(OnboardConfig())), FLIGHT_RECORD), (RADIO, FRAME_LOG),
     (RECEPTIONS, RECEPTION_LOG), (FTM, SESSION_LOG), (AIR, AIR_RECORD),
+    (SENSORS, SENSOR_RECORD),
 )  # fmt: skip
 """Tables that are made of records"""
 

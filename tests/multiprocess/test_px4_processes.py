@@ -11,6 +11,7 @@ import psutil
 import pytest
 from external_swarms import CALM, free_base
 from paths import ROOT, SUPPORT
+from pymavlink.dialects.v20 import common
 
 from harness.launch.one_process import OneProcessSwarm
 from harness.launch.process_commands import PREFORK, application, uav
@@ -109,6 +110,21 @@ def test_px4_and_own_autopilot_fly_in_one_formation(swarm):
         summary = flown.summary(draw=False)
     assert not summary["deterministic"]
     assert set(flown.pids) == {"radio", "physics", PREFORK, uav(0), uav(1), application(1)}
+
+
+def test_a_range_finder_reaches_the_autopilot_over_a_px4s_simulator_link(swarm):
+    """The stand-in passes all bytes of the link to coflight's autopilot, which streams the readings."""
+    finder = "sensors.extra=[{model='range_finder', settings={min_m=0.0, noise_std_m=0.0}}]"
+    with swarm(1, "onboard.enabled=false", finder, speed=2.0, flies=True) as flown:
+        station = flown.mavlink(0)
+        flown.run_until(lambda truth: truth.t_s > 6.0, timeout_s=10.0)
+        reading = station.recv_match(type="DISTANCE_SENSOR", blocking=True, timeout=5.0)
+        height_m = float(flown.truth.height_m[0])
+    assert reading is not None
+    assert (reading.get_srcSystem(), reading.id) == (1, 0)
+    assert reading.orientation == common.MAV_SENSOR_ROTATION_PITCH_270
+    assert reading.current_distance == round(100.0 * height_m)
+    assert reading.signal_quality == 100
 
 
 def test_px4s_without_applications_leave_their_companion_ports_free(swarm):

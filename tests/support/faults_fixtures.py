@@ -7,7 +7,8 @@ from world_truth import truth_with
 from autopilot.parameters.config import Site
 from foundation.geometry.geodesy import geodetic_to_ned
 from foundation.geometry.rotations import quat_from_rotation_vector
-from harness.world.faults import AnyFault, Faults
+from harness.world.active_faults import Faults
+from harness.world.faults import AnyFault
 from harness.world.sensors.config import SensorsConfig
 from harness.world.sensors.suite import SensorSuite
 

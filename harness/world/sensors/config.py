@@ -7,10 +7,15 @@
 """
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct, structs
 
+from harness.world.obstacles import Box
+from netsim.model.config import ModelName
+
+MOST_NAME = 32
+"""Characters of the name of a sensor, and of its values, in tables."""
 PositionStd = Annotated[float, Meta(ge=0.0, le=1000.0)]
 
 
@@ -33,6 +38,32 @@ class GpsOverrides(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """Age of a fix when it arrives."""
 
 
+class ExtraSensor(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A sensor in addition to those of the profile, which has no effect on them."""
+
+    model: ModelName
+    """``range_finder``, ``uwb_tag``, ``package.module:Class``, or the name of an entry point of the group
+    ``coflight.sensors`` (docs/how-to/sensors-and-faults.md)."""
+    name: Annotated[str, Meta(pattern=r"^([A-Za-z][A-Za-z0-9_]{0,31})?$")] = ""
+    """Name in tables, and cut to ten characters in messages; "": that of the model."""
+    uavs: Literal["all"] | tuple[Annotated[int, Meta(ge=0)], ...] = "all"
+    """Numbers of the vehicles that have it, from 0."""
+    settings: dict[str, Any] = {}
+    """Settings of the model, checked against its own type."""
+    folder: str = ""
+    """Folder where the module is looked up first and to which paths in the settings are relative; "": that of
+    the scenario's file."""
+
+    @property
+    def title(self) -> str:
+        """The name, or that of the model without its module."""
+        return self.name or self.model.rpartition(":")[2][:MOST_NAME]
+
+    def vehicles(self, count: int) -> tuple[int, ...]:
+        """Return the vehicles of ``count`` that have it, in increasing order."""
+        return tuple(range(count)) if self.uavs == "all" else tuple(sorted(set(self.uavs)))
+
+
 class SensorsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The scenario's ``[sensors]`` table."""
 
@@ -40,6 +71,11 @@ class SensorsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Error models of all sensors: low-cost parts, those of Gazebo-classic, or none."""
     gps: GpsOverrides = GpsOverrides()
     """Settings of the GPS receiver that differ from the profile: the table ``[sensors.gps]``."""
+    extra: tuple[ExtraSensor, ...] = ()
+    """Sensors in addition: tables ``[[sensors.extra]]``."""
+    boxes: tuple[Box, ...] = ()
+    """Walls and buildings for the sensors in addition: tables ``[[sensors.boxes]]``. Vehicles and the radio
+    do not meet them."""
 
     def gps_model(self) -> "GpsModel":
         """Return the profile's receiver with the scenario's overrides."""

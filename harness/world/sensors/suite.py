@@ -13,7 +13,7 @@ from autopilot.estimation import atmosphere
 from autopilot.parameters.config import Site
 from foundation.geometry.geodesy import ned_to_geodetic
 from foundation.types import Array
-from harness.world.faults import Faults
+from harness.world.active_faults import Faults
 from harness.world.physics.bodies import in_body_axes
 from harness.world.physics.truth import Truth
 from harness.world.sensors.config import PROFILES, GpsModel, SensorErrorModel, SensorsConfig

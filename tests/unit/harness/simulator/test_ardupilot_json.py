@@ -12,7 +12,8 @@ from world_truth import truth_with
 from autopilot.mavlink.codec import Encoder
 from autopilot.parameters.config import Site
 from harness.simulator.ardupilot_json import StateEncoder, servo_packet
-from harness.world.faults import BaroBias, BaroFreeze, Faults
+from harness.world.active_faults import Faults
+from harness.world.faults import BaroBias, BaroFreeze
 from harness.world.sensors.config import SensorsConfig
 from harness.world.sensors.suite import BaroSamples, GpsFixes, SensorFrame, SensorSuite
 

@@ -412,4 +412,4 @@ def test_radio_faults_do_not_affect_the_sensors(healthy, name):
 
 def test_every_kind_has_an_example_here():
     tags = {member.__struct_config__.tag for member in AnyFault.__args__}
-    assert tags == EXAMPLES.keys()
+    assert tags - {"user"} == EXAMPLES.keys()  # that of users is in test_active_faults.py
