@@ -91,7 +91,7 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
     folder = Path() if packaged.FOLDER in path.parents else path.parent
     radio = registry.with_folder(scenario.radio, folder)
     try:
-        registry.check_models(radio, scenario.agents + len(radio.guests))
+        registry.check_models(radio, scenario.agents + len(radio.guests), scenario.places_ned_m())
     except ExtensionError as error:
         raise ScenarioError(f"{path}: {error}") from None
     try:
