@@ -12,15 +12,13 @@ from typing import Annotated, NamedTuple
 
 from msgspec import Meta, Struct
 
-from foundation.airframe.description import Propulsion
+from foundation.airframe.description import Airframe
 from foundation.airframe.files import IRIS
 
 US_PER_S = 1_000_000
 AS_PER_MAH = 3.6
 SAMPLE_PERIOD_US = 100_000
 """The model is evaluated at 10 Hz; the steps in between only accumulate the motors' currents."""
-IRIS_CAPACITY_MAH = IRIS.battery.capacity_mah
-"""Charge of the pack if BAT1_CAPACITY is unknown."""
 
 Fraction = Annotated[float, Meta(ge=0.0, le=1.0)]
 Positive = Annotated[float, Meta(gt=0.0)]
@@ -32,7 +30,7 @@ class BatteryParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     cells: Annotated[int, Meta(ge=1, le=16)] = 3
     """BAT1_N_CELLS: number of cells in series (PX4: unknown)"""
-    capacity_mah: Annotated[float, Meta(ge=-1.0, le=100_000.0)] = IRIS_CAPACITY_MAH
+    capacity_mah: Annotated[float, Meta(ge=-1.0, le=100_000.0)] = IRIS.battery.capacity_mah
     """BAT1_CAPACITY: capacity; 0 or less: unknown, the charge is estimated from the voltage only (PX4:
     unknown)"""
     charged_v: Annotated[float, Meta(ge=2.0, le=5.0)] = 4.05
@@ -106,13 +104,13 @@ class BatterySimulator:
     neglected.
     """
 
-    def __init__(
-        self, params: BatterySimParams, pack: BatteryParams, propulsion: Propulsion = IRIS.propulsion
-    ) -> None:
+    def __init__(self, params: BatterySimParams, pack: BatteryParams, airframe: Airframe = IRIS) -> None:
         self.params = params
         self.pack = pack
-        self._range_rad_s = propulsion.range_rad_s
-        self._idle = propulsion.idle_rad_s / propulsion.range_rad_s
+        self._full_mah = airframe.battery.capacity_mah
+        """Charge of the pack if BAT1_CAPACITY is unknown."""
+        self._range_rad_s = airframe.propulsion.range_rad_s
+        self._idle = airframe.propulsion.idle_rad_s / airframe.propulsion.range_rad_s
         self._drawn_mah = (1.0 - params.initial) * self.capacity_mah
         self._cubes = 0.0
         """Sum over the updates and motors of the cubes of the speed, as a multiple of the range."""
@@ -124,7 +122,7 @@ class BatterySimulator:
     @property
     def capacity_mah(self) -> float:
         """Capacity of the full pack."""
-        return self.pack.capacity_mah if self.pack.capacity_mah > 0.0 else IRIS_CAPACITY_MAH
+        return self.pack.capacity_mah if self.pack.capacity_mah > 0.0 else self._full_mah
 
     @property
     def charge(self) -> float:

@@ -69,6 +69,14 @@ def load_programs(config: OnboardConfig) -> dict[str, Loaded]:
     }
 
 
+def named(config: OnboardConfig) -> dict[str, tuple[str, str]]:
+    """Return the names of all code of users, and its group of entry points, by field."""
+    fields = {"onboard.application": config.application} if config.application not in BUILT_IN else {}
+    for number, program in enumerate(config.programs):
+        fields[f"onboard.programs[{number}].application"] = program.application
+    return {field: (name, APPLICATIONS) for field, name in fields.items()}
+
+
 def layout_of(config: OnboardConfig) -> Layout:
     """Return what the programs of a UAV with these settings report; raises as `load_application`."""
     if not config.enabled:

@@ -43,7 +43,7 @@ class Monitor:
         self.breach: Breach | None = None
         """Breach found at the last check."""
         self.failures = FailureDetector(settings.failure_detector)
-        self._pack = BatterySimulator(settings.battery_sim, settings.battery, airframe.propulsion)
+        self._pack = BatterySimulator(settings.battery_sim, settings.battery, airframe)
         self._sensors = sensors
         self._offboard = offboard
         self._manual = manual

@@ -18,7 +18,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from antenna.analysis.gain_figures import gain_density_figure, patterns_figure
-from autopilot.vehicle.extensions import named
+from autopilot.onboard import factory
+from autopilot.vehicle import extensions
 from foundation.records.record_log import read
 from foundation.records.whole_file import write_whole
 from harness.records.flight import Flight
@@ -291,7 +292,8 @@ def _manifest(
         "extensions": {
             field: origin_of(name, group)
             for field, (name, group) in (
-                named(scenario.autopilot)
+                extensions.named(scenario.autopilot)
+                | factory.named(scenario.onboard)
                 | registry.named(scenario.radio)
                 | user_models.named(scenario.sensors.extra, scenario.faults)
             ).items()

@@ -8,12 +8,8 @@ from typing import Any
 import msgspec
 
 from autopilot.navigation.plan_file import PlanFileError
-from autopilot.onboard.factory import layout_of
-from autopilot.parameters.onboard_config import FORMATION
 from autopilot.parameters.parameter_file import ParameterFileError
-from autopilot.vehicle.extensions import load_extensions
 from foundation.airframe.files import AirframeError
-from foundation.extensions import ExtensionError
 from foundation.text_file import TextFileError, read_text
 from harness.scenario import (
     airframe_choice,
@@ -21,11 +17,11 @@ from harness.scenario import (
     element_file,
     formation_shape,
     packaged,
-    world_checks,
 )
 from harness.scenario.element_file import ElementFileError
 from harness.scenario.formation_shape import FormationFileError
 from harness.scenario.scenario import Scenario, ScenarioError
+from harness.scenario.user_code import with_code
 from harness.scenario.validation_errors import InvalidTable, convert
 from harness.world.faults import EXPECTED
 from netsim.radio_models import registry
@@ -88,48 +84,15 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
         raise ScenarioError(f"{path}: autopilot.plan_file: {error}") from None
     except ParameterFileError as error:
         raise ScenarioError(f"{path}: autopilot.params_file: {error}") from None
-    # an override of a packaged scenario names a module or file of the current folder
-    folder = Path() if packaged.FOLDER in path.parents else path.parent
-    onboard = scenario.onboard
-    if onboard.application != FORMATION or onboard.programs:
-        onboard = msgspec.structs.replace(onboard, folder=str((folder / onboard.folder).resolve()))
-    try:
-        load_extensions(autopilot)
-        layout_of(onboard)
-    except ExtensionError as error:
-        raise ScenarioError(f"{path}: {error}") from None
     try:
         links = autopilot_settings.with_signing_key(scenario.links, path.parent)
     except ValueError as error:
         raise ScenarioError(f"{path}: links.signing_key_file: {error}") from None
-    radio = registry.with_folder(scenario.radio, folder)
+    # an override of a packaged scenario names a module or file of the current folder
+    folder = Path() if packaged.FOLDER in path.parents else path.parent
     try:
-        registry.check_models(radio, scenario.agents + len(radio.guests))
-        sensors, faults = world_checks.with_folder(scenario.sensors, scenario.faults, folder)
-        world_checks.check_models(
-            sensors,
-            faults,
-            seed=scenario.run.seed,
-            site=scenario.site,
-            airframes=scenario.airframes(),
-            places_ned_m=scenario.places_ned_m(),
-            step_us=scenario.run.step_us,
-            ardupilots=scenario.ardupilots,
-            external=[i for i in range(scenario.agents) if scenario.autopilot.is_external(i)],
-        )
-    except ExtensionError as error:
-        raise ScenarioError(f"{path}: {error}") from None
-    try:
-        return msgspec.structs.replace(
-            scenario,
-            autopilot=autopilot,
-            links=links,
-            onboard=onboard,
-            radio=radio,
-            sensors=sensors,
-            faults=faults,
-        )
-    except ValueError as error:  # contents of the files conflict with other settings
+        return with_code(msgspec.structs.replace(scenario, autopilot=autopilot, links=links), folder)
+    except ValueError as error:  # code of the user, or contents of the files conflict with other settings
         raise ScenarioError(f"{path}: {error}") from None
 
 

@@ -105,6 +105,14 @@ class CheckedPathLoss(_CheckedLinks):
         self._refuse("loss_db", losses_db, losses_db >= 0.0, distance_m, expected)
         return losses_db
 
+    def check_places(self, pos_ned_m: Doubles) -> None:
+        """Check the vehicles' places (n, 3), if the model has such a check. Raises ExtensionError."""
+        if hasattr(self._model, "check_places"):
+            try:
+                self._model.check_places(pos_ned_m)
+            except ValueError as error:
+                raise ExtensionError(f"{self._at}: {error}") from None
+
 
 class CheckedShadowing(_CheckedLinks):
     """See `netsim.phy.interfaces.Shadowing`."""

@@ -88,12 +88,26 @@ class LossGrid:
         weights = from_weights.sum(axis=1)[:, None] + to_weights.sum(axis=1)
         return np.asarray(np.maximum(self._reference_db + _spread_db(distance_m) + sums / weights, 0.0))
 
+    def check_places(self, pos_ned_m: Doubles) -> None:
+        """Check that the grid reaches the vehicles' places (n, 3). Raises ValueError if none is within it."""
+        pos_enu_m = _enu_m(pos_ned_m)
+        if not ((pos_enu_m >= self._low_m) & (pos_enu_m <= self._high_m))[:, :2].all(axis=1).any():
+            (west, south, _), (east, north, _) = self._low_m.tolist(), self._high_m.tolist()
+            raise ValueError(
+                f"the grid has points from {west:g} to {east:g} m east and {south:g} to {north:g} m north, "
+                "where no vehicle has its place; expected coordinates from the site's origin"
+            )
+
     def _samples(self, pos_ned_m: Doubles) -> tuple[Doubles, Doubles]:
         """Return weights and excess losses in dB (n, k) of n positions and k transmitters."""
-        pos_enu_m = pos_ned_m[:, (1, 0, 2)] * (1.0, 1.0, -1.0)
+        pos_enu_m = _enu_m(pos_ned_m)
         away_m = pos_enu_m[:, None] - self._transmitters_m
         weights = 1.0 / (np.einsum("ijk,ijk->ij", away_m, away_m) + SMOOTHING_M**2)
         return weights, self._excess_db(np.clip(pos_enu_m, self._low_m, self._high_m))
+
+
+def _enu_m(pos_ned_m: Doubles) -> Doubles:
+    return np.asarray(pos_ned_m[:, (1, 0, 2)] * (1.0, 1.0, -1.0))
 
 
 def _spread_db(distance_m: Doubles) -> Doubles:

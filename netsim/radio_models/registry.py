@@ -23,7 +23,7 @@ from netsim.phy.fading import RicianFading, SampledFading
 from netsim.phy.interfaces import RadioContext
 from netsim.phy.models import RadioModels
 from netsim.phy.modes import phy_mode
-from netsim.phy.path_loss import PowerLaw, TwoRay
+from netsim.phy.path_loss import Doubles, PowerLaw, TwoRay
 from netsim.phy.shadowing import LogNormalShadowing
 from netsim.radio_models.checked import (
     CheckedAntennaPattern,
@@ -127,20 +127,24 @@ def with_folder(config: RadioConfig, folder: Path) -> RadioConfig:
     return msgspec.structs.replace(config, **changes) if changes else config
 
 
-def check_models(config: RadioConfig, stations: int) -> None:
-    """Create the models that are not built in, and call each once with a few positions.
+def check_models(config: RadioConfig, stations: int, places_ned_m: Doubles) -> None:
+    """Create the models that are not built in, and call each with a few positions.
+
+    ``places_ned_m`` (n, 3) are the vehicles' places in the formation.
 
     Raises ExtensionError as `make_models`, and for a model that does not return.
     """
     for kind in STREAMS:
         name = chosen(config, kind).model
         if name not in BUILT_IN[kind]:
-            check_bounded(partial(_check_model, config, stations, kind), f"radio.{kind}: {name}")
+            check_bounded(
+                partial(_check_model, config, stations, kind, places_ned_m), f"radio.{kind}: {name}"
+            )
         else:
             _create(config, stations, RandomStreams(np.random.SeedSequence(0)), kind)
 
 
-def _check_model(config: RadioConfig, stations: int, kind: str) -> None:
+def _check_model(config: RadioConfig, stations: int, kind: str, places_ned_m: Doubles) -> None:
     """Create a model, and call its methods with a few positions."""
     streams = RandomStreams(np.random.SeedSequence(0))
     from_ned_m = np.array([(0.0, 0.0, -10.0), (30.0, 0.0, -10.0)])
@@ -149,6 +153,7 @@ def _check_model(config: RadioConfig, stations: int, kind: str) -> None:
     match _create(config, stations, streams, kind):
         case CheckedPathLoss() as model:
             model.check_reciprocity("loss_db", from_ned_m, to_ned_m, distance_m)
+            model.check_places(places_ned_m)
         case CheckedShadowing() as model:
             model.check_reciprocity("gain_db", from_ned_m, to_ned_m, distance_m)
         case CheckedAntennaPattern() as model:

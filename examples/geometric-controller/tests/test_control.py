@@ -91,6 +91,16 @@ def test_the_attitude_converges_from_any_attitude_within_a_quarter_turn():
         assert np.linalg.norm(attitude_error(attitude, rotation(desired))) < 1e-2
 
 
+@pytest.mark.parametrize("heading_deg", [0.0, 90.0, 180.0])
+def test_without_control_of_yaw_a_roll_is_corrected_at_any_heading(heading_deg):
+    level = AttitudeSetpoint(q_ned_frd=LEVEL, yaw_rate_rad_s=0.0, thrust=0.5)
+    rolled = quaternion(turn(np.radians((0.0, 0.0, heading_deg))) @ turn(np.array((0.1, 0.0, 0.0))))
+    unit_nm = np.array(unit_torque_m(PARAMS)) * IRIS.propulsion.range_n
+    demand = controller().update(inputs(level, controls_yaw=False, q_ned_frd=rolled))
+    alpha = np.asarray(demand.torque) * unit_nm / IRIS.inertia_kg_m2
+    np.testing.assert_allclose(alpha, (-Settings().attitude_1_s2 * math.sin(0.1), 0.0, 0.0), atol=1e-9)
+
+
 def turn(vector):
     """Return the rotation matrix (3, 3) of a rotation vector (3,)."""
     angle = np.linalg.norm(vector)

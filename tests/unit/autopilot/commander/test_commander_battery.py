@@ -10,7 +10,6 @@ from msgspec import structs
 from scipy.optimize import brentq
 
 from autopilot.commander.battery import (
-    IRIS_CAPACITY_MAH,
     SAMPLE_PERIOD_US,
     SETTLING_US,
     BatteryMonitor,
@@ -23,6 +22,7 @@ from autopilot.commander.battery import (
     open_circuit_v,
     resistance_growth,
 )
+from foundation.airframe.files import IRIS, load
 
 STEP = 4_000
 PACK = BatteryParams()
@@ -33,7 +33,7 @@ HOVER = np.full(4, (1100.0 * sqrt(HOVER_N / FULL_THRUST_N) - 100.0) / 1000.0)
 """Controls of the Iris in hover, from thrust k w^2 at w = 1000 u + 100 rad/s."""
 STANDING = np.zeros(4)
 HOVER_A = 4 * 4.0 + SIM.avionics_current_a
-DURATION_S = IRIS_CAPACITY_MAH * 3.6 / HOVER_A
+DURATION_S = IRIS.battery.capacity_mah * 3.6 / HOVER_A
 """Charge over current: 18 min."""
 
 
@@ -101,7 +101,7 @@ def test_the_drawn_charge_is_the_integral_of_the_current_over_changing_controls(
         flight.run(STEP / 1e6, controls)
         current_a = SIM.avionics_current_a + 4.0 * (((controls + 0.1) / 0.8067) ** 3).sum()
         charge_as += current_a * STEP / 1e6
-    drawn_as = (1.0 - flight.pack.charge) * IRIS_CAPACITY_MAH * 3.6
+    drawn_as = (1.0 - flight.pack.charge) * IRIS.battery.capacity_mah * 3.6
     assert drawn_as == pytest.approx(charge_as, rel=1e-9)
     assert flight.monitor.consumed_mah == pytest.approx(charge_as / 3.6, rel=1e-9)
 
@@ -144,10 +144,16 @@ def test_a_floor_holds_the_charge_and_raising_it_charges():
 
 def test_a_smaller_pack_is_at_once_emptier():
     flight = long_flight().run(DURATION_S / 4.0)
-    flight.set_pack(capacity_mah=IRIS_CAPACITY_MAH / 2.0)
+    flight.set_pack(capacity_mah=IRIS.battery.capacity_mah / 2.0)
     assert flight.pack.charge == pytest.approx(0.5, abs=0.001)
     flight.run(SAMPLE_PERIOD_US / 1e6)
     assert flight.monitor.remaining <= 0.501
+
+
+def test_a_pack_of_unknown_capacity_is_that_of_the_airframe():
+    unknown = BatteryParams(capacity_mah=-1.0)
+    assert BatterySimulator(SIM, unknown, load("crazyflie")).capacity_mah == 240.0
+    assert BatterySimulator(SIM, PACK, load("crazyflie")).capacity_mah == PACK.capacity_mah
 
 
 def test_without_a_battery_there_is_no_sample():

@@ -6,6 +6,8 @@ import xarray as xr
 from netsim_swarm import make_links
 
 from foundation.extensions import ExtensionError
+from harness.scenario.scenario import ScenarioError
+from harness.scenario.scenario_file import load as load_scenario
 from netsim.model.config import RadioConfig, RadioModel
 from netsim.model.random_streams import RandomStreams
 from netsim.phy.path_loss import friis_loss_db
@@ -244,3 +246,17 @@ def test_other_files_are_no_grids(tmp_path):
     assert refusal("grid", tmp_path, file="no.nc").endswith("no.nc: there is no such file")
     (tmp_path / "gains.nc").write_text("distance_m,loss_db\n")
     assert f"settings.file: {tmp_path / 'gains.nc'}: " in refusal("grid", tmp_path, file="gains.nc")
+
+
+def test_a_grid_of_another_place_is_refused_when_the_scenario_is_read(tmp_path):
+    """In coordinates of a map projection, say; one that reaches a single place of the formation is not."""
+    file = tmp_path / "street.toml"
+    file.write_text('[radio.path_loss]\nmodel = "grid"\nsettings = { file = "gains.nc" }\n')
+    data = dataset(excess_db)
+    write_grid(tmp_path, data.assign_coords(east_m=EAST_M + 4e5))
+    with pytest.raises(ScenarioError, match=r"path_loss: grid: the grid has points from .* no vehicle has"):
+        load_scenario(file)
+    at_its_corner = EAST_M - EAST_M[-1] + load_scenario("article").places_ned_m()[:, 1].max()
+    data = data.assign_coords(east_m=at_its_corner, north_m=np.linspace(-100.0, 100.0, len(NORTH_M)))
+    write_grid(tmp_path, data)
+    assert load_scenario(file).radio.path_loss.model == "grid"

@@ -16,12 +16,13 @@ from netsim.model.config import RadioConfig, RadioModel
 from netsim.radio_models.registry import check_models, names, with_folder
 
 OWN = "user_radio_models"
+PLACES_NED_M = np.array([(0.0, 0.0, -10.0), (20.0, 0.0, -10.0)])
 
 
 def refusal(kind, model, settings=None):
     choice = model if settings is None else RadioModel(model=model, settings=settings)
     with pytest.raises(ExtensionError) as caught:
-        check_models(RadioConfig(**{kind: choice}), 2)
+        check_models(RadioConfig(**{kind: choice}), 2, PLACES_NED_M)
     text = str(caught.value)
     assert text.startswith(f"radio.{kind}")
     assert "\n" not in text
@@ -84,7 +85,7 @@ def test_a_model_that_does_not_return_is_given_up(monkeypatch):
 
 def test_an_error_during_the_run_names_the_model_too():
     swarm = Swarm([(0.0, 0.0, -10.0), (0.0, 2_000.0, -10.0)], path_loss=f"{OWN}:fine_until_far")
-    check_models(RadioConfig(path_loss=f"{OWN}:fine_until_far"), 2)
+    check_models(RadioConfig(path_loss=f"{OWN}:fine_until_far"), 2, PLACES_NED_M)
     swarm.broadcast(0, 1_000)
     with pytest.raises(ExtensionError, match=r"fine_until_far\.loss_db returned nan at a distance of 2000 m"):
         swarm.run(20_000)
@@ -112,7 +113,7 @@ def test_an_entry_point_is_a_name_of_its_kind(installed):
     assert installed.is_dir()
     assert "slope" in names("path_loss")
     assert "slope" not in names("shadowing")
-    check_models(RadioConfig(path_loss="slope"), 2)
+    check_models(RadioConfig(path_loss="slope"), 2, PLACES_NED_M)
     assert "models_of_dist.py) has no absent" in refusal("antenna", "slope")
     assert "no module absent_module" in refusal("fading", "slope")
     assert "expected log_normal, none, or package.module:Class" in refusal("shadowing", "slope")
@@ -130,7 +131,7 @@ def test_modules_of_the_folder_of_the_scenario_are_found_by_every_process(tmp_pa
     assert str(tmp_path) not in sys.path
     # another process reads the scenario as JSON
     del sys.modules["loss_beside"]
-    check_models(msgspec.json.decode(msgspec.json.encode(scenario.radio), type=RadioConfig), 8)
+    check_models(msgspec.json.decode(msgspec.json.encode(scenario.radio), type=RadioConfig), 8, PLACES_NED_M)
     del sys.modules["loss_beside"]
 
 

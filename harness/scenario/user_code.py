@@ -1,0 +1,40 @@
+"""Code of the user that a scenario names: where it is looked up, and its checks when the scenario is read."""
+
+from pathlib import Path
+
+import msgspec
+
+from autopilot.onboard.factory import layout_of
+from autopilot.parameters.onboard_config import FORMATION
+from autopilot.vehicle.extensions import load_extensions
+from harness.scenario import world_checks
+from harness.scenario.scenario import Scenario
+from netsim.radio_models import registry
+
+
+def with_code(scenario: Scenario, folder: Path) -> Scenario:
+    """Return the scenario with the folder in which its code and data are looked up first.
+
+    All code is imported, and radio models, sensors and faults are tried. Raises ExtensionError, one line that
+    begins with the field.
+    """
+    onboard = scenario.onboard
+    if onboard.application != FORMATION or onboard.programs:
+        onboard = msgspec.structs.replace(onboard, folder=str((folder / onboard.folder).resolve()))
+    load_extensions(scenario.autopilot)
+    layout_of(onboard)
+    radio = registry.with_folder(scenario.radio, folder)
+    registry.check_models(radio, scenario.agents + len(radio.guests), scenario.places_ned_m())
+    sensors, faults = world_checks.with_folder(scenario.sensors, scenario.faults, folder)
+    world_checks.check_models(
+        sensors,
+        faults,
+        seed=scenario.run.seed,
+        site=scenario.site,
+        airframes=scenario.airframes(),
+        places_ned_m=scenario.places_ned_m(),
+        step_us=scenario.run.step_us,
+        ardupilots=scenario.ardupilots,
+        external=[i for i in range(scenario.agents) if scenario.autopilot.is_external(i)],
+    )
+    return msgspec.structs.replace(scenario, onboard=onboard, radio=radio, sensors=sensors, faults=faults)
