@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from itertools import count
+from operator import index
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from autopilot.parameters.config import AutopilotKind, Devices, Site
 from netsim.wire.messages import (
     DEFAULT_PORT,
     MAX_PAYLOAD_BYTES,
+    MAX_STATION,
     Broadcast,
     Delivery,
     FtmRequest,
@@ -23,6 +25,8 @@ from netsim.wire.messages import (
 
 MOST_ITEMS = 10_000
 """Transmissions of one iteration; an application that submits more has failed."""
+MOST_WARNINGS = 10
+"""Warnings of one iteration, likewise."""
 
 
 class Radio:
@@ -54,22 +58,25 @@ class Radio:
     def broadcast(self, payload: bytes, *, at_us: int | None = None) -> int:
         """Send a datagram of at most 1472 bytes to every station in range; it is not acknowledged."""
         self._check_payload(payload)
-        seq, time_us = next(self._numbers), self._time_us(at_us)
-        return self._submit(Broadcast(seq=seq, at_us=time_us, payload=payload, port=self.port))
+        time_us = self._time_us(at_us)
+        return self._submit(
+            Broadcast(seq=next(self._numbers), at_us=time_us, payload=payload, port=self.port)
+        )
 
     def unicast(self, destination: int, payload: bytes, *, at_us: int | None = None) -> int:
         """Send a datagram to one station, acknowledged and repeated; `Sent` reports the outcome."""
         self._check_payload(payload)
-        self._check_station("destination", destination)
-        seq, time_us = next(self._numbers), self._time_us(at_us)
+        station, time_us = self._station("destination", destination), self._time_us(at_us)
         return self._submit(
-            Unicast(seq=seq, at_us=time_us, destination=destination, payload=payload, port=self.port)
+            Unicast(
+                seq=next(self._numbers), at_us=time_us, destination=station, payload=payload, port=self.port
+            )
         )
 
     def range_to(self, peer: int, *, at_us: int | None = None) -> int:
         """Start a ranging session (FTM) with a UAV; `FtmResult` reports its distance."""
-        self._check_station("peer", peer)
-        return self._submit(FtmRequest(seq=next(self._numbers), at_us=self._time_us(at_us), peer=peer))
+        station, time_us = self._station("peer", peer), self._time_us(at_us)
+        return self._submit(FtmRequest(seq=next(self._numbers), at_us=time_us, peer=station))
 
     def is_for(self, item: RxItem) -> bool:
         """Whether what the radio received or measured is for this program."""
@@ -98,11 +105,13 @@ class Radio:
             raise ValueError(
                 f"at_us: {at_us}; expected {self.now_us} to {self.now_us + self._loop_us}, the next iteration"
             )
-        return at_us
+        return index(at_us)
 
-    def _check_station(self, name: str, number: int) -> None:
-        if number < 0 or number == self.station:
+    def _station(self, name: str, number: int) -> int:
+        """Return the number of another station as Python's int."""
+        if not 0 <= number <= MAX_STATION or number == self.station:
             raise ValueError(f"{name}: {number!r}; expected the number of another station")
+        return index(number)
 
     @staticmethod
     def _check_payload(payload: bytes) -> None:
@@ -149,7 +158,12 @@ class Context:
         self._warnings: list[str] = []
 
     def warn(self, text: str) -> None:
-        """Send a text (ASCII) to ground stations as a STATUSTEXT of severity warning."""
+        """Send a text (ASCII) to ground stations as a STATUSTEXT of severity warning.
+
+        Raises ValueError for more than `MOST_WARNINGS` in one iteration.
+        """
+        if len(self._warnings) >= MOST_WARNINGS:
+            raise ValueError(f"more than {MOST_WARNINGS} warnings in one iteration of the loop")
         self._warnings.append(str(text))
 
     def take_warnings(self) -> list[str]:
@@ -160,6 +174,9 @@ class Context:
     def request_truth(self) -> None:
         """Request the simulator's true state as HIL_STATE_QUATERNION, for references that no vehicle has.
 
-        To be called in `Application.start`. Not beside a PX4 or ArduPilot.
+        To be called in `Application.start`. Raises ValueError beside a PX4 or ArduPilot, which do not pass it
+        on.
         """
+        if self.autopilot_kind != "own":
+            raise ValueError(f"request_truth: {self.autopilot_kind} does not pass the true state on")
         self.needs_truth = True

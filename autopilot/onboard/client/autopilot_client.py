@@ -23,6 +23,8 @@ from foundation.types import Vector
 
 FLOWN_HEIGHT_M = 0.3
 """A vehicle disarmed after exceeding this height has landed."""
+MOST_MESSAGES = 1_000
+"""Messages of one iteration; an application that sends more has failed."""
 _LOCAL_NED = int(common.MAV_FRAME_LOCAL_NED)
 _IGNORE_POS = (
     common.POSITION_TARGET_TYPEMASK_X_IGNORE
@@ -208,9 +210,12 @@ class AutopilotClient:
     def send(self, message: Message | PositionTarget) -> None:
         """Send any message to the autopilot, at the end of the iteration.
 
-        Raises TypeError or `struct.error` for what is no MAVLink message, or has fields of wrong types.
+        Raises TypeError or `struct.error` for what is no MAVLink message, or has fields of wrong types, and
+        ValueError for more than `MOST_MESSAGES` in one iteration.
         """
         check_message(message)
+        if len(self._outgoing) >= MOST_MESSAGES:
+            raise ValueError(f"more than {MOST_MESSAGES} messages in one iteration of the loop")
         self._outgoing.append(message)
 
     # ---- of the host
