@@ -109,7 +109,6 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
             places_ned_m=scenario.places_ned_m(),
             step_us=scenario.run.step_us,
             ardupilots=scenario.ardupilots,
-            external=[i for i in range(scenario.agents) if scenario.autopilot.is_external(i)],
         )
     except ExtensionError as error:
         raise ScenarioError(f"{path}: {error}") from None
