@@ -23,7 +23,7 @@ from msgspec import Struct
 from pymavlink.dialects.v20 import common
 
 from autopilot.logs.companion_record import CompanionLog
-from autopilot.mavlink.codec import Message, stamp
+from autopilot.mavlink.codec import Message, Parser, stamp
 from autopilot.mavlink.components import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
 from autopilot.mavlink.local_messages import PositionTarget
 from autopilot.mavlink.telemetry import CompanionEncoder
@@ -219,6 +219,8 @@ class CompanionProcess:
             if message.get_msgId() == common.MAVLINK_MSG_ID_STATUSTEXT:
                 sys.stderr.write(f"{now_us * 1e-6:.2f} s: {message.text}\n")
             companion.on_message(message, now_us)
+        for reading in Parser().push_datagram(request.readings) if request.readings else ():
+            companion.app.on_mavlink(reading, now_us)
         for kind in self._autopilot.parser.take_unknown():
             companion.on_kind(kind, now_us)
         items = self._radio.receive(request.released_us) if request.released_us else ()

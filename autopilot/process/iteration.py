@@ -20,6 +20,8 @@ class Iterate(Struct, frozen=True, kw_only=True, array_like=True):
     time_us: TimeUs
     released_us: TimeUs = 0
     """Release time of the newest batch that the radio delivers; 0: there is none since the last request."""
+    readings: bytes = b""
+    """MAVLink frames of the scenario's own sensors that are connected to the application."""
 
 
 class Iterated(Struct, frozen=True, kw_only=True, array_like=True):

@@ -35,6 +35,5 @@ def with_code(scenario: Scenario, folder: Path) -> Scenario:
         places_ned_m=scenario.places_ned_m(),
         step_us=scenario.run.step_us,
         ardupilots=scenario.ardupilots,
-        external=[i for i in range(scenario.agents) if scenario.autopilot.is_external(i)],
     )
     return msgspec.structs.replace(scenario, onboard=onboard, radio=radio, sensors=sensors, faults=faults)

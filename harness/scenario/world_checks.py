@@ -59,12 +59,11 @@ def with_folder(
 def check_models(
     sensors: SensorsConfig, faults: Sequence[AnyFault], *, seed: int, site: Site,
     airframes: Sequence[Airframe], places_ned_m: Array, step_us: int,
-    ardupilots: Collection[int], external: Collection[int],
+    ardupilots: Collection[int],
 ) -> None:  # fmt: skip
     """Create all sensors and faults of users, and call each once for vehicles at their places.
 
-    ``external`` are the vehicles that another program than coflight's autopilot flies, ``ardupilots`` those
-    of an ArduPilot. Raises ExtensionError with one line.
+    ``ardupilots`` are the vehicles that an ArduPilot flies. Raises ExtensionError with one line.
     """
     models = WorldModels(
         seed=seed, stream=0, airframes=airframes, site=site, obstacles=Obstacles(sensors.boxes),
@@ -74,7 +73,7 @@ def check_models(
     link = common.MAVLink(None)
     try:
         for sensor in models.sensors(sensors.extra):
-            _check_receiver(sensor, ardupilots, external)
+            _check_receiver(sensor, ardupilots)
             values = sensor.sample(state(sensor.vehicle))
             if values is not None:
                 sensor.frame(Reading(step_us, values), link)
@@ -86,17 +85,12 @@ def check_models(
         raise ExtensionError(str(error)) from error
 
 
-def _check_receiver(sensor: CheckedSensor, ardupilots: Collection[int], external: Collection[int]) -> None:
+def _check_receiver(sensor: CheckedSensor, ardupilots: Collection[int]) -> None:
     """Check that a sensor's vehicle receives its readings."""
     field, vehicle = f"sensors.extra[{sensor.number}].uavs", sensor.vehicle
     if sensor.is_for_autopilot and vehicle in ardupilots:
         raise ExtensionError(
             f"{field}: {sensor.name} cannot be on UAV {vehicle}, as an ArduPilot takes none but its own"
-        )
-    if not sensor.is_for_autopilot and vehicle in external:
-        raise ExtensionError(
-            f"{field}: {sensor.name} cannot be on UAV {vehicle}, as its readings are for the application, "
-            "which does not receive them beside a PX4 or ArduPilot"
         )
 
 

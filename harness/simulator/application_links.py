@@ -10,6 +10,7 @@ import contextlib
 import socket
 import time
 from collections.abc import Callable, Collection, Mapping
+from types import MappingProxyType
 
 from autopilot.mavlink.codec import Message, Parser
 from autopilot.process.iteration import Iterate, Iterated
@@ -19,6 +20,7 @@ from harness.simulator.response_watchdog import ResponseWatchdog
 POLL_S = 0.25
 """Wall time after which a silent application is checked, again and again."""
 CLOSED = "its process ended"
+NO_READINGS: Mapping[int, bytes] = MappingProxyType({})
 
 
 class ApplicationLinks:
@@ -49,15 +51,26 @@ class ApplicationLinks:
         self._on_message, self._on_silent, self._on_lost = on_message, on_silent, on_lost
         self._released_us: dict[int, int] = {}
         """Release time of the newest batch for each application that has not been announced yet."""
+        self._readings: dict[int, bytes] = {}
+        """Frames of sensors for each application that have arrived since its last request."""
         self._pending: list[int] = []
         """Applications whose iteration has been requested and not awaited."""
 
-    def begin(self, time_us: int, delivered: Collection[int], lost: Collection[int]) -> None:
+    def begin(
+        self,
+        time_us: int,
+        delivered: Collection[int],
+        lost: Collection[int],
+        readings: Mapping[int, bytes] = NO_READINGS,
+    ) -> None:
         """Request the iterations that begin at ``time_us``, if any do.
 
         ``delivered`` are the vehicles whose radio has a delivery for this step, ``lost`` those that are no
-        longer in the run, whose applications rest.
+        longer in the run, whose applications rest, ``readings`` the frames of sensors by vehicle.
         """
+        for instance, frames in readings.items():
+            if instance in self._lines:
+                self._readings[instance] = self._readings.get(instance, b"") + frames
         for instance in delivered:
             if instance in self._lines:
                 self._released_us[instance] = time_us
@@ -66,7 +79,8 @@ class ApplicationLinks:
         self._pending = [instance for instance in self._lines if instance not in lost]
         for instance in self._pending:
             released_us = self._released_us.pop(instance, 0)
-            self._lines[instance].send(Iterate(time_us=time_us, released_us=released_us))
+            measured = self._readings.pop(instance, b"")
+            self._lines[instance].send(Iterate(time_us=time_us, released_us=released_us, readings=measured))
 
     def finish(self, lost: Collection[int]) -> tuple[int, ...]:
         """Wait for the requested iterations; return the vehicles whose application sends a batch.

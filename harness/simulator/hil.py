@@ -92,7 +92,7 @@ class SensorEncoder:
         In HIL_SENSOR the vehicles ``delivered`` are notified of a delivery by their radio in this step.
         Raises ExtensionFailure for a sensor of the user without a valid message.
         """
-        own_messages = self._readings(arrivals) if arrivals else {}
+        own_messages = self.readings(arrivals) if arrivals else {}
         others: list[list[bytes]] = []
         for rows, absent in escs:
             others.append(self._but(self._px4 | absent, self._encode(ESC_STATUS, rows)))
@@ -111,7 +111,7 @@ class SensorEncoder:
             sensors = [own_messages.get(vehicle, b"") + bytes(each) for vehicle, each in enumerate(sensors)]
         return sensors
 
-    def _readings(self, arrivals: Sequence[Arrival]) -> dict[int, bytes]:
+    def readings(self, arrivals: Sequence[Arrival]) -> dict[int, bytes]:
         """Return the frames of readings by vehicle."""
         frames: dict[int, bytes] = {}
         for sensor, reading in arrivals:

@@ -205,7 +205,13 @@ class Simulation:
         recorded = self.time_us % self._record_period_us == 0
         self._advance_faults()
         frame = self._sensors.sample(self.time_us, truth, self._faults)
-        arrivals = self._sample_extra() if self._extra_sensors else ()
+        arrivals = self._sample_extra() if self._extra_sensors else []
+        to_applications = [
+            each
+            for each in arrivals
+            if each.sensor.vehicle in self._external and not each.sensor.is_for_autopilot
+        ]
+        arrivals = [each for each in arrivals if each not in to_applications]
         sends_truth = self._sends_truth and self.time_us % TRUTH_PERIOD_US < self._step_us
         sent_truth = truth if sends_truth else None
         delivered: tuple[int, ...] = ()
@@ -221,7 +227,8 @@ class Simulation:
         self.lockstep.send(self._with_states(frames, frame, truth) if self._state_encoders else frames)
         applications = self._applications
         if applications is not None:
-            applications.begin(self.time_us, delivered, self._lost)
+            readings = self._encoder.readings(to_applications)
+            applications.begin(self.time_us, delivered, self._lost, readings)
         if recorded:
             self._record(truth, alive)
         self.notice_collisions()

@@ -77,11 +77,6 @@ def test_overrides_reach_the_settings(read):
         (FAULT.format('model = "beside_scenario:Pusher"'), r"faults\[0\]\.model: .* did you mean .*:Push\?"),
         (FAULT.format(""), r"faults\[0\]: object missing required field `model`"),
         (
-            SENSOR.format('model = "uwb_tag"\nsettings = { vehicles = true }')
-            + PX4,
-            r"sensors\.extra\[0\]\.uavs: uwb_tag cannot be on UAV 0, as its readings are for",
-        ),
-        (
             SENSOR.format('model = "range_finder"') + ARDUPILOT,
             r"sensors\.extra\[0\]\.uavs: range_finder cannot be on UAV 0, as an ArduPilot takes none",
         ),
@@ -93,6 +88,7 @@ def test_an_error_is_one_line_with_file_and_field(read, tmp_path, text, line):
     assert "\n" not in str(caught.value)
 
 
-def test_a_range_finder_is_for_a_px4_too(read):
-    text = SENSOR.format('model = "range_finder"') + PX4
+@pytest.mark.parametrize("model", ['"range_finder"', '"uwb_tag"\nsettings = { vehicles = true }'])
+def test_sensors_are_beside_a_px4_too(read, model):
+    text = SENSOR.format(f"model = {model}") + PX4
     assert read(text).sensors.extra[0].vehicles(2) == (0, 1)

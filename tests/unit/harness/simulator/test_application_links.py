@@ -90,6 +90,18 @@ def test_a_delivery_between_two_iterations_is_announced_with_the_next_one(swarm)
     assert {request.released_us for request in swarm.requests().values()} == {0}
 
 
+def test_readings_between_two_iterations_are_sent_with_the_next_one_and_once(swarm):
+    swarm.links.begin(STEP_US, (), (), {0: b"a", 1: b"x"})
+    swarm.links.begin(2 * STEP_US, (), (), {0: b"b", 2: b"c"})
+    swarm.links.begin(PERIOD_US, (), (), {2: b"d"})
+    assert {instance: each.readings for instance, each in swarm.requests().items()} == {0: b"ab", 2: b"cd"}
+    for instance in (0, 2):
+        swarm.answer(instance)
+    swarm.links.finish(())
+    swarm.links.begin(2 * PERIOD_US, (), ())
+    assert {instance: each.readings for instance, each in swarm.requests().items()} == {0: b"", 2: b""}
+
+
 def test_reports_are_passed_on_with_their_vehicle(swarm):
     beat = common.MAVLink_heartbeat_message(18, 8, 0, 5, 4, 3)
     swarm.links.begin(PERIOD_US, (), ())
