@@ -30,6 +30,7 @@ if TYPE_CHECKING:
         StopMode,
     )
     from autopilot.onboard.application import Application, Estimate, Reports, Status
+    from autopilot.onboard.client.autopilot_client import AutopilotClient, FlightState
     from autopilot.onboard.context import Context
     from autopilot.services.service import MavlinkService
     from autopilot.services.user_service import ServiceContext
@@ -66,21 +67,22 @@ if TYPE_CHECKING:
     from netsim.wire.messages import Delivery, FtmResult, Sent, Survey
 
 __all__ = [
-    "AntennaPattern", "Application", "AttitudeSetpoint", "AutopilotSensor", "Campaign", "Condition",
-    "Context", "Controller", "ControllerContext", "ControllerInputs", "Course", "Delivery", "Effects",
-    "ErrorModel", "Estimate", "EstimatorState", "Fading", "FaultModel", "FlightMode", "FlightModeBehaviour",
-    "FtmResult", "Guest", "MavlinkService", "ModeContext", "ModeEntry", "ModeInputs", "ModeTraits",
-    "NetworkEmulator", "Obstacles", "OneProcessSwarm", "PathLoss", "Physics", "RadioContext", "RateSetpoint",
-    "Reading", "Reports", "Scenario", "ScenarioError", "Sensor", "SensorFaultModel", "Sent", "ServiceContext",
-    "SetupError", "Shadowing", "Status", "StopMode", "Survey", "Swarm", "SwarmError", "SwarmTimeoutError",
-    "SwarmTruth", "ThrustTorque", "TrajectorySetpoint", "UserFault", "WorldContext", "WorldInputs",
-    "load_scenario",
+    "AntennaPattern", "Application", "AttitudeSetpoint", "AutopilotClient", "AutopilotSensor", "Campaign",
+    "Condition", "Context", "Controller", "ControllerContext", "ControllerInputs", "Course", "Delivery",
+    "Effects", "ErrorModel", "Estimate", "EstimatorState", "Fading", "FaultModel", "FlightMode",
+    "FlightModeBehaviour", "FlightState", "FtmResult", "Guest", "MavlinkService", "ModeContext", "ModeEntry",
+    "ModeInputs", "ModeTraits", "NetworkEmulator", "Obstacles", "OneProcessSwarm", "PathLoss", "Physics",
+    "RadioContext", "RateSetpoint", "Reading", "Reports", "Scenario", "ScenarioError", "Sensor",
+    "SensorFaultModel", "Sent", "ServiceContext", "SetupError", "Shadowing", "Status", "StopMode", "Survey",
+    "Swarm", "SwarmError", "SwarmTimeoutError", "SwarmTruth", "ThrustTorque", "TrajectorySetpoint",
+    "UserFault", "WorldContext", "WorldInputs", "load_scenario",
 ]  # fmt: skip
 
 _PLACES = {
     "AntennaPattern": "netsim.phy.interfaces:AntennaPattern",
     "Application": "autopilot.onboard.application:Application",
     "AttitudeSetpoint": "foundation.types:AttitudeSetpoint",
+    "AutopilotClient": "autopilot.onboard.client.autopilot_client:AutopilotClient",
     "AutopilotSensor": "harness.world.interfaces:AutopilotSensor",
     "Campaign": "harness.campaign:Campaign",
     "Condition": "autopilot.commander.arming_checks:Condition",
@@ -98,6 +100,7 @@ _PLACES = {
     "FaultModel": "harness.world.interfaces:FaultModel",
     "FlightMode": "autopilot.mavlink.modes:FlightMode",
     "FlightModeBehaviour": "autopilot.navigation.flight_mode:FlightModeBehaviour",
+    "FlightState": "autopilot.onboard.client.autopilot_client:FlightState",
     "FtmResult": "netsim.wire.messages:FtmResult",
     "Guest": "netsim.transport.guest:Guest",
     "MavlinkService": "autopilot.services.service:MavlinkService",

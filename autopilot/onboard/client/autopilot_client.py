@@ -47,7 +47,7 @@ _PACKER = common.MAVLink(None)
 _ZERO: Vector = (0.0, 0.0, 0.0)
 
 
-class Flight(Enum):
+class FlightState(Enum):
     """State of the flight that `AutopilotClient.take_off` began."""
 
     ON_GROUND = "on ground"
@@ -77,7 +77,7 @@ class AutopilotClient:
         self.own = OwnState(site=site, gps_delay_s=gps_delay_s, autopilot=interface)
         self.commands = CommandSender(target_system=system)
         self.interface = interface
-        self.flight = Flight.ON_GROUND
+        self.flight = FlightState.ON_GROUND
         self.parameters: dict[str, float] = {}
         self._system = system
         self._take_off = TakeOff(self.commands, interface)
@@ -100,6 +100,11 @@ class AutopilotClient:
         return None if own.origin_ned_m is None or own.time_us < 0 else own.autopilot_ned_m
 
     @property
+    def time_us(self) -> int:
+        """Simulated time of `pos_ned_m` and `vel_ned_m_s`; -1: there is none."""
+        return self.own.time_us
+
+    @property
     def vel_ned_m_s(self) -> Vector:
         """Velocity, NED."""
         return self.own.vel_ned_m_s
@@ -117,7 +122,11 @@ class AutopilotClient:
     @property
     def follows(self) -> bool:
         """Whether the vehicle follows the setpoints of `fly`."""
-        return self.flight is Flight.FOLLOWING and self.mode is FlightMode.OFFBOARD and not self.own.failsafe
+        return (
+            self.flight is FlightState.FOLLOWING
+            and self.mode is FlightMode.OFFBOARD
+            and not self.own.failsafe
+        )
 
     # ---- requests of the application
 
@@ -128,8 +137,8 @@ class AutopilotClient:
         """
         if not 0.5 <= height_m <= 1_000.0:
             raise ValueError(f"height_m: {height_m}; expected 0.5 to 1000")
-        if self.flight is Flight.ON_GROUND and self.pos_ned_m is not None and self.own.fix is not None:
-            self.flight, self._height_m, self._since_us = Flight.ARMING, height_m, self._now_us
+        if self.flight is FlightState.ON_GROUND and self.pos_ned_m is not None and self.own.fix is not None:
+            self.flight, self._height_m, self._since_us = FlightState.ARMING, height_m, self._now_us
 
     def fly(
         self, *, pos_ned_m: Vector | None = None, vel_ned_m_s: Vector | None = None,
@@ -141,8 +150,6 @@ class AutopilotClient:
         setpoints. It has no effect unless the vehicle `follows`. Raises ValueError for a setpoint of none of
         them, of another size, or with numbers that are not finite.
         """
-        if not self.follows:
-            return
         own, mask = self.own, 0
         pos, vel, acc = _ZERO, _ZERO, _ZERO
         if pos_ned_m is None:
@@ -162,6 +169,11 @@ class AutopilotClient:
             acc = _finite("acc_ned_m_s2", acc_ned_m_s2)
         if pos_ned_m is None and vel_ned_m_s is None and acc_ned_m_s2 is None:
             raise ValueError("fly: expected at least one of pos_ned_m, vel_ned_m_s, acc_ned_m_s2")
+        for name, value in (("yaw_rad", yaw_rad), ("yaw_rate_rad_s", yaw_rate_rad_s)):
+            if value is not None and not math.isfinite(value):
+                raise ValueError(f"{name}: {value}; expected a finite number")
+        if not self.follows:
+            return
         mask |= _IGNORE_YAW if yaw_rad is None else 0
         mask |= _IGNORE_YAW_RATE if yaw_rate_rad_s is None else 0
         self.send(
@@ -248,15 +260,15 @@ class AutopilotClient:
         """Begin an iteration of the loop: advance the flight that `take_off` began."""
         self._now_us = now_us
         own = self.own
-        if self.flight is Flight.ARMING and self._take_off.arm(own, now_us, since_us=self._since_us):
-            self.flight = Flight.TAKING_OFF
-        if self.flight is not Flight.TAKING_OFF and self.flight is not Flight.FOLLOWING:
+        if self.flight is FlightState.ARMING and self._take_off.arm(own, now_us, since_us=self._since_us):
+            self.flight = FlightState.TAKING_OFF
+        if self.flight is not FlightState.TAKING_OFF and self.flight is not FlightState.FOLLOWING:
             return
         self._has_flown |= own.armed and -own.odometry_ned_m[2] > FLOWN_HEIGHT_M
         if self._has_flown and not own.armed:
-            self.flight = Flight.LANDED
+            self.flight = FlightState.LANDED
             self.commands.request(None, now_us)
-        elif self.flight is Flight.TAKING_OFF:
+        elif self.flight is FlightState.TAKING_OFF:
             self._climb(now_us)
 
     def take(self, now_us: int) -> list[Message | PositionTarget]:
@@ -268,7 +280,7 @@ class AutopilotClient:
     def _climb(self, now_us: int) -> None:
         own = self.own
         if self._take_off.climb(own, now_us, height_m=self._height_m):
-            self.flight = Flight.FOLLOWING
+            self.flight = FlightState.FOLLOWING
         if not self.interface.follows_before_take_off:  # it needs setpoints before it changes to the mode
             north_m, east_m = own.local_ne_m
             down_m = own.height.down_m + own.height.autopilot_down_m

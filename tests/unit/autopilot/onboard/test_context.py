@@ -1,5 +1,6 @@
 """What an application may send in one iteration, and what is refused at the call that is wrong."""
 
+import math
 import struct
 
 import numpy as np
@@ -123,3 +124,20 @@ def test_the_truth_is_not_available_beside_another_autopilot():
     assert own.needs_truth
     with pytest.raises(ValueError, match="px4 does not pass the true state on"):
         context("px4").request_truth()
+
+
+@pytest.mark.parametrize(
+    "setpoint",
+    [
+        {},
+        {"yaw_rad": 1.0},
+        {"pos_ned_m": (0.0, 0.0)},
+        {"pos_ned_m": (0.0, 0.0, math.nan)},
+        {"vel_ned_m_s": ("1", "2", "down")},
+        {"acc_ned_m_s2": 1.0},
+        {"pos_ned_m": (0.0, 0.0, 0.0), "yaw_rad": math.inf},
+    ],
+)
+def test_a_setpoint_is_checked_before_the_vehicle_follows_it(setpoint):
+    with pytest.raises(ValueError, match="expected"):
+        context().autopilot.fly(**setpoint)
