@@ -102,7 +102,7 @@ class Programs:
         return [answer for program in self._all for answer in program.on_request(message)]
 
     def on_radio(self, items: Sequence[RxItem], now_us: int) -> None:
-        """Pass on what the radio received and measured: datagrams by port, results to who asked for them."""
+        """Pass on what the radio received and measured: datagrams by port, results by their request."""
         if not self._others:
             port = self._first.context.radio.port
             mine = [item for item in items if type(item) is not Delivery or item.port == port]

@@ -117,6 +117,11 @@ class AutopilotClient:
         """Whether the vehicle follows the setpoints of `fly`."""
         return self.flight is Flight.FOLLOWING and self.mode is FlightMode.OFFBOARD and not self.own.failsafe
 
+    @property
+    def landed(self) -> bool:
+        """Whether the motors are disarmed after the flight that `take_off` began."""
+        return self.flight is Flight.LANDED
+
     # ---- requests of the application
 
     def take_off(self, height_m: float = 2.5) -> None:
