@@ -45,7 +45,7 @@ class _Thread:
         self.call: ExtensionCall | None = None
         """The present call."""
         self.entries = 0
-        """Calls so far, which differs between two calls of one caller."""
+        """Calls so far: distinguishes two calls of one caller."""
         self.measured: set[ExtensionCall] | None = None
         """Callers since the memory is measured; None: it is not."""
 

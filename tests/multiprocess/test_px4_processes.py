@@ -9,63 +9,25 @@ import time
 
 import psutil
 import pytest
-from external_swarms import CALM, free_base
-from paths import ROOT, SUPPORT
+from external_swarms import CALM
+from paths import ROOT
+from px4_swarms import px4_swarms
 from pymavlink.dialects.v20 import common
 
 from harness.launch.one_process import OneProcessSwarm
 from harness.launch.process_commands import PREFORK, application, uav
-from harness.launch.swarm import SetupError, Swarm, SwarmError
+from harness.launch.swarm import SetupError, SwarmError
 from harness.simulator.messages import VehicleLost
 
 pytestmark = pytest.mark.multiprocess
-
-STAND_IN = SUPPORT / "px4_stand_in.py"
-COMMAND = (
-    '["env", "{build}/bin/px4", "-i", "{i}", "-d", "{build}/etc", "-w", "{work}", "--tcp", "{tcp}",'
-    ' "--gcs", "{gcs_local}:{gcs_remote}", "--companion", "{companion_local}:{companion_remote}"]'
-)
 
 
 @pytest.fixture
 def swarm(tmp_path):
     """Return a factory of swarms of stand-ins; ``**manners`` are fields of `px4_stand_in.Manners`."""
-    build = tmp_path / "build"
-    (build / "bin").mkdir(parents=True)
-    (build / "etc").mkdir()
-    program = build / "bin" / "px4"
-    program.write_text(
-        f'#!/bin/sh\nPYTHONPATH={ROOT} exec {sys.executable} {STAND_IN} "$@"\n', encoding="utf-8"
-    )
-    program.chmod(0o755)
     path = tmp_path / "px4s.toml"
     path.write_text(CALM, encoding="ascii")
-
-    def make(agents, *overrides, name="run", speed="max", **manners):
-        env = json.dumps(manners).replace("{", "{{").replace("}", "}}")
-        bases = dict(zip(("gcs", "companion", "application"), range(free_base(12), 99_999, 4), strict=False))
-        return Swarm(
-            path,
-            agents=agents,
-            ports="scenario",
-            speed=speed,
-            out=tmp_path / name,
-            overrides=[
-                "autopilot.kind=px4",
-                f"autopilot.px4_build={build}",
-                f"autopilot.px4_command={COMMAND}",
-                f"autopilot.px4_env.STAND_IN='{env}'",
-                "ports.simulator_tcp=0",
-                "ports.radio_tcp=0",
-                "ports.gcs_remote_udp=0",
-                f"ports.gcs_local_udp={bases['gcs']}",
-                f"ports.companion_local_udp={bases['companion']}",
-                f"ports.companion_remote_udp={bases['application']}",
-                *overrides,
-            ],
-        )
-
-    return make
+    return px4_swarms(tmp_path, path)
 
 
 def test_swarm_of_px4s_flies_the_formation_and_is_not_deterministic(swarm):

@@ -128,6 +128,11 @@ class AutopilotClient:
             and not self.own.failsafe
         )
 
+    @property
+    def landed(self) -> bool:
+        """Whether the motors are disarmed after the flight that `take_off` began."""
+        return self.flight is Flight.LANDED
+
     # ---- requests of the application
 
     def take_off(self, height_m: float = 2.5) -> None:

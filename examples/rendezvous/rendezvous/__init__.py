@@ -1,0 +1,1 @@
+"""Consensus rendezvous over beacons; `application.Rendezvous` is the on-board application."""
