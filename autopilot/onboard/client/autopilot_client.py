@@ -131,7 +131,7 @@ class AutopilotClient:
     @property
     def landed(self) -> bool:
         """Whether the motors are disarmed after the flight that `take_off` began."""
-        return self.flight is Flight.LANDED
+        return self.flight is FlightState.LANDED
 
     # ---- requests of the application
 
