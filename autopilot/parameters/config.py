@@ -329,7 +329,7 @@ class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Binary log of estimates; None: no log."""
     params_path: str | None = None
     """File to which MAV_CMD_PREFLIGHT_STORAGE writes the parameters; None: the command is not supported."""
-    call_limit_s: Annotated[float, Meta(gt=0.0)] = 5.0
+    call_limit_s: Annotated[float, Meta(gt=0.0, le=120.0)] = 5.0
     """Wall time within which calls of the user's code must return."""
     record_period_us: Annotated[int, Meta(ge=1_000)] = 20_000
     connect_timeout_s: Annotated[float, Meta(gt=0.0, le=1e5)] = 30.0

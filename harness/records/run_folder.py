@@ -52,7 +52,7 @@ class PhysicsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 class _Applications(Struct, frozen=True):
     """The part of `PhysicsConfig` that tables depend on."""
 
-    applications: Layout
+    applications: Layout = NO_APPLICATION
 
 
 LISTED = 3
