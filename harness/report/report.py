@@ -99,7 +99,7 @@ def _write_tables(folder: RunFolder, scenario: Scenario, outcome: RunOutcome) ->
         hashes[folder.receptions.name] = _sha256(folder.receptions)
     whole = flight_of(records, scenario, start_us=start_us)
     window = _window(whole, outcome.formed_us, scenario)
-    error = formation_error(window) if len(window) else None
+    error = _formation_error(window, folder)
     antenna = _antenna(window, scenario)
     antenna_report.write(folder, antenna, scenario)
     summary = {
@@ -177,7 +177,7 @@ def draw_again(folder: RunFolder, scenario: Scenario, *, formed_us: int | None) 
     """
     whole = read_flight(folder, scenario)
     window = _window(whole, formed_us, scenario)
-    error = formation_error(window) if len(window) else None
+    error = _formation_error(window, folder)
     air, sessions = pq.read_table(folder.air), pq.read_table(folder.ftm)
     completed = sessions.filter(pc.equal(sessions["status"], "ok"))
     error_m = completed["distance_m"].to_numpy() - completed["true_distance_m"].to_numpy()
@@ -197,6 +197,13 @@ def _window(whole: Flight, formed_us: int | None, scenario: Scenario) -> Flight:
     """
     begin_us = np.iinfo(np.int64).max if formed_us is None or scenario.onboard.hold else formed_us
     return whole.at(np.flatnonzero(whole.time_us >= begin_us))
+
+
+def _formation_error(window: Flight, folder: RunFolder) -> FormationError | None:
+    """Return the error of the formation; None if it was not reached, or the application flies elsewhere."""
+    applications = folder.applications()
+    flies_elsewhere = applications.phases and not applications.placed
+    return None if flies_elsewhere or not len(window) else formation_error(window)
 
 
 def _antenna(window: Flight, scenario: Scenario) -> Aperture:
