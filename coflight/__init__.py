@@ -30,7 +30,8 @@ if TYPE_CHECKING:
         StopMode,
     )
     from autopilot.onboard.application import Application, Estimate, Reports, Status
-    from autopilot.onboard.context import Context
+    from autopilot.onboard.client.autopilot_client import AutopilotClient
+    from autopilot.onboard.context import Context, Radio
     from autopilot.services.service import MavlinkService
     from autopilot.services.user_service import ServiceContext
     from foundation.types import (
@@ -54,19 +55,21 @@ if TYPE_CHECKING:
     from netsim.wire.messages import Delivery, FtmResult, Sent, Survey
 
 __all__ = [
-    "AntennaPattern", "Application", "AttitudeSetpoint", "Campaign", "Condition", "Context", "Controller",
-    "ControllerContext", "ControllerInputs", "Course", "Delivery", "ErrorModel", "Estimate", "EstimatorState",
-    "Fading", "FlightMode", "FlightModeBehaviour", "FtmResult", "Guest", "MavlinkService", "ModeContext",
-    "ModeEntry", "ModeInputs", "ModeTraits", "NetworkEmulator", "OneProcessSwarm", "PathLoss", "Physics",
-    "RadioContext", "RateSetpoint", "Reports", "Scenario", "ScenarioError", "Sent", "ServiceContext",
-    "SetupError", "Shadowing", "Status", "StopMode", "Survey", "Swarm", "SwarmError", "SwarmTimeoutError",
-    "SwarmTruth", "ThrustTorque", "TrajectorySetpoint", "load_scenario",
+    "AntennaPattern", "Application", "AttitudeSetpoint", "AutopilotClient", "Campaign", "Condition",
+    "Context", "Controller", "ControllerContext", "ControllerInputs", "Course", "Delivery", "ErrorModel",
+    "Estimate", "EstimatorState", "Fading", "FlightMode", "FlightModeBehaviour", "FtmResult", "Guest",
+    "MavlinkService", "ModeContext", "ModeEntry", "ModeInputs", "ModeTraits", "NetworkEmulator",
+    "OneProcessSwarm", "PathLoss", "Physics", "Radio", "RadioContext", "RateSetpoint", "Reports",
+    "Scenario", "ScenarioError", "Sent", "ServiceContext", "SetupError", "Shadowing", "Status",
+    "StopMode", "Survey", "Swarm", "SwarmError", "SwarmTimeoutError", "SwarmTruth", "ThrustTorque",
+    "TrajectorySetpoint", "load_scenario",
 ]  # fmt: skip
 
 _PLACES = {
     "AntennaPattern": "netsim.phy.interfaces:AntennaPattern",
     "Application": "autopilot.onboard.application:Application",
     "AttitudeSetpoint": "foundation.types:AttitudeSetpoint",
+    "AutopilotClient": "autopilot.onboard.client.autopilot_client:AutopilotClient",
     "Campaign": "harness.campaign:Campaign",
     "Condition": "autopilot.commander.arming_checks:Condition",
     "Context": "autopilot.onboard.context:Context",
@@ -92,6 +95,7 @@ _PLACES = {
     "OneProcessSwarm": "harness.launch.one_process:OneProcessSwarm",
     "PathLoss": "netsim.phy.interfaces:PathLoss",
     "Physics": "harness.world.physics.interface:Physics",
+    "Radio": "autopilot.onboard.context:Radio",
     "RadioContext": "netsim.phy.interfaces:RadioContext",
     "RateSetpoint": "foundation.types:RateSetpoint",
     "Reports": "autopilot.onboard.application:Reports",
