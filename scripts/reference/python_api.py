@@ -126,7 +126,8 @@ def _class(kind: type, level: str) -> Iterator[str]:
         yield table(("field", "type", "meaning"), rows)
     else:
         if "__init__" not in OF_HOST.get(kind, ()):
-            yield f"```python\n{_signature(kind.__name__, kind.__init__)}\n```\n"
+            constructor = vars(kind)["__init__"]
+            yield f"```python\n{_signature(kind.__name__, constructor)}\n```\n"
         yield paragraphs(_doc(kind, kind.__name__)) + "\n"
     yield from _members(kind, f"{level}#")
 
