@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     )
     from autopilot.onboard.application import Application, Estimate, Reports, Status
     from autopilot.onboard.client.autopilot_client import AutopilotClient, FlightState
-    from autopilot.onboard.context import Context
+    from autopilot.onboard.context import Context, Radio
     from autopilot.services.service import MavlinkService
     from autopilot.services.user_service import ServiceContext
     from foundation.types import (
@@ -72,7 +72,7 @@ __all__ = [
     "Effects", "ErrorModel", "Estimate", "EstimatorState", "Fading", "FaultModel", "FlightMode",
     "FlightModeBehaviour", "FlightState", "FtmResult", "Guest", "MavlinkService", "ModeContext", "ModeEntry",
     "ModeInputs", "ModeTraits", "NetworkEmulator", "Obstacles", "OneProcessSwarm", "PathLoss", "Physics",
-    "RadioContext", "RateSetpoint", "Reading", "Reports", "Scenario", "ScenarioError", "Sensor",
+    "Radio", "RadioContext", "RateSetpoint", "Reading", "Reports", "Scenario", "ScenarioError", "Sensor",
     "SensorFaultModel", "Sent", "ServiceContext", "SetupError", "Shadowing", "Status", "StopMode", "Survey",
     "Swarm", "SwarmError", "SwarmTimeoutError", "SwarmTruth", "ThrustTorque", "TrajectorySetpoint",
     "UserFault", "WorldContext", "WorldInputs", "load_scenario",
@@ -113,6 +113,7 @@ _PLACES = {
     "OneProcessSwarm": "harness.launch.one_process:OneProcessSwarm",
     "PathLoss": "netsim.phy.interfaces:PathLoss",
     "Physics": "harness.world.physics.interface:Physics",
+    "Radio": "autopilot.onboard.context:Radio",
     "RadioContext": "netsim.phy.interfaces:RadioContext",
     "RateSetpoint": "foundation.types:RateSetpoint",
     "Reading": "harness.world.interfaces:Reading",

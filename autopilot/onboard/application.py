@@ -144,9 +144,9 @@ class Application(Protocol):
     `estimate` is called for rows of the log. What is sent with the context's radio and autopilot leaves after
     `on_timer`.
 
-    ``now_us`` is simulated time, which all UAVs share and which does not decrease. There is no other clock,
-    no I/O and no global randomness: random values are drawn from the context's generator, so equal inputs
-    give equal outputs, in a process of its own and in one process.
+    Simulated time ``now_us`` is shared by all UAVs and does not decrease. There is no other clock, no I/O and
+    no global randomness: random values are drawn from the context's generator, so equal inputs give equal
+    outputs, in a process of its own and in one process.
 
     An exception ends the vehicle, or beside a PX4 or ArduPilot the application: its traceback is in the
     vehicle's log.

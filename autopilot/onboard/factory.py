@@ -81,9 +81,10 @@ def layout_of(config: OnboardConfig) -> Layout:
     """Return what the programs of a UAV with these settings report; raises as `load_application`."""
     if not config.enabled:
         return NO_APPLICATION
+    first = load_application(config).kind.reports
     others = {name: each.kind.reports for name, each in load_programs(config).items()}
     try:
-        return layout(load_application(config).kind.reports, others)
+        return layout(first, others)
     except ValueError as error:
         raise ExtensionError(f"onboard.programs: {error}") from None
 

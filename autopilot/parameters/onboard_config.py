@@ -103,7 +103,7 @@ class OnboardConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """
 
     def __post_init__(self) -> None:
-        """Check that settings of the formation belong to it, and names and ports of programs."""
+        """Check that settings of the formation belong to it, and that names and ports differ."""
         if self.application != FORMATION:
             for each in msgspec.structs.fields(self):
                 if each.name not in _OF_ALL and getattr(self, each.name) != each.default:

@@ -40,7 +40,7 @@ def paragraphs(text: str) -> str:
         lines = block.rstrip().splitlines()
         if all(line.startswith("    ") for line in lines):
             parts.append("\n".join(["```python", *(line[4:] for line in lines), "```"]))
-        elif lines[0].strip() in {"Args:", "Returns:", "Raises:"}:
+        elif lines[0].strip() in {"Args:", "Attributes:", "Returns:", "Raises:"}:
             parts.append(f"{lines[0].strip()}\n\n{_arguments(lines[1:])}")
         elif re.match(r"``\w+``(:| )", lines[0]) and len(lines) > 1:
             parts.append(_named(lines))

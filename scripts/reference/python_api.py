@@ -4,18 +4,18 @@ import ast
 import inspect
 import re
 import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from types import FunctionType
 from typing import Any
-
-from msgspec import Struct
 
 import harness.campaign
 import harness.launch.swarm
 from autopilot.commander.mode_table import ModeTraits
 from autopilot.control.controller import Controller, ControllerContext, ControllerInputs, ThrustTorque
 from autopilot.navigation.flight_mode import FlightModeBehaviour
-from autopilot.onboard.application import Application
+from autopilot.onboard.application import Application, Estimate, Reports, Status
+from autopilot.onboard.client.autopilot_client import AutopilotClient
+from autopilot.onboard.context import Context, Radio
 from autopilot.services.service import MavlinkService
 from autopilot.services.user_service import ServiceContext
 from foundation.docstrings import field_docstrings
@@ -37,6 +37,7 @@ from harness.world.obstacles import Obstacles
 from harness.world.physics.interface import Physics
 from netsim.emulator.interface import NetworkEmulator
 from netsim.phy.interfaces import AntennaPattern, ErrorModel, Fading, PathLoss, RadioContext, Shadowing
+from netsim.wire.messages import Delivery, FtmResult, Sent, Survey
 from reference.markdown import UndocumentedError, one_line, paragraphs, table
 
 INTRODUCTION = """# Python API
@@ -51,6 +52,18 @@ PROTOCOLS = (
     ErrorModel, Sensor, AutopilotSensor, FaultModel, SensorFaultModel, NetworkEmulator, Physics,
 )  # fmt: skip
 EXCHANGED: dict[type, tuple[type, ...]] = {
+    Application: (
+        Context,
+        Radio,
+        AutopilotClient,
+        Reports,
+        Status,
+        Estimate,
+        Delivery,
+        Sent,
+        FtmResult,
+        Survey,
+    ),
     Controller: (ControllerContext, ControllerInputs, ThrustTorque),
     FlightModeBehaviour: (ModeTraits,),
     MavlinkService: (ServiceContext,),
@@ -59,10 +72,19 @@ EXCHANGED: dict[type, tuple[type, ...]] = {
     FaultModel: (Effects,),
 }
 """Types that the members of a protocol exchange, all of them names of `coflight`."""
+OF_HOST: dict[type, frozenset[str]] = {
+    AutopilotClient: frozenset(("__init__", "on_message", "begin", "take")),
+    Context: frozenset(("__init__", "take_warnings")),
+    Radio: frozenset(("__init__", "is_for", "take")),
+    Reports: frozenset(("layout",)),
+}
+"""Methods that only the host of applications calls, which the page leaves out."""
 PROTOCOLS_INTRODUCTION = """The built-in parts are reached through these protocols of `typing`, so that
 another object with the same methods can take their place. None of them does I/O, reads a clock or draws
 random numbers of its own: time, state and randomness are arguments, or come from the factory."""
 
+_FIELDS = ("__struct_fields__", "__dataclass_fields__", "_fields")
+"""Attributes with the names of fields: of a Struct, a dataclass and a NamedTuple."""
 WIDTH = 88
 """Columns of a signature that stands on one line."""
 
@@ -108,14 +130,17 @@ def _module_text(module: Any) -> str:  # noqa: ANN401
 def _class(kind: type, level: str) -> Iterator[str]:
     yield f"{level} {kind.__name__}\n"
     fields = field_docstrings(kind)
-    if issubclass(kind, Struct) or hasattr(kind, "__dataclass_fields__"):
+    kept = [getattr(kind, each, None) for each in _FIELDS]
+    names: Iterable[str] | None = next((each for each in kept if each is not None), None)
+    if names is not None:
         yield paragraphs(_doc(kind, kind.__name__)) + "\n"
-        names = getattr(kind, "__struct_fields__", None) or tuple(kind.__dataclass_fields__)
         notes = inspect.get_annotations(kind)
         rows = [(f"`{name}`", f"`{_name(notes[name])}`", one_line(fields.get(name, ""))) for name in names]
         yield table(("field", "type", "meaning"), rows)
     else:
-        yield f"```python\n{_signature(kind.__name__, kind.__init__)}\n```\n"
+        if "__init__" not in OF_HOST.get(kind, ()):
+            constructor = vars(kind)["__init__"]
+            yield f"```python\n{_signature(kind.__name__, constructor)}\n```\n"
         yield paragraphs(_doc(kind, kind.__name__)) + "\n"
     yield from _members(kind, f"{level}#")
 
@@ -123,12 +148,13 @@ def _class(kind: type, level: str) -> Iterator[str]:
 def _members(kind: type, level: str) -> Iterator[str]:
     """Return the public methods and properties that a class defines."""
     for name, member in vars(kind).items():
-        if name.startswith("_"):
+        if name.startswith("_") or name in OF_HOST.get(kind, ()):
             continue
         if isinstance(member, property):
             yield from _property(f"{kind.__name__}.{name}", member, level)
-        elif isinstance(member, FunctionType):
-            yield from _function(f"{kind.__name__}.{name}", member, level)
+        elif isinstance(member, FunctionType | classmethod):
+            function = member.__func__ if isinstance(member, classmethod) else member
+            yield from _function(f"{kind.__name__}.{name}", function, level)
 
 
 def _property(name: str, member: property, level: str) -> Iterator[str]:
@@ -152,10 +178,12 @@ def _signature(name: str, function: Callable[..., Any]) -> str:
     if not isinstance(definition, ast.FunctionDef):
         raise TypeError(f"{name}: expected a function")
     given = definition.args
-    arguments = [each for each in [*given.posonlyargs, *given.args] if each.arg != "self"]
+    arguments = [each for each in [*given.posonlyargs, *given.args] if each.arg not in {"self", "cls"}]
     required = len(arguments) - len(given.defaults)
     texts = list(map(_argument, arguments, [*[None] * required, *given.defaults]))
-    if given.kwonlyargs:
+    if given.vararg:
+        texts.append(f"*{_argument(given.vararg, None)}")
+    elif given.kwonlyargs:
         texts.append("*")
     texts += map(_argument, given.kwonlyargs, given.kw_defaults)
     returns = definition.returns

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 from vehicle_world import Flight, vehicle_config
 
 from autopilot.logs.vehicle_record import record, vehicle_record
-from autopilot.onboard.factory import load_application
+from autopilot.onboard.factory import layout_of, load_application
 from autopilot.parameters.onboard_config import OnboardConfig
 from foundation.extension_failure import ExtensionFailure
 from foundation.extensions import ExtensionError
@@ -111,3 +111,9 @@ def test_what_cannot_be_used_is_named_in_one_line(fields, line):
     with pytest.raises(ExtensionError) as caught:
         load_application(OnboardConfig(**fields))
     assert str(caught.value) == line
+
+
+def test_a_wrong_setting_of_the_application_is_not_reported_as_one_of_the_programs():
+    config = OnboardConfig(application="user_applications:Echo", settings={"prefix": "too long"})
+    with pytest.raises(ExtensionError, match=r"^onboard\.settings\.prefix: "):
+        layout_of(config)
