@@ -5,6 +5,7 @@ from itertools import count
 from operator import index
 
 import numpy as np
+from msgspec.structs import replace
 
 from autopilot.onboard.client.autopilot_client import AutopilotClient
 from autopilot.onboard.formation_plan import FormationPlan
@@ -88,9 +89,12 @@ class Radio:
         return True
 
     def take(self) -> tuple[TxItem, ...]:
-        """Return the collected transmissions and forget them."""
-        items, self._items = self._items, []
-        return tuple(items)
+        """Return the collected transmissions and forget them.
+
+        Those of calls since the last iteration are sent at the present one.
+        """
+        items, self._items, now_us = self._items, [], self.now_us
+        return tuple([item if item.at_us >= now_us else replace(item, at_us=now_us) for item in items])
 
     def _submit(self, item: Broadcast | Unicast | FtmRequest) -> int:
         if len(self._items) >= MOST_ITEMS:

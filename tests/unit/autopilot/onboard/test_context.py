@@ -44,6 +44,15 @@ def test_items_are_returned_once_in_their_order_with_numbers_and_times_that_can_
     assert own.take() == ()
 
 
+def test_what_is_sent_between_two_iterations_leaves_at_the_next_one():
+    own = radio()
+    own.broadcast(b"reply")
+    own.range_to(0, at_us=1_030_000)
+    own.now_us += LOOP_US
+    own.broadcast(b"now")
+    assert [item.at_us for item in own.take()] == [1_040_000] * 3
+
+
 def test_results_belong_to_the_program_that_requested_them_and_datagrams_to_its_port():
     programs = [radio(program=number, programs=3, port=4000 + number) for number in range(3)]
     numbers = {each.range_to(0): each for each in programs for _ in range(4)}
