@@ -25,6 +25,8 @@ from msgspec import Struct
 
 _FORMAT = struct.Struct("<2sBIQ")
 _MAGIC, _VERSION = b"TR", 1
+_MOST = 2**31
+"""Generations and versions beyond it are no token's: 3 years of passing one every 40 ms."""
 
 
 class Token(NamedTuple):
@@ -44,7 +46,9 @@ def decode(payload: bytes) -> Token | None:
     if len(payload) != _FORMAT.size:
         return None
     magic, version, *fields = _FORMAT.unpack(payload)
-    return Token(*fields) if (magic, version) == (_MAGIC, _VERSION) else None
+    token = Token(*fields)
+    is_one = (magic, version) == (_MAGIC, _VERSION) and token.generation < _MOST and token.version < _MOST
+    return token if is_one else None
 
 
 class Timing(Struct, frozen=True, kw_only=True):
