@@ -87,10 +87,10 @@ class SwarmEnv(ParallelEnv[str, Floats, Floats]):
         Without a seed one is drawn; draws continue from the last seed given. ``options`` has no effect.
         The first call flies the swarm to its places. Raises SwarmError, CompileError.
         """
-        if seed is not None:
-            self._rng = np.random.default_rng(seed)
         episode = int(self._rng.integers(SEEDS)) if seed is None else seed
         self._flight.reset(episode)
+        if seed is not None:
+            self._rng = np.random.default_rng(seed)
         self.agents = [*self.possible_agents]
         return self._observations(), {name: {"seed": episode} for name in self.agents}
 
