@@ -103,6 +103,7 @@ def single_env(
 
 def _lacking(error: ModuleNotFoundError) -> ModuleNotFoundError:
     """Return the error in words, if it is the extra that is not installed."""
-    if error.name in {"pettingzoo", "gymnasium"}:
-        return ModuleNotFoundError(_LACKS.format(error.name), name=error.name)
+    package = (error.name or "").partition(".")[0]
+    if package in {"pettingzoo", "gymnasium"}:
+        return ModuleNotFoundError(_LACKS.format(package), name=package)
     return error

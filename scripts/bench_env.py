@@ -1,7 +1,8 @@
 """Measure environments for learning: ``python scripts/bench_env.py [--agents 8] [--steps 1000] [--json]``.
 
 Prints the time of the first reset, which flies the swarm to its places, that of later resets, and the steps
-of an environment per second of wall time, with random velocities, beacons at 5 Hz and ranging at 5 Hz per UAV.
+of an environment per second of wall time, with random velocities; each UAV sends 5 beacons and ranges 5 times
+a second.
 """
 
 import argparse
