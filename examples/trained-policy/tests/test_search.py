@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from trained_policy.search import mean_error_m, random_weights, search, wanted_ned_m
+from trained_policy.search import mean_error_m, place_from_leader_ned_m, random_weights, search
 from trained_policy.task import DURATION_S, LinearPolicy, make_env
 
 UNSEEN = (20_000, 20_001)
@@ -27,10 +27,10 @@ def test_the_searched_policy_is_better_than_none_and_than_random_ones(env):
 
 def test_the_leader_moves_and_a_follower_without_errors_stands_still(env):
     observation, _ = env.reset(seed=1)
-    policy = LinearPolicy(env.observation_names, wanted_ned_m(), (1.0, 0.0, 0.0, 0.0))
+    policy = LinearPolicy(env.observation_names, place_from_leader_ned_m(), (1.0, 0.0, 0.0, 0.0))
     exact = np.zeros_like(observation)
     first = env.observation_names.index("next_1_pos_n_m")
-    exact[first : first + 3] = -wanted_ned_m()
+    exact[first : first + 3] = -place_from_leader_ned_m()
     np.testing.assert_allclose(policy(exact), 0.0, atol=1e-6)
     steps, over = 0, False
     while not over:

@@ -19,7 +19,7 @@ POPULATION, ELITE = 12, 3
 LEAST_STD = 0.05
 
 
-def wanted_ned_m() -> Doubles:
+def place_from_leader_ned_m() -> Doubles:
     """Return the follower's place from the leader's, (3,)."""
     places_ned_m = load_scenario("article", ["agents=2", *OVERRIDES]).places_ned_m()
     return places_ned_m[1] - places_ned_m[0]
@@ -27,7 +27,7 @@ def wanted_ned_m() -> Doubles:
 
 def mean_error_m(env: UavEnv, weights: ArrayLike, seeds: Iterable[int]) -> float:
     """Return the follower's error, mean over the episodes with these seeds; an end counts as 100 m."""
-    policy = LinearPolicy(env.observation_names, wanted_ned_m(), weights)
+    policy = LinearPolicy(env.observation_names, place_from_leader_ned_m(), weights)
     errors = []
     for seed in seeds:
         observation, _ = env.reset(seed=int(seed))

@@ -34,8 +34,8 @@ def lead(observation: Floats) -> Doubles:
 
 def miss(state: EnvState) -> Doubles:
     """Return minus the follower's true error, m, as rewards of both: against its place beside the leader."""
-    wanted = state.places_ned_m[1] - state.places_ned_m[0]
-    error_m = np.linalg.norm(state.pos_ned_m[1] - state.pos_ned_m[0] - wanted)
+    place_from_leader = state.places_ned_m[1] - state.places_ned_m[0]
+    error_m = np.linalg.norm(state.pos_ned_m[1] - state.pos_ned_m[0] - place_from_leader)
     return np.full(2, -error_m - 100.0 * state.ended.any())
 
 
@@ -56,17 +56,17 @@ class LinearPolicy:
 
     WEIGHTS = 4
 
-    def __init__(self, names: Sequence[str], wanted_ned_m: ArrayLike, weights: ArrayLike) -> None:
+    def __init__(self, names: Sequence[str], from_leader_ned_m: ArrayLike, weights: ArrayLike) -> None:
         index = names.index
         self._vel, self._leader = index("vel_n_m_s"), index("next_1_pos_n_m")
         self._leader_vel, self._age = index("next_1_vel_n_m_s"), index("next_1_beacon_age_s")
-        self._wanted_ned_m, self._weights = np.asarray(wanted_ned_m), np.asarray(weights)
+        self._from_leader_ned_m, self._weights = np.asarray(from_leader_ned_m), np.asarray(weights)
 
     def __call__(self, observation: Floats) -> Doubles:
         """Return the action (3,) for an observation."""
         leader_vel = observation[self._leader_vel : self._leader_vel + 3]
         vectors = (
-            observation[self._leader : self._leader + 3] + self._wanted_ned_m,
+            observation[self._leader : self._leader + 3] + self._from_leader_ned_m,
             leader_vel,
             leader_vel * observation[self._age],
             observation[self._vel : self._vel + 3],
