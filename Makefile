@@ -41,7 +41,7 @@ ALWAYS:
 
 $(STAMP): pyproject.toml requirements.lock $(ENVIRONMENT)
 	$(LOCKED) requirements.lock
-	$(PIP) --no-deps --no-build-isolation --editable '.[nec2]'
+	$(PIP) --no-deps --no-build-isolation --editable '.[nec2,env]'
 	@touch $@
 
 $(DEV): requirements-dev.lock $(STAMP)

@@ -7,11 +7,12 @@
 
 `Swarm`, `OneProcessSwarm`, `Scenario`, `load_scenario`, the errors that they raise and the protocols of parts
 that can be replaced (`Application`, `Controller` and others), with the types that they exchange, are loaded
-on first use. What they do is left to `harness` and
-the packages below; the ``coflight`` command is `coflight.command`.
+on first use, as is the module `coflight.env` with environments for learning. What they do is left to
+`harness` and the packages below; the ``coflight`` command is `coflight.command`.
 """
 
 import os
+from importlib import import_module
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING
 
@@ -144,6 +145,8 @@ _PLACES = {
 
 def __getattr__(name: str) -> object:
     """Load a public name from its module; raises AttributeError for any other."""
+    if name == "env":
+        return import_module("coflight.env")
     if name not in _PLACES:
         raise AttributeError(f"module 'coflight' has no attribute {name!r}")
     # read when numba is imported, which the module does

@@ -35,8 +35,8 @@ class Lock(NamedTuple):
 LOCKS = (
     Lock(
         "requirements.lock",
-        "What flying needs and what installs a checkout: dependencies and the extra `nec2`.",
-        ("pyproject.toml", "--extra", "nec2"),
+        "What flying needs and what installs a checkout: dependencies and the extras `nec2` and `env`.",
+        ("pyproject.toml", "--extra", "nec2", "--extra", "env"),
         needs_backend=True,
     ),
     Lock(

@@ -33,7 +33,7 @@ def main() -> None:
         python, coflight = folder / "env" / "bin" / "python", folder / "env" / "bin" / "coflight"
         pip = (python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check")
         run(*pip, "--require-hashes", "--requirement", ROOT / "requirements.lock", cwd=folder)
-        run(*pip, "--no-index", f"{wheel}[nec2]", cwd=folder)  # all that it needs is there
+        run(*pip, "--no-index", f"{wheel}[nec2,env]", cwd=folder)  # all that it needs is there
         run(coflight, "scenarios", cwd=folder)
         run(coflight, "fly", "article", "--agents", "8", "--duration", "2", "--out", "run", cwd=folder)
         run(coflight, "report", "run", "--figures", cwd=folder)

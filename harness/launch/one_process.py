@@ -39,6 +39,7 @@ from foundation.extension_failure import ExtensionFailure
 from foundation.processes.child_protocol import Finished, Ready, Stop
 from foundation.system_error import described
 from harness.launch import external_autopilots, kernel_cache
+from harness.launch.in_process_flight import InProcessFlight
 from harness.launch.process_commands import PHYSICS, RADIO, uav
 from harness.launch.processes import Processes
 from harness.launch.run_messages import Message, SetupError, SwarmError, SwarmTimeoutError
@@ -46,15 +47,9 @@ from harness.launch.supervisor import Exited, Supervisor
 from harness.launch.swarm import Speed, Swarm
 from harness.records.run_folder import PhysicsConfig
 from harness.scenario.scenario import Scenario
-from harness.simulator.emulator_client import EmulatorClient
-from harness.simulator.in_process_links import InProcessEmulatorLine, InProcessLink, InProcessRadio
-from harness.simulator.lockstep import Lockstep
 from harness.simulator.messages import AnyCommand
-from harness.simulator.response_watchdog import ResponseWatchdog
 from harness.simulator.server import obey
-from harness.simulator.simulation import Simulation
 from harness.world.faults import AnyFault
-from netsim.emulator.service import make_emulator
 from netsim.model.config import ServerConfig
 
 NAME = "one process"
@@ -67,73 +62,6 @@ STOP_LIMIT_S = 10.0
 """Wall time that the flight has to end its step and write its data."""
 
 
-class _Flight:
-    """The composed simulation; `fly` executes commands until Stop. Constructed and used in one thread.
-
-    ``emit(name, event)`` receives the events of physics server and vehicles, ``on_failure(name, failure)``
-    the failure of user code on a vehicle.
-    """
-
-    def __init__(
-        self,
-        physics: PhysicsConfig,
-        radio: ServerConfig,
-        vehicles: Sequence[VehicleConfig],
-        *,
-        emit: Callable[[str, msgspec.Struct], None],
-        on_failure: Callable[[str, ExtensionFailure], None],
-        stack: contextlib.ExitStack,
-    ) -> None:
-        self._connect_timeout_s = physics.connect_timeout_s
-        self._emit: Callable[[msgspec.Struct], None] = partial(emit, PHYSICS)
-        self._emulator = stack.enter_context(contextlib.closing(make_emulator(radio)))
-        self._emulator.open_logs()
-        radios = [InProcessRadio(self._emulator, config.instance) for config in vehicles]
-        line = InProcessEmulatorLine(self._emulator, radios)
-        period_us = physics.scenario.onboard.loop_period_us
-        emulator = EmulatorClient(line, period_us=period_us, asynchronous=bool(radio.radio.guests))
-
-        self.links = [
-            stack.enter_context(
-                contextlib.closing(InProcessLink(config, radio, emit=emit, on_failure=on_failure))
-            )
-            for config, radio in zip(vehicles, radios, strict=True)
-        ]
-
-        def make_lockstep(simulation: Simulation) -> Lockstep:
-            return Lockstep(
-                links=self.links,
-                watchdog=ResponseWatchdog(physics.scenario.run.silence_limit_s),
-                on_message=simulation.on_message,
-                on_silent=simulation.on_silent,
-                on_lost=simulation.on_lost,
-                rotors=physics.scenario.most_rotors,
-            )
-
-        self._simulation = stack.enter_context(
-            contextlib.closing(
-                Simulation(physics, make_lockstep=make_lockstep, emulator=emulator, emit=self._emit)
-            )
-        )
-
-    def kill(self, name: str) -> None:
-        """End a vehicle at once; the simulation reports it as lost in the next step."""
-        for link in self.links:
-            link.killed |= link.host.name == name
-
-    def fly(self, inbox: "queue.SimpleQueue[AnyCommand]") -> None:
-        """Execute commands until Stop."""
-        simulation = self._simulation
-        obey(simulation, inbox, connect_timeout_s=self._connect_timeout_s, emit=self._emit)
-        details = {
-            "time_us": simulation.time_us,
-            "formed": simulation.formed,
-            RADIO: {"counters": self._emulator.counters},
-            **{link.host.name: link.troubles() for link in self.links},
-        }
-        self._emit(Finished(name=PHYSICS, details=details))
-
-
 class _ThreadSupervisor(Supervisor):
     """A supervisor with one child: a thread of this process that runs the whole flight."""
 
@@ -141,7 +69,7 @@ class _ThreadSupervisor(Supervisor):
         super().__init__(log_folder)
         self._inbox: queue.SimpleQueue[AnyCommand] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
-        self._flight: _Flight | None = None
+        self._flight: InProcessFlight | None = None
         self.error: Exception | None = None
         """Exception that ended the flight."""
 
@@ -158,16 +86,15 @@ class _ThreadSupervisor(Supervisor):
             with contextlib.ExitStack() as stack:
                 limit_s = physics.scenario.run.silence_limit_s
                 stack.enter_context(watched(limit_s, on_stuck=self._on_stuck))
-                self._flight = _Flight(
-                    physics,
-                    radio,
-                    vehicles,
-                    emit=self._emit_event,
-                    on_failure=self._on_failure,
-                    stack=stack,
+                self._flight = stack.enter_context(
+                    contextlib.closing(
+                        InProcessFlight(
+                            physics, radio, vehicles, emit=self._emit_event, on_failure=self._on_failure
+                        )
+                    )
                 )
                 self._emit_event(PHYSICS, Ready(name=PHYSICS, pid=os.getpid()))
-                self._flight.fly(self._inbox)
+                self._fly(self._flight, physics.connect_timeout_s)
             code = 0
         except Exception as error:  # noqa: BLE001  logged, as a process logs its traceback
             self.error = error
@@ -177,6 +104,18 @@ class _ThreadSupervisor(Supervisor):
         finally:  # always report the end
             self._flight = None
             self._report_end(code, last_words)
+
+    def _fly(self, flight: InProcessFlight, connect_timeout_s: float) -> None:
+        """Execute commands until Stop."""
+        simulation, emit = flight.simulation, partial(self._emit_event, PHYSICS)
+        obey(simulation, self._inbox, connect_timeout_s=connect_timeout_s, emit=emit)
+        details = {
+            "time_us": simulation.time_us,
+            "formed": simulation.formed,
+            RADIO: {"counters": flight.emulator.counters},
+            **{link.host.name: link.troubles() for link in flight.links},
+        }
+        emit(Finished(name=PHYSICS, details=details))
 
     def _report_end(self, code: int, last_words: str) -> None:
         ended = Exited(

@@ -194,6 +194,11 @@ class Simulation:
         lost = self.lockstep.living < self._scenario.agents or bool(self._without_application)
         return lost and self._scenario.run.on_vehicle_loss == "end"
 
+    @property
+    def truth(self) -> Truth:
+        """Present true state of all vehicles."""
+        return self._world.truth
+
     def step(self) -> None:
         """Simulate one step: send the sensors of this instant, receive the answers, advance world and wind.
 

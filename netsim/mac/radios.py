@@ -216,9 +216,7 @@ class Radios:
         air.now_ns, air.scheduled = self._queue.now_ns, self._queue.scheduled
         if air.draws_low:
             air.draws_low = False
-            draws, stations = tables.draws, tables.stations
-            _draw_ahead(stations["backoffs_used"], draws["backoffs"], self._backoffs)
-            _draw_ahead(stations["receptions_used"], draws["receptions"], self._receptions)
+            self._draw_ahead()
         if air.records == c.RECORD_ROWS:
             self._put_records_aside()
         events = int(air.events) + t.spare_events(len(tables.stations), self._queues_each)
@@ -226,6 +224,17 @@ class Radios:
             self._grow(events=2 * events)
         if air.free_signal == c.NOTHING:
             self._grow(signals=2 * len(tables.signals))
+
+    def _draw_ahead(self) -> None:
+        draws, stations = self.tables.draws, self.tables.stations
+        _draw_ahead(stations["backoffs_used"], draws["backoffs"], self._backoffs)
+        _draw_ahead(stations["receptions_used"], draws["receptions"], self._receptions)
+
+    def discard_drawn(self) -> None:
+        """Discard the draws of all stations that were made in advance, and make others in their place."""
+        stations = self.tables.stations
+        stations["backoffs_used"] = stations["receptions_used"] = BUFFERED_DRAWS
+        self._draw_ahead()
 
     def _grow(self, *, events: int = 0, jobs: int = 0, signals: int = 0) -> None:
         self._use(t.grown(self._block, events=events, jobs=jobs, signals=signals))

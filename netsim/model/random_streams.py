@@ -49,6 +49,10 @@ class FloatStream:
         """Return the next ``count`` floats of the stream."""
         return list(islice(self._floats, count))
 
+    def discard_drawn(self) -> None:
+        """Discard what was drawn in advance: the next floats come from the Generator's present state."""
+        self.take(self.BLOCK)  # the rest of the present block, and as much of the next one
+
 
 class RandomStreams:
     """Generators derived from one seed."""

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from types import FunctionType
 from typing import Any
 
+import coflight.env
 import harness.campaign
 import harness.launch.swarm
 from autopilot.commander.mode_table import ModeTraits
@@ -20,6 +21,7 @@ from autopilot.services.service import MavlinkService
 from autopilot.services.user_service import ServiceContext
 from foundation.docstrings import field_docstrings
 from harness.campaign import CampaignError, ClusterError
+from harness.env.settings import EnvSettings
 from harness.launch import pytest_plugin
 from harness.launch.one_process import OneProcessSwarm
 from harness.launch.swarm import SetupError, Swarm, SwarmError, SwarmTimeoutError, SwarmTruth
@@ -105,6 +107,11 @@ def python_page() -> str:
         parts += _function(name, getattr(harness.campaign, name), "###")
     for name in ("Campaign", "Case", "Landed", "Table"):
         parts += _class(getattr(harness.campaign, name), "###")
+    parts += ["## Environments for learning\n", "`import coflight.env`\n", _module_text(coflight.env)]
+    for function in (coflight.env.parallel_env, coflight.env.single_env, coflight.env.hold_place):
+        parts += _function(function.__name__, function, "###")
+    for struct in (coflight.env.EnvState, EnvSettings):
+        parts += _class(struct, "###")
     parts += ["## Protocols of replaceable parts\n", paragraphs(PROTOCOLS_INTRODUCTION) + "\n"]
     for protocol in PROTOCOLS:
         name = protocol.__name__

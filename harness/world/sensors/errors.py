@@ -30,7 +30,9 @@ class SensorError:
         turn_on, drift = rng.standard_normal((2, *shape))
         self._turn_on = model.turn_on_std * turn_on
         self._drift: Array = drift_std * drift
-        self._errors = np.empty((0, *shape))
+        self._before = self._drift
+        """Drift before the samples that are drawn."""
+        self._drifts = self._errors = np.empty((0, *shape))
         self._taken = 0
 
     def next(self) -> Array:
@@ -48,6 +50,15 @@ class SensorError:
         # contiguous: the kernel is compiled for one memory layout only
         drift, white = np.ascontiguousarray(draws[:, 0]), draws[:, 1]
         drifts = gauss_markov_path(self._drift, self._kept, self._drift_step_std, drift)
-        self._drift = drifts[-1].copy()
+        self._before, self._drift, self._drifts = self._drift, drifts[-1].copy(), drifts
         self._errors = self._turn_on + drifts + self._white_std * white
         self._taken = 0
+
+    def discard_drawn(self) -> None:
+        """Discard what was drawn in advance: the next errors come from the generator's present state.
+
+        The drift continues from the last sample; the constant part stays.
+        """
+        self._drift = self._drifts[self._taken - 1].copy() if self._taken else self._before
+        self._drifts = self._errors = self._errors[:0]
+        self._before, self._taken = self._drift, 0

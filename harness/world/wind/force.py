@@ -57,6 +57,12 @@ class GustyWind:
         self._taken += 1
         return force_ned_n
 
+    def discard_drawn(self) -> None:
+        """Discard what was drawn in advance: the next gusts come from the generator's present state."""
+        if self._taken:
+            self._unit_gusts = self._path[self._taken - 1]
+        self._fresh, self._forces_ned_n, self._taken = self._fresh[:0], self._forces_ned_n[:0], 0
+
     def _look_ahead(self, dt_s: float) -> None:
         """Compute the forces of the next steps; reuses draws that were made for another interval."""
         if self._taken:

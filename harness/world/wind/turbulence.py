@@ -123,6 +123,12 @@ class Turbulence:
         self._taken += 1
         return velocity_m_s
 
+    def discard_drawn(self) -> None:
+        """Discard what was drawn in advance: the next values come from the generator's present state."""
+        if self._taken:
+            self._state = self._states[self._taken - 1]
+        self._fresh, self._velocities_m_s, self._taken = self._fresh[:0], self._velocities_m_s[:0], 0
+
     def _look_ahead(self, dt_s: float) -> None:
         if self._taken:
             self._state = self._states[self._taken - 1]
