@@ -125,6 +125,8 @@ class FormationPlan:
             acc_ned_m_s2[:, 0], acc_ned_m_s2[:, 1],
         ) = _carried(centre, self._offset_north_m, self._offset_east_m)  # fmt: skip
         pos_ned_m[:, 2] = self._down_m
+        for array in (pos_ned_m, vel_ned_m_s, acc_ned_m_s2):
+            array.setflags(write=False)  # as when it stands: compiled functions have one type of argument
         return PlanState(pos_ned_m, vel_ned_m_s, acc_ned_m_s2)
 
     def own(self, station: int, since_start_s: float) -> PlaceState:

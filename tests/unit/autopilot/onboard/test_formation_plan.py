@@ -92,6 +92,15 @@ def test_a_formation_stands_before_its_motion_and_without_one():
         assert plan.headings(times_s) == pytest.approx(np.radians([30.0, 30.0]))
 
 
+def test_the_states_of_a_plan_are_read_only():
+    """Compiled functions would be compiled once more, in flight, for arrays that are not."""
+    plan = FormationPlan(PLACES_NED_M, 0.0, TrackMotion())
+    for since_s in (0.0, 5.0, 1e3):
+        state = plan.at(since_s)
+        for array in (state.pos_ned_m, state.vel_ned_m_s, state.acc_ned_m_s2):
+            assert not array.flags.writeable
+
+
 @few
 @given(motion=motions)
 def test_velocity_and_acceleration_are_the_derivatives(motion):
