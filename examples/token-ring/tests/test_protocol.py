@@ -118,3 +118,4 @@ def test_a_token_is_decoded_as_it_was_encoded_and_other_bytes_are_none():
     payload = token.encode()
     assert decode(payload) == token
     assert [decode(each) for each in (b"", payload[:-1], payload + b"x", b"X" + payload[1:])] == [None] * 4
+    assert decode(Token(2**32 - 1, 0).encode()) is decode(Token(0, 2**64 - 1).encode()) is None

@@ -25,8 +25,8 @@ from msgspec import Struct
 
 _FORMAT = struct.Struct("<2sBIQ")
 _MAGIC, _VERSION = b"TR", 1
-_MOST = 2**31
-"""Generations and versions beyond it are no token's: 3 years of passing one every 40 ms."""
+_MOST_GENERATIONS, _MOST_VERSIONS = 2**31, 2**63
+"""Numbers from these on, half of what their fields hold, are not reached by any ring."""
 
 
 class Token(NamedTuple):
@@ -47,8 +47,8 @@ def decode(payload: bytes) -> Token | None:
         return None
     magic, version, *fields = _FORMAT.unpack(payload)
     token = Token(*fields)
-    is_one = (magic, version) == (_MAGIC, _VERSION) and token.generation < _MOST and token.version < _MOST
-    return token if is_one else None
+    fits = token.generation < _MOST_GENERATIONS and token.version < _MOST_VERSIONS
+    return token if fits and (magic, version) == (_MAGIC, _VERSION) else None
 
 
 class Timing(Struct, frozen=True, kw_only=True):
