@@ -69,6 +69,7 @@ class _ThreadSupervisor(Supervisor):
         super().__init__(log_folder)
         self._inbox: queue.SimpleQueue[AnyCommand] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
+        """None also once the thread is abandoned, in a call that does not return."""
         self._flight: InProcessFlight | None = None
         self.error: Exception | None = None
         """Exception that ended the flight."""
@@ -162,9 +163,11 @@ class _ThreadSupervisor(Supervisor):
         input_grace_s: float = 0.0,  # noqa: ARG002  it has no stdin
     ) -> list[str]:
         """End the flight if `PHYSICS` is among the names; returns a line if it does not end in time."""
-        if PHYSICS not in names or self._thread is None:
+        if PHYSICS not in names:
             return []
-        self._inbox.put(Stop())
+        self._inbox.put(Stop())  # also for an abandoned thread, whose call may return later
+        if self._thread is None:
+            return []
         self._thread.join(grace_s or STOP_LIMIT_S)
         return ["the flight did not stop when asked"] if self._thread.is_alive() else []
 

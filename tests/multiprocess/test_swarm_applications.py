@@ -1,6 +1,8 @@
 """On-board applications of the user in whole swarms: equal logs, programs with ports, and misbehaviour."""
 
 import os
+import sys
+import threading
 import time
 
 import numpy as np
@@ -116,8 +118,13 @@ def test_a_call_that_blocks_ends_its_vehicle_with_its_name(tmp_path):
 def test_in_one_process_a_call_that_blocks_ends_the_run_with_its_name(tmp_path):
     swarm = OneProcessSwarm(scenario(tmp_path, "bad_applications:Blocks"), out=tmp_path / "run")
     line = r"onboard\.application bad_applications:Blocks: a call has not returned for 4"
+    before = set(threading.enumerate())
     with swarm, pytest.raises(SwarmError, match=line):
         swarm.run(until_s=3.0)
+    (abandoned,) = set(threading.enumerate()) - before
+    sys.modules["bad_applications"].Blocks.released.set()
+    abandoned.join(60.0)
+    assert not abandoned.is_alive()
 
 
 def test_memory_without_bound_ends_the_vehicle(tmp_path):

@@ -1,6 +1,6 @@
 """Applications that misbehave on UAV 1 after a second, named by scenarios of tests by their paths."""
 
-import time
+import threading
 
 from coflight import Application
 
@@ -26,8 +26,12 @@ class Loops(_Bad):
 
 
 class Blocks(_Bad):
+    """Blocks outside of Python, until a test of the same process sets ``released``."""
+
+    released = threading.Event()
+
     def misbehave(self):
-        time.sleep(1e6)
+        self.released.wait()
 
 
 class Allocates(_Bad):
