@@ -56,6 +56,8 @@ class Programs:
         self._reported: tuple[int, int | None] | None = None
         """Phase and start of the motion in the last heartbeat."""
         self._heartbeat_us = self._values_us = 0
+        self._statuses: list[Status | None] = [None] * len(programs)
+        """Statuses in the last report."""
         self._texts = [""] * len(programs)
         self._flooding: set[Program] = set()
         """Programs that have been reported."""
@@ -143,8 +145,10 @@ class Programs:
 
     def _report(self, now_us: int) -> list[Message]:
         """Return the messages with the statuses that are due."""
-        status, messages = self.status, []
-        reported = (int(status.phase), status.motion_start_us)
+        status, messages = self._first.status, []
+        reported = self._reported
+        if status is not self._statuses[0]:
+            reported = (int(status.phase), status.motion_start_us)
         if reported != self._reported or now_us >= self._heartbeat_us:
             self._reported = reported
             self._heartbeat_us = now_us + HEARTBEAT_PERIOD_US
@@ -158,11 +162,14 @@ class Programs:
             values = (*self.values, *unused)
             messages.append(common.MAVLink_debug_float_array_message(now_us, VALUES_NAME, 0, values))
         for number, program in enumerate(self._all):
-            text = program.status.text
-            if text and text != self._texts[number]:
-                messages.append(_text(common.MAV_SEVERITY_INFO, text))
-            self._texts[number] = text
-            messages += [_text(common.MAV_SEVERITY_WARNING, each) for each in program.context.take_warnings()]
+            if program.status is not self._statuses[number]:
+                self._statuses[number] = program.status
+                text = program.status.text
+                if text and text != self._texts[number]:
+                    messages.append(_text(common.MAV_SEVERITY_INFO, text))
+                self._texts[number] = text
+            if warnings := program.context.take_warnings():
+                messages += [_text(common.MAV_SEVERITY_WARNING, each) for each in warnings]
         return messages
 
 

@@ -81,6 +81,17 @@ def test_an_application_with_a_program_beside_it_flies_equally_in_one_process_an
     assert hashes[0] == hashes[1]
 
 
+def test_a_velocity_and_a_height_are_flown_together(tmp_path):
+    path = scenario(tmp_path, "user_applications:Slide", agents=1)
+    with OneProcessSwarm(path, out=tmp_path / "run") as swarm:
+        before = swarm.run(until_s=15.0)
+        after = swarm.run(until_s=20.0)
+    north_m, east_m, _ = (after.pos_ned_m - before.pos_ned_m)[0]
+    assert north_m == pytest.approx(5.0, abs=0.5)
+    assert east_m == pytest.approx(0.0, abs=0.5)
+    assert after.pos_ned_m[0, 2] == pytest.approx(-4.0, abs=0.6)  # the barometer's error is in it
+
+
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(
     ("application", "line"),

@@ -95,3 +95,14 @@ class Raises(Application):
     def on_timer(self, now_us):
         if self.context.uav == 1 and now_us >= 2_000_000:
             raise ZeroDivisionError("as written")
+
+
+class Slide(Application):
+    """Takes off, and flies north at 1 m/s at a height of 4 m."""
+
+    def start(self, context):
+        self.autopilot = context.autopilot
+
+    def on_timer(self, now_us):
+        self.autopilot.take_off(3.0)
+        self.autopilot.fly(vel_ned_m_s=(1.0, 0.0, None), pos_ned_m=(None, None, -4.0))

@@ -26,16 +26,9 @@ FLOWN_HEIGHT_M = 0.3
 MOST_MESSAGES = 1_000
 """Messages of one iteration; an application that sends more has failed."""
 _LOCAL_NED = int(common.MAV_FRAME_LOCAL_NED)
-_IGNORE_POS = (
-    common.POSITION_TARGET_TYPEMASK_X_IGNORE
-    | common.POSITION_TARGET_TYPEMASK_Y_IGNORE
-    | common.POSITION_TARGET_TYPEMASK_Z_IGNORE
-)
-_IGNORE_VEL = (
-    common.POSITION_TARGET_TYPEMASK_VX_IGNORE
-    | common.POSITION_TARGET_TYPEMASK_VY_IGNORE
-    | common.POSITION_TARGET_TYPEMASK_VZ_IGNORE
-)
+_POS_SHIFT, _VEL_SHIFT, _ACC_SHIFT = 0, 3, 6
+"""Position of the bits of the axes in `PositionTarget.type_mask`."""
+_ALL_AXES = 0b111
 _IGNORE_ACC = (
     common.POSITION_TARGET_TYPEMASK_AX_IGNORE
     | common.POSITION_TARGET_TYPEMASK_AY_IGNORE
@@ -44,7 +37,11 @@ _IGNORE_ACC = (
 _IGNORE_YAW = common.POSITION_TARGET_TYPEMASK_YAW_IGNORE
 _IGNORE_YAW_RATE = common.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
 _PACKER = common.MAVLink(None)
+_SETPOINT = struct.Struct("<I4H11f")
+"""Fields of `PositionTarget`."""
 _ZERO: Vector = (0.0, 0.0, 0.0)
+Axes = tuple[float | None, float | None, float | None]
+"""North, east and down; None: this axis is not given."""
 
 
 class FlightState(Enum):
@@ -146,34 +143,33 @@ class AutopilotClient:
             self.flight, self._height_m, self._since_us = FlightState.ARMING, height_m, self._now_us
 
     def fly(
-        self, *, pos_ned_m: Vector | None = None, vel_ned_m_s: Vector | None = None,
-        acc_ned_m_s2: Vector | None = None, yaw_rad: float | None = None, yaw_rate_rad_s: float | None = None,
+        self, *, pos_ned_m: Axes | None = None, vel_ned_m_s: Axes | None = None,
+        acc_ned_m_s2: Axes | None = None, yaw_rad: float | None = None, yaw_rate_rad_s: float | None = None,
     ) -> None:  # fmt: skip
         """Send a setpoint: any of position (site NED, down from the ground), velocity and acceleration.
 
+        An axis may be None, such as in ``fly(vel_ned_m_s=(2.0, 0.0, None), pos_ned_m=(None, None, -8.0))``.
+        The autopilot adds a velocity to the one that a position on the same axis causes, and likewise an
+        acceleration.
+
         To be called in every iteration, or at least twice a second: autopilots leave the mode without
-        setpoints. It has no effect unless the vehicle `follows`. Raises ValueError for a setpoint of none of
-        them, of another size, or with numbers that are not finite.
+        setpoints. It has no effect unless the vehicle `follows`. Raises ValueError for an axis without a
+        setpoint, another size, numbers that are not finite, and vectors of which only some axes are given
+        beside an ArduPilot, which ignores these.
         """
-        own, mask = self.own, 0
-        pos, vel, acc = _ZERO, _ZERO, _ZERO
-        if pos_ned_m is None:
-            mask |= _IGNORE_POS
-        else:
-            north_m, east_m, down_m = _finite("pos_ned_m", pos_ned_m)
-            origin_n_m, origin_e_m, _ = own.origin_ned_m or _ZERO
-            pos = (north_m - origin_n_m, east_m - origin_e_m, down_m + own.height.autopilot_down_m)
-        if vel_ned_m_s is None:
-            mask |= _IGNORE_VEL
-        else:
-            vel_n, vel_e, vel_d = _finite("vel_ned_m_s", vel_ned_m_s)
-            vel = (vel_n, vel_e, vel_d + own.height.vel_error_m_s)
-        if acc_ned_m_s2 is None:
-            mask |= _IGNORE_ACC
-        else:
-            acc = _finite("acc_ned_m_s2", acc_ned_m_s2)
-        if pos_ned_m is None and vel_ned_m_s is None and acc_ned_m_s2 is None:
-            raise ValueError("fly: expected at least one of pos_ned_m, vel_ned_m_s, acc_ned_m_s2")
+        own = self.own
+        (north_m, east_m, down_m), pos_axes = self._given("pos_ned_m", pos_ned_m)
+        (vel_n, vel_e, vel_d), vel_axes = self._given("vel_ned_m_s", vel_ned_m_s)
+        acc, acc_axes = self._given("acc_ned_m_s2", acc_ned_m_s2)
+        if pos_axes | vel_axes | acc_axes != _ALL_AXES:
+            raise ValueError(
+                "fly: expected one of pos_ned_m, vel_ned_m_s, acc_ned_m_s2 or more for each of the three axes"
+            )
+        origin_n_m, origin_e_m, _ = own.origin_ned_m or _ZERO
+        pos = (north_m - origin_n_m, east_m - origin_e_m, down_m + own.height.autopilot_down_m)
+        vel = (vel_n, vel_e, vel_d + own.height.vel_error_m_s)
+        given = pos_axes << _POS_SHIFT | vel_axes << _VEL_SHIFT | acc_axes << _ACC_SHIFT
+        mask = given ^ (_ALL_AXES << _POS_SHIFT | _ALL_AXES << _VEL_SHIFT | _ALL_AXES << _ACC_SHIFT)
         for name, value in (("yaw_rad", yaw_rad), ("yaw_rate_rad_s", yaw_rate_rad_s)):
             if value is not None and not math.isfinite(value):
                 raise ValueError(f"{name}: {value}; expected a finite number")
@@ -227,8 +223,8 @@ class AutopilotClient:
     def send(self, message: Message | PositionTarget) -> None:
         """Send any message to the autopilot, at the end of the iteration.
 
-        Raises TypeError or `struct.error` for what is no MAVLink message, or has fields of wrong types, and
-        ValueError for more than `MOST_MESSAGES` in one iteration.
+        Raises TypeError, OverflowError or `struct.error` for what is no MAVLink message, or has fields of
+        wrong types or out of range, and ValueError for more than `MOST_MESSAGES` in one iteration.
         """
         check_message(message)
         if len(self._outgoing) >= MOST_MESSAGES:
@@ -297,6 +293,22 @@ class AutopilotClient:
                 )
             )  # fmt: skip
 
+    def _given(self, name: str, axes: Axes | None) -> tuple[Vector, int]:
+        """Return a vector with 0 for axes that are not given, and the bits of those that are."""
+        if axes is None:
+            return _ZERO, 0
+        try:
+            north, east, down = (None if axis is None else float(axis) for axis in axes)
+        except (TypeError, ValueError):
+            raise ValueError(f"{name}: {axes!r:.100}; expected three numbers") from None
+        vector = (north or 0.0, east or 0.0, down or 0.0)
+        if not all(map(math.isfinite, vector)):
+            raise ValueError(f"{name}: {axes!r:.100}; expected finite numbers")
+        given = (north is not None) | (east is not None) << 1 | (down is not None) << 2
+        if given not in {0, _ALL_AXES} and not self.interface.mixes_axes:
+            raise ValueError(f"{name}: {axes!r:.100}; expected all three axes beside an ArduPilot")
+        return vector, given
+
     def _value(self, message: Message) -> float:
         value: float = message.param_value
         integers = (common.MAV_PARAM_TYPE_INT32, common.MAV_PARAM_TYPE_UINT32)
@@ -306,22 +318,13 @@ class AutopilotClient:
 
 
 def check_message(message: Message | PositionTarget) -> None:
-    """Check that an application's message can be sent; raises TypeError or `struct.error`."""
+    """Check that an application's message can be sent.
+
+    Raises TypeError, `struct.error` or OverflowError.
+    """
     if isinstance(message, PositionTarget):
-        if not all(isinstance(value, float | int) for value in message):
-            raise TypeError(f"{message!r:.200}; expected numbers")
+        _SETPOINT.pack(*message)
     elif isinstance(message, common.MAVLink_message):
         message.pack(_PACKER)
     else:
         raise TypeError(f"{message!r:.100}; expected a MAVLink message")
-
-
-def _finite(name: str, vector: Vector) -> Vector:
-    """Return a vector of three finite numbers; raises ValueError for another."""
-    try:
-        x, y, z = map(float, vector)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name}: {vector!r:.100}; expected three numbers") from None
-    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
-        raise ValueError(f"{name}: {vector!r:.100}; expected finite numbers")
-    return x, y, z

@@ -36,6 +36,8 @@ class AutopilotInterface(Struct, frozen=True, kw_only=True):
     follows_before_take_off: bool
     """Whether that mode is its mode for arming and take-off, which a setpoint would end. Otherwise it needs
     setpoints before it changes to that mode."""
+    mixes_axes: bool
+    """Whether the axes of one vector may be given or ignored separately."""
 
 
 def _take_off_px4(height_m: float, ground_alt_m: float) -> RepeatedCommand:
@@ -57,6 +59,7 @@ PX4: Final = AutopilotInterface(
     barometer_message="ALTITUDE",
     integers_are_bytes=True,
     follows_before_take_off=False,
+    mixes_axes=True,
 )
 ARDUPILOT: Final = AutopilotInterface(
     follow=RepeatedCommand(
@@ -68,4 +71,5 @@ ARDUPILOT: Final = AutopilotInterface(
     barometer_message="SCALED_PRESSURE",
     integers_are_bytes=False,
     follows_before_take_off=True,
+    mixes_axes=False,
 )
