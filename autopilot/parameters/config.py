@@ -175,6 +175,13 @@ class AutopilotConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     ``coflight.services``."""
     service_settings: dict[str, dict[str, Any]] = {}
     """Settings of these services, by the name in ``services``."""
+    folder: str = ""
+    """Folder in which modules of these classes are looked up first; empty: that of the scenario's file."""
+
+    @property
+    def has_code(self) -> bool:
+        """Whether classes of the user are named."""
+        return self.controller is not None or bool(self.modes or self.services)
 
     def kind_of(self, instance: int) -> AutopilotKind:
         """Return which autopilot that vehicle runs."""

@@ -5,6 +5,7 @@ scenarios fly equally on machines on which different packages are installed.
 """
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from autopilot.commander.mode_table import ModeTraits
@@ -29,17 +30,17 @@ def load_extensions(config: AutopilotConfig) -> Extensions:
 
     Raises ExtensionError for the first that cannot be used; the line begins with the field.
     """
-    controller = None
+    controller, search = None, Path(config.folder)
     if config.controller is not None:
         controller = load_class(
             config.controller, CONTROLLERS, config.controller_settings,
             field="autopilot.controller", settings_field="autopilot.controller_settings",
-            protocol="Controller", members=("reset", "update"),
+            protocol="Controller", members=("reset", "update"), search=search,
         )  # fmt: skip
     elif config.controller_settings:
         raise ExtensionError("autopilot.controller_settings: there is no autopilot.controller")
     modes = _load_all(
-        config.modes, MODES, config.mode_settings, field="autopilot.modes",
+        config.modes, MODES, config.mode_settings, search, field="autopilot.modes",
         settings_field="autopilot.mode_settings", protocol="FlightModeBehaviour",
         members=("traits", "enter", "update", "next_mode", "course", "apply_limits", "change_speed"),
     )  # fmt: skip
@@ -49,7 +50,7 @@ def load_extensions(config: AutopilotConfig) -> Extensions:
                 f"autopilot.modes[{number}]: {config.modes[number]}.traits is no coflight.ModeTraits"
             )
     services = _load_all(
-        config.services, SERVICES, config.service_settings, field="autopilot.services",
+        config.services, SERVICES, config.service_settings, search, field="autopilot.services",
         settings_field="autopilot.service_settings", protocol="MavlinkService",
         members=("on_message", "on_timer", "next_deadline_us"),
     )  # fmt: skip
@@ -68,7 +69,7 @@ def named(config: AutopilotConfig) -> dict[str, tuple[str, str]]:
 
 
 def _load_all(
-    names: Sequence[str], group: str, settings: Mapping[str, Mapping[str, Any]], *,
+    names: Sequence[str], group: str, settings: Mapping[str, Mapping[str, Any]], search: Path, *,
     field: str, settings_field: str, protocol: str, members: Sequence[str],
 ) -> tuple[Extension, ...]:  # fmt: skip
     """Load the classes of a list of names, each of which is in it once."""
@@ -80,7 +81,7 @@ def _load_all(
     return tuple(
         load_class(
             name, group, settings.get(name, {}), field=f"{field}[{number}]",
-            settings_field=f"{settings_field}.{name}", protocol=protocol, members=members,
+            settings_field=f"{settings_field}.{name}", protocol=protocol, members=members, search=search,
         )
         for number, name in enumerate(names)
     )  # fmt: skip

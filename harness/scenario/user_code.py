@@ -18,10 +18,12 @@ def with_code(scenario: Scenario, folder: Path) -> Scenario:
     All code is imported, and radio models, sensors and faults are tried. Raises ExtensionError, one line that
     begins with the field.
     """
-    onboard = scenario.onboard
+    autopilot, onboard = scenario.autopilot, scenario.onboard
+    if autopilot.has_code:
+        autopilot = msgspec.structs.replace(autopilot, folder=str((folder / autopilot.folder).resolve()))
     if onboard.application != FORMATION or onboard.programs:
         onboard = msgspec.structs.replace(onboard, folder=str((folder / onboard.folder).resolve()))
-    load_extensions(scenario.autopilot)
+    load_extensions(autopilot)
     layout_of(onboard)
     radio = registry.with_folder(scenario.radio, folder)
     registry.check_models(radio, scenario.agents + len(radio.guests), scenario.places_ned_m())
@@ -36,4 +38,6 @@ def with_code(scenario: Scenario, folder: Path) -> Scenario:
         step_us=scenario.run.step_us,
         ardupilots=scenario.ardupilots,
     )
-    return msgspec.structs.replace(scenario, onboard=onboard, radio=radio, sensors=sensors, faults=faults)
+    return msgspec.structs.replace(
+        scenario, autopilot=autopilot, onboard=onboard, radio=radio, sensors=sensors, faults=faults
+    )

@@ -1,7 +1,5 @@
 """Swarms with the user's controller, mode and service: equal logs in one process and many, and a loss."""
 
-import os
-
 import pytest
 from paths import SCENARIOS, SUPPORT
 
@@ -15,14 +13,8 @@ ARTICLE = SCENARIOS / "article.toml"
 MODES_AND_SERVICES = [
     "autopilot.modes=['user_extensions:ClimbMode']",
     "autopilot.services=['user_extensions:Counter']",
+    f"autopilot.folder={SUPPORT}",
 ]
-
-
-@pytest.fixture(autouse=True)
-def _path(monkeypatch):
-    """Let child processes import the user's module."""
-    inherited = os.environ.get("PYTHONPATH", "")
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, (str(SUPPORT), inherited))))
 
 
 def fly(kind, folder, controller, *, until_s):
