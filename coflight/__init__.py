@@ -43,6 +43,8 @@ if TYPE_CHECKING:
         TrajectorySetpoint,
     )
     from harness.campaign import Campaign
+    from harness.env.policy import PolicyApplication
+    from harness.env.settings import EnvSettings
     from harness.launch.one_process import OneProcessSwarm
     from harness.launch.run_messages import SetupError, SwarmError, SwarmTimeoutError
     from harness.launch.swarm import Swarm
@@ -70,13 +72,14 @@ if TYPE_CHECKING:
 __all__ = [
     "AntennaPattern", "Application", "AttitudeSetpoint", "AutopilotClient", "AutopilotSensor", "Campaign",
     "Condition", "Context", "Controller", "ControllerContext", "ControllerInputs", "Course", "Delivery",
-    "Effects", "ErrorModel", "Estimate", "EstimatorState", "Fading", "FaultModel", "FlightMode",
-    "FlightModeBehaviour", "FlightState", "FtmResult", "Guest", "MavlinkService", "ModeContext", "ModeEntry",
-    "ModeInputs", "ModeTraits", "NetworkEmulator", "Obstacles", "OneProcessSwarm", "PathLoss", "Physics",
-    "Radio", "RadioContext", "RateSetpoint", "Reading", "Reports", "Scenario", "ScenarioError", "Sensor",
-    "SensorFaultModel", "Sent", "ServiceContext", "SetupError", "Shadowing", "Status", "StopMode", "Survey",
-    "Swarm", "SwarmError", "SwarmTimeoutError", "SwarmTruth", "ThrustTorque", "TrajectorySetpoint",
-    "UserFault", "WorldContext", "WorldInputs", "load_scenario",
+    "Effects", "EnvSettings", "ErrorModel", "Estimate", "EstimatorState", "Fading", "FaultModel",
+    "FlightMode", "FlightModeBehaviour", "FlightState", "FtmResult", "Guest", "MavlinkService",
+    "ModeContext", "ModeEntry", "ModeInputs", "ModeTraits", "NetworkEmulator", "Obstacles",
+    "OneProcessSwarm", "PathLoss", "Physics", "PolicyApplication", "Radio", "RadioContext",
+    "RateSetpoint", "Reading", "Reports", "Scenario", "ScenarioError", "Sensor", "SensorFaultModel",
+    "Sent", "ServiceContext", "SetupError", "Shadowing", "Status", "StopMode", "Survey", "Swarm",
+    "SwarmError", "SwarmTimeoutError", "SwarmTruth", "ThrustTorque", "TrajectorySetpoint", "UserFault",
+    "WorldContext", "WorldInputs", "load_scenario",
 ]  # fmt: skip
 
 _PLACES = {
@@ -94,6 +97,7 @@ _PLACES = {
     "Course": "foundation.types:Course",
     "Delivery": "netsim.wire.messages:Delivery",
     "Effects": "harness.world.interfaces:Effects",
+    "EnvSettings": "harness.env.settings:EnvSettings",
     "ErrorModel": "netsim.phy.interfaces:ErrorModel",
     "Estimate": "autopilot.onboard.application:Estimate",
     "EstimatorState": "foundation.types:EstimatorState",
@@ -114,6 +118,7 @@ _PLACES = {
     "OneProcessSwarm": "harness.launch.one_process:OneProcessSwarm",
     "PathLoss": "netsim.phy.interfaces:PathLoss",
     "Physics": "harness.world.physics.interface:Physics",
+    "PolicyApplication": "harness.env.policy:PolicyApplication",
     "Radio": "autopilot.onboard.context:Radio",
     "RadioContext": "netsim.phy.interfaces:RadioContext",
     "RateSetpoint": "foundation.types:RateSetpoint",

@@ -5,13 +5,14 @@ import coflight.env
 env = coflight.env.parallel_env("article", agents=4, duration_s=10.0)
 observations, infos = env.reset(seed=1)
 while env.agents:
-actions = {agent: env.action_space(agent).sample() for agent in env.agents}
-observations, rewards, terminations, truncations, infos = env.step(actions)
+    actions = {agent: env.action_space(agent).sample() for agent in env.agents}
+    observations, rewards, terminations, truncations, infos = env.step(actions)
 env.close()
 """
 
 import os
 from collections.abc import Callable, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +30,9 @@ if TYPE_CHECKING:
     from harness.env.parallel import SwarmEnv
     from harness.env.single import UavEnv
 
-__all__ = ["EnvState", "hold_place", "parallel_env", "single_env"]
+__all__ = ["EnvState", "SwarmEnv", "UavEnv", "hold_place", "parallel_env", "single_env"]
+_CLASSES = {"SwarmEnv": "harness.env.parallel", "UavEnv": "harness.env.single"}
+"""Modules of the environments' classes, for annotations; `parallel_env` and `single_env` create them."""
 _LACKS = "coflight.env: {} is not installed; install coflight with its extra: pip install 'coflight[env]'"
 
 
@@ -61,11 +64,8 @@ def parallel_env(
 
     Raises ValueError, ScenarioError for wrong settings; ImportError without the extra ``env``.
     """
-    try:
-        from harness.env.parallel import SwarmEnv  # noqa: PLC0415  an optional extra
-    except ModuleNotFoundError as error:
-        raise _lacking(error) from None
-    return SwarmEnv(
+    kind: type[SwarmEnv] = _load("SwarmEnv")
+    return kind(
         scenario, agents=agents, seed=seed, overrides=overrides, duration_s=duration_s, reward=reward,
         **settings,
     )  # fmt: skip
@@ -91,14 +91,25 @@ def single_env(
             places.
 
     """
-    try:
-        from harness.env.single import UavEnv  # noqa: PLC0415  an optional extra
-    except ModuleNotFoundError as error:
-        raise _lacking(error) from None
-    return UavEnv(
+    kind: type[UavEnv] = _load("UavEnv")
+    return kind(
         scenario, uav=uav, others=others, agents=agents, seed=seed, overrides=overrides,
         duration_s=duration_s, reward=reward, **settings,
     )  # fmt: skip
+
+
+def __getattr__(name: str) -> object:
+    """Load a class of environments. Raises AttributeError; ImportError without the extra ``env``."""
+    if name not in _CLASSES:
+        raise AttributeError(f"module 'coflight.env' has no attribute {name!r}")
+    return _load(name)
+
+
+def _load(name: str) -> Any:  # noqa: ANN401  a class of an optional extra
+    try:
+        return getattr(import_module(_CLASSES[name]), name)
+    except ModuleNotFoundError as error:
+        raise _lacking(error) from None
 
 
 def _lacking(error: ModuleNotFoundError) -> ModuleNotFoundError:

@@ -34,7 +34,7 @@ class EnvApplication(Application):
     Settings = EnvSettings
 
     def __init__(self, settings: EnvSettings) -> None:
-        self._settings = settings
+        self.settings = settings
         self._beacon = struct.Struct(f"<{_STATE + settings.message_size}f")
         self.action: NDArray[np.float64] | None = None
         self.bad_beacons = 0
@@ -42,7 +42,7 @@ class EnvApplication(Application):
     def start(self, context: Context) -> None:
         """Store the context."""
         self._context = context
-        settings, agents = self._settings, len(context.places_ned_m)
+        settings, agents = self.settings, len(context.places_ned_m)
         north_m, east_m, down_m = context.places_ned_m[context.uav].tolist()
         self._place_ned_m: Vector = (north_m, east_m, down_m)
         self._neighbours = Neighbours(context.uav, agents, settings.message_size)
@@ -104,7 +104,7 @@ class EnvApplication(Application):
             autopilot.fly(pos_ned_m=self._place_ned_m)
             self._send(beacon=self._loops % self._beacon_loops == 0, ranging=self._is_range_due())
             return
-        settings = self._settings
+        settings = self.settings
         north, east, down = action[:3].tolist()
         if settings.setpoint == "velocity":
             scale = settings.speed_max_m_s

@@ -11,7 +11,7 @@ from foundation.extension_failure import ExtensionFailure
 from harness.env.application import EnvApplication
 from harness.env.messages import Stepped
 from harness.env.reseed import RandomStreams
-from harness.env.settings import EnvSettings
+from harness.env.settings import EnvSettings, limited
 from harness.launch.in_process_flight import InProcessFlight
 from harness.launch.process_commands import uav
 from harness.launch.run_messages import SwarmError
@@ -40,7 +40,7 @@ class Episode:
         self.agents = scenario.agents
         self._period_us = scenario.onboard.loop_period_us
         self._steps = self._period_us // scenario.run.step_us
-        self._low, self._high = settings.observation_bounds(scenario.agents)
+        self._bounds = settings.observation_bounds(scenario.agents)
         self._ground_m = np.array([each.standing_height_m for each in scenario.airframes()]) + GROUND_M
         self._ended: dict[int, str] = {}
         """Reasons of all UAVs that have ended."""
@@ -114,7 +114,7 @@ class Episode:
         for number in ended:
             self._flight.links[number].killed = True
         rows = np.array([each.observation() for each in self._applications])
-        observations = np.clip(np.nan_to_num(rows), self._low, self._high).astype(np.float32)
+        observations = limited(rows, self._bounds)
         truth = np.hstack((true.pos_ned_m, true.vel_ned_m_s))
         return Stepped(self.time_us, observations.tobytes(), truth.tobytes(), ended)
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from harness.env.client import Client, env_scenario
 from harness.env.messages import Stepped
 from harness.env.reward import EnvState, Reward, hold_place, rewards
-from harness.env.settings import EnvSettings
+from harness.env.settings import EnvSettings, checked_action
 from harness.launch.run_messages import SwarmError
 from harness.scenario.scenario import Scenario
 
@@ -92,11 +92,7 @@ class EnvFlight:
 
     def action(self, name: str, action: ArrayLike) -> NDArray[np.float64]:
         """Return an action (A,) limited to -1 to 1. Raises ValueError for another shape, or NaN."""
-        values = np.asarray(action, dtype=np.float64)
-        expected = len(self.settings.action_names())
-        if values.shape != (expected,) or np.isnan(values).any():
-            raise ValueError(f"env: action of {name}: {action!r:.200}; expected {expected} numbers")
-        return np.clip(values, -1.0, 1.0)
+        return checked_action(self.settings, name, action)
 
     def close(self) -> None:
         """End all processes; harmless when repeated."""

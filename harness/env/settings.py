@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from msgspec import Meta, Struct
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from foundation.types import Vector
 
@@ -66,6 +66,20 @@ class EnvSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
         names = self.observation_names(agents)
         low = np.array([-_most(name) if _is_signed(name) else 0.0 for name in names], np.float32)
         return low, np.array([_most(name) for name in names], np.float32)
+
+
+def limited(observations: NDArray[np.float64], bounds: tuple[Floats, Floats]) -> Floats:
+    """Return observations (..., O) within their bounds."""
+    return np.clip(np.nan_to_num(observations), *bounds).astype(np.float32)
+
+
+def checked_action(settings: EnvSettings, name: str, action: ArrayLike) -> NDArray[np.float64]:
+    """Return an action (A,) limited to -1 to 1. Raises ValueError for another shape, or NaN."""
+    values = np.asarray(action, dtype=np.float64)
+    expected = len(settings.action_names())
+    if values.shape != (expected,) or np.isnan(values).any():
+        raise ValueError(f"env: action of {name}: {action!r:.200}; expected {expected} numbers")
+    return np.clip(values, -1.0, 1.0)
 
 
 def _most(name: str) -> float:

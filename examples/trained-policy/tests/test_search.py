@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from trained_policy.policies import LinearPolicy
 from trained_policy.search import mean_error_m, place_from_leader_ned_m, random_weights, search
-from trained_policy.task import DURATION_S, LinearPolicy, make_env
+from trained_policy.task import DURATION_S, make_env
 
 UNSEEN = (20_000, 20_001)
 RANDOM_POLICIES = 4

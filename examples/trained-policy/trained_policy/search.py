@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from coflight import load_scenario
-from harness.env.single import UavEnv
-from trained_policy.task import OVERRIDES, Doubles, LinearPolicy, make_env
+from coflight.env import UavEnv
+from trained_policy.policies import Doubles, LinearPolicy
+from trained_policy.task import OVERRIDES, make_env
 
 POPULATION, ELITE = 12, 3
 LEAST_STD = 0.05
@@ -72,6 +73,7 @@ def main() -> None:
     for name, each in (("zero", np.zeros(LinearPolicy.WEIGHTS)), ("searched", weights)):
         show(f"{name}: error {mean_error_m(env, each, unseen):.2f} m in episodes with other seeds")
     env.close()
+    show(f"to fly it: coflight fly follow.toml --set 'onboard.settings.weights={weights.round(3).tolist()}'")
 
 
 def show(text: str) -> None:
