@@ -93,7 +93,9 @@ class ExtensionCall:
         thread.call = None
         if thread.measured is not None and self._before_bytes:
             self.grown_bytes += memory_bytes() - self._before_bytes
-        if isinstance(error, Exception | CallEnded) and not isinstance(error, ExtensionFailure):
+        if error is None or isinstance(error, ExtensionFailure):
+            return
+        if isinstance(error, Exception | CallEnded):
             raise failure(self.title, error) from error
 
     def refused(self, what: str) -> ExtensionFailure:

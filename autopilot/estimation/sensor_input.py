@@ -30,6 +30,11 @@ TIMEOUTS_US = {_IMU: 100_000, _BARO: 1_000_000, _MAG: 1_000_000, _GPS: 2_000_000
 """Age at which a sensor counts as lost: several periods of the slowest rate that PX4 accepts."""
 
 _SENSOR_ID, _GPS_ID, _ESC_ID = HIL_SENSOR.message_id, HIL_GPS.message_id, ESC_STATUS.message_id
+_OTHERS = frozenset({
+    common.MAVLINK_MSG_ID_DISTANCE_SENSOR, common.MAVLINK_MSG_ID_DEBUG_FLOAT_ARRAY,
+    common.MAVLINK_MSG_ID_HIL_OPTICAL_FLOW, common.MAVLINK_MSG_ID_LANDING_TARGET,
+})  # fmt: skip
+"""Messages of the scenario's own sensors."""
 _US_PER_S = 1_000_000
 _UNKNOWN = 65_535
 
@@ -58,6 +63,8 @@ class SensorInput:
         """(rotors,) of the last ESC_STATUS of all motors; None before the first."""
         self.motor_currents_us = 0
         self._rotors = rotors
+        self.others: list[Message] = []
+        """Messages of sensors of the last step that the estimator does not use."""
         self._currents_a: list[float] = []
         """Of the first motors, until all have arrived."""
         self._estimator = estimator
@@ -75,8 +82,13 @@ class SensorInput:
         self._baro_period_us = round(_US_PER_S / params.baro_rate_hz)
 
     def take(self, messages: Sequence[Message], now_us: int) -> bool:
-        """Pass one step's messages to the estimator, in order; return whether they include a GPS fix."""
+        """Pass one step's messages to the estimator, in order; return whether they include a GPS fix.
+
+        `others` are then the messages of other sensors.
+        """
         new_fix = False
+        if self.others:
+            self.others = []
         for message in messages:
             kind = message.get_msgId()
             if kind == _SENSOR_ID:
@@ -87,6 +99,8 @@ class SensorInput:
                 new_fix = True
             elif kind == _ESC_ID:
                 self._take_currents(message, now_us)
+            elif kind in _OTHERS:
+                self.others.append(message)
         return new_fix
 
     def conditions(self, now_us: int) -> int:

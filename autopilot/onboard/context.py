@@ -93,6 +93,8 @@ class Radio:
 
         Those of calls since the last iteration are sent at the present one.
         """
+        if not self._items:
+            return ()
         items, self._items, now_us = self._items, [], self.now_us
         return tuple([item if item.at_us >= now_us else replace(item, at_us=now_us) for item in items])
 

@@ -71,11 +71,6 @@ _MODE_ARMED = _MODE_DISARMED | common.MAV_MODE_FLAG_SAFETY_ARMED
 _LOCKSTEP_FLAG = 1
 _HIL_STATE_QUATERNION = common.MAVLINK_MSG_ID_HIL_STATE_QUATERNION
 _COMMANDS = frozenset({common.MAVLINK_MSG_ID_COMMAND_LONG, common.MAVLINK_MSG_ID_COMMAND_INT})
-_READINGS = frozenset({
-    common.MAVLINK_MSG_ID_DISTANCE_SENSOR, common.MAVLINK_MSG_ID_DEBUG_FLOAT_ARRAY,
-    common.MAVLINK_MSG_ID_HIL_OPTICAL_FLOW, common.MAVLINK_MSG_ID_LANDING_TARGET,
-})  # fmt: skip
-"""Messages of the scenario's own sensors, which are passed to the application."""
 _TO_GROUND_TOO = frozenset({
     common.MAVLINK_MSG_ID_HEARTBEAT, common.MAVLINK_MSG_ID_NAMED_VALUE_INT,
     common.MAVLINK_MSG_ID_DEBUG_FLOAT_ARRAY, common.MAVLINK_MSG_ID_STATUSTEXT,
@@ -233,8 +228,8 @@ class Vehicle:
             self._decide()
         for received in to_answer:
             self._on_link_message(received, now_us)
-        if len(sim_messages) > 1:
-            self._pass_readings_on(sim_messages, now_us)
+        if self._sensors.others:
+            self._pass_readings_on(now_us)
         if self._uses_truth:
             self._pass_truth_on(sim_messages, now_us)
         if self.app is not None and radio_items:
@@ -413,13 +408,10 @@ class Vehicle:
                     self._decide_us = now_us  # decide at the next sample
         return output.radio
 
-    def _pass_readings_on(self, sim_messages: Sequence[Message], now_us: int) -> None:
+    def _pass_readings_on(self, now_us: int) -> None:
         """Store the readings of range finders, and pass those of the scenario's own sensors on."""
-        for message in sim_messages:
-            kind = message.get_msgId()
-            if kind not in _READINGS:
-                continue
-            if kind == common.MAVLINK_MSG_ID_DISTANCE_SENSOR:
+        for message in self._sensors.others:
+            if message.get_msgId() == common.MAVLINK_MSG_ID_DISTANCE_SENSOR:
                 self.flight.distances[message.id] = message
                 self.messaging.on_new_distance()
             if self.app is not None:

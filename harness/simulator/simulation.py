@@ -24,6 +24,7 @@ from harness.simulator.application_links import ApplicationLinks
 from harness.simulator.application_status import ApplicationStatus
 from harness.simulator.ardupilot_json import StateEncoder
 from harness.simulator.emulator_client import EmulatorClient
+from harness.simulator.extra_readings import ExtraReadings
 from harness.simulator.hil import TRUTH_PERIOD_US, SensorEncoder
 from harness.simulator.lockstep import Lockstep
 from harness.simulator.messages import (
@@ -42,7 +43,7 @@ from harness.simulator.messages import (
     VehicleTruth,
 )
 from harness.simulator.motion_start import agreed
-from harness.simulator.truth_record import AIR_RECORD, EVENT_KINDS, SENSOR_RECORD, truth_record
+from harness.simulator.truth_record import AIR_RECORD, EVENT_KINDS, truth_record
 from harness.world import esc
 from harness.world.active_faults import MOST_ATTENUATION_DB, Faults
 from harness.world.faults import AnyFault, title
@@ -51,7 +52,7 @@ from harness.world.obstacles import Obstacles
 from harness.world.physics.interface import Physics, PhysicsFactory
 from harness.world.physics.truth import Truth
 from harness.world.physics.world import World
-from harness.world.sensors.extra import Arrival, ExtraSensors
+from harness.world.sensors.extra import ExtraSensors
 from harness.world.sensors.suite import SensorFrame, SensorSuite
 from harness.world.user_models import WorldModels
 from harness.world.wind import Wind, WindNow
@@ -116,7 +117,7 @@ class Simulation:
             step_us=self._step_us,
         )
         self._faults = Faults(scenario.faults, rotors, np.random.default_rng(streams[2]), models.fault)
-        self._extra_sensors = ExtraSensors(models.sensors(scenario.sensors.extra), self._step_us)
+        extra_sensors = ExtraSensors(models.sensors(scenario.sensors.extra), self._step_us)
         self._escs = esc.SpeedControllers(airframes)
         kinds = [scenario.autopilot.kind_of(i) for i in range(n)]
         self._external = frozenset(i for i, kind in enumerate(kinds) if kind != "own")
@@ -172,9 +173,9 @@ class Simulation:
             )
             keep(contextlib.closing(self._world))
             self._truth_log = keep(contextlib.closing(RecordLog(config.truth_log_path, self._truth_record)))
-            self._sensor_log: RecordLog | None = None
-            if config.sensor_log_path is not None:
-                self._sensor_log = keep(contextlib.closing(RecordLog(config.sensor_log_path, SENSOR_RECORD)))
+            self._readings = keep(
+                contextlib.closing(ExtraReadings(extra_sensors, self._external, config.sensor_log_path))
+            )
             self._air_log = keep(contextlib.closing(RecordLog(config.air_log_path, AIR_RECORD)))
             self._event_log = keep(Path(config.event_log_path).open("wb", buffering=0))  # noqa: SIM115
             self.lockstep = keep(contextlib.closing(make_lockstep(self)))
@@ -210,13 +211,7 @@ class Simulation:
         recorded = self.time_us % self._record_period_us == 0
         self._advance_faults()
         frame = self._sensors.sample(self.time_us, truth, self._faults)
-        arrivals = self._sample_extra() if self._extra_sensors else []
-        to_applications = [
-            each
-            for each in arrivals
-            if each.sensor.vehicle in self._external and not each.sensor.is_for_autopilot
-        ]
-        arrivals = [each for each in arrivals if each not in to_applications]
+        readings = self._readings.sample(self.time_us, self._inputs_of, self._faults, self._lost)
         sends_truth = self._sends_truth and self.time_us % TRUTH_PERIOD_US < self._step_us
         sent_truth = truth if sends_truth else None
         delivered: tuple[int, ...] = ()
@@ -227,13 +222,13 @@ class Simulation:
         alive = [slot.alive for slot in self.lockstep.slots] if recorded else []
         announced = tuple(vehicle for vehicle in delivered if vehicle not in self._external)
         frames = self._encoder.encode(
-            self.time_us, frame, self._statuses(truth), sent_truth, announced, arrivals
+            self.time_us, frame, self._statuses(truth), sent_truth, announced, readings.with_sensors
         )
         self.lockstep.send(self._with_states(frames, frame, truth) if self._state_encoders else frames)
         applications = self._applications
         if applications is not None:
-            readings = self._encoder.readings(to_applications)
-            applications.begin(self.time_us, delivered, self._lost, readings)
+            passed = self._encoder.readings(readings.to_applications)
+            applications.begin(self.time_us, delivered, self._lost, passed)
         if recorded:
             self._record(truth, alive)
         self.notice_collisions()
@@ -307,17 +302,6 @@ class Simulation:
     def _inputs_of(self, vehicle: int) -> WorldInputs:
         """Return the present truth for sensors and faults of a vehicle."""
         return inputs_of(self.time_us, self._world.truth, self._alive, vehicle, self._rotors[vehicle])
-
-    def _sample_extra(self) -> list[Arrival]:
-        """Sample the scenario's own sensors; return and record the readings that arrive."""
-        arrivals = self._extra_sensors.sample(self.time_us, self._inputs_of, self._faults, self._lost)
-        if self._sensor_log is not None:
-            self._sensor_log.append(
-                (self.time_us, reading.measured_us, sensor.vehicle, sensor.name, column, value)
-                for sensor, reading in arrivals
-                for column, value in zip(sensor.columns, reading.values, strict=True)
-            )
-        return arrivals
 
     def _advance_faults(self) -> None:
         """Advance the faults to this step, and report which of them end and begin."""
