@@ -5,7 +5,8 @@ sense of squares, that cause a demand. After a motor failure the mixer is that o
 such that a demand causes the same thrust and torque as before.
 """
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -14,8 +15,22 @@ from autopilot.control.params import AllocationParams
 from foundation.types import Array
 
 _ROUNDING = 1e-9
+_LEAST_USE = 0.05
+"""Share of the greatest change of a rotor's thrust below which a torque does not use a rotor."""
 _LEAST_LIFT = 0.05
 """Share of the mean thrust below which a rotor does not contribute to the hover, and is left out."""
+_LEAST_WITH_YAW = 0.25
+"""Share of the intact airframe's torques at the hover, each in both directions, below which yaw is given up:
+it would take thrust from roll and pitch for a torque that the first gust exceeds."""
+_LEAST_TILT = 0.1
+"""Share of the intact airframe's roll and pitch torque below which the airframe does not fly."""
+_MOST_SPIN = 0.5
+"""Yaw torque of the hover, over the rotors' typical yaw torque for the same thrust, beyond which an airframe
+without control of yaw does not fly: the drag of the rotors does not limit the rotation."""
+_YAW_WEIGHTS = (2.0, 1.0, 0.0)
+"""Weights of the yaw torque against rotor thrusts when yaw is given up, over the rotors' typical yaw torque;
+the next one if rotors would be left without thrust or authority."""
+_TOLERANCE = 1e-6
 
 
 class Mixer(NamedTuple):
@@ -64,42 +79,96 @@ def mixer(params: AllocationParams) -> Mixer:
 def mixer_without(params: AllocationParams, failed: Collection[int]) -> Mixer | None:
     """Return the mixer that flies on without some rotors; None if that is not possible.
 
-    Rotors that a hover without net torque leaves without thrust are not used either, since controls cannot be
-    negative: of a hexacopter the one opposite to the failed one. If the others cannot control yaw, it is
-    given up, and the balance of the hover keeps the rate of rotation low.
+    Rotors that the hover leaves almost without thrust are not used either, since controls cannot be negative:
+    of a hexacopter the one opposite to the failed one. If the others cannot control yaw in both directions,
+    it is given up. The hover then has little yaw torque, though not none where that would take too much
+    thrust from some rotors, and the vehicle rotates as fast as the drag of its rotors permits.
     """
     matrix = effectiveness(params)
-    count = matrix.shape[1]
-    norms = _norms(np.asarray(np.linalg.pinv(matrix), dtype=np.float64))
-    used = [rotor for rotor in range(count) if rotor not in failed]
+    intact = np.asarray(np.linalg.pinv(matrix), dtype=np.float64)
+    authority = _authority(matrix, intact)
+    remaining = [rotor for rotor in range(matrix.shape[1]) if rotor not in failed]
+
+    def mixed(used: Sequence[int], inverse: Array, *, controls_yaw: bool) -> Mixer:
+        lift = _lift(inverse, matrix.shape[1])
+        return Mixer(tuple(used), lift, inverse[:, 1:] / _norms(intact), controls_yaw)
+
+    found = _hovering(matrix, remaining, lambda columns: np.asarray(np.linalg.pinv(columns)))
+    if found and np.all(_authority(matrix[:, found[0]], found[1]) >= _LEAST_WITH_YAW * authority):
+        return mixed(*found, controls_yaw=True)
+    typical_m = float(np.sqrt(np.mean(matrix[3] ** 2)))
+    for weight in _YAW_WEIGHTS:
+        found = _hovering(matrix, remaining, partial(_inverse_without_yaw, weight_1_m=weight / typical_m))
+        if found is None:
+            continue
+        columns, inverse = matrix[:, found[0]], found[1]
+        tilts = np.all(_authority(columns, inverse)[:2] >= _LEAST_TILT * authority[:2])
+        if tilts and abs(columns[3] @ inverse[:, 0]) <= _MOST_SPIN * typical_m:
+            return mixed(*found, controls_yaw=False)
+    return None
+
+
+def _hovering(
+    matrix: Array, remaining: Sequence[int], invert: Callable[[Array], Array]
+) -> tuple[list[int], Array] | None:
+    """Return the rotors in use (m) and the inverse (m, 4) of their columns; None if they cannot hover.
+
+    As long as the hover leaves a rotor almost without thrust, the one with the least is left out.
+    """
+    used = list(remaining)
     while len(used) >= 3:
-        inverse = np.linalg.pinv(matrix[:, used])
-        hover = inverse[:, 0]
-        if np.abs(matrix[:, used] @ hover - (1.0, 0.0, 0.0, 0.0)).max() > _ROUNDING:
+        columns = matrix[:, used]
+        if np.linalg.matrix_rank(columns[:3]) < 3:
             return None
-        lift = hover * (count / hover.sum())
+        inverse = np.asarray(invert(columns), dtype=np.float64)
+        if not np.allclose(columns[:3] @ inverse[:, 0], (1.0, 0.0, 0.0), atol=_TOLERANCE):
+            return None
+        lift = _lift(inverse, matrix.shape[1])
         if lift.min() >= _LEAST_LIFT:
-            break
-        used = [rotor for rotor, share in zip(used, lift, strict=True) if share >= _LEAST_LIFT]
-    else:
-        return None
-    controls_yaw = bool(np.linalg.matrix_rank(matrix[:, used]) == 4)
-    if not controls_yaw:
-        if np.linalg.matrix_rank(matrix[:3, used]) < 3:
-            return None
-        inverse = np.zeros((len(used), 4))
-        inverse[:, :3] = np.linalg.pinv(matrix[:3, used])
-    return Mixer(tuple(used), lift, inverse[:, 1:] / norms, controls_yaw)
+            return used, inverse
+        del used[int(lift.argmin())]
+    return None
+
+
+def _lift(inverse: Array, count: int) -> Array:
+    """Return the lift (m,) of rotors from their inverse, in an airframe with so many rotors."""
+    return np.asarray(inverse[:, 0] * (count / inverse[:, 0].sum()))
+
+
+def _inverse_without_yaw(columns: Array, weight_1_m: float) -> Array:
+    """Return the inverse (m, 4) for thrust, roll and pitch, with a column of 0 for yaw.
+
+    Each column is the least, in the sense of squares, of rotor thrusts and ``weight_1_m`` times their yaw
+    torque: the weighted pseudo-inverse Q^-1 A' (A Q^-1 A')^-1, Q = I + w^2 y y'.
+    """
+    demands, yaw = columns[:3], weight_1_m * columns[3]
+    spread = np.linalg.solve(np.eye(yaw.size) + np.outer(yaw, yaw), demands.T)
+    return np.column_stack((spread @ np.linalg.inv(demands @ spread), np.zeros(yaw.size)))
+
+
+def _authority(columns: Array, inverse: Array) -> Array:
+    """Return the roll, pitch and yaw torque (3,) per thrust that the hover permits in both directions.
+
+    A rotor's thrust cannot be negative, so the torque is that at which the first rotor has none. It is 0
+    where the columns do not cause the torque.
+    """
+    hover, found = inverse[:, 0], np.zeros(3)
+    for axis in range(3):
+        column = inverse[:, 1 + axis]
+        if np.allclose((columns @ column)[1 + axis], 1.0, atol=_TOLERANCE):
+            found[axis] = (hover / np.maximum(np.abs(column), 1e-12)).min()
+    return found
 
 
 def _norms(inverse: Array) -> Array:
     """Return the norms (3,) of roll, pitch and yaw from the inverse (n, 4) of all rotors.
 
-    Those of roll and pitch are root mean squares times sqrt(2), over the rotors that the torque uses; that of
-    yaw is the greatest element. PX4 divides roll and pitch by the greater of both, here each has its own:
-    the gains of `autopilot.control.airframe_gains` refer to these.
+    Those of roll and pitch are root mean squares times sqrt(2), over the rotors with more than `_LEAST_USE`
+    of the greatest element; that of yaw is the greatest element. PX4 divides roll and pitch by the greater of
+    both, here each has its own: the gains of `autopilot.control.airframe_gains` refer to these.
     """
     columns = inverse[:, 1:]
-    used = (np.abs(columns[:, :2]) > _ROUNDING).sum(axis=0)
+    sizes = np.abs(columns[:, :2])
+    used = (sizes > _LEAST_USE * sizes.max(axis=0)).sum(axis=0)
     tilt = np.sqrt((columns[:, :2] ** 2).sum(axis=0) / (used / 2.0))
     return np.array((*tilt, np.abs(columns[:, 2]).max()))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from autopilot.control.airframe_gains import acceleration_rad_s2, allocation_params, control_params
 from autopilot.control.allocation import Allocator
@@ -128,6 +129,82 @@ def test_an_octocopter_keeps_yaw_and_a_quadrotor_cannot_fly_on():
     assert set(mixed.rotors) == set(range(8)) - {2}
     for name in ("iris", "x500", "crazyflie"):
         assert mixer_without(params_of(name), {1}) is None
+
+
+def imperfect(name, rng, *, tilt_deg=0.0, offset_m=0.0, centre_m=0.0):
+    """Return an airframe with tilted rotors, wrong positions and its centre of mass off the middle."""
+    params = params_of(name)
+    centre = rng.uniform(-centre_m, centre_m, 3)
+    rotors = []
+    for rotor in params.rotors:
+        tilt = rng.uniform(-1.0, 1.0, 2) * np.tan(np.radians(tilt_deg))
+        position = np.array(rotor.position_frd_m) + rng.uniform(-offset_m, offset_m, 3) - centre
+        rotors.append(
+            replace(rotor, axis_frd=(*tilt.tolist(), -1.0), position_frd_m=tuple(position.tolist()))
+        )
+    return replace(params, rotors=tuple(rotors))
+
+
+IMPERFECT = [{"tilt_deg": 2.0}, {"offset_m": 0.01}, {"centre_m": 0.02}, {"tilt_deg": 1.0, "offset_m": 0.01}]
+
+
+@pytest.mark.parametrize("name", ["hexacopter", "octocopter"])
+@pytest.mark.parametrize("imperfections", IMPERFECT, ids=str)
+def test_an_imperfect_airframe_flies_on_as_well_as_an_ideal_one(name, imperfections):
+    """Its hover is balanced, and no torque takes much more thrust than with all rotors.
+
+    A yaw torque that is left is at most half of what one rotor of the same thrust causes.
+    """
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        params = imperfect(name, rng, **imperfections)
+        matrix, intact = effectiveness(params), mixer(params)
+        count = len(params.rotors)
+        for failed in range(count):
+            mixed = mixer_without(params, {failed})
+            assert mixed is not None
+            assert failed not in mixed.rotors
+            assert mixed.lift.min() >= 0.05
+            columns = matrix[:, mixed.rotors]
+            hover = columns @ mixed.lift
+            assert hover[0] == pytest.approx(columns[0] @ mixed.lift)
+            np.testing.assert_allclose(hover[1:3], 0.0, atol=1e-9 * count)
+            typical_m = np.sqrt(np.mean(matrix[3] ** 2))
+            assert abs(hover[3]) <= 0.5 * typical_m * hover[0] * (1.0 + 1e-9)
+            axes = 3 if mixed.controls_yaw else 2
+            caused = columns[1 : 1 + axes] @ mixed.torque[:, :axes]
+            np.testing.assert_allclose(caused, matrix[1 : 1 + axes] @ intact.torque[:, :axes], atol=1e-9)
+            np.testing.assert_allclose(columns[0] @ mixed.torque, 0.0, atol=1e-9)
+            assert np.abs(mixed.torque[:, :2]).max() <= 8.0 * np.abs(intact.torque[:, :2]).max()
+
+
+def test_small_errors_of_a_hexacopter_change_its_mixer_little():
+    """An error of 0.1 mm and 0.01 degrees: the exact airframe was the only one that flew on."""
+    rng, ideal = np.random.default_rng(2), mixer_without(params_of("hexacopter"), {1})
+    for _ in range(50):
+        mixed = mixer_without(imperfect("hexacopter", rng, tilt_deg=0.01, offset_m=1e-4, centre_m=1e-4), {1})
+        assert mixed.rotors == ideal.rotors
+        assert not mixed.controls_yaw
+        np.testing.assert_allclose(mixed.lift, ideal.lift, atol=0.02)
+        np.testing.assert_allclose(mixed.torque, ideal.torque, atol=0.1)  # of 1.5
+
+
+def test_the_order_of_directions_decides_whether_a_hexacopter_keeps_yaw():
+    """PNPNPN loses it with any rotor, PPNNPN only with rotors 5 and 6.
+
+    G.-X. Du, Q. Quan, B. Yang, K.-Y. Cai, "Controllability Analysis for Multirotor Helicopter Rotor
+    Degradation and Failure", Journal of Guidance, Control, and Dynamics 38(5), 2015. P and N turn clockwise
+    and counter-clockwise, in the order of the arms.
+    """
+    params = params_of("hexacopter")
+    arms = sorted(range(6), key=lambda k: np.arctan2(*params.rotors[k].position_frd_m[1::-1]))
+    for order, keeping in (("PNPNPN", set()), ("PPNNPN", {1, 2, 3, 4})):
+        rotors = list(params.rotors)
+        for arm, turns in zip(arms, order, strict=True):
+            rotors[arm] = replace(rotors[arm], turns="cw" if turns == "P" else "ccw")
+        changed = replace(params, rotors=tuple(rotors))
+        mixed = [mixer_without(changed, {arm}) for arm in arms]
+        assert {number for number, each in enumerate(mixed, 1) if each.controls_yaw} == keeping
 
 
 def test_motors_are_used_again_after_the_failure_and_if_the_failure_mode_is_off():
