@@ -5,7 +5,7 @@ sense of squares, that cause a demand. After a motor failure the mixer is that o
 such that a demand causes the same thrust and torque as before.
 """
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -22,14 +22,14 @@ _LEAST_LIFT = 0.05
 _LEAST_WITH_YAW = 0.25
 """Share of the intact airframe's torques at the hover, each in both directions, below which yaw is given up:
 it would take thrust from roll and pitch for a torque that the first gust exceeds."""
-_LEAST_TILT = 0.1
+_LEAST_TILT = 0.2
 """Share of the intact airframe's roll and pitch torque below which the airframe does not fly."""
 _MOST_SPIN = 0.5
 """Yaw torque of the hover, over the rotors' typical yaw torque for the same thrust, beyond which an airframe
 without control of yaw does not fly: the drag of the rotors does not limit the rotation."""
-_YAW_WEIGHTS = (2.0, 1.0, 0.0)
+_YAW_WEIGHTS = (0.0, 1.0, 2.0, 4.0, 10.0, 30.0)
 """Weights of the yaw torque against rotor thrusts when yaw is given up, over the rotors' typical yaw torque;
-the next one if rotors would be left without thrust or authority."""
+the more it weighs, the less thrust is left to some rotors."""
 _TOLERANCE = 1e-6
 
 
@@ -79,10 +79,10 @@ def mixer(params: AllocationParams) -> Mixer:
 def mixer_without(params: AllocationParams, failed: Collection[int]) -> Mixer | None:
     """Return the mixer that flies on without some rotors; None if that is not possible.
 
-    Rotors that the hover leaves almost without thrust are not used either, since controls cannot be negative:
-    of a hexacopter the one opposite to the failed one. If the others cannot control yaw in both directions,
-    it is given up. The hover then has little yaw torque, though not none where that would take too much
-    thrust from some rotors, and the vehicle rotates as fast as the drag of its rotors permits.
+    Controls cannot be negative, so rotors that the hover leaves almost without thrust are not used either: of
+    a hexacopter the one opposite to the failed one. If the others cannot control yaw in both directions, it
+    is given up: of the hovers that leave torque for roll and pitch, that with the least yaw torque is flown,
+    and the vehicle rotates as fast as the drag of its rotors permits.
     """
     matrix = effectiveness(params)
     intact = np.asarray(np.linalg.pinv(matrix), dtype=np.float64)
@@ -93,41 +93,40 @@ def mixer_without(params: AllocationParams, failed: Collection[int]) -> Mixer | 
         lift = _lift(inverse, matrix.shape[1])
         return Mixer(tuple(used), lift, inverse[:, 1:] / _norms(intact), controls_yaw)
 
-    found = _hovering(matrix, remaining, lambda columns: np.asarray(np.linalg.pinv(columns)))
-    if found and np.all(_authority(matrix[:, found[0]], found[1]) >= _LEAST_WITH_YAW * authority):
-        return mixed(*found, controls_yaw=True)
+    for used, inverse in _hovers(matrix, remaining, lambda columns: np.asarray(np.linalg.pinv(columns))):
+        if np.all(_authority(matrix[:, used], inverse) >= _LEAST_WITH_YAW * authority):
+            return mixed(used, inverse, controls_yaw=True)
     typical_m = float(np.sqrt(np.mean(matrix[3] ** 2)))
+    best, least_spin = None, _MOST_SPIN * typical_m
     for weight in _YAW_WEIGHTS:
-        found = _hovering(matrix, remaining, partial(_inverse_without_yaw, weight_1_m=weight / typical_m))
-        if found is None:
-            continue
-        columns, inverse = matrix[:, found[0]], found[1]
-        tilts = np.all(_authority(columns, inverse)[:2] >= _LEAST_TILT * authority[:2])
-        if tilts and abs(columns[3] @ inverse[:, 0]) <= _MOST_SPIN * typical_m:
-            return mixed(*found, controls_yaw=False)
-    return None
+        invert = partial(_inverse_without_yaw, weight_1_m=weight / typical_m)
+        for used, inverse in _hovers(matrix, remaining, invert):
+            spin_m = abs(float(matrix[3, used] @ inverse[:, 0]))
+            tilt = _authority(matrix[:, used], inverse)[:2]
+            if spin_m < least_spin and np.all(tilt >= _LEAST_TILT * authority[:2]):
+                best, least_spin = mixed(used, inverse, controls_yaw=False), spin_m
+    return best
 
 
-def _hovering(
+def _hovers(
     matrix: Array, remaining: Sequence[int], invert: Callable[[Array], Array]
-) -> tuple[list[int], Array] | None:
-    """Return the rotors in use (m) and the inverse (m, 4) of their columns; None if they cannot hover.
+) -> Iterator[tuple[list[int], Array]]:
+    """Yield rotors to use (m), fewer and fewer, with the inverse (m, 4) of their columns, if they can hover.
 
-    As long as the hover leaves a rotor almost without thrust, the one with the least is left out.
+    The rotor to which the hover leaves the least thrust is left out next.
     """
     used = list(remaining)
     while len(used) >= 3:
         columns = matrix[:, used]
         if np.linalg.matrix_rank(columns[:3]) < 3:
-            return None
+            return
         inverse = np.asarray(invert(columns), dtype=np.float64)
         if not np.allclose(columns[:3] @ inverse[:, 0], (1.0, 0.0, 0.0), atol=_TOLERANCE):
-            return None
+            return
         lift = _lift(inverse, matrix.shape[1])
         if lift.min() >= _LEAST_LIFT:
-            return used, inverse
+            yield [*used], inverse
         del used[int(lift.argmin())]
-    return None
 
 
 def _lift(inverse: Array, count: int) -> Array:
