@@ -27,6 +27,8 @@ _LEAST_TILT = 0.2
 _MOST_SPIN = 0.5
 """Yaw torque of the hover, over the rotors' typical yaw torque for the same thrust, beyond which an airframe
 without control of yaw does not fly: the drag of the rotors does not limit the rotation."""
+_LITTLE_SPIN = 0.01
+"""The same, below which rotor thrusts are not changed further for less rotation."""
 _YAW_WEIGHTS = (0.0, 1.0, 2.0, 4.0, 10.0, 30.0)
 """Weights of the yaw torque against rotor thrusts when yaw is given up, over the rotors' typical yaw torque;
 the more it weighs, the less thrust is left to some rotors."""
@@ -105,6 +107,8 @@ def mixer_without(params: AllocationParams, failed: Collection[int]) -> Mixer | 
             tilt = _authority(matrix[:, used], inverse)[:2]
             if spin_m < least_spin and np.all(tilt >= _LEAST_TILT * authority[:2]):
                 best, least_spin = mixed(used, inverse, controls_yaw=False), spin_m
+        if least_spin <= _LITTLE_SPIN * typical_m:
+            break
     return best
 
 
