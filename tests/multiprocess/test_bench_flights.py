@@ -42,7 +42,7 @@ def test_bench_reports_speed_floor_parts_memory_and_start_up():
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_interrupted_bench_leaves_no_process_and_no_file(tmp_path, number):
-    command = [sys.executable, str(BENCH), "--agents", "2", "--duration", "1000", "--repeats", "1"]
+    command = [sys.executable, str(BENCH), "--quick", "--agents", "2", "--duration", "1000", "--repeats", "1"]
     environment = os.environ | {"TMPDIR": str(tmp_path)}
     with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as bench:
         descendants: dict[str, psutil.Process] = {}

@@ -91,7 +91,7 @@ def test_faults_cause_the_configured_actions(swarm, tmp_path):
         "faults=[" + ", ".join(map(toml, faults)) + "]",
         *(f"autopilot.per_uav.{uav}={toml(params)}" for uav, params in per_uav.items()),
     ]
-    flight = swarm(ARTICLE, agents=7, overrides=overrides, out=tmp_path / "run")
+    flight = swarm(ARTICLE, agents=7, processes="one", overrides=overrides, out=tmp_path / "run")
     flight.run(until_s=70.0)
     truth = flight.truth
     assert truth.alive.all()
