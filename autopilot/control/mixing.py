@@ -19,6 +19,8 @@ _LEAST_USE = 0.05
 """Share of the greatest change of a rotor's thrust below which a torque does not use a rotor."""
 _LEAST_LIFT = 0.05
 """Share of the mean thrust below which a rotor does not contribute to the hover, and is left out."""
+_MOST_LIFT = 2.2
+"""Share of the mean thrust above which a hover is not flown: most airframes hover at half of their thrust."""
 _LEAST_WITH_YAW = 0.25
 """Share of the intact airframe's torques at the hover, each in both directions, below which yaw is given up:
 it would take thrust from roll and pitch for a torque that the first gust exceeds."""
@@ -128,7 +130,7 @@ def _hovers(
         if not np.allclose(columns[:3] @ inverse[:, 0], (1.0, 0.0, 0.0), atol=_TOLERANCE):
             return
         lift = _lift(inverse, matrix.shape[1])
-        if lift.min() >= _LEAST_LIFT:
+        if lift.min() >= _LEAST_LIFT and lift.max() <= _MOST_LIFT:
             yield [*used], inverse
         del used[int(lift.argmin())]
 

@@ -176,7 +176,8 @@ class AutopilotConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     service_settings: dict[str, dict[str, Any]] = {}
     """Settings of these services, by the name in ``services``."""
     folder: str = ""
-    """Folder in which modules of these classes are looked up first; empty: that of the scenario's file."""
+    """Folder in which modules of these classes are looked up first; empty: that of the scenario's file, or
+    the working directory for a scenario without a file."""
 
     @property
     def has_code(self) -> bool:

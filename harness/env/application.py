@@ -19,6 +19,7 @@ from netsim.wire.messages import Delivery, FtmResult, RxItem
 NEAR_M, SLOW_M_S = 0.5, 0.3
 """Estimated distance from the place and speed within which a UAV hovers there."""
 TAKE_OFF_M = 2.5
+_ZERO: Vector = (0.0, 0.0, 0.0)
 _STATE = 6
 """Numbers of a beacon before those of the message: position and velocity."""
 
@@ -54,6 +55,8 @@ class EnvApplication(Application):
         self._loops = round(context.uav * max(self._beacon_loops, self._range_loops) / agents)
         self._ranged = 0
         self._now_us = 0
+        self._pos_ned_m = self._vel_ned_m_s = _ZERO
+        """Estimates of the last iteration."""
 
     @property
     def follows(self) -> bool:
@@ -71,11 +74,10 @@ class EnvApplication(Application):
 
     def observation(self) -> NDArray[np.float64]:
         """Return the observation of the last iteration, not yet limited to its bounds."""
-        autopilot = self._context.autopilot
         return self._neighbours.observation(
             self._now_us,
-            pos_ned_m=autopilot.pos_ned_m or (0.0, 0.0, 0.0),
-            vel_ned_m_s=autopilot.vel_ned_m_s,
+            pos_ned_m=self._pos_ned_m,
+            vel_ned_m_s=self._vel_ned_m_s,
             place_ned_m=self._place_ned_m,
         )
 
@@ -96,9 +98,10 @@ class EnvApplication(Application):
 
     def on_timer(self, now_us: int) -> None:
         """Apply the action, and send what is due."""
-        self._now_us = now_us
-        self._loops += 1
         autopilot, action = self._context.autopilot, self.action
+        self._now_us = now_us
+        self._pos_ned_m, self._vel_ned_m_s = autopilot.pos_ned_m or _ZERO, autopilot.vel_ned_m_s
+        self._loops += 1
         autopilot.take_off(TAKE_OFF_M)
         if action is None or math.isnan(action[0]):
             autopilot.fly(pos_ned_m=self._place_ned_m)

@@ -81,7 +81,7 @@ class Episode:
                 raise SwarmError("; ".join(f"{uav(number)}: {text}" for number, text in self._ended.items()))
             late = [i for i, each in enumerate(self._applications) if not each.is_hovering]
             hovering = 0 if late else hovering + 1
-            if simulation.time_us > HOVER_LIMIT_S * 1e6:
+            if late and simulation.time_us > HOVER_LIMIT_S * 1e6:
                 raise SwarmError(
                     f"{uav(late[0])} does not hover at its place after {HOVER_LIMIT_S:g} s of simulated time"
                 )

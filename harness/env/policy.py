@@ -32,7 +32,7 @@ class PolicyApplication(EnvApplication):
     first action, here each begins when it does.
     """
 
-    reports = Reports(phases=PolicyPhase, formed=(PolicyPhase.FOLLOWING,))
+    reports = Reports(phases=PolicyPhase, formed=(PolicyPhase.FOLLOWING,), placed=(PolicyPhase.APPROACHING,))
 
     def start(self, context: Context) -> None:
         """Store the context; names and bounds of observations are then known."""

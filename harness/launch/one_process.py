@@ -166,10 +166,11 @@ class _ThreadSupervisor(Supervisor):
         if PHYSICS not in names:
             return []
         self._inbox.put(Stop())  # also for an abandoned thread, whose call may return later
-        if self._thread is None:
+        thread = self._thread
+        if thread is None:
             return []
-        self._thread.join(grace_s or STOP_LIMIT_S)
-        return ["the flight did not stop when asked"] if self._thread.is_alive() else []
+        thread.join(grace_s or STOP_LIMIT_S)
+        return ["the flight did not stop when asked"] if thread.is_alive() else []
 
     def stop(self, *, input_grace_s: float = 0.0) -> list[str]:  # noqa: ARG002  it has no stdin
         """End the flight for good."""

@@ -23,6 +23,8 @@ from foundation.types import Vector
 
 FLOWN_HEIGHT_M = 0.3
 """A vehicle disarmed after exceeding this height has landed."""
+MOST = 1e9
+"""Greatest number of a setpoint."""
 MOST_MESSAGES = 1_000
 """Messages of one iteration; an application that sends more has failed."""
 _LOCAL_NED = int(common.MAV_FRAME_LOCAL_NED)
@@ -154,8 +156,8 @@ class AutopilotClient:
 
         To be called in every iteration, or at least twice a second: autopilots leave the mode without
         setpoints. It has no effect unless the vehicle `follows`. Raises ValueError for an axis without a
-        setpoint, another size, numbers that are not finite, and vectors of which only some axes are given
-        beside an ArduPilot, which ignores these.
+        setpoint, another size, numbers that are not finite, and beside an ArduPilot, which ignores these, for
+        vectors of which only some axes are given and for position with acceleration but without velocity.
         """
         own = self.own
         (north_m, east_m, down_m), pos_axes = self._given("pos_ned_m", pos_ned_m)
@@ -165,6 +167,8 @@ class AutopilotClient:
             raise ValueError(
                 "fly: expected one of pos_ned_m, vel_ned_m_s, acc_ned_m_s2 or more for each of the three axes"
             )
+        if not self.interface.mixes_axes and pos_axes and acc_axes and not vel_axes:
+            raise ValueError("fly: expected a velocity between position and acceleration beside an ArduPilot")
         origin_n_m, origin_e_m, _ = own.origin_ned_m or _ZERO
         pos = (north_m - origin_n_m, east_m - origin_e_m, down_m + own.height.autopilot_down_m)
         vel = (vel_n, vel_e, vel_d + own.height.vel_error_m_s)
@@ -299,11 +303,11 @@ class AutopilotClient:
             return _ZERO, 0
         try:
             north, east, down = (None if axis is None else float(axis) for axis in axes)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise ValueError(f"{name}: {axes!r:.100}; expected three numbers") from None
         vector = (north or 0.0, east or 0.0, down or 0.0)
-        if not all(map(math.isfinite, vector)):
-            raise ValueError(f"{name}: {axes!r:.100}; expected finite numbers")
+        if not all(abs(value) <= MOST for value in vector):
+            raise ValueError(f"{name}: {axes!r:.100}; expected finite numbers, at most {MOST:g}")
         given = (north is not None) | (east is not None) << 1 | (down is not None) << 2
         if given not in {0, _ALL_AXES} and not self.interface.mixes_axes:
             raise ValueError(f"{name}: {axes!r:.100}; expected all three axes beside an ArduPilot")

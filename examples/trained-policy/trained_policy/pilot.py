@@ -3,14 +3,13 @@
 from numpy.typing import ArrayLike
 
 from coflight import Context, EnvSettings, PolicyApplication
-from trained_policy.policies import SPEED_MAX_M_S, Floats, LinearPolicy, lead
+from trained_policy.policies import Floats, LinearPolicy, lead
 
 
 class PilotSettings(EnvSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of the environment, and the searched weights of `LinearPolicy`."""
 
     weights: tuple[float, float, float, float]
-    speed_max_m_s: float = SPEED_MAX_M_S
 
 
 class Pilot(PolicyApplication):

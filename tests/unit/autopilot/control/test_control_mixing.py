@@ -167,7 +167,8 @@ def test_an_imperfect_airframe_flies_on_as_well_as_an_ideal_one(name, imperfecti
             assert mixed.lift.min() >= 0.05
             columns = matrix[:, mixed.rotors]
             hover = columns @ mixed.lift
-            assert hover[0] == pytest.approx(columns[0] @ mixed.lift)
+            assert hover[0] == pytest.approx(matrix[0] @ intact.lift, rel=0.01)  # tilted axes lift less
+            assert mixed.lift.max() <= 2.2
             np.testing.assert_allclose(hover[1:3], 0.0, atol=1e-9 * count)
             typical_m = np.sqrt(np.mean(matrix[3] ** 2))
             assert abs(hover[3]) <= 0.5 * typical_m * hover[0] * (1.0 + 1e-9)
