@@ -20,7 +20,8 @@ _LEAST_USE = 0.05
 _LEAST_LIFT = 0.05
 """Share of the mean thrust below which a rotor does not contribute to the hover, and is left out."""
 _MOST_LIFT = 2.2
-"""Share of the mean thrust above which a hover is not flown: most airframes hover at half of their thrust."""
+"""Share of the mean thrust above which a hover is not flown: a rotor is at its limit if the intact airframe
+hovers at 0.45 of the thrust range, as the packaged ones do or at less. The actual share is not considered."""
 _LEAST_WITH_YAW = 0.25
 """Share of the intact airframe's torques at the hover, each in both directions, below which yaw is given up:
 it would take thrust from roll and pitch for a torque that the first gust exceeds."""
