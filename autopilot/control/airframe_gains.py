@@ -62,6 +62,7 @@ def allocation_params(airframe: Airframe) -> AllocationParams:
     return AllocationParams(
         rotors=airframe.rotors,
         moment_m=airframe.propulsion.moment_m,
+        hover_share=airframe.hover_share,
         thrust_model_factor=airframe.propulsion.thrust_model_factor,
     )
 

@@ -19,9 +19,8 @@ _LEAST_USE = 0.05
 """Share of the greatest change of a rotor's thrust below which a torque does not use a rotor."""
 _LEAST_LIFT = 0.05
 """Share of the mean thrust below which a rotor does not contribute to the hover, and is left out."""
-_MOST_LIFT = 2.2
-"""Share of the mean thrust above which a hover is not flown: a rotor is at its limit if the intact airframe
-hovers at 0.45 of the thrust range, as the packaged ones do or at less. The actual share is not considered."""
+_MOST_HOVER = 0.9
+"""Share of a rotor's thrust range above which the hover leaves too little for control, and is not flown."""
 _LEAST_WITH_YAW = 0.25
 """Share of the intact airframe's torques at the hover, each in both directions, below which yaw is given up:
 it would take thrust from roll and pitch for a torque that the first gust exceeds."""
@@ -93,19 +92,20 @@ def mixer_without(params: AllocationParams, failed: Collection[int]) -> Mixer | 
     intact = np.asarray(np.linalg.pinv(matrix), dtype=np.float64)
     authority = _authority(matrix, intact)
     remaining = [rotor for rotor in range(matrix.shape[1]) if rotor not in failed]
+    hovers = partial(_hovers, matrix, remaining, most_lift=_MOST_HOVER / max(params.hover_share, 1e-3))
 
     def mixed(used: Sequence[int], inverse: Array, *, controls_yaw: bool) -> Mixer:
         lift = _lift(inverse, matrix.shape[1])
         return Mixer(tuple(used), lift, inverse[:, 1:] / _norms(intact), controls_yaw)
 
-    for used, inverse in _hovers(matrix, remaining, lambda columns: np.asarray(np.linalg.pinv(columns))):
+    for used, inverse in hovers(lambda columns: np.asarray(np.linalg.pinv(columns))):
         if np.all(_authority(matrix[:, used], inverse) >= _LEAST_WITH_YAW * authority):
             return mixed(used, inverse, controls_yaw=True)
     typical_m = float(np.sqrt(np.mean(matrix[3] ** 2)))
     best, least_spin = None, _MOST_SPIN * typical_m
     for weight in _YAW_WEIGHTS:
         invert = partial(_inverse_without_yaw, weight_1_m=weight / typical_m)
-        for used, inverse in _hovers(matrix, remaining, invert):
+        for used, inverse in hovers(invert):
             spin_m = abs(float(matrix[3, used] @ inverse[:, 0]))
             tilt = _authority(matrix[:, used], inverse)[:2]
             if spin_m < least_spin and np.all(tilt >= _LEAST_TILT * authority[:2]):
@@ -116,11 +116,11 @@ def mixer_without(params: AllocationParams, failed: Collection[int]) -> Mixer | 
 
 
 def _hovers(
-    matrix: Array, remaining: Sequence[int], invert: Callable[[Array], Array]
+    matrix: Array, remaining: Sequence[int], invert: Callable[[Array], Array], *, most_lift: float
 ) -> Iterator[tuple[list[int], Array]]:
     """Yield rotors to use (m), fewer and fewer, with the inverse (m, 4) of their columns, if they can hover.
 
-    The rotor to which the hover leaves the least thrust is left out next.
+    The rotor to which the hover leaves the least thrust is left out next. None has more than ``most_lift``.
     """
     used = list(remaining)
     while len(used) >= 3:
@@ -131,7 +131,7 @@ def _hovers(
         if not np.allclose(columns[:3] @ inverse[:, 0], (1.0, 0.0, 0.0), atol=_TOLERANCE):
             return
         lift = _lift(inverse, matrix.shape[1])
-        if lift.min() >= _LEAST_LIFT and lift.max() <= _MOST_LIFT:
+        if lift.min() >= _LEAST_LIFT and lift.max() <= most_lift:
             yield [*used], inverse
         del used[int(lift.argmin())]
 

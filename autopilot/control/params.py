@@ -163,6 +163,8 @@ class AllocationParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """THR_MDL_FAC: factor of the quadratic term in thrust = factor u^2 + (1 - factor) u.
     A rotor at w = 1000 u + 100 rad/s with thrust k w^2 has, relative to idle and as a fraction of full
     thrust, exactly (w^2 - 100^2) / (1100^2 - 100^2) = 5/6 u^2 + 1/6 u."""
+    hover_share: Fraction = IRIS.hover_share
+    """Share of the thrust range that carries the airframe with all rotors"""
     yaw_thrust_margin: Fraction = 0.15
     """Greatest reduction of collective thrust that keeps yaw authority at full thrust (PX4: fixed)"""
     failure_mode: Annotated[int, Meta(ge=0, le=1)] = 1
