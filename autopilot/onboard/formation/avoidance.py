@@ -51,7 +51,8 @@ GROWTH_M_S = 0.2
 ROOM_SHARE = 0.5
 """Share of a neighbour's receding speed that the own UAV may follow at once, so that a queue advances. With
 the whole speed a follower would run into a neighbour that stops."""
-PASSES = 30
+PASSES = 200
+"""Largest number of `_nearest`, which nearly parallel lines take up to 150 of; most cases take below 10."""
 _REQUEST = Struct("5d")
 """Packs an array's elements into its memory, in a fifth of the time of assigning its slices."""
 NEAR_M = 1e-3

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from onboard_world import article_places_ned_m
 
@@ -146,11 +146,12 @@ def test_one_above_the_other_part_in_opposite_directions_unless_high_enough_apar
 
 @settings(deadline=None, max_examples=300)
 @given(st.integers(0, 10_000), st.integers(1, 5))
+@example(2560, 5)  # nearly parallel lines, for which the ascent is slowest
+@example(3151, 4)
 def test_the_velocity_is_the_nearest_one_that_keeps_all_bounds(seed, count):
     """Compare with all candidates: the desired velocity, its projections on the lines, and intersections.
 
-    Bounds are kept to 0.03 m/s. If two lines intersect at a small angle, that is a longer distance along
-    them.
+    Bounds are kept to 5 mm/s. If two lines intersect at a small angle, that is a longer distance along them.
     """
     rng = np.random.default_rng(seed)
     course = rng.uniform(-math.pi, math.pi, count)
@@ -159,9 +160,9 @@ def test_the_velocity_is_the_nearest_one_that_keeps_all_bounds(seed, count):
     desired = rng.uniform(-1.5, 1.5, 2)
     found = np.empty(2)
     _nearest(normals, bounds, desired, found)
-    assert (normals @ found >= bounds - 0.03).all()
-    least_m_s, best_m_s = (_least_change(normals, each, desired) for each in (bounds - 0.03, bounds))
-    assert least_m_s - 1e-9 <= np.linalg.norm(found - desired) <= best_m_s + 0.03
+    assert (normals @ found >= bounds - 0.005).all()
+    least_m_s, best_m_s = (_least_change(normals, each, desired) for each in (bounds - 0.005, bounds))
+    assert least_m_s - 1e-9 <= np.linalg.norm(found - desired) <= best_m_s + 0.005
 
 
 def _least_change(normals, bounds, desired):
