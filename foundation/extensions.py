@@ -52,8 +52,8 @@ def load(path: str, *, field: str, search: Path | None = None) -> object:
     Args:
         path: ``package.module:Name``; the name may have dots, for a class within a class.
         field: Path of the scenario's field, with which the text of an error begins.
-        search: Folder where modules are looked up first, during this call. A child process that imports the
-            module must have it in ``sys.path``.
+        search: Folder where modules are looked up first, such as that of a scenario. It is in ``sys.path``
+            during this call only, so a module there imports its neighbours at its top, not in functions.
 
     Raises ExtensionError: the path has another form, there is no such module, the module raises an exception,
     it has no such name, or another file of this name is already loaded.
@@ -64,7 +64,7 @@ def load(path: str, *, field: str, search: Path | None = None) -> object:
     with _first_in_path(search):
         if search is not None:
             _check_loaded(module_name, search, field)
-        module = _import(module_name, field)
+        module = _import(module_name, field, search)
     found: object = module
     for part in name.split("."):
         try:
@@ -107,14 +107,15 @@ def _check_loaded(module_name: str, search: Path, field: str) -> None:
         )
 
 
-def _import(module_name: str, field: str) -> ModuleType:
+def _import(module_name: str, field: str, search: Path | None) -> ModuleType:
     try:
         return importlib.import_module(module_name)
     except ModuleNotFoundError as error:
         missing = str(error.name)
         if module_name == missing or module_name.startswith(f"{missing}."):
+            there = "to be" if search is None else f"in {search.resolve()},"
             raise ExtensionError(
-                f"{field}: no module {missing}; expected it to be installed, or its folder in PYTHONPATH"
+                f"{field}: no module {missing}; expected it {there} installed, or its folder in PYTHONPATH"
             ) from None
         raise _import_error(module_name, error, field) from error
     except (Exception, SystemExit) as error:

@@ -1,5 +1,6 @@
 """Factory of a UAV's programs, for the autopilot's process or a companion process."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -81,12 +82,7 @@ def layout_of(config: OnboardConfig) -> Layout:
     """Return what the programs of a UAV with these settings report; raises as `load_application`."""
     if not config.enabled:
         return NO_APPLICATION
-    first = load_application(config).kind.reports
-    others = {name: each.kind.reports for name, each in load_programs(config).items()}
-    try:
-        return layout(first, others)
-    except ValueError as error:
-        raise ExtensionError(f"onboard.programs: {error}") from None
+    return _layout(load_application(config), load_programs(config))
 
 
 def dissectors_of(config: OnboardConfig) -> dict[str, str]:
@@ -115,7 +111,8 @@ def make_programs(config: VehicleConfig) -> Programs:
         system=config.instance + 1, site=config.site, gps_delay_s=config.devices.gps_delay_s,
         interface=ARDUPILOT if autopilot_kind == "ardupilot" else PX4,
     )  # fmt: skip
-    loaded = {"": load_application(onboard), **load_programs(onboard)}
+    first, others = load_application(onboard), load_programs(onboard)
+    loaded = {"": first, **others}
     ports = {"": onboard.port, **{each.name: each.port for each in onboard.programs}}
     programs = []
     for number, (name, each) in enumerate(loaded.items()):
@@ -134,7 +131,15 @@ def make_programs(config: VehicleConfig) -> Programs:
             autopilot=autopilot, autopilot_kind=autopilot_kind,
         )  # fmt: skip
         programs.append(Program(each.make(), context, title=each.title, name=name))
-    return Programs(programs, autopilot, layout_of(onboard))
+    return Programs(programs, autopilot, _layout(first, others))
+
+
+def _layout(first: Loaded, others: Mapping[str, Loaded]) -> Layout:
+    """Return what a UAV's programs report. Raises ExtensionError."""
+    try:
+        return layout(first.kind.reports, {name: each.kind.reports for name, each in others.items()})
+    except ValueError as error:
+        raise ExtensionError(f"onboard.programs: {error}") from None
 
 
 def _load(config: OnboardConfig, program: OnboardConfig | ProgramConfig, *, table: str) -> Loaded:
@@ -161,6 +166,7 @@ def _load(config: OnboardConfig, program: OnboardConfig | ProgramConfig, *, tabl
 def _class_of(path: str, *, field: str, search: Path | None) -> type[Application]:
     kind = load(path, field=field, search=search)
     missing = [name for name in _METHODS if not callable(getattr(kind, name, None))]
+    missing += sorted(getattr(kind, "__abstractmethods__", ()))
     if not isinstance(kind, type) or missing:
         what = f"has no method {missing[0]}" if missing else "is no class"
         raise ExtensionError(f"{field}: {path} {what}; expected a subclass of coflight.Application")

@@ -39,8 +39,9 @@ class Program:
         with self._call:
             application.start(context)
             status = application.status()
+        self._returned = status
         self.status = self._checked(status)
-        """Status after the last iteration."""
+        """Status after the last iteration; its numbers are a copy."""
 
     @property
     def title(self) -> str:
@@ -80,7 +81,8 @@ class Program:
         with self._call:
             application.on_timer(now_us)
             status = application.status()
-        if status is not self.status:
+        if status is not self._returned or status.values:
+            self._returned = status
             self.status = self._checked(status)
 
     def estimate(self, now_us: int) -> Estimate:
@@ -97,7 +99,7 @@ class Program:
             return {str(name): int(count) for name, count in self.application.troubles().items()}
 
     def _checked(self, status: Status) -> Status:
-        """Return a status whose phase, numbers and text are as declared. Raises ExtensionFailure."""
+        """Return a status, with a copy of its numbers, if all is as declared. Raises ExtensionFailure."""
         reports = self._reports
         if not isinstance(status, Status):
             raise self._call.refused(f"status returned a {type(status).__name__}; expected a Status")
@@ -110,15 +112,19 @@ class Program:
             raise self._call.refused(
                 f"status has the text {text!r:.100}; expected at most {MOST_TEXT} ASCII characters"
             )
-        for name, value in status.values.items():
+        given: object = status.values
+        if not isinstance(given, Mapping):
+            raise self._call.refused(f"status has {given!r:.100} as values; expected numbers by name")
+        values: dict[str, float] = {}
+        for name, value in given.items():
             if name not in reports.values:
                 names = ", ".join(reports.values) or "none"
                 raise self._call.refused(f"status has a number {name!r}; its reports declare {names}")
             try:
-                float(value)
+                values[name] = float(value)
             except (TypeError, ValueError):
                 raise self._call.refused(f"status has {value!r:.100} as {name}; expected a number") from None
-        return status
+        return msgspec.structs.replace(status, values=values) if values else status
 
 
 def layout(first: Reports, others: Mapping[str, Reports]) -> Layout:

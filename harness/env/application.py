@@ -55,8 +55,7 @@ class EnvApplication(Application):
         self._loops = round(context.uav * max(self._beacon_loops, self._range_loops) / agents)
         self._ranged = 0
         self._now_us = 0
-        self._pos_ned_m = self._vel_ned_m_s = _ZERO
-        """Estimates of the last iteration."""
+        self._observation = self._observed(0)
 
     @property
     def follows(self) -> bool:
@@ -73,13 +72,11 @@ class EnvApplication(Application):
         return bool(near and math.hypot(*autopilot.vel_ned_m_s) < SLOW_M_S)
 
     def observation(self) -> NDArray[np.float64]:
-        """Return the observation of the last iteration, not yet limited to its bounds."""
-        return self._neighbours.observation(
-            self._now_us,
-            pos_ned_m=self._pos_ned_m,
-            vel_ned_m_s=self._vel_ned_m_s,
-            place_ned_m=self._place_ned_m,
-        )
+        """Return the observation of the last iteration, not yet limited to its bounds.
+
+        What was received after that iteration is part of the next one.
+        """
+        return self._observation
 
     def on_radio(self, items: Iterable[RxItem], now_us: int) -> None:  # noqa: ARG002  items have times
         """Store beacons and ranges."""
@@ -100,7 +97,7 @@ class EnvApplication(Application):
         """Apply the action, and send what is due."""
         autopilot, action = self._context.autopilot, self.action
         self._now_us = now_us
-        self._pos_ned_m, self._vel_ned_m_s = autopilot.pos_ned_m or _ZERO, autopilot.vel_ned_m_s
+        self._observation = self._observed(now_us)
         self._loops += 1
         autopilot.take_off(TAKE_OFF_M)
         if action is None or math.isnan(action[0]):
@@ -121,6 +118,15 @@ class EnvApplication(Application):
             self._send(beacon=send > 0.0, ranging=ranging > 0.0)
         else:
             self._send(beacon=self._loops % self._beacon_loops == 0, ranging=self._is_range_due())
+
+    def _observed(self, now_us: int) -> NDArray[np.float64]:
+        autopilot = self._context.autopilot
+        return self._neighbours.observation(
+            now_us,
+            pos_ned_m=autopilot.pos_ned_m or _ZERO,
+            vel_ned_m_s=autopilot.vel_ned_m_s,
+            place_ned_m=self._place_ned_m,
+        )
 
     def _is_range_due(self) -> bool:
         return self._loops % self._range_loops == 0

@@ -51,7 +51,7 @@ class PolicyApplication(EnvApplication):
         """Return the action (A,) for an observation (O,), as in the environment."""
 
     def on_timer(self, now_us: int) -> None:
-        """Apply the policy to what was observed until now."""
+        """Apply the policy to the observation of the last iteration, as an environment does."""
         if self._phase is PolicyPhase.APPROACHING:
             if not self.is_hovering:
                 self._hovering_us = None

@@ -78,7 +78,8 @@ def checked_action(settings: EnvSettings, name: str, action: ArrayLike) -> NDArr
     values = np.asarray(action, dtype=np.float64)
     expected = len(settings.action_names())
     if values.shape != (expected,) or np.isnan(values).any():
-        raise ValueError(f"env: action of {name}: {action!r:.200}; expected {expected} numbers")
+        given = " ".join(f"{action!r:.200}".split())
+        raise ValueError(f"env: action of {name}: {given}; expected {expected} numbers")
     return np.clip(values, -1.0, 1.0)
 
 

@@ -51,6 +51,22 @@ class Echo(Application):
         return {"echoes_lost": 0}
 
 
+class ChangesNumbers(Application):
+    """Reports numbers that it changes in place."""
+
+    reports = Reports(values=("echoes",))
+
+    def __init__(self):
+        self.numbers = {"echoes": 0.0}
+
+    def on_timer(self, now_us):
+        if isinstance(self.numbers, dict) and isinstance(self.numbers["echoes"], float):
+            self.numbers["echoes"] += 1.0
+
+    def status(self):
+        return Status(values=self.numbers)
+
+
 class Hop(Application):
     """Takes off, flies a metre north of its place with a unicast and a range to the next UAV, and lands."""
 

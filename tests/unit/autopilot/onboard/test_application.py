@@ -1,6 +1,7 @@
 """The public interface of on-board applications: a user's class in place of the built-in one."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -61,6 +62,30 @@ def test_the_client_takes_off_follows_and_reports_a_landing():
     assert autopilot.follows
 
 
+def test_numbers_that_an_application_changes_in_place_are_checked_and_copied():
+    flight = flight_of("ChangesNumbers")
+    steps(flight, 20)
+    values = [program_values(flight)]
+    steps(flight, 20)
+    values.append(program_values(flight))
+    assert values[1]["echoes"] > values[0]["echoes"] > 0.0
+    flight.vehicle.app.application.numbers["echoes"] = "many"
+    with pytest.raises(ExtensionFailure, match="status has 'many' as echoes; expected a number"):
+        steps(flight, 20)
+
+
+@pytest.mark.parametrize("values", [None, [1.0]])
+def test_values_that_are_no_mapping_are_refused(values):
+    flight = flight_of("ChangesNumbers")
+    flight.vehicle.app.application.numbers = values
+    with pytest.raises(ExtensionFailure, match="as values; expected numbers by name"):
+        steps(flight, 20)
+
+
+def program_values(flight):
+    return flight.vehicle.app.status.values
+
+
 def test_an_exception_names_application_cause_and_place():
     config = vehicle_config(onboard=True)
     onboard = OnboardConfig(application="user_applications:Raises")
@@ -80,7 +105,7 @@ def test_an_exception_names_application_cause_and_place():
             {"application": "no_such_module:App"},
             (
                 "onboard.application: no module no_such_module; "
-                "expected it to be installed, or its folder in PYTHONPATH"
+                f"expected it in {Path.cwd()}, installed, or its folder in PYTHONPATH"
             ),
         ),
         (
@@ -94,6 +119,13 @@ def test_an_exception_names_application_cause_and_place():
             {"application": "user_applications:Phase"},
             (
                 "onboard.application: user_applications:Phase has no method start; "
+                "expected a subclass of coflight.Application"
+            ),
+        ),
+        (
+            {"application": "harness.env.policy:PolicyApplication"},
+            (
+                "onboard.application: harness.env.policy:PolicyApplication has no method act; "
                 "expected a subclass of coflight.Application"
             ),
         ),

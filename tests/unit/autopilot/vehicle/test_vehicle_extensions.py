@@ -135,7 +135,7 @@ def test_two_services_that_handle_the_same_message_are_refused(services, line, m
     [
         (
             {"controller": "no_such_module:C"},
-            "autopilot.controller: no module no_such_module; expected it to be",
+            "autopilot.controller: no module no_such_module; expected it in ",
         ),
         (
             {"controller": "hover"},

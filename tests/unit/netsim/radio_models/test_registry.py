@@ -40,7 +40,7 @@ def test_built_in_names_are_those_of_the_fields_before():
         ("path_loss", "fris", None, "no model 'fris'; did you mean friis? expected friis, log_"),
         ("fading", "nakagami", None, "no model 'nakagami'; expected rician, none, or package.module:"),
         ("path_loss", "friis", {"a": 1}, "settings: friis has none; expected fields of [radio]"),
-        ("path_loss", "no_module:X", None, "no module no_module; expected it to be installed"),
+        ("path_loss", "no_module:X", None, "no module no_module; expected it in "),
         ("path_loss", f"{OWN}:PowerLow", None, "has no PowerLow; did you mean user_radio_models:PowerLaw?"),
         ("path_loss", f"{OWN}:PowerLaw", None, "radio.path_loss.settings: missing key `exponent`"),
         ("path_loss", f"{OWN}:PowerLaw", {"exponent": "2"}, "settings.exponent: expected `float`, got"),
