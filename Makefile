@@ -11,6 +11,8 @@ DOCS := $(VENV)/.set-up-docs
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 LOCKED := $(PIP) --require-hashes --requirement
 ARGS ?=
+# each process would compile every module again
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help setup swarm wheel test test-clients validate validate-radio validate-antenna codesign campaign article antenna bench bench-radio docs lock lint format clean
 help:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from msgspec import Struct
-from scipy.stats import t
+from scipy.special import stdtrit
 
 CONFIDENCE = 0.95
 
@@ -37,5 +37,5 @@ def mean_interval(values: Sequence[float | None]) -> Interval:
     mean = float(known.mean())
     if len(known) == 1:
         return Interval(mean, math.nan, math.nan, 1)
-    half = float(t.ppf(0.5 + CONFIDENCE / 2.0, len(known) - 1) * known.std(ddof=1) / math.sqrt(len(known)))
+    half = float(stdtrit(len(known) - 1, 0.5 + CONFIDENCE / 2.0) * known.std(ddof=1) / math.sqrt(len(known)))
     return Interval(mean, mean - half, mean + half, len(known))

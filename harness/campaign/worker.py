@@ -24,7 +24,7 @@ _sources = cache(_read)
 
 
 @cache
-def sources_state(measured_by: tuple[str, ...] = ()) -> str:
+def sources_state(measured_by: tuple[str, ...]) -> str:
     """Return the hash of libraries and sources of flights and results, as of the first call.
 
     ``measured_by``: see `harness.campaign.store.Flying`.
@@ -32,13 +32,13 @@ def sources_state(measured_by: tuple[str, ...] = ()) -> str:
     return hash_code(_sources(measured_by))
 
 
-def present_state(measured_by: tuple[str, ...] = ()) -> str:
+def present_state(measured_by: tuple[str, ...]) -> str:
     """Return the hash of the same libraries and sources as of now."""
     return hash_code(_read(measured_by))
 
 
 @cache
-def sources_bytes(measured_by: tuple[str, ...] = ()) -> str:
+def sources_bytes(measured_by: tuple[str, ...]) -> str:
     """Return the hash of the same libraries and of the sources' bytes."""
     return hash_bytes(_sources(measured_by))
 

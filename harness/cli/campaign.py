@@ -22,7 +22,15 @@ from harness.campaign.cluster import check_address
 from harness.campaign.definition import KEPT, Campaign, Run, expand, load
 from harness.campaign.display import CampaignDisplay
 from harness.campaign.running import known, run
-from harness.campaign.store import FAILED, TABLES, CampaignError, ClusterError, Flown, Store
+from harness.campaign.store import (
+    FAILED,
+    PLAIN_FLIGHT,
+    TABLES,
+    CampaignError,
+    ClusterError,
+    Flown,
+    Store,
+)
 from harness.campaign.values import toml_text
 from harness.campaign.worker import sources_state
 from harness.cli.out_option import out_folder
@@ -103,7 +111,7 @@ def campaign(
 
 def _planned(plan: Campaign, out: Path, *, retry: bool) -> tuple[list[Run], dict[str, Flown], list[Run]]:
     """Return all runs, the stored flights, and the missing runs; creates no folder."""
-    runs = expand(plan, state=sources_state())
+    runs = expand(plan, state=sources_state(PLAIN_FLIGHT.measured_by))
     if not out.exists() or not any(out.iterdir()):
         return runs, {}, list({each.digest: each for each in runs}.values())
     return runs, *known(plan, runs, Store(out), retry=retry)

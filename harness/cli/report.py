@@ -18,13 +18,10 @@ from rich.console import Console
 
 from foundation.exit_status import BAD_INPUT, FAILED, FINE, INTERRUPTED
 from foundation.system_error import in_words
-from harness.campaign.figures import draw_table
 from harness.campaign.store import TABLES, is_campaign
-from harness.cli.campaign import print_table
 from harness.cli.progress import summary_table
 from harness.launch.interrupts import interruptible
 from harness.records.run_folder import NotARun, RunFolder, read_scenario
-from harness.report.report import draw_again, finish_later
 
 _BROKEN_OFF = "coflight: broken off: the same command starts again\n"
 
@@ -53,6 +50,8 @@ def report(
         raise NotARun(f"{run}: a campaign that is not complete: its coflight campaign command continues it")
     folder, messages = RunFolder(run), Console(stderr=True, highlight=False, markup=False)
     if not folder.manifest.exists() and folder.outcome.exists():
+        from harness.report.report import finish_later  # noqa: PLC0415  slow to import, rarely needed
+
         try:
             finish_later(folder)
         except OSError as error:
@@ -63,6 +62,8 @@ def report(
     scenario = read_scenario(folder)
     summary = _summary(folder)
     if figures:
+        from harness.report.report import draw_again  # noqa: PLC0415  as above
+
         try:
             formed_us = None if summary["formed_s"] is None else round(summary["formed_s"] * 1e6)
             drawn = draw_again(folder, scenario, formed_us=formed_us)
@@ -80,6 +81,9 @@ def report(
 
 
 def _report_campaign(folder: Path, *, figures: bool, json: bool) -> None:
+    from harness.campaign.figures import draw_table  # noqa: PLC0415  slow to import, for campaigns only
+    from harness.cli.campaign import print_table  # noqa: PLC0415  as above
+
     path = folder / TABLES[0]
     try:
         drawn = draw_table(path) if figures else []

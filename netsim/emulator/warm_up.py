@@ -13,7 +13,7 @@ from netsim.phy.frames import Transmission
 from netsim.wire.messages import Broadcast, FtmRequest, TxBatch, TxItem, Unicast
 
 STEP_US = 4_000
-STEPS = 25
+STEPS = 10
 _PLACES_NED_M = np.array([(0.0, 0.0, -10.0), (0.0, 9.0, -10.0), (150.0, 0.0, -10.0), (4_000.0, 0.0, -10.0)])
 _FAR = len(_PLACES_NED_M) - 1
 _CONFIG = RadioConfig(
@@ -27,7 +27,7 @@ _CONFIG = RadioConfig(
 
 
 def warm_up() -> None:
-    """Simulate 0.1 s of broadcasts, ranging, collisions and unreachable unicasts. Raises WarmUpError."""
+    """Simulate 40 ms of broadcasts, ranging, collisions and unreachable unicasts. Raises WarmUpError."""
     stations = len(_PLACES_NED_M)
     seen: list[Transmission] = []
     emulator = Emulator(

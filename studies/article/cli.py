@@ -21,7 +21,7 @@ from harness.campaign import Campaign, CampaignError, ClusterError, Table, run
 from harness.campaign.definition import expand
 from harness.campaign.display import CampaignDisplay
 from harness.campaign.running import known
-from harness.campaign.store import FAILED, Store
+from harness.campaign.store import FAILED, PLAIN_FLIGHT, Store
 from harness.campaign.worker import sources_state
 from harness.launch import kernel_cache
 from harness.launch.interrupts import interruptible
@@ -114,7 +114,7 @@ def _fly(
     """Fly all campaigns into one folder, so that common flights are flown once."""
     tables = {}
     for name, campaign in plans.items():
-        runs = expand(campaign, state=sources_state())
+        runs = expand(campaign, state=sources_state(PLAIN_FLIGHT.measured_by))
         missing = known(campaign, runs, Store(folder), retry=retry)[1]
         total = len({each.digest for each in runs})
         messages.print(

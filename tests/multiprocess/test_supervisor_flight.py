@@ -16,7 +16,8 @@ Factory = Callable[..., Swarm]
 
 
 def test_killed_vehicle_falls_and_the_others_continue(swarm: Factory) -> None:
-    flight = swarm("scenarios/article.toml", agents=3, overrides=["wind.mean_n=1"])
+    overrides = ["wind.mean_n=1", "onboard.localisation=gps"]
+    flight = swarm("scenarios/article.toml", agents=3, overrides=overrides)
     flight.run_until(lambda truth: bool(truth.height_m.min() > 4.0), timeout_s=30.0)
     began_us, wall_began_s = flight.truth.time_us, time.monotonic()
     flight.kill(1)

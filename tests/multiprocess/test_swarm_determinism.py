@@ -20,6 +20,7 @@ pytestmark = pytest.mark.multiprocess
 ARTICLE = SCENARIOS / "article.toml"
 UNTIL_S = 9.0
 """Covers the ground, take-off and offboard flight; beacons and distances begin at 2 s."""
+SQUARE = ["formation.rows=2", "formation.columns=2"]  # a row is localised later
 
 
 @contextlib.contextmanager
@@ -49,12 +50,13 @@ def one_processor():
 
 
 def fly(folder, *, seed, results, link="unix"):
-    overrides = [f"ports.simulator_link={link}"]
+    overrides = [*SQUARE, f"ports.simulator_link={link}"]
     with Swarm(ARTICLE, agents=4, seed=seed, overrides=overrides, out=folder, wall_limit_s=280.0) as swarm:
         swarm.run(until_s=4.0)
         swarm.degrade_channel(30.0)  # commands between run calls are part of the run
-        swarm.run(until_s=UNTIL_S)
+        truth = swarm.run(until_s=UNTIL_S)
         summary = swarm.summary(draw=False)
+    assert {vehicle.phase for vehicle in truth.vehicles} == {"joining"}
     results[folder.name] = summary
     return summary
 
@@ -99,14 +101,17 @@ def fly_with_faults(swarm):
         swarm.run(until_s=5.5)
         swarm.kill(3)
         swarm.restore_channel()
-        swarm.run(until_s=UNTIL_S)
+        truth = swarm.run(until_s=UNTIL_S)
+        assert truth.height_m[[0, 2]].min() > 1.0
         return swarm.summary(draw=False)
 
 
 def test_one_process_writes_the_same_bytes_as_many(tmp_path):
     kinds = {"many": Swarm, "one": OneProcessSwarm}
     results = {
-        name: fly_with_faults(kind(ARTICLE, agents=4, seed=5, out=tmp_path / name, wall_limit_s=280.0))
+        name: fly_with_faults(
+            kind(ARTICLE, agents=4, seed=5, overrides=SQUARE, out=tmp_path / name, wall_limit_s=280.0)
+        )
         for name, kind in kinds.items()
     }
     assert hashes(tmp_path / "one") == hashes(tmp_path / "many")

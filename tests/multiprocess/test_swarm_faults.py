@@ -24,7 +24,8 @@ ARTICLE = "scenarios/article.toml"
 
 @pytest.mark.parametrize("beacon_period_ms", [100, 10])  # at 10 ms a delivery is always in progress
 def test_stopped_vehicle_is_reported_within_a_second_and_others_continue(swarm, beacon_period_ms):
-    flight = swarm(ARTICLE, agents=3, overrides=[f"onboard.beacon_period_ms={beacon_period_ms}"])
+    overrides = [f"onboard.beacon_period_ms={beacon_period_ms}", "onboard.localisation=gps"]
+    flight = swarm(ARTICLE, agents=3, overrides=overrides)
     flight.run_until(lambda truth: truth.height_m.min() > 2.0, timeout_s=30.0)
     os.kill(flight.pids["uav 2"], signal.SIGSTOP)
     wall_begin_s = time.monotonic()
@@ -71,7 +72,8 @@ def recorded_ne_m(folder, name, agents):
 
 
 def test_cut_channel_ends_ranging_and_freezes_the_correction(swarm, tmp_path):
-    flight = swarm(ARTICLE, agents=4, out=tmp_path / "run")
+    overrides = ["formation.rows=2", "formation.columns=2"]  # a row is localised later
+    flight = swarm(ARTICLE, agents=4, overrides=overrides, out=tmp_path / "run")
     flight.run_until_formed(timeout_s=60.0)
     flight.run_for(3.0)
     cut_s = flight.truth.t_s
@@ -219,6 +221,9 @@ LAUNCHER = ROOT / "scripts" / "launch_swarm.py"
 ARTICLE_PATH = ROOT / ARTICLE
 
 
+LOW = "--set=formation.height_m=2"
+
+
 def launch(out, *options):
     """Start the launcher's process, which prints the summary on its stdout."""
     command = [sys.executable, str(LAUNCHER), str(ARTICLE_PATH), "--json", "--out", str(out), *options]
@@ -237,12 +242,12 @@ def test_launcher_prints_the_summary_alone(tmp_path):
         f"--set=ports.{name}=0"
         for name in ("simulator_tcp", "gcs_local_udp", "companion_local_udp", "radio_tcp")
     ]
-    out = finish(launch(tmp_path / "run", "--agents=2", "--duration=1", "--seed=3", *ports))
+    out = finish(launch(tmp_path / "run", "--agents=2", LOW, "--duration=1", "--seed=3", *ports))
     assert out == (tmp_path / "run" / "summary.json").read_text()
 
 
 def test_two_launchers_at_once_fly_on_different_ports(tmp_path):
-    launched = [launch(tmp_path / name, "--agents=2", "--duration=2") for name in ("one", "other")]
+    launched = [launch(tmp_path / name, "--agents=2", LOW, "--duration=1") for name in ("one", "other")]
     summaries = [json.loads(finish(each)) for each in launched]
     assert summaries[0]["log_sha256"] == summaries[1]["log_sha256"]
     assert all(summary["deterministic"] and summary["agents"] == 2 for summary in summaries)

@@ -12,9 +12,10 @@ ARTICLE = SCENARIOS / "article.toml"
 FLY = """
 import sys
 from harness.launch.one_process import OneProcessSwarm
-with OneProcessSwarm(sys.argv[1], agents=3, seed=5, out=sys.argv[2]) as swarm:
-    swarm.run(until_s=16.0)  # in offboard in the wind, with beacons and distances, joining the formation
-assert {vehicle.armed for vehicle in swarm.truth.vehicles} == {True}
+low = ["formation.rows=1", "formation.columns=2", "formation.height_m=2"]
+with OneProcessSwarm(sys.argv[1], agents=2, seed=5, overrides=low, out=sys.argv[2]) as swarm:
+    swarm.run(until_s=12.0)  # localised by beacons and distances, in offboard in the wind
+assert {vehicle.phase for vehicle in swarm.truth.vehicles} == {"joining", "on station"}
 print(swarm.summary(draw=False)["log_sha256"])
 """
 

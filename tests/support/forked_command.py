@@ -14,17 +14,17 @@ _CONTEXT.set_forkserver_preload(["coflight.command", "harness.cli.fly", "harness
 
 
 def run(
-    arguments: Sequence[str], folder: Path, *, environment: Mapping[str, str],
-    limits: Sequence[tuple[int, int]], limit_s: float,
+    arguments: Sequence[str], folder: Path, *, limit_s: float, environment: Mapping[str, str] | None = None,
+    limits: Sequence[tuple[int, int]] = (),
 ) -> "subprocess.CompletedProcess[str]":  # fmt: skip
-    """Run ``coflight ARGUMENTS`` in a folder, with further environment and limits of resources.
+    """Run ``coflight ARGUMENTS`` in a folder, with further environment and limits of resources (setrlimit).
 
     Raises `subprocess.TimeoutExpired`.
     """
     with tempfile.TemporaryDirectory() as outputs:
         paths = [Path(outputs, name) for name in ("stdout", "stderr")]
         child = _CONTEXT.Process(
-            target=_command, args=(list(arguments), folder, paths, dict(environment), list(limits))
+            target=_command, args=(list(arguments), folder, paths, dict(environment or {}), list(limits))
         )
         child.start()
         child.join(limit_s)

@@ -23,7 +23,7 @@ from harness.campaign import Campaign, CampaignError, load, running, sources
 from harness.campaign.definition import expand
 from harness.campaign.flights import fly_task
 from harness.campaign.running import known
-from harness.campaign.store import FAILED, Flown, Store, Task
+from harness.campaign.store import FAILED, PLAIN_FLIGHT, Flown, Store, Task
 from harness.campaign.table import make_rows, write_table
 from harness.campaign.worker import _MEASURED_BY, sources_state
 from harness.cli import campaign as cli
@@ -171,7 +171,7 @@ def complete_campaign(tmp_path):
     path = tmp_path / "two.toml"
     path.write_text(f'scenario = "{ARTICLE}"\nseeds = 2\n')
     store = Store(tmp_path / "out")
-    for run in expand(load(path), state=sources_state()):
+    for run in expand(load(path), state=sources_state(PLAIN_FLIGHT.measured_by)):
         store.put(flown(run), {})
     return [str(path), "--out", str(tmp_path / "out")]
 
