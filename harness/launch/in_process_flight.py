@@ -63,8 +63,8 @@ class InProcessFlight:
                     links=self.links,
                     watchdog=ResponseWatchdog(physics.scenario.run.silence_limit_s),
                     on_message=simulation.on_message,
-                    on_silent=simulation.on_silent,
-                    on_lost=simulation.on_lost,
+                    on_silent=simulation.reports.on_silent,
+                    on_lost=simulation.reports.on_lost,
                     rotors=physics.scenario.most_rotors,
                 )
 

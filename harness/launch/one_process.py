@@ -112,7 +112,7 @@ class _ThreadSupervisor(Supervisor):
         obey(simulation, self._inbox, connect_timeout_s=connect_timeout_s, emit=emit)
         details = {
             "time_us": simulation.time_us,
-            "formed": simulation.formed,
+            "formed": simulation.reports.formed,
             RADIO: {"counters": flight.emulator.counters},
             **{link.host.name: link.troubles() for link in flight.links},
         }

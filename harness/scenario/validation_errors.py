@@ -59,9 +59,10 @@ def explain(
 ) -> str:
     """Return ``wind.mean_n: expected `float` >= 0.0`` for ``Expected `float` >= 0.0 - at `$.wind.mean_n```.
 
-    ``expected`` describes expected values where the type is not sufficient, by a pattern of the whole path,
-    which begins with ``root``. With ``kind``, the type of the whole ``table``, the line also has the values
-    of an enumeration, and for an unknown key the field that was probably meant.
+    ``expected`` describes expected values where the type is not sufficient, or the reason of an upper limit,
+    by a pattern of the whole path, which begins with ``root``. With ``kind``, the type of the whole
+    ``table``, the line also has the values of an enumeration, and for an unknown key the field that was
+    probably meant.
     """
     reason, path = _split(error)
     where = f"{root}.{path}".strip(".") if root else path
@@ -69,7 +70,9 @@ def explain(
     for pattern, description in expected.items():
         if re.fullmatch(pattern, where):
             reason = re.sub(r"^Expected `\w+ \| [^`]*`", f"expected {description}", reason)
-            if reason.startswith("Invalid"):
+            if " <= " in reason:
+                reason, described = f"{reason}: {description}", True
+            elif reason.startswith("Invalid"):
                 reason, described = f"{reason}, expected {description}", True
     if kind is not None and not described:
         reason += _hint(reason, path, kind, table)

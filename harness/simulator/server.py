@@ -278,8 +278,8 @@ def serve(
             own_listener=own_listener,
             watchdog=watchdog,
             on_message=simulation.on_message,
-            on_silent=simulation.on_silent,
-            on_lost=simulation.on_lost,
+            on_silent=simulation.reports.on_silent,
+            on_lost=simulation.reports.on_lost,
             policies=policies,
             ardupilots={i: ArduPilotLink(sock, listeners[i], system=i + 1) for i, sock in states.items()},
             rotors=scenario.most_rotors,
@@ -291,8 +291,8 @@ def serve(
             period_us=scenario.onboard.loop_period_us,
             watchdog=application_watchdog,
             on_message=simulation.on_message,
-            on_silent=simulation.on_application_silent,
-            on_lost=simulation.on_application_lost,
+            on_silent=simulation.reports.on_application_silent,
+            on_lost=simulation.reports.on_application_lost,
         )
 
     def set_pid(command: SetPid) -> None:
@@ -330,7 +330,7 @@ def serve(
                 emit=emit,
                 set_pid=set_pid,
             )
-    details: dict[str, Any] = {"time_us": simulation.time_us, "formed": simulation.formed, **profile}
+    details: dict[str, Any] = {"time_us": simulation.time_us, "formed": simulation.reports.formed, **profile}
     if has_px4:
         details["late_answers"] = {f"uav {i}": count for i, count in simulation.lockstep.late_answers.items()}
     emit(Finished(name="physics", details=details))

@@ -13,15 +13,13 @@ import msgspec
 import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
-from autopilot.mavlink.ardupilot_modes import label_of
 from autopilot.mavlink.codec import Message
-from autopilot.mavlink.components import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
+from autopilot.mavlink.components import AUTOPILOT_COMPONENT
 from foundation.processes.child_protocol import Warned
 from foundation.records.record_log import RecordLog
 from harness.records.run_folder import PhysicsConfig
 from harness.simulator.actuator_inbox import ActuatorInbox
 from harness.simulator.application_links import ApplicationLinks
-from harness.simulator.application_status import ApplicationStatus
 from harness.simulator.ardupilot_json import StateEncoder
 from harness.simulator.emulator_client import EmulatorClient
 from harness.simulator.extra_readings import ExtraReadings
@@ -29,21 +27,14 @@ from harness.simulator.hil import TRUTH_PERIOD_US, SensorEncoder
 from harness.simulator.lockstep import Lockstep
 from harness.simulator.messages import (
     AnyEvent,
-    ApplicationLost,
-    ApplicationSilent,
-    ApplicationText,
     Collision,
     FaultChanged,
-    FormationMoves,
-    Formed,
     Paused,
     RunUntil,
-    VehicleLost,
-    VehicleSilent,
     VehicleTruth,
 )
-from harness.simulator.motion_start import agreed
 from harness.simulator.truth_record import AIR_RECORD, EVENT_KINDS, truth_record
+from harness.simulator.vehicle_reports import VehicleReports
 from harness.world import esc
 from harness.world.active_faults import MOST_ATTENUATION_DB, Faults
 from harness.world.faults import AnyFault, title
@@ -65,10 +56,9 @@ _RECORDED_OF_TRUTH = ("pos_ned_m", "vel_ned_m_s", "q_ned_frd", "omega_frd_rad_s"
 class Simulation:
     """World, wind, sensors, vehicles and radio channel, stepped together.
 
-    ``make_lockstep`` returns the vehicles' lockstep, which calls this object's `on_message`, `on_silent` and
-    `on_lost`; ``make_applications`` the links to applications beside other autopilots, which call
-    `on_message`, `on_application_silent` and `on_application_lost`. ``emit`` receives the events. Raises
-    OSError if a log cannot be written.
+    ``make_lockstep`` returns the vehicles' lockstep, which calls `on_message` of this object and methods of
+    its `reports`; ``make_applications`` the links to applications beside other autopilots, which call those
+    as well. ``emit`` receives the events. Raises OSError if a log cannot be written.
     """
 
     def __init__(
@@ -142,22 +132,12 @@ class Simulation:
         self._has_escs = len(self._external) < n
         self._sends_truth = False
         self.time_us = self._step_us  # to PX4 0 is a clock that is not set
-        self.formed = False
         self._truth_record = truth_record(max(rotors))
         self._inbox = ActuatorInbox(n, max(rotors))
         self._wind_now = WindNow(np.zeros((n, 3)), np.zeros((n, 3)))
-        self._lost: tuple[int, ...] = ()
-        self._alive = np.ones(n, dtype=np.bool_)
-        self._without_application: set[int] = set()
-        """Vehicles whose application was lost."""
+        self.reports = VehicleReports(n, config.applications, now_us=lambda: self.time_us, emit=self._emit)
+        """What vehicles and applications report."""
         self._instances = np.arange(n)
-        self._modes = [""] * n
-        self._applied = [ApplicationStatus(config.applications) for _ in range(n)]
-        """What the vehicles' applications report"""
-        self._start_us: int | None = None
-        """Start of the formation's motion that the majority of the applications reports."""
-        self._status_changed = False
-        """Whether the formation may have been reached, or its start agreed, since the last check."""
         self._touching: set[tuple[int, int]] = set()
         self._attenuation_db = scenario.radio.extra_attenuation_db
         """Attenuation of every radio link, without that of active faults: the scenario's, or as commanded."""
@@ -192,7 +172,7 @@ class Simulation:
     @property
     def must_end(self) -> bool:
         """Whether a vehicle or application was lost in a scenario whose ``run.on_vehicle_loss`` is "end"."""
-        lost = self.lockstep.living < self._scenario.agents or bool(self._without_application)
+        lost = self.lockstep.living < self._scenario.agents or bool(self.reports.without_application)
         return lost and self._scenario.run.on_vehicle_loss == "end"
 
     @property
@@ -211,7 +191,7 @@ class Simulation:
         recorded = self.time_us % self._record_period_us == 0
         self._advance_faults()
         frame = self._sensors.sample(self.time_us, truth, self._faults)
-        readings = self._readings.sample(self.time_us, self._inputs_of, self._faults, self._lost)
+        readings = self._readings.sample(self.time_us, self._inputs_of, self._faults, self.reports.lost)
         sends_truth = self._sends_truth and self.time_us % TRUTH_PERIOD_US < self._step_us
         sent_truth = truth if sends_truth else None
         delivered: tuple[int, ...] = ()
@@ -228,7 +208,7 @@ class Simulation:
         applications = self._applications
         if applications is not None:
             passed = self._encoder.readings(readings.to_applications)
-            applications.begin(self.time_us, delivered, self._lost, passed)
+            applications.begin(self.time_us, delivered, self.reports.lost, passed)
         if recorded:
             self._record(truth, alive)
         self.notice_collisions()
@@ -237,12 +217,12 @@ class Simulation:
         )
         self._sensors.draw_ahead()
         inbox = self._inbox = self.lockstep.receive(self.time_us)
-        applied = () if applications is None else applications.finish(self._lost)
+        applied = () if applications is None else applications.finish(self.reports.lost)
         interval_begins = emulator is not None and emulator.begins_at(self.time_us)
         if interval_begins:
             self.settle()
-        if self._lost:
-            inbox.armed[list(self._lost)] = False
+        if self.reports.lost:
+            inbox.armed[list(self.reports.lost)] = False
         if emulator is not None and interval_begins:
             if self.time_us >= self._air_record_us:
                 period_us = self._record_period_us
@@ -257,7 +237,7 @@ class Simulation:
                 ),
                 range_offsets_m=self._faults.range_offsets_m,
                 senders=inbox.senders + applied,
-                silent=self._lost,
+                silent=self.reports.lost,
             )
         force_ned_n = self._wind_now.force_ned_n
         if self._faults.force_ned_n is not None:
@@ -271,9 +251,7 @@ class Simulation:
             rotor_effectiveness=self._faults.rotor_effectiveness,
         )
         self.time_us += self._step_us
-        if self._status_changed:
-            self._notice_formation()
-            self._notice_motion()
+        self.reports.notice_changes()
 
     def _with_states(
         self, frames: Sequence[bytes | memoryview], frame: SensorFrame, truth: Truth
@@ -281,7 +259,7 @@ class Simulation:
         """Return the vehicles' frames with those of ArduPilots replaced by their states."""
         inbox, replaced = self._inbox, list(frames)
         for vehicle, encoder in self._state_encoders.items():
-            if vehicle in self._lost:
+            if vehicle in self.reports.lost:
                 continue
             replaced[vehicle] = encoder.encode(
                 self.time_us, frame, truth, inbox.controls[vehicle], armed=bool(inbox.armed[vehicle])
@@ -301,7 +279,7 @@ class Simulation:
 
     def _inputs_of(self, vehicle: int) -> WorldInputs:
         """Return the present truth for sensors and faults of a vehicle."""
-        return inputs_of(self.time_us, self._world.truth, self._alive, vehicle, self._rotors[vehicle])
+        return inputs_of(self.time_us, self._world.truth, self.reports.alive, vehicle, self._rotors[vehicle])
 
     def _advance_faults(self) -> None:
         """Advance the faults to this step, and report which of them end and begin."""
@@ -333,31 +311,13 @@ class Simulation:
                 if self._applications is not None:
                     without = self._applications.check([i for i in missing if i in self._external])
                 self.lockstep.check(i for i in missing if i not in self._external)
-                missing = self._emulator.wait_on(self._lost, without)
+                missing = self._emulator.wait_on(self.reports.lost, without)
 
     def vehicles(self) -> tuple[VehicleTruth, ...]:
         """Return the present truth of all vehicles."""
-        truth = self._world.truth
-        applied = self._applied
-        since_start_s = 0.0 if self._start_us is None else (self.time_us - self._start_us) * 1e-6
-        places_ned_m = self._plan.at(since_start_s).pos_ned_m
-        error_m = np.linalg.norm((truth.pos_ned_m - places_ned_m)[:, :2], axis=1)
-        return tuple(
-            VehicleTruth(
-                alive=slot.alive,
-                armed=bool(self._inbox.armed[i]),
-                mode=self._modes[i],
-                phase=applied[i].phase_text,
-                pos_ned_m=tuple(truth.pos_ned_m[i].tolist()),
-                vel_ned_m_s=tuple(truth.vel_ned_m_s[i].tolist()),
-                q_ned_frd=tuple(truth.q_ned_frd[i].tolist()),
-                error_m=float(error_m[i]),
-                aim=applied[i].aim,
-                is_placed=applied[i].is_placed,
-                text=applied[i].text,
-                values=applied[i].values,
-            )
-            for i, slot in enumerate(self.lockstep.slots)
+        connected = [slot.alive for slot in self.lockstep.slots]
+        return self.reports.vehicles(
+            self._world.truth, self._plan, connected=connected, armed=self._inbox.armed
         )
 
     @property
@@ -396,73 +356,13 @@ class Simulation:
             self._emit(Collision(time_us=self.time_us, first=first, second=second, pos_ned_m=where_ned_m))
         self._touching = set(contacts)
 
-    def _notice_formation(self) -> None:
-        """Report the formation once all applications, without absent ones, have reached their aim."""
-        self._status_changed = False
-        if not self.formed:
-            aims = {
-                status.aim
-                for status, slot in zip(self._applied, self.lockstep.slots, strict=True)
-                if slot.alive and slot.instance not in self._without_application
-            }
-            if aims - {"dropped"} == {"reached"}:
-                self.formed = True
-                self._emit(Formed(time_us=self.time_us))
-
-    def _notice_motion(self) -> None:
-        """Report the start of the formation's motion that most of the living vehicles agree on."""
-        starts_us = [
-            status.motion_start_us
-            for status, slot in zip(self._applied, self.lockstep.slots, strict=True)
-            if slot.alive and slot.instance not in self._without_application
-        ]
-        agreed_us = agreed(starts_us)
-        if agreed_us is not None and agreed_us != self._start_us:
-            self._start_us = agreed_us
-            self._emit(FormationMoves(time_us=self.time_us, start_us=agreed_us))
-
     def on_message(self, instance: int, message: Message) -> None:
-        """Process a vehicle's message other than an answer: mode, status of its application, requests."""
+        """Process a vehicle's message other than an answer: report, parameter or request."""
         if instance in self._state_encoders:
             self._state_encoders[instance].parameters.on_message(message, self.time_us)
-        if message.get_srcComponent() == APPLICATION_COMPONENT:
-            self._on_status(instance, message)
-        elif message.get_srcComponent() == AUTOPILOT_COMPONENT:
-            if message.get_msgId() == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
-                self._modes[instance] = label_of(message)
-            elif message.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
-                self._sends_truth |= instance not in self._external and _requests_truth(message)
-
-    def _on_status(self, instance: int, message: Message) -> None:
-        """Process a message of an application about itself."""
-        status = self._applied[instance]
-        text = status.text
-        status.on_message(message)
-        self._status_changed = True
-        if status.text != text:
-            self._emit(ApplicationText(time_us=self.time_us, instance=instance, text=status.text))
-
-    def on_silent(self, instance: int, wall_silence_s: float) -> None:
-        """Report a vehicle that has not answered for a while."""
-        self._emit(VehicleSilent(time_us=self.time_us, instance=instance, wall_silence_s=wall_silence_s))
-
-    def on_lost(self, instance: int, reason: str) -> None:
-        """Report a vehicle that was removed from the run."""
-        self._lost += (instance,)
-        self._alive[instance] = False
-        self._status_changed = True  # all others may be on station
-        self._emit(VehicleLost(time_us=self.time_us, instance=instance, reason=reason))
-
-    def on_application_silent(self, instance: int, wall_silence_s: float) -> None:
-        """Report an application that has not answered for a while."""
-        self._emit(ApplicationSilent(time_us=self.time_us, instance=instance, wall_silence_s=wall_silence_s))
-
-    def on_application_lost(self, instance: int, reason: str) -> None:
-        """Report an application that was given up; its phase is unknown from now on."""
-        self._without_application.add(instance)
-        self._applied[instance].forget()
-        self._status_changed = True  # all others may be on station
-        self._emit(ApplicationLost(time_us=self.time_us, instance=instance, reason=reason))
+        if message.get_srcComponent() == AUTOPILOT_COMPONENT and instance not in self._external:
+            self._sends_truth |= _requests_truth(message)
+        self.reports.on_message(instance, message)
 
     def _emit(self, event: AnyEvent) -> None:
         line = msgspec.json.encode(event)
@@ -472,9 +372,10 @@ class Simulation:
 
 
 def _requests_truth(message: Message) -> bool:
-    """Whether a COMMAND_LONG requests HIL_STATE_QUATERNION."""
+    """Whether a message requests HIL_STATE_QUATERNION."""
     return bool(
-        message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+        message.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_LONG
+        and message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
         and message.param1 == mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION
         and message.param2 > 0.0
     )
@@ -500,7 +401,7 @@ def run(
         if simulation.must_end:
             reason = "vehicle_lost"
             break
-        if command.stop_when_formed and simulation.formed:
+        if command.stop_when_formed and simulation.reports.formed:
             reason = "formed"
             break
         on_step()

@@ -147,7 +147,7 @@ def test_reports_of_lost_vehicles_do_not_count(simulated):
     _report(simulation, 2, 8)
     for instance in (1, 2):
         simulation.lockstep.slots[instance].alive = False
-        simulation.on_lost(instance, "test")
+        simulation.reports.on_lost(instance, "test")
     simulation.step()
     assert events[-1] == FormationMoves(time_us=8_000, start_us=4_000)
 

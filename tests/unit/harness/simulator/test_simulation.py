@@ -80,7 +80,7 @@ def test_the_lost_are_disarmed_from_their_last_step_on(folder):
     simulation.step()
     assert [vehicle.armed for vehicle in simulation.vehicles()] == [True, True]
     vehicles.slots[1].alive = False
-    simulation.on_lost(1, "of the test")
+    simulation.reports.on_lost(1, "of the test")
     for _ in range(11):  # a record is made every 40 ms, 10 steps
         simulation.step()
     assert [vehicle.armed for vehicle in simulation.vehicles()] == [True, False]
@@ -110,7 +110,7 @@ def test_a_parameter_is_unknown_to_those_ardupilots_that_are_in_the_run(folder):
         beat = mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 1, 4, 3, 3)
         simulation.on_message(instance, stamp(beat, system=instance + 1, component=1))
     vehicles.slots[0].alive = False
-    simulation.on_lost(0, "of the test")
+    simulation.reports.on_lost(0, "of the test")
     for _ in range(8 * 250):
         simulation.step()
     simulation.close()
