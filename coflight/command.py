@@ -49,6 +49,7 @@ STUDIES = {
     "antenna": Command("the solvers against NEC2", "studies.antenna.cli", "validate_antenna_app"),
     "codesign": Command("what ranging does for the formation", "studies.codesign.cli", "codesign_app"),
     "article": Command("the article's cases and statements", "studies.article.cli", "article_app"),
+    "soak": Command("what grows in long flights and many swarms", "studies.soak.cli", "soak_app"),
     "vehicle-cost": Command("what a step of one vehicle costs", "studies.vehicle.bench_cli", "bench_app"),
     "radio-cost": Command("what the radio costs", "studies.radio.bench_cli", "bench_radio_app"),
 }

@@ -31,6 +31,7 @@ from studies.codesign.cli import codesign_app
 from studies.link_tables.tables import tables_app
 from studies.radio.bench_cli import bench_radio_app
 from studies.radio.cli import validate_radio_app
+from studies.soak.cli import soak_app
 from studies.vehicle.bench_cli import bench_app as bench_vehicle_app
 from studies.vehicle.cli import validate_app
 
@@ -41,6 +42,7 @@ APPLICATIONS = {
     "coflight bench": bench_app, "coflight study vehicle": validate_app,
     "coflight study radio": validate_radio_app, "coflight study antenna": validate_antenna_app,
     "coflight study codesign": codesign_app, "coflight study article": article_app,
+    "coflight study soak": soak_app,
     "coflight study vehicle-cost": bench_vehicle_app, "coflight study radio-cost": bench_radio_app,
     "python scripts/link_tables.py": tables_app,
 }  # fmt: skip

@@ -76,6 +76,7 @@ STATUSES: Mapping[str, Mapping[int, str]] = {
         BAD_INPUT: _WRONG,
         INTERRUPTED: _CONTINUES,
     },
+    "study soak": _CHECKS,
     "study vehicle-cost": _LIMITS,
     "study radio-cost": _LIMITS,
     "export": {
@@ -141,7 +142,7 @@ RESULTS = (
     Result("bench", _keys(FlightBench)),
     *(
         Result(f"study {name}", ("checks",), (_CHECK_FIELDS,))
-        for name in ("vehicle", "radio", "antenna", "codesign")
+        for name in ("vehicle", "radio", "antenna", "codesign", "soak")
     ),
     Result(
         "study article", ("agree", "differ", "not_told_apart", "not_measured", "failed", "page", "statements")

@@ -18,6 +18,7 @@ WRONG = {
     "campaign": "no-such-campaign.toml", "radio": "per --mode none --snr-db 1",
     "antenna": "pattern --formation none", "bench": "--agents none", "study vehicle": "--only none",
     "study radio": "--only none", "study antenna": "--only none", "study codesign": "--only none",
+    "study soak": "--only none",
     "study article": "--seeds 0", "study vehicle-cost": "--repeats 0", "study radio-cost": "--rate-mbps 7",
     "export": "no-such-run --time 1", "scenarios": "none",
 }  # fmt: skip

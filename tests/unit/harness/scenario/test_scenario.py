@@ -158,6 +158,7 @@ def test_overrides_accept_numbers_strings_words_and_new_tables():
         ),
         ("antenna.wavelength_m=0.5", "formation: places 0.12 m apart"),
         ("agents=0", "agents: expected `int` >= 1"),
+        ("agents=255", "agents: expected `int` <= 254: MAVLink numbers systems 1 to 255, "),
         ("formation.shape=wedge", "formation.shape: invalid enum value 'wedge'"),
         ("formation.motion.speed_m_s=3", "formation.motion: object missing required field `kind`"),
         (
