@@ -4,12 +4,17 @@ import contextlib
 import os
 from pathlib import Path
 
+from foundation.records.private_files import open_private
 
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a file atomically: readers find the new or the old content."""
+
+def write_whole(path: Path, content: bytes, *, private: bool = False) -> None:
+    """Write a file atomically: readers find the new or the old content.
+
+    ``private``: only the owner can read it, whatever the umask and the rights of the old file are.
+    """
     temporary = path.with_name(f".{path.name}")
     try:
-        with temporary.open("wb") as file:
+        with os.fdopen(open_private(temporary), "wb") if private else temporary.open("wb") as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())

@@ -7,11 +7,15 @@ runs/<digest>.gains.parquet ...    requested series
 table.parquet table.csv            one row per run, when all have ended
 flying/                            temporary run folders
 lock                               held by the campaign that uses the folder
+
+Only the owner can read a folder that is created here. One that exists keeps its rights; ``runs`` and
+``flying`` are private in it too, since they hold settings of the scenario.
 """
 
 import contextlib
 import fcntl
 import hashlib
+import os
 import shutil
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -20,6 +24,7 @@ from typing import Any, Literal
 import msgspec
 from msgspec import Struct, structs
 
+from foundation.records.private_files import FILE_MODE, make_private
 from foundation.records.whole_file import write_whole
 from harness.records.run_folder import NAME_ANOTHER, listed, names_in
 from harness.scenario.scenario import Scenario
@@ -114,9 +119,9 @@ class Store:
                     f"{folder.resolve()} holds {listed(names)}, and a campaign needs a folder of its own: "
                     f"{NAME_ANOTHER}"
                 )
-            folder.mkdir(parents=True, exist_ok=True)
-            self._lock.touch()  # marks the folder of a campaign
-            self._runs.mkdir(exist_ok=True)
+            make_private(folder, exist_ok=True)
+            os.close(os.open(self._lock, os.O_WRONLY | os.O_CREAT, FILE_MODE))  # marks a campaign's folder
+            make_private(self._runs, exist_ok=True)
         except OSError as error:
             raise CampaignError(
                 f"{folder}: cannot be a campaign's folder: {error.strerror}; {NAME_ANOTHER}"
@@ -138,6 +143,7 @@ class Store:
                 if left.is_file():  # foreign files are kept
                     left.unlink()
             shutil.rmtree(self.flying, ignore_errors=True)
+            make_private(self.flying, exist_ok=True)
             try:
                 yield
             finally:
@@ -185,7 +191,7 @@ class Store:
             kept[name] = Kept(size_bytes=len(content), sha256=hashlib.sha256(content).hexdigest())
         flown = structs.replace(flown, series=kept)
         content = msgspec.json.format(msgspec.json.encode(flown), indent=1)
-        write_whole(self._runs / f"{flown.digest}.json", content + b"\n")
+        write_whole(self._runs / f"{flown.digest}.json", content + b"\n", private=True)
         return flown
 
     def series_path(self, digest: str, name: str) -> Path:

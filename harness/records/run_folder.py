@@ -11,6 +11,10 @@ figures/*.png *.pdf                           figures, each in both formats
 logs/*.log  config/*.json                     the processes' messages, their settings
 uav-0.params uav-0.ulg ...                    parameters that a ground station saved, ULog
 raw/                                          binary logs, and how the flight ended, until the tables exist
+
+Only the owner can read a run: its folder has mode 0700. A folder that exists, and is empty, keeps its rights;
+what may hold secrets of the scenario, its settings and its command line, is private in it too: ``config``,
+``raw`` and the manifest.
 """
 
 import contextlib
@@ -27,6 +31,7 @@ from msgspec import Struct
 
 from autopilot.onboard.application import NO_APPLICATION, Layout
 from autopilot.onboard.factory import dissectors_of, layout_of
+from foundation.records.private_files import FOLDER_MODE, PARENT_MODE, make_private, write_private
 from harness.scenario.scenario import Scenario
 from harness.scenario.validation_errors import explain
 from netsim.model.config import ServerConfig
@@ -96,7 +101,7 @@ class RunFolder:
         self.raw_frames, self.raw_sessions = self.raw / "frames.bin", self.raw / "sessions.bin"
 
     def create(self) -> Self:
-        """Make the folders of a new run and hold it; returns this object.
+        """Make the folders of a new run, which only their owner can read, and hold it; returns this object.
 
         Raises FolderRefused, before anything is written, unless the path is free or an empty folder.
         """
@@ -110,10 +115,12 @@ class RunFolder:
                     f"{NAME_ANOTHER}"
                 )
             self._made = [each for each in (self.path, *self.path.parents) if not each.exists()]
-            self.raw.mkdir(parents=True)  # of two runs that begin at once, one fails here
+            make_private(self.path, exist_ok=True)
+            self.raw.mkdir(FOLDER_MODE)  # of two runs that begin at once, one fails here
             self._is_new = True
-            for part in (self.config, self.logs, self.figures):
-                part.mkdir()
+            self.config.mkdir(FOLDER_MODE)
+            for part in (self.logs, self.figures):
+                part.mkdir(PARENT_MODE)
         except OSError as error:
             raise FolderRefused(
                 f"{self.path}: cannot be the folder of a run: {error.strerror}; {NAME_ANOTHER}"
@@ -248,7 +255,7 @@ class RunFolder:
     def write_config(self, name: str, config: msgspec.Struct) -> Path:
         """Write the settings of a process; returns the path."""
         path = self.config / f"{name}.json"
-        path.write_bytes(msgspec.json.format(msgspec.json.encode(config), indent=2))
+        write_private(path, msgspec.json.format(msgspec.json.encode(config), indent=2))
         return path
 
 
