@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from foundation.kernels import cache_folder
+from foundation.kernels.cache_trust import UntrustedCache
 from harness.launch import pytest_folders, pytest_settings
 from harness.launch.pytest_settings import Settings
 from harness.scenario import packaged
@@ -51,7 +52,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 @pytest.hookimpl(tryfirst=True)
 def pytest_load_initial_conftests() -> None:
     """Set the cache folder of kernels before a conftest.py or a test imports Numba, which reads it once."""
-    os.environ.update(cache_folder.environment())
+    try:
+        os.environ.update(cache_folder.environment())
+    except UntrustedCache as error:
+        raise pytest.UsageError(f"coflight: {error}") from None
 
 
 def pytest_configure(config: pytest.Config) -> None:

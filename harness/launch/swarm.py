@@ -23,6 +23,7 @@ from typing import Any, ClassVar, Literal, Self
 import msgspec
 
 from autopilot.onboard.factory import layout_of
+from foundation.kernels.use_cache import use_kernel_cache
 from foundation.profiling.profiler import KindProfile
 from foundation.system_error import in_words
 from harness.launch import ground_links, profiling
@@ -84,7 +85,7 @@ class Swarm:
     swarm, and before the first a warning if ranging does not determine the formation's shape.
     ``profile_from_s``: simulated time from which the processes are profiled, for `profile`.
 
-    Raises ScenarioError for an invalid scenario.
+    Raises ScenarioError for an invalid scenario, and `foundation.kernels.cache_trust.UntrustedCache`.
     """
 
     _make_processes: ClassVar[type[Processes]] = Processes
@@ -104,6 +105,7 @@ class Swarm:
         on_message: Callable[[Message], None] | None = None,
         profile_from_s: float | None = None,
     ) -> None:
+        use_kernel_cache()  # the report's kernels run in this process
         if isinstance(scenario, Scenario):
             if agents is not None or seed is not None or overrides:
                 raise ValueError(
