@@ -46,6 +46,7 @@ def run(
     runs: Sequence[Run] | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
+    unencrypted: bool = False,
     retry: bool = False,
     progress: Callable[[Landed], None] | None = None,
     note: Callable[[str], None] | None = None,
@@ -58,7 +59,9 @@ def run(
         out: folder, for one campaign at a time.
         runs: result of `harness.campaign.definition.expand`, if the caller has computed it.
         workers: processes of this machine; by default as many as it has processors.
-        scheduler: address of a dask scheduler, whose workers are used instead.
+        scheduler: address of a dask scheduler, whose workers are used instead: ``tls://HOST:PORT`` with the
+            certificates of dask's settings ``distributed.comm.tls``.
+        unencrypted: permit a scheduler ``tcp://HOST:PORT``, on a network that only its users reach.
         retry: fly failed runs again.
         progress: called for every run that ends.
         note: called with a line before an operation that takes long.
@@ -68,7 +71,7 @@ def run(
     OSError.
 
     """
-    check_address(scheduler)
+    check_address(scheduler, unencrypted=unencrypted)
     if runs is None:
         runs = expand(campaign, state=sources_state(flying.measured_by))
     store = Store(Path(out))
@@ -78,6 +81,7 @@ def run(
             with connected(
                 workers=workers or os.cpu_count() or 1,
                 scheduler=scheduler,
+                unencrypted=unencrypted,
                 folder=store.flying,
                 note=note or (lambda _line: None),
             ) as client:

@@ -61,8 +61,19 @@ def campaign(
         int | None, typer.Option(help="Processes that fly; default one per processor.", min=1, max=1024)
     ] = None,
     scheduler: Annotated[
-        str | None, typer.Option(help="Fly on the workers of this dask scheduler.", metavar="tcp://HOST:PORT")
+        str | None,
+        typer.Option(
+            help="Fly on the workers of this dask scheduler, with the certificates of dask's settings.",
+            metavar="tls://HOST:PORT",
+        ),
     ] = None,
+    unencrypted: Annotated[
+        bool,
+        typer.Option(
+            "--unencrypted",
+            help="Permit a scheduler tcp://HOST:PORT, on a network that only its users reach.",
+        ),
+    ] = False,
     settings: Annotated[
         list[str] | None,
         typer.Option("--set", help="Override a field of the scenario in all runs.", metavar="PATH=VALUE"),
@@ -81,7 +92,7 @@ def campaign(
         out = out or Path("runs") / plan.name
         if scheduler is not None and workers is not None:
             raise CampaignError("--scheduler: it has its own workers, so --workers cannot be given")
-        check_address(scheduler)
+        check_address(scheduler, unencrypted=unencrypted)
         if dry_run:
             _print_plan(plan, out, retry=retry, json=json)
             return exit_status.FINE
@@ -96,6 +107,7 @@ def campaign(
                 runs=runs,
                 workers=workers,
                 scheduler=scheduler,
+                unencrypted=unencrypted,
                 retry=retry,
                 progress=display.on_landed,
                 note=display.note,

@@ -188,8 +188,10 @@ def test_a_schedulers_address_is_checked_without_missing_runs(tmp_path, capfd):
     command = complete_campaign(tmp_path)
     for more in ([], ["--dry-run"]):
         assert cli.main([*command, "--scheduler", "bogus", *more]) == exit_status.BAD_INPUT
-        line = "campaign: --scheduler bogus: expected the address of a dask scheduler, tcp://HOST:PORT\n"
+        line = "campaign: --scheduler bogus: expected the address of a dask scheduler, tls://HOST:PORT\n"
         assert capfd.readouterr() == ("", line)
+        assert cli.main([*command, "--scheduler", "tcp://localhost:8786", *more]) == exit_status.BAD_INPUT
+        assert "use a scheduler with TLS, tls://HOST:PORT, or permit" in capfd.readouterr().err
     with pytest.raises(CampaignError, match="bogus: expected the address"):
         running.run(campaign(), out=tmp_path / "other", scheduler="bogus")
     assert not (tmp_path / "other").exists()
