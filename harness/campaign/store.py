@@ -2,7 +2,7 @@
 
 A small file for every run that has ended is written atomically:
 
-runs/<digest>.json                 status and summary of a run
+runs/<digest>.json                 status and summary of a run, with the hash of this content
 runs/<digest>.gains.parquet ...    requested series
 table.parquet table.csv            one row per run, when all have ended
 flying/                            temporary run folders
@@ -17,7 +17,7 @@ import fcntl
 import hashlib
 import os
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, Literal
 
@@ -67,6 +67,13 @@ class Flown(Struct, frozen=True, kw_only=True):
     """Stored series by name"""
 
 
+class _Stored(Struct, frozen=True):
+    """A run's file: its content, and the hash of the content's bytes, to detect changes."""
+
+    sha256: str
+    run: msgspec.Raw
+
+
 class Flying(Struct, frozen=True):
     """The function that flies a run and returns its summary, with ``status`` and ``reason``."""
 
@@ -103,6 +110,17 @@ def failed(task: Task, reason: str) -> Flown:
 def is_campaign(folder: Path) -> bool:
     """Whether a folder is that of a campaign, complete or not."""
     return (folder / _LOCK).is_file()
+
+
+def _read(content: bytes) -> Flown | None:
+    """Return the run of a file's content; None if it was altered, or written by another version."""
+    try:
+        stored = msgspec.json.decode(content, type=_Stored)
+        if hashlib.sha256(stored.run).hexdigest() != stored.sha256:
+            return None
+        return msgspec.json.decode(stored.run, type=Flown)
+    except msgspec.DecodeError:
+        return None
 
 
 class Store:
@@ -143,20 +161,33 @@ class Store:
                 if left.is_file():  # foreign files are kept
                     left.unlink()
             shutil.rmtree(self.flying, ignore_errors=True)
-            make_private(self.flying, exist_ok=True)
             try:
                 yield
             finally:
                 shutil.rmtree(self.flying, ignore_errors=True)
 
-    def get(self, digest: str, keep: Iterable[str] = ()) -> Flown | None:
-        """Return a stored run with all series ``keep`` undamaged (a failed run has none), or None."""
+    def get(
+        self, digest: str, keep: Iterable[str] = (), *, on_altered: Callable[[Path], object] = lambda _: None
+    ) -> Flown | None:
+        """Return a stored run with all series ``keep`` (a failed run has none), or None: it is to be flown.
+
+        ``on_altered`` is called with a file that is not as it was stored; such a run is not returned.
+        """
+        path = self._runs / f"{digest}.json"
         try:
-            flown = msgspec.json.decode((self._runs / f"{digest}.json").read_bytes(), type=Flown)
-        except (FileNotFoundError, msgspec.DecodeError):  # another layout: the run is flown again
+            flown = _read(path.read_bytes())
+        except FileNotFoundError:
             return None
-        complete = flown.status == FAILED or all(self._is_whole(flown, name) for name in keep)
-        return flown if complete and flown.digest == digest else None
+        if flown is None or flown.digest != digest:
+            on_altered(path)
+            return None
+        if flown.status == FAILED:
+            return flown
+        missing = [name for name in keep if not self._is_whole(flown, name)]
+        for name in missing:
+            if name in flown.series:
+                on_altered(self.series_path(digest, name))
+        return None if missing else flown
 
     def flights(self) -> list[Flown]:
         """Return all stored runs, of any sources, the oldest first; their series are not checked."""
@@ -190,8 +221,10 @@ class Store:
             write_whole(self.series_path(flown.digest, name), content)
             kept[name] = Kept(size_bytes=len(content), sha256=hashlib.sha256(content).hexdigest())
         flown = structs.replace(flown, series=kept)
-        content = msgspec.json.format(msgspec.json.encode(flown), indent=1)
-        write_whole(self._runs / f"{flown.digest}.json", content + b"\n", private=True)
+        run = msgspec.json.format(msgspec.json.encode(flown), indent=1)
+        stored = _Stored(sha256=hashlib.sha256(run).hexdigest(), run=msgspec.Raw(run))
+        path = self._runs / f"{flown.digest}.json"
+        write_whole(path, msgspec.json.encode(stored) + b"\n", private=True)
         return flown
 
     def series_path(self, digest: str, name: str) -> Path:

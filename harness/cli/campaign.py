@@ -6,7 +6,7 @@ command continues the campaign. An error is one report on stderr.
 
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -121,12 +121,14 @@ def campaign(
     return exit_status.FINE if fine and not display.failed else exit_status.FAILED
 
 
-def _planned(plan: Campaign, out: Path, *, retry: bool) -> tuple[list[Run], dict[str, Flown], list[Run]]:
-    """Return all runs, the stored flights, and the missing runs; creates no folder."""
+def _planned(
+    plan: Campaign, out: Path, *, retry: bool, note: Callable[[str], None] = lambda _line: None
+) -> tuple[list[Run], dict[str, Flown], list[Run]]:
+    """Return all runs, the stored flights, and the missing runs; creates no folder. ``note``: see `known`."""
     runs = expand(plan, state=sources_state(PLAIN_FLIGHT.measured_by))
     if not out.exists() or not any(out.iterdir()):
         return runs, {}, list({each.digest: each for each in runs}.values())
-    return runs, *known(plan, runs, Store(out), retry=retry)
+    return runs, *known(plan, runs, Store(out), retry=retry, note=note)
 
 
 def print_table(rows: pa.Table, folder: Path, figures: Sequence[str], *, flown_now: int, json: bool) -> bool:
@@ -150,7 +152,8 @@ def print_table(rows: pa.Table, folder: Path, figures: Sequence[str], *, flown_n
 
 
 def _print_plan(plan: Campaign, out: Path, *, retry: bool, json: bool) -> None:
-    runs, flown, missing = _planned(plan, out, retry=retry)
+    messages = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
+    runs, flown, missing = _planned(plan, out, retry=retry, note=messages.print)
     if json:
         listed = [
             {
