@@ -22,10 +22,9 @@ class UntrustedCache(RuntimeError):
 def check_trusted(folder: Path, top: Path, *, variable: str) -> None:
     """Check a cache and its parents up to ``top``, as far as they exist.
 
-    Each folder and file must belong to this user or root, who may write it alone; the files are checked if
-    other users can reach them. A parent in which each user
-    may delete only their own files (sticky, as /tmp) may be writable by all, and any may be writable by the
-    group that has this user's name and no other member.
+    Each folder and file must belong to this user or root, and no other may write it; the files are checked if
+    other users can reach them. A parent in which each user may delete only their own files (sticky, as /tmp)
+    may be writable by all, and any may be writable by the group that has this user's name and no other member.
 
     ``variable`` names the environment variable that selects another folder. Raises UntrustedCache.
     """

@@ -1,4 +1,4 @@
-"""Runs a command as a user for whom the modes of files hold, which they do not for root."""
+"""Runs a command without the privilege of root to ignore the modes of files."""
 
 import os
 import shutil
