@@ -163,9 +163,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
     if kept:
         terminalreporter.section("coflight run folders")
     for nodeid, path in kept:
-        has_tables = (path / "summary.json").exists() and (path / "manifest.json").exists()
-        makes_tables = (path / "raw" / "outcome.json").exists()
-        command = "coflight report " if has_tables or makes_tables else "without tables: "
+        command = "coflight report " if (path / "manifest.json").exists() else "without tables: "
         terminalreporter.line(
             f"{nodeid}: {command}{pytest_folders.shown(path, config.invocation_params.dir)}"
         )
