@@ -24,7 +24,7 @@ def check_trusted(folder: Path, top: Path, *, variable: str) -> None:
 
     Each folder and file must belong to this user or root, and no other may write it; the files are checked if
     other users can reach them. A parent in which each user may delete only their own files (sticky, as /tmp)
-    may be writable by all, and any may be writable by the group that has this user's name and no other member.
+    may be writable by all, and any may be writable by the group of this user's name without other members.
 
     ``variable`` names the environment variable that selects another folder. Raises UntrustedCache.
     """

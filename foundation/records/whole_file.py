@@ -1,6 +1,7 @@
-"""Writes a file so that readers find its old or its new content, never a part."""
+"""Writes a file so that readers find its old or its new content, never a part; hashes a file in pieces."""
 
 import contextlib
+import hashlib
 import os
 from pathlib import Path
 
@@ -23,3 +24,9 @@ def write_whole(path: Path, content: bytes, *, private: bool = False) -> None:
         with contextlib.suppress(OSError):
             temporary.unlink()  # frees space on a full disk
         raise
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file in hexadecimal, read in pieces. Raises OSError."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -25,7 +25,7 @@ import msgspec
 from msgspec import Struct, structs
 
 from foundation.records.private_files import FILE_MODE, make_private
-from foundation.records.whole_file import write_whole
+from foundation.records.whole_file import sha256_of, write_whole
 from harness.records.run_folder import NAME_ANOTHER, listed, names_in
 from harness.scenario.scenario import Scenario
 
@@ -199,8 +199,7 @@ class Store:
         try:
             if kept is None or path.stat().st_size != kept.size_bytes:
                 return False
-            with path.open("rb") as file:
-                return hashlib.file_digest(file, "sha256").hexdigest() == kept.sha256
+            return sha256_of(path) == kept.sha256
         except FileNotFoundError:
             return False
 

@@ -21,6 +21,7 @@ from foundation.system_error import in_words
 from harness.campaign.store import TABLES, is_campaign
 from harness.cli.progress import summary_table
 from harness.launch.interrupts import interruptible
+from harness.records.manifest import altered_tables
 from harness.records.run_folder import NotARun, RunFolder, read_scenario
 
 _BROKEN_OFF = "coflight: broken off: the same command starts again\n"
@@ -66,6 +67,11 @@ def report(
         messages.print(f"tables and figures made of {folder.raw}", soft_wrap=True)
     scenario = read_scenario(folder)
     summary = _summary(folder)
+    if altered := altered_tables(folder):
+        messages.print(
+            f"warning: {folder.path}: {', '.join(altered)}: not as the run wrote it, by manifest.json",
+            soft_wrap=True,
+        )
     if figures:
         from harness.report.report import draw_again  # noqa: PLC0415  as above
 

@@ -10,12 +10,15 @@ complete     ``complete`` is true: tables and summary exist
 
 import platform
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import msgspec
+from msgspec import Struct
 
 from autopilot.onboard import factory
 from autopilot.vehicle import extensions
+from foundation.records.whole_file import sha256_of
 from harness.records.outcome import RUNNING, RunOutcome
 from harness.records.run_folder import NotARun, RunFolder
 from harness.records.versions import DISTRIBUTIONS, origin_of, versions
@@ -77,6 +80,17 @@ def make_manifest(
 def manifest_text(content: Mapping[str, Any]) -> bytes:
     """Return the content of the manifest's file."""
     return msgspec.json.format(msgspec.json.encode(content), indent=2) + b"\n"
+
+
+def altered_tables(folder: RunFolder) -> list[str]:
+    """Return the names of the tables that are not as the run wrote them, or are missing. Raises OSError."""
+    hashes = msgspec.json.decode(folder.manifest.read_bytes(), type=_Hashes).logs_sha256
+    paths = {folder.path / Path(name).name: sha256 for name, sha256 in hashes.items()}
+    return [path.name for path, sha256 in paths.items() if not path.is_file() or sha256_of(path) != sha256]
+
+
+class _Hashes(Struct, frozen=True):
+    logs_sha256: dict[str, str] = {}
 
 
 def read_outcome(folder: RunFolder) -> RunOutcome:

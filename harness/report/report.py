@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from antenna.analysis.gain_figures import gain_density_figure, patterns_figure
 from foundation.records.record_log import read
-from foundation.records.whole_file import write_whole
+from foundation.records.whole_file import sha256_of, write_whole
 from harness.records.flight import Flight
 from harness.records.manifest import make_manifest, manifest_text, read_outcome
 from harness.records.outcome import RunOutcome
@@ -86,12 +86,12 @@ def _write_tables(folder: RunFolder, scenario: Scenario, outcome: RunOutcome) ->
     simulated_us = outcome.simulated_us or 0
     records = write_tables(folder, scenario, lambda time_us: plan.places(since_start_s(time_us, start_us)))
     sessions = read(folder.raw_sessions, SESSION_LOG)
-    hashes = {name: _sha256(folder.path / name) for name in LOGS}
+    hashes = {name: sha256_of(folder.path / name) for name in LOGS}
     if folder.sensors.exists():
-        hashes[folder.sensors.name] = _sha256(folder.sensors)
+        hashes[folder.sensors.name] = sha256_of(folder.sensors)
     log_sha256 = hashlib.sha256("".join(hashes.values()).encode()).hexdigest()
     if folder.receptions.exists():
-        hashes[folder.receptions.name] = _sha256(folder.receptions)
+        hashes[folder.receptions.name] = sha256_of(folder.receptions)
     whole = flight_of(records, scenario, start_us=start_us)
     window = _window(whole, outcome.formed_us, scenario)
     error = _formation_error(window, folder)
@@ -276,10 +276,6 @@ def _ftm_error_m(sessions: NDArray[Any]) -> NDArray[np.float64]:
     completed = sessions[sessions["status"] == b"ok"]
     difference_m: NDArray[np.float64] = completed["distance_m"] - completed["true_distance_m"]
     return difference_m
-
-
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _round(value: float | None) -> float | None:
