@@ -10,8 +10,9 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, NamedTuple
 
-from foundation.exit_status import BAD_INPUT, FINE
+from foundation.exit_status import BAD_INPUT, FAILED, FINE
 from foundation.kernels import cache_folder
+from foundation.kernels.cache_trust import UntrustedCache
 from harness.launch.interrupts import exiting_at_once
 from harness.scenario import packaged
 
@@ -91,7 +92,13 @@ def _dispatch(program: str, commands: dict[str, Command], usage: str, arguments:
     command = commands[name]
     sys.argv = [f"{program} {name}", *rest]  # usage lines name the command
     with exiting_at_once(f"{program} {name}: broken off before the start"):
-        os.environ.update(cache_folder.environment())  # read when numba is imported, which the module may do
+        try:
+            os.environ.update(
+                cache_folder.environment()
+            )  # read when numba is imported, which the module may do
+        except UntrustedCache as error:
+            print(f"{program} {name}: {error}", file=sys.stderr)
+            return FAILED
         called: Callable[..., Any] = getattr(import_module(command.module), command.function)
     status = called([*command.first, *rest])
     return status if isinstance(status, int) else FINE

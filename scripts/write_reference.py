@@ -21,6 +21,7 @@ from harness.cli.report import app as report_app
 from netsim.lab.cli import app as wifi_app
 from reference.commands import commands_page
 from reference.exit_statuses import statuses_page
+from reference.licences import licences_page
 from reference.python_api import python_page
 from reference.run_tables import tables_page
 from reference.scenario_fields import SCHEMA_FILE, scenario_page, scenario_schema
@@ -47,6 +48,13 @@ APPLICATIONS = {
     "python scripts/link_tables.py": tables_app,
 }  # fmt: skip
 """Command lines that the page describes, in its order."""
+LICENCES = "licences.md"
+
+
+def _locks() -> dict[str, str]:
+    """Return the texts of the lock files by name, the one that flying needs first."""
+    paths = sorted(FOLDER.parents[1].glob("requirements*.lock"), key=lambda path: (len(path.stem), path.name))
+    return {path.name: path.read_text(encoding="utf-8") for path in paths}
 
 
 def outdated(pages: Mapping[str, str], folder: Path) -> list[str]:
@@ -69,6 +77,7 @@ def main() -> int:
         "exit-status.md": statuses_page(),
         "tables.md": tables_page(),
         "python-api.md": python_page(),
+        LICENCES: licences_page(_locks(), (FOLDER / LICENCES).read_text(encoding="utf-8")),
     }
     changed = outdated(pages, FOLDER)
     for name in changed:

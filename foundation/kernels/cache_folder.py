@@ -20,18 +20,30 @@ import sys
 from functools import cache
 from pathlib import Path
 
+from foundation.kernels.cache_trust import check_trusted
+from foundation.records.private_files import make_private
+
 PACKAGES = ("foundation", "antenna", "netsim", "autopilot", "harness", "coflight", "studies")
 VARIABLE = "NUMBA_CACHE_DIR"
+LOCATORS = "NUMBA_CACHE_LOCATOR_CLASSES"
+SHARED = (
+    "foundation.kernels.shared_cache.SharedCacheLocator,"
+    "UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,IPythonCacheLocator,ZipCacheLocator"
+)
+"""Numba's own ones after ours, for modules of other packages."""
 PROCESSOR = Path("/proc/cpuinfo")
 _DECORATED = re.compile(rb"^@(njit|inner)\b", re.MULTILINE)
 _MODEL = re.compile(r"^(?:model name|flags|CPU part|Features)\s*:.*$", re.MULTILINE)
 _IMPORT = re.compile(rf"^\s*from ((?:{'|'.join(PACKAGES)})(?:\.\w+)*) import\b", re.MULTILINE)
 
 
+def _user_base() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+
+
 def own_base() -> Path:
     """Return the default parent of the folders: ``$XDG_CACHE_HOME/coflight/kernels``."""
-    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return base / "coflight" / "kernels"
+    return _user_base() / "coflight" / "kernels"
 
 
 @cache
@@ -49,10 +61,32 @@ def folder() -> Path:
 
 
 def environment() -> dict[str, str]:
-    """Return the environment variable for child processes; updates the folder's time stamp if it exists."""
+    """Return the environment variables for Numba, in this process before its import and in child processes.
+
+    Creates the folder, for its owner alone, or updates its time stamp. A folder that cannot be written, such
+    as a shared installation's, is used as far as it is filled. Raises
+    `foundation.kernels.cache_trust.UntrustedCache` if another user can write it.
+    """
+    path = folder()
+    if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
+        return {VARIABLE: str(path)}
+    _check(path)
     with contextlib.suppress(OSError):
-        os.utime(folder())
-    return {VARIABLE: str(folder())}
+        make_private(path, exist_ok=True)
+        os.utime(path)
+    if path.is_dir() and not os.access(path, os.W_OK):
+        return {VARIABLE: str(path), LOCATORS: SHARED}
+    return {VARIABLE: str(path)}
+
+
+@cache
+def _check(path: Path) -> None:
+    """Check that only this user or root can write the folder; once for each process."""
+    if VARIABLE in os.environ:
+        named = Path(os.environ[VARIABLE])
+        check_trusted(path, named.parent if named == path else named, variable=VARIABLE)
+    else:
+        check_trusted(path, _user_base(), variable="XDG_CACHE_HOME")
 
 
 def digest(root: Path) -> str:

@@ -10,13 +10,15 @@ are wrong.
 """
 
 import fcntl
+import os
 import sys
 from importlib import import_module
 from pathlib import Path
 
 
 def main(warm_up_module: str, complete: Path) -> None:
-    """Compile the package of the warm-up, unless the file says that it is complete."""
+    """Compile the package of the warm-up for this user alone, unless the file says that it is complete."""
+    os.umask(0o077)
     with complete.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)  # released when the file closes, however this process ends
         if not complete.exists():

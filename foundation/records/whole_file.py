@@ -1,15 +1,21 @@
-"""Writes a file so that readers find its old or its new content, never a part."""
+"""Writes a file so that readers find its old or its new content, never a part; hashes a file in pieces."""
 
 import contextlib
+import hashlib
 import os
 from pathlib import Path
 
+from foundation.records.private_files import open_private
 
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a file atomically: readers find the new or the old content."""
+
+def write_whole(path: Path, content: bytes, *, private: bool = False) -> None:
+    """Write a file atomically: readers find the new or the old content.
+
+    ``private``: only the owner can read it, whatever the umask and the rights of the old file are.
+    """
     temporary = path.with_name(f".{path.name}")
     try:
-        with temporary.open("wb") as file:
+        with os.fdopen(open_private(temporary), "wb") if private else temporary.open("wb") as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
@@ -18,3 +24,9 @@ def write_whole(path: Path, content: bytes) -> None:
         with contextlib.suppress(OSError):
             temporary.unlink()  # frees space on a full disk
         raise
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file in hexadecimal, read in pieces. Raises OSError."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

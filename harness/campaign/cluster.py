@@ -31,32 +31,79 @@ _NO_DASHBOARD = {"dashboard": False, "dashboard_address": f"{LOOPBACK}:0"}
 """Its page would be open to all users of the machine. Without an address the scheduler binds port 8787."""
 
 
-def check_address(scheduler: str | None) -> None:
-    """Check the address of a scheduler. Raises CampaignError."""
-    if scheduler is not None and not _ADDRESS.fullmatch(scheduler):
+_TLS = "distributed.comm.tls"
+_CERTIFICATES = (f"{_TLS}.ca-file", f"{_TLS}.client.cert", f"{_TLS}.client.key")
+"""Settings of dask that name the files of a client"""
+
+
+def check_address(scheduler: str | None, *, unencrypted: bool) -> None:
+    """Check the address of a scheduler, and that connections without encryption are permitted explicitly.
+
+    Raises CampaignError.
+    """
+    if scheduler is None:
+        if unencrypted:
+            raise CampaignError("--unencrypted: it belongs to --scheduler tcp://HOST:PORT")
+        return
+    match = _ADDRESS.fullmatch(scheduler)
+    if match is None:
         raise CampaignError(
-            f"--scheduler {scheduler}: expected the address of a dask scheduler, tcp://HOST:PORT"
+            f"--scheduler {scheduler}: expected the address of a dask scheduler, tls://HOST:PORT"
         )
+    if match[1] == "tcp" and not unencrypted:
+        raise CampaignError(
+            f"--scheduler {scheduler}: any program that reaches its ports can run code as the users of its "
+            "workers: use a scheduler with TLS, tls://HOST:PORT, or permit this one by --unencrypted (in "
+            "Python, unencrypted=True)"
+        )
+    if match[1] == "tls" and unencrypted:
+        raise CampaignError(f"--unencrypted: {scheduler} is encrypted; leave it out")
+
+
+def _make_security(scheduler: str) -> Any:  # noqa: ANN401  a distributed.Security
+    """Return the client's certificates of dask's settings. Raises CampaignError."""
+    import dask  # noqa: PLC0415  slow to import
+    import distributed  # noqa: PLC0415
+
+    library: Any = distributed  # only partly typed
+    for setting in _CERTIFICATES:
+        if not dask.config.get(setting, None):
+            raise CampaignError(f"--scheduler {scheduler}: dask's setting {setting} names no file")
+    security = library.Security(require_encryption=True)
+    try:
+        security.get_connection_args("client")
+    except (OSError, ValueError) as error:  # OSError: also errors of the ssl module
+        raise CampaignError(
+            f"--scheduler {scheduler}: the files of dask's settings {_TLS} cannot be used: {error}"
+        ) from None
+    return security
 
 
 @contextlib.contextmanager
 def connected(
-    *, workers: int, scheduler: str | None, folder: Path, note: Callable[[str], None]
+    *,
+    workers: int,
+    scheduler: str | None,
+    folder: Path,
+    note: Callable[[str], None],
+    unencrypted: bool = False,
 ) -> Iterator[Any]:
     """Yield a client of the scheduler at an address, or of a local cluster that ends with the block.
 
     The local cluster has ``workers`` processes that fly one run at a time each, in ``folder``; a worker ends
     when this process ends for any reason. All its sockets are on the loopback interface, which all users of
     the machine reach: its processes accept only peers with the key of this cluster (TLS), which is held in
-    memory. Raises CampaignError, or CompileError.
+    memory. A scheduler ``tls://`` is reached with the certificates of dask's settings, one ``tcp://`` only
+    with ``unencrypted``. Raises CampaignError, or CompileError.
     """
-    check_address(scheduler)
+    check_address(scheduler, unencrypted=unencrypted)
     with contextlib.ExitStack() as stack:
         import dask  # noqa: PLC0415  slow to import, and not needed for reading
         import distributed  # noqa: PLC0415
 
         library: Any = distributed  # only partly typed
 
+        security = None
         if scheduler is None:
             os.environ.update(kernel_cache.environment())  # inherited by the workers, for Numba
             kernel_cache.prepare(note)
@@ -80,12 +127,19 @@ def connected(
             )
         else:
             target = scheduler
+            if unencrypted:
+                note(
+                    f"warning: {scheduler} is not encrypted: any program that reaches its ports can run code "
+                    "as the users of its workers"
+                )
+            else:
+                security = _make_security(scheduler)
         logger = logging.getLogger("distributed")
         stack.callback(logger.setLevel, logger.level)
         logger.setLevel(_QUIET)
         try:
             client = stack.enter_context(
-                library.Client(target, timeout=CONNECT_LIMIT_S, set_as_default=False)
+                library.Client(target, security=security, timeout=CONNECT_LIMIT_S, set_as_default=False)
             )
         except (OSError, ValueError) as error:
             raise CampaignError(f"{scheduler}: no dask scheduler answers: {error}") from None

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from antenna.solvers.interface import BackendUnavailable
 from antenna.solvers.selection import make_backend
+from foundation.kernels.use_cache import use_kernel_cache
 from foundation.system_error import described
 from harness.campaign.store import Flown, Task, failed
 from harness.launch import kernel_cache
-from harness.launch.one_process import use_kernel_cache
 from harness.launch.run_messages import SetupError
 from harness.records.run_folder import RunFolder
 

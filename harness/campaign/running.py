@@ -17,6 +17,7 @@ from typing import Any
 
 from msgspec import Struct
 
+from foundation.records.private_files import make_private
 from harness.campaign.cluster import check_address, connected
 from harness.campaign.definition import Campaign, Run, expand
 from harness.campaign.store import FAILED, PLAIN_FLIGHT, ClusterError, Flown, Flying, Store, Task, failed
@@ -46,6 +47,7 @@ def run(
     runs: Sequence[Run] | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
+    unencrypted: bool = False,
     retry: bool = False,
     progress: Callable[[Landed], None] | None = None,
     note: Callable[[str], None] | None = None,
@@ -58,28 +60,33 @@ def run(
         out: folder, for one campaign at a time.
         runs: result of `harness.campaign.definition.expand`, if the caller has computed it.
         workers: processes of this machine; by default as many as it has processors.
-        scheduler: address of a dask scheduler, whose workers are used instead.
+        scheduler: address of a dask scheduler, whose workers are used instead: ``tls://HOST:PORT`` with the
+            certificates of dask's settings ``distributed.comm.tls``.
+        unencrypted: permit a scheduler ``tcp://HOST:PORT``, on a network that only its users reach.
         retry: fly failed runs again.
         progress: called for every run that ends.
-        note: called with a line before an operation that takes long.
+        note: called with a line before what takes long, and for a stored flight that was altered.
         flying: the function that flies and measures a run.
 
     Raises CampaignError for an invalid campaign, before the first flight; ClusterError, CompileError,
     OSError.
 
     """
-    check_address(scheduler)
+    check_address(scheduler, unencrypted=unencrypted)
     if runs is None:
         runs = expand(campaign, state=sources_state(flying.measured_by))
     store = Store(Path(out))
     with store.alone():
-        flown, missing = known(campaign, runs, store, retry=retry)
+        note = note or (lambda _line: None)
+        flown, missing = known(campaign, runs, store, retry=retry, note=note)
         if missing:
+            make_private(store.flying)
             with connected(
                 workers=workers or os.cpu_count() or 1,
                 scheduler=scheduler,
+                unencrypted=unencrypted,
                 folder=store.flying,
-                note=note or (lambda _line: None),
+                note=note,
             ) as client:
                 for landed, kept in _fly(client, campaign, missing, store, flying):
                     flown[kept.digest] = kept
@@ -89,15 +96,27 @@ def run(
 
 
 def known(
-    campaign: Campaign, runs: Sequence[Run], store: Store, *, retry: bool = False
+    campaign: Campaign,
+    runs: Sequence[Run],
+    store: Store,
+    *,
+    retry: bool = False,
+    note: Callable[[str], None] = lambda _line: None,
 ) -> tuple[dict[str, Flown], list[Run]]:
-    """Return the stored flights by digest, and the missing runs, each flight once."""
+    """Return the stored flights by digest, and the missing runs, each flight once.
+
+    A flight whose file or series was altered since it was stored is missing; ``note`` receives a line for it.
+    """
+
+    def on_altered(path: Path) -> None:
+        note(f"{path}: not as the campaign stored it, altered or deleted: its flight is flown again")
+
     flown: dict[str, Flown] = {}
     missing: dict[str, Run] = {}
     for each in runs:
         if each.digest in flown or each.digest in missing:
             continue
-        found = store.get(each.digest, campaign.keep)
+        found = store.get(each.digest, campaign.keep, on_altered=on_altered)
         if found is None or (retry and found.status == FAILED):
             missing[each.digest] = each
         else:

@@ -2,25 +2,30 @@
 
 A small file for every run that has ended is written atomically:
 
-runs/<digest>.json                 status and summary of a run
+runs/<digest>.json                 status and summary of a run, with the hash of this content
 runs/<digest>.gains.parquet ...    requested series
 table.parquet table.csv            one row per run, when all have ended
 flying/                            temporary run folders
 lock                               held by the campaign that uses the folder
+
+Only the owner can read a folder that is created here. One that exists keeps its rights; ``runs`` and
+``flying`` are private in it too, since they hold settings of the scenario.
 """
 
 import contextlib
 import fcntl
 import hashlib
+import os
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
 from msgspec import Struct, structs
 
-from foundation.records.whole_file import write_whole
+from foundation.records.private_files import FILE_MODE, make_private
+from foundation.records.whole_file import sha256_of, write_whole
 from harness.records.run_folder import NAME_ANOTHER, listed, names_in
 from harness.scenario.scenario import Scenario
 
@@ -62,6 +67,13 @@ class Flown(Struct, frozen=True, kw_only=True):
     """Stored series by name"""
 
 
+class _Stored(Struct, frozen=True):
+    """A run's file: its content, and the hash of the content's bytes, to detect changes."""
+
+    sha256: str
+    run: msgspec.Raw
+
+
 class Flying(Struct, frozen=True):
     """The function that flies a run and returns its summary, with ``status`` and ``reason``."""
 
@@ -100,6 +112,17 @@ def is_campaign(folder: Path) -> bool:
     return (folder / _LOCK).is_file()
 
 
+def _read(content: bytes) -> Flown | None:
+    """Return the run of a file's content; None if it was altered, or written by another version."""
+    try:
+        stored = msgspec.json.decode(content, type=_Stored)
+        if hashlib.sha256(stored.run).hexdigest() != stored.sha256:
+            return None
+        return msgspec.json.decode(stored.run, type=Flown)
+    except msgspec.DecodeError:
+        return None
+
+
 class Store:
     """Runs in a folder, which is created. Raises CampaignError if that fails, or if it has other content."""
 
@@ -114,9 +137,9 @@ class Store:
                     f"{folder.resolve()} holds {listed(names)}, and a campaign needs a folder of its own: "
                     f"{NAME_ANOTHER}"
                 )
-            folder.mkdir(parents=True, exist_ok=True)
-            self._lock.touch()  # marks the folder of a campaign
-            self._runs.mkdir(exist_ok=True)
+            make_private(folder, exist_ok=True)
+            os.close(os.open(self._lock, os.O_WRONLY | os.O_CREAT, FILE_MODE))  # marks a campaign's folder
+            make_private(self._runs, exist_ok=True)
         except OSError as error:
             raise CampaignError(
                 f"{folder}: cannot be a campaign's folder: {error.strerror}; {NAME_ANOTHER}"
@@ -143,14 +166,28 @@ class Store:
             finally:
                 shutil.rmtree(self.flying, ignore_errors=True)
 
-    def get(self, digest: str, keep: Iterable[str] = ()) -> Flown | None:
-        """Return a stored run with all series ``keep`` undamaged (a failed run has none), or None."""
+    def get(
+        self, digest: str, keep: Iterable[str] = (), *, on_altered: Callable[[Path], object] = lambda _: None
+    ) -> Flown | None:
+        """Return a stored run with all series ``keep`` (a failed run has none), or None: it is to be flown.
+
+        ``on_altered`` is called with a file that is not as it was stored; such a run is not returned.
+        """
+        path = self._runs / f"{digest}.json"
         try:
-            flown = msgspec.json.decode((self._runs / f"{digest}.json").read_bytes(), type=Flown)
-        except (FileNotFoundError, msgspec.DecodeError):  # another layout: the run is flown again
+            flown = _read(path.read_bytes())
+        except FileNotFoundError:
             return None
-        complete = flown.status == FAILED or all(self._is_whole(flown, name) for name in keep)
-        return flown if complete and flown.digest == digest else None
+        if flown is None or flown.digest != digest:
+            on_altered(path)
+            return None
+        if flown.status == FAILED:
+            return flown
+        missing = [name for name in keep if not self._is_whole(flown, name)]
+        for name in missing:
+            if name in flown.series:
+                on_altered(self.series_path(digest, name))
+        return None if missing else flown
 
     def flights(self) -> list[Flown]:
         """Return all stored runs, of any sources, the oldest first; their series are not checked."""
@@ -162,8 +199,7 @@ class Store:
         try:
             if kept is None or path.stat().st_size != kept.size_bytes:
                 return False
-            with path.open("rb") as file:
-                return hashlib.file_digest(file, "sha256").hexdigest() == kept.sha256
+            return sha256_of(path) == kept.sha256
         except FileNotFoundError:
             return False
 
@@ -184,8 +220,10 @@ class Store:
             write_whole(self.series_path(flown.digest, name), content)
             kept[name] = Kept(size_bytes=len(content), sha256=hashlib.sha256(content).hexdigest())
         flown = structs.replace(flown, series=kept)
-        content = msgspec.json.format(msgspec.json.encode(flown), indent=1)
-        write_whole(self._runs / f"{flown.digest}.json", content + b"\n")
+        run = msgspec.json.format(msgspec.json.encode(flown), indent=1)
+        stored = _Stored(sha256=hashlib.sha256(run).hexdigest(), run=msgspec.Raw(run))
+        path = self._runs / f"{flown.digest}.json"
+        write_whole(path, msgspec.json.encode(stored) + b"\n", private=True)
         return flown
 
     def series_path(self, digest: str, name: str) -> Path:

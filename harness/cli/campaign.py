@@ -6,7 +6,7 @@ command continues the campaign. An error is one report on stderr.
 
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -61,8 +61,19 @@ def campaign(
         int | None, typer.Option(help="Processes that fly; default one per processor.", min=1, max=1024)
     ] = None,
     scheduler: Annotated[
-        str | None, typer.Option(help="Fly on the workers of this dask scheduler.", metavar="tcp://HOST:PORT")
+        str | None,
+        typer.Option(
+            help="Fly on the workers of this dask scheduler, with the certificates of dask's settings.",
+            metavar="tls://HOST:PORT",
+        ),
     ] = None,
+    unencrypted: Annotated[
+        bool,
+        typer.Option(
+            "--unencrypted",
+            help="Permit a scheduler tcp://HOST:PORT, on a network that only its users reach.",
+        ),
+    ] = False,
     settings: Annotated[
         list[str] | None,
         typer.Option("--set", help="Override a field of the scenario in all runs.", metavar="PATH=VALUE"),
@@ -81,7 +92,7 @@ def campaign(
         out = out or Path("runs") / plan.name
         if scheduler is not None and workers is not None:
             raise CampaignError("--scheduler: it has its own workers, so --workers cannot be given")
-        check_address(scheduler)
+        check_address(scheduler, unencrypted=unencrypted)
         if dry_run:
             _print_plan(plan, out, retry=retry, json=json)
             return exit_status.FINE
@@ -96,6 +107,7 @@ def campaign(
                 runs=runs,
                 workers=workers,
                 scheduler=scheduler,
+                unencrypted=unencrypted,
                 retry=retry,
                 progress=display.on_landed,
                 note=display.note,
@@ -109,12 +121,14 @@ def campaign(
     return exit_status.FINE if fine and not display.failed else exit_status.FAILED
 
 
-def _planned(plan: Campaign, out: Path, *, retry: bool) -> tuple[list[Run], dict[str, Flown], list[Run]]:
-    """Return all runs, the stored flights, and the missing runs; creates no folder."""
+def _planned(
+    plan: Campaign, out: Path, *, retry: bool, note: Callable[[str], None] = lambda _line: None
+) -> tuple[list[Run], dict[str, Flown], list[Run]]:
+    """Return all runs, the stored flights, and the missing runs; creates no folder. ``note``: see `known`."""
     runs = expand(plan, state=sources_state(PLAIN_FLIGHT.measured_by))
     if not out.exists() or not any(out.iterdir()):
         return runs, {}, list({each.digest: each for each in runs}.values())
-    return runs, *known(plan, runs, Store(out), retry=retry)
+    return runs, *known(plan, runs, Store(out), retry=retry, note=note)
 
 
 def print_table(rows: pa.Table, folder: Path, figures: Sequence[str], *, flown_now: int, json: bool) -> bool:
@@ -138,7 +152,8 @@ def print_table(rows: pa.Table, folder: Path, figures: Sequence[str], *, flown_n
 
 
 def _print_plan(plan: Campaign, out: Path, *, retry: bool, json: bool) -> None:
-    runs, flown, missing = _planned(plan, out, retry=retry)
+    messages = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
+    runs, flown, missing = _planned(plan, out, retry=retry, note=messages.print)
     if json:
         listed = [
             {

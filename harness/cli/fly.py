@@ -309,7 +309,7 @@ def _report(
 def _left(path: Path) -> str:
     """Return what a run has whose results are not complete, and the command that completes them."""
     folder = RunFolder(path)
-    if folder.manifest.exists():
+    if folder.is_reported():
         return f"the tables are written, the figures are not: coflight report {path} --figures draws them"
     megabytes = sum(raw.stat().st_size for raw in folder.raw.glob("*.bin")) / 1e6
     return (

@@ -21,6 +21,7 @@ from foundation.system_error import in_words
 from harness.campaign.store import TABLES, is_campaign
 from harness.cli.progress import summary_table
 from harness.launch.interrupts import interruptible
+from harness.records.manifest import altered_tables
 from harness.records.run_folder import NotARun, RunFolder, read_scenario
 
 _BROKEN_OFF = "coflight: broken off: the same command starts again\n"
@@ -49,18 +50,28 @@ def report(
     if is_campaign(run):
         raise NotARun(f"{run}: a campaign that is not complete: its coflight campaign command continues it")
     folder, messages = RunFolder(run), Console(stderr=True, highlight=False, markup=False)
-    if not folder.manifest.exists() and folder.outcome.exists():
+    if not folder.is_reported() and folder.manifest.exists():
         from harness.report.report import finish_later  # noqa: PLC0415  slow to import, rarely needed
 
         try:
             finish_later(folder)
         except OSError as error:
+            if folder.is_reported():
+                raise _NotWritten(
+                    f"the tables are written, the figures are not: {in_words(error)}; coflight report {run} "
+                    "--figures draws them"
+                ) from None
             raise _NotWritten(
                 f"the tables cannot be written: {in_words(error)}; the raw logs are kept in {folder.raw}"
             ) from None
-        messages.print(f"tables made of {folder.raw}", soft_wrap=True)
+        messages.print(f"tables and figures made of {folder.raw}", soft_wrap=True)
     scenario = read_scenario(folder)
     summary = _summary(folder)
+    if altered := altered_tables(folder):
+        messages.print(
+            f"warning: {folder.path}: {', '.join(altered)}: not as the run wrote it, by manifest.json",
+            soft_wrap=True,
+        )
     if figures:
         from harness.report.report import draw_again  # noqa: PLC0415  as above
 

@@ -24,6 +24,8 @@ from typing import Self
 from msgspec import Struct
 
 from foundation.kernels.cache_folder import PACKAGES, VARIABLE, digest, environment, folder, own_base
+from foundation.kernels.cache_trust import UntrustedCache
+from foundation.records.private_files import make_private
 from harness.launch.interrupts import interrupts_deferred
 
 __all__ = [
@@ -96,12 +98,15 @@ def _missing(names: Iterable[str]) -> list[str]:
     """Return the packages that are not complete, with a folder to compile them to. Raises CompileError."""
     if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
         return []
-    environment()  # marks the folder as used
+    try:
+        environment()  # marks the folder as used
+    except UntrustedCache as error:
+        raise CompileError(str(error)) from None
     missing = [name for name in names if not _complete(name).exists()]
     if missing:
         lock = _complete(missing[0]).with_suffix(".lock")
         try:
-            folder().mkdir(parents=True, exist_ok=True)
+            make_private(folder(), exist_ok=True)
             lock.touch()
             remove_old(lock.stat().st_mtime)
         except OSError as error:

@@ -20,7 +20,6 @@ import contextlib
 import gc
 import os
 import queue
-import sys
 import threading
 import time
 import traceback
@@ -30,12 +29,11 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-import numba
-from numba.core.dispatcher import Dispatcher
 
 from autopilot.parameters.config import VehicleConfig
 from foundation.extension_call import FAILED_STATUS, watched
 from foundation.extension_failure import ExtensionFailure
+from foundation.kernels.use_cache import use_kernel_cache
 from foundation.processes.child_protocol import Finished, Ready, Stop
 from foundation.system_error import described
 from harness.launch import external_autopilots, kernel_cache
@@ -224,24 +222,6 @@ class _Processes(Processes):
 def _read(path: Path, kind: type[Any]) -> Any:  # noqa: ANN401  an instance of ``kind``
     """Read a settings file, as a separate process does."""
     return msgspec.json.decode(path.read_bytes(), type=kind)
-
-
-def use_kernel_cache() -> None:
-    """Make this process load kernels from the cache that all processes of a run use.
-
-    Numba fixes a kernel's cache when its module is imported, which may have happened before.
-    """
-    folder = str(kernel_cache.folder())
-    os.environ[kernel_cache.VARIABLE] = folder
-    config = vars(numba.config)
-    if config["CACHE_DIR"] == folder:
-        return
-    config["CACHE_DIR"] = folder
-    for name, module in list(sys.modules.items()):
-        if name.partition(".")[0] in kernel_cache.PACKAGES:
-            for value in vars(module).values():
-                if isinstance(value, Dispatcher) and value.__module__ == name:
-                    value.enable_caching()
 
 
 class OneProcessSwarm(Swarm):

@@ -2,7 +2,7 @@
 
 A test has the same folders in every session, so a kept one is replaced when the test runs again. A locked
 file, of the same name in ``.claims``, keeps others from it: other swarms of the test, sessions, and workers
-of pytest-xdist.
+of pytest-xdist. Only their owner can read them.
 """
 
 import contextlib
@@ -14,6 +14,8 @@ import re
 import shutil
 from pathlib import Path
 from typing import NamedTuple
+
+from foundation.records.private_files import FILE_MODE, make_private
 
 _CLAIMS = ".claims"
 _GIT_IGNORE = "# Created by coflight.\n*\n"
@@ -55,7 +57,7 @@ def claim(out: Path, nodeid: str) -> RunPlace:
     The first swarm of a test also removes what earlier sessions have kept of it.
     """
     if not out.exists():
-        out.mkdir(parents=True, exist_ok=True)
+        make_private(out, exist_ok=True)
         (out / ".gitignore").write_text(_GIT_IGNORE, encoding="utf-8")
     name = name_of(nodeid)
     for number in itertools.count(1):
@@ -95,9 +97,9 @@ def _claim_file(path: Path) -> Path:
 def _claimed(path: Path) -> int | None:
     """Claim the folder; returns the descriptor of the lock, None if the folder is in use."""
     claim = _claim_file(path)
-    claim.parent.mkdir(exist_ok=True)
+    make_private(claim.parent, exist_ok=True)
     try:
-        claim_fd = os.open(claim, os.O_RDWR | os.O_CREAT, 0o644)
+        claim_fd = os.open(claim, os.O_RDWR | os.O_CREAT, FILE_MODE)
     except FileNotFoundError:  # `tidy` of another session
         return None
     with contextlib.suppress(BlockingIOError, FileNotFoundError):

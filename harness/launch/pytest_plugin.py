@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from foundation.kernels import cache_folder
+from foundation.kernels.cache_trust import UntrustedCache
 from harness.launch import pytest_folders, pytest_settings
 from harness.launch.pytest_settings import Settings
 from harness.scenario import packaged
@@ -51,7 +52,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 @pytest.hookimpl(tryfirst=True)
 def pytest_load_initial_conftests() -> None:
     """Set the cache folder of kernels before a conftest.py or a test imports Numba, which reads it once."""
-    os.environ.update(cache_folder.environment())
+    try:
+        os.environ.update(cache_folder.environment())
+    except UntrustedCache as error:
+        raise pytest.UsageError(f"coflight: {error}") from None
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -159,9 +163,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
     if kept:
         terminalreporter.section("coflight run folders")
     for nodeid, path in kept:
-        has_tables = (path / "summary.json").exists() and (path / "manifest.json").exists()
-        makes_tables = (path / "raw" / "outcome.json").exists()
-        command = "coflight report " if has_tables or makes_tables else "without tables: "
+        command = "coflight report " if (path / "manifest.json").exists() else "without tables: "
         terminalreporter.line(
             f"{nodeid}: {command}{pytest_folders.shown(path, config.invocation_params.dir)}"
         )

@@ -6,12 +6,11 @@ from datetime import UTC, datetime
 from harness.launch import profiling
 from harness.launch.process_commands import PHYSICS
 from harness.launch.processes import Processes
-from harness.records.outcome import ProcessRecord, RunOutcome
+from harness.records.outcome import RUNNING, ProcessRecord, RunOutcome
 from harness.records.versions import Checkout, checkout
 
 INTERRUPTED = "the run was interrupted by its user"
 HELD = "the run was ended by its user"
-_UNKNOWN = "its end is not recorded: its launcher was killed, or its disk was full"
 
 
 class RunCourse:
@@ -49,11 +48,10 @@ class RunCourse:
             self.broken_off = f"a run was broken off: {str(error) or type(error).__name__}"
         return self.broken_off
 
-    def unknown_end(self, *, speed: float) -> RunOutcome:
-        """Return the outcome of a run whose launcher writes no other one; ``speed``: see `RunOutcome`."""
+    def running(self, *, speed: float) -> RunOutcome:
+        """Return what is known of the run before its end; ``speed``: see `RunOutcome`."""
         return RunOutcome(
-            status="interrupted",
-            reason=_UNKNOWN,
+            status=RUNNING,
             command=tuple(sys.argv),
             speed=speed,
             started_utc=self._started_utc,
@@ -62,7 +60,6 @@ class RunCourse:
             simulated_us=None,
             formed_us=None,
             processes=(),
-            nondeterminism=(_UNKNOWN,),
         )
 
     def ended(self, processes: Processes, *, speed: float, held: bool) -> RunOutcome:

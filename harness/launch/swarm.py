@@ -23,6 +23,7 @@ from typing import Any, ClassVar, Literal, Self
 import msgspec
 
 from autopilot.onboard.factory import layout_of
+from foundation.kernels.use_cache import use_kernel_cache
 from foundation.profiling.profiler import KindProfile
 from foundation.system_error import in_words
 from harness.launch import ground_links, profiling
@@ -39,7 +40,8 @@ from harness.launch.run_messages import (
     SwarmTimeoutError,
 )
 from harness.launch.truth import SwarmTruth
-from harness.records.outcome import RunOutcome, write_outcome
+from harness.records.manifest import make_manifest, manifest_text
+from harness.records.outcome import RunOutcome
 from harness.records.run_folder import RunFolder
 from harness.scenario import localisability
 from harness.scenario.scenario import Scenario
@@ -84,7 +86,7 @@ class Swarm:
     swarm, and before the first a warning if ranging does not determine the formation's shape.
     ``profile_from_s``: simulated time from which the processes are profiled, for `profile`.
 
-    Raises ScenarioError for an invalid scenario.
+    Raises ScenarioError for an invalid scenario, and `foundation.kernels.cache_trust.UntrustedCache`.
     """
 
     _make_processes: ClassVar[type[Processes]] = Processes
@@ -104,6 +106,7 @@ class Swarm:
         on_message: Callable[[Message], None] | None = None,
         profile_from_s: float | None = None,
     ) -> None:
+        use_kernel_cache()  # the report's kernels run in this process
         if isinstance(scenario, Scenario):
             if agents is not None or seed is not None or overrides:
                 raise ValueError(
@@ -164,11 +167,12 @@ class Swarm:
         self._course.begin()
         if (text := localisability.warning(self.scenario)) is not None:
             self._on_message(ProcessNotice(text=text))
+        self._folder.first_manifest = self._running_manifest()
         try:
             self._processes.start()
             self.scenario = self._processes.scenario
             try:
-                write_outcome(self._folder, self._course.unknown_end(speed=self._speed))
+                self._folder.write_manifest(self._running_manifest())  # with the ports that are used
             except OSError as error:
                 raise SetupError(in_words(error)) from None
             self._run(RunUntil(time_us=0))  # no simulation: waits for the vehicles to connect
@@ -436,7 +440,7 @@ class Swarm:
         if self._summary is not None:
             return self._summary
         self.stop()
-        if self._folder.manifest.exists():  # an earlier call has failed to draw the figures
+        if self._folder.is_reported():  # an earlier call has failed to draw the figures
             self._summary = msgspec.json.decode(self._folder.summary.read_bytes(), type=dict[str, Any])
             return self._summary
         if interrupted:
@@ -453,11 +457,15 @@ class Swarm:
             self._folder.release()  # also for ``coflight report``, after an error
         return self._summary
 
+    def _running_manifest(self) -> bytes:
+        """Return the manifest of a run whose end is not known yet."""
+        return manifest_text(make_manifest(self.scenario, self._course.running(speed=self._speed)))
+
     def _write_outcome(self, *, held: bool = False) -> RunOutcome:
-        """Write how the flight ended, for ``coflight report``, and return it."""
+        """Write how the flight ended into the manifest, for ``coflight report``, and return it."""
         ended = self._course.ended(self._processes, speed=self._speed, held=held)
         with interrupts_deferred(), contextlib.suppress(OSError):  # on a full disk that of the start is kept
-            write_outcome(self._folder, ended)
+            self._folder.write_manifest(manifest_text(make_manifest(self.scenario, ended)))
         return ended
 
 

@@ -1,14 +1,13 @@
-"""How a flight ended, from its launcher: kept beside the raw logs until the tables exist."""
+"""How a run ended, as its launcher reports it; `harness.records.manifest` keeps it in the run's folder."""
 
 from typing import Any
 
-import msgspec
 from msgspec import Struct
 
 from foundation.profiling.profiler import KindProfile
-from foundation.records.whole_file import write_whole
-from harness.records.run_folder import NotARun, RunFolder
 from harness.records.versions import Checkout
+
+RUNNING = "running"
 
 
 class ProcessRecord(Struct, frozen=True, kw_only=True):
@@ -25,7 +24,8 @@ class RunOutcome(Struct, frozen=True, kw_only=True):
     """Data of a run from its launcher."""
 
     status: str
-    """``completed``, ``not_formed``, ``failed``, ``interrupted``, or ``held``: a hold that its user ended."""
+    """``running``, or ``completed``, ``not_formed``, ``failed``, ``interrupted``, ``held`` (a hold that
+    its user ended)"""
     reason: str | None = None
     command: tuple[str, ...]
     speed: float
@@ -47,20 +47,3 @@ class RunOutcome(Struct, frozen=True, kw_only=True):
     """Causes that made this run depend on more than scenario and seed."""
     profile: dict[str, KindProfile] = {}
     """Profile by kind of process, if requested"""
-
-
-def write_outcome(folder: RunFolder, outcome: RunOutcome) -> None:
-    """Replace the outcome beside the raw logs, for `read_outcome`. Raises OSError."""
-    write_whole(folder.outcome, msgspec.json.encode(outcome))
-
-
-def read_outcome(folder: RunFolder) -> RunOutcome:
-    """Return the outcome beside the raw logs. Raises NotARun."""
-    try:
-        return msgspec.json.decode(folder.outcome.read_bytes(), type=RunOutcome)
-    except (FileNotFoundError, NotADirectoryError):
-        raise NotARun(
-            f"{folder.path}: no run that has flown: it has neither manifest.json nor raw/outcome.json"
-        ) from None
-    except msgspec.DecodeError as error:
-        raise NotARun(f"{folder.outcome}: of another version: {error}") from None

@@ -1,6 +1,6 @@
 """The folder of one run: names of its files, settings files of its processes, scenario of its manifest.
 
-manifest.json summary.json events.jsonl      what ran, results, events
+manifest.json summary.json events.jsonl      what runs or ran, results, events
 flight.parquet radio.parquet ftm.parquet      truth and estimates, every frame, every ranging session
 air.parquet                                   channel occupancy over time
 receptions.parquet                            each frame at each station (radio.log_receptions)
@@ -10,7 +10,11 @@ gains.parquet antenna.nec patterns.nc         antenna: gains over time, median i
 figures/*.png *.pdf                           figures, each in both formats
 logs/*.log  config/*.json                     the processes' messages, their settings
 uav-0.params uav-0.ulg ...                    parameters that a ground station saved, ULog
-raw/                                          binary logs, and how the flight ended, until the tables exist
+raw/                                          binary logs, until the tables exist
+
+Only the owner can read a run: its folder has mode 0700. A folder that exists, and is empty, keeps its rights;
+what may hold secrets of the scenario, its settings and its command line, is private in it too: ``config``,
+``raw`` and the manifest.
 """
 
 import contextlib
@@ -27,6 +31,8 @@ from msgspec import Struct
 
 from autopilot.onboard.application import NO_APPLICATION, Layout
 from autopilot.onboard.factory import dissectors_of, layout_of
+from foundation.records.private_files import FOLDER_MODE, PARENT_MODE, make_private, write_private
+from foundation.records.whole_file import write_whole
 from harness.scenario.scenario import Scenario
 from harness.scenario.validation_errors import explain
 from netsim.model.config import ServerConfig
@@ -47,6 +53,13 @@ class PhysicsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     connect_timeout_s: float = 120.0
     profile_from_us: int | None = None
     """Simulated time from which the process profiles itself; None: never."""
+
+
+class _Completeness(Struct, frozen=True):
+    """The part of the manifest that states whether there are results."""
+
+    complete: bool = True
+    """Manifests of earlier versions were written with the results."""
 
 
 class _Applications(Struct, frozen=True):
@@ -72,6 +85,8 @@ class RunFolder:
 
     def __init__(self, path: Path, *, profile_from_us: int | None = None) -> None:
         self.path = path
+        self.first_manifest: bytes | None = None
+        """Content of the manifest that `create` writes."""
         self._profile_from_us = profile_from_us
         self._is_new = False
         """Whether `create` has made this run, and not another process at the same time."""
@@ -89,16 +104,16 @@ class RunFolder:
         self.gains, self.deck = path / "gains.parquet", path / "antenna.nec"
         self.patterns = path / "patterns.nc"
         self.raw_truth, self.raw_air = self.raw / "truth.bin", self.raw / "air.bin"
-        self.outcome = self.raw / "outcome.json"
         self.capture = path / "radio.pcapng"
         self.receptions, self.raw_receptions = path / "receptions.parquet", self.raw / "receptions.bin"
         self.sensors, self.raw_sensors = path / "sensors.parquet", self.raw / "sensors.bin"
         self.raw_frames, self.raw_sessions = self.raw / "frames.bin", self.raw / "sessions.bin"
 
     def create(self) -> Self:
-        """Make the folders of a new run and hold it; returns this object.
+        """Make the folders of a new run, which only their owner can read, and hold it; returns this object.
 
-        Raises FolderRefused, before anything is written, unless the path is free or an empty folder.
+        Raises FolderRefused, before anything is written, unless the path is free or an empty folder; OSError
+        if the manifest cannot be written.
         """
         try:
             names = names_in(self.path)
@@ -110,15 +125,19 @@ class RunFolder:
                     f"{NAME_ANOTHER}"
                 )
             self._made = [each for each in (self.path, *self.path.parents) if not each.exists()]
-            self.raw.mkdir(parents=True)  # of two runs that begin at once, one fails here
+            make_private(self.path, exist_ok=True)
+            self.raw.mkdir(FOLDER_MODE)  # of two runs that begin at once, one fails here
             self._is_new = True
-            for part in (self.config, self.logs, self.figures):
-                part.mkdir()
+            self.config.mkdir(FOLDER_MODE)
+            for part in (self.logs, self.figures):
+                part.mkdir(PARENT_MODE)
         except OSError as error:
             raise FolderRefused(
                 f"{self.path}: cannot be the folder of a run: {error.strerror}; {NAME_ANOTHER}"
             ) from None
         self._hold()
+        if self.first_manifest is not None:
+            self.write_manifest(self.first_manifest)
         return self
 
     def discard(self) -> None:
@@ -138,13 +157,24 @@ class RunFolder:
         """Delete results that are not complete, and are made of the raw logs again."""
         radio = (self.radio, self.receptions, self.ftm, self.air)
         antenna = (self.gains, self.deck, self.patterns)
-        for path in (self.manifest, self.summary, self.flight, self.sensors, *radio, *antenna):
+        for path in (self.summary, self.flight, self.sensors, *radio, *antenna):
             path.unlink(missing_ok=True)
+
+    def is_reported(self) -> bool:
+        """Return whether the run has its tables and summary. Raises OSError."""
+        try:
+            return msgspec.json.decode(self.manifest.read_bytes(), type=_Completeness).complete
+        except (FileNotFoundError, NotADirectoryError):
+            return False
+        except msgspec.DecodeError:
+            return True  # none that `read_scenario` accepts
 
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:
         """Hold the raw logs in the block, so that no other process deletes them. Raises NotARun."""
         was_held = self._release is not None
+        if not self.raw.is_dir():
+            raise NotARun(f"{self.path}: it has neither tables nor raw logs")
         if not was_held and not self._hold():
             raise NotARun(
                 f"{self.path}: the run is in flight, or is held by the program that flew it; "
@@ -174,6 +204,10 @@ class RunFolder:
         if self._release is not None:
             self._release()
             self._release = None
+
+    def write_manifest(self, content: bytes) -> None:
+        """Replace the manifest, which only its owner can read. Raises OSError."""
+        write_whole(self.manifest, content, private=True)
 
     def raw_vehicle(self, instance: int) -> Path:
         """Return the path of the binary log of one vehicle's estimates."""
@@ -248,7 +282,7 @@ class RunFolder:
     def write_config(self, name: str, config: msgspec.Struct) -> Path:
         """Write the settings of a process; returns the path."""
         path = self.config / f"{name}.json"
-        path.write_bytes(msgspec.json.format(msgspec.json.encode(config), indent=2))
+        write_private(path, msgspec.json.format(msgspec.json.encode(config), indent=2))
         return path
 
 
@@ -276,7 +310,7 @@ class _Recorded(msgspec.Struct, frozen=True, kw_only=True):
 
 def read_scenario(folder: RunFolder) -> Scenario:
     """Return the scenario that a run flew, with all overrides. Raises NotARun."""
-    if not folder.manifest.exists() and folder.outcome.exists():
+    if not folder.is_reported() and folder.manifest.exists():
         raise NotARun(
             f"{folder.path}: its flight has no tables yet; coflight report {folder.path} makes them"
         )
@@ -286,7 +320,7 @@ def read_scenario(folder: RunFolder) -> Scenario:
 def read_raw_scenario(folder: RunFolder) -> Scenario:
     """Return the scenario of a run that has raw logs, as `read_scenario`."""
     path = folder.config / "physics.json"
-    return _scenario_in(path, f"{folder.path}: no run: it has no config/physics.json")
+    return _scenario_in(path, f"{folder.path}: its flight has not begun: it has no config/physics.json")
 
 
 def _scenario_in(path: Path, missing: str) -> Scenario:

@@ -4,7 +4,6 @@ Uses the run folder only, so a run that was interrupted is reported like any oth
 """
 
 import hashlib
-import platform
 import shutil
 from dataclasses import asdict
 from pathlib import Path
@@ -18,15 +17,13 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from antenna.analysis.gain_figures import gain_density_figure, patterns_figure
-from autopilot.onboard import factory
-from autopilot.vehicle import extensions
 from foundation.records.record_log import read
-from foundation.records.whole_file import write_whole
+from foundation.records.whole_file import sha256_of, write_whole
 from harness.records.flight import Flight
-from harness.records.outcome import RunOutcome, read_outcome
+from harness.records.manifest import make_manifest, manifest_text, read_outcome
+from harness.records.outcome import RunOutcome
 from harness.records.run_folder import NotARun, RunFolder, read_raw_scenario
 from harness.records.tables import flight_of, read_flight, write_tables
-from harness.records.versions import DISTRIBUTIONS, origin_of, versions
 from harness.report import antenna_report, figures
 from harness.report.antenna_report import Aperture
 from harness.report.flown_array import figure_patterns
@@ -35,9 +32,7 @@ from harness.scenario.scenario import Scenario
 from harness.simulator.messages import Formed
 from harness.simulator.motion_start import flown_start_us, since_start_s
 from harness.simulator.truth_record import AIR_RECORD, truth_record
-from harness.world import user_models
 from netsim.emulator.log_layout import FRAME_LOG, SESSION_LOG
-from netsim.radio_models import registry
 
 LOGS = ("events.jsonl", "flight.parquet", "radio.parquet", "ftm.parquet", "air.parquet")
 """Files that a seed determines byte for byte, in their order in ``log_sha256``."""
@@ -69,19 +64,19 @@ def finish(
 ) -> dict[str, Any]:
     """Write tables, summary, manifest and figures of a run whose processes have ended; returns the summary.
 
-    The raw logs are deleted once the manifest exists, before the figures are drawn. Until then no table is
-    left if an error or a signal ends it. Raises OSError if the folder cannot be written.
+    The raw logs are deleted once the manifest is complete, before the figures are drawn. Until then no table
+    is left if an error or a signal ends it. Raises OSError if the folder cannot be written.
     """
     try:
         results = _write_tables(folder, scenario, outcome)
-        _write_json(folder.manifest, results.manifest)
+        folder.write_manifest(manifest_text(results.manifest))
     except BaseException:
         folder.delete_tables()
         raise
     delete_raw(folder)
     if draw:
         results.manifest["figures"] = _draw(folder, scenario, results.drawn)
-        _write_json(folder.manifest, results.manifest)
+        folder.write_manifest(manifest_text(results.manifest))
     return results.summary
 
 
@@ -91,12 +86,12 @@ def _write_tables(folder: RunFolder, scenario: Scenario, outcome: RunOutcome) ->
     simulated_us = outcome.simulated_us or 0
     records = write_tables(folder, scenario, lambda time_us: plan.places(since_start_s(time_us, start_us)))
     sessions = read(folder.raw_sessions, SESSION_LOG)
-    hashes = {name: _sha256(folder.path / name) for name in LOGS}
+    hashes = {name: sha256_of(folder.path / name) for name in LOGS}
     if folder.sensors.exists():
-        hashes[folder.sensors.name] = _sha256(folder.sensors)
+        hashes[folder.sensors.name] = sha256_of(folder.sensors)
     log_sha256 = hashlib.sha256("".join(hashes.values()).encode()).hexdigest()
     if folder.receptions.exists():
-        hashes[folder.receptions.name] = _sha256(folder.receptions)
+        hashes[folder.receptions.name] = sha256_of(folder.receptions)
     whole = flight_of(records, scenario, start_us=start_us)
     window = _window(whole, outcome.formed_us, scenario)
     error = _formation_error(window, folder)
@@ -129,26 +124,28 @@ def _write_tables(folder: RunFolder, scenario: Scenario, outcome: RunOutcome) ->
     drawn = Drawn(
         whole, window, error, antenna, _occupancy(air["time_us"], air["busy_ns"]), _ftm_error_m(sessions)
     )
-    return _Results(summary, _manifest(scenario, outcome, hashes, [], antenna), drawn)
+    solver = None if antenna.solver is None else asdict(antenna.solver)
+    manifest = make_manifest(scenario, outcome, hashes=hashes, antenna=solver)
+    return _Results(summary, manifest, drawn)
 
 
 def finish_later(folder: RunFolder) -> dict[str, Any]:
-    """Write tables, summary and manifest of a run whose launcher did not; returns the summary.
+    """Write tables, summary, figures and manifest of a run whose launcher did not; returns the summary.
 
     If its launcher was killed, the flight ends with its raw logs. Raises NotARun, also for a run in flight,
     and OSError.
     """
-    scenario, outcome = read_raw_scenario(folder), read_outcome(folder)
-    if not folder.events.exists():
-        raise NotARun(f"{folder.path}: its flight has not begun: {outcome.reason}")
     with folder.held():
-        outcome = read_outcome(folder)  # what the launcher wrote in the end, if it has just ended
+        outcome = read_outcome(folder)
+        if not folder.events.exists():
+            raise NotARun(f"{folder.path}: its flight has not begun: {outcome.reason}")
+        scenario = read_raw_scenario(folder)
         if outcome.simulated_us is None:
             formed_us = _formed_us(folder)
             truth = read(folder.raw_truth, truth_record(scenario.most_rotors))
             times_us = (*truth["time_us"][-1:].tolist(), formed_us or 0)  # events are written earlier
             outcome = msgspec.structs.replace(outcome, simulated_us=max(times_us), formed_us=formed_us)
-        return finish(folder, scenario, outcome, draw=False)
+        return finish(folder, scenario, outcome)
 
 
 def delete_raw(folder: RunFolder) -> None:
@@ -185,7 +182,8 @@ def draw_again(folder: RunFolder, scenario: Scenario, *, formed_us: int | None) 
     drawn = Drawn(whole, window, error, _antenna(window, scenario), occupancy, error_m)
     folder.figures.mkdir(exist_ok=True)
     written = _draw(folder, scenario, drawn)
-    _write_json(folder.manifest, msgspec.json.decode(folder.manifest.read_bytes()) | {"figures": written})
+    manifest = msgspec.json.decode(folder.manifest.read_bytes()) | {"figures": written}
+    folder.write_manifest(manifest_text(manifest))
     return written
 
 
@@ -278,44 +276,6 @@ def _ftm_error_m(sessions: NDArray[Any]) -> NDArray[np.float64]:
     completed = sessions[sessions["status"] == b"ok"]
     difference_m: NDArray[np.float64] = completed["distance_m"] - completed["true_distance_m"]
     return difference_m
-
-
-def _manifest(
-    scenario: Scenario, outcome: RunOutcome, hashes: dict[str, str], written: list[str], antenna: Aperture
-) -> dict[str, Any]:
-    return {
-        "status": outcome.status,
-        "reason": outcome.reason,
-        "command": list(outcome.command),
-        "started_utc": outcome.started_utc,
-        "speed": outcome.speed or "max",
-        "seed": scenario.run.seed,
-        "deterministic": not outcome.nondeterminism,
-        "nondeterminism": list(outcome.nondeterminism),
-        "interventions": list(outcome.interventions),
-        "ground_messages": outcome.ground_messages,
-        "processes": [msgspec.to_builtins(process) for process in outcome.processes],
-        "versions": {"python": platform.python_version(), **versions(DISTRIBUTIONS)},
-        "extensions": {
-            field: origin_of(name, group)
-            for field, (name, group) in (
-                extensions.named(scenario.autopilot)
-                | factory.named(scenario.onboard)
-                | registry.named(scenario.radio)
-                | user_models.named(scenario.sensors.extra, scenario.faults)
-            ).items()
-        },
-        "checkout": msgspec.to_builtins(outcome.checkout),
-        "platform": platform.platform(),
-        "antenna": None if antenna.solver is None else asdict(antenna.solver),
-        "logs_sha256": hashes,
-        "figures": written,
-        "scenario": msgspec.to_builtins(scenario),
-    }
-
-
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _round(value: float | None) -> float | None:

@@ -147,16 +147,16 @@ def test_workers_of_a_scheduler_fly_and_refuse_other_sources(tmp_path, monkeypat
         address = cluster.scheduler_address
         with monkeypatch.context() as patch:
             patch.setattr(running, "fly_on_worker", fly_or_die)
-            table = fly_campaign(campaign, out=tmp_path / "one", scheduler=address)
+            table = fly_campaign(campaign, out=tmp_path / "one", scheduler=address, unencrypted=True)
         assert table.column("value") == [1, 3, 5, 7]
         monkeypatch.setattr(one_process, "fly", out_of_room)
         with pytest.raises(ClusterError, match=r"the worker at .* cannot fly: No space left"):
-            fly_campaign(campaign, out=tmp_path / "full", scheduler=address)
+            fly_campaign(campaign, out=tmp_path / "full", scheduler=address, unencrypted=True)
         monkeypatch.setattr(worker, "sources_bytes", lambda _: "others")
         with pytest.raises(ClusterError, match="No space left"):  # comments differ: accepted
-            fly_campaign(campaign, out=tmp_path / "full", scheduler=address)
+            fly_campaign(campaign, out=tmp_path / "full", scheduler=address, unencrypted=True)
         monkeypatch.setattr(worker, "sources_state", lambda _: "others")
         with pytest.raises(ClusterError, match=r"the sources of the worker at .* are not the campaign's"):
-            fly_campaign(campaign, out=tmp_path / "other", scheduler=address)
+            fly_campaign(campaign, out=tmp_path / "other", scheduler=address, unencrypted=True)
     for name in ("full", "other"):
         assert not list((tmp_path / name / "runs").iterdir())

@@ -11,6 +11,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -38,6 +39,11 @@ MEASURED = {"wall_s", "real_time_factor"}
 def summary_of(run: Path) -> dict[str, Any]:
     summary = json.loads((run / "summary.json").read_text())
     return {name: value for name, value in summary.items() if name not in MEASURED}
+
+
+def manifest_of(run: Path) -> dict[str, Any]:
+    manifest: dict[str, Any] = json.loads((run / "manifest.json").read_text())
+    return manifest
 
 
 def tables_of(run: Path) -> dict[str, bytes]:
@@ -70,7 +76,7 @@ def test_signal_while_tables_are_written_keeps_the_raw_logs(
     )
     assert tables_of(run) == {}
     assert report.main([str(run)]) == report.FINE
-    assert f"tables made of {run}/raw" in capsys.readouterr().err
+    assert f"tables and figures made of {run}/raw" in capsys.readouterr().err
     assert (tables_of(run), summary_of(run)) == (tables_of(whole), summary_of(whole))
     assert not (run / "raw").exists()
     manifests = [json.loads((each / "manifest.json").read_text()) for each in (run, whole)]
@@ -106,8 +112,17 @@ def test_run_of_a_killed_launcher_gets_its_tables_when_it_has_ended(
         assert report.main([str(run)]) == report.BAD_INPUT  # it would delete what is being written
         assert f"coflight: {run}: the run is in flight" in capsys.readouterr().err
         launcher.kill()
-    assert not (run / "manifest.json").exists()
+    manifest = manifest_of(run)
+    assert (manifest["status"], manifest["complete"], manifest["deterministic"]) == ("running", False, None)
+    assert manifest["command"][1:3] == [*FLIGHT[:2]]
     assert report.main([str(run), "--json"]) == report.FINE
+    assert (run / "figures" / "tracks.png").stat().st_size
+    manifest = manifest_of(run)
+    assert (manifest["status"], manifest["complete"], manifest["deterministic"]) == (
+        "interrupted",
+        True,
+        False,
+    )
     summary = json.loads(capsys.readouterr().out)
     assert (summary["status"], summary["wall_s"]) == ("interrupted", None)
     assert "its launcher was killed" in summary["reason"]
@@ -115,6 +130,36 @@ def test_run_of_a_killed_launcher_gets_its_tables_when_it_has_ended(
     assert not summary["deterministic"]
     assert len(summary["vehicles"]) == 2
     assert report.main([str(run)]) == report.FINE  # as a table, with missing wall times
+
+
+def test_launcher_killed_before_the_flight_leaves_a_manifest(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run, started = tmp_path / "run", tmp_path / "started"
+    program = (
+        "import sys, time\n"
+        "from pathlib import Path\n"
+        "from harness.launch import kernel_cache\n"
+        "from harness.cli import fly\n"
+        f"kernel_cache.prepare = lambda *_: (Path({str(started)!r}).touch(), time.sleep(600.0))\n"
+        f"fly.main([*{FLIGHT!r}, '--out', {str(run)!r}])\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", program]) as launcher:
+        deadline_s = time.monotonic() + WALL_LIMIT_S
+        while not started.exists():
+            assert launcher.poll() is None
+            assert time.monotonic() < deadline_s
+            time.sleep(0.02)
+        assert report.main([str(run)]) == report.BAD_INPUT
+        assert f"coflight: {run}: the run is in flight" in capsys.readouterr().err
+        launcher.kill()
+    manifest = manifest_of(run)
+    assert (manifest["status"], manifest["complete"], manifest["seed"]) == ("running", False, 1)
+    assert manifest["scenario"]["agents"] == 2
+    assert (run / "manifest.json").stat().st_mode & 0o077 == 0
+    for options in ([], ["--figures"], ["--json"]):
+        assert report.main([str(run), *options]) == report.BAD_INPUT
+        assert "its flight has not begun: its end is not recorded" in capsys.readouterr().err
 
 
 @pytest.fixture

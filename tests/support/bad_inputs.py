@@ -174,7 +174,17 @@ BAD_INPUTS = (
     BadInput(
         "campaign: a scheduler without a port",
         ("campaign", "sweep.toml", "--scheduler", "localhost"),
-        ("--scheduler", "tcp://"),
+        ("--scheduler", "tls://"),
+    ),
+    BadInput(
+        "campaign: a scheduler without encryption",
+        ("campaign", "sweep.toml", "--scheduler", "tcp://localhost:8786"),
+        ("--scheduler tcp://localhost:8786", "run code", "tls://", "--unencrypted"),
+    ),
+    BadInput(
+        "campaign: a local cluster without encryption",
+        ("campaign", "sweep.toml", "--unencrypted"),
+        ("--unencrypted", "--scheduler tcp://"),
     ),
     BadInput(
         "radio: an unknown mode", ("radio", "per", "--mode", "fast", "--snr-db", "3"), ("fast", "ofdm6")

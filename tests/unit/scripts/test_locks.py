@@ -46,6 +46,12 @@ def test_the_locked_versions_are_those_that_the_project_allows(name):
         assert each.specifier.contains(version), f"{each}: {version}; run make lock"
 
 
+def test_the_build_backend_is_the_locked_one():
+    locked = versions(TEXTS["requirements.lock"])
+    backend = PROJECT["build-system"]["requires"]
+    assert backend == [f"{each.name}=={locked[each.name]}" for each in map(Requirement, backend)]
+
+
 def test_a_package_has_one_version():
     found = {}
     for name, text in TEXTS.items():

@@ -91,6 +91,40 @@ def test_a_damaged_series_counts_as_missing(tmp_path):
     assert store.get(run.digest, ["gains", "air"]) == kept  # series stored before are kept
 
 
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        (b'"agents": 8', b'"agents": 9'), (b'"completed"', b'"failed"   '), (b"article", b"artikel"),
+        (b'"run":{', b'"run":{ '), (b'"sha256":"', b'"sha256":"0'),
+    ],
+)  # fmt: skip
+def test_a_file_that_was_altered_by_hand_is_named_and_flown_again(tmp_path, before, after):
+    plan = campaign()
+    runs, store, notes = expand(plan, state=""), Store(tmp_path), []
+    for run in runs:
+        store.put(flown(run), {})
+    path = tmp_path / "runs" / f"{runs[0].digest}.json"
+    text = path.read_bytes()
+    assert before in text
+    path.write_bytes(text.replace(before, after, 1))
+    there, missing = known(plan, runs, store, note=notes.append)
+    assert ([*there], missing) == ([runs[1].digest], [runs[0]])
+    line = f"{path}: not as the campaign stored it, altered or deleted: its flight is flown again"
+    assert notes == [line]
+
+
+def test_a_series_that_was_altered_by_hand_is_named(tmp_path):
+    plan = campaign(keep=("gains",))
+    runs, store, notes = expand(plan, state=""), Store(tmp_path), []
+    store.put(flown(runs[0]), {"gains": b"series"})
+    assert [*known(plan, runs, store, note=notes.append)[0]] == [runs[0].digest]
+    assert notes == []  # a run that was never flown is not named
+    path = store.series_path(runs[0].digest, "gains")
+    path.write_bytes(b"sorted")
+    assert known(plan, runs, store, note=notes.append) == ({}, list(runs))
+    assert [line.partition(":")[0] for line in notes] == [str(path)]
+
+
 def test_a_failed_run_does_not_replace_one_that_did_not_fail(tmp_path):
     """Flown again for another series, a run may fail for reasons that did not affect the first flight."""
     (run, _) = expand(campaign(), state="")
@@ -188,8 +222,10 @@ def test_a_schedulers_address_is_checked_without_missing_runs(tmp_path, capfd):
     command = complete_campaign(tmp_path)
     for more in ([], ["--dry-run"]):
         assert cli.main([*command, "--scheduler", "bogus", *more]) == exit_status.BAD_INPUT
-        line = "campaign: --scheduler bogus: expected the address of a dask scheduler, tcp://HOST:PORT\n"
+        line = "campaign: --scheduler bogus: expected the address of a dask scheduler, tls://HOST:PORT\n"
         assert capfd.readouterr() == ("", line)
+        assert cli.main([*command, "--scheduler", "tcp://localhost:8786", *more]) == exit_status.BAD_INPUT
+        assert "use a scheduler with TLS, tls://HOST:PORT, or permit" in capfd.readouterr().err
     with pytest.raises(CampaignError, match="bogus: expected the address"):
         running.run(campaign(), out=tmp_path / "other", scheduler="bogus")
     assert not (tmp_path / "other").exists()

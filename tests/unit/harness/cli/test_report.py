@@ -1,6 +1,7 @@
 """``coflight report``: the summary of a run again, its figures drawn again from its tables. 10 s."""
 
 import json
+import shutil
 
 import pytest
 from paths import SCENARIOS
@@ -44,6 +45,21 @@ def test_figures_are_drawn_again_as_they_were(run, capsys):
     assert after == before
     assert json.loads((run / "manifest.json").read_text()) == manifest
     assert "drawn into" in capsys.readouterr().err
+
+
+def test_tables_that_were_altered_are_named_in_one_line(run, capsys, tmp_path):
+    copied = tmp_path / "copied"
+    shutil.copytree(run, copied)
+    assert report.main([str(copied), "--json"]) == exit_status.FINE
+    assert capsys.readouterr().err == ""
+    table = copied / "ftm.parquet"
+    table.write_bytes(table.read_bytes()[:-1] + b"2")
+    (copied / "air.parquet").unlink()
+    assert report.main([str(copied), "--json"]) == exit_status.FINE
+    shown = capsys.readouterr()
+    line = f"warning: {copied}: ftm.parquet, air.parquet: not as the run wrote it, by manifest.json\n"
+    assert shown.err == line
+    assert json.loads(shown.out) == json.loads((run / "summary.json").read_text())
 
 
 def test_a_folder_without_a_run_is_one_line(tmp_path, capsys):

@@ -466,7 +466,8 @@ def test_kernels_that_were_imported_before_are_loaded_from_the_runs_cache(tmp_pa
     program = (
         "import harness.world.physics.rotors as rotors, autopilot.control.attitude, sys\n"
         "from numba.core.dispatcher import Dispatcher\n"
-        "from harness.launch import kernel_cache, one_process\n"
+        "from harness.launch import kernel_cache\n"
+        "from foundation.kernels.use_cache import use_kernel_cache\n"
         "def caches():\n"
         "    return {value._cache.cache_path for name, module in sys.modules.items()\n"
         "            if name.partition('.')[0] in kernel_cache.PACKAGES\n"
@@ -474,7 +475,7 @@ def test_kernels_that_were_imported_before_are_loaded_from_the_runs_cache(tmp_pa
         "folder = str(kernel_cache.folder())\n"
         "before = caches()\n"
         "assert before and not any(path.startswith(folder) for path in before), before\n"
-        "one_process.use_kernel_cache()\n"
+        "use_kernel_cache()\n"
         "assert all(path.startswith(folder) for path in caches()), caches()\n"
     )
     environment = {name: value for name, value in os.environ.items() if name != kernel_cache.VARIABLE}
