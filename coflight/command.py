@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from foundation.exit_status import BAD_INPUT, FINE
 from foundation.kernels import cache_folder
+from foundation.standard_streams import open_missing
 from harness.launch.interrupts import exiting_at_once
 from harness.scenario import packaged
 
@@ -56,6 +57,7 @@ STUDIES = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
+    open_missing()
     return _dispatch("coflight", COMMANDS, USAGE, sys.argv[1:] if arguments is None else arguments)
 
 

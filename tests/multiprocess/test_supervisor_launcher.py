@@ -43,7 +43,7 @@ def finish(folder, scenario, outcome, *, draw=True):
     shutil.rmtree(folder.raw)
     return {SUMMARY}
 
-harness.launch.processes.python_module = python_module
+harness.launch.processes.bound_module = python_module
 # the analysis needs records of a real flight, and seconds to import
 sys.modules["harness.report.report"] = types.SimpleNamespace(finish=finish)
 sys.exit(main())

@@ -27,6 +27,7 @@ from harness.simulator.messages import (
     RunUntil,
     SetAttenuation,
     SetPid,
+    SetRadioPid,
     VehicleLost,
     VehicleTruth,
 )
@@ -67,7 +68,7 @@ def physics(config: dict[str, Any], listeners: list[socket.socket]) -> None:
     time_us = 0
     while not isinstance(command := inbox.get(), Stop):
         match command:
-            case SetPid() | SetAttenuation():
+            case SetPid() | SetRadioPid() | SetAttenuation():
                 complain(f"command {command}")
                 continue
             case RunUntil(time_us=end_us):
