@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from foundation.exit_status import BAD_INPUT, FAILED, FINE
 from foundation.kernels import cache_folder
 from foundation.kernels.cache_trust import UntrustedCache
+from foundation.standard_streams import open_missing
 from harness.launch.interrupts import exiting_at_once
 from harness.scenario import packaged
 
@@ -58,6 +59,7 @@ STUDIES = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
+    open_missing()
     return _dispatch("coflight", COMMANDS, USAGE, sys.argv[1:] if arguments is None else arguments)
 
 

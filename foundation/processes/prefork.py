@@ -4,7 +4,7 @@ The launcher sends JSON messages over a Unix packet socket: `Fork`, with the std
 new process as file descriptors, and further ones that it has as 3, 4, ... The reply is `Forked` or
 `NotForked`, and `Ended` follows when the process ends. A forked process has its own process group,
 environment, name and file descriptors, and none of the server's open files; only its parent process is the
-server instead of the launcher.
+server instead of the launcher, and the kernel kills it when the server ends.
 
 The standard library's forkserver is not suitable: there is one per program, with one environment, its
 children have no stdin, and it can run only imports before it forks.
@@ -22,6 +22,8 @@ from pathlib import Path
 
 import msgspec
 from msgspec import Struct
+
+from foundation.processes.parent_death import end_with_parent_process
 
 Main = Callable[[Sequence[str]], int]
 """Function that is called with command line arguments and returns an exit status."""
@@ -104,23 +106,25 @@ def _fork(line: socket.socket, request: Fork, fds: list[int], main: Main) -> int
     """Fork and reply; return the process id, or None on failure. Does not return in the child."""
     sys.stdout.flush()  # or the child writes it again
     sys.stderr.flush()
+    server = os.getpid()
     try:
         pid = os.fork()
     except OSError as error:
         _reply(line, NotForked(reason=str(error)))
         return None
     if pid == 0:
-        _become(request, fds, main)
+        _become(request, fds, main, server)
     for fd in fds:
         os.close(fd)
     _reply(line, Forked(pid=pid))
     return pid
 
 
-def _become(request: Fork, fds: list[int], main: Main) -> None:
+def _become(request: Fork, fds: list[int], main: Main, server: int) -> None:
     """Run the requested process; does not return."""
     status = 1
     try:
+        end_with_parent_process(server)
         os.setpgid(0, 0)
         # first above all final numbers, so that none is overwritten before it is copied
         for number, fd in enumerate([fcntl.fcntl(fd, fcntl.F_DUPFD, len(fds)) for fd in fds]):

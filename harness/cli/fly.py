@@ -18,6 +18,7 @@ import typer
 from rich.console import Console
 
 from foundation.exit_status import BAD_INPUT, FAILED, FINE, INTERRUPTED
+from foundation.standard_streams import lasting_output
 from foundation.system_error import described
 from harness.cli.keyboard import Keyboard
 from harness.cli.out_option import out_folder
@@ -138,6 +139,7 @@ def fly(
     }
     overrides = [f"{path}={value}" for path, value in named.items() if value is not None]
     display: FlightDisplay | None = None
+    swarm: Swarm | None = None
     try:
         plan = load(scenario, [*(settings or []), *overrides])
         out = out or _free_folder(plan.name)
@@ -149,7 +151,7 @@ def fly(
         if one_process:
             from harness.launch.one_process import OneProcessSwarm  # noqa: PLC0415  loads the physics, which prints a line
 
-            swarm: Swarm = OneProcessSwarm(plan, speed=factor, out=out, on_message=display.on_message)
+            swarm = OneProcessSwarm(plan, speed=factor, out=out, on_message=display.on_message)
         else:
             swarm = Swarm(
                 plan,
@@ -169,6 +171,9 @@ def fly(
             display.close()
         if debug:
             traceback.print_exc()
+        if isinstance(error, KeyboardInterrupt) and swarm is not None and swarm.has_records:
+            swarm.stop()
+            error = ExitFailure(INTERRUPTED, f"broken off: {_left(swarm.path)}")
         raise _failure(error) from None
 
 
@@ -343,11 +348,13 @@ def _written(folder: Path) -> list[str]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
-    try:
-        with interruptible():
-            status = app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False)
-    except BaseException as error:  # noqa: BLE001  every end has its status and its line
-        failure = _failure(error)
-        print(f"coflight: {failure}", file=sys.stderr)
-        return failure.status
-    return status if isinstance(status, int) else FINE
+    with lasting_output():
+        try:
+            with interruptible():
+                given = list(sys.argv[1:] if arguments is None else arguments)
+                status = app(args=given, standalone_mode=False)
+        except BaseException as error:  # noqa: BLE001  every end has its status and its line
+            failure = _failure(error)
+            print(f"coflight: {failure}", file=sys.stderr)
+            return failure.status
+        return status if isinstance(status, int) else FINE

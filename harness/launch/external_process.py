@@ -7,7 +7,6 @@ child's log. When this wrapper ends for any reason, so does the program.
 
 import argparse
 import contextlib
-import ctypes
 import os
 import queue
 import signal
@@ -21,11 +20,11 @@ import msgspec
 from msgspec import Struct
 
 from foundation.processes.child_protocol import Finished, Ready, Stop, commands, emit
+from foundation.processes.parent_death import end_with_parent_process
 from foundation.processes.scheduling import yield_when_woken
 
 TERM_GRACE_S = 2.0
 """Wall time that the program has between SIGTERM and SIGKILL."""
-_PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _SHELL_SIGNAL_BASE = 128
 
 
@@ -49,14 +48,12 @@ class ExternalProcessConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 def run(config: ExternalProcessConfig) -> int:
     """Run the program until it ends or is stopped; returns the exit status. Raises OSError."""
-    wrapper, libc = os.getpid(), ctypes.CDLL(None)
+    wrapper = os.getpid()
 
     def prepare() -> None:
         if config.yields:
             yield_when_woken()
-        libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)  # end with the wrapper
-        if os.getppid() != wrapper:  # it has ended meanwhile
-            os._exit(1)
+        end_with_parent_process(wrapper)
 
     program = subprocess.Popen(
         config.command,

@@ -1,7 +1,8 @@
 """Wait for processes that have been asked to end, while a loaded machine lets them.
 
 The wall time of a process that gets no processor time does not count, as in
-`harness.simulator.response_watchdog`; one that computes, because it writes its records, has more of it.
+`harness.simulator.response_watchdog`; one that computes, because it writes its records, has more of it. One
+that is stopped though it has been continued is given up within a second.
 """
 
 import threading
@@ -19,7 +20,7 @@ LONGEST_S = 40.0
 
 def wait_for_ends(ends: Mapping[int, threading.Event], limit_s: float) -> None:
     """Wait until all processes have ended, by process id and event of its end, or have had their time."""
-    watchdog = ResponseWatchdog(limit_s)
+    watchdog = ResponseWatchdog(limit_s, stopped_limit_s=POLL_S)
     begin_s = wall_s = time.monotonic()
     watchdog.begin(begin_s)
     for pid in ends:

@@ -7,9 +7,15 @@ import contextlib
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
 from types import FrameType
 
+from foundation.standard_streams import to_null
+
+SAME_REQUEST_S = 1.0
+"""Wall time after an interrupt within which further signals are the same request: closed terminals, service
+managers and impatient users send several, and a second exception would break off the orderly end."""
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -17,11 +23,14 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 def interruptible() -> Iterator[None]:
     """Raise KeyboardInterrupt on each of these signals in the block; only for the main thread.
 
+    Signals within `SAME_REQUEST_S` after one that has raised it are ignored.
+
     SIGINT is handled even if it was ignored: shells start background jobs so, and `kill -INT` must stop those
     too. An ignored SIGHUP stays ignored: nohup uses it to let a run outlive its terminal.
     """
+    interrupt = _Interrupt()
     before = {
-        number: signal.signal(number, _interrupt)
+        number: signal.signal(number, interrupt)
         for number in _SIGNALS
         if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN
     }
@@ -34,7 +43,7 @@ def interruptible() -> Iterator[None]:
 
 @contextlib.contextmanager
 def exiting_at_once(line: str) -> Iterator[None]:
-    """Exit this process with status 130 and a line on stderr on Ctrl-C in the block, which only imports.
+    """Exit this process with status 130 and a line on stderr on a signal in the block, which only imports.
 
     An exception would be one of the module that is being imported, some of which convert it to another. Has
     no effect in threads other than the main one.
@@ -47,17 +56,31 @@ def exiting_at_once(line: str) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGINT, leave)
+    before = {
+        number: signal.signal(number, leave)
+        for number in _SIGNALS
+        if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN
+    }
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    if number == signal.SIGHUP:
-        _mute_closed_terminal()
-    signal.default_int_handler(number, frame)
+class _Interrupt:
+    """Handler of the signals of one program."""
+
+    def __init__(self) -> None:
+        self._wall_last_s = float("-inf")
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        if number == signal.SIGHUP:
+            _mute_closed_terminal()
+        wall_s = time.monotonic()
+        if wall_s - self._wall_last_s >= SAME_REQUEST_S:
+            self._wall_last_s = wall_s
+            signal.default_int_handler(number, frame)
 
 
 def _mute_closed_terminal() -> None:
@@ -66,9 +89,7 @@ def _mute_closed_terminal() -> None:
         try:
             os.write(stream, b"")  # writes nothing, but fails on a closed terminal
         except OSError:
-            null = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(null, stream)
-            os.close(null)
+            to_null(stream)
 
 
 @contextlib.contextmanager

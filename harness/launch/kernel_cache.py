@@ -14,7 +14,6 @@ import selectors
 import shutil
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -27,6 +26,8 @@ from foundation.kernels.cache_folder import PACKAGES, VARIABLE, digest, environm
 from foundation.kernels.cache_trust import UntrustedCache
 from foundation.records.private_files import make_private
 from harness.launch.interrupts import interrupts_deferred
+from harness.launch.process_commands import bound_module
+from harness.launch.spawner import spawn
 
 __all__ = [
     "PACKAGES", "VARIABLE", "CompileError", "CompileProgress", "Compilers", "digest", "environment", "folder",
@@ -127,11 +128,10 @@ class _Compiler:
     def __init__(self, name: str, *, in_background: bool) -> None:
         self.name = name
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115  closed by `end`
-        arguments = [_WARM_UPS[name], str(_complete(name))]
-        command = [sys.executable, "-P", "-m", "foundation.kernels.compiling", *arguments]
+        command = bound_module("foundation.kernels.compiling", _WARM_UPS[name], str(_complete(name)))
         if in_background and shutil.which("nice"):
             command = ["nice", "-n", str(_LOWEST_PRIORITY), *command]
-        self._process = subprocess.Popen(
+        self._process = spawn(
             command,
             env=os.environ | environment(),
             stdin=subprocess.DEVNULL,

@@ -43,7 +43,7 @@ from harness.launch.processes import Processes
 from harness.launch.run_messages import Message, SetupError, SwarmError, SwarmTimeoutError
 from harness.launch.supervisor import Exited, Supervisor
 from harness.launch.swarm import Speed, Swarm
-from harness.records.run_folder import PhysicsConfig
+from harness.records.run_folder import PhysicsConfig, RunFolder
 from harness.scenario.scenario import Scenario
 from harness.simulator.messages import AnyCommand
 from harness.simulator.server import obey
@@ -148,7 +148,7 @@ class _ThreadSupervisor(Supervisor):
         """Send the flight a command."""
         self._inbox.put(command)
 
-    def kill(self, name: str) -> None:
+    def kill(self, name: str, *, after_trace: bool = False) -> None:  # noqa: ARG002  it is no process
         """End a vehicle at once; the simulation reports it as lost in the next step."""
         if self._flight is not None:
             self._flight.kill(name)
@@ -178,8 +178,8 @@ class _ThreadSupervisor(Supervisor):
 class _Processes(Processes):
     """The processes of a run as one thread of this process."""
 
-    def _make_supervisor(self) -> Supervisor:
-        self._child = _ThreadSupervisor(self._folder.logs)
+    def _make_supervisor(self, folder: RunFolder) -> Supervisor:
+        self._child = _ThreadSupervisor(folder.logs)
         return self._child
 
     def _start(self) -> None:

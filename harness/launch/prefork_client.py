@@ -1,8 +1,10 @@
 """Client of a prefork server in the launcher: see `foundation.processes.prefork`."""
 
+import contextlib
 import os
 import queue
 import socket
+import time
 from collections.abc import Sequence
 from concurrent.futures import Future
 from typing import NamedTuple
@@ -12,9 +14,13 @@ import psutil
 
 from foundation.processes.prefork import MOST_BYTES, Answer, Ended, Fork, Forked, NotForked
 from harness.launch.descriptor_watcher import DescriptorWatcher
+from harness.simulator.response_watchdog import ResponseWatchdog
 
-FORK_LIMIT_S = 30.0
-"""Wall time within which a server that is ready must answer a request to fork."""
+FORK_LIMIT_S = 10.0
+"""Wall time for which a server that is ready may sleep or be stopped while it owes a fork."""
+POLL_S = 0.25
+_SERVER = 0
+"""Number of the server at its watchdog."""
 _encoder = msgspec.json.Encoder()
 _answers = msgspec.json.Decoder(Answer)
 
@@ -48,9 +54,13 @@ class Forker:
         self._answers: queue.SimpleQueue[ForkedProcess | NotForked] = queue.SimpleQueue()
         self._living: dict[int, _Living] = {}
         self._watcher = watcher
+        self._watchdog = ResponseWatchdog(FORK_LIMIT_S)
+        self._pid = 0
 
-    def listen(self) -> None:
-        """Start to receive answers."""
+    def listen(self, pid: int) -> None:
+        """Start to receive answers of the server with this process id."""
+        self._pid = pid
+        self._watchdog.set_pid(_SERVER, pid)
         self._watcher.call(lambda: self._watcher.watch(self._line.fileno(), self._on_line))
 
     def close(self) -> None:
@@ -64,16 +74,25 @@ class Forker:
         """
         try:
             socket.send_fds(self._line, [_encoder.encode(request)], fds)
-            answer = self._answers.get(timeout=FORK_LIMIT_S)
         except OSError as error:
             raise ForkError(error.strerror or str(error)) from None
-        except queue.Empty:
-            # a late answer would be mistaken for that to the next request
-            self._line.shutdown(socket.SHUT_RDWR)
-            raise ForkError(f"no answer within {FORK_LIMIT_S:g} s") from None
+        answer = self._await_answer()
         if isinstance(answer, NotForked):
             raise ForkError(answer.reason)
         return answer
+
+    def _await_answer(self) -> ForkedProcess | NotForked:
+        """Wait for the answer as long as the server's process could give it. Raises ForkError."""
+        self._watchdog.begin(time.monotonic())
+        while True:
+            with contextlib.suppress(queue.Empty):
+                return self._answers.get(timeout=POLL_S)
+            reason = self._watchdog.check(_SERVER, time.monotonic(), starting=False).give_up
+            if reason is not None:
+                # a late answer would be mistaken for that to the next request
+                self._line.shutdown(socket.SHUT_RDWR)
+                subject = f"its process (pid {self._pid})"
+                raise ForkError(reason.replace("its process", subject).replace("it has", f"{subject} has"))
 
     def _on_line(self) -> None:
         """Process an answer; when the server closes its end, watch the processes that it leaves behind."""

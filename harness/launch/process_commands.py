@@ -1,5 +1,6 @@
 """Names and command lines of the processes of a run."""
 
+import os
 import sys
 from pathlib import Path
 
@@ -20,6 +21,14 @@ def python_module(module: str, *arguments: str) -> list[str]:
     """Return the command that runs one of coflight's processes."""
     # -P: no file of the working folder may shadow a module
     return [sys.executable, "-P", "-m", module, *arguments]
+
+
+def bound_module(module: str, *arguments: str) -> list[str]:
+    """Return the command that runs one of coflight's processes, which the kernel ends with this one.
+
+    Start it from a thread that lives as long as this process (`harness.launch.spawner`).
+    """
+    return python_module("foundation.processes.bound_program", str(os.getpid()), module, *arguments)
 
 
 def supervised(config: Path) -> tuple[str, ...]:

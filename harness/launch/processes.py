@@ -9,12 +9,10 @@ import socket
 import time
 import uuid
 from collections.abc import Callable, Container, Mapping, Sequence
-from typing import Any
 
 import psutil
 
 from autopilot.process.iteration import APPLICATION
-from foundation.processes.child_protocol import Finished, Influenced, Ready
 from foundation.processes.prefork import FIRST_DESCRIPTOR
 from foundation.system_error import in_words
 from harness.launch import cpu_affinity, external_autopilots, kernel_cache, ports
@@ -26,7 +24,7 @@ from harness.launch.process_commands import (
     PREFORK,
     RADIO,
     application,
-    python_module,
+    bound_module,
     supervised,
     uav,
 )
@@ -35,28 +33,27 @@ from harness.launch.run_messages import (
     Compiling,
     Message,
     ProcessNotice,
-    RunEvent,
     SetupError,
     SwarmError,
-    SwarmTimeoutError,
 )
+from harness.launch.run_monitor import RunMonitor
 from harness.launch.supervisor import Exited, Supervisor, SupervisorError
 from harness.records.run_folder import FolderRefused, RunFolder
 from harness.scenario.scenario import Scenario
 from harness.simulator.messages import (
     AnyCommand,
     ApplicationLost,
-    Formed,
-    Paused,
-    Progress,
     SetPid,
+    SetRadioPid,
     VehicleLost,
 )
 
 START_LIMIT_S = 120.0
 """Wall time within which every process must be ready."""
-STOP_LIMIT_S = 10.0
-"""Wall time that processes have to write their data and end."""
+STOP_LIMIT_S = 5.0
+"""Wall time for which a process may sleep that is to write its data and end; a PX4's wrapper needs 4 s."""
+ENDS_LIMIT_S = 2.0
+"""Wall time that vehicles have to end after their simulator, before their prefork server is killed."""
 _LINK_PORTS = ("gcs_local_udp", "companion_local_udp")
 _ENVIRONMENT = {
     # each process does its work in one thread: threads of a BLAS would compete with the other processes
@@ -72,7 +69,7 @@ def _socket_pair(stack: contextlib.ExitStack) -> tuple[socket.socket, socket.soc
     return stack.enter_context(first), stack.enter_context(second)
 
 
-class Processes:
+class Processes(RunMonitor):
     """Physics server, 802.11 emulator, and one process per vehicle and per application beside a PX4.
 
     Vehicles, except PX4s, and applications are forked by the prefork server.
@@ -93,11 +90,6 @@ class Processes:
     ) -> None:
         self._scenario = scenario
         self._search_ports = search_ports
-        self._folder = folder
-        self._wall_limit_s = wall_limit_s
-        self._wall_start_s = time.monotonic()
-        self._on_message = on_message or (lambda _: None)
-        self._supervisor = self._make_supervisor()
         self._ports: set[int] = set()
         self._external = external_autopilots.instances(scenario)
         """Vehicles whose autopilot is another program."""
@@ -105,46 +97,31 @@ class Processes:
         """Whether the ports and instance numbers are this swarm's."""
         self._applications = self._external if scenario.onboard.enabled else ()
         """Vehicles whose application is a process of its own."""
+        super().__init__(
+            self._make_supervisor(folder),
+            folder,
+            starting=[*map(uav, range(scenario.agents)), *map(application, self._applications)],
+            until_connected=[*map(uav, self._external)],
+            wall_limit_s=wall_limit_s,
+            on_message=on_message,
+        )
         self._has_own = len(self._external) < scenario.agents
         """Whether coflight's autopilot flies any vehicle."""
         self._has_prefork = self._has_own or bool(self._applications)
-        self._running = False
-        """Whether the processes were started and not stopped."""
         self._kernels = kernel_cache.Compilers()
         self._affinity: CpuAffinity | None = None
-        self._connected = False
-        """Whether every vehicle has connected to the physics server."""
-        self.ready: dict[str, Ready] = {}
-        self.finished: dict[str, dict[str, Any]] = {}
-        """Details of each process's last event."""
-        self.influences: list[Influenced] = []
-        """Inputs from outside, which make the run depend on more than scenario and seed."""
-        self.exited: dict[str, Exited] = {}
-        self.events: list[RunEvent] = []
-        """Events and ends of the processes, without progress and replies to commands."""
-        self.simulated_us = 0
-        self.wall_paused_s = 0.0
-        """Wall time for which the present or last `RunUntil` was paused."""
-        self.formed_us: int | None = None
-        self.failure: str | None = None
-        """Why no command can be executed any more, or that the records are incomplete."""
         self.forced: tuple[str, ...] = ()
         """After the stop: a line for each process that had to be forced to end."""
         self.records_lost: str | None = None
         """After the stop: why the records of physics or radio are incomplete; None: they are complete."""
 
-    def _make_supervisor(self) -> Supervisor:
-        return Supervisor(self._folder.logs, environment=_ENVIRONMENT | kernel_cache.environment())
+    def _make_supervisor(self, folder: RunFolder) -> Supervisor:
+        return Supervisor(folder.logs, environment=_ENVIRONMENT | kernel_cache.environment())
 
     @property
     def scenario(self) -> Scenario:
         """The scenario, after the start with the ports that are used."""
         return self._scenario
-
-    @property
-    def pids(self) -> dict[str, int]:
-        """Process ids by name."""
-        return self._supervisor.pids
 
     def nondeterminism(self, killed: Container[int] = ()) -> list[str]:
         """Return a line per cause that made this run depend on more than scenario and seed.
@@ -222,6 +199,7 @@ class Processes:
             self.send(SetPid(instance=i, pid=self.ready[uav(i)].pid))
         for i in self._applications:
             self.send(SetPid(instance=i, pid=self.ready[application(i)].pid, is_application=True))
+        self.send(SetRadioPid(pid=self.ready[RADIO].pid))
         self._pin()
 
     def _start_linked(self, run_id: str, pairs: Mapping[int, tuple[socket.socket, socket.socket]]) -> None:
@@ -239,15 +217,15 @@ class Processes:
             own_name = self._own_link_name(run_id)
             if self._has_prefork:  # starts first: it takes longest and needs no other process
                 self._supervisor.start_forker(
-                    PREFORK, python_module("autopilot.process.prefork_server", "--supervised")
+                    PREFORK, bound_module("autopilot.process.prefork_server", "--supervised")
                 )
             radio_fd, physics_fd = (end.fileno() for end in _socket_pair(sockets))
             config = self._folder.write_radio_config(scenario, run_id=run_id)
-            command = python_module("netsim", *supervised(config), "--interval-fd", str(radio_fd))
+            command = bound_module("netsim", *supervised(config), "--interval-fd", str(radio_fd))
             self._supervisor.start(RADIO, command, pass_fds=[radio_fd])
             fds = [listener.fileno() for listener in listeners]
             config = self._folder.write_physics_config(scenario, run_id=run_id)
-            command = python_module("harness.simulator.server", *supervised(config))
+            command = bound_module("harness.simulator.server", *supervised(config))
             command += ["--listen-fds", ",".join(map(str, fds)), "--interval-fd", str(physics_fd)]
             if own_name is not None:
                 own_listener = sockets.enter_context(bind_local(own_name, backlog=len(vehicles)))
@@ -313,7 +291,7 @@ class Processes:
         )
         path = self._folder.write_config(f"{self._scenario.autopilot.kind}-{instance}", config)
         self._supervisor.start(
-            uav(instance), python_module("harness.launch.external_process", *supervised(path))
+            uav(instance), bound_module("harness.launch.external_process", *supervised(path))
         )
 
     def _radio_endpoint(self) -> str:
@@ -343,14 +321,15 @@ class Processes:
             late = f"not ready within {START_LIMIT_S:g} s: {', '.join(missing)}"
             message = self.next(deadline_s - time.monotonic(), late)
             if isinstance(message, Exited):
-                raise SwarmError(self._describe_end(message))
+                raise SwarmError(self._descriptions[message.name])
 
     def stop(self, *, at_once: bool = False) -> None:
         """End every process; harmless when repeated.
 
-        Ctrl-C takes effect afterwards. Takes about a minute of wall time if no process reacts, two if they
-        get no processor time. With ``at_once``, before the flight, processes have no data to write and get no
-        time for it.
+        Ctrl-C takes effect afterwards. Takes some seconds of wall time if a process does not react, longer
+        if processes compute or get no processor time. A process that is known to be stopped or to hang is
+        killed at once. With ``at_once``, before the flight, processes have no data to write and get no time
+        for it.
         """
         if not self._running:
             return
@@ -360,6 +339,7 @@ class Processes:
                 self._affinity.end()
             self._kernels.close()
             forced: list[str] = []
+            self._kill_found()
             # a vehicle ends when its simulator disconnects; the radio ends after its users
             vehicles = [*map(uav, range(self._scenario.agents)), *map(application, self._applications)]
             if at_once:
@@ -370,11 +350,14 @@ class Processes:
                 self._remove_files()
                 return
             for names in ([PHYSICS], vehicles, [RADIO, PREFORK]):
+                if names is vehicles and PREFORK in self._found:
+                    self._supervisor.continue_or_kill(PREFORK, after_forks_s=ENDS_LIMIT_S)
                 forced += self._supervisor.end(names, grace_s=STOP_LIMIT_S)
             self.forced = (*forced, *self._supervisor.stop())
             self._remove_files()
             self.drain()
-            self.records_lost = next(filter(None, map(self._incomplete, (PHYSICS, RADIO))), None)
+            kept = sorted((PHYSICS, RADIO), key=lambda name: name not in self._found)  # causes first
+            self.records_lost = next(filter(None, map(self._incomplete, kept)), None)
             if self.records_lost is not None:
                 self.note_failure(self.records_lost)
 
@@ -390,7 +373,7 @@ class Processes:
         if exited is None:
             return f"{name} does not end"
         if exited.returncode != 0:
-            return self._describe_end(exited)
+            return self._descriptions[name]
         return None if name in self.finished else f"{exited.describe()}, but did not finish"
 
     def kill(self, instance: int) -> None:
@@ -408,87 +391,6 @@ class Processes:
             self._supervisor.send(PHYSICS, command)
         except SupervisorError as error:
             raise self.fatal(SwarmError(str(error))) from None
-
-    def next(self, wall_limit_s: float, timeout_reason: str) -> Message:
-        """Return the next message of any process within ``wall_limit_s``.
-
-        Raises SwarmTimeoutError with the text ``timeout_reason``, or SwarmError if an indispensable process
-        ended.
-        """
-        if self._wall_limit_s is not None:
-            left_s = self._wall_start_s + self._wall_limit_s - time.monotonic()
-            if left_s < wall_limit_s:
-                wall_limit_s = left_s
-                timeout_reason = f"the wall time of {self._wall_limit_s:g} s is over"
-        message = self._take(wall_limit_s)
-        if message is None:
-            raise self.fatal(SwarmTimeoutError(timeout_reason))
-        if self.failure is not None:
-            raise SwarmError(self.failure)
-        return message
-
-    def failed_processes(self) -> list[str]:
-        """Return a line for each process that failed, in order."""
-        self.drain()
-        return [self._describe_end(exited) for exited in self.exited.values() if exited.returncode]
-
-    def drain(self) -> None:
-        """Process all messages that have arrived."""
-        while self._take(0.0) is not None:
-            pass
-
-    def note_failure(self, reason: str) -> None:
-        """Store why the run failed, unless an earlier reason is stored."""
-        if self.failure is None:
-            self.failure = reason
-
-    def fatal(self, error: SwarmError) -> SwarmError:
-        """Store why the run cannot continue; returns the error, to be raised."""
-        self.failure = str(error)
-        return error
-
-    def _take(self, wall_limit_s: float) -> Message | None:
-        received = self._supervisor.receive(wall_limit_s)
-        if received is None:
-            return None
-        name, message = received
-        match message:
-            case Ready():
-                self.ready[name] = message
-            case Finished():
-                self.finished[name] = message.details
-            case Influenced():
-                self.influences.append(message)
-            case Progress() | Paused():
-                self._connected = True
-                self.simulated_us = message.time_us
-                self.wall_paused_s = message.wall_paused_s
-            case _:
-                self.events.append(message)
-        if isinstance(message, ApplicationLost) and self._supervisor.alive(application(message.instance)):
-            # it hangs: its radio, which it does not read, would block the emulator
-            self._supervisor.kill(application(message.instance))
-        if isinstance(message, Formed):
-            self.formed_us = message.time_us
-        elif isinstance(message, Exited):
-            self.exited[name] = message
-            if self._is_needed(name) and self._running and self.failure is None:
-                self.failure = self._describe_end(message)
-        self._on_message(message)
-        return message
-
-    def _is_needed(self, name: str) -> bool:
-        """Whether the run fails if that process ends: another autopilot's until all have connected, too."""
-        return name in (PHYSICS, RADIO, PREFORK) or (not self._connected and name in map(uav, self._external))
-
-    def _describe_end(self, exited: Exited) -> str:
-        if not exited.last_words:
-            return exited.describe()
-        return f"{exited.describe()}: {exited.last_words} (log: {self._supervisor.log_path(exited.name)})"
-
-    def log_tails(self, lines: int) -> dict[str, str]:
-        """Return the last lines of each process's log, by name."""
-        return {name: self._supervisor.log_tail(name, lines) for name in self.pids}
 
     def leftovers(self) -> list[str]:
         """Return a line for each process that still runs after the stop, and for each port still in use."""

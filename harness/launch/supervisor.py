@@ -27,11 +27,14 @@ from msgspec import Struct
 
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Stop, Warned
 from foundation.processes.prefork import Fork
+from harness.launch.death_report import ending, last_words
 from harness.launch.descriptor_watcher import DescriptorWatcher
 from harness.launch.graceful_end import wait_for_ends
 from harness.launch.interrupts import interrupts_deferred
 from harness.launch.prefork_client import Forker, ForkError, process_of
+from harness.launch.spawner import spawn
 from harness.simulator.messages import AnyCommand, AnyEvent
+from harness.simulator.process_activity import DEAD, ENDED, HELD, ProcessState, state_of
 
 MARK = "COFLIGHT_CHILD"
 """Environment variable of every child and its descendants: ``<supervisor's token>/<child's name>``."""
@@ -39,6 +42,10 @@ INPUT_GRACE_S = 1.0
 """Wall time that a child has to end after the end of its stdin."""
 TERM_GRACE_S = 2.0
 """Wall time between SIGTERM and SIGKILL."""
+WAKE_S = 0.1
+"""Wall time after which a process runs that was continued."""
+TRACE_GRACE_S = 1.0
+"""Wall time between SIGABRT, for a trace, and SIGKILL."""
 KILL_GRACE_S = 5.0
 """Wall time that the kernel has to end a process after SIGKILL."""
 LAST_WORDS_S = 0.2
@@ -46,6 +53,8 @@ LAST_WORDS_S = 0.2
 PIPE_BYTES = 65_536
 """Capacity of a pipe."""
 TAIL_LINES = 8
+TRACE_LINES = 2_000
+"""Last lines of a log in which a trace of faulthandler is searched."""
 TAIL_BYTES = 64 * 1024
 
 
@@ -59,8 +68,8 @@ class Exited(Struct, frozen=True, kw_only=True):
     log_tail: str
     """Last lines of its log, if it failed."""
     last_words: str = ""
-    """Last line of these that is from stderr, after up to two that begin with ERROR: some libraries print on
-    stdout, for instance when imported."""
+    """What the child itself wrote about its end on stderr (`harness.launch.death_report.last_words`): some
+    libraries print on stdout, for instance when imported."""
 
     def describe(self) -> str:
         """Return one line: the process and how it ended."""
@@ -76,18 +85,6 @@ _encoder = msgspec.json.Encoder()
 
 class SupervisorError(Exception):
     """A child could not be started or ended; one line."""
-
-
-def ending(returncode: int | None) -> str:
-    """Return how a process ended, in words."""
-    if returncode is None:
-        return "ended with unknown status"
-    if returncode >= 0:
-        return f"ended with status {returncode}"
-    try:
-        return f"was killed by {signal.Signals(-returncode).name}"
-    except ValueError:
-        return f"was killed by signal {-returncode}"
 
 
 class _Child:
@@ -144,6 +141,10 @@ class _Child:
         *lines, self._unfinished = (self._unfinished + data).split(b"\n")
         return lines if data or not self._unfinished else [self._unfinished]
 
+    def state(self) -> ProcessState:
+        """Return the present state of its process."""
+        return DEAD if self.process is None else state_of(self.process)
+
     def signal(self, number: signal.Signals) -> None:
         with contextlib.suppress(psutil.NoSuchProcess):
             if self.process is not None:
@@ -177,6 +178,10 @@ class Supervisor:
         """Whether a child was started and has not ended."""
         return name in self._children and not self._children[name].gone.is_set()
 
+    def states(self, names: Iterable[str]) -> dict[str, ProcessState]:
+        """Return the present states of those of these children that have been started and not ended."""
+        return {name: self._children[name].state() for name in names if self.alive(name)}
+
     def start(self, name: str, command: Sequence[str], *, pass_fds: Iterable[int] = ()) -> int:
         """Start a child in a process group of its own and return its process id.
 
@@ -187,7 +192,7 @@ class Supervisor:
         """
         with self._starting(name) as log:
             try:
-                popen = subprocess.Popen(
+                popen = spawn(
                     list(command),
                     bufsize=0,
                     stdin=subprocess.PIPE,
@@ -219,7 +224,7 @@ class Supervisor:
         except SupervisorError:
             forker.close()
             raise
-        forker.listen()
+        forker.listen(pid)
         self._forkers[name] = forker
         return pid
 
@@ -298,15 +303,18 @@ class Supervisor:
         """Queue a child's end after its last events, which may still be in the pipe."""
         child.end_input()
         self._receive(child)
-        log_tail = self.log_tail(child.name) if returncode else ""
+        failed = returncode != 0
         printed = {line.decode(errors="replace").rstrip() for line in child.printed}
-        errors = [line.rstrip() for line in log_tail.splitlines() if line.rstrip() not in printed]
+        lines = self.log_tail(child.name, TRACE_LINES).splitlines() if failed else []
+        errors = [line.rstrip() for line in lines if line.rstrip() not in printed]
+        if returncode is not None and returncode > 0:
+            errors = errors[-TAIL_LINES:]
         exited = Exited(
             name=child.name,
             pid=child.pid,
             returncode=returncode,
-            log_tail=log_tail,
-            last_words=_last_words(errors),
+            log_tail="\n".join(lines[-TAIL_LINES:]),
+            last_words=last_words(errors, returncode),
         )
         self._received.put((child.name, exited))
         child.gone.set()
@@ -328,13 +336,37 @@ class Supervisor:
             raise SupervisorError(f"{name} has not been started")
         child.write(_encoder.encode(command) + b"\n")
 
-    def kill(self, name: str) -> None:
-        """SIGKILL a child and return when it has ended."""
+    def kill(self, name: str, *, after_trace: bool = False) -> None:
+        """SIGKILL a child and return when it has ended.
+
+        ``after_trace``: it is sent SIGABRT before, at which faulthandler writes the traces of its threads.
+        """
         child = self._children[name]
+        if after_trace:
+            child.signal(signal.SIGABRT)
+            self._wake([child])
+            child.gone.wait(TRACE_GRACE_S)
         child.signal(signal.SIGKILL)
         self._wake([child])
         if not child.gone.wait(KILL_GRACE_S):
             raise SupervisorError(f"{child} does not end on SIGKILL")
+
+    def continue_or_kill(self, forker: str, *, after_forks_s: float) -> None:
+        """Continue a stopped prefork server; one that stays stopped is killed.
+
+        Its forks, which end with it, have ``after_forks_s`` of wall time to end before.
+        """
+        child = self._children[forker]
+        self._wake([child])
+        time.sleep(WAKE_S)
+        if child.state().status not in HELD:
+            return
+        forks = [each for each in self._children.values() if each.forker == forker]
+        deadline = time.monotonic() + after_forks_s
+        while any(each.state().status not in ENDED for each in forks) and time.monotonic() < deadline:
+            time.sleep(WAKE_S)
+        with contextlib.suppress(SupervisorError):
+            self.kill(forker)
 
     def end(
         self, names: Iterable[str], *, grace_s: float = 0.0, input_grace_s: float = INPUT_GRACE_S
@@ -344,7 +376,7 @@ class Supervisor:
         They receive `Stop` and have ``grace_s`` to write their data, more if they are busy or get no
         processor time (`graceful_end`); then their stdin is closed, and SIGTERM
         and SIGKILL follow, after ``input_grace_s`` and `TERM_GRACE_S`. Children stopped by SIGSTOP are
-        continued.
+        continued; those that are stopped all the same, by a debugger, are killed without further waits.
         """
         with interrupts_deferred():
             children = [self._children[name] for name in names if self.alive(name)]
@@ -357,6 +389,8 @@ class Supervisor:
                 wait_for_ends({child.pid: child.gone for child in children}, grace_s)
                 forced = [f"{child} did not stop when asked" for child in children if not child.gone.is_set()]
             for child in children:
+                if not child.gone.is_set() and child.state().status in HELD:
+                    child.signal(signal.SIGKILL)
                 child.end_input()
             _wait_gone(children, input_grace_s)
             for number, limit_s in ((signal.SIGTERM, TERM_GRACE_S), (signal.SIGKILL, KILL_GRACE_S)):
@@ -432,12 +466,6 @@ class Supervisor:
         except OSError:
             return ""
         return b"".join(last).decode(errors="replace").rstrip()
-
-
-def _last_words(lines: Sequence[str]) -> str:
-    """Return up to two lines that begin with ERROR, the last of them, and then the log's last line."""
-    marked = [line for line in lines if line.startswith("ERROR")][-2:]
-    return "; ".join(dict.fromkeys([*marked, *lines[-1:]]))
 
 
 def _wait_gone(children: Iterable[_Child], timeout_s: float) -> None:

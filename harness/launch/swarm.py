@@ -141,6 +141,7 @@ class Swarm:
         self._stands = False
         self._is_flying = False
         """Whether it was started and not yet stopped."""
+        self._has_flown = False
         self._summary: dict[str, Any] | None = None
 
     def __enter__(self) -> Self:
@@ -200,7 +201,7 @@ class Swarm:
         finally:
             self._processes.stop()
             if self._is_flying:
-                self._is_flying = False
+                self._is_flying, self._has_flown = False, True
                 self._write_outcome()
 
     # --- simulated time
@@ -304,7 +305,8 @@ class Swarm:
         wall_begin_s = time.monotonic()
         processes.wall_paused_s = 0.0
         try:
-            paused = self._await_paused()
+            with processes.progress_awaited():
+                paused = self._await_paused()
         except BaseException as error:
             # the simulated time reached depends on the machine: the run cannot be continued
             processes.note_failure(self._course.break_off(error))
@@ -313,6 +315,10 @@ class Swarm:
             # after an error this is the pause that the physics server reported last
             self._course.wall_running_s += time.monotonic() - wall_begin_s - processes.wall_paused_s
         self._truth = SwarmTruth(time_us=paused.time_us, vehicles=paused.vehicles)
+        if paused.reason in ("no_vehicles", "vehicle_lost"):
+            processes.find_cause()
+            if processes.failure is not None:
+                raise SwarmError(processes.failure)
         if paused.reason == "no_vehicles":
             left = f"no vehicle is left at {self._truth.t_s:.3f} s"
             raise processes.fatal(SwarmError("; ".join([left, *processes.failed_processes()[-1:]])))
@@ -418,6 +424,11 @@ class Swarm:
         """After the stop, why the records of physics or radio are incomplete; None: they are complete."""
         return self._processes.records_lost
 
+    @property
+    def has_records(self) -> bool:
+        """Whether the flight has begun, so that raw logs or results of it are in its folder."""
+        return self._is_flying or self._has_flown
+
     def log_tails(self, lines: int) -> dict[str, str]:
         """Return the last lines of each process's log, by name."""
         return self._processes.log_tails(lines)
@@ -446,7 +457,8 @@ class Swarm:
         if interrupted:
             self._course.break_off(KeyboardInterrupt())
         ended = self._write_outcome(held=held)
-        from harness.report import report  # noqa: PLC0415  the analysis is slow to import: not before the flight
+        with interrupts_deferred():  # libraries convert the exception of a signal in their imports
+            from harness.report import report  # noqa: PLC0415  slow to import: not before the flight
 
         try:
             if not interrupted and not held:

@@ -12,6 +12,10 @@ MAX_QUIET_US = LEAD_US // 2
 """Longest simulated time without a request. The emulator refuses a vehicle that is `LEAD_US` ahead of it."""
 
 
+GONE = "the 802.11 emulator is gone"
+"""Text of a `RadioSilent` whose cause is the end of the emulator's process."""
+
+
 class RadioSilent(ConnectionError):
     """The 802.11 emulator does not answer the time master."""
 
@@ -114,7 +118,7 @@ class EmulatorClient:
         except TimeoutError:
             raise RadioSilent("the 802.11 emulator does not answer") from None
         if advanced is None:
-            raise RadioSilent("the 802.11 emulator is gone")
+            raise RadioSilent(GONE)
         if advanced.missing:
             return advanced.missing
         self._request = None

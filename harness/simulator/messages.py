@@ -57,13 +57,19 @@ class SetPid(SimulatorCommand, frozen=True, kw_only=True):
     """The process is that of the application beside the vehicle's PX4."""
 
 
+class SetRadioPid(SimulatorCommand, frozen=True, kw_only=True):
+    """Process id of the 802.11 emulator, as `SetPid`."""
+
+    pid: int
+
+
 class InjectFault(SimulatorCommand, frozen=True, kw_only=True):
     """Activate a fault from the next step on, or its ``start_s`` later."""
 
     fault: AnyFault
 
 
-AnyCommand = RunUntil | Pause | Resume | SetSpeed | SetAttenuation | SetPid | InjectFault | Stop
+AnyCommand = RunUntil | Pause | Resume | SetSpeed | SetAttenuation | SetPid | SetRadioPid | InjectFault | Stop
 
 
 class SimulatorEvent(Struct, frozen=True, kw_only=True, tag_field="event", tag=str.lower):
@@ -107,6 +113,10 @@ class Progress(SimulatorEvent, frozen=True, kw_only=True):
     """Simulated time is stopped by `Pause`."""
     wall_paused_s: float = 0.0
     """Wall time for which the present `RunUntil` has been paused so far."""
+
+
+class Waiting(SimulatorEvent, frozen=True, kw_only=True):
+    """A step waits for an answer of another process; repeated a few times per second of wall time."""
 
 
 class Paused(SimulatorEvent, frozen=True, kw_only=True):
@@ -192,6 +202,7 @@ class FaultChanged(SimulatorEvent, frozen=True, kw_only=True):
 
 AnyEvent = (
     Progress
+    | Waiting
     | Paused
     | Formed
     | FormationMoves

@@ -29,6 +29,7 @@ from harness.records.run_folder import PhysicsConfig
 from harness.simulator.application_links import ApplicationLinks
 from harness.simulator.ardupilot_link import ArduPilotLink
 from harness.simulator.emulator_client import EmulatorClient, RadioSilent
+from harness.simulator.emulator_wait import POLL_S, RADIO, RADIO_LIMIT_S, AwaitedLine
 from harness.simulator.lockstep import OWN, PX4, ConnectTimeout, Lockstep
 from harness.simulator.messages import (
     AnyCommand,
@@ -41,7 +42,9 @@ from harness.simulator.messages import (
     RunUntil,
     SetAttenuation,
     SetPid,
+    SetRadioPid,
     SetSpeed,
+    Waiting,
 )
 from harness.simulator.profile_groups import PROFILE_GROUPS
 from harness.simulator.response_watchdog import ResponseWatchdog
@@ -146,18 +149,26 @@ def obey(
     *,
     connect_timeout_s: float,
     emit: Callable[[AnyEvent], None],
-    set_pid: Callable[[SetPid], None] = lambda _: None,
+    set_pid: Callable[[SetPid | SetRadioPid], None] = lambda _: None,
+    on_wait: Callable[[float], object] = lambda _: None,
 ) -> None:
-    """Execute commands until Stop; ``set_pid`` receives the process id of each vehicle and application.
+    """Execute commands until Stop; ``set_pid`` receives the process ids of the others.
+
+    ``on_wait`` is called with the wall time, repeatedly while vehicles are awaited that have not connected.
 
     Raises the errors of the simulation's vehicles and of its channel.
     """
     connected, line, pacer = False, _Commands(inbox), Pacer()
+
+    def keep_waiting() -> bool:
+        on_wait(time.monotonic())
+        return line.empty()
+
     while True:
         match line.get():
             case RunUntil() as command:
                 if not connected:
-                    simulation.lockstep.connect(connect_timeout_s, keep_waiting=line.empty)
+                    simulation.lockstep.connect(connect_timeout_s, keep_waiting=keep_waiting)
                     connected = simulation.lockstep.living == len(simulation.lockstep.slots)
                 if connected:
                     emit(_run(simulation, command, line, pacer, emit))
@@ -170,7 +181,7 @@ def obey(
                 simulation.set_extra_attenuation_db(attenuation_db)
             case InjectFault(fault=fault):
                 simulation.inject(fault)
-            case SetPid() as command:
+            case SetPid() | SetRadioPid() as command:
                 set_pid(command)
             case Stop():
                 return
@@ -267,8 +278,18 @@ def serve(
     inbox: queue.SimpleQueue[AnyCommand] = queue.SimpleQueue()
     commands(AnyCommand, inbox)  # type: ignore[arg-type]  # msgspec accepts a union as a type
     scenario = config.scenario
-    watchdog = ResponseWatchdog(scenario.run.silence_limit_s)
-    application_watchdog = ResponseWatchdog(scenario.run.silence_limit_s)
+    wall_reported_s = 0.0
+
+    def on_wait(wall_s: float) -> None:
+        nonlocal wall_reported_s
+        if wall_s - wall_reported_s >= PROGRESS_PERIOD_S:
+            wall_reported_s = wall_s
+            emit(Waiting(time_us=simulation.time_us))
+
+    limit_s = scenario.run.silence_limit_s
+    watchdog, application_watchdog = (ResponseWatchdog(limit_s, on_check=on_wait) for _ in range(2))
+    # the launcher finds a stopped emulator before
+    radio_watchdog = ResponseWatchdog(RADIO_LIMIT_S, stopped_limit_s=RADIO_LIMIT_S, on_check=on_wait)
     policies = [PX4 if scenario.autopilot.is_px4(i) else OWN for i in range(scenario.agents)]
     has_px4 = PX4 in policies
 
@@ -295,16 +316,19 @@ def serve(
             on_lost=simulation.reports.on_application_lost,
         )
 
-    def set_pid(command: SetPid) -> None:
+    def set_pid(command: SetPid | SetRadioPid) -> None:
+        if isinstance(command, SetRadioPid):
+            radio_watchdog.set_pid(RADIO, command.pid)
+            return
         chosen = application_watchdog if command.is_application else watchdog
         chosen.set_pid(command.instance, command.pid)
 
     with contextlib.ExitStack() as stack:
         emulator = None
         if clock is not None:
-            line = time_masters_end(stack.enter_context(clock))
+            line = time_masters_end(stack.enter_context(clock), limit_s=POLL_S)
             emulator = EmulatorClient(
-                line,
+                AwaitedLine(line, radio_watchdog),
                 period_us=scenario.onboard.loop_period_us,
                 asynchronous=bool(scenario.radio.guests),
             )
@@ -329,6 +353,7 @@ def serve(
                 connect_timeout_s=config.connect_timeout_s,
                 emit=emit,
                 set_pid=set_pid,
+                on_wait=on_wait,
             )
     details: dict[str, Any] = {"time_us": simulation.time_us, "formed": simulation.reports.formed, **profile}
     if has_px4:

@@ -183,7 +183,8 @@ def test_full_disk_in_flight_is_reported_with_what_is_kept(
     run = small_disk / "run[bold]"  # also not read as markup
     assert fly.main([*FLIGHT, "--duration=1e5", "--out", str(run)]) == fly.FAILED
     *_, results_line, last_line = capsys.readouterr().err.splitlines()
-    assert "ended with status 1: No space left on device" in last_line
+    assert f"ended with status 1: no space left on the device of {run}: 0." in last_line
+    assert last_line.endswith(" s are readable")
     assert results_line.startswith("the results cannot be written: ")
     assert results_line.endswith(
         f"kept in {run}/raw: coflight report {run} makes the tables of them, once they can be"

@@ -39,7 +39,7 @@ def run(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> Run:
     def stand_in(module: str, *arguments: str) -> list[str]:
         return [sys.executable, str(SUPPORT / "supervisor_stand_ins.py"), module, *arguments]
 
-    monkeypatch.setattr(harness.launch.processes, "python_module", stand_in)
+    monkeypatch.setattr(harness.launch.processes, "bound_module", stand_in)
     pytester.makefile(".toml", small="agents = 2\n")
 
     def run(code: str, *arguments: str, ini: str = "") -> pytest.RunResult:

@@ -26,7 +26,7 @@ import harness.launch.processes
 def stand_in(module, *arguments):
     return [sys.executable, {str(SUPPORT / "supervisor_stand_ins.py")!r}, module, *arguments]
 
-harness.launch.processes.python_module = stand_in
+harness.launch.processes.bound_module = stand_in
 """
 NEVER_COMPILED = """
 from pathlib import Path

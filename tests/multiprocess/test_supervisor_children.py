@@ -14,9 +14,10 @@ import pytest
 from supervising import WALL_LIMIT_S, launcher_and_children, python, receive, wait_for
 
 from foundation.processes.child_protocol import Finished, Ready
+from harness.launch.death_report import ending
 from harness.launch.interrupts import interruptible, interrupts_deferred
 from harness.launch.resources import ResourceError, bind
-from harness.launch.supervisor import MARK, Exited, Supervisor, SupervisorError, ending
+from harness.launch.supervisor import MARK, Exited, Supervisor, SupervisorError
 from harness.simulator.messages import SetPid
 
 pytestmark = pytest.mark.multiprocess
@@ -220,7 +221,8 @@ def test_port_in_use_is_reported(kind: socket.SocketKind, word: str) -> None:
 
 def test_ending_describes_a_return_code() -> None:
     assert ending(0) == "ended with status 0"
-    assert ending(-signal.SIGSEGV) == "was killed by SIGSEGV"
+    assert ending(-signal.SIGSEGV) == "was killed by SIGSEGV (segmentation fault)"
+    assert ending(-signal.SIGKILL) == "was killed by SIGKILL"
     assert ending(-40) == "was killed by signal 40"
 
 

@@ -20,7 +20,7 @@ def stand_ins(monkeypatch):
     def python_module(module, *arguments):
         stand_ins = {str(SUPPORT / "supervisor_stand_ins.py")!r}
         return [sys.executable, stand_ins, module, *arguments]
-    monkeypatch.setattr(harness.launch.processes, "python_module", python_module)
+    monkeypatch.setattr(harness.launch.processes, "bound_module", python_module)
 """
 
 

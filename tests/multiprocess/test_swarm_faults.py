@@ -16,25 +16,29 @@ from pymavlink import mavutil  # noqa: TID251  the client that the tests are abo
 
 from harness.launch.swarm import SwarmError, SwarmTimeoutError
 from harness.simulator.messages import VehicleLost, VehicleSilent
+from harness.simulator.process_activity import STOPPED_LIMIT_S
 
 pytestmark = pytest.mark.multiprocess
 
 ARTICLE = "scenarios/article.toml"
+WALL_LIMIT_S = 15.0
 
 
 @pytest.mark.parametrize("beacon_period_ms", [100, 10])  # at 10 ms a delivery is always in progress
-def test_stopped_vehicle_is_reported_within_a_second_and_others_continue(swarm, beacon_period_ms):
+def test_stopped_vehicle_is_reported_and_others_continue(swarm, beacon_period_ms):
     overrides = [f"onboard.beacon_period_ms={beacon_period_ms}", "onboard.localisation=gps"]
     flight = swarm(ARTICLE, agents=3, overrides=overrides)
     flight.run_until(lambda truth: truth.height_m.min() > 2.0, timeout_s=30.0)
     os.kill(flight.pids["uav 2"], signal.SIGSTOP)
     wall_begin_s = time.monotonic()
     flight.run_for(0.1)
-    assert time.monotonic() - wall_begin_s < 1.5  # reported after 0.25 to 0.5 s, plus the steps themselves
+    assert STOPPED_LIMIT_S < time.monotonic() - wall_begin_s < WALL_LIMIT_S
     events = flight.events
     (lost,) = [event for event in events if isinstance(event, VehicleLost)]
     assert (lost.instance, lost.reason) == (2, "its process is stopped")
-    assert [event.instance for event in events if isinstance(event, VehicleSilent)] == [2]
+    (silent,) = [event for event in events if isinstance(event, VehicleSilent)]
+    assert silent.instance == 2
+    assert silent.wall_silence_s < STOPPED_LIMIT_S  # reported before it is given up
     truth = flight.run_until(lambda truth: truth.height_m[2] < 0.3, timeout_s=5.0)
     assert truth.alive.tolist() == [True, True, False]
     assert truth.height_m[:2].min() > 1.8

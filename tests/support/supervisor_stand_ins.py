@@ -22,17 +22,22 @@ from foundation.processes.prefork import serve
 from harness.simulator.messages import (
     AnyCommand,
     Formed,
+    Pause,
     Paused,
     Progress,
     RunUntil,
     SetAttenuation,
     SetPid,
+    SetRadioPid,
     VehicleLost,
     VehicleTruth,
+    Waiting,
 )
 
 STEP_US = 4_000
 FORMED_US = 3_000_000
+ENDLESS_US = 1_020_000
+"""Simulated time that the scenario ``endless`` does not exceed."""
 SEED_RADIO_DIES = 1_300
 """With this seed the radio is killed at its stop command; with the next one it ends without `Finished`."""
 FAILS_AT_LAST_M = 10.0
@@ -67,11 +72,14 @@ def physics(config: dict[str, Any], listeners: list[socket.socket]) -> None:
     time_us = 0
     while not isinstance(command := inbox.get(), Stop):
         match command:
-            case SetPid() | SetAttenuation():
+            case SetPid() | SetRadioPid() | SetAttenuation() | Pause():
                 complain(f"command {command}")
                 continue
             case RunUntil(time_us=end_us):
                 pass
+        while fault == "never-connects" and inbox.empty():
+            emit(Waiting(time_us=time_us))
+            time.sleep(0.1)
         if not vehicles:
             vehicles = {i: listener.accept()[0] for i, listener in enumerate(listeners)}
         reason = "time"
@@ -95,6 +103,12 @@ def physics(config: dict[str, Any], listeners: list[socket.socket]) -> None:
                 sys.exit(2)
             if fault == "physics-hangs" and time_us >= 1_000_000:
                 signal.pause()
+            if fault == "endless" and time_us >= ENDLESS_US:  # reports its progress until a command arrives
+                emit(
+                    Progress(time_us=time_us, wall_s=time.monotonic(), channel_busy_fraction=0.0, vehicles=())
+                )
+                time.sleep(0.1)
+                continue
             time_us += STEP_US
             if fault == "held" and time_us == FORMED_US:
                 os.kill(os.getppid(), signal.SIGINT)

@@ -3,6 +3,7 @@
 import psutil
 import pytest
 
+from harness.simulator.process_activity import STOPPED_LIMIT_S, ProcessState
 from harness.simulator.response_watchdog import (
     COMPUTING_LIMIT_S,
     LOOK_AFTER_S,
@@ -16,7 +17,7 @@ def given_up_s(watchdog, observations, *, every_s=0.1, starting=False):
     ``observations`` are psutil's values for the vehicle at each check: (status, cpu seconds).
     """
     script = iter(observations)
-    watchdog._process_state = lambda _instance: next(script)
+    watchdog._process_state = lambda _instance: ProcessState(*next(script))
     watchdog.begin(100.0)
     for k in range(1, len(observations) + 1):
         if watchdog.check(0, 100.0 + k * every_s, starting=starting).give_up is not None:
@@ -38,3 +39,24 @@ def test_a_starved_process_is_awaited_and_a_sleeping_or_spinning_one_is_not():
     assert given_up_s(ResponseWatchdog(2.0), [(psutil.STATUS_ZOMBIE, 0.0)] * checks) == pytest.approx(
         LOOK_AFTER_S, abs=0.11
     )
+
+
+def test_a_stopped_process_is_given_up_after_some_seconds_and_a_continued_one_is_not():
+    stopped = [(psutil.STATUS_STOPPED, 0.0)] * 100
+    assert given_up_s(ResponseWatchdog(5.0), stopped) == pytest.approx(STOPPED_LIMIT_S + 0.4, abs=0.25)
+    continued = ([(psutil.STATUS_STOPPED, 0.0)] * 20 + [(psutil.STATUS_RUNNING, 0.0)]) * 5
+    assert given_up_s(ResponseWatchdog(5.0), continued) is None
+
+
+def test_the_time_in_which_this_process_did_not_run_does_not_count():
+    sleeping = [(psutil.STATUS_SLEEPING, 0.0)] * 100
+    assert given_up_s(ResponseWatchdog(2.0), sleeping, every_s=10.0) is None
+
+
+def test_each_check_is_reported():
+    checks = []
+    watchdog = ResponseWatchdog(2.0, on_check=checks.append)
+    watchdog.begin(100.0)
+    watchdog.check(0, 100.1, starting=False)
+    watchdog.check(0, 100.2, starting=False)
+    assert checks == [100.1, 100.2]

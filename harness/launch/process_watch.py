@@ -1,0 +1,76 @@
+"""Finds processes of a run that are stopped, or that make no progress although they could.
+
+A core: wall times and states of the processes are arguments, and the launcher looks a few times per second
+while it waits for messages. A process that gets no processor time is not found, and neither is any if the
+launcher itself did not run in the meantime (`harness.simulator.process_activity`).
+"""
+
+from collections.abc import Collection, Mapping
+from typing import NamedTuple
+
+import psutil
+
+from harness.simulator.process_activity import STOPPED_LIMIT_S, Activity, ProcessState
+from harness.simulator.response_watchdog import COMPUTING_LIMIT_S
+
+LOOK_PERIOD_S = 0.5
+"""Wall time between two looks at the processes."""
+RUN_STOPPED_LIMIT_S = STOPPED_LIMIT_S + 1.0
+"""Wall time for which an indispensable process may be stopped; longer than that of a vehicle in flight."""
+SILENT_LIMIT_S = 6.0
+"""Wall time that a process may sleep without a message while it is to report progress."""
+_STOPPED = {
+    psutil.STATUS_STOPPED: "is stopped (SIGSTOP)",
+    psutil.STATUS_TRACING_STOP: "is stopped by a debugger",
+}
+
+
+class Finding(NamedTuple):
+    """A process that keeps the run from going on."""
+
+    name: str
+    what: str
+    """Predicate of a sentence."""
+    status: str
+    """psutil's."""
+
+    @property
+    def is_stopped(self) -> bool:
+        """Whether the process is stopped, and not silent."""
+        return self.status in _STOPPED
+
+
+class ProcessWatch:
+    """Looks at processes by name."""
+
+    def __init__(self) -> None:
+        self._seen: dict[str, Activity] = {}
+
+    def on_progress(self, name: str) -> None:
+        """Note a message of a process that is to report progress, or that it is to report from now on."""
+        if (seen := self._seen.get(name)) is not None:
+            seen.waiting_s = seen.computing_s = 0.0
+
+    def look(
+        self, wall_s: float, states: Mapping[str, ProcessState], *, progressing: Collection[str] = ()
+    ) -> Finding | None:
+        """Look at all processes now; returns the first that is found.
+
+        ``progressing`` are those of which `on_progress` is to be called while they work.
+        """
+        self._seen = {name: seen for name, seen in self._seen.items() if name in states}
+        for name, state in states.items():
+            if name in self._seen:
+                self._seen[name].look(wall_s, state)
+            else:
+                self._seen[name] = Activity.begin(wall_s, state)
+        for name, seen in self._seen.items():
+            if seen.stopped_s > RUN_STOPPED_LIMIT_S:
+                return Finding(name, _STOPPED[seen.status], seen.status)
+        for name in progressing:
+            if (silent := self._seen.get(name)) is None:
+                continue
+            if silent.waiting_s > SILENT_LIMIT_S or silent.computing_s > COMPUTING_LIMIT_S:
+                silent_s = max(silent.waiting_s, silent.computing_s)
+                return Finding(name, f"has made no progress for {silent_s:.0f} s", silent.status)
+        return None

@@ -1,0 +1,41 @@
+"""Wait for the 802.11 emulator as long as its process could still answer."""
+
+import time
+
+from harness.simulator.emulator_client import EmulatorLine, RadioSilent
+from harness.simulator.response_watchdog import ResponseWatchdog
+from netsim.wire.lockstep import Advance, Advanced
+
+POLL_S = 0.25
+"""Wall time after which the emulator's process is examined, again and again."""
+RADIO_LIMIT_S = 8.0
+"""Wall time for which the emulator may sleep while it owes an answer."""
+RADIO = 0
+"""Number of the emulator at its watchdog."""
+
+
+class AwaitedLine:
+    """A line to the emulator whose time-outs, every `POLL_S`, only lead to an examination of its process."""
+
+    def __init__(self, line: EmulatorLine, watchdog: ResponseWatchdog) -> None:
+        self._line = line
+        self._watchdog = watchdog
+
+    def send(self, message: Advance) -> None:
+        """Request an interval."""
+        self._line.send(message)
+
+    def receive(self) -> Advanced | None:
+        """Wait for the answer; None if the emulator is gone. Raises RadioSilent if it is given up."""
+        waits = False
+        while True:
+            try:
+                return self._line.receive()
+            except TimeoutError:
+                wall_s = time.monotonic()
+                if not waits:
+                    waits = True
+                    self._watchdog.begin(wall_s - POLL_S)
+                reason = self._watchdog.check(RADIO, wall_s, starting=False).give_up
+                if reason is not None:
+                    raise RadioSilent(f"the 802.11 emulator does not answer: {reason}") from None
