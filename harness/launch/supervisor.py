@@ -27,14 +27,13 @@ from msgspec import Struct
 
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Stop, Warned
 from foundation.processes.prefork import Fork
+from foundation.processes.socket_owners import MARK
 from harness.launch.descriptor_watcher import DescriptorWatcher
 from harness.launch.graceful_end import wait_for_ends
 from harness.launch.interrupts import interrupts_deferred
 from harness.launch.prefork_client import Forker, ForkError, process_of
 from harness.simulator.messages import AnyCommand, AnyEvent
 
-MARK = "COFLIGHT_CHILD"
-"""Environment variable of every child and its descendants: ``<supervisor's token>/<child's name>``."""
 INPUT_GRACE_S = 1.0
 """Wall time that a child has to end after the end of its stdin."""
 TERM_GRACE_S = 2.0
