@@ -32,6 +32,7 @@ if "--supervised" not in sys.argv:  # a supervised process has it from the launc
 
 from autopilot.mavlink import signing
 from autopilot.mavlink.codec import Encoder, Message
+from autopilot.mavlink.input_budget import InputBudget
 from autopilot.mavlink.links import UdpLink
 from autopilot.mavlink.signing import SigningKeyError
 from autopilot.navigation import plan_file
@@ -49,6 +50,7 @@ from foundation.extension_failure import ExtensionFailure
 from foundation.extensions import ExtensionError
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Warned, emit, end_with_parent
 from foundation.processes.scheduling import yield_when_woken
+from foundation.processes.socket_owners import DatagramOwners
 from foundation.profiling.profiler import profiled
 from netsim.transport.lockstep_radio import RadioClient
 
@@ -105,6 +107,8 @@ class VehicleProcess:
             stack.enter_context(contextlib.closing(self._radio))
         self._host = stack.enter_context(contextlib.closing(Host(config, self._radio)))
         self._link_messages = 0
+        self._warned_links: set[int] = set()
+        """Links of which a foreign sender was reported."""
         self._link_active: tuple[bool, ...] = ()
         """Whether each link has a listener, as of the last receive or send"""
         self._update_link_active()
@@ -198,16 +202,30 @@ class VehicleProcess:
 
     def _receive(self) -> Links:
         """Read messages from the links; the first one ends the run's determinism."""
+        now_us = int(self._host.vehicle.flight.now_us)
         incoming = [
             Addressed(Partner(i, number), message)
             for i, link in enumerate(self._links)
-            for number, message in link.receive()
+            for number, message in link.receive(now_us)
         ]
         self._update_link_active()
+        self._warn_of_foreign(now_us)
         if incoming and not self._link_messages:
             emit(Influenced(name=self._host.name, by="a ground station or companion"))
         self._link_messages += len(incoming)
         return incoming
+
+    def _warn_of_foreign(self, now_us: int) -> None:
+        """Warn once of each link whose input was dropped because of its sender's user."""
+        for i, link in enumerate(self._links):
+            if link.foreign is not None and i not in self._warned_links:
+                self._warned_links.add(i)
+                host, port = link.foreign
+                text = (
+                    f"MAVLink from {host}:{port} is dropped: its sender has ended or is of another user "
+                    "(links.local_senders)"
+                )
+                emit(Warned(name=self._host.name, time_us=now_us, text=text))
 
     def _send(self, outgoing: Links) -> None:
         """Send messages on their links."""
@@ -252,6 +270,7 @@ def _open_links(config: VehicleConfig) -> Iterator[UdpLink]:
     """Open the links in the order of their numbers. Raises OSError and SigningKeyError."""
     links, ports = config.links, config.ports
     key, received = None, signing.SigningStreams()
+    owners = DatagramOwners(links.host) if links.local_senders == "own" else None
     if links.signing_key_file is not None:
         key = signing.key_of(Path(links.signing_key_file).read_bytes())
     remotes = (
@@ -266,6 +285,8 @@ def _open_links(config: VehicleConfig) -> Iterator[UdpLink]:
             remote_port=remote,
             encoder=Encoder(system=config.instance + 1, component=1),
             signer=None if key is None else signing.Signer(key, link_id=number, received=received),
+            owners=owners,
+            budget=InputBudget(),
         )
 
 
