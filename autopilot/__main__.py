@@ -1,10 +1,10 @@
 """``python -m autopilot --instance 3``: the process of one UAV, and the only module of it that uses sockets.
 
-It connects to the simulator as PX4 does (TCP, retrying until the port is open) or by a Unix socket that the
-configuration names, to the run's radio, and opens its MAVLink links. Each HIL_SENSOR then causes one step of
-the vehicle and one answer. While the simulator is silent, because simulated time is paused or slow, messages
-on the links are still answered and heartbeats continue by wall clock. The process ends when the simulator
-closes the connection.
+It connects to the simulator as PX4 does (TCP, retrying until the port is open) or inherits the connection
+from its launcher, connects to the run's radio, and opens its MAVLink links. Each HIL_SENSOR then causes one
+step of the vehicle and one answer. While the simulator is silent, because simulated time is paused or slow,
+messages on the links are still answered and heartbeats continue by wall clock. The process ends when the
+simulator closes the connection.
 """
 
 import argparse
@@ -32,6 +32,7 @@ if "--supervised" not in sys.argv:  # a supervised process has it from the launc
 
 from autopilot.mavlink import signing
 from autopilot.mavlink.codec import Encoder, Message
+from autopilot.mavlink.input_budget import InputBudget
 from autopilot.mavlink.links import UdpLink
 from autopilot.mavlink.signing import SigningKeyError
 from autopilot.navigation import plan_file
@@ -49,6 +50,7 @@ from foundation.extension_failure import ExtensionFailure
 from foundation.extensions import ExtensionError
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Warned, emit, end_with_parent
 from foundation.processes.scheduling import yield_when_woken
+from foundation.processes.socket_owners import DatagramOwners
 from foundation.profiling.profiler import profiled
 from netsim.transport.lockstep_radio import RadioClient
 
@@ -71,8 +73,6 @@ class SimulatorUnreachable(ConnectionError):
 
 def connect_simulator(ports: VehiclePorts, wall_timeout_s: float) -> socket.socket:
     """Connect to the simulator, retrying until its TCP port is open. Raises SimulatorUnreachable."""
-    if ports.simulator_unix is not None:
-        return _connect_unix(ports.simulator_unix)
     host, port = ports.host, ports.simulator_tcp
     wall_deadline_s = time.monotonic() + wall_timeout_s
     while True:
@@ -90,21 +90,12 @@ def connect_simulator(ports: VehiclePorts, wall_timeout_s: float) -> socket.sock
             return connection
 
 
-def _connect_unix(name: str) -> socket.socket:
-    """Connect to a Unix socket in the abstract namespace; its name is passed only once it is listening."""
-    connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    try:
-        connection.connect(f"\0{name}")
-    except OSError as error:
-        connection.close()
-        raise SimulatorUnreachable(f"no simulator at {name} ({error.strerror or error})") from None
-    return connection
-
-
 class VehicleProcess:
-    """A vehicle with its sockets."""
+    """A vehicle with its sockets; ``simulator`` is the inherited connection, if there is one."""
 
-    def __init__(self, config: VehicleConfig, stack: contextlib.ExitStack) -> None:
+    def __init__(
+        self, config: VehicleConfig, stack: contextlib.ExitStack, simulator: socket.socket | None = None
+    ) -> None:
         ports = config.ports
         self._profile_from_us = config.profile_from_us
         self._links = [stack.enter_context(contextlib.closing(link)) for link in _open_links(config)]
@@ -116,13 +107,17 @@ class VehicleProcess:
             stack.enter_context(contextlib.closing(self._radio))
         self._host = stack.enter_context(contextlib.closing(Host(config, self._radio)))
         self._link_messages = 0
+        self._warned_links: set[int] = set()
+        """Links of which a foreign sender was reported."""
         self._link_active: tuple[bool, ...] = ()
         """Whether each link has a listener, as of the last receive or send"""
         self._update_link_active()
         self._poll_us = 0
         self._wall_poll_s = self._wall_heartbeat_s = time.monotonic()
-        self._simulator = stack.enter_context(connect_simulator(ports, config.connect_timeout_s))
-        self._simulator.sendall(self._host.introduction())
+        if simulator is None:
+            simulator = stack.enter_context(connect_simulator(ports, config.connect_timeout_s))
+            simulator.sendall(self._host.introduction())
+        self._simulator = simulator
         self._simulator_poll = select.poll()
         """Reports input from the simulator. A blocking `recv` would be woken twice in each step, also when
         the simulator reads the answer, which frees buffer space."""
@@ -207,16 +202,30 @@ class VehicleProcess:
 
     def _receive(self) -> Links:
         """Read messages from the links; the first one ends the run's determinism."""
+        now_us = int(self._host.vehicle.flight.now_us)
         incoming = [
             Addressed(Partner(i, number), message)
             for i, link in enumerate(self._links)
-            for number, message in link.receive()
+            for number, message in link.receive(now_us)
         ]
         self._update_link_active()
+        self._warn_of_foreign(now_us)
         if incoming and not self._link_messages:
             emit(Influenced(name=self._host.name, by="a ground station or companion"))
         self._link_messages += len(incoming)
         return incoming
+
+    def _warn_of_foreign(self, now_us: int) -> None:
+        """Warn once of each link whose input was dropped because of its sender's user."""
+        for i, link in enumerate(self._links):
+            if link.foreign is not None and i not in self._warned_links:
+                self._warned_links.add(i)
+                host, port = link.foreign
+                text = (
+                    f"MAVLink from {host}:{port} is dropped: its sender has ended or is of another user "
+                    "(links.local_senders)"
+                )
+                emit(Warned(name=self._host.name, time_us=now_us, text=text))
 
     def _send(self, outgoing: Links) -> None:
         """Send messages on their links."""
@@ -261,6 +270,7 @@ def _open_links(config: VehicleConfig) -> Iterator[UdpLink]:
     """Open the links in the order of their numbers. Raises OSError and SigningKeyError."""
     links, ports = config.links, config.ports
     key, received = None, signing.SigningStreams()
+    owners = DatagramOwners(links.host) if links.local_senders == "own" else None
     if links.signing_key_file is not None:
         key = signing.key_of(Path(links.signing_key_file).read_bytes())
     remotes = (
@@ -275,6 +285,8 @@ def _open_links(config: VehicleConfig) -> Iterator[UdpLink]:
             remote_port=remote,
             encoder=Encoder(system=config.instance + 1, component=1),
             signer=None if key is None else signing.Signer(key, link_id=number, received=received),
+            owners=owners,
+            budget=InputBudget(),
         )
 
 
@@ -297,6 +309,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("--connect-timeout-s", type=float, default=30.0, help="how long to retry to connect to the simulator")
     add("--params", type=Path, help="parameter file of a single vehicle, which is loaded and saved")
     add("--plan", type=Path, help="initial plan of a single vehicle (QGroundControl's .plan)")
+    add("--simulator-fd", type=int, help="inherited stream socket to the simulator, used instead of its port")
     add("--supervised", action="store_true", help="exit when stdin is closed")
     given = parser.parse_args(arguments)
     try:
@@ -309,7 +322,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             yield_when_woken()
         with contextlib.ExitStack() as stack:
             stack.enter_context(watched(config.call_limit_s, on_stuck=partial(end_stuck, "uav")))
-            VehicleProcess(config, stack).run()
+            simulator = None
+            if given.simulator_fd is not None:
+                simulator = stack.enter_context(socket.socket(fileno=given.simulator_fd))
+            VehicleProcess(config, stack, simulator).run()
     except (
         OSError,
         msgspec.DecodeError,

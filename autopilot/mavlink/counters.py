@@ -7,6 +7,11 @@ from dataclasses import dataclass
 class Counters:
     """Counts of one port since its start."""
 
+    datagrams_foreign: int = 0
+    """Datagrams of programs of this machine that are neither of this user nor of root, dropped unread."""
+    datagrams_over_budget: int = 0
+    """Datagrams beyond the budget of the link or their sender (`autopilot.mavlink.input_budget`), dropped
+    unread."""
     datagrams_too_long: int = 0
     """Datagrams longer than MAVLink senders make them, dropped unread."""
     bytes_bad: int = 0

@@ -2,6 +2,9 @@
 
 Whether a partner listens is reported by the kernel: on Linux a datagram to a closed port causes an error that
 contains the address. So no timeout is needed, and messages are built only while there is a listener.
+
+A port of the loopback interface can be used by every user of the machine. With `DatagramOwners` a link
+communicates there only with sockets of its own user or root.
 """
 
 import contextlib
@@ -13,7 +16,9 @@ from collections.abc import Sequence
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Encoder, Message, Parser, Sequences, signed
+from autopilot.mavlink.input_budget import InputBudget
 from autopilot.mavlink.signing import EPOCH_UNIX_S, TICKS_PER_S, Signer
+from foundation.processes.socket_owners import DatagramOwners
 
 Address = tuple[str, int]
 
@@ -30,8 +35,11 @@ MAX_BYTES_PER_CALL = 16_384
 MAX_FRAMES_PER_CALL = 256
 """Limits of one call of `UdpLink.receive`, the first of which ends it, so that a flooded link does not delay
 the swarm. The rest stays in the kernel's buffer, which drops what does not fit."""
+MAX_DROPPED_PER_CALL = 512
+"""Datagrams that one call drops unread at most, which costs little; it then ends likewise."""
 _IP_RECVERR = 11  # linux/in.h; not in the socket module of CPython 3.11
 _NS_PER_S = 1_000_000_000
+_US_PER_S = 1_000_000
 _SETUP_SIGNING = common.MAVLINK_MSG_ID_SETUP_SIGNING
 
 
@@ -44,7 +52,9 @@ class _Peer:
 class UdpLink:
     """A non-blocking UDP socket that sends to a default partner and to every partner that has sent to it.
 
-    With a signer it accepts only frames signed with its key, and signs the frames that it sends.
+    With a signer it accepts only frames signed with its key, and signs the frames that it sends. With
+    ``owners`` it communicates, on this machine, only with sockets that these trust. With a budget it drops
+    datagrams beyond it.
     """
 
     def __init__(
@@ -56,6 +66,8 @@ class UdpLink:
         encoder: Encoder,
         remote_host: str | None = None,
         signer: Signer | None = None,
+        owners: DatagramOwners | None = None,
+        budget: InputBudget | None = None,
     ) -> None:
         """Bind ``host:local_port`` (0: any free port); the default partner is at ``remote_port`` (0: none).
 
@@ -63,6 +75,9 @@ class UdpLink:
         port is in use.
         """
         self._signer = signer
+        self._owners, self._budget = owners, budget
+        self.foreign: Address | None = None
+        """The first sender whose datagrams were dropped because of their owner."""
         self._parser = Parser(signer)
         self.counters = self._parser.counters
         """Counts of rejected input, by cause."""
@@ -99,18 +114,19 @@ class UdpLink:
         """Return the socket's descriptor, for select and poll."""
         return self._socket.fileno()
 
-    def receive(self) -> list[tuple[int, Message]]:
+    def receive(self, now_us: int) -> list[tuple[int, Message]]:
         """Return messages that have arrived, with their partners' numbers, without waiting.
 
         The sender of a message becomes a partner, and keeps its number until it is removed. Input beyond
-        the limits of one call is left for the next.
+        the limits of one call is left for the next. ``now_us`` is the simulated time, for the budget.
         """
         messages: list[tuple[int, Message]] = []
-        now = self._now()
+        now, wall_s = self._now(), time.monotonic()
+        if self._budget is not None:
+            self._budget.advance(now_us, round(wall_s * _US_PER_S))
         left_bytes, last_frame = MAX_BYTES_PER_CALL, self._parser.looked_at + MAX_FRAMES_PER_CALL
-        for _ in range(MAX_DATAGRAMS_PER_CALL):
-            if left_bytes <= 0 or self._parser.looked_at >= last_frame:
-                break
+        left_datagrams, left_drops = MAX_DATAGRAMS_PER_CALL, MAX_DROPPED_PER_CALL
+        while min(left_bytes, left_datagrams, left_drops, last_frame - self._parser.looked_at) > 0:
             try:
                 # the kernel truncates datagrams, so one extra byte detects those that are too long
                 data, address = self._socket.recvfrom(MAX_RECEIVED_DATAGRAM_BYTES + 1)
@@ -119,11 +135,18 @@ class UdpLink:
             except OSError:  # an earlier datagram was refused; the error queue has its address
                 self._remove_unreachable()
                 continue
+            if not self._admits(address, wall_s):
+                left_drops -= 1
+                continue
+            left_datagrams -= 1
             left_bytes -= len(data)
             if len(data) > MAX_RECEIVED_DATAGRAM_BYTES:
                 self.counters.datagrams_too_long += 1
                 continue
+            looked_at = self._parser.looked_at
             received = self._parser.push_datagram(data, now)
+            if self._budget is not None:
+                self._budget.spend(address, self._parser.looked_at - looked_at)
             if received:
                 number = self._add_partner(address)
                 for message in received:
@@ -139,9 +162,7 @@ class UdpLink:
         BROADCAST includes the default partner, whether it has sent anything or not. Messages to a partner
         that was removed are dropped.
         """
-        recipients = dict(self._partners)
-        if self._default is not None:
-            recipients.setdefault(self._default, self._default_peer)
+        recipients = self._recipients() if messages else {}
         packed: list[bytes | None] = [None] * len(messages)
         now = self._now()
         for address, peer in recipients.items():
@@ -155,6 +176,31 @@ class UdpLink:
     def close(self) -> None:
         """Release the port."""
         self._socket.close()
+
+    def _admits(self, sender: Address, wall_s: float) -> bool:
+        """Whether a datagram is to be read; counts it otherwise."""
+        if self._owners is not None and not self._owners.trusts(sender, wall_s, wall_since_s=wall_s):
+            self.counters.datagrams_foreign += 1
+            self.foreign = self.foreign or sender
+            return False
+        if self._budget is not None and not self._budget.admits(sender):
+            self.counters.datagrams_over_budget += 1
+            return False
+        return True
+
+    def _recipients(self) -> dict[Address, _Peer]:
+        """Return the partners to which messages are sent now, with the default partner."""
+        recipients, default, owners = dict(self._partners), self._default, self._owners
+        if owners is not None:
+            wall_s = time.monotonic()
+            for address in self._partners:
+                if owners.is_foreign(address, wall_s):
+                    del recipients[address]
+            if default is not None and default not in self._partners and not owners.trusts(default, wall_s):
+                default, self._default_listens = None, False
+        if default is not None and default not in self._partners:
+            recipients[default] = self._default_peer
+        return recipients
 
     def _datagrams(
         self, messages: Sequence[tuple[int, Message]], peer: _Peer, packed: list[bytes | None], now: int

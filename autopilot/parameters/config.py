@@ -220,6 +220,11 @@ class LinksConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """IPv4 address with ``ports.gcs_remote_udp``, the default destination of the ground station link."""
     companion_host: str = "127.0.0.1"
     """IPv4 address with ``ports.companion_remote_udp``, the default destination of the companion link."""
+    local_senders: Literal["own", "any"] = "own"
+    """Programs of this machine with which the links communicate over the loopback interface, whose ports all
+    users share. "own": those of the run's user and of root; datagrams of others are dropped and counted.
+    "any": all, for instance for a ground station that another user runs. The application beside a PX4 or
+    ArduPilot accepts, with "own", only the autopilot that the run has started."""
     bandwidth_bytes_s: Annotated[int, Meta(ge=0, le=1_000_000_000)] = 0
     """Limit of each link's MAVLink bytes per second of simulated time; 0: none."""
     signing_key_file: str | None = None
@@ -301,8 +306,7 @@ class VehiclePorts(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     host: str = "127.0.0.1"
     """Address of the simulator; for that of the links see `LinksConfig`."""
     simulator_tcp: Port = 4560
-    simulator_unix: str | None = None
-    """Name of the simulator's Unix socket in Linux's abstract namespace, used instead of its TCP port."""
+    """Not used by a process that inherits its connection to the simulator."""
     gcs_local_udp: Port = 18570
     gcs_remote_udp: Port = 14550
     companion_local_udp: Port = 14580

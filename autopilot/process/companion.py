@@ -30,7 +30,7 @@ from autopilot.mavlink.telemetry import CompanionEncoder
 from autopilot.onboard.factory import make_programs
 from autopilot.onboard.programs import NOTHING, Programs
 from autopilot.parameters.config import VehicleConfig
-from autopilot.process.autopilot_socket import AutopilotSocket
+from autopilot.process.autopilot_socket import AutopilotSocket, sender_check
 from autopilot.process.iteration import APPLICATION, Iterate, Iterated
 from autopilot.process.streams import ARDUPILOT_STREAMS, PX4_STREAMS, Streams
 from autopilot.services.status import Chunks
@@ -156,12 +156,14 @@ class CompanionProcess:
                 contextlib.closing(CompanionLog(config, config.log_path, self._companion.app))
             )
         is_px4 = config.autopilot.is_px4(config.instance)
+        checked = config.links.local_senders == "own"
         self._autopilot = stack.enter_context(
             contextlib.closing(
                 AutopilotSocket(
                     (ports.host, ports.companion_remote_udp),
                     (ports.host, ports.companion_local_udp) if is_px4 else None,
                     system=config.instance + 1,
+                    is_autopilot=sender_check(ports.host, config.instance) if checked else lambda _: True,
                 )
             )
         )
@@ -201,6 +203,7 @@ class CompanionProcess:
                 name=self._name,
                 details={
                     "autopilot_messages": self._message_count,
+                    "foreign_datagrams": self._autopilot.foreign_datagrams,
                     "malformed_bytes": self._autopilot.parser.bad_bytes,
                     "unknown_messages": self._autopilot.parser.counters.frames_unknown,
                     "malformed_deliveries": self._radio.malformed,

@@ -60,7 +60,7 @@ class InProcessFlight:
 
             def make_lockstep(simulation: Simulation) -> Lockstep:
                 return Lockstep(
-                    links=self.links,
+                    links=dict(enumerate(self.links)),
                     watchdog=ResponseWatchdog(physics.scenario.run.silence_limit_s),
                     on_message=simulation.on_message,
                     on_silent=simulation.reports.on_silent,

@@ -24,15 +24,21 @@ class Claim(NamedTuple):
 
     scenario: Scenario
     """With free ports."""
-    listeners: list[socket.socket]
-    """The simulator's TCP listener of each vehicle."""
+    listeners: dict[int, socket.socket]
+    """The simulator's TCP listeners, by vehicle (`tcp_vehicles`)."""
     states: dict[int, socket.socket]
     """UDP sockets for the states of ArduPilots, by vehicle, with the numbers of their listeners."""
 
     @property
     def sockets(self) -> tuple[socket.socket, ...]:
         """All sockets."""
-        return (*self.listeners, *self.states.values())
+        return (*self.listeners.values(), *self.states.values())
+
+
+def tcp_vehicles(scenario: Scenario) -> tuple[int, ...]:
+    """Return the vehicles that connect to the simulator by TCP: other autopilots, or all if set."""
+    uses_tcp = scenario.ports.simulator_link == "tcp"
+    return tuple(range(scenario.agents)) if uses_tcp else external_autopilots.instances(scenario)
 
 
 def claim(scenario: Scenario, *, search: bool) -> Claim:
@@ -74,12 +80,12 @@ def _claim(scenario: Scenario) -> Claim:
     ports, vehicles = scenario.ports, range(scenario.agents)
     with contextlib.ExitStack() as stack:
         base, with_states = ports.simulator_tcp, scenario.ardupilots
-        listeners: list[socket.socket] = []
+        listeners: dict[int, socket.socket] = {}
         states: dict[int, socket.socket] = {}
-        for i in vehicles:
+        for i in tcp_vehicles(scenario):
             port = base + i if base else 0
             listener, state = _free_simulator_sockets(ports.host, port, states=i in with_states)
-            listeners.append(stack.enter_context(listener))
+            listeners[i] = stack.enter_context(listener)
             if state is not None:
                 states[i] = stack.enter_context(state)
         external_autopilots.check_free(scenario)

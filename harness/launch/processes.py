@@ -28,7 +28,7 @@ from harness.launch.process_commands import (
     supervised,
     uav,
 )
-from harness.launch.resources import HAS_NAMED_SOCKETS, ResourceError, allow_descriptors, bind_local
+from harness.launch.resources import ResourceError, allow_descriptors
 from harness.launch.run_messages import (
     Compiling,
     Message,
@@ -37,6 +37,7 @@ from harness.launch.run_messages import (
     SwarmError,
 )
 from harness.launch.run_monitor import RunMonitor
+from harness.launch.socket_pairs import SocketPairs, descriptor_list
 from harness.launch.supervisor import Exited, Supervisor, SupervisorError
 from harness.records.run_folder import FolderRefused, RunFolder
 from harness.scenario.scenario import Scenario
@@ -61,12 +62,6 @@ _ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",
     "PYTHONFAULTHANDLER": "1",
 }
-
-
-def _socket_pair(stack: contextlib.ExitStack) -> tuple[socket.socket, socket.socket]:
-    """Return two connected sockets that the stack closes."""
-    first, second = socket.socketpair()
-    return stack.enter_context(first), stack.enter_context(second)
 
 
 class Processes(RunMonitor):
@@ -187,12 +182,12 @@ class Processes(RunMonitor):
             self._note(str(error))
 
     def _start(self) -> None:
-        run_id, vehicles = uuid.uuid4().hex[:16], range(self._scenario.agents)
+        vehicles = range(self._scenario.agents)
         allow_descriptors(len((PHYSICS, RADIO, PREFORK)) + len(vehicles) + 3 * len(self._applications))
-        # both ends of each application's link to the simulator, until the two processes have them
-        with contextlib.ExitStack() as links:
-            pairs = {i: _socket_pair(links) for i in self._applications}
-            self._start_linked(run_id, pairs)
+        own = set(vehicles) - set(ports.tcp_vehicles(self._scenario))
+        # both ends of each link to the simulator, until the two processes have them
+        with SocketPairs(sorted(own)) as own_links, SocketPairs(self._applications) as application_links:
+            self._start_linked(uuid.uuid4().hex[:16], own_links, application_links)
         for i in vehicles:
             details = self.ready[uav(i)].details
             self._ports |= {details[name] for name in _LINK_PORTS if name in details}
@@ -202,43 +197,41 @@ class Processes(RunMonitor):
         self.send(SetRadioPid(pid=self.ready[RADIO].pid))
         self._pin()
 
-    def _start_linked(self, run_id: str, pairs: Mapping[int, tuple[socket.socket, socket.socket]]) -> None:
-        """Start all processes; ``pairs`` are the simulator's and the application's end of each link."""
+    def _start_linked(self, run_id: str, own_links: SocketPairs, application_links: SocketPairs) -> None:
+        """Start all processes; physics is linked to own vehicles and applications by socket pairs."""
         vehicles = range(self._scenario.agents)
         with contextlib.ExitStack() as sockets:
             claim = self._claim_ports()
             for each in claim.sockets:
                 sockets.enter_context(each)
-            scenario, listeners = claim.scenario, claim.listeners
+            scenario = claim.scenario
             self._kernels = kernel_cache.prepare_flight(self._note, self._on_compiled)
             self._wall_start_s = time.monotonic()
-            simulator_ports = [listener.getsockname()[1] for listener in listeners]
-            self._ports.update(simulator_ports)
-            own_name = self._own_link_name(run_id)
+            simulator_ports = {i: each.getsockname()[1] for i, each in claim.listeners.items()}
+            self._ports.update(simulator_ports.values())
             if self._has_prefork:  # starts first: it takes longest and needs no other process
                 self._supervisor.start_forker(
                     PREFORK, bound_module("autopilot.process.prefork_server", "--supervised")
                 )
-            radio_fd, physics_fd = (end.fileno() for end in _socket_pair(sockets))
+            radio_end, physics_end = map(sockets.enter_context, socket.socketpair())
             config = self._folder.write_radio_config(scenario, run_id=run_id)
-            command = bound_module("netsim", *supervised(config), "--interval-fd", str(radio_fd))
-            self._supervisor.start(RADIO, command, pass_fds=[radio_fd])
-            fds = [listener.fileno() for listener in listeners]
+            command = bound_module("netsim", *supervised(config), "--interval-fd", str(radio_end.fileno()))
+            self._supervisor.start(RADIO, command, pass_fds=[radio_end.fileno()])
             config = self._folder.write_physics_config(scenario, run_id=run_id)
             command = bound_module("harness.simulator.server", *supervised(config))
-            command += ["--listen-fds", ",".join(map(str, fds)), "--interval-fd", str(physics_fd)]
-            if own_name is not None:
-                own_listener = sockets.enter_context(bind_local(own_name, backlog=len(vehicles)))
-                fds.append(own_listener.fileno())
-                command += ["--own-listen-fd", str(own_listener.fileno())]
-            ends = {i: simulators.fileno() for i, (simulators, _) in pairs.items()}
-            if ends:
-                command += ["--application-fds", ",".join(f"{i}:{fd}" for i, fd in ends.items())]
-            states = {i: each.fileno() for i, each in claim.states.items()}
-            if states:
-                command += ["--state-fds", ",".join(f"{i}:{fd}" for i, fd in states.items())]
-            fds += [physics_fd, *ends.values(), *states.values()]
+            command += ["--interval-fd", str(physics_end.fileno())]
+            fds = [physics_end.fileno()]
+            for option, descriptors in (
+                ("--listen-fds", {i: each.fileno() for i, each in claim.listeners.items()}),
+                ("--vehicle-fds", own_links.server_descriptors()),
+                ("--application-fds", application_links.server_descriptors()),
+                ("--state-fds", {i: each.fileno() for i, each in claim.states.items()}),
+            ):
+                command += [option, descriptor_list(descriptors)] if descriptors else []
+                fds += descriptors.values()
             self._supervisor.start(PHYSICS, command, pass_fds=fds)
+        for links in (own_links, application_links):
+            links.close_server_ends()
         endpoint = self._radio_endpoint()
         if self._has_prefork:
             self._await_ready([PREFORK])
@@ -247,21 +240,17 @@ class Processes(RunMonitor):
                 scenario,
                 i,
                 run_id=run_id,
-                simulator_port=simulator_ports[i],
+                simulator_port=simulator_ports.get(i, 0),
                 radio_endpoint=endpoint,
-                simulator_unix=None if i in self._external else own_name,
             )
             if i in self._external:
                 self._start_external(i, simulator_ports[i])
-            if i in pairs:
-                self._supervisor.fork(
-                    application(i),
-                    (APPLICATION, *supervised(config), "--simulator-fd", str(FIRST_DESCRIPTOR)),
-                    forker=PREFORK,
-                    pass_fds=[pairs[i][1].fileno()],
-                )
-            if i not in self._external:
+            elif i in simulator_ports:
                 self._supervisor.fork(uav(i), supervised(config), forker=PREFORK)
+            else:
+                self._fork_linked(uav(i), supervised(config), own_links, i)
+            if i in self._applications:
+                self._fork_linked(application(i), (APPLICATION, *supervised(config)), application_links, i)
         self._await_ready([PHYSICS, *map(uav, vehicles), *map(application, self._applications)])
 
     def _pin(self) -> None:
@@ -280,10 +269,15 @@ class Processes(RunMonitor):
         """Return the process ids by name; of a PX4 it is the program's, not its wrapper's."""
         return {name: ready.pid for name, ready in self.ready.items() if self._supervisor.alive(name)}
 
-    def _own_link_name(self, run_id: str) -> str | None:
-        """Return the name of the Unix socket for own vehicles; None: they use the TCP ports."""
-        uses_unix = self._scenario.ports.simulator_link == "unix" and self._has_own
-        return f"coflight-{run_id}" if uses_unix and HAS_NAMED_SOCKETS else None
+    def _fork_linked(self, name: str, arguments: Sequence[str], links: SocketPairs, instance: int) -> None:
+        """Fork a process with its end of a link to the simulator."""
+        with links.handed_over(instance) as descriptor:
+            self._supervisor.fork(
+                name,
+                (*arguments, "--simulator-fd", str(FIRST_DESCRIPTOR)),
+                forker=PREFORK,
+                pass_fds=[descriptor],
+            )
 
     def _start_external(self, instance: int, simulator_port: int) -> None:
         config = external_autopilots.process_config(

@@ -7,11 +7,10 @@ import errno
 import os
 import resource
 import socket
-import sys
 from pathlib import Path
 
-HAS_NAMED_SOCKETS = sys.platform == "linux"
-"""Whether the system has abstract Unix sockets, whose names are no files."""
+BACKLOG = 1_024
+"""Connections that a listener holds until they are accepted; the kernel's limit may be lower."""
 DESCRIPTORS_OF_CHILD = 3
 """Descriptors that the launcher holds per child: its stdin, its stdout, and one that signals its end."""
 DESCRIPTORS_BESIDE = 64
@@ -39,7 +38,7 @@ def bind(kind: socket.SocketKind, host: str, port: int) -> socket.socket:
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         sock.bind((host, port))
         if kind == socket.SOCK_STREAM:
-            sock.listen()
+            sock.listen(BACKLOG)
     except OSError as error:
         sock.close()
         protocol = "TCP" if kind == socket.SOCK_STREAM else "UDP"
@@ -47,18 +46,6 @@ def bind(kind: socket.SocketKind, host: str, port: int) -> socket.socket:
             f"{protocol} port {port} on {host}: {os.strerror(error.errno or 0)}",
             in_use=error.errno == errno.EADDRINUSE,
         ) from None
-    return sock
-
-
-def bind_local(name: str, *, backlog: int) -> socket.socket:
-    """Return a listening abstract Unix socket (`HAS_NAMED_SOCKETS`). Raises OSError."""
-    sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    try:
-        sock.bind(f"\0{name}")
-        sock.listen(backlog)
-    except OSError:
-        sock.close()
-        raise
     return sock
 
 
@@ -70,8 +57,9 @@ def open_descriptors() -> int:
 def allow_descriptors(children: int) -> None:
     """Raise the limit of descriptors to what a run with that many children needs; they inherit it.
 
-    The launcher holds `DESCRIPTORS_OF_CHILD` per child; the physics server and the 802.11 emulator hold two
-    per vehicle, which is less. Raises ResourceError if the system does not allow as many.
+    The launcher holds `DESCRIPTORS_OF_CHILD` per child: of a vehicle that has not started yet, both ends of
+    its link to the simulator. The physics server and the 802.11 emulator hold two per vehicle at most. Raises
+    ResourceError if the system does not allow as many.
     """
     needed = open_descriptors() + DESCRIPTORS_BESIDE + DESCRIPTORS_OF_CHILD * children
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)

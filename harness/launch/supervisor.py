@@ -27,6 +27,7 @@ from msgspec import Struct
 
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Stop, Warned
 from foundation.processes.prefork import Fork
+from foundation.processes.socket_owners import MARK
 from harness.launch.death_report import ending, last_words
 from harness.launch.descriptor_watcher import DescriptorWatcher
 from harness.launch.graceful_end import wait_for_ends
@@ -36,8 +37,6 @@ from harness.launch.spawner import spawn
 from harness.simulator.messages import AnyCommand, AnyEvent
 from harness.simulator.process_activity import DEAD, ENDED, HELD, ProcessState, state_of
 
-MARK = "COFLIGHT_CHILD"
-"""Environment variable of every child and its descendants: ``<supervisor's token>/<child's name>``."""
 INPUT_GRACE_S = 1.0
 """Wall time that a child has to end after the end of its stdin."""
 TERM_GRACE_S = 2.0

@@ -259,15 +259,15 @@ class RunFolder:
         run_id: str,
         simulator_port: int,
         radio_endpoint: str | None,
-        simulator_unix: str | None = None,
     ) -> Path:
-        """Write the settings of one UAV's process with the simulator's actual port; returns the path."""
+        """Write the settings of one UAV's process; returns the path.
+
+        ``simulator_port`` is the simulator's actual TCP port, 0 if the process inherits its connection.
+        """
         config = scenario.vehicle_config(
             instance, run_id=run_id, radio_endpoint=radio_endpoint, log_path=str(self.raw_vehicle(instance))
         )
-        ports = msgspec.structs.replace(
-            config.ports, simulator_tcp=simulator_port, simulator_unix=simulator_unix
-        )
+        ports = msgspec.structs.replace(config.ports, simulator_tcp=simulator_port)
         params_path = str(self.path / f"uav-{instance}.params")
         config = msgspec.structs.replace(
             config, ports=ports, params_path=params_path, profile_from_us=self._profile_from_us

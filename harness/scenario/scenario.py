@@ -87,11 +87,16 @@ class PortsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     host: str = "127.0.0.1"
     """Address of simulator and radio; the addresses of the vehicles' links are in ``[links]``."""
     simulator_tcp: Port = 4560
-    """Simulator: TCP port that vehicle 0 connects to."""
+    """Simulator: TCP port that vehicle 0 connects to, if it does (``simulator_link``)."""
     simulator_link: Literal["unix", "tcp"] = "unix"
-    """Connection of coflight's own vehicles to the simulator. "unix": a Unix socket of the run, on Linux
-    only; a message takes a third of the time of "tcp", which can be captured on the loopback interface. PX4s
-    and vehicles started by hand always use TCP."""
+    """Connection of coflight's own vehicles to the simulator. "unix": a pair of Unix sockets without a name,
+    which each process inherits; a message takes a third of the time of "tcp", which can be captured on the
+    loopback interface. PX4s and ArduPilots always use TCP."""
+    simulator_peers: Literal["started", "any"] = "started"
+    """Programs of this machine that may connect to the simulator's ports. "started": for each vehicle the
+    process that the run has started for it, and its descendants; others are closed, counted and named in the
+    manifest. "any": all, for a command that has a PX4 or ArduPilot started by another program, such as a
+    container's."""
     gcs_local_udp: Port = 18570
     """Local UDP port of the ground station link."""
     gcs_remote_udp: Port = 14550

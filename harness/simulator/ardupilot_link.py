@@ -12,6 +12,7 @@ import time
 from autopilot.mavlink.codec import Message, Parser
 from autopilot.mavlink.components import AUTOPILOT_COMPONENT
 from harness.simulator.ardupilot_json import servo_packet
+from harness.simulator.seat_guard import UNGUARDED, Guard
 
 _DATAGRAM_BYTES = 4096
 _RECEIVE_BYTES = 4096
@@ -43,13 +44,17 @@ class ArduPilotLink:
     """The two sockets of one ArduPilot; implements `harness.simulator.lockstep.Link`.
 
     ``states`` is the bound UDP socket, ``listener`` the TCP socket at which the MAVLink link arrives: the
-    first connection with a message of MAVLink system ``system``. Sends what
+    first connection with a message of MAVLink system ``system``, which is the vehicle's number plus one.
+    ``guard`` decides which senders and connections may be the vehicle's. Sends what
     `harness.simulator.ardupilot_json.StateEncoder` returns: the line as a datagram, the rest to the MAVLink
     link. It receives servo packets, each once: ArduPilot repeats a packet whose state it has missed, which is
     answered by repeating the state.
     """
 
-    def __init__(self, states: socket.socket, listener: socket.socket, *, system: int) -> None:
+    def __init__(
+        self, states: socket.socket, listener: socket.socket, *, system: int, guard: Guard = UNGUARDED
+    ) -> None:
+        self._guard = guard
         self.states = states
         self._system = system
         self._listener = listener
@@ -78,7 +83,9 @@ class ArduPilotLink:
             except OSError:
                 return False
             packet = servo_packet(data)
-            if packet is not None:
+            if packet is not None and self._guard.admits_sender(
+                self._system - 1, self.states.getsockname(), sender
+            ):
                 self.states.connect(sender)
                 self._frame_count = packet.frame_count
                 self._discard()  # from other senders, or repeated
@@ -174,11 +181,17 @@ class ArduPilotLink:
 
     def _identify(self) -> None:
         """Accept connections; the first with a message of the vehicle is its MAVLink link."""
+        accepted = []
         with contextlib.suppress(OSError):  # no more, or one that was reset meanwhile
             for _ in range(MAX_PENDING):
                 connection, _ = self._listener.accept()
                 connection.settimeout(0.0)  # non-blocking
+                accepted.append((self._system - 1, connection))
+        for (_, connection), admitted in zip(accepted, self._guard.admits(accepted), strict=True):
+            if admitted:
                 self._pending.append(_Pending(connection))
+            else:
+                connection.close()
         for pending in list(self._pending):
             data = _received(pending.connection)
             if data is None:
@@ -204,6 +217,7 @@ class ArduPilotLink:
         self._mavlink, self._parser = pending.connection, pending.parser
         self._mavlink.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._messages += filter(self._is_vehicles, pending.messages)
+        self._listener.close()
         for other in self._pending:
             other.connection.close()
         self._pending.clear()

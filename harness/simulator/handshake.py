@@ -1,11 +1,12 @@
-"""Handshake: assigns new connections to vehicle slots by the system number in their first message.
+"""Handshake: assigns new TCP connections to vehicle slots by the system number in their first message.
 
 An I/O module: accepts connections at the listeners. On connecting, a PX4 sends a HEARTBEAT and a COMMAND_LONG
 with its system number, in either order; coflight's own vehicles send a HEARTBEAT. A connection that sends
-anything else, or nothing, is closed and delays no other. An ArduPilot has a port of its own, and arrives with
-its first servo packet.
+anything else, or nothing, is closed and delays no other; so is one that the guard does not admit, before it
+is read. An ArduPilot has a port of its own, and arrives with its first servo packet.
 """
 
+import errno
 import selectors
 import socket
 import time
@@ -18,20 +19,18 @@ from pymavlink.dialects.v20 import common
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.hil import HilActuatorControls, HilParser
 from harness.simulator.ardupilot_link import ArduPilotLink
+from harness.simulator.seat_guard import UNGUARDED, Guard
 
 INTRODUCTION_LIMIT_S = 10.0
 """Wall time that a new connection has for its first message; the others are served meanwhile."""
-MAX_PENDING = 8
-"""Unidentified connections per slot of a listener; one more closes the oldest."""
+MAX_PENDING = 16
+"""Unidentified connections per listener; one more closes the oldest."""
+ACCEPTED_AT_ONCE = 32
+"""Connections that are accepted in one poll, at all listeners together but one at each, and per listener half
+of `MAX_PENDING`, so that a connection is read before later ones can close it."""
 _INTRODUCTIONS = {common.MAVLINK_MSG_ID_HEARTBEAT, common.MAVLINK_MSG_ID_COMMAND_LONG}
 _RECEIVE_BYTES = 4096
-
-
-class Listener(NamedTuple):
-    """A listening socket, and the instances whose slots can be filled through it."""
-
-    server: socket.socket
-    instances: frozenset[int]
+_NO_DESCRIPTORS = {errno.EMFILE, errno.ENFILE}
 
 
 class Arrival(NamedTuple):
@@ -55,29 +54,39 @@ class ArduPilotArrival(NamedTuple):
 class _PendingConnection:
     """A connection that has not identified itself yet."""
 
-    listener: Listener
+    instance: int
     connection: socket.socket
     wall_deadline_s: float
     parser: HilParser
 
 
 class Handshake:
-    """Accepts the vehicles of empty slots, each of which is reached by one or more listeners. Close it.
+    """Accepts the vehicles of empty slots at their listeners; closes each of these when its slot is filled.
+
+    Close it, and the listeners of slots that have stayed empty.
 
     ``ardupilots`` are the links of ArduPilots that have not arrived, by vehicle; their owner closes them.
+    ``guard`` decides which connections are read at all.
     """
 
     def __init__(
-        self, listeners: Sequence[Listener], ardupilots: Mapping[int, ArduPilotLink] | None = None
+        self,
+        listeners: Mapping[int, socket.socket],
+        ardupilots: Mapping[int, ArduPilotLink] | None = None,
+        *,
+        guard: Guard = UNGUARDED,
     ) -> None:
+        self._listeners = listeners
+        self._guard = guard
         self._selector = selectors.DefaultSelector()
-        self._vacant = set(ardupilots or ()).union(*(listener.instances for listener in listeners))
+        self._vacant = {*listeners, *(ardupilots or ())}
         for instance, link in (ardupilots or {}).items():
             self._selector.register(link.states, selectors.EVENT_READ, ArduPilotArrival(instance, link))
-        self._pending: dict[Listener, list[_PendingConnection]] = {listener: [] for listener in listeners}
-        """By open listener, the oldest first."""
-        for listener in listeners:
-            self._selector.register(listener.server, selectors.EVENT_READ, listener)
+        self._pending: dict[int, list[_PendingConnection]] = {instance: [] for instance in listeners}
+        """By vehicle whose listener is open, the oldest first."""
+        for instance, server in listeners.items():
+            server.settimeout(0.0)  # non-blocking
+            self._selector.register(server, selectors.EVENT_READ, instance)
 
     @property
     def missing(self) -> list[int]:
@@ -86,18 +95,20 @@ class Handshake:
 
     def poll(self, wall_limit_s: float) -> Iterator[Arrival | ArduPilotArrival]:
         """Wait for activity, at most ``wall_limit_s``, and yield the vehicles that can take their slots."""
+        calling: list[int] = []
         for key, _ in self._selector.select(wall_limit_s):
-            if isinstance(key.data, ArduPilotArrival):
-                if key.data.link.arrive():
-                    self._selector.unregister(key.fileobj)
-                    self._vacant.remove(key.data.instance)
-                    yield key.data
-            elif isinstance(key.data, _PendingConnection):
-                pending = key.data
-                if pending in self._pending.get(pending.listener, ()):  # else closed a moment ago
-                    yield from self._receive(pending)
-            elif key.data in self._pending:
-                self._accept(key.data)
+            match key.data:
+                case ArduPilotArrival() as arrival:
+                    if arrival.link.arrive():
+                        self._selector.unregister(key.fileobj)
+                        self._vacant.remove(arrival.instance)
+                        yield arrival
+                case _PendingConnection() as pending:
+                    if pending in self._pending.get(pending.instance, ()):  # else closed a moment ago
+                        yield from self._receive(pending)
+                case instance:
+                    calling.append(instance)
+        self._accept([instance for instance in calling if instance in self._pending])
         wall_s = time.monotonic()
         for connections in self._pending.values():
             for pending in [each for each in connections if wall_s > each.wall_deadline_s]:
@@ -110,16 +121,41 @@ class Handshake:
                 self._reject(pending)
         self._selector.close()
 
-    def _accept(self, listener: Listener) -> None:
-        connection, _ = listener.server.accept()
+    def _accept(self, calling: Sequence[int]) -> None:
+        """Accept connections at these listeners; close those that the guard does not admit."""
+        if not calling:
+            return
+        most = min(max(1, ACCEPTED_AT_ONCE // len(calling)), MAX_PENDING // 2)
+        accepted = [each for instance in calling for each in self._accepted(instance, most)]
+        # all at once: the guard reads a table of all connections of this machine
+        for (instance, connection), admitted in zip(accepted, self._guard.admits(accepted), strict=True):
+            if admitted:
+                self._add(instance, connection)
+            else:
+                connection.close()
+
+    def _accepted(self, instance: int, most: int) -> Iterator[tuple[int, socket.socket]]:
+        for _ in range(most):
+            try:
+                connection, _ = self._listeners[instance].accept()
+            except OSError as error:  # no more, or one that was reset meanwhile
+                pending = self._pending[instance]
+                if error.errno in _NO_DESCRIPTORS and not pending:
+                    raise
+                if error.errno in _NO_DESCRIPTORS:
+                    self._reject(pending[0])
+                return
+            yield instance, connection
+
+    def _add(self, instance: int, connection: socket.socket) -> None:
         pending = _PendingConnection(
-            listener=listener,
+            instance=instance,
             connection=connection,
             wall_deadline_s=time.monotonic() + INTRODUCTION_LIMIT_S,
             parser=HilParser(HilActuatorControls),
         )
-        connections = self._pending[listener]
-        if len(connections) == MAX_PENDING * len(listener.instances):
+        connections = self._pending[instance]
+        if len(connections) == MAX_PENDING:
             self._reject(connections[0])
         connections.append(pending)
         self._selector.register(connection, selectors.EVENT_READ, pending)
@@ -132,25 +168,24 @@ class Handshake:
         except OSError:
             data = b""
         messages = pending.parser.push(data)
-        instance = _introduced(messages[0]) if messages else None
-        if instance is not None and instance in pending.listener.instances & self._vacant:
+        if messages and _introduced(messages[0]) == pending.instance:
             self._remove(pending)
-            self._fill(instance)
-            yield Arrival(instance, pending.connection, messages, pending.parser)
+            self._fill(pending.instance)
+            yield Arrival(pending.instance, pending.connection, messages, pending.parser)
         elif messages or pending.parser.bad_bytes or not data:
             self._reject(pending)
 
     def _fill(self, instance: int) -> None:
-        """Mark a slot as filled and stop polling the listeners that lead to no empty slot any more."""
+        """Mark a slot as filled, and close its listener."""
         self._vacant.remove(instance)
-        for listener in [each for each in self._pending if not each.instances & self._vacant]:
-            for late in list(self._pending[listener]):
-                self._reject(late)
-            del self._pending[listener]
-            self._selector.unregister(listener.server)
+        for late in list(self._pending[instance]):
+            self._reject(late)
+        del self._pending[instance]
+        self._selector.unregister(self._listeners[instance])
+        self._listeners[instance].close()
 
     def _remove(self, pending: _PendingConnection) -> None:
-        self._pending[pending.listener].remove(pending)
+        self._pending[pending.instance].remove(pending)
         self._selector.unregister(pending.connection)
 
     def _reject(self, pending: _PendingConnection) -> None:

@@ -14,15 +14,17 @@ import struct
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from types import MappingProxyType
+from typing import Any, Protocol
 
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.hil import HilActuatorControls, HilParser
 from harness.simulator.actuator_inbox import ActuatorInbox
 from harness.simulator.ardupilot_json import servo_packet
 from harness.simulator.ardupilot_link import ArduPilotLink
-from harness.simulator.handshake import ArduPilotArrival, Arrival, Handshake, Listener
+from harness.simulator.handshake import ArduPilotArrival, Arrival, Handshake
 from harness.simulator.response_watchdog import STARTING_LIMIT_S, ResponseWatchdog
+from harness.simulator.seat_guard import UNGUARDED, Guard
 
 POLL_S = 0.1
 STARTING_STEP_S = 0.004
@@ -32,6 +34,7 @@ BREAK_S = 2.0
 """A longer wall time between two steps counts as a pause of the simulation, which resets silences."""
 _RECEIVE_BYTES = 4096
 _UNREACHABLE = {errno.EHOSTUNREACH, errno.EHOSTDOWN, errno.ENETUNREACH, errno.ENETDOWN, errno.ENOBUFS}
+_NONE: Mapping[int, Any] = MappingProxyType({})
 _POLL_TIMEVAL = struct.pack("ll", 0, round(POLL_S * 1e6))
 
 
@@ -39,6 +42,11 @@ def _check_lost(error: OSError) -> None:
     """Raise the error of a link again unless its vehicle has ended or cannot be reached: it ends the run."""
     if not (isinstance(error, ConnectionError | TimeoutError) or error.errno in _UNREACHABLE):
         raise error
+
+
+def _limit_waits(connection: socket.socket) -> None:
+    """Limit each wait for input to `POLL_S`, by the kernel: Python's own limit costs one more system call."""
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _POLL_TIMEVAL)
 
 
 CLOSED = "its connection closed"
@@ -146,47 +154,41 @@ class Lockstep:
 
     ``on_message(instance, message)`` is called for every message except answers; ``on_silent(instance,
     wall_silence_s)`` once per silence; ``on_lost(instance, reason)`` when a vehicle is removed from the run.
-    ``policies`` has one policy per vehicle, by default `OWN`. ``listeners`` has one TCP socket per slot;
-    ``own_listener`` is a Unix socket to which all of coflight's own vehicles may connect instead. Vehicles in
-    this process have ``links`` instead. ``ardupilots`` are the links of ArduPilots by vehicle, which own
-    their listeners. ``rotors`` is the greatest number of rotors of a vehicle.
+    ``policies`` has one policy per vehicle, by default `OWN`. Each vehicle has either a link from the start
+    (``links``: an inherited socket, or a vehicle in this process), a TCP listener at which it arrives, or,
+    if it is an ArduPilot, one of ``ardupilots``, which own their listeners. ``guard`` decides which
+    connections may be vehicles. ``rotors`` is the greatest number of rotors of a vehicle.
     """
 
     def __init__(
         self,
-        listeners: Sequence[socket.socket] = (),
+        listeners: Mapping[int, socket.socket] = _NONE,
         *,
         watchdog: ResponseWatchdog,
         on_message: Callable[[int, Message], None],
         on_silent: Callable[[int, float], None],
         on_lost: Callable[[int, str], None],
         policies: Sequence[LockstepPolicy] = (),
-        own_listener: socket.socket | None = None,
-        links: Sequence[Link] = (),
-        ardupilots: Mapping[int, ArduPilotLink] | None = None,
+        links: Mapping[int, Link] = _NONE,
+        ardupilots: Mapping[int, ArduPilotLink] = _NONE,
+        guard: Guard = UNGUARDED,
         rotors: int = 4,
     ) -> None:
-        vehicles = len(links or listeners)
-        ardupilots = ardupilots or {}
+        vehicles = len({*links, *listeners, *ardupilots})
         self.slots = [
             ArduPilotSlot(i, ardupilots[i])
             if i in ardupilots
-            else VehicleSlot(i, policies[i] if policies else OWN, links[i] if links else None)
+            else VehicleSlot(i, policies[i] if policies else OWN, links.get(i))
             for i in range(vehicles)
         ]
+        for link in links.values():
+            if isinstance(link, socket.socket):
+                _limit_waits(link)
         self.living = len(links)
         """How many vehicles are in the run."""
-        reachable = [
-            Listener(server, frozenset((i,))) for i, server in enumerate(listeners) if i not in ardupilots
-        ]
-        if own_listener is not None:
-            own = frozenset(
-                slot.instance for slot in self.slots if slot.policy == OWN and slot.instance not in ardupilots
-            )
-            reachable.append(Listener(own_listener, own))
-        self._listeners = [listener.server for listener in reachable]
+        self._listeners = list(listeners.values())
         self._ardupilots = list(ardupilots.values())
-        self._handshake = Handshake(reachable, ardupilots)
+        self._handshake = Handshake(listeners, ardupilots, guard=guard)
         self._watchdog = watchdog
         self._on_message, self._on_silent, self._on_lost = on_message, on_silent, on_lost
         self._inbox = ActuatorInbox(vehicles, rotors)
@@ -224,15 +226,13 @@ class Lockstep:
     def _assign(self, arrival: Arrival | ArduPilotArrival) -> None:
         slot = self.slots[arrival.instance]
         if isinstance(arrival, ArduPilotArrival):
-            arrival.link.states.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _POLL_TIMEVAL)
+            _limit_waits(arrival.link.states)
             slot.link = arrival.link
             self.living += 1
             return
         connection = arrival.connection
-        if connection.family == socket.AF_INET:
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        # the kernel's time limit: Python's own costs one more system call per call
-        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _POLL_TIMEVAL)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        _limit_waits(connection)
         if slot.policy.late_after_s is not None:
             # steps continue without it, so it may leave megabytes unread, which must not block the others
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _POLL_TIMEVAL)

@@ -22,7 +22,7 @@ import msgspec
 
 from foundation.extension_call import end_stuck, watched
 from foundation.extension_failure import ExtensionFailure
-from foundation.processes.child_protocol import Finished, Ready, Stop, commands, emit
+from foundation.processes.child_protocol import Finished, Ready, Stop, Warned, commands, emit
 from foundation.profiling.profiler import profiled
 from foundation.system_error import in_words
 from harness.records.run_folder import PhysicsConfig
@@ -48,6 +48,7 @@ from harness.simulator.messages import (
 )
 from harness.simulator.profile_groups import PROFILE_GROUPS
 from harness.simulator.response_watchdog import ResponseWatchdog
+from harness.simulator.seat_guard import UNGUARDED, RejectedPeer, SeatGuard
 from harness.simulator.simulation import Simulation, run
 from netsim.radio_models import registry
 from netsim.transport.interval_stream import time_masters_end
@@ -262,16 +263,18 @@ def _run(
 
 def serve(
     config: PhysicsConfig,
-    listeners: list[socket.socket],
-    own_listener: socket.socket | None,
     clock: socket.socket | None,
+    *,
+    vehicles: dict[int, socket.socket],
+    listeners: dict[int, socket.socket],
     applications: dict[int, socket.socket],
     states: dict[int, socket.socket],
 ) -> None:
     """Execute commands until Stop; ``clock`` is the connection to the 802.11 emulator, if there is one.
 
-    ``applications`` are the connections to the applications beside PX4s and ArduPilots, ``states`` the UDP
-    sockets for the states of ArduPilots, both by vehicle.
+    The other sockets are by vehicle: ``vehicles`` are the connections to coflight's own vehicles,
+    ``listeners`` the TCP listeners at which other ones arrive, ``applications`` the connections to the
+    applications beside PX4s and ArduPilots, ``states`` the UDP sockets for the states of ArduPilots.
 
     Raises ConnectTimeout, RadioSilent, or OSError for a file or an address.
     """
@@ -292,17 +295,23 @@ def serve(
     radio_watchdog = ResponseWatchdog(RADIO_LIMIT_S, stopped_limit_s=RADIO_LIMIT_S, on_check=on_wait)
     policies = [PX4 if scenario.autopilot.is_px4(i) else OWN for i in range(scenario.agents)]
     has_px4 = PX4 in policies
+    guard = SeatGuard(on_rejected=_warn_rejected)
+    admitting = guard if scenario.ports.simulator_peers == "started" else UNGUARDED
 
     def make_lockstep(simulation: Simulation) -> Lockstep:
         return Lockstep(
-            listeners,
-            own_listener=own_listener,
+            {i: each for i, each in listeners.items() if i not in states},
+            links=vehicles,
+            guard=admitting,
             watchdog=watchdog,
             on_message=simulation.on_message,
             on_silent=simulation.reports.on_silent,
             on_lost=simulation.reports.on_lost,
             policies=policies,
-            ardupilots={i: ArduPilotLink(sock, listeners[i], system=i + 1) for i, sock in states.items()},
+            ardupilots={
+                i: ArduPilotLink(sock, listeners[i], system=i + 1, guard=admitting)
+                for i, sock in states.items()
+            },
             rotors=scenario.most_rotors,
         )
 
@@ -322,6 +331,8 @@ def serve(
             return
         chosen = application_watchdog if command.is_application else watchdog
         chosen.set_pid(command.instance, command.pid)
+        if not command.is_application:
+            guard.set_pid(command.instance, command.pid)
 
     with contextlib.ExitStack() as stack:
         emulator = None
@@ -358,7 +369,14 @@ def serve(
     details: dict[str, Any] = {"time_us": simulation.time_us, "formed": simulation.reports.formed, **profile}
     if has_px4:
         details["late_answers"] = {f"uav {i}": count for i, count in simulation.lockstep.late_answers.items()}
+    if rejected := guard.rejected():
+        details["rejected_connections"] = rejected
     emit(Finished(name="physics", details=details))
+
+
+def _warn_rejected(peer: RejectedPeer) -> None:
+    text = f"{peer.describe()} was rejected at the simulator's port {peer.port}: not the vehicle of this run"
+    emit(Warned(name="physics", time_us=0, text=text))
 
 
 def _sockets(text: str) -> dict[int, socket.socket]:
@@ -373,40 +391,33 @@ def main() -> int:
         prog="python -m harness.simulator.server", description="The physics server of one run."
     )
     parser.add_argument("--config", type=Path, required=True, help="JSON file with the server's settings")
-    parser.add_argument(
-        "--listen-fds", required=True, help="inherited listening TCP sockets, one per vehicle: 5,6,7"
-    )
-    parser.add_argument(
-        "--own-listen-fd", type=int, help="inherited listening Unix socket, for all vehicles but PX4s"
-    )
+    for option, content in (
+        ("--vehicle-fds", "stream sockets to coflight's own vehicles"),
+        ("--listen-fds", "listening TCP sockets of the vehicles that connect by themselves"),
+        ("--application-fds", "stream sockets to the applications beside other autopilots"),
+        ("--state-fds", "UDP sockets for the states of ArduPilots"),
+    ):
+        parser.add_argument(option, default="", help=f"inherited {content}, as vehicle:fd: 0:8,1:9")
     parser.add_argument(
         "--interval-fd",
         type=int,
         help="inherited stream socket to the 802.11 emulator; without it the swarm has no radio",
     )
-    parser.add_argument(
-        "--application-fds",
-        default="",
-        help="inherited stream sockets to the applications beside other autopilots, as vehicle:fd: 0:8,1:9",
-    )
-    parser.add_argument(
-        "--state-fds",
-        default="",
-        help="inherited UDP sockets for the states of ArduPilots, as vehicle:fd: 0:8,1:9",
-    )
     parser.add_argument("--supervised", action="store_true", help="accepted for uniformity, no effect")
     arguments = parser.parse_args()
     try:
         config = msgspec.json.decode(arguments.config.read_bytes(), type=PhysicsConfig)
-        listeners = [socket.socket(fileno=int(fd)) for fd in arguments.listen_fds.split(",")]
-        own_listener, clock = (
-            None if fd is None else socket.socket(fileno=fd)
-            for fd in (arguments.own_listen_fd, arguments.interval_fd)
-        )
-        applications, states = map(_sockets, (arguments.application_fds, arguments.state_fds))
+        clock = None if arguments.interval_fd is None else socket.socket(fileno=arguments.interval_fd)
         limit_s = config.scenario.run.silence_limit_s
         with watched(limit_s, on_stuck=partial(end_stuck, "physics")):
-            serve(config, listeners, own_listener, clock, applications, states)
+            serve(
+                config,
+                clock,
+                vehicles=_sockets(arguments.vehicle_fds),
+                listeners=_sockets(arguments.listen_fds),
+                applications=_sockets(arguments.application_fds),
+                states=_sockets(arguments.state_fds),
+            )
     except RadioSilent as error:
         users = [f"{field} {name}" for field, (name, _) in registry.named(config.scenario.radio).items()]
         calls = f"; it calls {', '.join(users)}" if users else ""

@@ -45,6 +45,7 @@ from harness.simulator.hil import fill_sensors
 from harness.simulator.hil_frames import encode_rows
 from harness.simulator.lockstep import PX4, Lockstep
 from harness.simulator.response_watchdog import ResponseWatchdog
+from harness.simulator.seat_guard import SeatGuard
 from studies.bench.px4_job import BareCost, BareJob
 
 STEP_US = 4_000
@@ -244,14 +245,16 @@ def measure(job: BareJob) -> BareCost:
 
     with contextlib.ExitStack() as stack:
         stack.callback(px4_instances.remove_files, numbers)
-        for listener in listeners:
+        for listener in listeners.values():
             stack.callback(listener.close)
-        simulator_ports = [listener.getsockname()[1] for listener in listeners]
+        simulator_ports = [listener.getsockname()[1] for listener in listeners.values()]
         companions = [
             stack.enter_context(contextlib.closing(BareCompanion(scenario, i)))
             for i in range(scenario.agents if job.flies else 0)
         ]
-        pids = stack.enter_context(_px4s(scenario, job, simulator_ports))
+        pids, guard = stack.enter_context(_px4s(scenario, job, simulator_ports)), SeatGuard()
+        for i, pid in enumerate(pids):
+            guard.set_pid(i, pid)
         lockstep = Lockstep(
             listeners,
             watchdog=ResponseWatchdog(_SILENCE_LIMIT_S),
@@ -259,6 +262,7 @@ def measure(job: BareJob) -> BareCost:
             on_silent=lambda _instance, _wall_silence_s: None,
             on_lost=on_lost,
             policies=[PX4] * scenario.agents,
+            guard=guard,
         )
         stack.enter_context(contextlib.closing(lockstep))
         lockstep.connect(_CONNECT_LIMIT_S, keep_waiting=lambda: True)

@@ -61,7 +61,7 @@ def folder(tmp_path: Path) -> Path:
         "companion_local_udp",
         "companion_remote_udp",
     )
-    ports = "".join(f"{base} = 0\n" for base in (*bases, "radio_tcp"))
+    ports = "".join(f"{base} = 0\n" for base in (*bases, "radio_tcp")) + 'simulator_link = "tcp"\n'
     for name in ("fine", "never-formed", "physics-fails", "physics-dies-at-last", "interrupted", "held"):
         path = tmp_path / f"{name}.toml"
         path.write_text(f'name = "{name}"\nagents = 2\n[run]\nreach_timeout_s = 5.0\n[ports]\n{ports}')

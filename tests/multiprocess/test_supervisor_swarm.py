@@ -230,6 +230,7 @@ def test_port_in_use_is_reported_before_the_start() -> None:
         port = taken.getsockname()[1]
         ports = PortsConfig(
             simulator_tcp=port,
+            simulator_link="tcp",
             gcs_local_udp=0,
             gcs_remote_udp=0,
             companion_local_udp=0,

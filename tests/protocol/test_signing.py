@@ -217,7 +217,7 @@ def test_a_link_with_a_key_accepts_and_answers_only_signed_partners():
             sock.settimeout(DEADLINE_S)
             sock.sendto(frame, ("127.0.0.1", link.local_port))
             assert select.select([link], [], [], DEADLINE_S)[0]
-            received = link.receive()
+            received = link.receive(0)
         assert [message.command for _, message in received] == [400]
         assert link.counters == Counters(unsigned=1, signature_bad=1)
         link.send([(BROADCAST, command())])

@@ -52,7 +52,7 @@ def send_heartbeat(sock, link):
     frame = Encoder(system=255, component=190).encode(heartbeat())
     sock.sendto(frame, ("127.0.0.1", link.local_port))
     assert select.select([link], [], [], DEADLINE_S)[0]
-    return link.receive()
+    return link.receive(0)
 
 
 def test_the_default_partner_receives_messages_first_and_counts_as_listening(sockets):
@@ -73,7 +73,7 @@ def test_an_unreachable_default_partner_is_no_error_and_is_detected(sockets):
     link = link_to(sockets, port)
     for _ in range(5):
         link.send([(BROADCAST, heartbeat())])
-        assert link.receive() == []
+        assert link.receive(0) == []
         assert not link.active
     late = sockets.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
     late.settimeout(DEADLINE_S)
@@ -121,7 +121,7 @@ def test_partners_are_bounded_and_garbage_adds_none(sockets):
     stranger = partner(sockets)
     stranger.sendto(b"\xfd garbage", ("127.0.0.1", link.local_port))
     assert select.select([link], [], [], DEADLINE_S)[0]
-    assert link.receive() == []
+    assert link.receive(0) == []
     assert link.counters.bytes_bad == 9
     assert not link.active
     partners = [partner(sockets) for _ in range(MAX_PARTNERS + 1)]
@@ -167,7 +167,7 @@ def test_a_station_of_version_1_is_answered_in_version_2(sockets):
     sender = common.MAVLink(None, srcSystem=255, srcComponent=190)
     station.sendto(heartbeat().pack(sender, force_mavlink1=True), ("127.0.0.1", link.local_port))
     assert select.select([link], [], [], DEADLINE_S)[0]
-    ((number, message),) = link.receive()
+    ((number, message),) = link.receive(0)
     assert message.get_type() == "HEARTBEAT"
     link.send([(number, heartbeat())])
     assert station.recv(2048)[0] == 0xFD
@@ -178,7 +178,7 @@ def test_setup_signing_is_refused(sockets):
     setup = common.MAVLink_setup_signing_message(1, 1, [7] * 32, 1)
     station.sendto(Encoder(system=255, component=190).encode(setup), ("127.0.0.1", link.local_port))
     assert select.select([link], [], [], DEADLINE_S)[0]
-    assert link.receive() == []
+    assert link.receive(0) == []
     assert link.counters.setup_signing == 1
 
 
@@ -218,7 +218,7 @@ def calls(link):
     """Yield (number of messages, process time) of each call of `receive` until the buffer is empty."""
     while select.select([link], [], [], 0.0)[0]:
         begun_s = time.process_time()
-        received = len(link.receive())
+        received = len(link.receive(0))
         yield received, time.process_time() - begun_s
 
 

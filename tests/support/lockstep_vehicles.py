@@ -3,22 +3,15 @@
 import contextlib
 import socket
 import threading
-import uuid
 from typing import NamedTuple
 
-import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from autopilot.__main__ import connect_simulator
 from autopilot.mavlink.codec import Encoder, Parser
-from autopilot.parameters.config import VehiclePorts
-from harness.launch.resources import HAS_NAMED_SOCKETS, bind_local
 from harness.simulator.lockstep import Lockstep
 from harness.simulator.response_watchdog import (
     ResponseWatchdog,
 )
-
-by_name = pytest.mark.skipif(not HAS_NAMED_SOCKETS, reason="no abstract Unix sockets on this system")
 
 
 class Vehicles:
@@ -29,7 +22,7 @@ class Vehicles:
         self.watchdog = ResponseWatchdog(limit_s)
         self.messages, self.silent, self.lost = [], [], []
         self.lockstep = Lockstep(
-            self.listeners,
+            dict(enumerate(self.listeners)),
             watchdog=self.watchdog,
             on_message=lambda i, message: self.messages.append((i, message.get_type())),
             on_silent=lambda i, _: self.silent.append(i),
@@ -83,40 +76,39 @@ def sensors(time_us):
     return Encoder(system=0, component=1).encode(message)
 
 
-class Local(NamedTuple):
-    """A lockstep with a Unix socket in addition to its TCP ports."""
+class Linked(NamedTuple):
+    """A lockstep with vehicles at inherited sockets, and others at TCP listeners."""
 
     lockstep: Lockstep
-    listeners: list[socket.socket]
-    name: str
+    clients: dict[int, socket.socket]
+    """The vehicles' ends of the inherited sockets."""
+    listeners: dict[int, socket.socket]
+    messages: list[tuple[int, str]]
     lost: list[tuple[int, str]]
 
 
 @contextlib.contextmanager
-def local_locksteps():
-    """Yield a function that makes a lockstep with a Unix socket for a number of vehicles."""
+def linked_locksteps():
+    """Yield a function that makes a lockstep with the given number of vehicles, some of them at listeners."""
     with contextlib.ExitStack() as stack:
 
-        def make(count, policies=()):
-            name, lost = f"coflight-test-{uuid.uuid4().hex}", []
-            listeners = [socket.create_server(("127.0.0.1", 0)) for _ in range(count)]
+        def make(count, by_tcp=(), policies=()):
+            messages, lost = [], []
+            listeners = {i: socket.create_server(("127.0.0.1", 0)) for i in by_tcp}
+            pairs = {i: socket.socketpair() for i in range(count) if i not in by_tcp}
             lockstep = Lockstep(
                 listeners,
-                own_listener=bind_local(name, backlog=16),
+                links={i: ours for i, (ours, _) in pairs.items()},
                 watchdog=ResponseWatchdog(1.0),
-                on_message=lambda *_: None,
+                on_message=lambda i, message: messages.append((i, message.get_type())),
                 on_silent=lambda *_: None,
                 on_lost=lambda *loss: lost.append(loss),
                 policies=policies,
             )
-            return Local(stack.enter_context(contextlib.closing(lockstep)), listeners, name, lost)
+            stack.enter_context(contextlib.closing(lockstep))
+            clients = {i: stack.enter_context(theirs) for i, (_, theirs) in pairs.items()}
+            for client in clients.values():
+                client.settimeout(5.0)
+            return Linked(lockstep, clients, listeners, messages, lost)
 
         yield make
-
-
-def connect_local(name, data):
-    """Connect to a Unix socket as a vehicle's process does, and send the data."""
-    connection = connect_simulator(VehiclePorts(simulator_unix=name), 1.0)
-    connection.settimeout(5.0)
-    connection.sendall(data)
-    return connection

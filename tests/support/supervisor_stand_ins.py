@@ -62,7 +62,9 @@ def vehicle(time_us: int, *, alive: bool) -> VehicleTruth:
     )
 
 
-def physics(config: dict[str, Any], listeners: list[socket.socket]) -> None:
+def physics(
+    config: dict[str, Any], connections: dict[int, socket.socket], listeners: dict[int, socket.socket]
+) -> None:
     inbox: queue.SimpleQueue[AnyCommand] = queue.SimpleQueue()
     commands(AnyCommand, inbox)  # type: ignore[arg-type]
     fault = config["scenario"]["name"]
@@ -81,7 +83,7 @@ def physics(config: dict[str, Any], listeners: list[socket.socket]) -> None:
             emit(Waiting(time_us=time_us))
             time.sleep(0.1)
         if not vehicles:
-            vehicles = {i: listener.accept()[0] for i, listener in enumerate(listeners)}
+            vehicles = connections | {i: listener.accept()[0] for i, listener in listeners.items()}
         reason = "time"
         while time_us < end_us and inbox.empty():
             for i in vehicles.keys() - lost:
@@ -142,13 +144,19 @@ def radio(config: dict[str, Any]) -> None:
     emit(Finished(name="radio", details={"counters": {}}))
 
 
-def uav(config: dict[str, Any]) -> None:
+def simulator_of(ports: dict[str, Any], inherited: int | None) -> socket.socket:
+    if inherited is not None:
+        return socket.socket(fileno=inherited)
+    return socket.create_connection((ports["host"], ports["simulator_tcp"]))
+
+
+def uav(config: dict[str, Any], inherited: int | None) -> None:
     end_with_parent()
     name, ports = f"uav {config['instance']}", config["ports"]
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as gcs,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as companion,
-        socket.create_connection((ports["host"], ports["simulator_tcp"])) as simulator,
+        simulator_of(ports, inherited) as simulator,
     ):
         gcs.bind((ports["host"], ports["gcs_local_udp"]))
         companion.bind((ports["host"], ports["companion_local_udp"]))
@@ -171,12 +179,18 @@ def prefork_server(line: socket.socket) -> None:
     emit(Finished(name="prefork"))
 
 
+def sockets(text: str) -> dict[int, socket.socket]:
+    pairs = (pair.split(":") for pair in filter(None, text.split(",")))
+    return {int(instance): socket.socket(fileno=int(fd)) for instance, fd in pairs}
+
+
 def main(command_line: Sequence[str]) -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument("module", nargs="?", default="autopilot")
     parser.add_argument("--config", type=Path)
     parser.add_argument("--listen-fds", default="")
-    parser.add_argument("--own-listen-fd")
+    parser.add_argument("--vehicle-fds", default="")
+    parser.add_argument("--simulator-fd", type=int)
     parser.add_argument("--interval-fd")
     parser.add_argument("--radio-endpoint")
     parser.add_argument("--fork-fd", type=int)
@@ -185,13 +199,13 @@ def main(command_line: Sequence[str]) -> int:
     settings = json.loads(arguments.config.read_bytes()) if arguments.config else {}
     match arguments.module:
         case "harness.simulator.server":
-            physics(settings, [socket.socket(fileno=int(fd)) for fd in arguments.listen_fds.split(",")])
+            physics(settings, sockets(arguments.vehicle_fds), sockets(arguments.listen_fds))
         case "netsim":
             radio(settings)
         case "autopilot.process.prefork_server":
             prefork_server(socket.socket(fileno=arguments.fork_fd))
         case "autopilot":
-            uav(settings)
+            uav(settings, arguments.simulator_fd)
     return 0
 
 

@@ -24,8 +24,8 @@ def free_port(kind: socket.SocketKind) -> int:
 
 
 def scenario(**ports: int) -> Scenario:
-    """Return a scenario with these ports and others that are free."""
-    free = PortsConfig().free()
+    """Return a scenario with these ports and others that are free, whose vehicles connect by TCP."""
+    free = msgspec.structs.replace(PortsConfig().free(), simulator_link="tcp")
     return Scenario(name="ports", agents=AGENTS, ports=msgspec.structs.replace(free, **ports))
 
 
@@ -51,14 +51,16 @@ def test_a_port_in_use_is_named_with_the_option_that_helps(
 
 
 def test_two_claims_at_once_get_different_ports(request: pytest.FixtureRequest) -> None:
-    def closed(listeners: list[socket.socket]) -> Callable[[], None]:
-        return lambda: [listener.close() for listener in listeners] and None
+    def closed(listeners: dict[int, socket.socket]) -> Callable[[], None]:
+        return lambda: [listener.close() for listener in listeners.values()] and None
 
     given = scenario(simulator_tcp=free_base(AGENTS, socket.SOCK_STREAM), gcs_remote_udp=14_550)
     first, listeners, _ = claim(given, search=True)
     request.addfinalizer(closed(listeners))
     assert first == given  # free: the scenario's
-    assert [each.getsockname()[1] for each in listeners] == [given.ports.simulator_tcp + i for i in (0, 1)]
+    assert {i: each.getsockname()[1] for i, each in listeners.items()} == {
+        i: given.ports.simulator_tcp + i for i in range(AGENTS)
+    }
     second, others, _ = claim(given, search=True)
     request.addfinalizer(closed(others))
     offset = second.ports.simulator_tcp - given.ports.simulator_tcp
@@ -72,6 +74,20 @@ def ardupilots(**ports: int) -> Scenario:
     """Return a scenario of an own vehicle and an ArduPilot."""
     autopilot = AutopilotConfig(kind="ardupilot", ardupilot_program="arducopter", ardupilot_vehicles=(1,))
     return msgspec.structs.replace(scenario(**ports), autopilot=autopilot)
+
+
+def test_vehicles_with_inherited_sockets_have_no_listener_and_need_no_port() -> None:
+    with bind(socket.SOCK_STREAM, HOST, 0) as holder:
+        given = scenario(simulator_tcp=holder.getsockname()[1])
+        ports = msgspec.structs.replace(given.ports, simulator_link="unix")
+        claimed = claim(msgspec.structs.replace(given, ports=ports), search=False)
+        assert claimed.sockets == ()
+        mixed = msgspec.structs.replace(ardupilots(), ports=msgspec.structs.replace(ports, simulator_tcp=0))
+        claimed = claim(mixed, search=False)
+        with contextlib.ExitStack() as stack:
+            for each in claimed.sockets:
+                stack.enter_context(each)
+            assert claimed.listeners.keys() == claimed.states.keys() == {1}
 
 
 def test_an_ardupilots_states_have_the_number_of_its_listener() -> None:

@@ -129,7 +129,7 @@ def one_slot():
     listener = socket.create_server(("127.0.0.1", 0))
     messages, lost = [], []
     lockstep = Lockstep(
-        [listener],
+        {0: listener},
         watchdog=ResponseWatchdog(1.0),
         on_message=lambda i, message: messages.append((i, message.get_type())),
         on_silent=lambda *_: None,

@@ -8,16 +8,7 @@ import threading
 import time
 
 import pytest
-from lockstep_vehicles import (
-    Vehicles,
-    actuators,
-    by_name,
-    connect_local,
-    introduced,
-    introduction,
-    local_locksteps,
-    sensors,
-)
+from lockstep_vehicles import Vehicles, actuators, introduced, introduction, linked_locksteps, sensors
 from pymavlink.dialects.v20 import common as mavlink
 
 from autopilot.mavlink.codec import Encoder
@@ -42,8 +33,8 @@ def vehicles():
 
 
 @pytest.fixture
-def local():
-    with local_locksteps() as make:
+def linked():
+    with linked_locksteps() as make:
         yield make
 
 
@@ -164,12 +155,10 @@ def test_an_error_of_the_machine_ends_the_run(vehicles, call):
     assert one.lost == []
 
 
-@pytest.mark.parametrize("by_unix", [False, pytest.param(True, marks=by_name)])
-def test_the_last_messages_of_a_closed_connection_are_received_in_the_step_that_loses_it(local, by_unix):
-    lockstep, (listener,), name, lost = local(1)
-    messages = []
-    lockstep._on_message = lambda i, message: messages.append((i, message.get_type()))
-    with connect_local(name, introduction(0)) if by_unix else introduced(listener, 0) as client:
+@pytest.mark.parametrize("by_tcp", [[], [0]])
+def test_the_last_messages_of_a_closed_connection_are_received_in_the_step_that_loses_it(linked, by_tcp):
+    lockstep, clients, listeners, messages, lost = linked(1, by_tcp)
+    with introduced(listeners[0], 0) if by_tcp else clients[0] as client:
         lockstep.connect(5.0, keep_waiting=lambda: True)
         client.sendall(introduction(0))
     lockstep.send([sensors(4_000)])
@@ -179,18 +168,16 @@ def test_the_last_messages_of_a_closed_connection_are_received_in_the_step_that_
     assert lost == [(0, CLOSED)]
 
 
-@by_name
-def test_a_stopped_vehicle_at_a_unix_socket_is_given_up(local):
-    lockstep, _, name, lost = local(1)
-    with connect_local(name, introduction(0)) as client:
-        lockstep.connect(5.0, keep_waiting=lambda: True)
+def test_a_stopped_vehicle_at_an_inherited_socket_is_given_up(linked):
+    lockstep, clients, _, _, lost = linked(1)
+    lockstep.connect(5.0, keep_waiting=lambda: True)
+    lockstep.send([b"sensors"])
+    clients[0].sendall(Encoder(system=1, component=1).encode(actuators(4_000)))
+    lockstep.receive(4_000)
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as process:
+        lockstep._watchdog.set_pid(0, process.pid)
+        process.send_signal(signal.SIGSTOP)
         lockstep.send([b"sensors"])
-        client.sendall(Encoder(system=1, component=1).encode(actuators(4_000)))
-        lockstep.receive(4_000)
-        with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as process:
-            lockstep._watchdog.set_pid(0, process.pid)
-            process.send_signal(signal.SIGSTOP)
-            lockstep.send([b"sensors"])
-            assert lockstep.receive(8_000).answered_us.tolist() == [0]
-            process.send_signal(signal.SIGCONT)
+        assert lockstep.receive(8_000).answered_us.tolist() == [0]
+        process.send_signal(signal.SIGCONT)
     assert lost == [(0, "its process is stopped")]

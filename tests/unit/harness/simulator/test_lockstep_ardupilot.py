@@ -71,7 +71,7 @@ class Run:
                 states.bind(self.listeners[i].getsockname())
                 self.links[i] = ArduPilotLink(states, self.listeners[i], system=i + 1)
         self.lockstep = Lockstep(
-            self.listeners,
+            {i: each for i, each in enumerate(self.listeners) if i not in self.links},
             watchdog=ResponseWatchdog(limit_s),
             on_message=lambda i, message: self.messages.append((i, message.get_type())),
             on_silent=lambda i, _: self.silent.append(i),

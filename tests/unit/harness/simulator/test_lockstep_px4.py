@@ -24,7 +24,7 @@ class Run:
         self.listeners = [socket.create_server(("127.0.0.1", 0)) for _ in behaviours]
         self.messages, self.silent, self.lost = [], [], []
         self.lockstep = Lockstep(
-            self.listeners,
+            dict(enumerate(self.listeners)),
             watchdog=ResponseWatchdog(limit_s),
             on_message=lambda i, message: self.messages.append((i, message.get_type())),
             on_silent=lambda i, _: self.silent.append(i),

@@ -1,0 +1,80 @@
+"""Linux's tables of sockets (/proc/net/tcp, udp, tcp6, udp6): which user's socket has an address. No I/O.
+
+A table has one line per socket with its local and remote address, the user of its creator and its inode. Its
+addresses are hexadecimal in the byte order of the machine, one word of 32 bits after the other.
+"""
+
+import struct
+from collections.abc import Iterable
+from ipaddress import IPv4Address, IPv6Address
+from typing import NamedTuple
+
+Address = tuple[str, int]
+"""IPv4 address (an IPv6 one that stands for none is in its own notation) and port."""
+ANY_HOST = "0.0.0.0"  # noqa: S104  compared, not bound
+"""Local address of a socket that is bound to all addresses."""
+_LOCAL, _REMOTE, _UID, _INODE = 1, 2, 7, 9
+"""Columns of a line."""
+_WORD_DIGITS = 8
+
+
+class SocketEntry(NamedTuple):
+    """One socket."""
+
+    local: Address
+    remote: Address
+    uid: int
+    """User of the process that made it."""
+    inode: int
+    """Number by which a process's descriptors name it; 0: no process has it."""
+
+
+def entries(table: str, port: int) -> list[SocketEntry]:
+    """Return the sockets with this local port; lines of another form are skipped."""
+    pattern, found = f":{port:04X} ", []
+    at = table.find(pattern)
+    while at >= 0:
+        begin, end = table.rfind("\n", 0, at) + 1, table.find("\n", at)
+        entry = _entry(table[begin : end if end >= 0 else None])
+        if entry is not None and entry.local[1] == port:
+            found.append(entry)
+        at = table.find(pattern, end) if end >= 0 else -1
+    return found
+
+
+def at_address(sockets: Iterable[SocketEntry], address: Address) -> list[SocketEntry]:
+    """Return the sockets that can send from an address and receive at it."""
+    host, port = address
+    return [each for each in sockets if each.local in {(host, port), (ANY_HOST, port)}]
+
+
+def peer_of(sockets: Iterable[SocketEntry], local: Address, remote: Address) -> SocketEntry | None:
+    """Return the other end of a connection on this machine, given by its own addresses; None: it has none."""
+    return next((each for each in sockets if each.local == remote and each.remote == local), None)
+
+
+def is_on_this_machine(host: str, own_host: str) -> bool:
+    """Whether a sender's address is of this machine: loopback, or the own address that it has sent to."""
+    return host == own_host or IPv4Address(host).is_loopback
+
+
+def _entry(line: str) -> SocketEntry | None:
+    fields = line.split()
+    try:
+        local, remote = _address(fields[_LOCAL]), _address(fields[_REMOTE])
+        return SocketEntry(local, remote, int(fields[_UID]), int(fields[_INODE]))
+    except (IndexError, ValueError):
+        return None
+
+
+def _address(text: str) -> Address:
+    """Return an address. Raises ValueError."""
+    digits, _, port = text.partition(":")
+    words = [int(digits[i : i + _WORD_DIGITS], 16) for i in range(0, len(digits), _WORD_DIGITS)]
+    raw = struct.pack(f"={len(words)}I", *words)
+    if len(words) == 1:
+        return str(IPv4Address(raw)), int(port, 16)
+    address = IPv6Address(raw)
+    if address.ipv4_mapped is not None:
+        return str(address.ipv4_mapped), int(port, 16)
+    return ANY_HOST if address == IPv6Address(0) else str(address), int(port, 16)

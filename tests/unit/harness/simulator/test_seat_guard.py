@@ -1,0 +1,171 @@
+"""The guard of the simulator's ports: processes of the run are admitted, others rejected and named."""
+
+import contextlib
+import os
+import socket
+import subprocess
+import sys
+
+import pytest
+from other_user import NOBODY, as_other_user, root_only
+
+from foundation.processes.socket_owners import MARK
+from harness.simulator.seat_guard import MOST_LISTED, RejectedPeer, SeatGuard
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="Linux's tables")
+HERE = "127.0.0.1"
+DEADLINE_S = 10.0
+CLIENT = """
+import socket, sys
+kind, port = sys.argv[1], int(sys.argv[2])
+sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM if kind == "tcp" else socket.SOCK_DGRAM)
+sock.connect(("127.0.0.1", port))
+sock.send(b"x")
+print(flush=True)
+input()
+"""
+WRAPPED = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {CLIENT!r}, *sys.argv[1:]])"
+
+
+@pytest.fixture
+def ports():
+    """Return a TCP listener and a UDP socket."""
+    with (
+        socket.create_server((HERE, 0)) as listener,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as states,
+    ):
+        states.bind((HERE, 0))
+        listener.settimeout(DEADLINE_S)
+        states.settimeout(DEADLINE_S)
+        yield listener, states
+
+
+@contextlib.contextmanager
+def client(kind, sock, *, code=CLIENT, mark=None):
+    """Start a process that connects and sends; yields it."""
+    command = [sys.executable, "-c", code, kind, str(sock.getsockname()[1])]
+    env = {**os.environ, **({} if mark is None else {MARK: mark})}
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=env) as process:
+        process.stdout.readline()
+        yield process
+        process.communicate(b"\n")
+
+
+def admitted(guard, ports, kind, instance=0):
+    """Return whether the guard admits the sender or connection that has arrived."""
+    listener, states = ports
+    if kind == "udp":
+        _, sender = states.recvfrom(10)
+        return guard.admits_sender(instance, states.getsockname(), sender)
+    connection, _ = listener.accept()
+    with connection:
+        (verdict,) = guard.admits([(instance, connection)])
+    return verdict
+
+
+@pytest.mark.parametrize("kind", ["tcp", "udp"])
+@pytest.mark.parametrize("code", [CLIENT, WRAPPED])
+def test_the_process_of_the_vehicle_and_its_children_are_admitted(ports, kind, code):
+    guard = SeatGuard(mark_of=lambda _: None)
+    with client(kind, ports[kind == "udp"], code=code) as process:
+        guard.set_pid(2, process.pid)
+        assert admitted(guard, ports, kind, instance=2)
+    assert guard.rejected() == []
+
+
+@pytest.mark.parametrize("kind", ["tcp", "udp"])
+def test_a_marked_process_is_admitted_for_its_vehicle_alone(ports, kind):
+    reported = []
+    guard = SeatGuard(mark_of=lambda name: f"token/{name}", on_rejected=reported.append)
+    for instance in (3, 2):
+        with client(kind, ports[kind == "udp"], mark="token/uav 3") as process:
+            assert admitted(guard, ports, kind, instance) is (instance == 3)
+    ((peer),) = reported
+    port = ports[kind == "udp"].getsockname()[1]
+    assert peer[:3] == (port, os.geteuid(), process.pid)
+    assert guard.rejected() == [{**peer._asdict(), "count": 1}]
+
+
+def test_connections_of_one_stranger_are_counted_together(ports):
+    reported = []
+    guard = SeatGuard(on_rejected=reported.append)
+    listener, _ = ports
+    with contextlib.ExitStack() as stack:
+        clients = [
+            stack.enter_context(socket.create_connection(listener.getsockname(), DEADLINE_S))
+            for _ in range(10)
+        ]
+        connections = [(0, stack.enter_context(listener.accept()[0])) for _ in clients]
+        assert guard.admits(connections) == [False] * 10
+    ((peer),) = reported
+    assert (peer.pid, peer.uid) == (os.getpid(), os.geteuid())
+    assert [entry["count"] for entry in guard.rejected()] == [10]
+
+
+def test_a_connection_that_its_peer_has_closed_is_not_admitted(ports):
+    guard = SeatGuard(mark_of=lambda _: None)
+    listener, states = ports
+    with client("tcp", listener) as process:
+        guard.set_pid(0, process.pid)
+    assert not admitted(guard, ports, "tcp")
+    with client("udp", states) as process:
+        guard.set_pid(0, process.pid)
+    assert not admitted(guard, ports, "udp")
+    assert {entry["uid"] for entry in guard.rejected()} == {None}
+
+
+def test_without_tables_everything_is_admitted(ports):
+    guard = SeatGuard(read_tcp=lambda: None, read_udp=lambda: None)
+    for kind in ("tcp", "udp"):
+        with client(kind, ports[kind == "udp"]):
+            assert admitted(guard, ports, kind)
+
+
+def test_the_list_of_rejected_peers_is_bounded():
+    reported = []
+    guard = SeatGuard(on_rejected=reported.append)
+    for uid in range(10 * MOST_LISTED):
+        guard._count(RejectedPeer(4560, uid))
+    assert len(reported) == MOST_LISTED
+    listed = guard.rejected()
+    assert len(listed) == MOST_LISTED + 1
+    assert listed[-1] == {"port": 4560, "uid": None, "pid": None, "name": None, "count": 9 * MOST_LISTED}
+
+
+def test_a_rejected_sender_is_not_examined_with_each_datagram(ports):
+    reads = []
+    guard = SeatGuard(read_udp=lambda: reads.append(1) or "")
+    _, states = ports
+    for _ in range(100):
+        assert not guard.admits_sender(0, states.getsockname(), (HERE, 9_999))
+    assert len(reads) == 1
+    assert sum(entry["count"] for entry in guard.rejected()) == 100
+
+
+@root_only
+@pytest.mark.parametrize("kind", ["tcp", "udp"])
+def test_another_user_is_rejected_and_named(ports, kind):
+    guard = SeatGuard(mark_of=lambda name: f"token/{name}")
+    sock = ports[kind == "udp"]
+
+    def connect():
+        kind_of = socket.SOCK_STREAM if kind == "tcp" else socket.SOCK_DGRAM
+        stranger = socket.socket(socket.AF_INET, kind_of)
+        stranger.connect(sock.getsockname())
+        stranger.send(b"x")
+        return stranger
+
+    with as_other_user(connect) as pid:
+        assert not admitted(guard, ports, kind)
+        (entry,) = guard.rejected()
+        assert (entry["uid"], entry["pid"]) == (NOBODY, pid)
+        assert RejectedPeer(1, NOBODY, pid, "thief").describe() == f"user {NOBODY} (process {pid}, thief)"
+
+
+@root_only
+def test_a_vehicle_that_its_command_runs_as_another_user_is_admitted(ports):
+    """``setpriv`` in the command of a PX4 changes its user; the mark stays in its environment."""
+    guard, (listener, _) = SeatGuard(mark_of=lambda _: None), ports
+    with as_other_user(lambda: socket.create_connection(listener.getsockname(), DEADLINE_S)) as pid:
+        guard.set_pid(0, pid)
+        assert admitted(guard, ports, "tcp")
