@@ -8,7 +8,7 @@ from netsim.emulator.log_layout import RECEPTION_LOG
 
 START_S = 60.0
 """Simulated time before the formation is reached, of the article's scenario with some reserve."""
-FRAMES_S = 25.0
+FRAMES_S = 33.0
 """Frames per UAV and simulated second of the formation application, with its ranging."""
 FRAME_BYTES = 120
 """A frame's row, with its share of the sessions' rows."""
