@@ -76,6 +76,12 @@ STATUSES: Mapping[str, Mapping[int, str]] = {
         BAD_INPUT: _WRONG,
         INTERRUPTED: _CONTINUES,
     },
+    "study chaos": {
+        FINE: "All flights ended as required.",
+        FAILED: "Some did not.",
+        BAD_INPUT: _WRONG,
+        INTERRUPTED: _STOPPED,
+    },
     "study vehicle-cost": _LIMITS,
     "study radio-cost": _LIMITS,
     "export": {
@@ -127,6 +133,7 @@ def _keys(kind: type[Struct]) -> tuple[str, ...]:
 _CHECK_FIELDS = (
     "a list: `section`, `name`, `value`, `unit`, `at_least`, `at_most`, `met`, and `px4` of `study vehicle`"
 )
+_OUTCOMES = "a list: `fault`, `status`, `ended_s`, `last_line`, `complaints`, `reached`"
 RESULTS = (
     Result("radio saturation", _keys(SaturationResult)),
     Result("radio broadcast", _keys(BroadcastResult)),
@@ -146,6 +153,7 @@ RESULTS = (
     Result(
         "study article", ("agree", "differ", "not_told_apart", "not_measured", "failed", "page", "statements")
     ),
+    Result("study chaos", ("flights",), (_OUTCOMES,)),
     Result("study vehicle-cost", ("limit_us", "streams off", "streams on", "off, no compiler")),
     Result("study radio-cost", ("saturated", "article")),
 )

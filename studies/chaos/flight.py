@@ -30,7 +30,8 @@ REACH_LIMIT_S = 120.0
 """Wall time within which a phase must be reached."""
 COMPLETE_LIMIT_S = 120.0
 """Wall time within which a flight must be complete that goes on."""
-SIMULATED_S = 8.0
+SIMULATED_S = 20.0
+"""Length of the flights, at twice the wall clock's pace: longer than it takes to find a stopped process."""
 POLL_S = 0.02
 FILE_BYTES = 4_096
 """How much a file may still grow after the fault of a limited file size."""
