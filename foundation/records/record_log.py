@@ -55,8 +55,12 @@ class RecordLog:
                 self._packed.clear()
 
     def _write(self, data: bytes) -> None:
-        self._file.write(data)
-        self._file.flush()
+        try:
+            self._file.write(data)
+            self._file.flush()
+        except OSError as error:
+            error.filename = error.filename or self._file.name
+            raise
 
 
 def read(path: str | Path, dtype: np.dtype[Any]) -> NDArray[Any]:

@@ -26,8 +26,11 @@ from foundation.kernels.cache_folder import PACKAGES, VARIABLE, digest, environm
 from foundation.kernels.cache_trust import UntrustedCache
 from foundation.records.private_files import make_private
 from harness.launch.interrupts import interrupts_deferred
+from harness.launch.prefork_client import process_of
 from harness.launch.process_commands import bound_module
+from harness.launch.process_watch import LOOK_PERIOD_S, ProcessWatch
 from harness.launch.spawner import spawn
+from harness.simulator.process_activity import DEAD, ProcessState, state_of
 
 __all__ = [
     "PACKAGES", "VARIABLE", "CompileError", "CompileProgress", "Compilers", "digest", "environment", "folder",
@@ -156,6 +159,11 @@ class _Compiler:
         done, total = counts[-1] if counts else (0, 0)
         return CompileProgress(int(done), int(total))
 
+    def state(self) -> ProcessState:
+        """Return the present state of the process."""
+        process = process_of(self._process.pid)
+        return DEAD if process is None else state_of(process)
+
     def _check(self) -> None:
         code = self._process.wait()
         if code:
@@ -196,12 +204,17 @@ class Compilers:
         """Wait until all have compiled their package. Raises CompileError."""
         state = {compiler.name: CompileProgress(0, 0) for compiler in self._compilers}
         wall_limit_s = time.monotonic() + COMPILE_LIMIT_S
+        watch = ProcessWatch()
         with selectors.DefaultSelector() as selector:
             for compiler in self._compilers:
                 if compiler.pipe is not None:
                     selector.register(compiler.pipe, selectors.EVENT_READ, compiler)
             while selector.get_map():
-                ready = selector.select(1.0)
+                ready = selector.select(LOOK_PERIOD_S)
+                states = {key.data.name: key.data.state() for key in selector.get_map().values()}
+                found = watch.look(time.monotonic(), states)
+                if found is not None:
+                    raise CompileError(f"the process that compiles the {found.name} kernels {found.what}")
                 if ready:
                     wall_limit_s = time.monotonic() + COMPILE_LIMIT_S
                 elif time.monotonic() > wall_limit_s:

@@ -5,6 +5,7 @@ controlled by `harness.launch.swarm`.
 """
 
 import contextlib
+import shutil
 import socket
 import time
 import uuid
@@ -17,6 +18,7 @@ from foundation.processes.prefork import FIRST_DESCRIPTOR
 from foundation.system_error import in_words
 from harness.launch import cpu_affinity, external_autopilots, kernel_cache, ports
 from harness.launch.cpu_affinity import CpuAffinity
+from harness.launch.disk_space import space_warning
 from harness.launch.external_process import AutopilotError
 from harness.launch.interrupts import interrupts_deferred
 from harness.launch.process_commands import (
@@ -157,6 +159,10 @@ class Processes(RunMonitor):
         try:
             self._running = True
             self._folder.create()  # first: an error after the kernels are compiled would be late
+            free_bytes = shutil.disk_usage(self._folder.path).free
+            line = space_warning(self._scenario, str(self._folder.path), free_bytes)
+            if line is not None:
+                self._note(line)
             self._start()
         except (ResourceError, FolderRefused, AutopilotError) as error:
             raise SetupError(str(error)) from None

@@ -16,7 +16,7 @@ _Request = Callable[[], None]
 
 
 class _Spawner:
-    """One daemon thread, made anew in a process that was forked meanwhile, which has none of the threads."""
+    """One daemon thread; a forked process, which has none of its parent's threads, starts another."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()

@@ -389,6 +389,7 @@ class Supervisor:
                 forced = [f"{child} did not stop when asked" for child in children if not child.gone.is_set()]
             for child in children:
                 if not child.gone.is_set() and child.state().status in HELD:
+                    forced.append(f"{child} is stopped and cannot end: {signal.SIGKILL.name}")
                     child.signal(signal.SIGKILL)
                 child.end_input()
             _wait_gone(children, input_grace_s)

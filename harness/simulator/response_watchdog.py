@@ -103,6 +103,7 @@ class ResponseWatchdog:
         reason = None
         if seen.stopped_s > self._stopped_limit_s:
             reason = f"its process is {state.status}"
+            newly |= instance not in self._reported
         elif seen.waiting_s > limit_s or seen.computing_s > max(limit_s, COMPUTING_LIMIT_S):
             reason = f"it has not answered for {silence_s:.1f} s"
         return SilenceFinding(wall_silence_s=silence_s, newly_silent=newly, give_up=reason)

@@ -77,6 +77,12 @@ STATUSES: Mapping[str, Mapping[int, str]] = {
         INTERRUPTED: _CONTINUES,
     },
     "study soak": _CHECKS,
+    "study chaos": {
+        FINE: "All flights ended as required.",
+        FAILED: "Some did not.",
+        BAD_INPUT: _WRONG,
+        INTERRUPTED: _STOPPED,
+    },
     "study vehicle-cost": _LIMITS,
     "study radio-cost": _LIMITS,
     "export": {
@@ -128,6 +134,7 @@ def _keys(kind: type[Struct]) -> tuple[str, ...]:
 _CHECK_FIELDS = (
     "a list: `section`, `name`, `value`, `unit`, `at_least`, `at_most`, `met`, and `px4` of `study vehicle`"
 )
+_OUTCOMES = "a list: `fault`, `status`, `ended_s`, `last_line`, `complaints`, `reached`"
 RESULTS = (
     Result("radio saturation", _keys(SaturationResult)),
     Result("radio broadcast", _keys(BroadcastResult)),
@@ -147,6 +154,7 @@ RESULTS = (
     Result(
         "study article", ("agree", "differ", "not_told_apart", "not_measured", "failed", "page", "statements")
     ),
+    Result("study chaos", ("flights",), (_OUTCOMES,)),
     Result("study vehicle-cost", ("limit_us", "streams off", "streams on", "off, no compiler")),
     Result("study radio-cost", ("saturated", "article")),
 )
@@ -155,6 +163,12 @@ RESULTS = (
 
 PAGE = """{introduction}
 ## Exit status
+
+A standard output or standard error whose reader has gone, as of `coflight fly ... | head -1`, neither ends a
+flight nor changes its status: it flies on, and its results are in its folder. Ctrl-C stands for SIGINT,
+SIGTERM, and SIGHUP, which a closed terminal sends, unless `nohup` ignores it; further signals within a second
+are the same request. A second one later, while the processes write their records, takes effect when they have
+ended: it leaves the tables to `coflight report`.
 
 An unknown command or option is status 2 for all commands, and `--help` is 0. A command does not end with a
 status whose cell is empty.

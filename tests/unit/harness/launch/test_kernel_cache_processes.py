@@ -46,7 +46,15 @@ def warm_up():
     with Path(__file__).with_name("calls").open("a") as calls:
         calls.write("called\\n")
 """
-MODULES = {"kernels": KERNELS, "raises": RAISES, "killed": KILLED, "loud": LOUD, "counted": COUNTED}
+STOPPED = KILLED.replace("SIGKILL", "SIGSTOP")
+MODULES = {
+    "kernels": KERNELS,
+    "raises": RAISES,
+    "killed": KILLED,
+    "loud": LOUD,
+    "counted": COUNTED,
+    "stopped": STOPPED,
+}
 
 
 @pytest.fixture
@@ -154,3 +162,11 @@ def test_a_module_that_cannot_be_imported_is_an_error_of_one_line(cache):
     assert done.returncode == 1
     assert done.stderr.splitlines()[-1] == "ModuleNotFoundError: No module named 'demo.absent'"
     assert not Path(complete).exists()
+
+
+@pytest.mark.usefixtures("cache")
+def test_a_stopped_process_is_named():
+    with pytest.raises(
+        CompileError, match=r"^the process that compiles the stopped kernels is stopped \(SIGSTOP\)$"
+    ):
+        compile_all("stopped")
