@@ -78,7 +78,7 @@ def test_a_run_of_own_vehicles_has_no_listener_but_the_radios_and_no_named_unix_
 
 
 class Crowd:
-    """A thread that connects to a port as soon as it listens; each second connection claims to be vehicle 0."""
+    """A thread that connects to a port as soon as it listens; each second one claims to be vehicle 0."""
 
     def __init__(self, port):
         self._address = (HERE, port)
