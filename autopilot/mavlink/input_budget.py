@@ -7,11 +7,13 @@ that partners are answered while simulated time rests.
 
 from collections.abc import Hashable
 
-PARTNER_FRAMES_S = 500
-"""Frames of one partner per second: ten times a stream of setpoints at 50 Hz. Transfers of parameters, plans,
+PARTNER_FRAMES_S = 300
+"""Frames of one partner per second: six times a stream of setpoints at 50 Hz. Transfers of parameters, plans,
 files and logs are requests and replies, at most one per poll of the link, which are 50 a second."""
-LINK_FRAMES_S = 1_000
+LINK_FRAMES_S = 600
 """Frames of all partners of a link per second."""
+REJECTED_FRAME_COST = 0.125
+"""Cost of an apparent frame that is no message, as a part of that of a message: it is only parsed."""
 BURST_S = 1.0
 """Time for which an unused budget is kept."""
 MOST_PARTNERS = 64
@@ -34,9 +36,9 @@ class _Bucket:
         self._left, self._now_us = min(self._left + earned, self._most), now_us
         return self._left > 0.0
 
-    def spend(self, frames: int) -> None:
-        """Charge a datagram's frames."""
-        self._left -= frames
+    def spend(self, cost: float) -> None:
+        """Charge a datagram."""
+        self._left -= cost
 
 
 class InputBudget:
@@ -67,7 +69,8 @@ class InputBudget:
         self._partners[partner] = bucket
         return bucket.has_left(self._now_us) and self._link.has_left(self._now_us)
 
-    def spend(self, partner: Hashable, frames: int) -> None:
-        """Charge a datagram that was admitted, at least one frame."""
-        self._partners[partner].spend(max(frames, 1))
-        self._link.spend(max(frames, 1))
+    def spend(self, partner: Hashable, messages: int, rejected_frames: int = 0) -> None:
+        """Charge a datagram that was admitted: its messages and its other apparent frames, at least one."""
+        cost = max(messages + rejected_frames * REJECTED_FRAME_COST, 1.0)
+        self._partners[partner].spend(cost)
+        self._link.spend(cost)

@@ -126,6 +126,8 @@ class UdpLink:
             self._budget.advance(now_us, round(wall_s * _US_PER_S))
         left_bytes, last_frame = MAX_BYTES_PER_CALL, self._parser.looked_at + MAX_FRAMES_PER_CALL
         left_datagrams, left_drops = MAX_DATAGRAMS_PER_CALL, MAX_DROPPED_PER_CALL
+        dropped: set[Address] = set()
+        """Senders over their budget, which does not grow during the call."""
         while min(left_bytes, left_datagrams, left_drops, last_frame - self._parser.looked_at) > 0:
             try:
                 # the kernel truncates datagrams, so one extra byte detects those that are too long
@@ -135,7 +137,11 @@ class UdpLink:
             except OSError:  # an earlier datagram was refused; the error queue has its address
                 self._remove_unreachable()
                 continue
-            if not self._admits(address, wall_s):
+            if address in dropped:
+                self.counters.datagrams_over_budget += 1
+                left_drops -= 1
+                continue
+            if not self._admits(address, wall_s, dropped):
                 left_drops -= 1
                 continue
             left_datagrams -= 1
@@ -146,7 +152,7 @@ class UdpLink:
             looked_at = self._parser.looked_at
             received = self._parser.push_datagram(data, now)
             if self._budget is not None:
-                self._budget.spend(address, self._parser.looked_at - looked_at)
+                self._budget.spend(address, len(received), self._parser.looked_at - looked_at - len(received))
             if received:
                 number = self._add_partner(address)
                 for message in received:
@@ -177,14 +183,15 @@ class UdpLink:
         """Release the port."""
         self._socket.close()
 
-    def _admits(self, sender: Address, wall_s: float) -> bool:
-        """Whether a datagram is to be read; counts it otherwise."""
+    def _admits(self, sender: Address, wall_s: float, dropped: set[Address]) -> bool:
+        """Whether a datagram is to be read; counts it otherwise, and adds a sender over its budget."""
         if self._owners is not None and not self._owners.trusts(sender, wall_s, wall_since_s=wall_s):
             self.counters.datagrams_foreign += 1
             self.foreign = self.foreign or sender
             return False
         if self._budget is not None and not self._budget.admits(sender):
             self.counters.datagrams_over_budget += 1
+            dropped.add(sender)
             return False
         return True
 

@@ -13,6 +13,8 @@ Address = tuple[str, int]
 """IPv4 address (an IPv6 one that stands for none is in its own notation) and port."""
 ANY_HOST = "0.0.0.0"  # noqa: S104  compared, not bound
 """Local address of a socket that is bound to all addresses."""
+LOOPBACK = "127."
+"""Begin of the addresses of the loopback interface."""
 _LOCAL, _REMOTE, _UID, _INODE = 1, 2, 7, 9
 """Columns of a line."""
 _WORD_DIGITS = 8
@@ -55,7 +57,7 @@ def peer_of(sockets: Iterable[SocketEntry], local: Address, remote: Address) -> 
 
 def is_on_this_machine(host: str, own_host: str) -> bool:
     """Whether a sender's address is of this machine: loopback, or the own address that it has sent to."""
-    return host == own_host or IPv4Address(host).is_loopback
+    return host == own_host or host.startswith(LOOPBACK)
 
 
 def _entry(line: str) -> SocketEntry | None:

@@ -10,7 +10,7 @@ import threading
 import psutil
 import pytest
 from external_swarms import free_base
-from other_user import NOBODY, as_other_user, root_only
+from other_user import OTHER_UID, as_other_user, root_only
 from paths import SCENARIOS
 from pymavlink.dialects.v20 import common
 
@@ -78,7 +78,7 @@ def test_a_run_of_own_vehicles_has_no_listener_but_the_radios_and_no_named_unix_
 
 
 class Crowd:
-    """A thread that connects to a port as soon as it listens; every second one as vehicle 0."""
+    """A thread that connects to a port as soon as it listens; each second one claims to be vehicle 0."""
 
     def __init__(self, port):
         self._address = (HERE, port)
@@ -156,7 +156,7 @@ def test_another_user_neither_commands_a_vehicle_nor_receives_from_it(tmp_path, 
             flown.run(until_s=UNTIL_S)
         (line,) = [each for each in (read_tables("udp") or "").splitlines() if f":{base + 4:04X} 0" in each]
         assert line.split()[4] == "00000000:00000000"  # nothing waits in its socket
-        assert int(line.split()[7]) == NOBODY
+        assert int(line.split()[7]) == OTHER_UID
     summary, manifest, details = finished(flown)
     assert summary["log_sha256"] == undisturbed[0]
     assert summary["deterministic"]

@@ -7,7 +7,7 @@ import traceback
 
 import pytest
 
-NOBODY = 65_534
+OTHER_UID = 65_534
 root_only = pytest.mark.skipif(os.geteuid() != 0, reason="only root can act as another user")
 
 
@@ -21,8 +21,8 @@ def as_other_user(act):
     pid = os.fork()
     if pid == 0:
         try:
-            os.setgid(NOBODY)
-            os.setuid(NOBODY)
+            os.setgid(OTHER_UID)
+            os.setuid(OTHER_UID)
             kept = act()  # noqa: F841  sockets that would be closed
             os.write(writer, b"done")
             signal.pause()

@@ -68,6 +68,14 @@ def test_a_datagram_without_a_frame_counts_too():
     assert read(begun(partner_frames_s=100), PARTNER, 300, frames=0) == 100
 
 
+def test_apparent_frames_cost_less_than_messages():
+    budget = begun(partner_frames_s=100)
+    for _ in range(4):
+        assert budget.admits(PARTNER)
+        budget.spend(PARTNER, 5, rejected_frames=160)  # 25
+    assert not budget.admits(PARTNER)
+
+
 def test_a_flood_of_one_partner_leaves_the_others_theirs():
     budget = begun()
     read(budget, PARTNER, 5_000)

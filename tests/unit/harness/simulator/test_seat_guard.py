@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 import pytest
-from other_user import NOBODY, as_other_user, root_only
+from other_user import OTHER_UID, as_other_user, root_only
 
 from foundation.processes.socket_owners import MARK
 from harness.simulator.seat_guard import MOST_LISTED, RejectedPeer, SeatGuard
@@ -158,8 +158,10 @@ def test_another_user_is_rejected_and_named(ports, kind):
     with as_other_user(connect) as pid:
         assert not admitted(guard, ports, kind)
         (entry,) = guard.rejected()
-        assert (entry["uid"], entry["pid"]) == (NOBODY, pid)
-        assert RejectedPeer(1, NOBODY, pid, "thief").describe() == f"user {NOBODY} (process {pid}, thief)"
+        assert (entry["uid"], entry["pid"]) == (OTHER_UID, pid)
+        assert (
+            RejectedPeer(1, OTHER_UID, pid, "thief").describe() == f"user {OTHER_UID} (process {pid}, thief)"
+        )
 
 
 @root_only
