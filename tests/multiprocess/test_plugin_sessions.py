@@ -12,6 +12,7 @@ from paths import SUPPORT
 
 import harness.launch.one_process
 import harness.launch.processes
+import harness.launch.run_monitor
 from harness.launch import kernel_cache
 from harness.launch.one_process import OneProcessSwarm
 from harness.launch.swarm import Swarm, SwarmTimeoutError
@@ -22,6 +23,7 @@ pytestmark = pytest.mark.multiprocess
 STAND_INS = f"""
 import sys
 import harness.launch.processes
+import harness.launch.run_monitor
 
 def stand_in(module, *arguments):
     return [sys.executable, {str(SUPPORT / "supervisor_stand_ins.py")!r}, module, *arguments]
@@ -104,6 +106,7 @@ def test_compilation_does_not_count_as_wall_time(
         return kernel_cache.Compilers()
 
     monkeypatch.setattr(harness.launch.processes, "time", Clock)
+    monkeypatch.setattr(harness.launch.run_monitor, "time", Clock)
     monkeypatch.setattr(harness.launch.one_process, "time", Clock)
     monkeypatch.setattr(kernel_cache, "prepare_flight", prepare)
     monkeypatch.setattr(kernel_cache, "prepare", prepare)
