@@ -5,7 +5,7 @@ structured dtype. Blocks have a fixed number of rows, so equal runs write equal 
 blocks up to the last are readable.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 BLOCK_ROWS = 64
+READ_ROWS = 16_384
+"""Rows that a reader holds at a time"""
 
 
 class RecordLog:
@@ -69,3 +71,23 @@ def read(path: str | Path, dtype: np.dtype[Any]) -> NDArray[Any]:
         return np.empty(0, dtype=dtype)
     buffer = path.read_bytes()
     return np.frombuffer(buffer, dtype=dtype, count=len(buffer) // dtype.itemsize)
+
+
+def count(path: str | Path, dtype: np.dtype[Any]) -> int:
+    """Return the number of complete records of a log; 0 if the file is missing."""
+    path = Path(path)
+    return path.stat().st_size // dtype.itemsize if path.exists() else 0
+
+
+def read_rows(path: str | Path, dtype: np.dtype[Any], first: int, rows: int) -> NDArray[Any]:
+    """Return at most ``rows`` complete records of a log from row ``first`` on."""
+    rows = min(rows, count(path, dtype) - first)
+    if rows <= 0:
+        return np.empty(0, dtype=dtype)
+    return np.fromfile(path, dtype=dtype, count=rows, offset=first * dtype.itemsize)
+
+
+def read_blocks(path: str | Path, dtype: np.dtype[Any], *, rows: int = READ_ROWS) -> Iterator[NDArray[Any]]:
+    """Yield the complete records of a log, as `read`, in blocks of at most ``rows`` rows."""
+    for first in range(0, count(path, dtype), rows):
+        yield read_rows(path, dtype, first, rows)

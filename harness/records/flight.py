@@ -1,6 +1,7 @@
 """A flight as arrays: input of the analysis and of the figures."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,9 +56,13 @@ class Flight:
         return len(self.time_us)
 
     def at(self, rows: NDArray[np.intp] | slice) -> "Flight":
-        """Return the flight at some of its instants."""
-        series = {name: getattr(self, name) for name in _SERIES}
-        return replace(self, **{name: each[rows] for name, each in series.items() if each is not None})
+        """Return the flight at some of its instants: views for a slice, else arrays in C order."""
+        found: dict[str, Any] = {}
+        for name in _SERIES:
+            each = getattr(self, name)
+            if each is not None:
+                found[name] = each[rows] if isinstance(rows, slice) else np.ascontiguousarray(each[rows])
+        return replace(self, **found)
 
     def sampled(self, rate_hz: float) -> "Flight":
         """Return the instants at or next after whole periods of ``rate_hz`` since the first, each once."""

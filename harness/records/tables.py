@@ -5,7 +5,8 @@ A field with several components becomes one column per component, named after it
 give equal bytes.
 """
 
-from collections.abc import Callable, Iterator
+import contextlib
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,9 @@ from numpy.typing import NDArray
 from antenna.analysis.statistics import pointing_errors_deg
 from antenna.solvers.ports import MAIN_LOBE_DEG
 from autopilot.logs.vehicle_record import VEHICLE_RECORD, vehicle_record
-from foundation.records.record_log import read
+from foundation.records.record_log import READ_ROWS, count, read_blocks, read_rows
 from harness.records import columns
+from harness.records.column_file import ColumnFile
 from harness.records.flight import Flight
 from harness.records.run_folder import RunFolder
 from harness.report.flown_array import GainSeries
@@ -31,49 +33,110 @@ from netsim.phy.receptions import OUTCOMES, STATES
 
 def write_tables(
     folder: RunFolder, scenario: Scenario, desired: Callable[[NDArray[np.int64]], NDArray[np.float64]]
-) -> NDArray[Any]:
-    """Write the Parquet files from the raw logs.
+) -> ColumnFile:
+    """Write the Parquet files from the raw logs, which are read in blocks.
 
     ``desired`` returns the places (T, agents, 3), site NED, at T times in us.
 
-    Returns the flight: records (instants, agents) of `flight_record`.
+    Returns the columns of the flight, with the fields of `flight_record`, one row for each instant and
+    vehicle.
     """
-    applications = folder.applications()
-    layout = vehicle_record(applications.columns)
-    flight = merge(
-        read(folder.raw_truth, truth_record(scenario.most_rotors)),
-        [read(folder.raw_vehicle(i), layout) for i in range(scenario.agents)],
-    )
-    flight["desired_pos_ned_m"] = desired(flight["time_us"][:, 0])
-    about = columns.origin(scenario)
-    for target, kind, records in (
-        (folder.flight, columns.flight_kind(applications), flight.ravel()),
-        (folder.radio, columns.RADIO, read(folder.raw_frames, FRAME_LOG)),
-        (folder.ftm, columns.FTM, read(folder.raw_sessions, SESSION_LOG)),
-        (folder.air, columns.AIR, read(folder.raw_air, AIR_RECORD)),
-    ):
-        _write(target, columns.describe(_table(records), kind, about))
+    applications, about = folder.applications(), columns.origin(scenario)
+    logs: list[tuple[Path, columns.TableKind, Path, np.dtype[Any]]] = [
+        (folder.radio, columns.RADIO, folder.raw_frames, FRAME_LOG),
+        (folder.ftm, columns.FTM, folder.raw_sessions, SESSION_LOG),
+        (folder.air, columns.AIR, folder.raw_air, AIR_RECORD),
+    ]
     if scenario.sensors.extra:
-        readings = _table(read(folder.raw_sensors, SENSOR_RECORD))
-        _write(folder.sensors, columns.describe(readings, columns.SENSORS, about))
+        logs.append((folder.sensors, columns.SENSORS, folder.raw_sensors, SENSOR_RECORD))
     if scenario.radio.log_receptions:
-        table = receptions_table(read(folder.raw_receptions, RECEPTION_LOG))
-        _write(folder.receptions, columns.describe(table, columns.RECEPTIONS, about))
+        logs.append((folder.receptions, columns.RECEPTIONS, folder.raw_receptions, RECEPTION_LOG))
+    for target, kind, log, layout in logs:
+        with ColumnFile(folder.raw, layout, _column_fields(layout), rows=count(log, layout)) as found:
+            for records in read_blocks(log, layout):
+                found.append(records)
+            table = found.table()
+            if layout is RECEPTION_LOG:
+                table = _with_names(table)
+            found.write(columns.describe(table, kind, about), target)
+    flight = _flight_columns(folder, scenario, desired)
+    table = columns.describe(flight.table(), columns.flight_kind(applications), about)
+    flight.write(table, folder.flight)
     return flight
 
 
-def receptions_table(records: NDArray[Any]) -> pa.Table:
-    """Return rows of `RECEPTION_LOG` as the table ``receptions.parquet``, with names instead of codes."""
-    table = _table(records)
+def _flight_columns(
+    folder: RunFolder, scenario: Scenario, desired: Callable[[NDArray[np.int64]], NDArray[np.float64]]
+) -> ColumnFile:
+    """Return the columns of the flight; see `write_tables`."""
+    n, own = scenario.agents, vehicle_record(folder.applications().columns)
+    truth = truth_record(scenario.most_rotors)
+    layout = flight_record(truth, own)
+    instants = count(folder.raw_truth, truth) // n
+    vehicles = [_VehicleLog(folder.raw_vehicle(i), own) for i in range(n)]
+    with contextlib.ExitStack() as stack:
+        found = stack.enter_context(ColumnFile(folder.raw, layout, _column_fields(layout), rows=instants * n))
+        at_once = max(1, READ_ROWS // n)
+        for first in range(0, instants, at_once):
+            rows = min(at_once, instants - first) * n
+            block = read_rows(folder.raw_truth, truth, first * n, rows)
+            flight = merge(
+                block, [log.between(block["time_us"][0], block["time_us"][-1]) for log in vehicles]
+            )
+            flight["desired_pos_ned_m"] = desired(flight["time_us"][:, 0])
+            found.append(flight.ravel())
+        stack.pop_all()
+    return found
+
+
+class _VehicleLog:
+    """The log of a vehicle's estimates, of which only the times are held in memory."""
+
+    def __init__(self, path: Path, layout: np.dtype[Any]) -> None:
+        self._path, self._layout = path, layout
+        times = [block["time_us"].copy() for block in read_blocks(path, layout)]
+        self._time_us = np.concatenate(times) if times else np.empty(0, np.int64)
+
+    def between(self, first_us: int, last_us: int) -> NDArray[Any]:
+        """Return records that include all from one time to another."""
+        rows = np.flatnonzero((self._time_us >= first_us) & (self._time_us <= last_us))
+        if not len(rows):
+            return np.empty(0, self._layout)
+        return read_rows(self._path, self._layout, int(rows[0]), int(rows[-1] - rows[0]) + 1)
+
+
+def _with_names(receptions: pa.Table) -> pa.Table:
+    """Return the table of receptions with names instead of codes."""
     for name, texts in (("outcome", OUTCOMES), ("reception", STATES)):
-        codes = pa.array(np.ascontiguousarray(records[name]).astype(np.int32))
+        codes = receptions[name].cast(pa.int32()).combine_chunks()
         named = pa.DictionaryArray.from_arrays(codes, pa.array(texts))
-        table = table.set_column(table.schema.get_field_index(name), name, named)
-    return table
+        receptions = receptions.set_column(receptions.schema.get_field_index(name), name, named)
+    return receptions
 
 
-def flight_of(records: NDArray[Any], scenario: Scenario, *, start_us: int | None) -> Flight:
-    """Return the flight of (T, N) records with the fields `_ANALYSED`.
+def _column_fields(layout: np.dtype[Any]) -> dict[str, tuple[str, int | None]]:
+    """Return field and component of each column of a layout, in the order of the table."""
+    found: dict[str, tuple[str, int | None]] = {}
+    for name in layout.names or ():
+        if layout[name].shape:
+            found |= {column: (name, k) for k, column in enumerate(column_names(name, layout[name]))}
+        else:
+            found[name] = name, None
+    return found
+
+
+def flight_in(flight: ColumnFile, scenario: Scenario, *, start_us: int | None) -> Flight:
+    """Return the flight of the columns of `write_tables` as views of them; ``start_us`` as in `flight_of`."""
+    fields = {name: flight.array(name) for name in _ANALYSED}
+    shape = -1, scenario.agents
+    records = {name: values.reshape(*shape, *values.shape[1:]) for name, values in fields.items()}
+    return flight_of(records, scenario, start_us=start_us)
+
+
+def flight_of(
+    records: NDArray[Any] | Mapping[str, NDArray[Any]], scenario: Scenario, *, start_us: int | None
+) -> Flight:
+    """Return the flight of (T, N) records with the fields `_ANALYSED`, or of arrays (T, N, ...) by field.
 
     ``start_us``: start of the formation's motion; None if it never moved.
     """
@@ -173,16 +236,6 @@ GAIN_TYPES = {
 """Types of the columns of ``gains.parquet`` by name"""
 
 
-def _table(records: NDArray[Any]) -> pa.Table:
-    """Return records (rows,) as a table with a column for each component of a field."""
-    arrays = {
-        column: _array(np.ascontiguousarray(values))
-        for name in records.dtype.names or ()
-        for column, values in _columns(name, records[name])
-    }
-    return pa.table(arrays)
-
-
 def _write(path: Path, table: pa.Table) -> None:
     pq.write_table(table, path, compression="zstd")
 
@@ -199,12 +252,6 @@ def _columns(name: str, values: NDArray[Any]) -> Iterator[tuple[str, NDArray[Any
 def column_names(name: str, layout: np.dtype[Any]) -> list[str]:
     """Return the names of the columns that a field of that layout becomes."""
     return [column for column, _ in _columns(name, np.empty(0, [(name, layout)])[name])]
-
-
-def _array(values: NDArray[Any]) -> pa.Array:
-    if values.dtype.kind == "S":  # short names, such as a frame's kind
-        return pa.array(np.char.decode(values, "ascii").tolist(), pa.string()).dictionary_encode()
-    return pa.array(values)
 
 
 def _labels(name: str, count: int) -> tuple[str, ...]:

@@ -69,7 +69,8 @@ def measure(window: Flight, scenario: Scenario) -> Aperture:
             note = f"the ideal formation: {describe_touch(touch, range(scenario.agents))}"
         except NoFeed as error:
             note = f"the ideal formation: {error}"
-        series = gain_series(window, config, workers=_threads.get() or os.cpu_count() or 1)
+        workers = _threads.get() or os.cpu_count() or 1
+        series = gain_series(window, config, workers=workers, with_grids=config.keep_patterns)
     except (BackendUnavailable, WorkerError, Nec2cFailed) as error:
         return Aperture(note=str(error))
     if not len(window):

@@ -1,7 +1,8 @@
 """The flown antenna array: its snapshots in the antenna's frame, and its gain over time."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from msgspec import structs
@@ -20,6 +21,11 @@ from harness.records.flight import Flight
 ELEMENT_TO_FRD = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """An element's axes on its vehicle: x to the right, y forward, z up, as the antenna's for an upright
 vehicle."""
+_AT_ONCE = 128
+"""Patterns that a worker computes together: whole slices of the batch solver, so that results are the same"""
+_NO_GRID: dict[str, Any] = dict.fromkeys(("theta_deg", "phi_deg"), np.empty(0)) | dict.fromkeys(
+    ("theta_gain_dbi", "phi_gain_dbi"), np.empty((0, 0))
+)
 FIGURE_GRID_DEG = 1.5
 """Grid of patterns in figures, between which they are interpolated: fine enough for nulls."""
 
@@ -130,13 +136,16 @@ def antenna_snapshot(
     return Snapshot(centres_m=(pos_ned_m - origin_ned_m) @ from_ned.T, rotations=rotations, voltages=voltages)
 
 
-def gain_series(flight: Flight, config: AntennaConfig, *, workers: int = 1) -> GainSeries:
+def gain_series(
+    flight: Flight, config: AntennaConfig, *, workers: int = 1, with_grids: bool = True
+) -> GainSeries:
     """Return the patterns of the flight at ``config.snapshot_rate_hz``.
 
     The elements of lost vehicles are omitted. An instant is ``missing`` if no vehicle lives, two elements
     touch, or the living ones have no feeds: the policy has no solution, or it is for estimated positions and
     one is unknown.
-    ``workers`` is as in `antenna.solvers.parallel.compute_patterns`.
+    ``workers`` is as in `antenna.solvers.parallel.compute_patterns`. Without ``with_grids`` the patterns have
+    no directions but the maximum, and take a hundredth of the memory.
     """
     sampled = flight.sampled(config.snapshot_rate_hz)
     missing: list[MissingPattern] = []
@@ -149,7 +158,15 @@ def gain_series(flight: Flight, config: AntennaConfig, *, workers: int = 1) -> G
         except NoFeed as error:
             missing.append(MissingPattern(time_us, str(error)))
     found: list[tuple[int, Snapshot, Pattern]] = []
-    results = compute_patterns(config, [snapshot for _, snapshot in made], workers=workers)
+    results: list[Pattern | ElementsTouch] = []
+    at_once = _AT_ONCE * max(2, workers)
+    for first in range(0, len(made), at_once):
+        snapshots = [snapshot for _, snapshot in made[first : first + at_once]]
+        for result in compute_patterns(config, snapshots, workers=workers):
+            if isinstance(result, Pattern) and not with_grids:
+                results.append(replace(result, **_NO_GRID))
+            else:
+                results.append(result)
     for (t, snapshot), result in zip(made, results, strict=True):
         time_us = int(sampled.time_us[t])
         if isinstance(result, ElementsTouch):

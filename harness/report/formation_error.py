@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 from foundation.types import Array
 from harness.records.flight import Flight
 
+_AT_ONCE = 8_192
+"""Instants that are computed together, to limit the memory; each has the same result as alone"""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ErrorSeries:
@@ -57,6 +60,29 @@ def formation_error(flight: Flight) -> FormationError:
     The shape error remains after the translation and the rotation about the vertical that align the places of
     the living vehicles with their positions in the least-squares sense.
     """
+    whole = FormationError(
+        absolute=_empty_series(flight.alive.shape),
+        shape=_empty_series(flight.alive.shape),
+        yaw_rad=np.empty(len(flight)),
+    )
+    for first in range(0, len(flight), _AT_ONCE):
+        rows = slice(first, min(first + _AT_ONCE, len(flight)))
+        part = _formation_error(flight.at(np.arange(rows.start, rows.stop)))
+        whole.yaw_rad[rows] = part.yaw_rad
+        for target, source in ((whole.absolute, part.absolute), (whole.shape, part.shape)):
+            target.error_m[rows] = source.error_m
+            target.horizontal_m[rows] = source.horizontal_m
+            target.valid[rows] = source.valid
+    return whole
+
+
+def _empty_series(shape: tuple[int, ...]) -> ErrorSeries:
+    return ErrorSeries(
+        error_m=np.empty(shape), horizontal_m=np.empty(shape), valid=np.empty(shape, dtype=np.bool_)
+    )
+
+
+def _formation_error(flight: Flight) -> FormationError:
     alive = flight.alive
     aligned_ned_m, yaw_rad = _align(flight)
     over_its_place_ned_m = np.zeros((alive.shape[1], 3))

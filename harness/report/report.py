@@ -3,8 +3,10 @@
 Uses the run folder only, so a run that was interrupted is reported like any other.
 """
 
+import gc
 import hashlib
 import shutil
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,13 +19,13 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from antenna.analysis.gain_figures import gain_density_figure, patterns_figure
-from foundation.records.record_log import read
+from foundation.records.record_log import count, read, read_blocks, read_rows
 from foundation.records.whole_file import sha256_of, write_whole
 from harness.records.flight import Flight
 from harness.records.manifest import make_manifest, manifest_text, read_outcome
 from harness.records.outcome import RunOutcome
 from harness.records.run_folder import NotARun, RunFolder, read_raw_scenario
-from harness.records.tables import flight_of, read_flight, write_tables
+from harness.records.tables import flight_in, read_flight, write_tables
 from harness.report import antenna_report, figures
 from harness.report.antenna_report import Aperture
 from harness.report.flown_array import figure_patterns
@@ -49,6 +51,8 @@ class Drawn(NamedTuple):
     occupancy: tuple[NDArray[np.int64], NDArray[np.float64]]
     """Times in us, and the fraction of the interval before each in which the channel was busy."""
     ftm_error_m: NDArray[np.float64]
+    release: Callable[[], None] = lambda: None
+    """Returns the memory of the flights that was read from a file."""
 
 
 class _Results(NamedTuple):
@@ -84,18 +88,20 @@ def _write_tables(folder: RunFolder, scenario: Scenario, outcome: RunOutcome) ->
     """Write tables and summary."""
     plan, start_us = scenario.plan(), flown_start_us(folder.events)
     simulated_us = outcome.simulated_us or 0
-    records = write_tables(folder, scenario, lambda time_us: plan.places(since_start_s(time_us, start_us)))
-    sessions = read(folder.raw_sessions, SESSION_LOG)
+    flight = write_tables(folder, scenario, lambda time_us: plan.places(since_start_s(time_us, start_us)))
+    whole = flight_in(flight, scenario, start_us=start_us)
+    error_m, requested = _sessions(folder)
     hashes = {name: sha256_of(folder.path / name) for name in LOGS}
     if folder.sensors.exists():
         hashes[folder.sensors.name] = sha256_of(folder.sensors)
     log_sha256 = hashlib.sha256("".join(hashes.values()).encode()).hexdigest()
     if folder.receptions.exists():
         hashes[folder.receptions.name] = sha256_of(folder.receptions)
-    whole = flight_of(records, scenario, start_us=start_us)
     window = _window(whole, outcome.formed_us, scenario)
     error = _formation_error(window, folder)
+    flight.release()
     antenna = _antenna(window, scenario)
+    flight.release()
     antenna_report.write(folder, antenna, scenario)
     summary = {
         "scenario": scenario.name,
@@ -110,8 +116,8 @@ def _write_tables(folder: RunFolder, scenario: Scenario, outcome: RunOutcome) ->
         "moves_s": None if start_us is None else start_us / 1e6,
         "formation_s": float(window.time_us[-1] - window.time_us[0]) / 1e6 if len(window) else 0.0,
         "formation_rms_m": _formation(error),
-        "vehicles": _vehicles(records, error, folder),
-        **_radio(folder, sessions),
+        "vehicles": _vehicles(whole, error, folder),
+        **_radio(folder, error_m, requested),
         "max_gain_dbi": antenna_report.numbers(antenna),
         "collisions": sum(b'"event":"collision"' in line for line in folder.events.read_bytes().splitlines()),
         "deterministic": not outcome.nondeterminism,
@@ -122,7 +128,7 @@ def _write_tables(folder: RunFolder, scenario: Scenario, outcome: RunOutcome) ->
     _write_json(folder.summary, summary)
     air = read(folder.raw_air, AIR_RECORD)
     drawn = Drawn(
-        whole, window, error, antenna, _occupancy(air["time_us"], air["busy_ns"]), _ftm_error_m(sessions)
+        whole, window, error, antenna, _occupancy(air["time_us"], air["busy_ns"]), error_m, flight.release
     )
     solver = None if antenna.solver is None else asdict(antenna.solver)
     manifest = make_manifest(scenario, outcome, hashes=hashes, antenna=solver)
@@ -142,8 +148,9 @@ def finish_later(folder: RunFolder) -> dict[str, Any]:
         scenario = read_raw_scenario(folder)
         if outcome.simulated_us is None:
             formed_us = _formed_us(folder)
-            truth = read(folder.raw_truth, truth_record(scenario.most_rotors))
-            times_us = (*truth["time_us"][-1:].tolist(), formed_us or 0)  # events are written earlier
+            layout = truth_record(scenario.most_rotors)
+            last = read_rows(folder.raw_truth, layout, max(0, count(folder.raw_truth, layout) - 1), 1)
+            times_us = (*last["time_us"].tolist(), formed_us or 0)  # events are written earlier
             outcome = msgspec.structs.replace(outcome, simulated_us=max(times_us), formed_us=formed_us)
         return finish(folder, scenario, outcome)
 
@@ -194,7 +201,7 @@ def _window(whole: Flight, formed_us: int | None, scenario: Scenario) -> Flight:
     others, and these too at any time.
     """
     begin_us = np.iinfo(np.int64).max if formed_us is None or scenario.onboard.hold else formed_us
-    return whole.at(np.flatnonzero(whole.time_us >= begin_us))
+    return whole.at(slice(int(np.searchsorted(whole.time_us, begin_us)), None))
 
 
 def _formation_error(window: Flight, folder: RunFolder) -> FormationError | None:
@@ -232,15 +239,15 @@ def _losses(folder: RunFolder, kind: str) -> dict[int, str]:
     }
 
 
-def _vehicles(records: NDArray[Any], error: FormationError | None, folder: RunFolder) -> list[dict[str, Any]]:
+def _vehicles(whole: Flight, error: FormationError | None, folder: RunFolder) -> list[dict[str, Any]]:
     losses, applications_lost = (_losses(folder, kind) for kind in ("vehiclelost", "applicationlost"))
-    vehicles = records.shape[1]
+    vehicles = whole.alive.shape[1]
     absolute = error.absolute.vehicle_rms_m if error else (None,) * vehicles
     shape = error.shape.vehicle_rms_m if error else (None,) * vehicles
     return [
         {
             "uav": i,
-            "alive": bool(records["alive"][-1, i]) if len(records) else True,
+            "alive": bool(whole.alive[-1, i]) if len(whole) else True,
             "lost": losses.get(i),
             "application_lost": applications_lost.get(i),
             "absolute_rms_m": _round(absolute[i]),
@@ -250,32 +257,33 @@ def _vehicles(records: NDArray[Any], error: FormationError | None, folder: RunFo
     ]
 
 
-def _radio(folder: RunFolder, sessions: NDArray[Any]) -> dict[str, Any]:
-    frames = read(folder.raw_frames, FRAME_LOG)
+def _radio(folder: RunFolder, error_m: NDArray[np.float64], requested: int) -> dict[str, Any]:
+    receivers = dict.fromkeys(("delivered", "collided", "lost_to_noise"), 0)
+    for frames in read_blocks(folder.raw_frames, FRAME_LOG):
+        for name in receivers:
+            receivers[name] += int(frames[name].sum())
     air = read(folder.raw_air, AIR_RECORD)
-    error_m = _ftm_error_m(sessions)
     busy = float(air["busy_ns"][-1] / (air["time_us"][-1] * 1e3)) if len(air) else 0.0
     return {
-        "frames": {
-            "sent": len(frames),
-            **{name: int(frames[name].sum()) for name in ("delivered", "collided", "lost_to_noise")},
-        },
+        "frames": {"sent": count(folder.raw_frames, FRAME_LOG), **receivers},
         "channel_busy_fraction": round(busy, 5),
         "ftm": {
-            "requested": len(sessions),
+            "requested": requested,
             "completed": len(error_m),
-            "failed": len(sessions) - len(error_m),
+            "failed": requested - len(error_m),
             "error_mean_m": _round(float(error_m.mean()) if len(error_m) else None),
             "error_std_m": _round(float(error_m.std(ddof=1)) if len(error_m) > 1 else None),
         },
     }
 
 
-def _ftm_error_m(sessions: NDArray[Any]) -> NDArray[np.float64]:
-    """Return measured minus true distance of every completed session."""
-    completed = sessions[sessions["status"] == b"ok"]
-    difference_m: NDArray[np.float64] = completed["distance_m"] - completed["true_distance_m"]
-    return difference_m
+def _sessions(folder: RunFolder) -> tuple[NDArray[np.float64], int]:
+    """Return measured minus true distance of every completed session, and the number of all sessions."""
+    differences_m = [np.empty(0)]
+    for sessions in read_blocks(folder.raw_sessions, SESSION_LOG):
+        completed = sessions[sessions["status"] == b"ok"]
+        differences_m.append(completed["distance_m"] - completed["true_distance_m"])
+    return np.concatenate(differences_m), count(folder.raw_sessions, SESSION_LOG)
 
 
 def _round(value: float | None) -> float | None:
@@ -287,27 +295,30 @@ def _write_json(path: Path, content: dict[str, Any]) -> None:
 
 
 def _draw(folder: RunFolder, scenario: Scenario, drawn: Drawn) -> list[str]:
-    """Write every figure for which the run has data; returns the names of the files."""
-    whole, window, error, antenna, (time_us, busy_fraction), error_m = drawn
-    made: dict[str, Figure] = {}
+    """Write every figure for which the run has data, one after the other; returns the names of the files."""
+    whole, window, error, antenna, (time_us, busy_fraction), error_m, release = drawn
+    makers: dict[str, Callable[[], Figure]] = {}
     if len(whole):
-        made["tracks"] = figures.tracks_figure(whole, scenario.wind)
+        makers["tracks"] = lambda: figures.tracks_figure(whole, scenario.wind)
     if error is not None:
-        made["formation_error"] = figures.formation_error_figure(window.time_us, error)
+        makers["formation_error"] = lambda: figures.formation_error_figure(window.time_us, error)
     gains, ideal = antenna.series, antenna.ideal
     if gains is not None and ideal is not None and len(gains.patterns):
-        made["gain_density"] = gain_density_figure({"flown": gains.max_gain_dbi}, ideal.max_gain_dbi)
         places_ned_m, heading_rad = scenario.places_ned_m(), antenna_report.heading_rad(scenario)
         perfect, flown = figure_patterns(gains, places_ned_m, heading_rad, scenario.antenna)
-        made["patterns"] = patterns_figure({"Ideal": perfect, "Flown": flown})
+        max_gain_dbi, ideal_dbi = gains.max_gain_dbi, ideal.max_gain_dbi
+        makers["gain_density"] = lambda: gain_density_figure({"flown": max_gain_dbi}, ideal_dbi)
+        makers["patterns"] = lambda: patterns_figure({"Ideal": perfect, "Flown": flown})
     if len(time_us):
-        made["channel"] = figures.channel_figure(time_us, busy_fraction)
+        makers["channel"] = lambda: figures.channel_figure(time_us, busy_fraction)
     if len(error_m):
-        made["ftm_error"] = figures.ftm_error_figure(error_m)
-    title = f"{scenario.name}, seed {scenario.run.seed}"
-    return sorted(
-        file for name, figure in made.items() for file in figures.save(figure, folder.figures / name, title)
-    )
+        makers["ftm_error"] = lambda: figures.ftm_error_figure(error_m)
+    title, written = f"{scenario.name}, seed {scenario.run.seed}", list[str]()
+    for name, make in makers.items():
+        written += figures.save(make(), folder.figures / name, title)
+        release()
+        gc.collect()  # the figure, whose parts refer to each other
+    return sorted(written)
 
 
 def _occupancy(

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from foundation.records.record_log import BLOCK_ROWS, RecordLog, read
+from foundation.records.record_log import BLOCK_ROWS, RecordLog, count, read, read_blocks, read_rows
 from netsim.emulator.log_layout import FRAME_LOG
 from netsim.emulator.records import FrameRecord
 
 PAIR = np.dtype([("time_us", "i8"), ("pos_ned_m", "f8", 3)])
 
 
-def rows(count):
-    return [(4000 * k, (k, 2.0 * k, -k)) for k in range(count)]
+def rows(number):
+    return [(4000 * k, (k, 2.0 * k, -k)) for k in range(number)]
 
 
 def test_appended_records_are_read_back(tmp_path):
@@ -67,3 +67,20 @@ def test_log_is_closed_after_a_write_error():
 
 def test_frame_log_layout_matches_the_frame_records():
     assert FRAME_LOG.names == FrameRecord._fields
+
+
+def test_blocks_of_a_log_are_its_complete_records(tmp_path):
+    dtype = np.dtype([("time_us", "i8"), ("value", "f4")])
+    rows = np.zeros(10, dtype)
+    rows["time_us"] = np.arange(10)
+    path = tmp_path / "log.bin"
+    assert count(path, dtype) == 0
+    assert list(read_blocks(path, dtype)) == []
+    path.write_bytes(rows.tobytes() + b"cut")
+    assert count(path, dtype) == 10
+    for at_once in (1, 3, 10, 100):
+        blocks = list(read_blocks(path, dtype, rows=at_once))
+        assert max(map(len, blocks)) == min(at_once, 10)
+        assert np.array_equal(np.concatenate(blocks), read(path, dtype))
+    assert read_rows(path, dtype, 8, 5)["time_us"].tolist() == [8, 9]
+    assert len(read_rows(path, dtype, 10, 5)) == 0

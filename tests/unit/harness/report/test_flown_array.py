@@ -224,3 +224,16 @@ def test_series_without_patterns_has_no_median():
     assert series.max_gain_dbi.shape == (0,)
     with pytest.raises(ValueError, match="no median"):
         _ = series.median_index
+
+
+def test_a_series_without_grids_has_the_same_maxima_whatever_is_computed_together(monkeypatch):
+    pos_ned_m = np.tile(PLACES_NED_M, (300, 1, 1)) + np.random.default_rng(5).normal(0.0, 0.3, (300, 8, 3))
+    flight, config = _flight(pos_ned_m, np.ones((300, 8), bool)), AntennaConfig(grid_deg=15.0)
+    whole = gain_series(flight, config)
+    monkeypatch.setattr("harness.report.flown_array._AT_ONCE", 64)
+    light = gain_series(flight, config, with_grids=False)
+    assert len(whole.patterns) == len(light.patterns) == 300
+    for pattern, alone in zip(whole.patterns, light.patterns, strict=True):
+        for name in ("max_gain_dbi", "max_theta_deg", "max_phi_deg", "average_gain", "backend"):
+            assert getattr(pattern, name) == getattr(alone, name)
+        assert alone.theta_gain_dbi.nbytes == alone.theta_deg.nbytes == 0 < pattern.theta_gain_dbi.nbytes

@@ -141,3 +141,20 @@ def test_flight_without_living_vehicles_has_no_error():
     error = formation_error(_flight(np.zeros((3, 8, 3)), np.zeros((3, 8), bool)))
     assert error.absolute.rms_m is None
     assert error.shape.horizontal_rms_m is None
+
+
+def test_each_instant_has_the_error_that_it_has_alone(monkeypatch):
+    """Instants are computed in blocks; a block, also of views, has the bits of the whole."""
+    random = np.random.default_rng(1)
+    alive = random.random((23, 8)) < 0.9
+    columns = random.normal(size=(3, 23 * 8))  # a column for each component, as in a flight's file
+    whole = _flight(random.normal(size=(23, 8, 3)), alive, columns.T.reshape(23, 8, 3))
+    expected = formation_error(whole)
+    monkeypatch.setattr("harness.report.formation_error._AT_ONCE", 5)
+    found = formation_error(whole)
+    assert np.array_equal(found.yaw_rad, expected.yaw_rad)
+    for name in ("absolute", "shape"):
+        for field in ("error_m", "horizontal_m", "valid"):
+            assert np.array_equal(
+                getattr(getattr(found, name), field), getattr(getattr(expected, name), field)
+            )
