@@ -94,7 +94,7 @@ def test_list_of_written_files_has_no_empty_ones(folder: Path) -> None:
         [sys.executable, "-c", code, "fine.toml", "--duration", "0.5", "--out", "run"],
         cwd=folder, capture_output=True, text=True, timeout=WALL_LIMIT_S, check=False,
     )  # fmt: skip
-    assert launched.stderr.splitlines()[-1] == "written to run: summary.json"
+    assert launched.stderr.splitlines()[-1] == "written to run: manifest.json, summary.json"
 
 
 def test_folder_with_other_files_is_refused_before_anything_is_written(folder: Path) -> None:

@@ -204,11 +204,11 @@ def test_a_folder_that_the_user_names_is_not_tidied(states, monkeypatch, tmp_pat
     assert len(list(theirs.iterdir())) == 10
 
 
-def test_who_asks_where_the_kernels_are_marks_them_as_used(monkeypatch, tmp_path):
+def test_a_request_for_the_folder_creates_it_for_its_owner_and_marks_it_as_used(monkeypatch, tmp_path):
     folder = tmp_path / "state"
     monkeypatch.setattr(cache_folder, "folder", lambda: folder)
-    assert cache_folder.environment() == {VARIABLE: str(folder)}  # not yet there
-    folder.mkdir()
+    assert cache_folder.environment() == {VARIABLE: str(folder)}
+    assert folder.stat().st_mode & 0o777 == 0o700
     os.utime(folder, (1.0, 1.0))
     cache_folder.environment()
     assert folder.stat().st_mtime > 1.0

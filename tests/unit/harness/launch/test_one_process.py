@@ -31,7 +31,7 @@ from harness.launch import kernel_cache
 from harness.launch.one_process import OneProcessSwarm, fly
 from harness.launch.run_messages import SwarmError
 from harness.records.run_folder import RunFolder
-from harness.records.tables import flight_of, read_flight
+from harness.records.tables import flight_in, read_flight
 from harness.report import antenna_report, report
 from harness.report.flown_array import gain_series
 from harness.scenario.scenario_file import load
@@ -303,9 +303,9 @@ def test_lack_of_disk_space_or_memory_is_not_a_failed_run(tmp_path, monkeypatch,
 def test_a_flight_computes_gains_on_one_processor_and_a_swarm_on_all(tmp_path, monkeypatch):
     threads = []
 
-    def count(*arguments, workers):
+    def count(*arguments, workers, with_grids):
         threads.append(workers)
-        return gain_series(*arguments)
+        return gain_series(*arguments, with_grids=with_grids)
 
     monkeypatch.setattr(antenna_report, "gain_series", count)
     monkeypatch.setattr(antenna_report.os, "cpu_count", lambda: 5)
@@ -320,10 +320,10 @@ def test_a_flight_is_read_back_as_it_was_reported(tmp_path, monkeypatch):
     reported = []
 
     def note(*arguments, **named):
-        reported.append(flight_of(*arguments, **named))
+        reported.append(flight_in(*arguments, **named))
         return reported[-1]
 
-    monkeypatch.setattr(report, "flight_of", note)
+    monkeypatch.setattr(report, "flight_in", note)
     flown = scenario("onboard.localisation=gps", agents=3)
     fly(flown, tmp_path, until_s=1.0)
     again = read_flight(RunFolder(tmp_path), flown)
