@@ -85,8 +85,8 @@ def statuses(fault: Fault) -> Sequence[int]:
         return [INTERRUPTED, FINE] if fault.phase == "report" else [INTERRUPTED]
     if fault.phase == "stop":
         return [INTERRUPTED, FAILED]
-    if fault.target == "uav 0" and fault.phase in ("flight", "pause"):
-        return [FINE]  # the run goes on without it
+    if fault.target == "uav 0":  # once it has connected the run goes on without it
+        return [FAILED, FINE] if fault.phase == "start" else [FINE]
     return [FAILED]
 
 

@@ -244,6 +244,15 @@ def test_end_continues_processes_stopped_by_sigstop(supervisor: Supervisor) -> N
     assert ends == {"uav 0": -signal.SIGKILL, "uav 1": 0, "uav 2": 0, "forker": 0}
 
 
+def test_stopped_forker_is_named_instead_of_waited_for(supervisor: Supervisor) -> None:
+    pid = supervisor.pids["forker"]
+    os.kill(pid, signal.SIGSTOP)
+    ending = rf"^uav 0: cannot be forked by forker: its process \(pid {pid}\) is stopped$"
+    with pytest.raises(SupervisorError, match=ending):
+        supervisor.fork("uav 0", ["polite", "uav 0"], forker="forker")
+    assert supervisor.stop() == []
+
+
 def test_forks_killed_with_their_forker_are_reported(supervisor: Supervisor) -> None:
     """The launcher itself waits for each fork of a killed forker."""
     names = [f"uav {i}" for i in range(8)]

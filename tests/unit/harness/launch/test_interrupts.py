@@ -3,12 +3,17 @@
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
+
+import pytest
+
+from harness.launch.interrupts import SAME_REQUEST_S, interruptible
 
 SWALLOWING = """
 import os, signal
 try:
-    os.kill(os.getpid(), signal.SIGINT)
+    os.kill(os.getpid(), signal.NUMBER)
 except BaseException:
     raise ImportError("as some modules convert it")
 """
@@ -20,9 +25,25 @@ sys.exit(command.main(["fly"]))
 """
 
 
-def test_ctrl_c_during_the_imports_of_a_command_is_one_line(tmp_path: Path) -> None:
-    (tmp_path / "swallowing.py").write_text(SWALLOWING)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_signal_during_the_imports_of_a_command_is_one_line(tmp_path: Path, number: signal.Signals) -> None:
+    (tmp_path / "swallowing.py").write_text(SWALLOWING.replace("NUMBER", number.name))
     code = f"import sys; sys.path.append({str(tmp_path)!r}){COMMAND}"
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # the tests run below nohup
+        code = f"import signal; signal.signal(signal.SIGHUP, signal.SIG_DFL); {code}"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 128 + signal.SIGINT
     assert (done.stdout, done.stderr) == ("", "coflight fly: broken off before the start\n")
+
+
+def test_signals_that_follow_at_once_are_the_same_request(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As from a closed terminal or a service manager; a later one interrupts again."""
+    with interruptible():
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGTERM)
+        later_s = time.monotonic() + SAME_REQUEST_S
+        monkeypatch.setattr("harness.launch.interrupts.time.monotonic", lambda: later_s)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
