@@ -136,6 +136,7 @@ class UdpLink:
                 break
             except OSError:  # an earlier datagram was refused; the error queue has its address
                 self._remove_unreachable()
+                left_datagrams -= 1
                 continue
             if address in dropped:
                 self.counters.datagrams_over_budget += 1

@@ -28,11 +28,29 @@ class Claim(NamedTuple):
     """The simulator's TCP listeners, by vehicle (`tcp_vehicles`)."""
     states: dict[int, socket.socket]
     """UDP sockets for the states of ArduPilots, by vehicle, with the numbers of their listeners."""
+    reserved: dict[int, socket.socket]
+    """A UDP socket at a port of each vehicle without a listener: until the vehicle is started, it keeps other
+    swarms from the same ports."""
 
     @property
     def sockets(self) -> tuple[socket.socket, ...]:
         """All sockets."""
-        return (*self.listeners.values(), *self.states.values())
+        return (*self.listeners.values(), *self.states.values(), *self.reserved.values())
+
+    def close_server_sockets(self) -> None:
+        """Close the sockets that the physics server has inherited; harmless when repeated."""
+        for each in (*self.listeners.values(), *self.states.values()):
+            each.close()
+
+    def release(self, instance: int) -> None:
+        """Close the reservation of a vehicle, which is about to bind the port."""
+        if instance in self.reserved:
+            self.reserved[instance].close()
+
+    def close(self) -> None:
+        """Close all sockets; harmless when repeated."""
+        for each in self.sockets:
+            each.close()
 
 
 def tcp_vehicles(scenario: Scenario) -> tuple[int, ...]:
@@ -45,8 +63,8 @@ def claim(scenario: Scenario, *, search: bool) -> Claim:
     """Return free ports, and the simulator's sockets at them.
 
     With ``search``, all ports are raised by the first of `OFFSETS` with which they are free, if some are in
-    use; the instance numbers of PX4s rise with them. The listeners keep other swarms from the same ports also
-    before the processes have bound theirs. Raises ResourceError.
+    use; the instance numbers of PX4s rise with them. Listeners and reservations keep other swarms from the
+    same ports also before the processes have bound theirs. Raises ResourceError.
     """
     try:
         return _claim(scenario)
@@ -91,13 +109,18 @@ def _claim(scenario: Scenario) -> Claim:
         external_autopilots.check_free(scenario)
         for port in external_autopilots.application_ports(scenario):
             bind(socket.SOCK_DGRAM, ports.host, port).close()
+        reserved: dict[int, socket.socket] = {}
         for base in (ports.gcs_local_udp, ports.companion_local_udp):
             for i in vehicles if base else ():
-                bind(socket.SOCK_DGRAM, scenario.links.host, base + i).close()
+                bound = bind(socket.SOCK_DGRAM, scenario.links.host, base + i)
+                if i in listeners or i in reserved:
+                    bound.close()
+                else:
+                    reserved[i] = stack.enter_context(bound)
         if ports.radio_tcp:
             bind(socket.SOCK_STREAM, ports.host, ports.radio_tcp).close()
         stack.pop_all()
-    return Claim(scenario, listeners, states)
+    return Claim(scenario, listeners, states, reserved)
 
 
 def _simulator_sockets(host: str, port: int, *, states: bool) -> tuple[socket.socket, socket.socket | None]:

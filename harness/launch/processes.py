@@ -192,8 +192,12 @@ class Processes(RunMonitor):
         allow_descriptors(len((PHYSICS, RADIO, PREFORK)) + len(vehicles) + 3 * len(self._applications))
         own = set(vehicles) - set(ports.tcp_vehicles(self._scenario))
         # both ends of each link to the simulator, until the two processes have them
-        with SocketPairs(sorted(own)) as own_links, SocketPairs(self._applications) as application_links:
-            self._start_linked(uuid.uuid4().hex[:16], own_links, application_links)
+        with (
+            SocketPairs(sorted(own)) as own_links,
+            SocketPairs(self._applications) as application_links,
+            contextlib.closing(self._claim_ports()) as claim,
+        ):
+            self._start_linked(claim, own_links, application_links)
         for i in vehicles:
             details = self.ready[uav(i)].details
             self._ports |= {details[name] for name in _LINK_PORTS if name in details}
@@ -203,14 +207,12 @@ class Processes(RunMonitor):
         self.send(SetRadioPid(pid=self.ready[RADIO].pid))
         self._pin()
 
-    def _start_linked(self, run_id: str, own_links: SocketPairs, application_links: SocketPairs) -> None:
+    def _start_linked(
+        self, claim: ports.Claim, own_links: SocketPairs, application_links: SocketPairs
+    ) -> None:
         """Start all processes; physics is linked to own vehicles and applications by socket pairs."""
-        vehicles = range(self._scenario.agents)
+        run_id, scenario, vehicles = uuid.uuid4().hex[:16], claim.scenario, range(self._scenario.agents)
         with contextlib.ExitStack() as sockets:
-            claim = self._claim_ports()
-            for each in claim.sockets:
-                sockets.enter_context(each)
-            scenario = claim.scenario
             self._kernels = kernel_cache.prepare_flight(self._note, self._on_compiled)
             self._wall_start_s = time.monotonic()
             simulator_ports = {i: each.getsockname()[1] for i, each in claim.listeners.items()}
@@ -236,6 +238,7 @@ class Processes(RunMonitor):
                 command += [option, descriptor_list(descriptors)] if descriptors else []
                 fds += descriptors.values()
             self._supervisor.start(PHYSICS, command, pass_fds=fds)
+        claim.close_server_sockets()
         for links in (own_links, application_links):
             links.close_server_ends()
         endpoint = self._radio_endpoint()
@@ -249,6 +252,7 @@ class Processes(RunMonitor):
                 simulator_port=simulator_ports.get(i, 0),
                 radio_endpoint=endpoint,
             )
+            claim.release(i)
             if i in self._external:
                 self._start_external(i, simulator_ports[i])
             elif i in simulator_ports:

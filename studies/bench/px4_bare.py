@@ -237,7 +237,7 @@ def measure(job: BareJob) -> BareCost:
     """Measure. Raises ScenarioError, AutopilotError, ResourceError, OSError or BareError."""
     scenario = load(Path(job.scenario), [f"agents={job.agents}", *job.settings])
     px4.check_start(scenario)
-    scenario, listeners, _ = ports.claim(scenario, search=True)
+    scenario, listeners, *_ = ports.claim(scenario, search=True)
     numbers = px4.numbers(scenario)
 
     def on_lost(instance: int, reason: str) -> None:

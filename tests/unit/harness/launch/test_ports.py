@@ -55,13 +55,13 @@ def test_two_claims_at_once_get_different_ports(request: pytest.FixtureRequest) 
         return lambda: [listener.close() for listener in listeners.values()] and None
 
     given = scenario(simulator_tcp=free_base(AGENTS, socket.SOCK_STREAM), gcs_remote_udp=14_550)
-    first, listeners, _ = claim(given, search=True)
+    first, listeners, *_ = claim(given, search=True)
     request.addfinalizer(closed(listeners))
     assert first == given  # free: the scenario's
     assert {i: each.getsockname()[1] for i, each in listeners.items()} == {
         i: given.ports.simulator_tcp + i for i in range(AGENTS)
     }
-    second, others, _ = claim(given, search=True)
+    second, others, *_ = claim(given, search=True)
     request.addfinalizer(closed(others))
     offset = second.ports.simulator_tcp - given.ports.simulator_tcp
     assert offset > 0
@@ -88,6 +88,22 @@ def test_vehicles_with_inherited_sockets_have_no_listener_and_need_no_port() -> 
             for each in claimed.sockets:
                 stack.enter_context(each)
             assert claimed.listeners.keys() == claimed.states.keys() == {1}
+
+
+def test_a_port_of_each_vehicle_without_a_listener_stays_reserved_until_it_is_released() -> None:
+    base = free_base(AGENTS)
+    for field in ("gcs_local_udp", "companion_local_udp"):
+        given = scenario(**{field: base})
+        unix = msgspec.structs.replace(given.ports, simulator_link="unix")
+        claimed = claim(msgspec.structs.replace(given, ports=unix), search=False)
+        with contextlib.closing(claimed):
+            assert [each.getsockname()[1] for each in claimed.sockets] == [base, base + 1]
+            with pytest.raises(ResourceError, match=f"^UDP port {base} "):
+                claim(given, search=False)
+            claimed.release(0)
+            with pytest.raises(ResourceError, match=f"^UDP port {base + 1} "):
+                claim(given, search=False)
+        claim(given, search=False).close()
 
 
 def test_an_ardupilots_states_have_the_number_of_its_listener() -> None:
