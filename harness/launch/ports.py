@@ -88,7 +88,7 @@ def _claim(scenario: Scenario) -> Claim:
         for base in (ports.gcs_local_udp, ports.companion_local_udp):
             for i in vehicles if base else ():
                 bind(socket.SOCK_DGRAM, scenario.links.host, base + i).close()
-        if ports.radio_tcp:
+        if ports.radio_link == "tcp" and ports.radio_tcp:
             bind(socket.SOCK_STREAM, ports.host, ports.radio_tcp).close()
         stack.pop_all()
     return Claim(scenario, listeners, states)

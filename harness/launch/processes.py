@@ -30,6 +30,7 @@ from harness.launch.process_commands import (
     supervised,
     uav,
 )
+from harness.launch.radio_link import RadioLink
 from harness.launch.resources import HAS_NAMED_SOCKETS, ResourceError, allow_descriptors, bind_local
 from harness.launch.run_messages import (
     Compiling,
@@ -110,6 +111,7 @@ class Processes:
         self._has_prefork = self._has_own or bool(self._applications)
         self._running = False
         """Whether the processes were started and not stopped."""
+        self._radio: RadioLink | None = None
         self._kernels = kernel_cache.Compilers()
         self._affinity: CpuAffinity | None = None
         self._connected = False
@@ -242,7 +244,8 @@ class Processes:
                     PREFORK, python_module("autopilot.process.prefork_server", "--supervised")
                 )
             radio_fd, physics_fd = (end.fileno() for end in _socket_pair(sockets))
-            config = self._folder.write_radio_config(scenario, run_id=run_id)
+            self._radio = radio = RadioLink(scenario, self._folder, run_id=run_id)
+            config = self._folder.write_radio_config(scenario, radio.config)
             command = python_module("netsim", *supervised(config), "--interval-fd", str(radio_fd))
             self._supervisor.start(RADIO, command, pass_fds=[radio_fd])
             fds = [listener.fileno() for listener in listeners]
@@ -261,7 +264,8 @@ class Processes:
                 command += ["--state-fds", ",".join(f"{i}:{fd}" for i, fd in states.items())]
             fds += [physics_fd, *ends.values(), *states.values()]
             self._supervisor.start(PHYSICS, command, pass_fds=fds)
-        endpoint = self._radio_endpoint()
+        self._await_ready([RADIO])
+        self._ports |= radio.open(self.ready[RADIO].details["endpoint"])
         if self._has_prefork:
             self._await_ready([PREFORK])
         for i in vehicles:
@@ -270,7 +274,7 @@ class Processes:
                 i,
                 run_id=run_id,
                 simulator_port=simulator_ports[i],
-                radio_endpoint=endpoint,
+                radio_endpoint=radio.endpoint,
                 simulator_unix=None if i in self._external else own_name,
             )
             if i in self._external:
@@ -315,13 +319,6 @@ class Processes:
         self._supervisor.start(
             uav(instance), python_module("harness.launch.external_process", *supervised(path))
         )
-
-    def _radio_endpoint(self) -> str:
-        """Return the emulator's Zenoh locator once the emulator is ready."""
-        self._await_ready([RADIO])
-        endpoint: str = self.ready[RADIO].details["endpoint"]
-        self._ports.add(int(endpoint.rpartition(":")[2]))
-        return endpoint
 
     def _claim_ports(self) -> ports.Claim:
         """Return free ports with the simulator's sockets, and take them over into the scenario."""
@@ -379,6 +376,8 @@ class Processes:
                 self.note_failure(self.records_lost)
 
     def _remove_files(self) -> None:
+        if self._radio is not None:
+            self._radio.remove()
         if self._has_claim:
             external_autopilots.remove_files(self._scenario)
 
@@ -491,10 +490,11 @@ class Processes:
         return {name: self._supervisor.log_tail(name, lines) for name in self.pids}
 
     def leftovers(self) -> list[str]:
-        """Return a line for each process that still runs after the stop, and for each port still in use."""
+        """Return a line for each process, port and file that is left after the stop."""
         left = [
             f"{process.name()} (pid {process.pid}) of {name}" for process, name in self._supervisor.strays()
         ]
         # after their end only this process can still hold one of their ports
         held = {c.laddr.port for c in psutil.Process().net_connections("inet") if c.laddr}
-        return left + [f"port {port}" for port in sorted(held & self._ports)]
+        files = [] if self._radio is None else map(str, self._radio.leftovers())
+        return [*left, *(f"port {port}" for port in sorted(held & self._ports)), *files]

@@ -25,7 +25,7 @@ def free_port(kind: socket.SocketKind) -> int:
 
 def scenario(**ports: int) -> Scenario:
     """Return a scenario with these ports and others that are free."""
-    free = PortsConfig().free()
+    free = PortsConfig(radio_link="tcp").free()
     return Scenario(name="ports", agents=AGENTS, ports=msgspec.structs.replace(free, **ports))
 
 
