@@ -100,9 +100,12 @@ class VehicleProcess:
         self._profile_from_us = config.profile_from_us
         self._links = [stack.enter_context(contextlib.closing(link)) for link in _open_links(config)]
         self._radio: RadioClient | None = None
-        if ports.radio_endpoint is not None:
+        if (endpoint := ports.radio_endpoint) is not None:
             self._radio = RadioClient(
-                endpoint=ports.radio_endpoint, run_id=config.run_id, station=config.instance
+                endpoint=endpoint.locator,
+                password=endpoint.password,
+                run_id=config.run_id,
+                station=config.instance,
             )
             stack.enter_context(contextlib.closing(self._radio))
         self._host = stack.enter_context(contextlib.closing(Host(config, self._radio)))

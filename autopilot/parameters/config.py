@@ -297,6 +297,15 @@ class Devices(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Standard deviation of a distance from a single round trip, with the radio's bandwidth, at high SNR."""
 
 
+class RadioEndpoint(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Where and how a vehicle reaches the 802.11 emulator."""
+
+    locator: str
+    """Zenoh endpoint of the emulator's router."""
+    password: str
+    """Of the vehicles, random for each run."""
+
+
 class VehiclePorts(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Addresses and ports of one vehicle.
 
@@ -311,8 +320,8 @@ class VehiclePorts(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     gcs_remote_udp: Port = 14550
     companion_local_udp: Port = 14580
     companion_remote_udp: Port = 14540
-    radio_endpoint: str | None = None
-    """Zenoh locator of the 802.11 emulator; None: no radio."""
+    radio_endpoint: RadioEndpoint | None = None
+    """The 802.11 emulator; None: no radio."""
 
 
 class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

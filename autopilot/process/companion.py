@@ -147,7 +147,7 @@ class CompanionProcess:
     def __init__(self, config: VehicleConfig, simulator: socket.socket, stack: contextlib.ExitStack) -> None:
         self._name = f"application {config.instance}"
         ports = config.ports
-        if ports.radio_endpoint is None:
+        if (endpoint := ports.radio_endpoint) is None:
             raise ValueError("ports.radio_endpoint: missing; an application requires a radio")
         self._companion = Companion(config)
         self._log: CompanionLog | None = None
@@ -169,7 +169,12 @@ class CompanionProcess:
         )
         self._radio = stack.enter_context(
             contextlib.closing(
-                RadioClient(endpoint=ports.radio_endpoint, run_id=config.run_id, station=config.instance)
+                RadioClient(
+                    endpoint=endpoint.locator,
+                    password=endpoint.password,
+                    run_id=config.run_id,
+                    station=config.instance,
+                )
             )
         )
         self._requests: MessageStream[Iterated, Iterate] = MessageStream(

@@ -191,7 +191,8 @@ class _Processes(Processes):
         kernel_cache.prepare(self._note, self._on_compiled)
         self._wall_start_s = time.monotonic()
         folder = self._folder
-        radio = _read(folder.write_radio_config(scenario, run_id=RUN_ID), ServerConfig)
+        radio = folder.radio_config(scenario, run_id=RUN_ID)
+        folder.write_radio_config(scenario, radio)
         physics = _read(folder.write_physics_config(scenario, run_id=RUN_ID), PhysicsConfig)
         paths = [
             folder.write_vehicle_config(scenario, i, run_id=RUN_ID, simulator_port=0, radio_endpoint=None)

@@ -117,7 +117,7 @@ def _claim(scenario: Scenario) -> Claim:
                     bound.close()
                 else:
                     reserved[i] = stack.enter_context(bound)
-        if ports.radio_tcp:
+        if ports.radio_link == "tcp" and ports.radio_tcp:
             bind(socket.SOCK_STREAM, ports.host, ports.radio_tcp).close()
         stack.pop_all()
     return Claim(scenario, listeners, states, reserved)

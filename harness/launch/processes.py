@@ -30,6 +30,7 @@ from harness.launch.process_commands import (
     supervised,
     uav,
 )
+from harness.launch.radio_link import RadioLink
 from harness.launch.resources import ResourceError, allow_descriptors
 from harness.launch.run_messages import (
     Compiling,
@@ -105,6 +106,7 @@ class Processes(RunMonitor):
         self._has_own = len(self._external) < scenario.agents
         """Whether coflight's autopilot flies any vehicle."""
         self._has_prefork = self._has_own or bool(self._applications)
+        self._radio: RadioLink | None = None
         self._kernels = kernel_cache.Compilers()
         self._affinity: CpuAffinity | None = None
         self.forced: tuple[str, ...] = ()
@@ -222,7 +224,8 @@ class Processes(RunMonitor):
                     PREFORK, bound_module("autopilot.process.prefork_server", "--supervised")
                 )
             radio_end, physics_end = map(sockets.enter_context, socket.socketpair())
-            config = self._folder.write_radio_config(scenario, run_id=run_id)
+            self._radio = radio = RadioLink(scenario, self._folder, run_id=run_id)
+            config = self._folder.write_radio_config(scenario, radio.config)
             command = bound_module("netsim", *supervised(config), "--interval-fd", str(radio_end.fileno()))
             self._supervisor.start(RADIO, command, pass_fds=[radio_end.fileno()])
             config = self._folder.write_physics_config(scenario, run_id=run_id)
@@ -241,7 +244,8 @@ class Processes(RunMonitor):
         claim.close_server_sockets()
         for links in (own_links, application_links):
             links.close_server_ends()
-        endpoint = self._radio_endpoint()
+        self._await_ready([RADIO])
+        self._ports |= radio.open(self.ready[RADIO].details["endpoint"])
         if self._has_prefork:
             self._await_ready([PREFORK])
         for i in vehicles:
@@ -250,7 +254,7 @@ class Processes(RunMonitor):
                 i,
                 run_id=run_id,
                 simulator_port=simulator_ports.get(i, 0),
-                radio_endpoint=endpoint,
+                radio_endpoint=radio.endpoint,
             )
             claim.release(i)
             if i in self._external:
@@ -297,13 +301,6 @@ class Processes(RunMonitor):
         self._supervisor.start(
             uav(instance), bound_module("harness.launch.external_process", *supervised(path))
         )
-
-    def _radio_endpoint(self) -> str:
-        """Return the emulator's Zenoh locator once the emulator is ready."""
-        self._await_ready([RADIO])
-        endpoint: str = self.ready[RADIO].details["endpoint"]
-        self._ports.add(int(endpoint.rpartition(":")[2]))
-        return endpoint
 
     def _claim_ports(self) -> ports.Claim:
         """Return free ports with the simulator's sockets, and take them over into the scenario."""
@@ -366,6 +363,8 @@ class Processes(RunMonitor):
                 self.note_failure(self.records_lost)
 
     def _remove_files(self) -> None:
+        if self._radio is not None:
+            self._radio.remove()
         if self._has_claim:
             external_autopilots.remove_files(self._scenario)
 
@@ -397,10 +396,11 @@ class Processes(RunMonitor):
             raise self.fatal(SwarmError(str(error))) from None
 
     def leftovers(self) -> list[str]:
-        """Return a line for each process that still runs after the stop, and for each port still in use."""
+        """Return a line for each process, port and file that is left after the stop."""
         left = [
             f"{process.name()} (pid {process.pid}) of {name}" for process, name in self._supervisor.strays()
         ]
         # after their end only this process can still hold one of their ports
         held = {c.laddr.port for c in psutil.Process().net_connections("inet") if c.laddr}
-        return left + [f"port {port}" for port in sorted(held & self._ports)]
+        files = [] if self._radio is None else map(str, self._radio.leftovers())
+        return [*left, *(f"port {port}" for port in sorted(held & self._ports)), *files]

@@ -9,6 +9,7 @@ radio.pcapng coflight_beacon.lua              capture of the channel, Wireshark'
 gains.parquet antenna.nec patterns.nc         antenna: gains over time, median instant as NEC deck, patterns
 figures/*.png *.pdf                           figures, each in both formats
 logs/*.log  config/*.json                     the processes' messages, their settings
+guests.json                                   while a run with radio.guests flies: how programs join it
 uav-0.params uav-0.ulg ...                    parameters that a ground station saved, ULog
 raw/                                          binary logs, until the tables exist
 
@@ -31,11 +32,13 @@ from msgspec import Struct
 
 from autopilot.onboard.application import NO_APPLICATION, Layout
 from autopilot.onboard.factory import dissectors_of, layout_of
+from autopilot.parameters.config import RadioEndpoint
 from foundation.records.private_files import FOLDER_MODE, PARENT_MODE, make_private, write_private
 from foundation.records.whole_file import write_whole
 from harness.scenario.scenario import Scenario
 from harness.scenario.validation_errors import explain
-from netsim.model.config import ServerConfig
+from netsim.model.config import RadioPasswords, ServerConfig
+from netsim.transport import guest_access
 
 
 class PhysicsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -103,6 +106,7 @@ class RunFolder:
         self.ftm, self.air = path / "ftm.parquet", path / "air.parquet"
         self.gains, self.deck = path / "gains.parquet", path / "antenna.nec"
         self.patterns = path / "patterns.nc"
+        self.guest_access = path / guest_access.FILE
         self.raw_truth, self.raw_air = self.raw / "truth.bin", self.raw / "air.bin"
         self.capture = path / "radio.pcapng"
         self.receptions, self.raw_receptions = path / "receptions.parquet", self.raw / "receptions.bin"
@@ -213,16 +217,19 @@ class RunFolder:
         """Return the path of the binary log of one vehicle's estimates."""
         return self.raw / f"uav-{instance}.bin"
 
-    def write_radio_config(self, scenario: Scenario, *, run_id: str) -> Path:
-        """Write the settings of the 802.11 emulator's process; returns the path.
-
-        If it writes a capture, Wireshark's dissectors of the applications' datagrams are also written.
-        """
-        if scenario.radio.capture:
-            for name, text in dissectors_of(scenario.onboard).items():
-                (self.path / name).write_text(text, encoding="utf-8")
-        config = ServerConfig(
+    def radio_config(
+        self,
+        scenario: Scenario,
+        *,
+        run_id: str,
+        socket_path: str | None = None,
+        passwords: RadioPasswords | None = None,
+    ) -> ServerConfig:
+        """Return the settings of the 802.11 emulator; its process without ``socket_path`` listens at TCP."""
+        return ServerConfig(
             run_id=run_id,
+            socket_path=socket_path,
+            passwords=passwords,
             host=scenario.ports.host,
             port=scenario.ports.radio_tcp,
             stations=scenario.agents,
@@ -235,6 +242,15 @@ class RunFolder:
             epoch_unix_us=scenario.run.epoch_unix_us,
             profile_from_us=self._profile_from_us,
         )
+
+    def write_radio_config(self, scenario: Scenario, config: ServerConfig) -> Path:
+        """Write the settings of the 802.11 emulator's process; returns the path.
+
+        If it writes a capture, Wireshark's dissectors of the applications' datagrams are also written.
+        """
+        if scenario.radio.capture:
+            for name, text in dissectors_of(scenario.onboard).items():
+                (self.path / name).write_text(text, encoding="utf-8")
         return self.write_config("radio", config)
 
     def write_physics_config(self, scenario: Scenario, *, run_id: str) -> Path:
@@ -258,7 +274,7 @@ class RunFolder:
         *,
         run_id: str,
         simulator_port: int,
-        radio_endpoint: str | None,
+        radio_endpoint: RadioEndpoint | None,
     ) -> Path:
         """Write the settings of one UAV's process; returns the path.
 
@@ -280,7 +296,7 @@ class RunFolder:
         return msgspec.json.decode(settings, type=_Applications).applications
 
     def write_config(self, name: str, config: msgspec.Struct) -> Path:
-        """Write the settings of a process; returns the path."""
+        """Write the settings of a process, which only the user may read; returns the path."""
         path = self.config / f"{name}.json"
         write_private(path, msgspec.json.format(msgspec.json.encode(config), indent=2))
         return path

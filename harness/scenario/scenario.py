@@ -24,6 +24,7 @@ from autopilot.parameters.config import (
     Devices,
     LinksConfig,
     Port,
+    RadioEndpoint,
     Site,
     VehicleConfig,
     VehiclePorts,
@@ -108,8 +109,12 @@ class PortsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Vehicle i sends to this port plus i, unless that is the ground station's port or bound by a vehicle of
     the swarm: with PX4's numbers 14550 for vehicle 10, and 14580 for vehicle 40 and so on. Those vehicles
     send only to a companion that has sent to them."""
+    radio_link: Literal["unix", "tcp"] = "unix"
+    """Where vehicles and guests reach the 802.11 emulator. "unix": a Unix socket in a folder that only the
+    user of the run may enter. "tcp": a TCP port of ``host``, for guests on other machines, with the same
+    passwords, but without encryption."""
     radio_tcp: Port = 7447
-    """Port of the 802.11 emulator's Zenoh router."""
+    """With ``radio_link = "tcp"``: port of the 802.11 emulator."""
 
     def __post_init__(self) -> None:
         try:
@@ -147,7 +152,7 @@ class PortsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
         for first, others in (
             ("gcs_local_udp", (("companion_local_udp", agents), ("gcs_remote_udp", 1))),
             ("companion_local_udp", (("gcs_remote_udp", 1),)),
-            ("simulator_tcp", (("radio_tcp", 1),)),
+            ("simulator_tcp", (("radio_tcp", 1),) if self.radio_link == "tcp" else ()),
         ):
             begin = getattr(self, first)
             for second, count in others:
@@ -298,7 +303,7 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         )
 
     def vehicle_config(
-        self, instance: int, *, run_id: str, radio_endpoint: str | None, log_path: str | None
+        self, instance: int, *, run_id: str, radio_endpoint: RadioEndpoint | None, log_path: str | None
     ) -> VehicleConfig:
         """Return the settings of vehicle ``instance``."""
         return VehicleConfig(

@@ -31,6 +31,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object to std
 # A range with both limits also rejects values that are not finite.
 Seed = Annotated[int, typer.Option(help="Seed of all random numbers.", min=0, max=2**63 - 1)]
 Stations = Annotated[int, typer.Option(help="Number of stations that send.", min=1, max=1000)]
+DEFAULT_HOST = "127.0.0.1"
 MOST_BYTES = MAX_MSDU_BYTES - UDP_OVERHEAD_BYTES
 """Largest UDP payload of one frame; above the 1500-byte IP MTU, as the packets of Bianchi's paper."""
 Payload = Annotated[int, typer.Option("--payload", help="UDP payload, bytes.", min=0, max=MOST_BYTES)]
@@ -252,17 +253,27 @@ def serve(
     settings: Annotated[
         Path | None, typer.Option(help="JSON file of settings, with the fields of [radio].", metavar="JSON")
     ] = None,
-    host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
+    host: Annotated[str, typer.Option(help="Address to listen on, with --port.")] = DEFAULT_HOST,
     port: Annotated[
-        int, typer.Option(help="TCP port to listen on; 0: any free port.", min=0, max=65_535)
-    ] = 7447,
+        int | None,
+        typer.Option(
+            help="TCP port to listen on; 0: any free port; without it a Unix socket of this user.",
+            min=0,
+            max=65_535,
+        ),
+    ] = None,
     speed: Annotated[float, typer.Option(help="Simulated time per wall time.", min=1e-3, max=1e6)] = 1.0,
     capture: Annotated[
         Path | None, typer.Option(help="Capture every frame to this file, for Wireshark.", metavar="PCAPNG")
     ] = None,
     seed: Seed = 1,
 ) -> None:
-    """Run an emulator in real time for programs that join as stations s0, s1, ..."""
+    """Run an emulator in real time for programs that join as stations s0, s1, ...
+
+    Prints the folder that the programs pass to Guest; its guests.json has the endpoint and their passwords.
+    """
+    if port is None and host != DEFAULT_HOST:
+        raise typer.BadParameter(f"--host {host} requires --port, a TCP port to listen on")
     from netsim.lab.serve import serve_in_real_time, with_guests  # noqa: PLC0415  only this command needs Zenoh
 
     radio = RadioConfig()
@@ -276,13 +287,13 @@ def serve(
     config = ServerConfig(
         run_id=f"lab-{uuid.uuid4().hex[:8]}",
         host=host,
-        port=port,
+        port=port or 0,
         stations=0,
         seed=seed,
         radio=radio,
         capture_path=None if capture is None else str(capture),
     )
-    serve_in_real_time(config, speed=speed)
+    serve_in_real_time(config, speed=speed, tcp=port is not None)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

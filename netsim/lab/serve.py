@@ -1,6 +1,7 @@
 """Run an emulator in real time for programs that join as guests."""
 
 import contextlib
+import signal
 import sys
 import threading
 import time
@@ -9,7 +10,10 @@ import msgspec
 
 from netsim.lab.bench import ring_ned_m
 from netsim.model.config import GuestConfig, RadioConfig, ServerConfig
+from netsim.transport.guest_access import FILE, write_guest_access
+from netsim.transport.radio_users import new_passwords
 from netsim.transport.server import Server
+from netsim.transport.socket_folder import SOCKET, make_socket_folder, remove_socket_folder
 from netsim.wire.lockstep import Advance
 
 STEP_US = 4_000
@@ -23,32 +27,52 @@ def with_guests(radio: RadioConfig, stations: int, radius_m: float) -> RadioConf
     return msgspec.structs.replace(radio, guests=guests)
 
 
-def serve_in_real_time(config: ServerConfig, *, speed: float) -> None:
-    """Serve until Ctrl-C, after one line with endpoint and stations.
+def serve_in_real_time(config: ServerConfig, *, speed: float, tcp: bool) -> None:
+    """Serve until Ctrl-C or SIGTERM, after one line with the folder of the guests' file and the stations.
 
-    Simulated time 0 is the present time of the host's clock, which captures show. Raises TransportError,
-    OSError, ValueError.
+    Listens at a Unix socket in that folder, or with ``tcp`` at the settings' host and port; the folder is
+    removed at the end. Simulated time 0 is the present time of the host's clock, which captures show. Raises
+    TransportError, OSError, ValueError.
     """
     wall_start_s = time.monotonic()
-    config = msgspec.structs.replace(config, epoch_unix_us=time.time_ns() // 1_000)
-    pause = threading.Event()
-    with contextlib.closing(Server(config)) as server:
+    with contextlib.ExitStack() as stack:
+        folder = make_socket_folder()
+        stack.callback(remove_socket_folder, folder)
+        signal.signal(signal.SIGTERM, _end)
+        config = msgspec.structs.replace(
+            config,
+            epoch_unix_us=time.time_ns() // 1_000,
+            socket_path=None if tcp else str(folder / SOCKET),
+            passwords=new_passwords(len(config.radio.guests)),
+        )
+        server = stack.enter_context(contextlib.closing(Server(config)))
+        write_guest_access(folder / FILE, config, server.endpoint)
         names = ", ".join(guest.name for guest in config.radio.guests)
-        sys.stdout.write(f"{server.endpoint} stations {names}\n")
+        sys.stdout.write(f"{folder} stations {names}\n")
         sys.stdout.flush()
-        to_us = 0
-        while True:
-            to_us += STEP_US
-            request = Advance(
-                to_us=to_us,
-                release_us=to_us,
-                at_us=to_us - STEP_US,
-                pos_ned_m=b"",
-                vel_ned_m_s=b"",
-                q_ned_frd=b"",
-                extra_attenuation_db=config.radio.extra_attenuation_db,
-            )
-            server.advance(request)
-            ahead_s = to_us * 1e-6 / speed - (time.monotonic() - wall_start_s)
-            if ahead_s > 0.0:
-                pause.wait(ahead_s)
+        _serve(server, config, wall_start_s=wall_start_s, speed=speed)
+
+
+def _end(*_: object) -> None:
+    """End the process by an exception, so that its files are removed."""
+    sys.exit(128 + signal.SIGTERM)
+
+
+def _serve(server: Server, config: ServerConfig, *, wall_start_s: float, speed: float) -> None:
+    pause = threading.Event()
+    to_us = 0
+    while True:
+        to_us += STEP_US
+        request = Advance(
+            to_us=to_us,
+            release_us=to_us,
+            at_us=to_us - STEP_US,
+            pos_ned_m=b"",
+            vel_ned_m_s=b"",
+            q_ned_frd=b"",
+            extra_attenuation_db=config.radio.extra_attenuation_db,
+        )
+        server.advance(request)
+        ahead_s = to_us * 1e-6 / speed - (time.monotonic() - wall_start_s)
+        if ahead_s > 0.0:
+            pause.wait(ahead_s)

@@ -218,12 +218,24 @@ class RadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
         return self.log_receptions or self.capture == "receivers"
 
 
+class RadioPasswords(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Passwords of a run's radio, random for each run."""
+
+    vehicles: str
+    guests: tuple[str, ...] = ()
+    """One for each guest, in their order."""
+
+
 class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Configuration of the emulator process, written by the launcher."""
 
     run_id: str
+    socket_path: str | None = None
+    """Unix socket to listen at; None: TCP, at ``host`` and ``port``."""
     host: str = "127.0.0.1"
     port: Annotated[int, Meta(ge=0, le=65_535)] = 0
+    passwords: RadioPasswords | None = None
+    """Of the users that may connect; None: an emulator without connections."""
     stations: Annotated[int, Meta(ge=0)]
     """Number of vehicles; the guests of ``radio`` are numbered after them."""
     seed: Annotated[int, Meta(ge=0)]

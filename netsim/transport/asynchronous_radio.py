@@ -4,14 +4,12 @@ Transmissions go on the air when they reach the emulator, and are acknowledged. 
 received batches to be accepted; a batch that is not accepted is lost.
 """
 
-import logging
 from collections.abc import Callable, Sequence
 
-from netsim.transport.lockstep_radio import ANSWER_LIMIT_S, hand_over, receive_key, transmit_key
+from netsim.transport.lockstep_radio import ANSWER_LIMIT_S, guest_transmit_key, hand_over, receive_key
+from netsim.transport.malformed import MalformedCount
 from netsim.transport.zenoh_session import Question, Transport
 from netsim.wire.messages import Ack, RxBatch, TxBatch, TxItem, decode, encode
-
-logger = logging.getLogger(__name__)
 
 
 class AsynchronousRadio:
@@ -27,21 +25,24 @@ class AsynchronousRadio:
         self._station = station
         self._put = put
         self._newest_us = -1
-        self.malformed = 0
-        """Number of invalid messages on this station's key."""
+        self._malformed = MalformedCount("delivery")
         transport.serve(receive_key(run_id, station), self._take)
-        self._asker = transport.asker(transmit_key(run_id), timeout_s=ANSWER_LIMIT_S)
+        self._asker = transport.asker(guest_transmit_key(run_id, station), timeout_s=ANSWER_LIMIT_S)
         self.hand_over(())  # its acknowledgement shows that the key above is declared at the emulator
 
+    @property
+    def malformed(self) -> int:
+        """Number of invalid messages on this station's key."""
+        return self._malformed.count
+
     def hand_over(self, items: Sequence[TxItem], *, now_us: int = 0) -> None:
-        """Send transmissions to the emulator and wait for its acknowledgement. Raises RadioLost."""
+        """Send transmissions and wait for the emulator's acknowledgement. Raises RadioLost and RadioFull."""
         hand_over(self._asker, TxBatch(station=self._station, now_us=now_us, items=tuple(items)))
 
     def _take(self, question: Question) -> None:
         batch = decode(RxBatch, question.payload)
         if batch is None or batch.station != self._station:
-            self.malformed += 1
-            logger.warning("dropped %d bytes that are not a valid delivery", len(question.payload))
+            self._malformed.add(len(question.payload))
             return
         if batch.release_us > self._newest_us:  # release times rise; others are not of this run
             self._newest_us = batch.release_us

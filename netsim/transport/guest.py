@@ -1,18 +1,22 @@
 """Client of a station with an external host: a ground station, a jammer, a protocol under test.
 
-    with Guest("tcp/127.0.0.1:7447", name="ground") as radio:
+    with Guest("runs/ground", name="ground") as radio:
         radio.broadcast(b"hello")
         for item in radio.receive(timeout_s=1.0):
             print(item)
 
-The scenario defines the position of the guest (``radio.guests``). Its transmissions go on the air as soon as
+The scenario defines the position of the guest (``radio.guests``). The run's folder has the radio's endpoint
+and the guest's password (`netsim.transport.guest_access`). Its transmissions go on the air as soon as
 they reach the emulator, so such a run is not repeatable; its manifest states this.
 """
 
 import queue
+from pathlib import Path
 from typing import Self
 
+from netsim.transport.access_control import User
 from netsim.transport.asynchronous_radio import AsynchronousRadio
+from netsim.transport.guest_access import GuestAccess, GuestLogin, read_guest_access
 from netsim.transport.lockstep_radio import RadioLost, directory_key
 from netsim.transport.zenoh_session import Transport
 from netsim.wire.messages import (
@@ -32,22 +36,30 @@ from netsim.wire.messages import (
 )
 
 DIRECTORY_LIMIT_S = 5.0
+CONNECT_LIMIT_S = 5.0
+"""Wall time within which the radio must accept the guest's password."""
 
 
 class Guest:
     """Radio of one guest, for one thread. Close it, or use it as a context manager.
 
-    Raises TransportError if the endpoint cannot be reached, RadioLost if it has no emulator or no guest of
+    ``run`` is the folder of a run that flies or of an emulator alone, or the path of its ``guests.json``.
+
+    Raises TransportError without that file or if the radio cannot be reached, RadioLost if it has no guest of
     that name. If two programs use one name, the first one receives the deliveries. The methods that send
-    raise RadioLost if the emulator has ended, and ValueError for invalid arguments.
+    raise RadioLost if the emulator has ended, RadioFull if it drops transmissions because the guest sends too
+    many of them, and ValueError for invalid arguments.
     """
 
-    def __init__(self, endpoint: str, *, name: str) -> None:
-        self._transport = Transport.connect(endpoint)
+    def __init__(self, run: str | Path, *, name: str) -> None:
+        access = read_guest_access(run)
+        login = _login(access, name)
+        user = User(login.user, login.password)
+        self._transport = Transport.connect(access.endpoint, user, limit_s=CONNECT_LIMIT_S)
         try:
-            self.directory = self._request_directory(endpoint)
+            self.directory = self._request_directory(access)
             """The run and its stations."""
-            self.station = _number(self.directory, name)
+            self.station = login.station
             """Number of this station on the channel."""
             self.now_us = 0
             """Simulated time up to which `receive` has returned deliveries."""
@@ -60,12 +72,12 @@ class Guest:
             self._transport.close()
             raise
 
-    def _request_directory(self, endpoint: str) -> Directory:
-        asker = self._transport.asker(directory_key("*"), timeout_s=DIRECTORY_LIMIT_S)
+    def _request_directory(self, access: GuestAccess) -> Directory:
+        asker = self._transport.asker(directory_key(access.run_id), timeout_s=DIRECTORY_LIMIT_S)
         answer = asker.ask(encode(DirectoryRequest())).answer()
         directory = None if answer is None else decode(Directory, answer)
         if directory is None:
-            raise RadioLost(f"{endpoint}: no response of a radio emulator of this version")
+            raise RadioLost(f"{access.endpoint}: no response of a radio emulator of this version")
         return directory
 
     def broadcast(self, payload: bytes, *, port: int = DEFAULT_PORT) -> int:
@@ -135,8 +147,9 @@ def _station(number: int) -> int:
     return number
 
 
-def _number(directory: Directory, name: str) -> int:
-    if name not in directory.guests:
-        known = ", ".join(directory.guests) or "none"
-        raise RadioLost(f"no guest {name!r} on this channel; its guests: {known}")
-    return directory.vehicles + directory.guests.index(name)
+def _login(access: GuestAccess, name: str) -> GuestLogin:
+    try:
+        return access.guests[name]
+    except KeyError:
+        guests = ", ".join(access.guests) or "none"
+        raise RadioLost(f"no guest {name!r} on this channel; its guests: {guests}") from None

@@ -5,17 +5,26 @@ batch, and the time master reports when one has been delivered (`netsim.wire.loc
 lockstep use `netsim.transport.asynchronous_radio`.
 """
 
-import logging
 from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import TypeVar
 
 import msgspec
 
+from netsim.transport.access_control import User
+from netsim.transport.malformed import MalformedCount
 from netsim.transport.zenoh_session import Asker, Transport
-from netsim.wire.messages import Ack, RxBatch, RxItem, TxBatch, TxItem, decode, encode
+from netsim.wire.messages import (
+    MOST_GUEST_ITEMS,
+    Ack,
+    RxBatch,
+    RxItem,
+    TxBatch,
+    TxItem,
+    decode,
+    encode,
+)
 
-logger = logging.getLogger(__name__)
 BatchT = TypeVar("BatchT", TxBatch, RxBatch)
 
 ANSWER_LIMIT_S = 20.0
@@ -24,23 +33,42 @@ MOST_ITEMS = 24
 """Most items of a batch on a direct connection, limited by `zenoh_session.LONGEST_DIRECT_BYTES`."""
 
 
+def vehicles_user(password: str) -> User:
+    """Return the user of all vehicles."""
+    return User("vehicles", password)
+
+
+def all_keys(run_id: str) -> str:
+    """Return the key expression of all keys of a run's radio."""
+    return f"coflight/{run_id}/radio/**"
+
+
 def transmit_key(run_id: str) -> str:
-    """Return the key of TxBatch: published by vehicles, or queried by other stations with an Ack as reply."""
+    """Return the key of vehicles' TxBatch: published, or queried with an empty one and an Ack as reply."""
     return f"coflight/{run_id}/radio/tx"
 
 
+def guest_transmit_key(run_id: str, station: int | str) -> str:
+    """Return the key of a guest's TxBatch: queried, with an Ack as reply; station ``*`` matches all."""
+    return f"coflight/{run_id}/radio/tx/{station}"
+
+
 def receive_key(run_id: str, station: int) -> str:
-    """Return the key of RxBatch: published to vehicles, or queried at other stations with an Ack as reply."""
+    """Return the key of RxBatch: published to vehicles, or queried at guests with an Ack as reply."""
     return f"coflight/{run_id}/radio/rx/{station}"
 
 
 def directory_key(run_id: str) -> str:
-    """Return the key of the emulator's directory: DirectoryRequest -> Directory; ``*`` matches any run."""
+    """Return the key of the emulator's directory: DirectoryRequest -> Directory."""
     return f"coflight/{run_id}/radio/directory"
 
 
 class RadioLost(ConnectionError):
     """The emulator does not respond or deliver; the text is one line."""
+
+
+class RadioFull(OSError):
+    """The emulator has dropped a guest's transmissions, which were too many; the text is one line."""
 
 
 class Deliveries:
@@ -68,10 +96,16 @@ def checked(batch: TxBatch) -> bytes:
 
 
 def hand_over(asker: Asker, batch: TxBatch) -> None:
-    """Send a batch to the emulator and wait for its acknowledgement. Raises RadioLost."""
+    """Send a batch to the emulator and wait for its acknowledgement. Raises RadioLost and RadioFull."""
     answer = asker.ask(encode(batch)).answer()
-    if answer is None or decode(Ack, answer) is None:
+    ack = None if answer is None else decode(Ack, answer)
+    if ack is None:
         raise RadioLost(f"station {batch.station}: the 802.11 emulator does not acknowledge")
+    if ack.full:
+        raise RadioFull(
+            f"station {batch.station}: the 802.11 emulator has dropped {len(batch.items)} transmissions: it "
+            f"takes at most {MOST_GUEST_ITEMS} of a guest until simulated time goes on"
+        )
 
 
 class RadioClient:
@@ -81,11 +115,10 @@ class RadioClient:
     rejected: both clients receive the deliveries.
     """
 
-    def __init__(self, *, endpoint: str, run_id: str, station: int) -> None:
+    def __init__(self, *, endpoint: str, password: str, run_id: str, station: int) -> None:
         self._station = station
-        self.malformed = 0
-        """Number of invalid messages on this station's key."""
-        self._transport = Transport.connect(endpoint, direct=True)
+        self._malformed = MalformedCount("delivery")
+        self._transport = Transport.connect(endpoint, vehicles_user(password), direct=True)
         try:
             self._mailbox = self._transport.mailbox(receive_key(run_id, station))
             self._sender = self._transport.sender(transmit_key(run_id))
@@ -95,6 +128,11 @@ class RadioClient:
         except BaseException:
             self._transport.close()
             raise
+
+    @property
+    def malformed(self) -> int:
+        """Number of invalid messages on this station's key."""
+        return self._malformed.count
 
     def send(self, now_us: int, items: Sequence[TxItem]) -> None:
         """Send transmissions to the emulator. Raises ValueError for an invalid item."""
@@ -113,8 +151,7 @@ class RadioClient:
                 raise RadioLost(f"station {self._station}: the 802.11 emulator does not deliver")
             batch = decode(RxBatch, payload)
             if batch is None or batch.station != self._station:
-                self.malformed += 1
-                logger.warning("dropped %d bytes that are not a valid delivery", len(payload))
+                self._malformed.add(len(payload))
                 continue
             items.extend(batch.items)
             if batch.release_us >= now_us and not batch.more:

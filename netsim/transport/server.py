@@ -3,12 +3,11 @@
 One thread receives an interval request from the time master, collects the vehicles' batches, simulates, and
 sends the deliveries. Vehicles publish without acknowledgement, which runs no Python code here; the request
 lists the senders, and the server waits for their batches. Batches of later steps are kept, so the simulation
-does not depend on the order of messages. Stations outside the lockstep are served in Zenoh threads.
+does not depend on the order of messages. Guests are served in Zenoh threads, each at a key of its own.
 """
 
 import contextlib
 import gc
-import logging
 import os
 import queue
 import socket
@@ -25,26 +24,38 @@ from foundation.profiling.profiler import profiled
 from netsim.emulator.interface import NetworkEmulator
 from netsim.emulator.service import make_emulator
 from netsim.model.config import ServerConfig
+from netsim.transport.guest_intake import LONGEST_GUEST_BATCH_BYTES, GuestIntake
 from netsim.transport.interval_stream import BATCH_LIMIT_S, emulators_end
-from netsim.transport.lockstep_radio import directory_key, in_pieces, receive_key, transmit_key
+from netsim.transport.lockstep_radio import (
+    directory_key,
+    guest_transmit_key,
+    in_pieces,
+    receive_key,
+    transmit_key,
+)
+from netsim.transport.malformed import MalformedCount
 from netsim.transport.profile_groups import PROFILE_GROUPS
+from netsim.transport.radio_users import rights
+from netsim.transport.socket_folder import remove_socket, unix_endpoint
 from netsim.transport.zenoh_session import Asker, Question, TopicSender, Transport
 from netsim.wire.lockstep import Advance, Advanced
 from netsim.wire.messages import Ack, Directory, DirectoryRequest, RxBatch, Station, TxBatch, decode, encode
 
-logger = logging.getLogger(__name__)
 OFFER_LIMIT_S = 0.25
-"""Time-out of queries to stations outside the lockstep, wall time; the server does not wait for replies."""
+"""Time-out of queries to guests, wall time; the server does not wait for replies."""
+GUEST, STRANGER = "a guest on the radio", "a program that uses the vehicles' password"
+"""What may influence a run."""
 
 
 class Server:
     """The Zenoh session and the emulator.
 
-    ``on_visit`` is called at the first transmission of a guest. Raises TransportError, OSError for a log
-    file, ValueError for inconsistent settings.
+    ``on_influence`` is called with the cause, `GUEST` or `STRANGER`, when the run begins to depend on more
+    than scenario and seed; once for each. Raises TransportError, OSError for a log file, ValueError for
+    inconsistent settings.
     """
 
-    def __init__(self, config: ServerConfig, *, on_visit: Callable[[], None] = lambda: None) -> None:
+    def __init__(self, config: ServerConfig, *, on_influence: Callable[[str], None] = lambda _: None) -> None:
         self._service: NetworkEmulator = make_emulator(config)
         self._directory = encode(
             Directory(
@@ -53,10 +64,16 @@ class Server:
                 guests=tuple(guest.name for guest in config.radio.guests),
             )
         )
-        self._visited = False
-        self._on_visit = on_visit
-        self._malformed = 0
-        self._transport = Transport.listen(config.host, config.port)
+        self._influences: set[str] = set()
+        self._on_influence = on_influence
+        names = {config.stations + i: f"guest {guest.name}" for i, guest in enumerate(config.radio.guests)}
+        self._vehicles = config.stations
+        self._intake = GuestIntake(names)
+        self._malformed = {
+            name: MalformedCount(f"message of {name}") for name in (_VEHICLES, _DIRECTORY, *names.values())
+        }
+        self._by_key = {guest_transmit_key(config.run_id, station): station for station in names}
+        self._transport = Transport.listen(_endpoint(config), rights(config))
         self.endpoint = self._transport.endpoint
         """Endpoint to which the stations connect."""
         try:
@@ -65,7 +82,7 @@ class Server:
             self.close()
             raise
         self._askers: dict[Station, Asker] = {}
-        """By station outside the lockstep."""
+        """By guest's station."""
         self._senders: dict[Station, TopicSender] = {}
         """By vehicle in lockstep."""
         for station in range(self._service.stations):
@@ -75,7 +92,9 @@ class Server:
             else:
                 self._senders[station] = self._transport.sender(key)
         self._transmissions = self._transport.mailbox(transmit_key(config.run_id))
-        self._transport.serve(transmit_key(config.run_id), self._on_transmissions)
+        self._transport.serve(transmit_key(config.run_id), self._on_declared)
+        if self._by_key:
+            self._transport.serve(guest_transmit_key(config.run_id, "*"), self._on_guest)
         self._transport.serve(directory_key(config.run_id), self._on_directory)
 
     @property
@@ -92,7 +111,13 @@ class Server:
             # Linux weighs sched_yield among the processes of one session, here the vehicles on this processor
             self._service.set_between_events(os.sched_yield if _shares_a_processor() else None)
             self.advance(request, clock.send)
-        return {"counters": self._service.counters, "malformed": self._malformed}
+        return {"counters": self._service.counters} | self.refused
+
+    @property
+    def refused(self) -> dict[str, dict[str, int]]:
+        """Numbers of invalid messages and of dropped batches of guests, by their origin."""
+        malformed = {name: each.count for name, each in self._malformed.items() if each.count}
+        return {"malformed": malformed, "dropped_batches": dict(self._intake.dropped)}
 
     def close(self) -> None:
         """End the session and the logs; harmless when repeated."""
@@ -109,6 +134,7 @@ class Server:
         if missing:
             answer(self._service.advanced(missing=tuple(sorted(missing))))
             return
+        self._intake.begin_interval()
         batches = self._service.advance(request)
         delivered = sorted(batches.keys() & self._senders.keys())
         answer(self._service.advanced(delivered=tuple(delivered)))
@@ -132,30 +158,70 @@ class Server:
             sender.send(encode(piece))
 
     def _submit(self, payload: bytes) -> TxBatch | None:
-        """Decode a batch and submit it; return None if it is invalid."""
+        """Decode a vehicle's batch and submit it; return None if it is invalid."""
         batch = decode(TxBatch, payload)
-        if batch is not None and batch.items and not self._visited and self._service.is_guest(batch.station):
-            # a guest's traffic is not a function of scenario and seed
-            self._visited = True
-            self._on_visit()
-        if batch is None or not self._service.submit(batch):
-            self._malformed += 1
-            logger.warning("dropped %d bytes that are not a valid transmission", len(payload))
+        if batch is None or self._service.is_guest(batch.station) or not self._service.submit(batch):
+            self._malformed[_VEHICLES].add(len(payload))
+            self._influence(STRANGER)  # vehicles send no such messages
             return None
         return batch
 
-    def _on_transmissions(self, question: Question) -> None:
-        if self._submit(question.payload) is not None:
+    def _influence(self, cause: str) -> None:
+        if cause not in self._influences:
+            self._influences.add(cause)
+            self._on_influence(cause)
+
+    def _on_declared(self, question: Question) -> None:
+        """Reply to a vehicle's empty batch, which follows its declarations."""
+        batch = decode(TxBatch, question.payload)
+        if batch is None or batch.items or not 0 <= batch.station < self._vehicles:
+            self._malformed[_VEHICLES].add(len(question.payload))
+            self._influence(STRANGER)
+            question.drop()
+        else:
             question.answer(_ACK)
+
+    def _on_guest(self, question: Question) -> None:
+        """Submit a guest's batch, unless it is invalid or exceeds the interval's limit."""
+        station = self._by_key.get(question.key)  # the router accepts it of this guest and of vehicles alone
+        if station is None:
+            self._malformed[_VEHICLES].add(len(question.payload))
+            self._influence(STRANGER)
+            question.drop()
+            return
+        if self._intake.is_full(station):
+            self._intake.refuse(station)
+            question.answer(_FULL)
+            return
+        size = len(question.payload)
+        batch = decode(TxBatch, question.payload) if size <= LONGEST_GUEST_BATCH_BYTES else None
+        if batch is None or batch.station != station:
+            self._malformed[self._intake.names[station]].add(size)
+            question.drop()
+            return
+        is_accepted = self._intake.accept(station, len(batch.items))
+        if is_accepted and batch.items:
+            self._influence(GUEST)  # its traffic is not a function of scenario and seed
+            self._service.submit(batch)
+        question.answer(_ACK if is_accepted else _FULL)
 
     def _on_directory(self, question: Question) -> None:
         if decode(DirectoryRequest, question.payload) is None:
-            self._malformed += 1
+            self._malformed[_DIRECTORY].add(len(question.payload))
+            question.drop()
             return
         question.answer(self._directory)
 
 
-_ACK = encode(Ack())
+_ACK, _FULL = encode(Ack()), encode(Ack(full=True))
+_VEHICLES, _DIRECTORY = "vehicles", "directory"
+"""Origins of messages beside the guests."""
+
+
+def _endpoint(config: ServerConfig) -> str:
+    if config.socket_path is not None:
+        return unix_endpoint(config.socket_path)
+    return f"tcp/{config.host}:{config.port}"
 
 
 def _shares_a_processor() -> bool:
@@ -174,11 +240,11 @@ def run(config_path: Path, interval_fd: int, *, supervised: bool) -> None:
     with contextlib.ExitStack() as stack:
         clock = emulators_end(stack.enter_context(socket.socket(fileno=interval_fd)))
         config = msgspec.json.decode(config_path.read_bytes(), type=ServerConfig)
-        server = Server(config, on_visit=lambda: emit(Influenced(name="radio", by="a guest on the radio")))
+        server = Server(config, on_influence=lambda cause: emit(Influenced(name="radio", by=cause)))
         stack.enter_context(contextlib.closing(server))
         inbox: queue.SimpleQueue[Stop] = queue.SimpleQueue()
         if supervised:
-            commands(Stop, inbox)
+            commands(Stop, inbox, at_end=lambda: remove_socket(config.socket_path))
         # existing objects are permanent: exclude them from garbage collection
         gc.collect()
         gc.freeze()

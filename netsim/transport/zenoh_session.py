@@ -1,19 +1,26 @@
 """Queries, replies and one-way messages over Zenoh; the only module that imports Zenoh.
 
 One process of a run listens (the 802.11 emulator, as router), and all others connect to its explicit
-endpoint. There is no scouting, so runs on one machine or network are separate.
+endpoint with user and password (`netsim.transport.access_control`). There is no scouting, so runs on one
+machine or network are separate. TCP connections are not encrypted.
 
 Processes in lockstep publish one way, since both ends expect every message, over connections without Zenoh's
 buffers (`Transport.connect`, ``direct``): the message is in the receiver's socket when `TopicSender.send`
 returns, and is not lost even if the sender is killed. All others use queries with replies.
 """
 
+import json
 import os
+import socket
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import psutil
 import zenoh
+
+from foundation.system_error import in_words
+from netsim.transport.access_control import Rights, User, access_control, dictionary
 
 RUNTIME = """(
     app: (worker_threads: 1),
@@ -26,6 +33,15 @@ Python handlers run in other threads, one per served key, so this thread never w
 
 LONGEST_DIRECT_BYTES = 49_000
 """Longest message of a direct connection, below Zenoh's batch of 49 152 bytes: it does not fragment."""
+LONGEST_MESSAGE_BYTES = 4_194_304
+"""Longest message that the router puts together; longer ones are dropped."""
+CONNECT_LIMIT_S = 60.0
+"""Wall time within which the router accepts a client: vehicles of a large swarm all connect at once."""
+_BLOCKED_LIMIT_US = 250_000
+"""Wall time for which the router waits for a client that does not read, before it disconnects it.
+
+Direct connections, those of vehicles, have no such limit.
+"""
 _CHANNEL_MESSAGES = 4_096
 _SHORTEST_NAP_S, _LONGEST_NAP_S = 50e-6, 2e-3
 """Polling interval for a late message; Zenoh's channels have no time-out."""
@@ -105,9 +121,18 @@ class Question:
         self._query = query
         self.payload: bytes = query.payload.to_bytes() if query.payload is not None else b""
 
+    @property
+    def key(self) -> str:
+        """Key of the query."""
+        return str(self._query.key_expr)
+
     def answer(self, payload: bytes) -> None:
         """Send the reply and end the query."""
         self._query.reply(self._query.key_expr, payload)
+        self.drop()
+
+    def drop(self) -> None:
+        """End the query without a reply."""
         self._query.drop()  # type: ignore[no-untyped-call]
 
 
@@ -120,30 +145,50 @@ class Transport:
         """Endpoint that this process listens on, or is connected to."""
 
     @classmethod
-    def listen(cls, host: str, port: int) -> "Transport":
-        """Listen as the run's router on ``host:port``; port 0 is any free one. Raises TransportError."""
+    def listen(cls, endpoint: str, rights: Sequence[Rights]) -> "Transport":
+        """Listen as the run's router for users with these rights; TCP port 0 is any free one.
+
+        Raises TransportError.
+        """
         before = _listening_ports()
         try:
-            session = zenoh.open(_config("router", "listen", f"tcp/{host}:{port}"))
+            with tempfile.NamedTemporaryFile("w", prefix="coflight-", encoding="ascii") as users:  # mode 0600
+                users.write(dictionary(rights))
+                users.flush()
+                session = zenoh.open(_router_config(endpoint, rights, users.name))
         except zenoh.ZError as error:
-            raise TransportError(f"cannot listen on {host}:{port}: {_first_line(error)}") from None
-        if port == 0:
+            raise TransportError(f"cannot listen on {endpoint}: {_first_line(error)}") from None
+        protocol, _, address = endpoint.partition("/")
+        host, _, port = address.rpartition(":")
+        if protocol == "tcp" and port == "0":
             # Zenoh does not report the port it was given: find this process's new listening socket.
-            (port,) = _listening_ports() - before
-        return cls(session, f"tcp/{host}:{port}")
+            (number,) = _listening_ports() - before
+            endpoint = f"tcp/{host}:{number}"
+        return cls(session, endpoint)
 
     @classmethod
-    def connect(cls, endpoint: str, *, direct: bool = False) -> "Transport":
-        """Connect to a router's endpoint. Raises TransportError.
+    def connect(
+        cls, endpoint: str, user: User, *, direct: bool = False, limit_s: float = CONNECT_LIMIT_S
+    ) -> "Transport":
+        """Connect to a router's endpoint.
+
+        Raises TransportError: at once without a listener, after ``limit_s`` if it does not accept the user.
 
         On a ``direct`` connection the sending thread writes to the socket, with messages of at most
         `LONGEST_DIRECT_BYTES`. It takes half the time, but a receiver that does not read blocks all senders,
         so it is only for processes in lockstep.
         """
+        _check_listener(endpoint, limit_s)
+        config = _config("client", "connect", endpoint, limit_s=limit_s, direct=direct)
+        config.insert_json5("transport/auth/usrpwd/user", json.dumps(user.name))
+        config.insert_json5("transport/auth/usrpwd/password", json.dumps(user.password))
         try:
-            return cls(zenoh.open(_config("client", "connect", endpoint, direct=direct)), endpoint)
-        except zenoh.ZError as error:
-            raise TransportError(f"cannot connect to {endpoint}: {_first_line(error)}") from None
+            return cls(zenoh.open(config), endpoint)
+        except zenoh.ZError:
+            raise TransportError(
+                f"cannot connect to {endpoint} as {user.name} within {limit_s:g} s: it does not accept the "
+                "password, which may be that of another run, or does not respond"
+            ) from None
 
     def asker(self, key: str, *, timeout_s: float, lossy: bool = False) -> Asker:
         """Declare queries to ``key`` with a time-out.
@@ -181,16 +226,50 @@ class Transport:
             self._session.close()  # type: ignore[no-untyped-call]
 
 
-def _config(mode: str, verb: str, endpoint: str, *, direct: bool = True) -> zenoh.Config:
+def _router_config(endpoint: str, rights: Sequence[Rights], dictionary_path: str) -> zenoh.Config:
+    config = _config("router", "listen", endpoint, limit_s=0.0)
+    config.insert_json5("transport/auth/usrpwd/dictionary_file", json.dumps(dictionary_path))
+    config.insert_json5("access_control", json.dumps(access_control(rights)))
+    config.insert_json5("transport/link/rx/max_message_size", str(LONGEST_MESSAGE_BYTES))
+    config.insert_json5(
+        "transport/link/tx/queue/congestion_control/block/wait_before_close", str(_BLOCKED_LIMIT_US)
+    )
+    return config
+
+
+def _check_listener(endpoint: str, limit_s: float) -> None:
+    """Raise TransportError if no process listens at the endpoint: Zenoh would try until its time-out."""
+    protocol, _, address = endpoint.partition("/")
+    try:
+        if protocol == "unixsock-stream":
+            with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+                probe.settimeout(limit_s)
+                probe.connect(address)
+        elif protocol == "tcp":
+            host, _, port = address.rpartition(":")
+            socket.create_connection((host, int(port)), timeout=limit_s).close()
+    except PermissionError as error:
+        raise TransportError(
+            f"cannot connect to {endpoint}: {in_words(error)}; the run is another user's"
+        ) from None
+    except OSError as error:
+        raise TransportError(
+            f"cannot connect to {endpoint}: {in_words(error)}; the run has ended, or is not on this machine"
+        ) from None
+    except ValueError as error:
+        raise TransportError(f"cannot connect to {endpoint}: {error}") from None
+
+
+def _config(mode: str, verb: str, endpoint: str, *, limit_s: float, direct: bool = True) -> zenoh.Config:
     # Zenoh reads this once, when it opens the first session
     os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)
     config = zenoh.Config()
     config.insert_json5("mode", f'"{mode}"')
     config.insert_json5("scouting/multicast/enabled", "false")
     config.insert_json5("scouting/gossip/enabled", "false")
-    config.insert_json5(f"{verb}/endpoints", f'["{endpoint}"]')
-    # a missing listener is an error, without retries
-    config.insert_json5(f"{verb}/timeout_ms", "2000" if verb == "connect" else "0")
+    config.insert_json5(f"{verb}/endpoints", json.dumps([endpoint]))
+    # the end of this time is an error
+    config.insert_json5(f"{verb}/timeout_ms", str(round(1_000 * limit_s)))
     config.insert_json5(f"{verb}/exit_on_failure", "true")
     # every process would leave a segment of shared memory behind, and it is not used
     config.insert_json5("transport/shared_memory/enabled", "false")

@@ -13,7 +13,7 @@ from typing import Annotated, TypeVar
 import msgspec
 from msgspec import Meta, Struct
 
-VERSION = 5
+VERSION = 6
 """First field of every message; incremented with every change of a message's fields."""
 MAX_PAYLOAD_BYTES = 1472
 """Largest UDP payload that fits one 1500-byte IP packet."""
@@ -25,6 +25,11 @@ registered for the port prevents that, as does ``tshark -d udp.port==50802,data`
 """
 
 MAX_STATION = 65_535
+MOST_GUEST_ITEMS = 1_024
+"""Most items of a guest that the emulator takes between two intervals of simulated time.
+
+An interval of 40 ms has room for about 400 frames at the highest rate; a radio's queue has 64 by default.
+"""
 Station = Annotated[int, Meta(ge=0, le=MAX_STATION)]
 TimeUs = Annotated[int, Meta(ge=0, le=2**53)]
 """At most 285 years, so that nanoseconds fit the logs."""
@@ -67,8 +72,8 @@ TxItem = Broadcast | FtmRequest | Unicast
 class TxBatch(Struct, frozen=True, kw_only=True, array_like=True):
     """All items that one station submits to its radio in one step.
 
-    Vehicles publish it and announce it in lockstep (`netsim.wire.lockstep`). Stations outside the lockstep
-    send it as a query, and the reply is an `Ack`.
+    Vehicles publish it and announce it in lockstep (`netsim.wire.lockstep`). Guests send it as a query, and
+    the reply is an `Ack`.
     """
 
     version: int = VERSION
@@ -166,6 +171,8 @@ class Ack(Struct, frozen=True, kw_only=True, array_like=True):
     """The batch has been received completely."""
 
     version: int = VERSION
+    full: bool = False
+    """The batch is dropped: it would exceed `MOST_GUEST_ITEMS`."""
 
 
 class DirectoryRequest(Struct, frozen=True, kw_only=True, array_like=True):

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import pytest
 from netsim_pcapng import interfaces
@@ -15,7 +16,8 @@ from paths import ROOT
 
 from netsim.transport.guest import Guest
 from netsim.transport.lockstep_radio import RadioLost
-from netsim.transport.zenoh_session import Transport, TransportError
+from netsim.transport.socket_folder import remove_socket_folder
+from netsim.transport.zenoh_session import TransportError
 from netsim.wire.messages import Delivery, FtmResult, Sent
 
 pytestmark = pytest.mark.multiprocess
@@ -48,18 +50,23 @@ def process(*command):
 
 @contextlib.contextmanager
 def laboratory(*options):
-    """Yield endpoint and process of an emulator with s0, s1 and s2 on a circle of 15 m."""
-    command = ("scripts/wifi_lab.py", "serve", "--stations", "3", "--port", "0", *options)
+    """Yield folder and process of an emulator with s0, s1 and s2 on a circle of 15 m."""
+    command = ("scripts/wifi_lab.py", "serve", "--stations", "3", *options)
     with process(sys.executable, *command) as server:
-        endpoint, _, names = server.stdout.readline().strip().split(" ", 2)
+        folder, _, names = server.stdout.readline().strip().split(" ", 2)
         assert names == "s0, s1, s2"
-        yield endpoint, server
+        try:
+            yield folder, server
+        finally:
+            server.send_signal(signal.SIGTERM)
+            server.wait(DEADLINE_S)
+            remove_socket_folder(Path(folder))  # of an emulator that the test has killed
 
 
 @pytest.fixture
 def lab():
-    with laboratory() as (endpoint, _):
-        yield endpoint
+    with laboratory() as (folder, _):
+        yield folder
 
 
 def wait_for(radio, kind):
@@ -75,8 +82,8 @@ def test_a_capture_has_the_dates_of_the_hosts_clock_and_the_stations_names(tmp_p
     path, settings = tmp_path / "air.pcapng", tmp_path / "radio.json"
     settings.write_text('{"capture": "receivers"}')
     begun_ns = time.time_ns()
-    with laboratory("--capture", str(path), "--settings", str(settings)) as (endpoint, server):
-        with Guest(endpoint, name="s0") as one, Guest(endpoint, name="s2") as other:
+    with laboratory("--capture", str(path), "--settings", str(settings)) as (folder, server):
+        with Guest(folder, name="s0") as one, Guest(folder, name="s2") as other:
             one.broadcast(b"dated")
             assert wait_for(other, Delivery).payload == b"dated"
         server.send_signal(signal.SIGINT)
@@ -132,13 +139,28 @@ def test_unknown_guest_is_refused_with_the_list_of_guests(lab):
         Guest(lab, name="ground")
 
 
-def test_an_endpoint_without_a_radio_is_one_line():
-    with contextlib.closing(Transport.listen("127.0.0.1", 0)) as listener:
-        with pytest.raises(RadioLost, match="no response of a radio emulator"):
-            Guest(listener.endpoint, name="s0")
-        endpoint = listener.endpoint
-    with pytest.raises(TransportError, match="cannot connect to"):
-        Guest(endpoint, name="s0")
+def test_a_guest_without_a_radio_is_one_line(tmp_path):
+    with laboratory() as (folder, _):
+        access = (Path(folder) / "guests.json").read_bytes()
+    path = tmp_path / "guests.json"
+    for place, line in (
+        (
+            folder,
+            rf"{folder}: no such file; pass the folder of a run that flies now and has \[\[radio.guests\]\]",
+        ),
+        (tmp_path, rf"{path}: no such file; pass the folder of a run that flies now"),
+        ("tcp/127.0.0.1:7447", "no such file; a radio's endpoint alone is not enough: pass the run's folder"),
+    ):
+        with pytest.raises(TransportError, match=line):
+            Guest(place, name="s0")
+    path.write_bytes(b"{}")
+    with pytest.raises(TransportError, match=rf"{path}: not the file guests.json of a run's radio: "):
+        Guest(path, name="s0")
+    path.write_bytes(access)  # of a run that has ended
+    with pytest.raises(
+        TransportError, match=r"cannot connect to unixsock-stream.*: No such file or directory; "
+    ):
+        Guest(tmp_path, name="s0")
 
 
 def test_invalid_requests_raise_before_transmission(lab):
@@ -158,7 +180,7 @@ def test_invalid_requests_raise_before_transmission(lab):
 
 
 def test_end_of_the_emulator_raises_in_receive():
-    with laboratory() as (endpoint, server), Guest(endpoint, name="s0") as radio:
+    with laboratory() as (folder, server), Guest(folder, name="s0") as radio:
         assert radio.receive(timeout_s=0.1) == []
         server.kill()
         with pytest.raises(RadioLost, match="emulator has ended"):

@@ -1,7 +1,6 @@
 """The emulator's process with real Zenoh clients: deliveries, order, errors, determinism."""
 
 import contextlib
-import json
 import queue
 import socket
 import subprocess
@@ -10,15 +9,21 @@ import sys
 import msgspec
 import numpy as np
 import pytest
+from radio_process import LEVEL, RUN, Radio
 
-from foundation.processes.child_protocol import Stop
 from foundation.records.record_log import read
 from netsim.emulator.log_layout import FRAME_LOG
 from netsim.emulator.service import EmulatorService
-from netsim.model.config import GuestConfig, RadioConfig
+from netsim.model.config import GuestConfig
 from netsim.transport.asynchronous_radio import AsynchronousRadio
-from netsim.transport.interval_stream import time_masters_end
-from netsim.transport.lockstep_radio import MOST_ITEMS, RadioClient, RadioLost, receive_key, transmit_key
+from netsim.transport.lockstep_radio import (
+    MOST_ITEMS,
+    RadioLost,
+    receive_key,
+    transmit_key,
+    vehicles_user,
+)
+from netsim.transport.radio_users import new_passwords
 from netsim.transport.server import ServerConfig
 from netsim.transport.zenoh_session import Transport, TransportError
 from netsim.wire.lockstep import Advance, pack_rows
@@ -36,85 +41,12 @@ from netsim.wire.messages import (
 
 pytestmark = pytest.mark.multiprocess
 
-RUN = "test"
-LEVEL = pack_rows(np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)))
-POSES_M = ((0.0, 0.0, -10.0), (0.0, 8.5, -10.0), (2.5, 0.0, -10.0))
-
-
-class Radio:
-    """An emulator's process, and the time master's end of its socket."""
-
-    def __init__(self, folder, stations=3, seed=1, **radio):
-        self.frames_path = folder / "frames.bin"
-        config = ServerConfig(
-            run_id=RUN,
-            stations=stations,
-            seed=seed,
-            radio=RadioConfig(**radio),
-            frame_log_path=str(self.frames_path),
-        )
-        path = folder / "radio.json"
-        path.write_bytes(msgspec.json.encode(config))
-        own, its = socket.socketpair()
-        with its:
-            self.process = subprocess.Popen(
-                [
-                    sys.executable,
-                    "-m",
-                    "netsim",
-                    "--config",
-                    path,
-                    "--interval-fd",
-                    str(its.fileno()),
-                    "--supervised",
-                ],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                pass_fds=[its.fileno()],
-            )
-        self.connection, self.clock = own, time_masters_end(own)
-        ready = json.loads(self.process.stdout.readline())
-        assert ready["event"] == "ready"
-        self.endpoint = ready["details"]["endpoint"]
-
-    def client(self, station):
-        return RadioClient(endpoint=self.endpoint, run_id=RUN, station=station)
-
-    def advance(self, to_us, **changes):
-        fields = {"release_us": to_us + 4000, "at_us": to_us - 4000, "extra_attenuation_db": 0.0} | changes
-        request = Advance(
-            to_us=to_us,
-            pos_ned_m=pack_rows(np.array(POSES_M)),
-            vel_ned_m_s=pack_rows(np.zeros((3, 3))),
-            q_ned_frd=LEVEL,
-            **fields,
-        )
-        self.clock.send(request)
-        return self.clock.receive()
-
-    def stop(self):
-        """Stop the process; returns the details of its last message."""
-        self.connection.close()
-        self.process.stdin.write(msgspec.json.encode(Stop()) + b"\n")
-        self.process.stdin.flush()
-        finished = json.loads(self.process.stdout.readline())
-        assert self.process.wait(10.0) == 0
-        return finished["details"]
-
-    def close(self):
-        self.connection.close()
-        self.process.kill()
-        self.process.wait()
-        for pipe in (self.process.stdin, self.process.stdout):
-            with contextlib.suppress(OSError):
-                pipe.close()
-
-
 SENDER = """
 import sys
 from netsim.transport.lockstep_radio import RadioClient
 from netsim.wire.messages import Broadcast
-client = RadioClient(endpoint=sys.argv[1], run_id=sys.argv[2], station=int(sys.argv[3]))
+endpoint, password, run_id, station = sys.argv[1:]
+client = RadioClient(endpoint=endpoint, password=password, run_id=run_id, station=int(station))
 print("ready", flush=True)
 for line in sys.stdin:
     client.send(int(line), [Broadcast(seq=1, at_us=int(line), payload=b"last words")])
@@ -123,9 +55,9 @@ for line in sys.stdin:
 
 
 @contextlib.contextmanager
-def sender_process(endpoint, station):
+def sender_process(radio, station):
     """A vehicle's radio in a separate process; broadcasts at each time on its stdin and prints ``sent``."""
-    command = [sys.executable, "-c", SENDER, endpoint, RUN, str(station)]
+    command = [sys.executable, "-c", SENDER, radio.endpoint, radio.passwords.vehicles, RUN, str(station)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         try:
             assert process.stdout.readline() == b"ready\n"
@@ -188,7 +120,7 @@ def test_quiet_channel_reports_its_next_event(radio):
 def test_malformed_bytes_are_dropped_and_counted(radio):
     rng = np.random.default_rng(5)
     with (
-        contextlib.closing(Transport.connect(radio.endpoint)) as stranger,
+        radio.session() as stranger,
         contextlib.closing(radio.client(1)) as client,
     ):
         for size in (0, 1, 7, 300):
@@ -205,7 +137,9 @@ def test_malformed_bytes_are_dropped_and_counted(radio):
             assert radio.advance(8000, senders=(0,)).delivered == (1, 2)
         assert len(client.receive(12_000)) == 2  # and a survey
         assert client.malformed == 4
-    assert radio.stop()["malformed"] == 4 + 4 + 1 + 1
+    details = radio.stop()
+    assert details["malformed"] == {"vehicles": 4 + 4 + 1 + 1}
+    assert details["influences"] == ["a program that uses the vehicles' password"]
 
 
 @pytest.mark.parametrize(
@@ -259,7 +193,7 @@ def test_missing_batch_blocks_the_channel_until_it_arrives_or_its_sender_is_lost
 def test_last_batch_of_a_killed_vehicle_is_delivered(radio):
     with (
         contextlib.closing(radio.client(1)) as receiver,
-        sender_process(radio.endpoint, 0) as sender,
+        sender_process(radio, 0) as sender,
     ):
         sender.stdin.write(b"4000\n")
         sender.stdin.flush()
@@ -287,7 +221,7 @@ def test_a_guest_receives_and_sends_without_lockstep(tmp_path):
     with (
         contextlib.closing(Radio(tmp_path, guests=places)) as radio,
         contextlib.closing(radio.client(0)) as vehicle,
-        contextlib.closing(Transport.connect(radio.endpoint)) as transport,
+        radio.session(guest=3) as transport,
     ):
         batches = queue.SimpleQueue()
         guest = AsynchronousRadio(transport, run_id=RUN, station=3, put=batches.put)
@@ -333,8 +267,8 @@ def test_frame_log_does_not_depend_on_the_order_of_senders(tmp_path):
 
 
 def test_unreachable_endpoint_and_dead_emulator_are_errors(radio):
-    with pytest.raises(TransportError, match=r"cannot connect to tcp/127\.0\.0\.1:1"):
-        Transport.connect("tcp/127.0.0.1:1")
+    with pytest.raises(TransportError, match=r"cannot connect to tcp/127\.0\.0\.1:1: Connection refused"):
+        Transport.connect("tcp/127.0.0.1:1", vehicles_user("1234"))
     radio.process.kill()
     radio.process.wait()
     assert radio.advance(8000) is None
@@ -364,31 +298,32 @@ def test_process_ends_when_its_stdin_is_closed(radio):
     assert radio.process.wait(10.0) == 0
 
 
-def test_port_in_use_is_one_line(radio, tmp_path):
-    port = int(radio.endpoint.rpartition(":")[2])
-    config = ServerConfig(run_id=RUN, stations=1, seed=1, port=port)
-    (tmp_path / "second.json").write_bytes(msgspec.json.encode(config))
-    own, its = socket.socketpair()
-    with own, its:
-        second = subprocess.run(
-            [
-                sys.executable,
-                "-m",
-                "netsim",
-                "--config",
-                tmp_path / "second.json",
-                "--interval-fd",
-                str(its.fileno()),
-            ],
-            check=False,
-            capture_output=True,
-            text=True,
-            timeout=30,
-            pass_fds=[its.fileno()],
-        )
+def test_port_in_use_is_one_line(tmp_path):
+    with socket.create_server(("127.0.0.1", 0)) as holder:
+        port = holder.getsockname()[1]
+        config = ServerConfig(run_id=RUN, stations=1, seed=1, port=port, passwords=new_passwords(0))
+        (tmp_path / "second.json").write_bytes(msgspec.json.encode(config))
+        own, its = socket.socketpair()
+        with own, its:
+            second = subprocess.run(
+                [
+                    sys.executable,
+                    "-m",
+                    "netsim",
+                    "--config",
+                    tmp_path / "second.json",
+                    "--interval-fd",
+                    str(its.fileno()),
+                ],
+                check=False,
+                capture_output=True,
+                text=True,
+                timeout=30,
+                pass_fds=[its.fileno()],
+            )
     assert second.returncode == 2
     assert second.stderr.count("\n") == 1
-    assert f"cannot listen on 127.0.0.1:{port}" in second.stderr
+    assert f"cannot listen on tcp/127.0.0.1:{port}" in second.stderr
 
 
 def test_ack_is_decoded():

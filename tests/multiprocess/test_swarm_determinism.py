@@ -50,7 +50,7 @@ def one_processor():
 
 
 def fly(folder, *, seed, results, link="unix"):
-    overrides = [*SQUARE, f"ports.simulator_link={link}"]
+    overrides = [*SQUARE, f"ports.simulator_link={link}", f"ports.radio_link={link}"]
     with Swarm(ARTICLE, agents=4, seed=seed, overrides=overrides, out=folder, wall_limit_s=280.0) as swarm:
         swarm.run(until_s=4.0)
         swarm.degrade_channel(30.0)  # commands between run calls are part of the run

@@ -9,20 +9,31 @@ import time
 from pathlib import Path
 
 import pytest
+from radio_access import TESTER, router
 
 from netsim.transport.zenoh_session import LONGEST_DIRECT_BYTES, Question, Transport
 
 pytestmark = pytest.mark.multiprocess
 
 
+@pytest.fixture(params=["unix", "tcp"])
+def listener(request):
+    with router(link=request.param) as each:
+        yield each
+
+
+def connected(listener, **options):
+    """Return a client of the router, to be closed in a ``with``."""
+    return contextlib.closing(Transport.connect(listener.endpoint, TESTER, **options))
+
+
 @pytest.mark.parametrize("size", [0, 1_000, 1_000_000])
-def test_eight_concurrent_queries_are_answered_for_any_payload_size(size):
+def test_eight_concurrent_queries_are_answered_for_any_payload_size(listener, size):
     with contextlib.ExitStack() as stack:
-        router = stack.enter_context(contextlib.closing(Transport.listen("127.0.0.1", 0)))
         received: list[tuple[int, int]] = []
         askers = []
         for i in range(8):
-            client = stack.enter_context(contextlib.closing(Transport.connect(router.endpoint)))
+            client = stack.enter_context(connected(listener))
 
             def answer(question, i=i):
                 received.append((i, len(question.payload)))
@@ -30,7 +41,7 @@ def test_eight_concurrent_queries_are_answered_for_any_payload_size(size):
 
             client.serve(f"test/{i}", answer)
             wait_for_declarations(client)
-            askers.append(router.asker(f"test/{i}", timeout_s=5.0))
+            askers.append(listener.asker(f"test/{i}", timeout_s=5.0))
         for _ in range(3):
             received.clear()
             pending = [asker.ask(bytes(size)) for asker in askers]
@@ -38,13 +49,12 @@ def test_eight_concurrent_queries_are_answered_for_any_payload_size(size):
             assert sorted(received) == [(i, size) for i in range(8)]
 
 
-def test_answer_may_be_sent_later_by_another_thread():
+def test_answer_may_be_sent_later_by_another_thread(listener):
     with contextlib.ExitStack() as stack:
-        router = stack.enter_context(contextlib.closing(Transport.listen("127.0.0.1", 0)))
-        client = stack.enter_context(contextlib.closing(Transport.connect(router.endpoint)))
+        client = stack.enter_context(connected(listener))
         waiting: queue.SimpleQueue[Question] = queue.SimpleQueue()
-        router.serve("test/later", waiting.put)
-        router.serve("test/now", lambda question: question.answer(b"now"))
+        listener.serve("test/later", waiting.put)
+        listener.serve("test/now", lambda question: question.answer(b"now"))
         first, second = (client.asker(f"test/{name}", timeout_s=5.0) for name in ("later", "now"))
         later = first.ask(b"?")
         assert second.ask(b"?").answer() == b"now"
@@ -58,11 +68,10 @@ def wait_for_declarations(client):
 
 
 @pytest.mark.parametrize(("direct", "size"), [(True, 0), (True, LONGEST_DIRECT_BYTES), (False, 1_000_000)])
-def test_one_way_messages_arrive_complete_and_in_order_in_both_directions(direct, size):
+def test_one_way_messages_arrive_complete_and_in_order_in_both_directions(listener, direct, size):
     with contextlib.ExitStack() as stack:
-        router = stack.enter_context(contextlib.closing(Transport.listen("127.0.0.1", 0)))
-        client = stack.enter_context(contextlib.closing(Transport.connect(router.endpoint, direct=direct)))
-        for one, other in ((router, client), (client, router)):
+        client = stack.enter_context(connected(listener, direct=direct))
+        for one, other in ((listener, client), (client, listener)):
             mailbox = other.mailbox("test/letters")
             wait_for_declarations(client)
             sender = one.sender("test/letters")
@@ -75,8 +84,8 @@ def test_one_way_messages_arrive_complete_and_in_order_in_both_directions(direct
 
 
 def test_take_returns_none_at_its_timeout():
-    with contextlib.closing(Transport.listen("127.0.0.1", 0)) as router:
-        mailbox = router.mailbox("test/letters")
+    with router() as listener:
+        mailbox = listener.mailbox("test/letters")
         wall_begin_s = time.monotonic()
         assert mailbox.take(0.2) is None
         assert 0.2 <= time.monotonic() - wall_begin_s < 5.0
@@ -85,7 +94,8 @@ def test_take_returns_none_at_its_timeout():
 SENDER = """
 import os, signal, sys
 from netsim.transport.zenoh_session import Transport
-sender = Transport.connect(sys.argv[1], direct=True)
+from netsim.transport.access_control import User
+sender = Transport.connect(sys.argv[1], User(*sys.argv[2:]), direct=True)
 letters = sender.sender("test/letters")
 sender.asker("test/unserved", timeout_s=5.0).ask(b"").answer()
 for i in range(10):
@@ -94,18 +104,17 @@ os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
-def test_messages_of_a_killed_sender_on_a_direct_connection_are_delivered():
-    with contextlib.closing(Transport.listen("127.0.0.1", 0)) as router:
-        mailbox = router.mailbox("test/letters")
-        done = subprocess.run([sys.executable, "-c", SENDER, router.endpoint], check=False, timeout=60.0)
-        assert done.returncode == -signal.SIGKILL
-        assert [mailbox.take(10.0) for _ in range(10)] == [bytes([i]) * 1_000 for i in range(10)]
+def test_messages_of_a_killed_sender_on_a_direct_connection_are_delivered(listener):
+    mailbox = listener.mailbox("test/letters")
+    command = [sys.executable, "-c", SENDER, listener.endpoint, *TESTER]
+    done = subprocess.run(command, check=False, timeout=60.0)
+    assert done.returncode == -signal.SIGKILL
+    assert [mailbox.take(10.0) for _ in range(10)] == [bytes([i]) * 1_000 for i in range(10)]
 
 
-def test_sessions_use_no_shared_memory():
+def test_sessions_use_no_shared_memory(listener):
     """Zenoh's segments in /dev/shm would outlive their processes, a dozen kilobytes per run."""
     with contextlib.ExitStack() as stack:
-        router = stack.enter_context(contextlib.closing(Transport.listen("127.0.0.1", 0)))
         for direct in (False, True):
-            stack.enter_context(contextlib.closing(Transport.connect(router.endpoint, direct=direct)))
+            stack.enter_context(connected(listener, direct=direct))
         assert "/dev/shm" not in Path("/proc/self/maps").read_text()  # noqa: S108  no file is written

@@ -196,7 +196,7 @@ def test_messages_that_arrive_in_a_pause_wait_for_the_next_iteration(monkeypatch
         ports = {
             "companion_local_udp": px4.getsockname()[1],
             "companion_remote_udp": 0,
-            "radio_endpoint": "x",
+            "radio_endpoint": {"locator": "x", "password": "y"},
         }
         settings = replace(config(hold=True), ports=msgspec.convert(ports, VehiclePorts))
         ends = [stack.enter_context(end) for end in socket.socketpair()]

@@ -25,7 +25,7 @@ def free_port(kind: socket.SocketKind) -> int:
 
 def scenario(**ports: int) -> Scenario:
     """Return a scenario with these ports and others that are free, whose vehicles connect by TCP."""
-    free = msgspec.structs.replace(PortsConfig().free(), simulator_link="tcp")
+    free = msgspec.structs.replace(PortsConfig(radio_link="tcp").free(), simulator_link="tcp")
     return Scenario(name="ports", agents=AGENTS, ports=msgspec.structs.replace(free, **ports))
 
 

@@ -13,7 +13,7 @@ from world_truth import truth_with
 
 from autopilot.estimation.atmosphere import pressure_pa
 from autopilot.mavlink.codec import Parser
-from autopilot.parameters.config import VehicleConfig
+from autopilot.parameters.config import RadioEndpoint, VehicleConfig
 from foundation.airframe.files import IRIS
 from harness.launch import external_autopilots, px4
 from harness.launch.external_process import AutopilotError
@@ -284,7 +284,8 @@ def test_applications_bind_the_ports_that_px4s_send_to(scenario):
 
 
 def test_the_vehicles_settings_are_read_by_its_application_process(scenario):
-    config = scenario().vehicle_config(1, run_id="x", radio_endpoint="tcp/127.0.0.1:7447", log_path=None)
+    endpoint = RadioEndpoint(locator="tcp/127.0.0.1:7447", password="")
+    config = scenario().vehicle_config(1, run_id="x", radio_endpoint=endpoint, log_path=None)
     assert isinstance(config, VehicleConfig)
     assert (config.ports.companion_local_udp, config.ports.companion_remote_udp) == (14581, 14541)
 

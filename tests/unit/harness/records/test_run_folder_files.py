@@ -16,7 +16,7 @@ ARTICLE = SCENARIOS / "article.toml"
 
 def radio_config(folder, *settings):
     scenario = load(ARTICLE, ["run.epoch_utc=2030-05-06T07:08:09.5Z", *settings])
-    path = folder.write_radio_config(scenario, run_id="test")
+    path = folder.write_radio_config(scenario, folder.radio_config(scenario, run_id="test"))
     return msgspec.json.decode(path.read_bytes(), type=ServerConfig)
 
 

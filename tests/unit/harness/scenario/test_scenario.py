@@ -203,7 +203,10 @@ def test_overrides_accept_numbers_strings_words_and_new_tables():
             "ports.gcs_remote_udp=18577",
             "ports.gcs_local_udp of UAV 7 and ports.gcs_remote_udp are both 18577",
         ),
-        ("ports.radio_tcp=4561", "ports.simulator_tcp of UAV 1 and ports.radio_tcp are both 4561"),
+        (
+            "ports={radio_link='tcp', radio_tcp=4561}",
+            "ports.simulator_tcp of UAV 1 and ports.radio_tcp are both 4561",
+        ),
         ("links.host=localhost", "links: host: 'localhost' is not an IPv4 address"),
         ("links.companion_host=1.2.3", "links: companion_host: '1.2.3' is not an IPv4 address"),
         (

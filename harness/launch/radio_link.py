@@ -1,0 +1,55 @@
+"""How the processes of a run, and programs outside it, reach the 802.11 emulator: endpoint and passwords.
+
+An I/O module.
+"""
+
+from pathlib import Path
+
+from autopilot.parameters.config import RadioEndpoint
+from harness.records.run_folder import RunFolder
+from harness.scenario.scenario import Scenario
+from netsim.model.config import ServerConfig
+from netsim.transport.guest_access import write_guest_access
+from netsim.transport.radio_users import new_passwords
+from netsim.transport.socket_folder import SOCKET, make_socket_folder, remove_socket_folder
+
+
+class RadioLink:
+    """The socket folder of a run's radio, its passwords, and the file for its guests; to be removed.
+
+    Raises OSError if there is no folder for the socket.
+    """
+
+    def __init__(self, scenario: Scenario, folder: RunFolder, *, run_id: str) -> None:
+        self._guest_access = folder.guest_access
+        self._socket_folder = make_socket_folder() if scenario.ports.radio_link == "unix" else None
+        path = None if self._socket_folder is None else str(self._socket_folder / SOCKET)
+        passwords = new_passwords(len(scenario.radio.guests))
+        self.config: ServerConfig = folder.radio_config(
+            scenario, run_id=run_id, socket_path=path, passwords=passwords
+        )
+        """Settings of the emulator's process."""
+        self._password = passwords.vehicles
+        self.endpoint: RadioEndpoint | None = None
+        """What vehicles connect to, once the emulator is ready."""
+
+    def open(self, locator: str) -> set[int]:
+        """Store the endpoint and write the file for guests if there are any; returns the TCP ports in use.
+
+        Raises OSError.
+        """
+        self.endpoint = RadioEndpoint(locator=locator, password=self._password)
+        if self.config.radio.guests:
+            write_guest_access(self._guest_access, self.config, locator)
+        return {int(locator.rpartition(":")[2])} if locator.startswith("tcp/") else set()
+
+    def remove(self) -> None:
+        """Remove the socket's folder and the guests' file; harmless when repeated."""
+        self._guest_access.unlink(missing_ok=True)
+        if self._socket_folder is not None:
+            remove_socket_folder(self._socket_folder)
+
+    def leftovers(self) -> list[Path]:
+        """Return what exists after `remove`."""
+        paths = [self._guest_access, *filter(None, [self._socket_folder])]
+        return [path for path in paths if path.exists()]
