@@ -5,7 +5,9 @@ import json
 import os
 import socket
 import sys
+import tempfile
 import threading
+from pathlib import Path
 
 import psutil
 import pytest
@@ -63,17 +65,17 @@ def undisturbed(tmp_path_factory):
         return flown.summary(draw=False)["log_sha256"], sockets
 
 
-def test_a_run_of_own_vehicles_has_no_listener_but_the_radios_and_no_named_unix_socket(undisturbed):
+def test_a_run_of_own_vehicles_listens_at_the_radios_private_socket_alone(undisturbed):
     _, sockets = undisturbed
-    listening = {
-        name: [c for c in found if c.status == psutil.CONN_LISTEN] for name, found in sockets.items()
-    }
-    assert [name for name, found in listening.items() if found] == [RADIO]
+    listening = [c for found in sockets.values() for c in found if c.status == psutil.CONN_LISTEN]
+    assert listening == []
     named = {
-        name: [c.laddr for c in found if c.family == socket.AF_UNIX and c.laddr]
+        name: {c.laddr for c in found if c.family == socket.AF_UNIX and c.laddr}
         for name, found in sockets.items()
     }
-    assert not any(named.values()), named
+    assert [name for name, paths in named.items() if paths] == [RADIO]
+    (path,) = named[RADIO]
+    assert path.startswith("/")  # not abstract: its folder protects it
     assert not [c for c in sockets[PHYSICS] if c.family == socket.AF_INET]
 
 
@@ -167,6 +169,68 @@ def test_another_user_neither_commands_a_vehicle_nor_receives_from_it(tmp_path, 
     warned = warnings_of(flown, uav(0))
     assert len(warned) == 2
     assert all("is of another user (links.local_senders)" in text for text in warned)
+
+
+@pytest.fixture
+def open_folder():
+    """A folder that every user of the machine may enter and list, unlike pytest's."""
+    with tempfile.TemporaryDirectory(prefix="open-") as folder:
+        Path(folder).chmod(0o755)
+        yield Path(folder)
+
+
+def can_open(path, flags):
+    try:
+        os.close(os.open(path, flags | os.O_NONBLOCK))
+    except OSError:
+        return False
+    return True
+
+
+def can_connect(family, address):
+    with socket.socket(family, socket.SOCK_STREAM) as sock:
+        sock.settimeout(2.0)
+        try:
+            sock.connect(address)
+        except OSError:
+            return False
+        return True
+
+
+def can_signal(pid):
+    try:
+        os.kill(pid, 0)
+    except PermissionError:
+        return False
+    return True
+
+
+@root_only
+def test_another_user_opens_no_file_no_socket_and_no_process_of_a_run(open_folder, undisturbed):
+    out = open_folder / "run"
+    with make(out) as flown:
+        flown.run(until_s=1.0)
+        processes = [psutil.Process(pid) for pid in flown.pids.values()]
+        opened = {file.path for process in processes for file in process.open_files()}
+        private = {path for path in opened if not Path(path).is_relative_to(sys.prefix)} | set(out.rglob("*"))
+        private |= {
+            Path("/proc", str(process.pid), name) for process in processes for name in ("environ", "mem")
+        }
+        connections = [each for process in processes for each in process.net_connections("all")]
+        listening = [(c.family, c.laddr) for c in connections if c.status == psutil.CONN_LISTEN]
+        named = [(c.family, c.laddr) for c in connections if c.family == socket.AF_UNIX and c.laddr]
+
+        def attack():
+            reached = [path for path in private if can_open(path, os.O_RDONLY) or can_open(path, os.O_WRONLY)]
+            reached += [address for address in {*listening, *named} if can_connect(*address)]
+            reached += [process.pid for process in processes if can_signal(process.pid)]
+            assert not reached, reached
+
+        assert {out / "raw", out / "config" / "physics.json"} <= private
+        assert len(named) > 0
+        with as_other_user(attack):
+            flown.run(until_s=UNTIL_S)
+    assert flown.summary(draw=False)["log_sha256"] == undisturbed[0]
 
 
 def test_the_own_user_commands_a_vehicle_and_receives_from_it(tmp_path):
