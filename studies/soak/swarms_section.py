@@ -39,7 +39,7 @@ def jobs(plan: SoakPlan) -> dict[str, list[Job]]:
 
 def start_many(count: int) -> ManySwarms:
     """Start, fly and end swarms, one after the other. Raises SwarmError."""
-    before = set(_folders())
+    before, others = set(_folders()), set(_children())
     measured = []
     for seed in range(1, count + 1):
         with Swarm(find("article"), agents=AGENTS, seed=seed) as swarm:
@@ -48,9 +48,13 @@ def start_many(count: int) -> ManySwarms:
         measured.append(measure(os.getpid()))
     return ManySwarms(
         measured=measured,
-        left_processes=len(psutil.Process().children(recursive=True)),
+        left_processes=len(set(_children()) - others),
         left_folders=len(set(_folders()) - before),
     )
+
+
+def _children() -> list[psutil.Process]:
+    return psutil.Process().children(recursive=True)
 
 
 def _folders() -> list[Path]:
