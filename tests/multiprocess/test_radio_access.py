@@ -294,12 +294,6 @@ def test_a_guest_that_sends_too_much_in_an_interval_raises(radio, tmp_path):
     assert radio.stop()["dropped_batches"] == {"guest ground": 2}
 
 
-def test_the_emulator_removes_its_socket_when_its_launcher_is_killed(radio):
-    radio.process.stdin.close()
-    assert radio.process.wait(10.0) == 0
-    assert not Path(radio.socket_path).parent.exists()
-
-
 # --- in a flight
 
 FLIGHT = ["radio.guests=[{name='ground', pos_ned_m=[0.0, -20.0, -1.5]}]", "formation.height_m=2"]
