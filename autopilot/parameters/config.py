@@ -222,7 +222,8 @@ class LinksConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """IPv4 address with ``ports.companion_remote_udp``, the default destination of the companion link."""
     local_senders: Literal["own", "any"] = "own"
     """Programs of this machine with which the links communicate over the loopback interface, whose ports all
-    users share. "own": those of the run's user and of root; datagrams of others are dropped and counted.
+    users share. "own": those of the run's user and of root; datagrams of others are dropped and counted. A
+    sender at another address of this machine than the link's own, and not of 127.0.0.0/8, is not checked.
     "any": all, for instance for a ground station that another user runs. The application beside a PX4 or
     ArduPilot accepts, with "own", only the autopilot that the run has started."""
     bandwidth_bytes_s: Annotated[int, Meta(ge=0, le=1_000_000_000)] = 0

@@ -8,32 +8,25 @@ from collections.abc import Callable
 from autopilot.mavlink.codec import Message, Parser
 from autopilot.mavlink.components import AUTOPILOT_COMPONENT
 from autopilot.mavlink.telemetry import TelemetryParser
-from foundation.processes.socket_owners import UDP_TABLES, ChildSockets, mark_beside, read_tables
-from foundation.processes.socket_table import Address, at_address, entries, is_on_this_machine
+from foundation.processes.child_senders import ChildSenders
+from foundation.processes.socket_owners import ChildSockets, mark_beside
+from foundation.processes.socket_table import Address, is_on_this_machine
 
 LARGEST_DATAGRAM_BYTES = 65_535
 MOST_WAITING = 2_000
 """Datagrams that are read at once; a socket holds some hundreds."""
-REFUSED_S = 1.0
-"""Wall time for which a refused sender is not examined again."""
-MOST_REFUSED = 64
-"""Refused senders that are kept."""
 
 
-def sender_check(host: str, instance: int) -> Callable[[Address], bool]:
-    """Return whether a sender of datagrams to ``host`` is the run's process of that vehicle.
+def sender_check(host: str, instance: int) -> Callable[[Address, float], bool]:
+    """Return whether a sender of datagrams to ``host`` is, at a wall time, the run's process of that vehicle.
 
     Senders of other machines are, and all if this process is of no run or the system has no tables.
     """
     mark = mark_beside(f"uav {instance}")
+    senders = ChildSenders(lambda: ChildSockets(pid=None, mark=mark))
 
-    def is_autopilot(sender: Address) -> bool:
-        if mark is None or not is_on_this_machine(sender[0], host):
-            return True
-        table = read_tables(*UDP_TABLES)
-        if table is None:
-            return True
-        return ChildSockets(pid=None, mark=mark).has(at_address(entries(table, sender[1]), sender))
+    def is_autopilot(sender: Address, wall_s: float) -> bool:
+        return mark is None or not is_on_this_machine(sender[0], host) or senders.admits(sender, wall_s)
 
     return is_autopilot
 
@@ -43,8 +36,8 @@ class AutopilotSocket:
 
     ``local`` is bound. The autopilot is at ``remote``; without it, at the address from which the first
     message of the autopilot with MAVLink system ``system`` arrives: ArduPilot sends from any free port.
-    ``is_autopilot`` decides whether a sender can be the autopilot; it examines processes, and is asked until
-    one has been admitted.
+    ``is_autopilot`` decides whether a sender can be the autopilot, at the present wall time; it is asked
+    until one has been admitted.
     """
 
     def __init__(
@@ -53,7 +46,7 @@ class AutopilotSocket:
         remote: Address | None,
         *,
         system: int,
-        is_autopilot: Callable[[Address], bool] = lambda _: True,
+        is_autopilot: Callable[[Address, float], bool] = lambda *_: True,
     ) -> None:
         self.parser = TelemetryParser(system=system, component=AUTOPILOT_COMPONENT)
         self._system = system
@@ -63,8 +56,6 @@ class AutopilotSocket:
         self._is_autopilot = is_autopilot
         self._admitted = False
         """Whether the sender at that address is the autopilot."""
-        self._refused: dict[Address, float] = {}
-        """Other senders, with the wall times until which they are not examined again."""
         self.foreign_datagrams = 0
         """Datagrams of senders that are not the autopilot."""
         try:
@@ -106,18 +97,12 @@ class AutopilotSocket:
             return False
         if self._remote is not None and sender != self._remote:
             return False
-        wall_s = time.monotonic()
-        is_due = wall_s >= self._refused.get(sender, wall_s)
-        if is_due and self._is_autopilot(sender):
+        if self._is_autopilot(sender, time.monotonic()):
             self._admitted = True
             if self._remote is None:
                 self._connect(sender)
             return True
         self.foreign_datagrams += 1
-        if is_due:
-            if len(self._refused) >= MOST_REFUSED:
-                self._refused.clear()
-            self._refused[sender] = wall_s + REFUSED_S
         return False
 
     def _connect(self, remote: Address) -> None:

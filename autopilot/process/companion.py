@@ -163,7 +163,7 @@ class CompanionProcess:
                     (ports.host, ports.companion_remote_udp),
                     (ports.host, ports.companion_local_udp) if is_px4 else None,
                     system=config.instance + 1,
-                    is_autopilot=sender_check(ports.host, config.instance) if checked else lambda _: True,
+                    is_autopilot=sender_check(ports.host, config.instance) if checked else lambda *_: True,
                 )
             )
         )

@@ -71,9 +71,13 @@ def environment() -> dict[str, str]:
     if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
         return {VARIABLE: str(path)}
     _check(path)
+    is_new = not path.exists()
     with contextlib.suppress(OSError):
         make_private(path, exist_ok=True)
         os.utime(path)
+    if is_new:  # another user may have made a parent meanwhile
+        _check.cache_clear()
+        _check(path)
     if path.is_dir() and not os.access(path, os.W_OK):
         return {VARIABLE: str(path), LOCATORS: SHARED}
     return {VARIABLE: str(path)}

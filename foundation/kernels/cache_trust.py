@@ -5,14 +5,12 @@ that this user's processes run.
 """
 
 import errno
-import grp
 import os
-import pwd
 import stat
 from collections.abc import Iterator
 from pathlib import Path
 
-_OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+from foundation.records.write_access import fault_of
 
 
 class UntrustedCache(RuntimeError):
@@ -28,17 +26,17 @@ def check_trusted(folder: Path, top: Path, *, variable: str) -> None:
 
     ``variable`` names the environment variable that selects another folder. Raises UntrustedCache.
     """
-    reason = None
+    reason: object = None
     try:
         for parent in reversed(folder.parents):
             if parent == top or top in parent.parents:
-                reason = reason or _fault(parent, parent.stat(), sticky_protects=True)
+                reason = reason or fault_of(parent, parent.stat(), sticky_protects=True)
         status = folder.stat()
-        reason = reason or _fault(folder, status, sticky_protects=False)
+        reason = reason or fault_of(folder, status)
         _check_readable(folder, os.R_OK | os.X_OK)
         is_reachable = status.st_mode & (stat.S_IXGRP | stat.S_IXOTH)
         for path, status in _content(folder) if is_reachable and not reason else ():
-            reason = reason or _fault(path, status, sticky_protects=False)
+            reason = reason or fault_of(path, status)
     except (FileNotFoundError, NotADirectoryError):
         pass  # what is not there is created by this user
     except PermissionError as error:
@@ -68,31 +66,3 @@ def _content(folder: Path) -> Iterator[tuple[Path, os.stat_result]]:
 def _check_readable(path: Path, mode: int) -> None:
     if not os.access(path, mode):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
-
-
-def _fault(path: Path, status: os.stat_result, *, sticky_protects: bool) -> str | None:
-    """Return why a folder or file is not trusted, and what to do; None if it is."""
-    if status.st_uid not in {os.geteuid(), 0}:
-        return f"{path} belongs to {_user(status.st_uid)}: delete it"
-    writers = status.st_mode & _OTHERS_WRITE
-    if writers == stat.S_IWGRP and _is_own_group(status.st_gid):
-        return None
-    if not writers or (sticky_protects and status.st_mode & stat.S_ISVTX):
-        return None
-    return f"other users can write {path}: chmod -R go-w {path}"
-
-
-def _is_own_group(group_id: int) -> bool:
-    """Return whether a group is this user's alone, as on systems with a group for each user."""
-    try:
-        user, group = pwd.getpwuid(os.geteuid()), grp.getgrgid(group_id)
-    except KeyError:
-        return False
-    return group.gr_name == user.pw_name and user.pw_gid == group_id and {*group.gr_mem} <= {user.pw_name}
-
-
-def _user(user_id: int) -> str:
-    try:
-        return f"the user {pwd.getpwuid(user_id).pw_name}"
-    except KeyError:
-        return f"the user with id {user_id}"

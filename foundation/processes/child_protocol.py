@@ -12,7 +12,7 @@ import os
 import queue
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, TypeVar
 
 import msgspec
@@ -72,13 +72,10 @@ def emit(event: Struct) -> None:
         pass
 
 
-def commands(
-    kind: type[T], inbox: "queue.SimpleQueue[T]", *, at_end: Callable[[], None] = lambda: None
-) -> None:
+def commands(kind: type[T], inbox: "queue.SimpleQueue[T]") -> None:
     """Start a thread that puts commands from stdin into the queue, and exits the process at the end of stdin.
 
-    ``at_end`` is called before that exit, in the thread. An invalid line is reported on
-    stderr and skipped.
+    An invalid line is reported on stderr and skipped.
     """
     decoder = msgspec.json.Decoder(kind)
 
@@ -88,10 +85,7 @@ def commands(
                 inbox.put(decoder.decode(line))
             except msgspec.DecodeError as error:
                 logger.warning("not a command: %r: %s", line[:200], error)
-        try:
-            at_end()
-        finally:
-            _end()
+        _end()
 
     threading.Thread(target=read, name="parent", daemon=True).start()
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from foundation.kernels.cache_trust import UntrustedCache
 from harness.campaign.store import CampaignError
 from harness.launch import kernel_cache
 
@@ -94,7 +95,8 @@ def connected(
     when this process ends for any reason. All its sockets are on the loopback interface, which all users of
     the machine reach: its processes accept only peers with the key of this cluster (TLS), which is held in
     memory. A scheduler ``tls://`` is reached with the certificates of dask's settings, one ``tcp://`` only
-    with ``unencrypted``. Raises CampaignError, or CompileError.
+    with ``unencrypted``. Raises CampaignError, or CompileError, also for a cache of kernels that others can
+    write.
     """
     check_address(scheduler, unencrypted=unencrypted)
     with contextlib.ExitStack() as stack:
@@ -105,7 +107,10 @@ def connected(
 
         security = None
         if scheduler is None:
-            os.environ.update(kernel_cache.environment())  # inherited by the workers, for Numba
+            try:
+                os.environ.update(kernel_cache.environment())  # inherited by the workers, for Numba
+            except UntrustedCache as error:
+                raise kernel_cache.CompileError(str(error)) from None
             kernel_cache.prepare(note)
             stack.enter_context(dask.config.set(_SETTINGS))
             stack.enter_context(warnings.catch_warnings())

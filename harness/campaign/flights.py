@@ -8,6 +8,7 @@ from pathlib import Path
 
 from antenna.solvers.interface import BackendUnavailable
 from antenna.solvers.selection import make_backend
+from foundation.kernels.cache_trust import UntrustedCache
 from foundation.kernels.use_cache import use_kernel_cache
 from foundation.system_error import described
 from harness.campaign.store import Flown, Task, failed
@@ -15,8 +16,16 @@ from harness.launch import kernel_cache
 from harness.launch.run_messages import SetupError
 from harness.records.run_folder import RunFolder
 
-OF_THE_MACHINE = (OSError, MemoryError, SetupError, BackendUnavailable, kernel_cache.CompileError)
-"""Errors of the machine, which the same run may not have elsewhere or later: a full disk, a missing solver"""
+OF_THE_MACHINE = (
+    OSError,
+    MemoryError,
+    SetupError,
+    BackendUnavailable,
+    UntrustedCache,
+    kernel_cache.CompileError,
+)
+"""Errors of the machine, which the same run may not have elsewhere or later: a full disk, a missing solver, a
+cache of compiled kernels that others can write"""
 _OF_THIS_RUN = re.compile(r" \(pid \d+\)| \(log: [^)]*\)")
 """Parts of error messages that differ from run to run and refer to deleted files."""
 

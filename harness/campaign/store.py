@@ -26,6 +26,7 @@ from msgspec import Struct, structs
 
 from foundation.records.private_files import FILE_MODE, make_private
 from foundation.records.whole_file import sha256_of, write_whole
+from foundation.records.write_access import fault_of
 from harness.records.run_folder import NAME_ANOTHER, listed, names_in
 from harness.scenario.scenario import Scenario
 
@@ -124,7 +125,10 @@ def _read(content: bytes) -> Flown | None:
 
 
 class Store:
-    """Runs in a folder, which is created. Raises CampaignError if that fails, or if it has other content."""
+    """Runs in a folder, which is created.
+
+    Raises CampaignError if that fails, or if the folder has other content or can be written by others.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -138,6 +142,9 @@ class Store:
                     f"{NAME_ANOTHER}"
                 )
             make_private(folder, exist_ok=True)
+            fault = fault_of(folder, folder.stat())  # settings of runs in it are code that they execute
+            if fault is not None:
+                raise CampaignError(f"{fault}, or {NAME_ANOTHER}")
             os.close(os.open(self._lock, os.O_WRONLY | os.O_CREAT, FILE_MODE))  # marks a campaign's folder
             make_private(self._runs, exist_ok=True)
         except OSError as error:

@@ -215,6 +215,8 @@ class Processes(RunMonitor):
         """Start all processes; physics is linked to own vehicles and applications by socket pairs."""
         run_id, scenario, vehicles = uuid.uuid4().hex[:16], claim.scenario, range(self._scenario.agents)
         with contextlib.ExitStack() as sockets:
+            with interrupts_deferred():  # the stop removes the folder that this makes
+                self._radio = radio = RadioLink(scenario, self._folder, run_id=run_id)
             self._kernels = kernel_cache.prepare_flight(self._note, self._on_compiled)
             self._wall_start_s = time.monotonic()
             simulator_ports = {i: each.getsockname()[1] for i, each in claim.listeners.items()}
@@ -224,7 +226,6 @@ class Processes(RunMonitor):
                     PREFORK, bound_module("autopilot.process.prefork_server", "--supervised")
                 )
             radio_end, physics_end = map(sockets.enter_context, socket.socketpair())
-            self._radio = radio = RadioLink(scenario, self._folder, run_id=run_id)
             config = self._folder.write_radio_config(scenario, radio.config)
             command = bound_module("netsim", *supervised(config), "--interval-fd", str(radio_end.fileno()))
             self._supervisor.start(RADIO, command, pass_fds=[radio_end.fileno()])

@@ -3,6 +3,7 @@
 An I/O module.
 """
 
+import contextlib
 from pathlib import Path
 
 from autopilot.parameters.config import RadioEndpoint
@@ -11,7 +12,7 @@ from harness.scenario.scenario import Scenario
 from netsim.model.config import ServerConfig
 from netsim.transport.guest_access import write_guest_access
 from netsim.transport.radio_users import new_passwords
-from netsim.transport.socket_folder import SOCKET, make_socket_folder, remove_socket_folder
+from netsim.transport.socket_folder import SOCKET, SocketFolder
 
 
 class RadioLink:
@@ -22,8 +23,8 @@ class RadioLink:
 
     def __init__(self, scenario: Scenario, folder: RunFolder, *, run_id: str) -> None:
         self._guest_access = folder.guest_access
-        self._socket_folder = make_socket_folder() if scenario.ports.radio_link == "unix" else None
-        path = None if self._socket_folder is None else str(self._socket_folder / SOCKET)
+        self._socket_folder = SocketFolder() if scenario.ports.radio_link == "unix" else None
+        path = None if self._socket_folder is None else str(self._socket_folder.path / SOCKET)
         passwords = new_passwords(len(scenario.radio.guests))
         self.config: ServerConfig = folder.radio_config(
             scenario, run_id=run_id, socket_path=path, passwords=passwords
@@ -44,12 +45,15 @@ class RadioLink:
         return {int(locator.rpartition(":")[2])} if locator.startswith("tcp/") else set()
 
     def remove(self) -> None:
-        """Remove the socket's folder and the guests' file; harmless when repeated."""
-        self._guest_access.unlink(missing_ok=True)
+        """Remove the socket's folder and the guests' file as far as possible; harmless when repeated."""
         if self._socket_folder is not None:
-            remove_socket_folder(self._socket_folder)
+            self._socket_folder.remove()
+        with contextlib.suppress(OSError):  # `leftovers` names it
+            self._guest_access.unlink()
 
     def leftovers(self) -> list[Path]:
         """Return what exists after `remove`."""
-        paths = [self._guest_access, *filter(None, [self._socket_folder])]
+        paths = [self._guest_access]
+        if self._socket_folder is not None:
+            paths.append(self._socket_folder.path)
         return [path for path in paths if path.exists()]

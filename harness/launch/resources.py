@@ -58,8 +58,8 @@ def allow_descriptors(children: int) -> None:
     """Raise the limit of descriptors to what a run with that many children needs; they inherit it.
 
     The launcher holds `DESCRIPTORS_OF_CHILD` per child: of a vehicle that has not started yet, both ends of
-    its link to the simulator. The physics server and the 802.11 emulator hold two per vehicle at most. Raises
-    ResourceError if the system does not allow as many.
+    its link to the simulator and the socket that reserves its UDP port. The physics server and the 802.11
+    emulator hold two per vehicle at most. Raises ResourceError if the system does not allow as many.
     """
     needed = open_descriptors() + DESCRIPTORS_BESIDE + DESCRIPTORS_OF_CHILD * children
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)

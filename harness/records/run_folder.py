@@ -35,6 +35,7 @@ from autopilot.onboard.factory import dissectors_of, layout_of
 from autopilot.parameters.config import RadioEndpoint
 from foundation.records.private_files import FOLDER_MODE, PARENT_MODE, make_private, write_private
 from foundation.records.whole_file import write_whole
+from foundation.records.write_access import fault_of
 from harness.scenario.scenario import Scenario
 from harness.scenario.validation_errors import explain
 from netsim.model.config import RadioPasswords, ServerConfig
@@ -116,8 +117,8 @@ class RunFolder:
     def create(self) -> Self:
         """Make the folders of a new run, which only their owner can read, and hold it; returns this object.
 
-        Raises FolderRefused, before anything is written, unless the path is free or an empty folder; OSError
-        if the manifest cannot be written.
+        Raises FolderRefused, before anything is written, unless the path is free or an empty folder of this
+        user or root that no other can write; OSError if the manifest cannot be written.
         """
         try:
             names = names_in(self.path)
@@ -130,6 +131,9 @@ class RunFolder:
                 )
             self._made = [each for each in (self.path, *self.path.parents) if not each.exists()]
             make_private(self.path, exist_ok=True)
+            fault = fault_of(self.path, self.path.stat())  # settings in it are code that the run executes
+            if fault is not None:
+                raise FolderRefused(f"{fault}, or {NAME_ANOTHER}")
             self.raw.mkdir(FOLDER_MODE)  # of two runs that begin at once, one fails here
             self._is_new = True
             self.config.mkdir(FOLDER_MODE)

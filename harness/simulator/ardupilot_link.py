@@ -84,7 +84,7 @@ class ArduPilotLink:
                 return False
             packet = servo_packet(data)
             if packet is not None and self._guard.admits_sender(
-                self._system - 1, self.states.getsockname(), sender
+                self._system - 1, self.states.getsockname(), sender, time.monotonic()
             ):
                 self.states.connect(sender)
                 self._frame_count = packet.frame_count

@@ -10,7 +10,7 @@ POLL_S = 0.25
 """Wall time after which the emulator's process is examined, again and again."""
 RADIO_LIMIT_S = 8.0
 """Wall time for which the emulator may sleep while it owes an answer."""
-RADIO = 0
+EMULATOR = 0
 """Number of the emulator at its watchdog."""
 
 
@@ -36,6 +36,6 @@ class AwaitedLine:
                 if not waits:
                     waits = True
                     self._watchdog.begin(wall_s - POLL_S)
-                reason = self._watchdog.check(RADIO, wall_s, starting=False).give_up
+                reason = self._watchdog.check(EMULATOR, wall_s, starting=False).give_up
                 if reason is not None:
                     raise RadioSilent(f"the 802.11 emulator does not answer: {reason}") from None

@@ -6,11 +6,12 @@ Connections from other machines are admitted, and all where the system has no su
 """
 
 import socket
-import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple, Protocol
 
+from foundation.processes.child_senders import ChildSenders
 from foundation.processes.socket_owners import (
     UDP_TABLES,
     ChildSockets,
@@ -21,7 +22,6 @@ from foundation.processes.socket_owners import (
 from foundation.processes.socket_table import (
     Address,
     SocketEntry,
-    at_address,
     entries,
     is_on_this_machine,
     peer_of,
@@ -30,9 +30,7 @@ from foundation.processes.socket_table import (
 MOST_LISTED = 32
 """Different rejected peers that are counted one by one; further ones are counted by port."""
 MOST_NAMED = 16
-"""Rejected peers whose process is looked up, which reads the descriptors of all processes."""
-SENDER_MEMORY_S = 1.0
-"""Wall time for which a rejected sender of datagrams is not examined again."""
+"""Sockets of rejected peers whose process is looked up, which reads the descriptors of all processes."""
 
 
 class Guard(Protocol):
@@ -41,8 +39,11 @@ class Guard(Protocol):
     def admits(self, connections: Sequence[tuple[int, socket.socket]]) -> list[bool]:
         """Return for each connection, with the vehicle of its port, whether it may be that vehicle's."""
 
-    def admits_sender(self, instance: int, local: Address, sender: Address) -> bool:
-        """Return whether a sender of datagrams to the address ``local`` may be that vehicle."""
+    def admits_sender(self, instance: int, local: Address, sender: Address, wall_s: float) -> bool:
+        """Return whether a sender of datagrams to the address ``local`` may be that vehicle.
+
+        ``wall_s`` is the present wall time.
+        """
 
 
 class _Unguarded:
@@ -51,7 +52,13 @@ class _Unguarded:
     def admits(self, connections: Sequence[tuple[int, socket.socket]]) -> list[bool]:
         return [True] * len(connections)
 
-    def admits_sender(self, instance: int, local: Address, sender: Address) -> bool:  # noqa: ARG002
+    def admits_sender(
+        self,
+        instance: int,  # noqa: ARG002
+        local: Address,  # noqa: ARG002
+        sender: Address,  # noqa: ARG002
+        wall_s: float,  # noqa: ARG002
+    ) -> bool:
         return True
 
 
@@ -95,14 +102,15 @@ class SeatGuard:
         self._read_tcp, self._read_tcp6, self._read_udp = read_tcp, read_tcp6, read_udp
         self._pids: dict[int, int] = {}
         self._rejected: Counter[RejectedPeer] = Counter()
-        self._named = 0
-        """How many peers' processes were looked up."""
-        self._senders: dict[tuple[int, Address], float] = {}
-        """Wall times until which rejected senders are not examined."""
+        self._holders: dict[int, tuple[int, str] | None] = {}
+        """Processes of rejected peers by the inode of their socket, as far as they were looked up."""
+        self._senders: dict[int, ChildSenders] = {}
+        """Senders of datagrams to each vehicle's port."""
 
     def set_pid(self, instance: int, pid: int) -> None:
         """Set the process that was started for a vehicle."""
         self._pids[instance] = pid
+        self._senders.pop(instance, None)
 
     def rejected(self) -> list[dict[str, int | str | None]]:
         """Return the rejected peers with their numbers of connections or datagrams, for the manifest."""
@@ -133,24 +141,17 @@ class SeatGuard:
             verdicts.append(admitted)
         return verdicts
 
-    def admits_sender(self, instance: int, local: Address, sender: Address) -> bool:
-        """Implement `Guard`: a rejected sender is examined again after `SENDER_MEMORY_S`."""
+    def admits_sender(self, instance: int, local: Address, sender: Address, wall_s: float) -> bool:
+        """Implement `Guard`; processes are examined as rarely as `ChildSenders` does."""
         if not is_on_this_machine(sender[0], local[0]):
             return True
-        wall_s, key = time.monotonic(), (instance, sender)
-        if wall_s < self._senders.get(key, wall_s):
-            self._count(RejectedPeer(local[1], None))
-            return False
-        table = self._read_udp()
-        if table is None:
+        senders = self._senders.get(instance)
+        if senders is None:
+            senders = ChildSenders(partial(self._sockets_of, instance), read=self._read_udp)
+            self._senders[instance] = senders
+        if senders.admits(sender, wall_s):
             return True
-        found = at_address(entries(table, sender[1]), sender)
-        if self._sockets_of(instance).has(found):
-            return True
-        if len(self._senders) >= MOST_LISTED:
-            self._senders.clear()
-        self._senders[key] = wall_s + SENDER_MEMORY_S
-        self._reject(local[1], found[0] if found else None)
+        self._reject(local[1], next(iter(senders.sockets_of(sender)), None))
         return False
 
     def _sockets_of(self, instance: int) -> ChildSockets:
@@ -160,11 +161,9 @@ class SeatGuard:
         if peer is None or not peer.inode:  # it has ended, and the user in its entry is none
             self._count(RejectedPeer(port, None))
             return
-        holder: tuple[int, str] | tuple[None, None] = (None, None)
-        if self._named < MOST_NAMED:
-            self._named += 1
-            holder = holder_of(peer.inode) or holder
-        self._count(RejectedPeer(port, peer.uid, *holder))
+        if peer.inode not in self._holders and len(self._holders) < MOST_NAMED:
+            self._holders[peer.inode] = holder_of(peer.inode)
+        self._count(RejectedPeer(port, peer.uid, *(self._holders.get(peer.inode) or (None, None))))
 
     def _count(self, peer: RejectedPeer) -> None:
         if peer not in self._rejected and len(self._rejected) >= MOST_LISTED:

@@ -29,7 +29,7 @@ from harness.records.run_folder import PhysicsConfig
 from harness.simulator.application_links import ApplicationLinks
 from harness.simulator.ardupilot_link import ArduPilotLink
 from harness.simulator.emulator_client import EmulatorClient, RadioSilent
-from harness.simulator.emulator_wait import POLL_S, RADIO, RADIO_LIMIT_S, AwaitedLine
+from harness.simulator.emulator_wait import EMULATOR, POLL_S, RADIO_LIMIT_S, AwaitedLine
 from harness.simulator.lockstep import OWN, PX4, ConnectTimeout, Lockstep
 from harness.simulator.messages import (
     AnyCommand,
@@ -327,7 +327,7 @@ def serve(
 
     def set_pid(command: SetPid | SetRadioPid) -> None:
         if isinstance(command, SetRadioPid):
-            radio_watchdog.set_pid(RADIO, command.pid)
+            radio_watchdog.set_pid(EMULATOR, command.pid)
             return
         chosen = application_watchdog if command.is_application else watchdog
         chosen.set_pid(command.instance, command.pid)

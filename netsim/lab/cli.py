@@ -271,6 +271,7 @@ def serve(
     """Run an emulator in real time for programs that join as stations s0, s1, ...
 
     Prints the folder that the programs pass to Guest; its guests.json has the endpoint and their passwords.
+    Ctrl-C (status 130), SIGTERM (143) and SIGHUP (129) end it, and the folder is removed.
     """
     if port is None and host != DEFAULT_HOST:
         raise typer.BadParameter(f"--host {host} requires --port, a TCP port to listen on")

@@ -13,10 +13,11 @@ from netsim.model.config import GuestConfig, RadioConfig, ServerConfig
 from netsim.transport.guest_access import FILE, write_guest_access
 from netsim.transport.radio_users import new_passwords
 from netsim.transport.server import Server
-from netsim.transport.socket_folder import SOCKET, make_socket_folder, remove_socket_folder
+from netsim.transport.socket_folder import SOCKET, SocketFolder
 from netsim.wire.lockstep import Advance
 
 STEP_US = 4_000
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def with_guests(radio: RadioConfig, stations: int, radius_m: float) -> RadioConfig:
@@ -28,17 +29,22 @@ def with_guests(radio: RadioConfig, stations: int, radius_m: float) -> RadioConf
 
 
 def serve_in_real_time(config: ServerConfig, *, speed: float, tcp: bool) -> None:
-    """Serve until Ctrl-C or SIGTERM, after one line with the folder of the guests' file and the stations.
+    """Serve until a signal, after one line with the folder of the guests' file and the stations.
 
     Listens at a Unix socket in that folder, or with ``tcp`` at the settings' host and port; the folder is
-    removed at the end. Simulated time 0 is the present time of the host's clock, which captures show. Raises
-    TransportError, OSError, ValueError.
+    removed at the end. Simulated time 0 is the present time of the host's clock, which captures show. Only
+    for the main thread. Raises KeyboardInterrupt for Ctrl-C and SystemExit, with a status of 128 plus its
+    number, for SIGTERM and SIGHUP; further signals are ignored then. Raises TransportError, OSError,
+    ValueError.
     """
     wall_start_s = time.monotonic()
     with contextlib.ExitStack() as stack:
-        folder = make_socket_folder()
-        stack.callback(remove_socket_folder, folder)
-        signal.signal(signal.SIGTERM, _end)
+        for number in _SIGNALS:
+            if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:  # as after nohup
+                signal.signal(number, _end)
+        made = SocketFolder()
+        stack.callback(made.remove)
+        folder = made.path
         config = msgspec.structs.replace(
             config,
             epoch_unix_us=time.time_ns() // 1_000,
@@ -53,9 +59,13 @@ def serve_in_real_time(config: ServerConfig, *, speed: float, tcp: bool) -> None
         _serve(server, config, wall_start_s=wall_start_s, speed=speed)
 
 
-def _end(*_: object) -> None:
-    """End the process by an exception, so that its files are removed."""
-    sys.exit(128 + signal.SIGTERM)
+def _end(number: int, _frame: object) -> None:
+    """End the process by an exception, so that its files are removed; ignore signals meanwhile."""
+    for each in _SIGNALS:
+        signal.signal(each, signal.SIG_IGN)
+    if number == signal.SIGINT:
+        raise KeyboardInterrupt
+    sys.exit(128 + number)
 
 
 def _serve(server: Server, config: ServerConfig, *, wall_start_s: float, speed: float) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
-from foundation.records.private_files import write_private
+from foundation.records.whole_file import write_whole
 from netsim.model.config import ServerConfig
 from netsim.transport.radio_users import guest_user
 from netsim.transport.zenoh_session import TransportError
@@ -34,7 +34,10 @@ class GuestAccess(Struct, frozen=True, kw_only=True):
 
 
 def write_guest_access(path: Path, config: ServerConfig, endpoint: str) -> None:
-    """Write the file of a run's radio, readable for its owner alone. Raises OSError."""
+    """Write the file of a run's radio, readable for its owner alone; a reader finds all of it or none.
+
+    Raises OSError.
+    """
     passwords = () if config.passwords is None else config.passwords.guests
     logins = {}
     for station, (guest, password) in enumerate(
@@ -43,7 +46,7 @@ def write_guest_access(path: Path, config: ServerConfig, endpoint: str) -> None:
         user = guest_user(station, password)
         logins[guest.name] = GuestLogin(station=station, user=user.name, password=user.password)
     access = GuestAccess(endpoint=endpoint, run_id=config.run_id, guests=logins)
-    write_private(path, msgspec.json.format(msgspec.json.encode(access), indent=2))
+    write_whole(path, msgspec.json.format(msgspec.json.encode(access), indent=2), private=True)
 
 
 def read_guest_access(place: str | Path) -> GuestAccess:

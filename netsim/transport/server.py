@@ -36,7 +36,7 @@ from netsim.transport.lockstep_radio import (
 from netsim.transport.malformed import MalformedCount
 from netsim.transport.profile_groups import PROFILE_GROUPS
 from netsim.transport.radio_users import rights
-from netsim.transport.socket_folder import remove_socket, unix_endpoint
+from netsim.transport.socket_folder import unix_endpoint
 from netsim.transport.zenoh_session import Asker, Question, TopicSender, Transport
 from netsim.wire.lockstep import Advance, Advanced
 from netsim.wire.messages import Ack, Directory, DirectoryRequest, RxBatch, Station, TxBatch, decode, encode
@@ -244,7 +244,7 @@ def run(config_path: Path, interval_fd: int, *, supervised: bool) -> None:
         stack.enter_context(contextlib.closing(server))
         inbox: queue.SimpleQueue[Stop] = queue.SimpleQueue()
         if supervised:
-            commands(Stop, inbox, at_end=lambda: remove_socket(config.socket_path))
+            commands(Stop, inbox)
         # existing objects are permanent: exclude them from garbage collection
         gc.collect()
         gc.freeze()

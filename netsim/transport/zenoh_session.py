@@ -42,6 +42,10 @@ _BLOCKED_LIMIT_US = 250_000
 
 Direct connections, those of vehicles, have no such limit.
 """
+_MOST_PENDING = 10_000
+"""Connections that the router holds before they have sent a user and password; Zenoh's default is 100."""
+_PENDING_LIMIT_MS = 2_000
+"""Wall time after which it closes such a connection. A client tries again within `CONNECT_LIMIT_S`."""
 _CHANNEL_MESSAGES = 4_096
 _SHORTEST_NAP_S, _LONGEST_NAP_S = 50e-6, 2e-3
 """Polling interval for a late message; Zenoh's channels have no time-out."""
@@ -172,7 +176,8 @@ class Transport:
     ) -> "Transport":
         """Connect to a router's endpoint.
 
-        Raises TransportError: at once without a listener, after ``limit_s`` if it does not accept the user.
+        Raises TransportError: at once without a listener, after ``limit_s`` if it does not respond or does
+        not accept the user.
 
         On a ``direct`` connection the sending thread writes to the socket, with messages of at most
         `LONGEST_DIRECT_BYTES`. It takes half the time, but a receiver that does not read blocks all senders,
@@ -186,8 +191,8 @@ class Transport:
             return cls(zenoh.open(config), endpoint)
         except zenoh.ZError:
             raise TransportError(
-                f"cannot connect to {endpoint} as {user.name} within {limit_s:g} s: it does not accept the "
-                "password, which may be that of another run, or does not respond"
+                f"cannot connect to {endpoint} as {user.name} within {limit_s:g} s: it does not respond, as "
+                "when other programs occupy it, or does not accept the password, which may be of another run"
             ) from None
 
     def asker(self, key: str, *, timeout_s: float, lossy: bool = False) -> Asker:
@@ -230,6 +235,9 @@ def _router_config(endpoint: str, rights: Sequence[Rights], dictionary_path: str
     config = _config("router", "listen", endpoint, limit_s=0.0)
     config.insert_json5("transport/auth/usrpwd/dictionary_file", json.dumps(dictionary_path))
     config.insert_json5("access_control", json.dumps(access_control(rights)))
+    # otherwise a hundred connections that send nothing, of any user, lock all clients out
+    config.insert_json5("transport/unicast/accept_pending", str(_MOST_PENDING))
+    config.insert_json5("transport/unicast/accept_timeout", str(_PENDING_LIMIT_MS))
     config.insert_json5("transport/link/rx/max_message_size", str(LONGEST_MESSAGE_BYTES))
     config.insert_json5(
         "transport/link/tx/queue/congestion_control/block/wait_before_close", str(_BLOCKED_LIMIT_US)

@@ -18,6 +18,7 @@ import psutil
 import pytest
 import zenoh
 from paths import ROOT
+from radio_access import TESTER, router
 from radio_process import RUN, Radio
 
 from netsim.model.config import GuestConfig
@@ -31,6 +32,7 @@ from netsim.transport.lockstep_radio import (
     receive_key,
     transmit_key,
 )
+from netsim.transport.socket_folder import LOCK, SOCKET, SocketFolder
 from netsim.transport.zenoh_session import Transport, TransportError
 from netsim.wire.messages import (
     MOST_GUEST_ITEMS,
@@ -92,8 +94,8 @@ def test_a_client_with_a_wrong_password_is_refused_in_one_line(radio, user):
     with pytest.raises(TransportError) as refused:
         Transport.connect(radio.endpoint, User(name, password), limit_s=0.5)
     assert str(refused.value) == (
-        f"cannot connect to {radio.endpoint} as {name} within 0.5 s: it does not accept the password, which "
-        "may be that of another run, or does not respond"
+        f"cannot connect to {radio.endpoint} as {name} within 0.5 s: it does not respond, as when other "
+        "programs occupy it, or does not accept the password, which may be of another run"
     )
     assert radio.advance(8000).to_us == 8000
 
@@ -134,7 +136,8 @@ def test_other_users_cannot_reach_the_socket(radio):
 
 
 def test_no_file_with_a_password_is_left_beside_the_socket(radio):
-    assert {path.name for path in Path(radio.socket_path).parent.iterdir()} == {"radio", "radio.lock"}
+    names = {path.name for path in Path(radio.socket_path).parent.iterdir()}
+    assert names == {SOCKET, f"{SOCKET}.lock", LOCK}
 
 
 def exchange(radio, attack):
@@ -294,12 +297,6 @@ def test_a_guest_that_sends_too_much_in_an_interval_raises(radio, tmp_path):
     assert radio.stop()["dropped_batches"] == {"guest ground": 2}
 
 
-def test_the_emulator_removes_its_socket_when_its_launcher_is_killed(radio):
-    radio.process.stdin.close()
-    assert radio.process.wait(10.0) == 0
-    assert not Path(radio.socket_path).parent.exists()
-
-
 # --- in a flight
 
 FLIGHT = ["radio.guests=[{name='ground', pos_ned_m=[0.0, -20.0, -1.5]}]", "formation.height_m=2"]
@@ -359,7 +356,7 @@ def test_a_flooded_flight_goes_on_and_names_the_flood(swarm):
 
 
 @pytest.mark.parametrize("victim", ["radio", "launcher"])
-def test_a_killed_process_leaves_no_socket(tmp_path, victim):
+def test_a_killed_process_leaves_no_socket_after_the_next_launcher(tmp_path, victim, monkeypatch):
     environment = {**os.environ, "XDG_RUNTIME_DIR": str(tmp_path)}
     command = [
         sys.executable, "scripts/launch_swarm.py", ARTICLE, "--agents=2", "--out", str(tmp_path / "run"),
@@ -372,6 +369,9 @@ def test_a_killed_process_leaves_no_socket(tmp_path, victim):
             folder = tmp_path / "run"
             wait_until((folder / "raw" / "uav-1.bin").exists, "the vehicles write their logs")
             (sockets,) = tmp_path.glob("coflight-radio-*")
+            monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+            SocketFolder().remove()
+            assert (sockets / SOCKET).exists()  # of a launcher that lives
             processes = psutil.Process(launcher.pid).children()
             if victim == "radio":
                 (pid,) = (each.pid for each in processes if "netsim" in each.cmdline())
@@ -382,13 +382,27 @@ def test_a_killed_process_leaves_no_socket(tmp_path, victim):
                 psutil.wait_procs(processes, timeout=LIMIT_S)
         finally:
             launcher.kill()
+    assert sockets.exists() is (victim == "launcher")  # the kernel kills the emulator with its launcher
+    SocketFolder().remove()
     assert not sockets.exists()
+
+
+def test_connections_that_send_nothing_do_not_lock_clients_out():
+    with router(link="tcp") as listener, contextlib.ExitStack() as stack:
+        host, _, port = listener.endpoint.removeprefix("tcp/").rpartition(":")
+        for _ in range(300):
+            stack.enter_context(socket.create_connection((host, int(port)), LIMIT_S))
+        Transport.connect(listener.endpoint, TESTER, limit_s=5.0).close()
 
 
 # --- the emulator alone
 
 
-def test_an_emulator_alone_serves_guests_over_tcp_and_removes_its_files():
+@pytest.mark.parametrize(
+    ("number", "status"),
+    [(signal.SIGTERM, 128 + signal.SIGTERM), (signal.SIGHUP, 128 + signal.SIGHUP), (signal.SIGINT, 130)],
+)
+def test_an_emulator_alone_serves_guests_over_tcp_and_removes_its_files(number, status):
     command = [sys.executable, "scripts/wifi_lab.py", "serve", "--port", "0"]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as server:
         try:
@@ -398,8 +412,9 @@ def test_an_emulator_alone_serves_guests_over_tcp_and_removes_its_files():
             with Guest(folder, name="s0") as one, Guest(folder / "guests.json", name="s1") as other:
                 one.broadcast(b"over TCP")
                 assert other.receive(timeout_s=LIMIT_S)[0].payload == b"over TCP"
-            server.terminate()
-            assert server.wait(LIMIT_S) == 128 + signal.SIGTERM
+            for _ in range(3):  # a closed terminal sends several
+                server.send_signal(number)
+            assert server.wait(LIMIT_S) == status
         finally:
             server.kill()
     assert not folder.exists()

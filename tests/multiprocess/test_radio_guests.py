@@ -3,6 +3,7 @@
 import contextlib
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,7 +17,6 @@ from paths import ROOT
 
 from netsim.transport.guest import Guest
 from netsim.transport.lockstep_radio import RadioLost
-from netsim.transport.socket_folder import remove_socket_folder
 from netsim.transport.zenoh_session import TransportError
 from netsim.wire.messages import Delivery, FtmResult, Sent
 
@@ -60,7 +60,7 @@ def laboratory(*options):
         finally:
             server.send_signal(signal.SIGTERM)
             server.wait(DEADLINE_S)
-            remove_socket_folder(Path(folder))  # of an emulator that the test has killed
+            shutil.rmtree(folder, ignore_errors=True)  # of an emulator that the test has killed
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Iterator
 
 from netsim.transport.access_control import Rights, User
-from netsim.transport.socket_folder import SOCKET, make_socket_folder, remove_socket_folder, unix_endpoint
+from netsim.transport.socket_folder import SOCKET, SocketFolder, unix_endpoint
 from netsim.transport.zenoh_session import Transport
 
 TESTER = User("tester", "1234")
@@ -14,11 +14,11 @@ TCP = "tcp/127.0.0.1:0"
 @contextlib.contextmanager
 def unix_socket() -> Iterator[str]:
     """Yield the path of a socket in a folder that is removed at the end."""
-    folder = make_socket_folder()
+    folder = SocketFolder()
     try:
-        yield str(folder / SOCKET)
+        yield str(folder.path / SOCKET)
     finally:
-        remove_socket_folder(folder)
+        folder.remove()
 
 
 @contextlib.contextmanager

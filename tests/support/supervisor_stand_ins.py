@@ -33,7 +33,6 @@ from harness.simulator.messages import (
     VehicleTruth,
     Waiting,
 )
-from netsim.transport.socket_folder import remove_socket
 
 STEP_US = 4_000
 FORMED_US = 3_000_000
@@ -133,7 +132,7 @@ def physics(
 
 def radio(config: dict[str, Any]) -> None:
     inbox: queue.SimpleQueue[Stop] = queue.SimpleQueue()
-    commands(Stop, inbox, at_end=lambda: remove_socket(config["socket_path"]))
+    commands(Stop, inbox)
     with socket.create_server((config["host"], config["port"])) as server:
         endpoint = f"tcp/127.0.0.1:{server.getsockname()[1]}"
         emit(Ready(name="radio", pid=os.getpid(), details={"endpoint": endpoint}))

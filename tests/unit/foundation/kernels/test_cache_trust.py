@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import pytest
 from paths import ROOT
 
-from foundation.kernels import cache_trust
+from foundation.kernels import cache_folder, cache_trust
 from foundation.kernels.cache_trust import UntrustedCache, check_trusted
 
 OTHER_ID = 65_534
@@ -115,6 +115,24 @@ def test_a_cache_that_cannot_be_read_is_named_with_the_command(
     assert f"{path} cannot be read: its owner can permit it, chmod -R a+rX {path}" in refused(cache)
     monkeypatch.setattr(cache_trust.os, "access", lambda file, _mode: file != cache)
     assert f"{cache} cannot be read" in refused(cache)
+
+
+def test_a_parent_that_another_process_makes_at_the_same_time_is_checked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "coflight" / "kernels" / "state"
+
+    def make(folder: Path, *, exist_ok: bool) -> None:
+        folder.mkdir(parents=True, exist_ok=exist_ok)
+        folder.parent.chmod(0o777)
+
+    monkeypatch.delenv("NUMBA_DISABLE_JIT", raising=False)
+    monkeypatch.delenv(cache_folder.VARIABLE, raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(cache_folder, "folder", lambda: path)
+    monkeypatch.setattr(cache_folder, "make_private", make)
+    with pytest.raises(UntrustedCache, match=f"other users can write {path.parent}"):
+        cache_folder.environment()
 
 
 @pytest.mark.parametrize(

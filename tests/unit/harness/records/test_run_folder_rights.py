@@ -7,10 +7,11 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from other_user import OTHER_UID, root_only
 
-from harness.campaign.store import Flown, Store
+from harness.campaign.store import CampaignError, Flown, Store
 from harness.launch.pytest_folders import claim
-from harness.records.run_folder import RunFolder
+from harness.records.run_folder import FolderRefused, RunFolder
 
 GROUP_OR_OTHER = 0o077
 
@@ -73,6 +74,35 @@ def test_a_campaign_in_a_folder_of_the_user_keeps_its_rights(tmp_path: Path) -> 
     store = Store(tmp_path)
     assert mode(tmp_path) == 0o755
     assert mode(store.folder / "runs") == 0o700
+
+
+@pytest.mark.parametrize("mode_bits", [0o777, 0o757, 0o1777])
+def test_a_folder_that_others_can_write_is_refused_in_one_line(tmp_path: Path, mode_bits: int) -> None:
+    shared = tmp_path / "shared"
+    shared.mkdir()
+    shared.chmod(mode_bits)
+    line = (
+        f"other users can write {shared}: chmod -R go-w {shared}, or name a new or an empty one with --out "
+        "(in Python, out=)"
+    )
+    with pytest.raises(FolderRefused) as refused:
+        RunFolder(shared).create()
+    assert str(refused.value) == line
+    with pytest.raises(CampaignError) as campaign_refused:
+        Store(shared)
+    assert str(campaign_refused.value) == line
+    assert list(shared.iterdir()) == []
+
+
+@root_only
+def test_a_folder_of_another_user_is_refused(tmp_path: Path) -> None:
+    os.chown(tmp_path, OTHER_UID, OTHER_UID)
+    line = f"{tmp_path} belongs to the user .*: delete it, or name a new or an empty one"
+    with pytest.raises(FolderRefused, match=line):
+        RunFolder(tmp_path).create()
+    with pytest.raises(CampaignError, match=line):
+        Store(tmp_path)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.usefixtures("umask")

@@ -5,12 +5,15 @@ import os
 import socket
 import subprocess
 import sys
+import time
 
 import pytest
 from other_user import OTHER_UID, as_other_user, root_only
 
-from foundation.processes.socket_owners import MARK
-from harness.simulator.seat_guard import MOST_LISTED, RejectedPeer, SeatGuard
+from foundation.processes.child_senders import LOOK_UP_PERIOD_S
+from foundation.processes.socket_owners import MARK, ChildSockets
+from harness.simulator import seat_guard
+from harness.simulator.seat_guard import MOST_LISTED, MOST_NAMED, RejectedPeer, SeatGuard
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="Linux's tables")
 HERE = "127.0.0.1"
@@ -56,7 +59,7 @@ def admitted(guard, ports, kind, instance=0):
     listener, states = ports
     if kind == "udp":
         _, sender = states.recvfrom(10)
-        return guard.admits_sender(instance, states.getsockname(), sender)
+        return guard.admits_sender(instance, states.getsockname(), sender, time.monotonic())
     connection, _ = listener.accept()
     with connection:
         (verdict,) = guard.admits([(instance, connection)])
@@ -132,14 +135,39 @@ def test_the_list_of_rejected_peers_is_bounded():
     assert listed[-1] == {"port": 4560, "uid": None, "pid": None, "name": None, "count": 9 * MOST_LISTED}
 
 
-def test_a_rejected_sender_is_not_examined_with_each_datagram(ports):
-    reads = []
-    guard = SeatGuard(read_udp=lambda: reads.append(1) or "")
+def test_processes_and_tables_are_read_rarely_however_many_senders_there_are(ports, monkeypatch):
+    reads, holders = [], []
+    monkeypatch.setattr(seat_guard, "holder_of", holders.append)
+    table = "".join(
+        f"0: 0100007F:{port:04X} 00000000:0000 07 0:0 00:0 0 1000 0 {port}\n" for port in range(9_000, 9_500)
+    )
+    guard = SeatGuard(read_udp=lambda: reads.append(1) or table)
     _, states = ports
-    for _ in range(100):
-        assert not guard.admits_sender(0, states.getsockname(), (HERE, 9_999))
-    assert len(reads) == 1
-    assert sum(entry["count"] for entry in guard.rejected()) == 100
+    monkeypatch.setattr(ChildSockets, "_look_up", lambda _: reads.append(2) or (frozenset(), frozenset()))
+    for wall_s in (0.0, 0.4 * LOOK_UP_PERIOD_S):
+        for port in range(9_000, 9_500):
+            assert not guard.admits_sender(0, states.getsockname(), (HERE, port), wall_s)
+    assert reads == [1, 2]
+    assert len(holders) == MOST_NAMED
+    assert sum(entry["count"] for entry in guard.rejected()) == 1_000
+    assert not guard.admits_sender(0, states.getsockname(), (HERE, 9_000), LOOK_UP_PERIOD_S)
+    assert reads == [1, 2, 1, 2]
+
+
+def test_a_vehicle_is_admitted_at_the_next_look_up_after_a_stranger(ports):
+    guard, (_, states) = SeatGuard(mark_of=lambda _: None), ports
+    assert not guard.admits_sender(0, states.getsockname(), (HERE, 9), 0.0)
+    with client("udp", states) as process:
+        _, sender = states.recvfrom(10)
+        assert not guard.admits_sender(0, states.getsockname(), sender, 0.1)
+        guard.set_pid(0, process.pid)  # looks up again
+        assert guard.admits_sender(0, states.getsockname(), sender, 0.1)
+    guard.set_pid(1, os.getpid())
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as own:
+        assert not guard.admits_sender(1, states.getsockname(), (HERE, 9), 0.0)
+        own.bind((HERE, 0))
+        assert not guard.admits_sender(1, states.getsockname(), own.getsockname(), 0.1)
+        assert guard.admits_sender(1, states.getsockname(), own.getsockname(), LOOK_UP_PERIOD_S)
 
 
 @root_only

@@ -10,7 +10,6 @@ from netsim.model.config import GuestConfig, RadioConfig, RadioPasswords, Server
 from netsim.transport.access_control import Rights, User, access_control, dictionary
 from netsim.transport.guest_access import FILE, read_guest_access, write_guest_access
 from netsim.transport.radio_users import new_passwords, rights
-from netsim.transport.socket_folder import LONGEST_PATH_BYTES, make_socket_folder, remove_socket
 
 GUESTS = tuple(GuestConfig(name=name, pos_ned_m=(0.0, 0.0, 0.0)) for name in ("ground", "car"))
 
@@ -71,7 +70,10 @@ def test_the_guests_file_is_private_and_has_no_password_of_the_vehicles(tmp_path
     path = tmp_path / FILE
     path.write_text("of an earlier run")
     path.chmod(0o644)
-    write_guest_access(path, config(), "tcp/127.0.0.1:7447")
+    with path.open() as opened:
+        write_guest_access(path, config(), "tcp/127.0.0.1:7447")
+        assert opened.read() == "of an earlier run"  # a reader has the old file or the new one
+    assert [each.name for each in tmp_path.iterdir()] == [FILE]
     assert mode(path) == 0o600
     assert msgspec.json.decode(path.read_bytes()) == {
         "endpoint": "tcp/127.0.0.1:7447",
@@ -89,29 +91,3 @@ def test_a_private_file_is_replaced(tmp_path):
     write_private(path, b"one")
     write_private(path, b"2")
     assert (mode(path), path.read_bytes()) == (0o600, b"2")
-
-
-def test_a_socket_folder_is_private_and_in_the_users_folder_if_there_is_one(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    folder = make_socket_folder()
-    assert folder.parent == tmp_path
-    assert mode(folder) == 0o700
-    for name in ("radio", "radio.lock"):
-        (folder / name).touch()
-    for _ in range(2):
-        remove_socket(str(folder / "radio"))
-    assert not folder.exists()
-
-
-@pytest.mark.parametrize("name", ["x" * LONGEST_PATH_BYTES, "what?"])
-def test_a_folder_in_which_no_socket_can_be_is_passed_over_or_named(tmp_path, monkeypatch, name):
-    unusable = tmp_path / name
-    unusable.mkdir()
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(unusable))
-    folder = make_socket_folder()
-    assert folder.parent != unusable
-    folder.rmdir()
-    monkeypatch.setattr("tempfile.tempdir", str(unusable))
-    with pytest.raises(OSError, match="no folder for the radio's socket, whose path has at most 107 bytes"):
-        make_socket_folder()
-    assert list(unusable.iterdir()) == []

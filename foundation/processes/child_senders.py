@@ -1,0 +1,50 @@
+"""Whether senders of datagrams are a child of a run, at a cost that does not grow with their number.
+
+An I/O module: reads Linux's tables of sockets and processes.
+"""
+
+from collections.abc import Callable
+
+from foundation.processes.socket_owners import UDP_TABLES, ChildSockets, Read, read_tables
+from foundation.processes.socket_table import Address, SocketEntry, at_address, entries
+
+LOOK_UP_PERIOD_S = 0.5
+"""Wall time for which the sockets of the machine and of the child count as they were looked up."""
+
+
+class ChildSenders:
+    """Whether UDP sockets on this machine are a child's.
+
+    ``child`` returns the sockets of the child, which are looked up once per `LOOK_UP_PERIOD_S` at most, since
+    that reads the descriptors of all processes. ``read`` returns the tables (`socket_table`), None if the
+    system has none: then every sender is the child.
+    """
+
+    def __init__(
+        self, child: Callable[[], ChildSockets], *, read: Read = lambda: read_tables(*UDP_TABLES)
+    ) -> None:
+        self._make_child, self._read = child, read
+        self._child: ChildSockets | None = None
+        self._table: str | None = None
+        self._verdicts: dict[Address, bool] = {}
+        """By sender, since the look-up."""
+        self._wall_looked_up_s = float("-inf")
+
+    def admits(self, sender: Address, wall_s: float) -> bool:
+        """Whether a sender is the child, at the present wall time ``wall_s``.
+
+        One whose socket is younger than the last look-up is after the next one.
+        """
+        if self._child is None or wall_s - self._wall_looked_up_s >= LOOK_UP_PERIOD_S:
+            self._wall_looked_up_s = wall_s
+            self._table, self._child = self._read(), self._make_child()
+            self._verdicts.clear()
+        verdict = self._verdicts.get(sender)
+        if verdict is None:
+            verdict = self._table is None or self._child.has(self.sockets_of(sender))
+            self._verdicts[sender] = verdict
+        return verdict
+
+    def sockets_of(self, sender: Address) -> list[SocketEntry]:
+        """Return the sockets at the sender's address as of the last look-up."""
+        return at_address(entries(self._table or "", sender[1]), sender)
