@@ -162,7 +162,9 @@ class _Flight:
         target, text = self._fault.target, self._all_text()
         match self._fault.phase:
             case "imports":
-                return target in self._processes()
+                return target in self._processes() and (
+                    target != "launcher" or _handles(self._launcher.pid, signal.SIGTERM)
+                )
             case "start":
                 return "uav 0" in self._processes()
             case "report":
@@ -249,6 +251,15 @@ def _name(process: psutil.Process, launcher: int) -> str:
     line = " ".join(process.cmdline())
     modules = {"harness.simulator.server": "physics", "prefork_server": "prefork", "netsim": "radio"}
     return next((name for module, name in modules.items() if module in line), f"{named} ({process.pid})")
+
+
+def _handles(pid: int, number: signal.Signals) -> bool:
+    """Whether a process has a handler for a signal: until coflight runs, the interpreter has none."""
+    with contextlib.suppress(OSError):
+        for line in Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines():
+            if line.startswith("SigCgt:"):
+                return bool(int(line.split()[1], 16) >> (number - 1) & 1)
+    return False
 
 
 def _take_terminal() -> None:
