@@ -4,21 +4,27 @@ The program is then to go on: what it does is worth more than what it prints.
 """
 
 import contextlib
+import errno
 import io
 import os
 import sys
 from collections.abc import Iterator
 from typing import TextIO
 
+_READER_GONE = frozenset({errno.EPIPE, errno.EIO, errno.ENXIO, errno.EBADF})
+"""Errors of a closed pipe, a closed terminal (two) and a closed descriptor."""
+
 
 class LastingStream(io.TextIOBase):
-    """A text stream whose writes succeed when its reader is gone; the rest of the output is dropped.
+    """A text stream whose writes do not fail; after the first error the rest of the output is dropped.
 
     Its file descriptor then is that of the null device, so that output of libraries does not fail either.
     """
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
+        self.lost: OSError | None = None
+        """Why output was lost that has a reader, as a file on a full disk."""
 
     @property
     def encoding(self) -> str:  # type: ignore[override]  # a plain attribute of the base
@@ -39,16 +45,16 @@ class LastingStream(io.TextIOBase):
         """Write a text, or drop it; returns its length."""
         try:
             return self._stream.write(text)
-        except OSError:
-            self._drop_output()
+        except OSError as error:
+            self._drop_output(error)
             return len(text)
 
     def flush(self) -> None:
         """Write what is buffered, or drop it."""
         try:
             self._stream.flush()
-        except OSError:
-            self._drop_output()
+        except OSError as error:
+            self._drop_output(error)
 
     def fileno(self) -> int:
         """Return the file descriptor."""
@@ -62,16 +68,20 @@ class LastingStream(io.TextIOBase):
         """Return True."""
         return True
 
-    def _drop_output(self) -> None:
+    def _drop_output(self, error: OSError) -> None:
+        if error.errno not in _READER_GONE:
+            self.lost = self.lost or error
         with contextlib.suppress(OSError, ValueError):
             to_null(self._stream.fileno())
             self._stream.flush()  # of what the failed write has left in the buffer
 
 
 def to_null(descriptor: int) -> None:
-    """Make a file descriptor that of the null device."""
+    """Make a file descriptor that of the null device, which child processes inherit."""
     null = os.open(os.devnull, os.O_RDWR)
-    if null != descriptor:
+    if null == descriptor:
+        os.set_inheritable(null, True)  # noqa: FBT003
+    else:
         os.dup2(null, descriptor)
         os.close(null)
 
@@ -90,12 +100,19 @@ def open_missing() -> None:
 
 @contextlib.contextmanager
 def lasting_output() -> Iterator[None]:
-    """Let standard output and error of the block outlast their readers."""
+    """Let standard output and error of the block outlast their readers.
+
+    Other errors do not end the block either: raises the first OSError, as of a full disk, after the block.
+    """
     before = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = (LastingStream(stream) for stream in before)
+    lasting = [LastingStream(stream) for stream in before]
+    sys.stdout, sys.stderr = lasting
     try:
         yield
     finally:
-        sys.stdout.flush()
-        sys.stderr.flush()
+        for stream in lasting:
+            stream.flush()
         sys.stdout, sys.stderr = before
+    for stream in lasting:
+        if stream.lost is not None:
+            raise stream.lost

@@ -19,7 +19,7 @@ from rich.console import Console
 
 from foundation.exit_status import BAD_INPUT, FAILED, FINE, INTERRUPTED
 from foundation.standard_streams import lasting_output
-from foundation.system_error import described
+from foundation.system_error import described, in_words
 from harness.cli.keyboard import Keyboard
 from harness.cli.out_option import out_folder
 from harness.cli.progress import FlightDisplay, Stage, display_for, summary_table
@@ -348,13 +348,23 @@ def _written(folder: Path) -> list[str]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
-    with lasting_output():
-        try:
-            with interruptible():
-                given = list(sys.argv[1:] if arguments is None else arguments)
-                status = app(args=given, standalone_mode=False)
-        except BaseException as error:  # noqa: BLE001  every end has its status and its line
-            failure = _failure(error)
-            print(f"coflight: {failure}", file=sys.stderr)
-            return failure.status
-        return status if isinstance(status, int) else FINE
+    status = FINE
+    try:
+        with lasting_output():
+            status = _run(sys.argv[1:] if arguments is None else arguments)
+    except OSError as error:
+        with contextlib.suppress(OSError):  # standard error may be the one
+            print(f"coflight: output is lost: {in_words(error)}", file=sys.stderr)
+        return status or FAILED
+    return status
+
+
+def _run(arguments: Sequence[str]) -> int:
+    try:
+        with interruptible():
+            status = app(args=list(arguments), standalone_mode=False)
+    except BaseException as error:  # noqa: BLE001  every end has its status and its line
+        failure = _failure(error)
+        print(f"coflight: {failure}", file=sys.stderr)
+        return failure.status
+    return status if isinstance(status, int) else FINE

@@ -50,7 +50,8 @@ def report(
     if is_campaign(run):
         raise NotARun(f"{run}: a campaign that is not complete: its coflight campaign command continues it")
     folder, messages = RunFolder(run), Console(stderr=True, highlight=False, markup=False)
-    if not folder.is_reported() and folder.manifest.exists():
+    was_reported = folder.is_reported()
+    if not was_reported and folder.manifest.exists():
         from harness.report.report import finish_later  # noqa: PLC0415  slow to import, rarely needed
 
         try:
@@ -67,7 +68,7 @@ def report(
         messages.print(f"tables and figures made of {folder.raw}", soft_wrap=True)
     scenario = read_scenario(folder)
     summary = _summary(folder)
-    if altered := altered_tables(folder):
+    if was_reported and (altered := altered_tables(folder)):  # others are made just now
         messages.print(
             f"warning: {folder.path}: {', '.join(altered)}: not as the run wrote it, by manifest.json",
             soft_wrap=True,

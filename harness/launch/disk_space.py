@@ -16,10 +16,12 @@ CAPTURED_BYTES = 250
 """A frame in a capture, with its headers."""
 TABLES_SHARE = 0.6
 """Size of the tables, relative to the raw logs; both exist while the tables are written."""
+COLUMNS_SHARE = 1.05
+"""Size of the file that holds the flight's columns meanwhile, relative to the logs of truth and estimates."""
 
 
 def expected_bytes(scenario: Scenario) -> float:
-    """Return about how much a run of the scenario writes until it is reported."""
+    """Return the most disk space that a run of the scenario takes, about: while its tables are written."""
     agents, radio = scenario.agents, scenario.radio
     seconds = scenario.run.duration_s + (START_S if scenario.forms else 0.0)
     row_bytes = truth_record(scenario.most_rotors).itemsize + VEHICLE_RECORD.itemsize
@@ -30,7 +32,8 @@ def expected_bytes(scenario: Scenario) -> float:
     raw_s = agents * (recorded_s + FRAMES_S * frame_bytes)
     captures = {False: 0, True: 1, "medium": 1, "receivers": agents}[radio.capture]
     captured_s = agents * FRAMES_S * CAPTURED_BYTES * captures
-    return seconds * (raw_s * (1.0 + TABLES_SHARE) + captured_s)
+    columns_s = agents * recorded_s * COLUMNS_SHARE
+    return seconds * (raw_s * (1.0 + TABLES_SHARE) + columns_s + captured_s)
 
 
 def space_warning(scenario: Scenario, folder: str, free_bytes: int) -> str | None:

@@ -50,7 +50,8 @@ def exiting_at_once(line: str) -> Iterator[None]:
     """
 
     def leave(_number: int, _frame: FrameType | None) -> None:
-        os.write(2, f"{line}\n".encode())
+        with contextlib.suppress(OSError):  # a closed terminal
+            os.write(2, f"{line}\n".encode())
         os._exit(128 + signal.SIGINT)
 
     if threading.current_thread() is not threading.main_thread():

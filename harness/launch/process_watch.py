@@ -18,7 +18,7 @@ LOOK_PERIOD_S = 0.5
 RUN_STOPPED_LIMIT_S = STOPPED_LIMIT_S + 1.0
 """Wall time for which an indispensable process may be stopped; longer than that of a vehicle in flight."""
 SILENT_LIMIT_S = 6.0
-"""Wall time that a process may sleep without a message while it is to report progress."""
+"""Wall time that a process may sleep without a message while it is to report progress, at least."""
 _STOPPED = {
     psutil.STATUS_STOPPED: "is stopped (SIGSTOP)",
     psutil.STATUS_TRACING_STOP: "is stopped by a debugger",
@@ -41,10 +41,15 @@ class Finding(NamedTuple):
 
 
 class ProcessWatch:
-    """Looks at processes by name."""
+    """Looks at processes by name.
 
-    def __init__(self) -> None:
+    Calls of a user's models within them may take ``call_limit_s``, after which the process ends by itself.
+    """
+
+    def __init__(self, *, call_limit_s: float = 0.0) -> None:
         self._seen: dict[str, Activity] = {}
+        self._waiting_limit_s = max(SILENT_LIMIT_S, call_limit_s + 1.0)
+        self._computing_limit_s = max(COMPUTING_LIMIT_S, self._waiting_limit_s)
 
     def on_progress(self, name: str) -> None:
         """Note a message of a process that is to report progress, or that it is to report from now on."""
@@ -70,7 +75,8 @@ class ProcessWatch:
         for name in progressing:
             if (silent := self._seen.get(name)) is None:
                 continue
-            if silent.waiting_s > SILENT_LIMIT_S or silent.computing_s > COMPUTING_LIMIT_S:
-                silent_s = max(silent.waiting_s, silent.computing_s)
+            waiting_s, computing_s = silent.waiting_s, silent.computing_s
+            if waiting_s > self._waiting_limit_s or computing_s > self._computing_limit_s:
+                silent_s = max(waiting_s, computing_s)
                 return Finding(name, f"has made no progress for {silent_s:.0f} s", silent.status)
         return None

@@ -100,6 +100,7 @@ class Processes(RunMonitor):
             folder,
             starting=[*map(uav, range(scenario.agents)), *map(application, self._applications)],
             until_connected=[*map(uav, self._external)],
+            call_limit_s=scenario.run.silence_limit_s,
             wall_limit_s=wall_limit_s,
             on_message=on_message,
         )

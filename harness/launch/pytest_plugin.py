@@ -163,7 +163,8 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
     if kept:
         terminalreporter.section("coflight run folders")
     for nodeid, path in kept:
-        command = "coflight report " if (path / "manifest.json").exists() else "without tables: "
+        has_flown = all((path / name).exists() for name in ("manifest.json", "events.jsonl"))
+        command = "coflight report " if has_flown else "without tables: "
         terminalreporter.line(
             f"{nodeid}: {command}{pytest_folders.shown(path, config.invocation_params.dir)}"
         )

@@ -17,7 +17,7 @@ from harness.launch.process_watch import LOOK_PERIOD_S, Finding, ProcessWatch
 from harness.launch.run_messages import Message, ProcessNotice, RunEvent, SwarmError, SwarmTimeoutError
 from harness.launch.supervisor import Exited, Supervisor, SupervisorError
 from harness.records.run_folder import RunFolder
-from harness.simulator.emulator_client import GONE
+from harness.simulator.emulator_client import GONE, UNANSWERED
 from harness.simulator.messages import ApplicationLost, Formed, Paused, Progress, Waiting
 
 CAUSE_LIMIT_S = 0.3
@@ -28,7 +28,8 @@ class RunMonitor:
     """What has arrived from the processes of ``supervisor``.
 
     ``starting`` are the processes, besides the indispensable ones, that are looked at until all vehicles have
-    connected; those of them in ``until_connected`` must not end before. ``wall_limit_s`` limits the run's
+    connected; those of them in ``until_connected`` must not end before. A call of a user's models may take
+    ``call_limit_s`` of wall time. ``wall_limit_s`` limits the run's
     wall time from the start on, without the compilation of kernels; ``on_message`` receives every message
     that is taken from the queue, on the caller's thread.
     """
@@ -40,6 +41,7 @@ class RunMonitor:
         *,
         starting: Collection[str],
         until_connected: Collection[str],
+        call_limit_s: float,
         wall_limit_s: float | None,
         on_message: Callable[[Message], None] | None,
     ) -> None:
@@ -72,7 +74,7 @@ class RunMonitor:
         """A line for each process that has ended, or because of which the run has."""
         self._found: dict[str, Finding] = {}
         """Processes because of which the run cannot go on, though they have not ended."""
-        self._watch = ProcessWatch()
+        self._watch = ProcessWatch(call_limit_s=call_limit_s)
         self._wall_look_s = 0.0
         """Time of the last look at the processes."""
         self._awaits_progress = False
@@ -221,6 +223,9 @@ class RunMonitor:
                 self._take(left_s)
             if RADIO in self.exited:
                 return self._descriptions[RADIO]
+        elif name == PHYSICS and UNANSWERED in exited.last_words:
+            for radio, state in self._supervisor.states([RADIO]).items():
+                self._found[radio] = Finding(radio, "does not answer physics", state.status)
         return self._descriptions[name]
 
     def _describe_end(self, exited: Exited) -> str:

@@ -1,7 +1,8 @@
-"""Starts processes from a thread that lives as long as this process.
+"""Starts processes from threads that live as long as this process.
 
 A child that `foundation.processes.parent_death` binds to its parent ends with the thread that started it, and
-a swarm may be started by a thread that ends before the swarm.
+a swarm may be started by a thread that ends before the swarm. A child inherits the processors and the
+niceness of its thread, so there is a thread for each that callers have had; it inherits the caller's.
 """
 
 import os
@@ -13,23 +14,24 @@ from concurrent.futures import Future
 from typing import Any
 
 _Request = Callable[[], None]
+_Scheduling = tuple[frozenset[int], int]
+"""Processors and niceness, which Linux has for each thread."""
 
 
 class _Spawner:
-    """One daemon thread; a forked process, which has none of its parent's threads, starts another."""
+    """Daemon threads; a forked process, which has none of its parent's threads, starts others."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._requests: queue.SimpleQueue[_Request] = queue.SimpleQueue()
-        self._thread_pid = 0
-        """Process whose thread serves the queue."""
+        self._begin_again()
         os.register_at_fork(after_in_child=self._begin_again)
 
     def _begin_again(self) -> None:
-        self._lock, self._requests, self._thread_pid = threading.Lock(), queue.SimpleQueue(), 0
+        self._lock = threading.Lock()
+        self._requests: dict[_Scheduling, queue.SimpleQueue[_Request]] = {}
+        """Of the threads by what they inherited."""
 
     def popen(self, command: Sequence[str], options: dict[str, Any]) -> "subprocess.Popen[bytes]":
-        """Start a process on the thread; raises the errors of `subprocess.Popen`."""
+        """Start a process on a thread as the caller's; raises the errors of `subprocess.Popen`."""
         started: Future[subprocess.Popen[bytes]] = Future()
 
         def start() -> None:
@@ -38,13 +40,14 @@ class _Spawner:
             except BaseException as error:  # noqa: BLE001  raised in the caller
                 started.set_exception(error)
 
+        scheduling = frozenset(os.sched_getaffinity(0)), os.getpriority(os.PRIO_PROCESS, 0)
         with self._lock:
-            if self._thread_pid != os.getpid():
-                self._thread_pid = os.getpid()
-                threading.Thread(
-                    target=self._serve, args=(self._requests,), name="spawner", daemon=True
-                ).start()
-        self._requests.put(start)
+            requests = self._requests.get(scheduling)
+            if requests is None:
+                requests = queue.SimpleQueue()
+                threading.Thread(target=self._serve, args=(requests,), name="spawner", daemon=True).start()
+                self._requests[scheduling] = requests
+        requests.put(start)
         return started.result()
 
     @staticmethod
@@ -57,5 +60,8 @@ _spawner = _Spawner()
 
 
 def spawn(command: Sequence[str], **options: Any) -> "subprocess.Popen[bytes]":  # noqa: ANN401  those of Popen
-    """Start a process as `subprocess.Popen` does, from a thread that ends only with this process."""
+    """Start a process as `subprocess.Popen` does, from a thread that ends only with this process.
+
+    It has the processors and the niceness of the calling thread.
+    """
     return _spawner.popen(command, options)

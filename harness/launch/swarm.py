@@ -194,15 +194,16 @@ class Swarm:
     def stop(self) -> None:
         """End every process; harmless when repeated. The records are kept for `summary`.
 
-        Ctrl-C takes effect when all processes have ended.
+        Ctrl-C takes effect when all processes have ended and the manifest says how the run did.
         """
         try:
             self._links.close()
         finally:
-            self._processes.stop()
-            if self._is_flying:
-                self._is_flying, self._has_flown = False, True
-                self._write_outcome()
+            with interrupts_deferred():
+                self._processes.stop()
+                if self._is_flying:
+                    self._is_flying, self._has_flown = False, True
+                    self._write_outcome()
 
     # --- simulated time
 

@@ -24,7 +24,7 @@ class ColumnFile:
     """Columns of ``rows`` records of a layout; a context manager that frees them.
 
     ``columns`` maps the names of columns to fields and components, None for a field with one value. Strings
-    (dtype S) are kept as codes. ``folder`` is where the file is.
+    (dtype S) are kept as codes. ``folder`` is where the file is; on NFS it has a name until it is freed.
     """
 
     def __init__(

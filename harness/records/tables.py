@@ -52,7 +52,7 @@ def write_tables(
     if scenario.radio.log_receptions:
         logs.append((folder.receptions, columns.RECEPTIONS, folder.raw_receptions, RECEPTION_LOG))
     for target, kind, log, layout in logs:
-        with ColumnFile(folder.raw, layout, _column_fields(layout), rows=count(log, layout)) as found:
+        with ColumnFile(folder.path, layout, _column_fields(layout), rows=count(log, layout)) as found:
             for records in read_blocks(log, layout):
                 found.append(records)
             table = found.table()
@@ -75,7 +75,9 @@ def _flight_columns(
     instants = count(folder.raw_truth, truth) // n
     vehicles = [_VehicleLog(folder.raw_vehicle(i), own) for i in range(n)]
     with contextlib.ExitStack() as stack:
-        found = stack.enter_context(ColumnFile(folder.raw, layout, _column_fields(layout), rows=instants * n))
+        found = stack.enter_context(
+            ColumnFile(folder.path, layout, _column_fields(layout), rows=instants * n)
+        )
         at_once = max(1, READ_ROWS // n)
         for first in range(0, instants, at_once):
             rows = min(at_once, instants - first) * n

@@ -3,6 +3,7 @@
 Uses the run folder only, so a run that was interrupted is reported like any other.
 """
 
+import errno
 import gc
 import hashlib
 import shutil
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 from antenna.analysis.gain_figures import gain_density_figure, patterns_figure
 from foundation.records.record_log import count, read, read_blocks, read_rows
 from foundation.records.whole_file import sha256_of, write_whole
+from harness.launch.interrupts import interrupts_deferred
 from harness.records.flight import Flight
 from harness.records.manifest import make_manifest, manifest_text, read_outcome
 from harness.records.outcome import RunOutcome
@@ -38,6 +40,9 @@ from netsim.emulator.log_layout import FRAME_LOG, SESSION_LOG
 
 LOGS = ("events.jsonl", "flight.parquet", "radio.parquet", "ftm.parquet", "air.parquet")
 """Files that a seed determines byte for byte, in their order in ``log_sha256``."""
+
+_IN_USE = frozenset({errno.ENOENT, errno.EBUSY, errno.ENOTEMPTY, errno.EEXIST})
+"""Errors of NFS, which renames files that are in use, at their deletion and that of their folder."""
 
 
 class Drawn(NamedTuple):
@@ -73,11 +78,13 @@ def finish(
     """
     try:
         results = _write_tables(folder, scenario, outcome)
-        folder.write_manifest(manifest_text(results.manifest))
+        with interrupts_deferred():
+            folder.write_manifest(manifest_text(results.manifest))
+            delete_raw(folder)
     except BaseException:
-        folder.delete_tables()
+        if not folder.is_reported():
+            folder.delete_tables()
         raise
-    delete_raw(folder)
     if draw:
         results.manifest["figures"] = _draw(folder, scenario, results.drawn)
         folder.write_manifest(manifest_text(results.manifest))
@@ -156,8 +163,17 @@ def finish_later(folder: RunFolder) -> dict[str, Any]:
 
 
 def delete_raw(folder: RunFolder) -> None:
-    """Delete the raw logs of a run that has tables."""
-    shutil.rmtree(folder.raw)
+    """Delete the raw logs of a run that has tables; NFS keeps those that are in use under other names.
+
+    Raises OSError.
+    """
+
+    def leave_used(_function: object, _path: str, raised: tuple[Any, BaseException, Any]) -> None:
+        error = raised[1]
+        if not isinstance(error, OSError) or error.errno not in _IN_USE:
+            raise error
+
+    shutil.rmtree(folder.raw, onerror=leave_used)
 
 
 def _formed_us(folder: RunFolder) -> int | None:

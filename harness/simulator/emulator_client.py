@@ -14,6 +14,8 @@ MAX_QUIET_US = LEAD_US // 2
 
 GONE = "the 802.11 emulator is gone"
 """Text of a `RadioSilent` whose cause is the end of the emulator's process."""
+UNANSWERED = "the 802.11 emulator does not answer"
+"""Begin of the text of any other."""
 
 
 class RadioSilent(ConnectionError):
@@ -116,7 +118,7 @@ class EmulatorClient:
         try:
             advanced = self._line.receive()
         except TimeoutError:
-            raise RadioSilent("the 802.11 emulator does not answer") from None
+            raise RadioSilent(UNANSWERED) from None
         if advanced is None:
             raise RadioSilent(GONE)
         if advanced.missing:

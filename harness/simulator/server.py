@@ -29,7 +29,7 @@ from harness.records.run_folder import PhysicsConfig
 from harness.simulator.application_links import ApplicationLinks
 from harness.simulator.ardupilot_link import ArduPilotLink
 from harness.simulator.emulator_client import EmulatorClient, RadioSilent
-from harness.simulator.emulator_wait import EMULATOR, POLL_S, RADIO_LIMIT_S, AwaitedLine
+from harness.simulator.emulator_wait import EMULATOR, POLL_S, AwaitedLine, radio_watchdog
 from harness.simulator.lockstep import OWN, PX4, ConnectTimeout, Lockstep
 from harness.simulator.messages import (
     AnyCommand,
@@ -291,8 +291,7 @@ def serve(
 
     limit_s = scenario.run.silence_limit_s
     watchdog, application_watchdog = (ResponseWatchdog(limit_s, on_check=on_wait) for _ in range(2))
-    # the launcher finds a stopped emulator before
-    radio_watchdog = ResponseWatchdog(RADIO_LIMIT_S, stopped_limit_s=RADIO_LIMIT_S, on_check=on_wait)
+    emulator_watchdog = radio_watchdog(limit_s, on_check=on_wait)
     policies = [PX4 if scenario.autopilot.is_px4(i) else OWN for i in range(scenario.agents)]
     has_px4 = PX4 in policies
     guard = SeatGuard(on_rejected=_warn_rejected)
@@ -327,7 +326,7 @@ def serve(
 
     def set_pid(command: SetPid | SetRadioPid) -> None:
         if isinstance(command, SetRadioPid):
-            radio_watchdog.set_pid(EMULATOR, command.pid)
+            emulator_watchdog.set_pid(EMULATOR, command.pid)
             return
         chosen = application_watchdog if command.is_application else watchdog
         chosen.set_pid(command.instance, command.pid)
@@ -339,7 +338,7 @@ def serve(
         if clock is not None:
             line = time_masters_end(stack.enter_context(clock), limit_s=POLL_S)
             emulator = EmulatorClient(
-                AwaitedLine(line, radio_watchdog),
+                AwaitedLine(line, emulator_watchdog),
                 period_us=scenario.onboard.loop_period_us,
                 asynchronous=bool(scenario.radio.guests),
             )

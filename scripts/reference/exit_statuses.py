@@ -165,10 +165,11 @@ PAGE = """{introduction}
 ## Exit status
 
 A standard output or standard error whose reader has gone, as of `coflight fly ... | head -1`, neither ends a
-flight nor changes its status: it flies on, and its results are in its folder. Ctrl-C stands for SIGINT,
-SIGTERM, and SIGHUP, which a closed terminal sends, unless `nohup` ignores it; further signals within a second
-are the same request. A second one later, while the processes write their records, takes effect when they have
-ended: it leaves the tables to `coflight report`.
+flight nor changes its status: it flies on, and its results are in its folder. If output is lost for another
+reason, as of `coflight fly --json > FILE` on a full disk, the flight is complete too, but its status is 1,
+with a line. Ctrl-C stands for SIGINT, SIGTERM, and SIGHUP, which a closed terminal sends, unless `nohup`
+ignores it; further signals within a second are the same request. A second one later, while the processes
+write their records, takes effect when they have ended: it leaves the tables to `coflight report`.
 
 An unknown command or option is status 2 for all commands, and `--help` is 0. A command does not end with a
 status whose cell is empty.

@@ -1,5 +1,7 @@
 """The faults of the chaos study, and how a flight with one of them has to end."""
 
+import re
+import signal
 from collections.abc import Sequence
 from typing import Literal
 
@@ -81,7 +83,8 @@ def statuses(fault: Fault) -> Sequence[int]:
         return [INTERRUPTED] if fault.phase == "stop" else [FINE]
     if fault.target == "launcher":
         if fault.kind in DEATHS:
-            return [-9, -11, FINE] if fault.phase == "report" else [-9, -11]
+            killed = -signal.Signals[fault.kind]
+            return [killed, FINE] if fault.phase == "report" else [killed]
         return [INTERRUPTED, FINE] if fault.phase == "report" else [INTERRUPTED]
     if fault.phase == "stop":
         return [INTERRUPTED, FAILED]
@@ -90,6 +93,20 @@ def statuses(fault: Fault) -> Sequence[int]:
     return [FAILED]
 
 
-def names_target(fault: Fault) -> bool:
-    """Whether the messages must name the process."""
-    return fault.target != "launcher" and fault.kind != "SIGSTOP for 2 s" and fault.phase != "stop"
+def named(fault: Fault) -> Sequence[str]:
+    """Return texts of which the messages must have one; none: they need not name the process.
+
+    A process by its name and id; one that was killed with the signal. A vehicle that is stopped is lost, by
+    its name.
+    """
+    if fault.target == "launcher" or fault.kind == "SIGSTOP for 2 s" or fault.phase == "stop":
+        return []
+    name = re.escape(fault.target)
+    if fault.kind in DEATHS:
+        return [rf"{name} \(pid \d+\) was killed by {fault.kind}"]
+    texts = [rf"{name} \(pid "]
+    if fault.kind == "SIGSTOP":
+        texts = [rf"{name} \(pid \d+\) is stopped \(SIGSTOP\)"]
+        if fault.target == "uav 0":
+            texts.append(rf"{name}( was)? lost")
+    return texts

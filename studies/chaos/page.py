@@ -10,10 +10,12 @@ NAME = "chaos.md"
 _PAGE = """# Faults of processes
 
 Real flights of two UAVs, each with one random fault of one process in one phase: imports, start, flight,
-pause, stop, report. A flight has to end within {limit:g} s of the fault, or to go on as documented, with the
-documented exit status; its messages have to name the process; after 2 s no process and no temporary file may
-be left; its records have to be readable. Drawn with seed {seed}: `coflight study chaos --flights {flights}
---seed {seed} --out docs/results`.
+pause, stop, report. The launcher's imports begin when it handles signals: before, they end the interpreter as
+any program. A flight has to end within {limit:g} s of the fault, or to go on as documented, with the
+documented exit status; its messages have to name the process with its id, or as lost, and the signal that has
+killed it; after 2 s no process and no temporary file may be left, except the folder of the radio's socket
+of a launcher that was killed; its records have to be readable. Drawn with seed {seed}:
+`coflight study chaos --flights {flights} --seed {seed} --out docs/results`.
 
 {flown} flights, {bad} not as required. {unreached} more ended before their fault.
 

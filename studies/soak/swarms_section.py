@@ -1,7 +1,9 @@
 """Many swarms in one process: it keeps nothing of those that have ended."""
 
+import contextlib
 import os
 import tempfile
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
@@ -20,8 +22,7 @@ MOST_MB_PER_HUNDRED = 0.5
 AGENTS = 2
 FLOWN_S = 0.2
 _GROUP = "swarms"
-_MARK = "coflight-"
-"""Beginning of the names of temporary run folders"""
+_FOLDERS = ("TMPDIR", "XDG_RUNTIME_DIR")
 
 
 class ManySwarms(Struct, frozen=True, kw_only=True):
@@ -39,26 +40,41 @@ def jobs(plan: SoakPlan) -> dict[str, list[Job]]:
 
 def start_many(count: int) -> ManySwarms:
     """Start, fly and end swarms, one after the other. Raises SwarmError."""
-    before, others = set(_folders()), set(_children())
+    others = set(_children())
     measured = []
-    for seed in range(1, count + 1):
-        with Swarm(find("article"), agents=AGENTS, seed=seed) as swarm:
-            swarm.run(until_s=FLOWN_S)
-        del swarm  # with its temporary folder
-        measured.append(measure(os.getpid()))
-    return ManySwarms(
-        measured=measured,
-        left_processes=len(set(_children()) - others),
-        left_folders=len(set(_folders()) - before),
-    )
+    with _own_temporary_folder() as folder:
+        for seed in range(1, count + 1):
+            with Swarm(find("article"), agents=AGENTS, seed=seed) as swarm:
+                swarm.run(until_s=FLOWN_S)
+            del swarm  # with its temporary folder
+            measured.append(measure(os.getpid()))
+        return ManySwarms(
+            measured=measured,
+            left_processes=len(set(_children()) - others),
+            left_folders=sum(path.is_dir() for path in folder.iterdir()),
+        )
 
 
 def _children() -> list[psutil.Process]:
     return psutil.Process().children(recursive=True)
 
 
-def _folders() -> list[Path]:
-    return list(Path(tempfile.gettempdir()).glob(f"{_MARK}*"))
+@contextlib.contextmanager
+def _own_temporary_folder() -> Iterator[Path]:
+    """Give this process and its children a folder of their own for temporary files and sockets."""
+    before, before_folder = {name: os.environ.get(name) for name in _FOLDERS}, tempfile.tempdir
+    with tempfile.TemporaryDirectory(prefix="coflight-soak-") as folder:
+        os.environ.update(dict.fromkeys(_FOLDERS, folder))
+        tempfile.tempdir = folder
+        try:
+            yield Path(folder)
+        finally:
+            tempfile.tempdir = before_folder
+            for name, value in before.items():
+                if value is None:
+                    del os.environ[name]
+                else:
+                    os.environ[name] = value
 
 
 def judge(plan: SoakPlan, results: Results) -> Section:

@@ -1,11 +1,12 @@
 """The chaos study: its plan and its judgement, and a few of its flights."""
 
-from pathlib import Path
+import re
+import signal
 
 import pytest
 
-from studies.chaos.faults import KINDS, PHASES, TARGETS, Fault, is_possible, plan, statuses
-from studies.chaos.flight import Outcome, fly
+from studies.chaos.faults import KINDS, PHASES, TARGETS, Fault, is_possible, named, plan, statuses
+from studies.chaos.flight import Outcome, fly_in_temporary_folder
 from studies.chaos.page import page
 
 COMBINATIONS = [(t, k, p) for t in TARGETS for k in KINDS for p in PHASES if is_possible(t, k, p)]
@@ -24,6 +25,21 @@ def test_every_combination_comes_once_before_any_comes_twice() -> None:
 def test_every_fault_has_a_documented_status() -> None:
     for target, kind, phase in COMBINATIONS:
         assert statuses(Fault(target=target, kind=kind, phase=phase, delay_s=0.0))
+
+
+def test_a_killed_process_is_named_with_its_id_and_signal() -> None:
+    fault = Fault(target="physics", kind="SIGKILL", phase="flight", delay_s=0.0)
+    (pattern,) = named(fault)
+    assert re.search(pattern, "coflight: physics (pid 12) was killed by SIGKILL at 2.000 s")
+    assert not re.search(pattern, "physics (pid 12) was killed by SIGSEGV (segmentation fault) at 2.000 s")
+    assert not re.search(pattern, "physics computes")
+    assert not named(Fault(target="launcher", kind="SIGKILL", phase="flight", delay_s=0.0))
+
+
+def test_a_killed_launcher_has_the_status_of_its_signal() -> None:
+    for kind in ("SIGKILL", "SIGSEGV"):
+        fault = Fault(target="launcher", kind=kind, phase="flight", delay_s=0.0)
+        assert statuses(fault) == [-signal.Signals[kind]]
 
 
 def test_the_page_counts_and_lists_what_is_not_as_required() -> None:
@@ -49,8 +65,8 @@ def test_the_page_counts_and_lists_what_is_not_as_required() -> None:
     ],
     ids=lambda fault: fault.title.replace(" ", "-"),
 )
-def test_flights_end_as_required(tmp_path: Path, fault: Fault) -> None:
-    outcome = fly(fault, tmp_path)
+def test_flights_end_as_required(fault: Fault) -> None:
+    outcome = fly_in_temporary_folder(fault)
     assert outcome.reached
     # a busy machine may take longer than the study allows
     assert [each for each in outcome.complaints if not each.startswith("it ends after")] == []

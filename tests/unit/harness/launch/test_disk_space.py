@@ -1,6 +1,8 @@
 """The warning before a flight that a disk has no room for."""
 
-from harness.launch.disk_space import TABLES_SHARE, expected_bytes, space_warning
+from autopilot.logs.vehicle_record import VEHICLE_RECORD
+from harness.launch.disk_space import COLUMNS_SHARE, TABLES_SHARE, expected_bytes, space_warning
+from harness.records.tables import FLIGHT_RECORD, OF_QUADROTORS
 from harness.scenario.scenario import RunConfig, Scenario
 from harness.scenario.scenario_file import load
 from netsim.model.config import RadioConfig
@@ -13,8 +15,13 @@ def scenario(*, agents=2, duration_s=500.0, **radio):
 def test_the_estimate_has_the_order_of_measured_flights():
     """Two UAVs of the article wrote 27.1 MB of raw logs in 996 s, 16 s of them before their formation."""
     article = load("article", ["agents=2", "run.duration_s=980"])
-    measured = 27.1e6 * (1.0 + TABLES_SHARE)
+    columns = 2 * 996 * 25 * FLIGHT_RECORD.itemsize
+    measured = 27.1e6 * (1.0 + TABLES_SHARE) + columns
     assert 0.95 * measured < expected_bytes(article) < 1.2 * measured
+
+
+def test_the_share_of_the_columns_covers_their_layout():
+    assert FLIGHT_RECORD.itemsize <= COLUMNS_SHARE * (OF_QUADROTORS.itemsize + VEHICLE_RECORD.itemsize)
 
 
 def test_it_grows_with_vehicles_duration_and_logs():

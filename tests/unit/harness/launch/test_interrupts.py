@@ -47,3 +47,13 @@ def test_signals_that_follow_at_once_are_the_same_request(monkeypatch: pytest.Mo
         monkeypatch.setattr("harness.launch.interrupts.time.monotonic", lambda: later_s)
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
+
+
+def test_signal_of_a_closed_terminal_during_the_imports_ends_the_command(tmp_path: Path) -> None:
+    """Its line cannot be written then."""
+    (tmp_path / "swallowing.py").write_text(SWALLOWING.replace("NUMBER", "SIGTERM"))
+    code = f"import os, sys; sys.path.append({str(tmp_path)!r}); os.close(2){COMMAND}".replace(
+        "sys.exit(command.main", "command.open_missing = lambda: None; sys.exit(command.main"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=False)
+    assert done.returncode == 128 + signal.SIGINT

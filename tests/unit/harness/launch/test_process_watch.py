@@ -17,12 +17,14 @@ STOPPED = ProcessState(psutil.STATUS_STOPPED, 0.0)
 NAMED_WITHIN_S = 10.0
 
 
-def found_after_s(states, *, limit_s, every_s=LOOK_PERIOD_S, progressing=("physics",), progress_s=None):
+def found_after_s(
+    states, *, limit_s, every_s=LOOK_PERIOD_S, progressing=("physics",), progress_s=None, call_limit_s=5.0
+):
     """Look periodically; returns the wall time of the first finding and the finding, or None.
 
     ``states(t)`` are those of all processes at a time; physics reports progress every ``progress_s``.
     """
-    watch = ProcessWatch()
+    watch = ProcessWatch(call_limit_s=call_limit_s)
     for k in range(round(limit_s / every_s) + 1):
         t = k * every_s
         if progress_s is not None and t % progress_s == 0.0:
@@ -83,3 +85,13 @@ def test_a_process_that_has_ended_is_forgotten():
     watch.look(1.0, {})
     watch.look(2.0, {"radio": STOPPED})
     assert watch.look(3.0, {"radio": STOPPED}) is None
+
+
+def test_a_users_model_is_named_by_its_own_process_first():
+    """As that process ends when the call has taken its limit."""
+    computing = lambda t: {"physics": ProcessState(psutil.STATUS_RUNNING, t)}  # noqa: E731
+    for states in (lambda _: {"physics": SLEEPS}, computing):
+        at_s, _ = found_after_s(states, limit_s=200.0, call_limit_s=120.0)
+        assert 121.0 <= at_s < 123.0
+    at_s, _ = found_after_s(lambda _: {"physics": SLEEPS}, limit_s=60.0, call_limit_s=0.5)
+    assert SILENT_LIMIT_S <= at_s < NAMED_WITHIN_S

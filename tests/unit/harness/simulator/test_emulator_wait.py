@@ -5,9 +5,8 @@ import pytest
 
 from harness.simulator import emulator_wait
 from harness.simulator.emulator_client import RadioSilent
-from harness.simulator.emulator_wait import POLL_S, AwaitedLine
+from harness.simulator.emulator_wait import POLL_S, RADIO_LIMIT_S, AwaitedLine, radio_watchdog
 from harness.simulator.process_activity import ProcessState
-from harness.simulator.response_watchdog import ResponseWatchdog
 from netsim.wire.lockstep import Advanced
 
 DONE = Advanced(to_us=40_000, quiet_until_us=40_000)
@@ -37,8 +36,8 @@ class Line:
 
 @pytest.fixture
 def awaited(monkeypatch):
-    def make(timeouts, *, limit_s=8.0):
-        line, watchdog = Line(timeouts), ResponseWatchdog(limit_s)
+    def make(timeouts, *, call_limit_s=5.0):
+        line, watchdog = Line(timeouts), radio_watchdog(call_limit_s, on_check=lambda _: None)
         monkeypatch.setattr(emulator_wait, "time", line)
         return AwaitedLine(line, watchdog)
 
@@ -54,17 +53,18 @@ def test_late_answers_are_received_and_requests_pass(awaited):
     assert line.receive() == DONE
 
 
-def test_a_sleeping_emulator_is_given_up_after_the_limit(awaited, monkeypatch):
-    line = awaited(1_000, limit_s=8.0)
+@pytest.mark.parametrize(("call_limit_s", "limit_s"), [(5.0, RADIO_LIMIT_S), (60.0, 61.0)])
+def test_a_sleeping_emulator_is_given_up_after_the_limit(awaited, monkeypatch, call_limit_s, limit_s):
+    line = awaited(1_000, call_limit_s=call_limit_s)
     sleeps = ProcessState(psutil.STATUS_SLEEPING, 0.0)
     monkeypatch.setattr(line._watchdog, "_process_state", lambda _: sleeps)
     with pytest.raises(RadioSilent, match=r"^the 802\.11 emulator does not answer: it has not answered for"):
         line.receive()
-    assert 8.0 <= line._line.wall_s - 100.0 < 10.0
+    assert limit_s <= line._line.wall_s - 100.0 < limit_s + 2.0
 
 
 def test_a_starved_emulator_is_waited_for(awaited, monkeypatch):
-    line = awaited(1_000, limit_s=8.0)
+    line = awaited(1_000)
     starved = ProcessState(psutil.STATUS_RUNNING, 0.0)
     monkeypatch.setattr(line._watchdog, "_process_state", lambda _: starved)
     assert line.receive() == DONE
