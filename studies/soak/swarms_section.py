@@ -56,7 +56,7 @@ def start_many(count: int) -> ManySwarms:
 
 
 def _children() -> list[psutil.Process]:
-    return psutil.Process().children(recursive=True)
+    return [*psutil.Process().children(recursive=True)]
 
 
 @contextlib.contextmanager
