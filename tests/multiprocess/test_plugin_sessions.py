@@ -153,7 +153,8 @@ def test_an_interrupted_test_keeps_its_run(pytester: pytest.Pytester) -> None:
     done = pytester.runpytest_subprocess(timeout=120.0)
     assert done.ret == pytest.ExitCode.INTERRUPTED
     (folder,) = pytester.path.glob(".coflight/test_user-*")
-    done.stdout.fnmatch_lines([f"test_user.py::test_hangs: coflight report .coflight/{folder.name}"])
+    # the stand-in of the physics server has flown nothing that could be reported
+    done.stdout.fnmatch_lines([f"test_user.py::test_hangs: without tables: .coflight/{folder.name}"])
 
 
 def test_numba_of_a_conftest_uses_the_launchers_cache_folder(

@@ -4,6 +4,7 @@ import os
 import stat
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -25,13 +26,14 @@ input()
 
 
 @pytest.fixture
-def parent(tmp_path, monkeypatch):
-    """Return the folder for sockets of this test."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    monkeypatch.setattr(socket_folder, "_LAST_PARENT", str(tmp_path))
-    tmp_path.chmod(0o700)
-    return tmp_path
+def parent(monkeypatch):
+    """Yield the folder for sockets of this test, whose path is shorter than those of pytest's folders."""
+    with tempfile.TemporaryDirectory(dir=socket_folder._LAST_PARENT) as name:
+        folder = Path(name)
+        monkeypatch.setenv("XDG_RUNTIME_DIR", name)
+        monkeypatch.setattr("tempfile.tempdir", name)
+        monkeypatch.setattr(socket_folder, "_LAST_PARENT", name)
+        yield folder
 
 
 def made():
