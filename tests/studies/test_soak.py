@@ -1,6 +1,7 @@
 """Tests of the soak study: slopes, judgements of made measurements, and short real ones (20 s)."""
 
-import os
+import subprocess
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -110,12 +111,25 @@ def test_a_slow_start_is_found():
     assert failed(size_section.judge(PLAN, {"sizes": [sizes]})) == {"254 UAVs, 0 busy processes: start"}
 
 
+GROWING = """
+print(flush=True)
+input()
+block, file = bytearray(b"1") * 30_000_000, open("/dev/null")
+print(flush=True)
+input()
+"""
+
+
 def test_a_process_is_measured():
-    begin = measure(os.getpid())
-    with open(os.devnull) as _:  # noqa: PTH123  the descriptor counts
-        block = bytearray(30_000_000)
-        block[::4096] = b"\x01" * len(block[::4096])
-        end = measure(os.getpid())
+    command = [sys.executable, "-I", "-c", GROWING]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        process.stdout.readline()
+        begin = measure(process.pid)
+        process.stdin.write(b"\n")
+        process.stdin.flush()
+        process.stdout.readline()
+        end = measure(process.pid)
+        process.communicate(b"\n")
     assert end.descriptors == begin.descriptors + 1
     assert end.private_mb - begin.private_mb == pytest.approx(30.0, abs=3.0)
     assert end.cpu_s >= begin.cpu_s
