@@ -42,7 +42,8 @@ from harness.launch.process_commands import PHYSICS, RADIO, uav
 from harness.launch.processes import Processes
 from harness.launch.run_messages import Message, SetupError, SwarmError, SwarmTimeoutError
 from harness.launch.supervisor import Exited, Supervisor
-from harness.launch.swarm import Speed, Swarm
+from harness.launch.swarm import Swarm
+from harness.launch.swarm_settings import Speed
 from harness.records.run_folder import PhysicsConfig, RunFolder
 from harness.scenario.scenario import Scenario
 from harness.simulator.messages import AnyCommand

@@ -18,7 +18,7 @@ import time
 import weakref
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Self
 
 import msgspec
 
@@ -39,6 +39,7 @@ from harness.launch.run_messages import (
     SwarmError,
     SwarmTimeoutError,
 )
+from harness.launch.swarm_settings import PortOffset, Ports, Speed, speed_factor, with_ports
 from harness.launch.truth import SwarmTruth
 from harness.records.manifest import make_manifest, manifest_text
 from harness.records.outcome import RunOutcome
@@ -67,10 +68,6 @@ SILENCE_LIMIT_S = 180.0
 """Longest wall time without a message of the running physics server, whose own waits are much shorter."""
 CUT_DB = 200.0
 """Attenuation that blocks all frames: a link budget has about 100 dB between transmitter and noise."""
-
-Speed = float | Literal["max"]
-Ports = Literal["free", "scenario"]
-PortOffset = int | Literal["auto"]
 
 
 class Swarm:
@@ -116,8 +113,8 @@ class Swarm:
             named = {"agents": agents, "run.seed": seed}
             settings = [f"{path}={value}" for path, value in named.items() if value is not None]
             scenario = load(scenario, [*overrides, *settings])
-        self.scenario = _with_ports(scenario, ports, port_offset)
-        self._speed = _factor(speed)
+        self.scenario = with_ports(scenario, ports, port_offset)
+        self._speed = speed_factor(speed)
         if out is None:
             self.path = Path(tempfile.mkdtemp(prefix="coflight-"))
             weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
@@ -291,7 +288,7 @@ class Swarm:
 
     def set_speed(self, speed: Speed) -> None:
         """Fly at another speed from now on, from any thread. Raises SwarmError."""
-        self._speed = _factor(speed)
+        self._speed = speed_factor(speed)
         self._processes.send(SetSpeed(speed=self._speed))
 
     def _after_us(self, duration_s: float) -> int:
@@ -480,24 +477,3 @@ class Swarm:
         with interrupts_deferred(), contextlib.suppress(OSError):  # on a full disk that of the start is kept
             self._folder.write_manifest(manifest_text(make_manifest(self.scenario, ended)))
         return ended
-
-
-def _factor(speed: Speed) -> float:
-    """Return the physics server's speed factor, 0: as fast as possible. Raises ValueError."""
-    if speed == "max":
-        return 0.0
-    if not 0.0 < speed < float("inf"):
-        raise ValueError(f"speed {speed}: expected a factor above 0, or 'max'")
-    return float(speed)
-
-
-def _with_ports(scenario: Scenario, ports: Ports, offset: PortOffset) -> Scenario:
-    """Return the scenario with free ports, or with its own plus a number. Raises SetupError."""
-    if ports == "scenario" and offset == "auto":
-        return scenario
-    try:
-        own = scenario.ports
-        changed = own.raised(int(offset), scenario.agents) if ports == "scenario" else own.free()
-    except ValueError as error:
-        raise SetupError(str(error)) from None
-    return msgspec.structs.replace(scenario, ports=changed)

@@ -12,7 +12,7 @@ import time
 from autopilot.mavlink.codec import Message, Parser
 from autopilot.mavlink.components import AUTOPILOT_COMPONENT
 from harness.simulator.ardupilot_json import servo_packet
-from harness.simulator.seat_guard import UNGUARDED, Guard
+from harness.simulator.slot_guard import UNGUARDED, Guard
 
 _DATAGRAM_BYTES = 4096
 _RECEIVE_BYTES = 4096

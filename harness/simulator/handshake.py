@@ -19,7 +19,7 @@ from pymavlink.dialects.v20 import common
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.hil import HilActuatorControls, HilParser
 from harness.simulator.ardupilot_link import ArduPilotLink
-from harness.simulator.seat_guard import UNGUARDED, Guard
+from harness.simulator.slot_guard import UNGUARDED, Guard
 
 INTRODUCTION_LIMIT_S = 10.0
 """Wall time that a new connection has for its first message; the others are served meanwhile."""

@@ -24,7 +24,7 @@ from harness.simulator.ardupilot_json import servo_packet
 from harness.simulator.ardupilot_link import ArduPilotLink
 from harness.simulator.handshake import ArduPilotArrival, Arrival, Handshake
 from harness.simulator.response_watchdog import STARTING_LIMIT_S, ResponseWatchdog
-from harness.simulator.seat_guard import UNGUARDED, Guard
+from harness.simulator.slot_guard import UNGUARDED, Guard
 
 POLL_S = 0.1
 STARTING_STEP_S = 0.004

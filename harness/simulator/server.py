@@ -48,8 +48,8 @@ from harness.simulator.messages import (
 )
 from harness.simulator.profile_groups import PROFILE_GROUPS
 from harness.simulator.response_watchdog import ResponseWatchdog
-from harness.simulator.seat_guard import UNGUARDED, RejectedPeer, SeatGuard
 from harness.simulator.simulation import Simulation, run
+from harness.simulator.slot_guard import UNGUARDED, RejectedPeer, SlotGuard
 from netsim.radio_models import registry
 from netsim.transport.interval_stream import time_masters_end
 
@@ -294,7 +294,7 @@ def serve(
     emulator_watchdog = radio_watchdog(limit_s, on_check=on_wait)
     policies = [PX4 if scenario.autopilot.is_px4(i) else OWN for i in range(scenario.agents)]
     has_px4 = PX4 in policies
-    guard = SeatGuard(on_rejected=_warn_rejected)
+    guard = SlotGuard(on_rejected=_warn_rejected)
     admitting = guard if scenario.ports.simulator_peers == "started" else UNGUARDED
 
     def make_lockstep(simulation: Simulation) -> Lockstep:

@@ -43,14 +43,14 @@ from netsim.wire.messages import Ack, Directory, DirectoryRequest, RxBatch, Stat
 
 OFFER_LIMIT_S = 0.25
 """Time-out of queries to guests, wall time; the server does not wait for replies."""
-GUEST, STRANGER = "a guest on the radio", "a program that uses the vehicles' password"
+GUEST, FOREIGN = "a guest on the radio", "a program that uses the vehicles' password"
 """What may influence a run."""
 
 
 class Server:
     """The Zenoh session and the emulator.
 
-    ``on_influence`` is called with the cause, `GUEST` or `STRANGER`, when the run begins to depend on more
+    ``on_influence`` is called with the cause, `GUEST` or `FOREIGN`, when the run begins to depend on more
     than scenario and seed; once for each. Raises TransportError, OSError for a log file, ValueError for
     inconsistent settings.
     """
@@ -162,7 +162,7 @@ class Server:
         batch = decode(TxBatch, payload)
         if batch is None or self._service.is_guest(batch.station) or not self._service.submit(batch):
             self._malformed[_VEHICLES].add(len(payload))
-            self._influence(STRANGER)  # vehicles send no such messages
+            self._influence(FOREIGN)  # vehicles send no such messages
             return None
         return batch
 
@@ -176,7 +176,7 @@ class Server:
         batch = decode(TxBatch, question.payload)
         if batch is None or batch.items or not 0 <= batch.station < self._vehicles:
             self._malformed[_VEHICLES].add(len(question.payload))
-            self._influence(STRANGER)
+            self._influence(FOREIGN)
             question.drop()
         else:
             question.answer(_ACK)
@@ -186,7 +186,7 @@ class Server:
         station = self._by_key.get(question.key)  # the router accepts it of this guest and of vehicles alone
         if station is None:
             self._malformed[_VEHICLES].add(len(question.payload))
-            self._influence(STRANGER)
+            self._influence(FOREIGN)
             question.drop()
             return
         if self._intake.is_full(station):

@@ -45,7 +45,7 @@ from harness.simulator.hil import fill_sensors
 from harness.simulator.hil_frames import encode_rows
 from harness.simulator.lockstep import PX4, Lockstep
 from harness.simulator.response_watchdog import ResponseWatchdog
-from harness.simulator.seat_guard import SeatGuard
+from harness.simulator.slot_guard import SlotGuard
 from studies.bench.px4_job import BareCost, BareJob
 
 STEP_US = 4_000
@@ -252,7 +252,7 @@ def measure(job: BareJob) -> BareCost:
             stack.enter_context(contextlib.closing(BareCompanion(scenario, i)))
             for i in range(scenario.agents if job.flies else 0)
         ]
-        pids, guard = stack.enter_context(_px4s(scenario, job, simulator_ports)), SeatGuard()
+        pids, guard = stack.enter_context(_px4s(scenario, job, simulator_ports)), SlotGuard()
         for i, pid in enumerate(pids):
             guard.set_pid(i, pid)
         lockstep = Lockstep(

@@ -22,7 +22,6 @@ KINDS: tuple[Kind, ...] = (
     "closed output", "file limit",
 )  # fmt: skip
 PHASES: tuple[Phase, ...] = ("imports", "start", "flight", "pause", "stop", "report")
-INTERRUPTS = ("SIGTERM", "SIGHUP", "SIGINT")
 DEATHS = ("SIGKILL", "SIGSEGV")
 LONGEST_DELAY_S = {"imports": 0.6, "start": 0.3, "flight": 2.0, "pause": 1.0, "stop": 0.3, "report": 1.0}
 """Wall time between the begin of a phase and the fault, at most."""

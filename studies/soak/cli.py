@@ -38,7 +38,7 @@ soak_app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 @soak_app.command()
 def soak(
-    quick: Annotated[bool, typer.Option("--quick", help="A minute of each section.")] = False,  # noqa: FBT002
+    quick: Annotated[bool, typer.Option("--quick", help="A minute of each; judges no memory.")] = False,  # noqa: FBT002
     only: Annotated[
         str, typer.Option(help=f"Some of {', '.join(SUBJECTS)}.", metavar="NAME,NAME")
     ] = ",".join(SUBJECTS),

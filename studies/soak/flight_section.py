@@ -2,6 +2,7 @@
 
 import os
 import statistics
+from collections.abc import Iterator
 from functools import partial
 from itertools import pairwise
 
@@ -13,13 +14,15 @@ from harness.launch.run_messages import SwarmError
 from harness.launch.swarm import Swarm
 from harness.scenario.packaged import find
 from harness.simulator.messages import VehicleLost
-from studies.common.report import Check, ReportTable, Section
+from studies.common.report import Check, ReportTable, Section, filled
 from studies.common.runner import Job, Results
 from studies.soak.growth import slope
 from studies.soak.measure import Measured, measure
 from studies.soak.plan import SoakPlan
 
 LAUNCHER = "launcher"
+LEAST_S = 600.0
+"""Length of a flight from which memory and processor time are judged: buffers fill for minutes"""
 MOST_MB_PER_HOUR = 1.0
 MOST_CPU_GROWTH = 0.05
 """Growth of the processor time of a simulated second, per hour, against its median"""
@@ -90,31 +93,33 @@ def judge(plan: SoakPlan, results: Results) -> Section:
     for name, each in grown.items():
         by_kind.setdefault(kind_of(name), []).append(_median(each))
     worst = {kind: _largest(each) for kind, each in by_kind.items()}
-    checks = [
-        check
-        for kind, each in worst.items()
-        for check in (
-            Check(f"{kind}: private memory", each.private_mb, "MB per hour", at_most=MOST_MB_PER_HOUR),
-            Check(f"{kind}: descriptors", each.descriptors, "per hour", at_most=0.0),
-            Check(f"{kind}: threads", each.threads, "per hour", at_most=0.0),
-            Check(
-                f"{kind}: processor time of a simulated second", 100.0 * each.cpu, "% per hour",
-                at_most=100.0 * MOST_CPU_GROWTH,
-            ),
-        )
-    ]  # fmt: skip
+    is_long = plan.piece_s >= LEAST_S
+    checks = [check for kind, each in worst.items() for check in _checks(kind, each, is_long=is_long)]
     simulated_h = sum(flight.times_s[-1] for flight in flights) / 3_600.0
+    judged = "" if is_long else " Memory and processor time are not judged in flights this short."
     return Section(
         title="Long flights",
-        conditions=(
+        conditions=filled(
             f"{len(flights)} flights of {plan.agents} UAVs in the article's formation, {simulated_h:.2f} "
             "simulated hours together, two at a time, with a battery that does not end. Growth is the median "
             "slope over all pairs of measurements after the first quarter of a flight, then the median over "
-            "the flights; of several processes of a kind the largest is shown.\n"
-        ),
+            f"the flights; of several processes of a kind the largest is shown.{judged}"
+        )
+        + "\n",
         checks=tuple(checks),
         tables=(_table(flights),),
     )
+
+
+def _checks(kind: str, each: Growth, *, is_long: bool) -> Iterator[Check]:
+    """Yield the checks of one kind of process, of memory and processor time only in long flights."""
+    if is_long:
+        yield Check(f"{kind}: private memory", each.private_mb, "MB per hour", at_most=MOST_MB_PER_HOUR)
+    yield Check(f"{kind}: descriptors", each.descriptors, "per hour", at_most=0.0)
+    yield Check(f"{kind}: threads", each.threads, "per hour", at_most=0.0)
+    if is_long:
+        name = f"{kind}: processor time of a simulated second"
+        yield Check(name, 100.0 * each.cpu, "% per hour", at_most=100.0 * MOST_CPU_GROWTH)
 
 
 def _median(each: list[Growth]) -> Growth:

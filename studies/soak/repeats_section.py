@@ -8,7 +8,7 @@ from msgspec import Struct
 
 from harness.launch.swarm import Swarm
 from harness.scenario.packaged import find
-from studies.common.report import Check, ReportTable, Section
+from studies.common.report import Check, ReportTable, Section, filled
 from studies.common.runner import Job, Results
 from studies.soak.load import random_load
 from studies.soak.plan import SoakPlan
@@ -46,10 +46,11 @@ def judge(plan: SoakPlan, results: Results) -> Section:
     loads = Counter(each.load for each in repeats)
     return Section(
         title="One seed under random load",
-        conditions=(
+        conditions=filled(
             f"{len(repeats)} flights of {AGENTS} UAVs for {plan.repeat_s:g} s, two at a time, each beside "
-            "up to three processes that compute or change 200 MB of memory, at random priorities.\n"
-        ),
+            "up to three processes that compute or change 200 MB of memory, at random priorities."
+        )
+        + "\n",
         checks=(
             Check("different hashes", len({each.log_sha256 for each in repeats}), at_most=1.0),
             Check(

@@ -8,7 +8,7 @@ from msgspec import Struct
 
 from harness.launch.swarm import Swarm
 from harness.scenario.packaged import find
-from studies.common.report import Check, ReportTable, Section
+from studies.common.report import Check, ReportTable, Section, filled
 from studies.common.runner import Job, Results
 from studies.soak.load import busy_processors
 from studies.soak.measure import measure
@@ -70,11 +70,12 @@ def judge(plan: SoakPlan, results: Results) -> Section:
     sizes: list[Size] = results[_GROUP][0]
     return Section(
         title="Large swarms",
-        conditions=(
+        conditions=filled(
             f"`scenarios/swarm64.toml` with other numbers of UAVs, from the ground on for {plan.size_s:g} s, "
             f"alone and beside {LOADS[-1]} processes that compute, on {os.cpu_count()} processors. More than "
-            "254 UAVs are refused: MAVLink numbers systems from 1 to 255, and 255 is a ground station's.\n"
-        ),
+            "254 UAVs are refused: MAVLink numbers systems from 1 to 255, and 255 is a ground station's."
+        )
+        + "\n",
         checks=tuple(
             Check(
                 f"{each.agents} UAVs, {each.load} busy processes: start", each.start_s, "s",

@@ -12,12 +12,14 @@ from msgspec import Struct
 
 from harness.launch.swarm import Swarm
 from harness.scenario.packaged import find
-from studies.common.report import Check, Section
+from studies.common.report import Check, Section, filled
 from studies.common.runner import Job, Results
 from studies.soak.growth import slope
 from studies.soak.measure import Measured, measure
 from studies.soak.plan import SoakPlan
 
+LEAST_SWARMS = 100
+"""Number of swarms from which the memory is judged"""
 MOST_MB_PER_HUNDRED = 0.5
 AGENTS = 2
 FLOWN_S = 0.2
@@ -85,15 +87,20 @@ def judge(plan: SoakPlan, results: Results) -> Section:
     def grown(name: str) -> float:
         return slope(hundreds, [getattr(each, name) for each in many.measured])
 
+    memory = []
+    if len(many.measured) >= LEAST_SWARMS:
+        growth_mb = grown("private_mb")
+        memory.append(Check("private memory", growth_mb, "MB per 100 swarms", at_most=MOST_MB_PER_HUNDRED))
     first_mb, last_mb = many.measured[0].private_mb, many.measured[-1].private_mb
     return Section(
         title="Many swarms in one process",
-        conditions=(
+        conditions=filled(
             f"{plan.swarms} swarms of {AGENTS} UAVs, each started, flown for {FLOWN_S:g} s and ended by one "
-            f"process. It has {first_mb:.0f} MB after the first and {last_mb:.0f} MB after the last.\n"
-        ),
+            f"process. It has {first_mb:.0f} MB after the first and {last_mb:.0f} MB after the last."
+        )
+        + "\n",
         checks=(
-            Check("private memory", grown("private_mb"), "MB per 100 swarms", at_most=MOST_MB_PER_HUNDRED),
+            *memory,
             Check("descriptors", grown("descriptors"), "per 100 swarms", at_most=0.0),
             Check("threads", grown("threads"), "per 100 swarms", at_most=0.0),
             Check("processes left", many.left_processes, at_most=0.0),

@@ -110,7 +110,7 @@ class Crowd:
             self._ended.wait()
 
 
-def test_a_crowd_at_a_tcp_port_takes_no_seat_delays_no_start_and_is_named(tmp_path, undisturbed):
+def test_a_crowd_at_a_tcp_port_takes_no_slot_delays_no_start_and_is_named(tmp_path, undisturbed):
     base = free_base(2, socket.SOCK_STREAM)
     ports = [f"ports.{name}=0" for name in ("gcs_local_udp", "companion_local_udp", "radio_tcp")]
     ports += ["ports.gcs_remote_udp=0", "ports.companion_remote_udp=0", f"ports.simulator_tcp={base}"]

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import psutil
 import pytest
+from msgspec.structs import replace
 
 from studies.soak import flight_section, repeats_section, size_section, swarms_section
 from studies.soak.flight_section import LongFlight
@@ -94,6 +95,14 @@ def many(**changed):
 )
 def test_what_swarms_leave_is_found(changed, found):
     assert failed(swarms_section.judge(PLAN, {"swarms": [many(**changed)]})) == found
+
+
+def test_short_runs_judge_neither_memory_nor_processor_time():
+    flights = [long_flight(leaked_mb_per_hour=50.0, slower_per_hour=1.0)]
+    section = flight_section.judge(replace(PLAN, piece_s=90.0), {"flights": flights})
+    assert {check.name.partition(": ")[2] for check in section.checks} == {"descriptors", "threads"}
+    few = many(measured=[measured(private_mb=60.0 + i) for i in range(6)])
+    assert failed(swarms_section.judge(PLAN, {"swarms": [few]})) == set()
 
 
 def test_one_other_hash_is_found():

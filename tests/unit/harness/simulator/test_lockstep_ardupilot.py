@@ -161,7 +161,7 @@ def test_a_handshake_that_is_interrupted_continues(run):
     assert swarm.step() == [STEP_US] * 2
 
 
-def test_strangers_at_both_ports_take_no_seat(run):
+def test_strangers_at_both_ports_take_no_slot(run):
     swarm = run("ardupilot")
     generator = random.Random(9)  # noqa: S311
     with contextlib.ExitStack() as stack:

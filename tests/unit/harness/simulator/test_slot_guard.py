@@ -12,8 +12,8 @@ from other_user import OTHER_UID, as_other_user, root_only
 
 from foundation.processes.child_senders import LOOK_UP_PERIOD_S
 from foundation.processes.socket_owners import MARK, ChildSockets
-from harness.simulator import seat_guard
-from harness.simulator.seat_guard import MOST_LISTED, MOST_NAMED, RejectedPeer, SeatGuard
+from harness.simulator import slot_guard
+from harness.simulator.slot_guard import MOST_LISTED, MOST_NAMED, RejectedPeer, SlotGuard
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="Linux's tables")
 HERE = "127.0.0.1"
@@ -69,7 +69,7 @@ def admitted(guard, ports, kind, instance=0):
 @pytest.mark.parametrize("kind", ["tcp", "udp"])
 @pytest.mark.parametrize("code", [CLIENT, WRAPPED])
 def test_the_process_of_the_vehicle_and_its_children_are_admitted(ports, kind, code):
-    guard = SeatGuard(mark_of=lambda _: None)
+    guard = SlotGuard(mark_of=lambda _: None)
     with client(kind, ports[kind == "udp"], code=code) as process:
         guard.set_pid(2, process.pid)
         assert admitted(guard, ports, kind, instance=2)
@@ -79,7 +79,7 @@ def test_the_process_of_the_vehicle_and_its_children_are_admitted(ports, kind, c
 @pytest.mark.parametrize("kind", ["tcp", "udp"])
 def test_a_marked_process_is_admitted_for_its_vehicle_alone(ports, kind):
     reported = []
-    guard = SeatGuard(mark_of=lambda name: f"token/{name}", on_rejected=reported.append)
+    guard = SlotGuard(mark_of=lambda name: f"token/{name}", on_rejected=reported.append)
     for instance in (3, 2):
         with client(kind, ports[kind == "udp"], mark="token/uav 3") as process:
             assert admitted(guard, ports, kind, instance) is (instance == 3)
@@ -91,7 +91,7 @@ def test_a_marked_process_is_admitted_for_its_vehicle_alone(ports, kind):
 
 def test_connections_of_one_stranger_are_counted_together(ports):
     reported = []
-    guard = SeatGuard(on_rejected=reported.append)
+    guard = SlotGuard(on_rejected=reported.append)
     listener, _ = ports
     with contextlib.ExitStack() as stack:
         clients = [
@@ -106,7 +106,7 @@ def test_connections_of_one_stranger_are_counted_together(ports):
 
 
 def test_a_connection_that_its_peer_has_closed_is_not_admitted(ports):
-    guard = SeatGuard(mark_of=lambda _: None)
+    guard = SlotGuard(mark_of=lambda _: None)
     listener, states = ports
     with client("tcp", listener) as process:
         guard.set_pid(0, process.pid)
@@ -118,7 +118,7 @@ def test_a_connection_that_its_peer_has_closed_is_not_admitted(ports):
 
 
 def test_without_tables_everything_is_admitted(ports):
-    guard = SeatGuard(read_tcp=lambda: None, read_udp=lambda: None)
+    guard = SlotGuard(read_tcp=lambda: None, read_udp=lambda: None)
     for kind in ("tcp", "udp"):
         with client(kind, ports[kind == "udp"]):
             assert admitted(guard, ports, kind)
@@ -126,7 +126,7 @@ def test_without_tables_everything_is_admitted(ports):
 
 def test_the_list_of_rejected_peers_is_bounded():
     reported = []
-    guard = SeatGuard(on_rejected=reported.append)
+    guard = SlotGuard(on_rejected=reported.append)
     for uid in range(10 * MOST_LISTED):
         guard._count(RejectedPeer(4560, uid))
     assert len(reported) == MOST_LISTED
@@ -137,11 +137,11 @@ def test_the_list_of_rejected_peers_is_bounded():
 
 def test_processes_and_tables_are_read_rarely_however_many_senders_there_are(ports, monkeypatch):
     reads, holders = [], []
-    monkeypatch.setattr(seat_guard, "holder_of", holders.append)
+    monkeypatch.setattr(slot_guard, "holder_of", holders.append)
     table = "".join(
         f"0: 0100007F:{port:04X} 00000000:0000 07 0:0 00:0 0 1000 0 {port}\n" for port in range(9_000, 9_500)
     )
-    guard = SeatGuard(read_udp=lambda: reads.append(1) or table)
+    guard = SlotGuard(read_udp=lambda: reads.append(1) or table)
     _, states = ports
     monkeypatch.setattr(ChildSockets, "_look_up", lambda _: reads.append(2) or (frozenset(), frozenset()))
     for wall_s in (0.0, 0.4 * LOOK_UP_PERIOD_S):
@@ -155,7 +155,7 @@ def test_processes_and_tables_are_read_rarely_however_many_senders_there_are(por
 
 
 def test_a_vehicle_is_admitted_at_the_next_look_up_after_a_stranger(ports):
-    guard, (_, states) = SeatGuard(mark_of=lambda _: None), ports
+    guard, (_, states) = SlotGuard(mark_of=lambda _: None), ports
     assert not guard.admits_sender(0, states.getsockname(), (HERE, 9), 0.0)
     with client("udp", states) as process:
         _, sender = states.recvfrom(10)
@@ -173,7 +173,7 @@ def test_a_vehicle_is_admitted_at_the_next_look_up_after_a_stranger(ports):
 @root_only
 @pytest.mark.parametrize("kind", ["tcp", "udp"])
 def test_another_user_is_rejected_and_named(ports, kind):
-    guard = SeatGuard(mark_of=lambda name: f"token/{name}")
+    guard = SlotGuard(mark_of=lambda name: f"token/{name}")
     sock = ports[kind == "udp"]
 
     def connect():
@@ -193,7 +193,7 @@ def test_another_user_is_rejected_and_named(ports, kind):
 @root_only
 def test_a_vehicle_that_its_command_runs_as_another_user_is_admitted(ports):
     """``setpriv`` in the command of a PX4 changes its user; the mark stays in its environment."""
-    guard, (listener, _) = SeatGuard(mark_of=lambda _: None), ports
+    guard, (listener, _) = SlotGuard(mark_of=lambda _: None), ports
     with as_other_user(lambda: socket.create_connection(listener.getsockname(), DEADLINE_S)) as pid:
         guard.set_pid(0, pid)
         assert admitted(guard, ports, "tcp")

@@ -80,7 +80,7 @@ class RejectedPeer(NamedTuple):
         return f"{user} (process {self.pid}, {self.name})" if self.pid is not None else user
 
 
-class SeatGuard:
+class SlotGuard:
     """The guard of a run's ports.
 
     ``mark_of`` returns the mark of a vehicle's process by its name, None if it has none. ``on_rejected``

@@ -1,0 +1,33 @@
+"""Settings of a swarm beside its scenario: speed and ports."""
+
+from typing import Literal
+
+import msgspec
+
+from harness.launch.run_messages import SetupError
+from harness.scenario.scenario import Scenario
+
+Speed = float | Literal["max"]
+Ports = Literal["free", "scenario"]
+PortOffset = int | Literal["auto"]
+
+
+def speed_factor(speed: Speed) -> float:
+    """Return the physics server's speed factor, 0: as fast as possible. Raises ValueError."""
+    if speed == "max":
+        return 0.0
+    if not 0.0 < speed < float("inf"):
+        raise ValueError(f"speed {speed}: expected a factor above 0, or 'max'")
+    return float(speed)
+
+
+def with_ports(scenario: Scenario, ports: Ports, offset: PortOffset) -> Scenario:
+    """Return the scenario with free ports, or with its own plus a number. Raises SetupError."""
+    if ports == "scenario" and offset == "auto":
+        return scenario
+    try:
+        own = scenario.ports
+        changed = own.raised(int(offset), scenario.agents) if ports == "scenario" else own.free()
+    except ValueError as error:
+        raise SetupError(str(error)) from None
+    return msgspec.structs.replace(scenario, ports=changed)
