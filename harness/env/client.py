@@ -32,8 +32,9 @@ from harness.env.messages import (
 from harness.env.server import MOST_BYTES
 from harness.env.settings import EnvSettings
 from harness.launch import kernel_cache
-from harness.launch.process_commands import python_module
+from harness.launch.process_commands import bound_module
 from harness.launch.run_messages import SwarmError
+from harness.launch.spawner import spawn
 from harness.scenario.scenario import Scenario, ScenarioError
 from harness.scenario.scenario_file import load
 
@@ -159,8 +160,8 @@ class Client:
         own, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         own.settimeout(HOVER_LIMIT_S)
         with theirs:
-            self._processes.server = subprocess.Popen(
-                python_module("harness.env.server", str(theirs.fileno())),
+            self._processes.server = spawn(
+                bound_module("harness.env.server", str(theirs.fileno())),
                 pass_fds=(theirs.fileno(),), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
                 env=os.environ | kernel_cache.environment() | _ONE_THREAD | {"PYTHONPATH": _search_path()},
                 process_group=0,  # Ctrl-C reaches this process only

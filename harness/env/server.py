@@ -6,10 +6,8 @@ with it all episodes.
 """
 
 import contextlib
-import ctypes
 import gc
 import os
-import signal
 import socket
 import sys
 import traceback
@@ -21,6 +19,7 @@ import numpy as np
 from foundation.extension_failure import ExtensionFailure
 from foundation.extensions import ExtensionError
 from foundation.processes.message_stream import MessageStream
+from foundation.processes.parent_death import end_with_parent_process
 from foundation.processes.prefork import show_name
 from foundation.system_error import described
 from harness.env.application import EnvApplication
@@ -33,7 +32,6 @@ from harness.scenario.scenario import Scenario
 NAME = "env server"
 MOST_BYTES = 1 << 20
 """Longest packet."""
-_PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _requests = msgspec.msgpack.Decoder(ToServer)
 
 
@@ -112,12 +110,11 @@ def _run(episode: Episode, seed: int, descriptor: int, server: int) -> None:
     """Run an episode in its forked process; does not return."""
     status = 1
     try:
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)  # end with the server
-        if os.getppid() == server:
-            show_name("env episode")
-            with socket.socket(fileno=descriptor) as connection:
-                _follow(episode, seed, MessageStream(connection, Step, limit_s=None))
-            status = 0
+        end_with_parent_process(server)
+        show_name("env episode")
+        with socket.socket(fileno=descriptor) as connection:
+            _follow(episode, seed, MessageStream(connection, Step, limit_s=None))
+        status = 0
     except BaseException:  # noqa: BLE001  reported as by the interpreter
         traceback.print_exc()
     finally:

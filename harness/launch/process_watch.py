@@ -19,6 +19,8 @@ RUN_STOPPED_LIMIT_S = STOPPED_LIMIT_S + 1.0
 """Wall time for which an indispensable process may be stopped; longer than that of a vehicle in flight."""
 SILENT_LIMIT_S = 6.0
 """Wall time that a process may sleep without a message while it is to report progress, at least."""
+SLOW_LIMIT_S = 8.0
+"""Wall time without progress after which a process that could work is named; it may be given up later."""
 _STOPPED = {
     psutil.STATUS_STOPPED: "is stopped (SIGSTOP)",
     psutil.STATUS_TRACING_STOP: "is stopped by a debugger",
@@ -26,13 +28,15 @@ _STOPPED = {
 
 
 class Finding(NamedTuple):
-    """A process that keeps the run from going on."""
+    """A process that keeps the run from going on, or has for some seconds."""
 
     name: str
     what: str
     """Predicate of a sentence."""
     status: str
     """psutil's."""
+    given_up: bool = True
+    """Whether the run ends; else the process may still go on."""
 
     @property
     def is_stopped(self) -> bool:
@@ -50,18 +54,28 @@ class ProcessWatch:
         self._seen: dict[str, Activity] = {}
         self._waiting_limit_s = max(SILENT_LIMIT_S, call_limit_s + 1.0)
         self._computing_limit_s = max(COMPUTING_LIMIT_S, self._waiting_limit_s)
+        self._slow: set[str] = set()
+        """Processes that were found slow since their last progress."""
 
     def on_progress(self, name: str) -> None:
-        """Note a message of a process that is to report progress, or that it is to report from now on."""
+        """Note progress of a process, or that it is to make progress from now on."""
+        self._slow.discard(name)
         if (seen := self._seen.get(name)) is not None:
-            seen.waiting_s = seen.computing_s = 0.0
+            seen.on_progress()
 
     def look(
-        self, wall_s: float, states: Mapping[str, ProcessState], *, progressing: Collection[str] = ()
+        self,
+        wall_s: float,
+        states: Mapping[str, ProcessState],
+        *,
+        progressing: Collection[str] = (),
+        stepping: Collection[str] = (),
     ) -> Finding | None:
         """Look at all processes now; returns the first that is found.
 
-        ``progressing`` are those of which `on_progress` is to be called while they work.
+        ``progressing`` are those of which `on_progress` is to be called every second; ``stepping`` those of
+        which it is to be called with each step of the run, for which they may have to wait. Both are found
+        once if they compute, or get no processor, for `SLOW_LIMIT_S` without it.
         """
         self._seen = {name: seen for name, seen in self._seen.items() if name in states}
         for name, state in states.items():
@@ -79,4 +93,17 @@ class ProcessWatch:
             if waiting_s > self._waiting_limit_s or computing_s > self._computing_limit_s:
                 silent_s = max(waiting_s, computing_s)
                 return Finding(name, f"has made no progress for {silent_s:.0f} s", silent.status)
+        for name in (*progressing, *stepping):
+            slow = self._seen.get(name)
+            if slow is None or name in self._slow:
+                continue
+            slow_s = slow.computing_s + slow.starved_s
+            if slow_s > SLOW_LIMIT_S:
+                self._slow.add(name)
+                limit = f"the run ends after {self._computing_limit_s:.0f} s of its processor time"
+                share = round(100.0 * slow.computing_s / slow_s)
+                if slow.starved_s > slow.computing_s:
+                    limit = f"it gets {share} % of a processor, {limit}"
+                what = f"has worked for {slow_s:.0f} s without progress ({limit})"
+                return Finding(name, what, slow.status, given_up=False)
         return None

@@ -112,7 +112,8 @@ class RunMonitor:
     @contextlib.contextmanager
     def progress_awaited(self) -> Iterator[None]:
         """Expect the physics server to report its progress in the block."""
-        self._watch.on_progress(PHYSICS)
+        for name in (PHYSICS, RADIO):
+            self._watch.on_progress(name)
         self._awaits_progress = True
         try:
             yield
@@ -126,11 +127,15 @@ class RunMonitor:
             return
         self._wall_look_s = wall_s
         names = [PHYSICS, RADIO, PREFORK, *([] if self._connected else self._starting)]
-        progressing = [PHYSICS] if self._awaits_progress else []
-        found = self._watch.look(wall_s, self._supervisor.states(names), progressing=progressing)
+        progressing, stepping = ([PHYSICS], [RADIO]) if self._awaits_progress else ([], [])
+        states = self._supervisor.states(names)
+        found = self._watch.look(wall_s, states, progressing=progressing, stepping=stepping)
         if found is not None:
-            self._found[found.name] = found
             line = f"{found.name} (pid {self.pids[found.name]}) {found.what} {self._when()}"
+            if not found.given_up:
+                self._on_message(ProcessNotice(text=line))
+                return
+            self._found[found.name] = found
             if not found.is_stopped:
                 line += f" (traces of its threads: {self._supervisor.log_path(found.name)})"
             self._descriptions[found.name] = line
@@ -192,6 +197,8 @@ class RunMonitor:
                 self.influences.append(message)
             case Progress() | Paused():
                 self._connected = True
+                if message.time_us > self.simulated_us:
+                    self._watch.on_progress(RADIO)
                 self.simulated_us = message.time_us
                 self.wall_paused_s = message.wall_paused_s
             case Waiting():

@@ -1,7 +1,7 @@
 """What a process does while it is waited for: whether it is stopped, waits, computes, or gets no processor.
 
 A core: times and states of the process are arguments. A machine under load starves processes for seconds, and
-a run must not depend on that, so the time of a runnable process without a processor does not count.
+a run must not depend on that, so of a runnable process that gets no processor only its processor time counts.
 """
 
 from dataclasses import dataclass
@@ -44,7 +44,9 @@ class Activity:
     waiting_s: float = 0.0
     """It slept, and could have worked."""
     computing_s: float = 0.0
-    """It computed, or waited for a disk."""
+    """It computed, or waited for a disk; while it was starved, its processor time."""
+    starved_s: float = 0.0
+    """It was runnable and got no processor, without its processor time."""
     starved: bool = False
     """Whether it was runnable and got no processor before the newest look."""
 
@@ -59,7 +61,8 @@ class Activity:
         self.wall_s, self.cpu_s, self.status = wall_s, state.cpu_s, state.status
         self.starved = False
         if elapsed_s > BREAK_S:
-            self.stopped_s = self.waiting_s = self.computing_s = 0.0
+            self.on_progress()
+            self.stopped_s = 0.0
             return
         share = spent_s / elapsed_s if elapsed_s > 0.0 else 0.0
         self.stopped_s = self.stopped_s + elapsed_s if state.status in HELD else 0.0
@@ -68,8 +71,15 @@ class Activity:
         self.starved = state.status == psutil.STATUS_RUNNING and share < LEAST_SHARE
         if share >= LEAST_SHARE or state.status == psutil.STATUS_DISK_SLEEP:
             self.computing_s += elapsed_s
-        elif not self.starved:
+        elif self.starved:
+            self.computing_s += spent_s
+            self.starved_s += elapsed_s - spent_s
+        else:
             self.waiting_s += elapsed_s
+
+    def on_progress(self) -> None:
+        """Begin the times without progress again."""
+        self.waiting_s = self.computing_s = self.starved_s = 0.0
 
 
 def state_of(process: psutil.Process) -> ProcessState:

@@ -2,9 +2,9 @@
 
 A machine under load starves processes for seconds, and the result of a run must not depend on that. Silence
 therefore counts only while the process could have answered (`harness.simulator.process_activity`). A dead
-process is given up at once, a stopped one after some seconds. Silence of one that is runnable but starved
-does not count. Silence of one that sleeps or computes counts, because a vehicle waits for nothing but its
-sensors: its radio's deliveries precede their notice.
+process is given up at once, a stopped one after some seconds. Of one that is runnable but starved only its
+processor time counts. Silence of one that sleeps or computes counts, because a vehicle waits for nothing but
+its sensors: its radio's deliveries precede their notice.
 """
 
 from collections.abc import Callable, Mapping
@@ -17,6 +17,8 @@ from harness.simulator.process_activity import ENDED, STOPPED_LIMIT_S, Activity,
 LOOK_AFTER_S = 0.25
 """Shorter silences are ignored; from then on the process is examined."""
 REPORT_AFTER_S = 0.5
+STARVED_REPORT_AFTER_S = 8.0
+"""Silence of a process that gets no processor after which it is reported."""
 STARTING_LIMIT_S = 120.0
 """Limit before a vehicle's first answer: it may be compiling its kernels. Such a silence is not reported."""
 COMPUTING_LIMIT_S = 30.0
@@ -91,12 +93,8 @@ class ResponseWatchdog:
             self._observations[instance] = Activity.begin(wall_s, state)
             return SilenceFinding(wall_silence_s=silence_s)
         seen.look(wall_s, state)
-        newly = (
-            instance not in self._reported
-            and not seen.starved
-            and not starting
-            and silence_s >= REPORT_AFTER_S
-        )
+        report_after_s = STARVED_REPORT_AFTER_S if seen.starved else REPORT_AFTER_S
+        newly = instance not in self._reported and not starting and silence_s >= report_after_s
         if newly:
             self._reported.add(instance)
         limit_s = STARTING_LIMIT_S if starting else self._limit_s

@@ -276,7 +276,8 @@ sys.stdin.read()
 """
 
 
-def test_processes_end_when_the_program_is_killed():
+@pytest.mark.parametrize("stopped", [False, True])
+def test_processes_end_when_the_program_is_killed(stopped):
     support = Path(__file__).parents[1] / "support"
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(support), *sys.path])}
     program = subprocess.Popen(
@@ -285,6 +286,9 @@ def test_processes_end_when_the_program_is_killed():
     )  # fmt: skip
     with program:
         pids = [int(word) for word in program.stdout.readline().split()]
+        if stopped:  # they cannot read that their input has ended
+            for pid in pids:
+                os.kill(pid, signal.SIGSTOP)
         program.kill()
     assert len(pids) == 2
     await_end(pids)

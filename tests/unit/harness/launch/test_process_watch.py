@@ -7,6 +7,7 @@ from harness.launch.process_watch import (
     LOOK_PERIOD_S,
     RUN_STOPPED_LIMIT_S,
     SILENT_LIMIT_S,
+    SLOW_LIMIT_S,
     ProcessWatch,
 )
 from harness.simulator.process_activity import BREAK_S, ProcessState
@@ -20,7 +21,7 @@ NAMED_WITHIN_S = 10.0
 def found_after_s(
     states, *, limit_s, every_s=LOOK_PERIOD_S, progressing=("physics",), progress_s=None, call_limit_s=5.0
 ):
-    """Look periodically; returns the wall time of the first finding and the finding, or None.
+    """Look periodically; returns the wall time at which a process is given up and the finding, or None.
 
     ``states(t)`` are those of all processes at a time; physics reports progress every ``progress_s``.
     """
@@ -30,9 +31,28 @@ def found_after_s(
         if progress_s is not None and t % progress_s == 0.0:
             watch.on_progress("physics")
         found = watch.look(1_000.0 + t, states(t), progressing=progressing)
-        if found is not None:
+        if found is not None and found.given_up:
             return t, found
     return None
+
+
+def slow_findings(cpu_s, *, limit_s, progress_s=None, **names):
+    """Look at physics, and a radio that computes, until one is given up; returns what is found slow.
+
+    ``progress_s``: period of the radio's progress.
+    """
+    watch, found = ProcessWatch(), []
+    for k in range(round(limit_s / LOOK_PERIOD_S) + 1):
+        t = k * LOOK_PERIOD_S
+        if progress_s is not None and t % progress_s == 0.0:
+            watch.on_progress("radio")
+        states = {"physics": SLEEPS, "radio": ProcessState(psutil.STATUS_RUNNING, cpu_s(t))}
+        finding = watch.look(1_000.0 + t, states, **names)
+        if finding is not None and finding.given_up:
+            break
+        if finding is not None:
+            found.append((t, finding))
+    return found
 
 
 def test_a_stopped_process_is_named_in_time_whichever_it_is():
@@ -71,7 +91,41 @@ def test_a_process_without_progress_is_found_by_what_it_does():
     at_s, found = found_after_s(computing, limit_s=60.0)
     assert COMPUTING_LIMIT_S <= at_s < COMPUTING_LIMIT_S + 1.0
     starved = lambda t: {"physics": ProcessState(psutil.STATUS_RUNNING, 0.01 * t)}  # noqa: E731
-    assert found_after_s(starved, limit_s=600.0) is None
+    assert found_after_s(starved, limit_s=600.0) is None  # 6 s of processor time
+
+
+@pytest.mark.parametrize("names", [{"progressing": ("radio",)}, {"stepping": ("radio",)}])
+def test_a_process_that_computes_without_progress_is_named_once_long_before_it_is_given_up(names):
+    ((at_s, finding),) = slow_findings(lambda t: t, limit_s=100.0, **names)
+    assert SLOW_LIMIT_S <= at_s < NAMED_WITHIN_S
+    what = "has worked for 8 s without progress (the run ends after 30 s of its processor time)"
+    assert (finding.name, finding.what) == ("radio", what)
+
+
+def test_an_endless_loop_is_named_and_given_up_on_a_busy_machine_too():
+    """It gets a tenth of a processor: as long as it has not computed much, it may only be starved."""
+    ((at_s, finding),) = slow_findings(lambda t: 0.1 * t, limit_s=100.0, stepping=("radio",))
+    assert SLOW_LIMIT_S <= at_s < NAMED_WITHIN_S
+    assert "it gets 10 % of a processor" in finding.what
+    starved = lambda t: {"physics": ProcessState(psutil.STATUS_RUNNING, 0.1 * t)}  # noqa: E731
+    at_s, found = found_after_s(starved, limit_s=600.0)
+    assert 10.0 * COMPUTING_LIMIT_S <= at_s < 10.0 * COMPUTING_LIMIT_S + 10.0
+    assert found.name == "physics"
+
+
+def test_a_process_that_computes_is_named_again_only_after_it_made_progress():
+    found = slow_findings(lambda t: t, limit_s=60.0, progress_s=20.0, stepping=("radio",))
+    assert len(found) == 3
+    for k, (at_s, _) in enumerate(found):
+        assert SLOW_LIMIT_S <= at_s - 20.0 * k < NAMED_WITHIN_S
+    assert slow_findings(lambda t: t, limit_s=60.0, progress_s=4.0, stepping=("radio",)) == []
+    assert slow_findings(lambda t: t, limit_s=60.0) == []
+
+
+def test_a_process_that_waits_for_steps_is_not_given_up():
+    """A vehicle may keep the steps from being made, and the radio computes for guests meanwhile."""
+    found = slow_findings(lambda t: t, limit_s=600.0, stepping=("radio",))
+    assert len(found) == 1
 
 
 def test_only_processes_that_are_to_report_progress_are_found_without_it():

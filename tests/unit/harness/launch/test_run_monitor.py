@@ -1,16 +1,18 @@
 """What the launcher makes of the end of the physics server, with a supervisor that is a script."""
 
+import re
 from pathlib import Path
 from typing import Any, ClassVar
 
 import psutil
 import pytest
 
-from harness.launch.run_messages import SwarmError
+from harness.launch.run_messages import ProcessNotice, SwarmError
 from harness.launch.run_monitor import RunMonitor
 from harness.launch.supervisor import Exited
 from harness.records.run_folder import RunFolder
 from harness.simulator.emulator_client import GONE, UNANSWERED
+from harness.simulator.messages import Progress
 from harness.simulator.process_activity import ProcessState
 
 
@@ -60,3 +62,48 @@ def test_an_emulator_that_does_not_answer_physics_is_killed_with_a_trace(
         monitor.next(1.0, "nothing")
     monitor._kill_found()
     assert supervisor.killed == killed
+
+
+class ComputingRadio(Processes):
+    """Physics waits for a radio that computes, and reports it; ``wall_s`` is the time of the script."""
+
+    def __init__(self, *, advancing: bool) -> None:
+        super().__init__("")
+        self.wall_s = 1_000.0
+        self._advancing = advancing
+
+    def receive(self, timeout_s: float) -> Any:
+        self.wall_s += timeout_s
+        time_us = round(self.wall_s * 1e6) if self._advancing else 3_000_000
+        return "physics", Progress(
+            time_us=time_us, wall_s=self.wall_s, channel_busy_fraction=0.0, vehicles=()
+        )  # fmt: skip
+
+    def states(self, _names: list[str]) -> dict[str, ProcessState]:
+        return {"radio": ProcessState(psutil.STATUS_RUNNING, self.wall_s)}
+
+
+@pytest.mark.parametrize("advancing", [False, True])
+def test_a_radio_that_computes_while_simulated_time_stands_still_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, advancing: bool
+) -> None:
+    supervisor = ComputingRadio(advancing=advancing)
+    monkeypatch.setattr("time.monotonic", lambda: supervisor.wall_s)
+    messages: list[Any] = []
+    monitor = RunMonitor(
+        supervisor,  # type: ignore[arg-type]
+        RunFolder(tmp_path),
+        starting=[],
+        until_connected=[],
+        call_limit_s=5.0,
+        wall_limit_s=None,
+        on_message=messages.append,
+    )
+    monitor._running = True
+    with monitor.progress_awaited():
+        while supervisor.wall_s < 1_010.0:
+            monitor.next(1.0, "nothing")
+    named = [message.text for message in messages if isinstance(message, ProcessNotice)]
+    assert len(named) == (0 if advancing else 1)
+    for line in named:
+        assert re.match(r"radio \(pid 2\) has worked for 8 s without progress \(.*\) at 3.000 s$", line)

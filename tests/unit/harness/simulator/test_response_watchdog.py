@@ -7,6 +7,7 @@ from harness.simulator.process_activity import STOPPED_LIMIT_S, ProcessState
 from harness.simulator.response_watchdog import (
     COMPUTING_LIMIT_S,
     LOOK_AFTER_S,
+    STARVED_REPORT_AFTER_S,
     ResponseWatchdog,
 )
 
@@ -39,6 +40,23 @@ def test_a_starved_process_is_awaited_and_a_sleeping_or_spinning_one_is_not():
     assert given_up_s(ResponseWatchdog(2.0), [(psutil.STATUS_ZOMBIE, 0.0)] * checks) == pytest.approx(
         LOOK_AFTER_S, abs=0.11
     )
+
+
+def test_a_starved_process_is_reported_after_some_seconds_and_given_up_after_its_processor_time():
+    """It may be an endless loop on a busy machine."""
+    watchdog = ResponseWatchdog(2.0)
+    watchdog.begin(100.0)
+    reported_s, k = [], 0
+    while True:
+        k += 1
+        watchdog._process_state = lambda _: ProcessState(psutil.STATUS_RUNNING, 0.02 * k)  # noqa: B023
+        finding = watchdog.check(0, 100.0 + 0.1 * k, starting=False)
+        if finding.newly_silent:
+            reported_s.append(0.1 * k)
+        if finding.give_up is not None:
+            break
+    assert reported_s == [pytest.approx(STARVED_REPORT_AFTER_S, abs=0.11)]
+    assert 0.02 * k == pytest.approx(COMPUTING_LIMIT_S, abs=0.2)
 
 
 def test_a_stopped_process_is_given_up_after_some_seconds_and_a_continued_one_is_not():
