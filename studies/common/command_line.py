@@ -10,11 +10,14 @@ from typing import Annotated, Generic, NoReturn, TextIO, TypeVar
 import msgspec
 import typer
 from msgspec import Struct
+from msgspec.structs import replace
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from foundation.exit_status import BAD_INPUT, FAILED, FINE
 from harness.launch import kernel_cache
+from harness.records.versions import checkout
+from studies.common.job_records import JobRecords, JobRecordsError
 from studies.common.report import Section, show, write_csv, write_page
 from studies.common.runner import Subject, run_subjects
 
@@ -50,10 +53,16 @@ class Validation(Struct, Generic[P], frozen=True, kw_only=True):
     px4: bool = False
     """Include the numbers of a real PX4"""
 
-    def run(self, plan: P, only: str, *, out: Path | None, json: bool) -> NoReturn:
-        """Measure the subjects in ``--only``, report them and exit with the status of the checks."""
+    def run(
+        self, plan: P, only: str, *, out: Path | None, json: bool, records: Path | None = None
+    ) -> NoReturn:
+        """Measure the subjects in ``--only``, report them and exit with the status of the checks.
+
+        Results are kept in the file ``records``, and taken from it.
+        """
         messages = Console(stderr=True, highlight=False, markup=False)
         names = chosen(self.program, only, self.subjects, messages)
+        kept = None if records is None else self._records(records, messages)
         if self.has_kernels:
             kernel_cache.prepare(messages.print)
         stdout = keep_stdout() if self.has_bullet else sys.stdout
@@ -61,10 +70,31 @@ class Validation(Struct, Generic[P], frozen=True, kw_only=True):
         for stage in self.stages or (tuple(self.subjects),):
             subjects = {name: self.subjects[name] for name in stage if name in names}
             if subjects:
-                with progress_lines(messages) as note:
-                    judged |= run_subjects(plan, subjects, progress=note)
+                with progress_lines(messages) as note, _refused(self.program, messages):
+                    judged |= run_subjects(plan, subjects, progress=note, records=kept)
         sections = [judged[name] for name in self.subjects if name in judged]
-        report_and_exit(sections, page=self.page, out=out, json=json, stdout=stdout, px4=self.px4)
+        page = self.page
+        if kept is not None:
+            pieces = f"\nMeasured in pieces, with the commits {', '.join(kept.commits())}.\n"
+            page = replace(page, introduction=page.introduction + pieces)
+        report_and_exit(sections, page=page, out=out, json=json, stdout=stdout, px4=self.px4)
+
+    def _records(self, path: Path, messages: Console) -> JobRecords:
+        """Return the records of a file; exit with an error message if it cannot be read."""
+        state = checkout()
+        commit = "unknown" if state is None else state.commit[:8] + (" and changes" if state.dirty else "")
+        with _refused(self.program, messages):
+            return JobRecords(path, commit)
+
+
+@contextlib.contextmanager
+def _refused(program: str, messages: Console) -> Iterator[None]:
+    """Exit with an error message if records of results cannot be used."""
+    try:
+        yield
+    except JobRecordsError as error:
+        messages.print(f"{program}: --records: {error}", soft_wrap=True)
+        raise typer.Exit(BAD_INPUT) from None
 
 
 def keep_stdout() -> TextIO:

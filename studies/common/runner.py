@@ -7,6 +7,7 @@ from typing import Any, Generic, TypeVar
 
 from msgspec import Struct
 
+from studies.common.job_records import JobRecords
 from studies.common.report import Section
 
 WORKERS = 2
@@ -27,13 +28,19 @@ class Subject(Struct, Generic[P], frozen=True):
 
 
 def run_subjects(
-    plan: P, subjects: Mapping[str, Subject[P]], *, progress: Callable[[str, int, int], None]
+    plan: P,
+    subjects: Mapping[str, Subject[P]],
+    *,
+    progress: Callable[[str, int, int], None],
+    records: JobRecords | None = None,
 ) -> dict[str, Section]:
     """Run the jobs of the subjects and judge their results.
 
-    ``progress`` is called with the subject, the number of its finished jobs and their total.
+    ``progress`` is called with the subject, the number of its finished jobs and their total. Jobs whose
+    results are in ``records`` are not run, and the results of the others are added. Raises JobRecordsError.
     """
     results: dict[str, Results] = {}
+    done = dict.fromkeys(subjects, 0)
     with ProcessPoolExecutor(WORKERS) as pool:
         waiting = {}
         for name, subject in subjects.items():
@@ -41,12 +48,18 @@ def run_subjects(
             results[name] = {group: [None] * len(jobs) for group, jobs in groups.items()}
             for group, jobs in groups.items():
                 for index, job in enumerate(jobs):
-                    waiting[pool.submit(job)] = (name, group, index)
+                    recorded = None if records is None else records.result(job)
+                    if recorded is None:
+                        waiting[pool.submit(job)] = (name, group, index, job)
+                    else:
+                        results[name][group][index] = recorded
+                        done[name] += 1
         total = {name: sum(map(len, results[name].values())) for name in subjects}
-        done = dict.fromkeys(subjects, 0)
         for future in as_completed(waiting):
-            name, group, index = waiting[future]
+            name, group, index, job = waiting[future]
             results[name][group][index] = future.result()
+            if records is not None:
+                records.add(job, future.result())
             done[name] += 1
             progress(name, done[name], total[name])
     return {name: subject.judge(plan, results[name]) for name, subject in subjects.items()}

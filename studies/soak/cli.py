@@ -23,7 +23,8 @@ what it costs. All numbers are produced by
     coflight study soak
 
 which takes some hours on two cores; with `--out docs/results` it writes this page. `--hours`, `--swarms` and
-`--repeats` shorten it, `--only` selects sections.
+`--repeats` shorten it, `--only` selects sections, and with `--records FILE` it can be broken off and
+continued.
 """
 VALIDATION = Validation(
     program="coflight study soak",
@@ -47,6 +48,10 @@ def soak(
     ] = None,
     swarms: Annotated[int | None, typer.Option(help="Swarms in one process.", min=4)] = None,
     repeats: Annotated[int | None, typer.Option(help="Flights of one seed.", min=2)] = None,
+    records: Annotated[
+        Path | None,
+        typer.Option(help="Keep results in this file, and take those that it has: to measure in pieces."),
+    ] = None,
     json: JsonOption = False,  # noqa: FBT002
     out: Annotated[
         Path | None, typer.Option(help="Folder for soak.md; without it no file is written.")
@@ -62,4 +67,4 @@ def soak(
         swarms=swarms or plan.swarms,
         repeats=repeats or plan.repeats,
     )
-    VALIDATION.run(plan, only, out=out, json=json)
+    VALIDATION.run(plan, only, out=out, json=json, records=records)

@@ -48,16 +48,17 @@ class Growth(Struct, frozen=True, kw_only=True):
 
 def jobs(plan: SoakPlan) -> dict[str, list[Job]]:
     """Return the long flights, each with a seed of its own."""
-    return {_GROUP: [partial(fly, plan, seed) for seed in range(1, plan.pieces + 1)]}
+    seeds = range(1, plan.pieces + 1)
+    return {_GROUP: [partial(fly, plan.agents, plan.piece_s, plan.sample_s, seed) for seed in seeds]}
 
 
-def fly(plan: SoakPlan, seed: int) -> LongFlight:
-    """Fly the article's formation, and measure all processes each ``plan.sample_s``. Raises SwarmError."""
+def fly(agents: int, duration_s: float, sample_s: float, seed: int) -> LongFlight:
+    """Fly the article's formation, and measure all processes each ``sample_s``. Raises SwarmError."""
     times_s: list[float] = []
     processes: dict[str, list[Measured]] = {}
-    with Swarm(find("article"), agents=plan.agents, seed=seed, overrides=_ENDLESS_BATTERY) as swarm:
-        while swarm.truth.t_s < plan.piece_s:
-            swarm.run_for(plan.sample_s)
+    with Swarm(find("article"), agents=agents, seed=seed, overrides=_ENDLESS_BATTERY) as swarm:
+        while swarm.truth.t_s < duration_s:
+            swarm.run_for(sample_s)
             times_s.append(swarm.truth.t_s)
             for name, pid in {LAUNCHER: os.getpid(), **swarm.pids}.items():
                 processes.setdefault(name, []).append(measure(pid))

@@ -36,12 +36,12 @@ class Size(Struct, frozen=True, kw_only=True):
 
 def jobs(plan: SoakPlan) -> dict[str, list[Job]]:
     """Return one job that flies all sizes, since flights beside each other would be load."""
-    return {_GROUP: [partial(fly_all, plan)]}
+    return {_GROUP: [partial(fly_all, plan.sizes, plan.size_s)]}
 
 
-def fly_all(plan: SoakPlan) -> list[Size]:
+def fly_all(sizes: tuple[int, ...], duration_s: float) -> list[Size]:
     """Fly all sizes, without and with load. Raises SwarmError."""
-    return [fly(agents, load, plan.size_s) for agents in plan.sizes for load in LOADS]
+    return [fly(agents, load, duration_s) for agents in sizes for load in LOADS]
 
 
 def fly(agents: int, load: int, duration_s: float) -> Size:

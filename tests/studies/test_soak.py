@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from types import SimpleNamespace
 
 import numpy as np
 import psutil
@@ -164,8 +163,7 @@ def test_short_soak_of_real_swarms():
     many_swarms = swarms_section.start_many(4)
     assert (many_swarms.left_processes, many_swarms.left_folders) == (0, 0)
     assert many_swarms.measured[-1].descriptors == many_swarms.measured[1].descriptors
-    plan = SimpleNamespace(agents=QUICK_SOAK.agents, sample_s=0.5, piece_s=3.0)
-    flight = flight_section.fly(plan, seed=1)
+    flight = flight_section.fly(QUICK_SOAK.agents, 3.0, 0.5, seed=1)
     assert set(flight.processes) == {"launcher", "physics", "radio", "prefork", "uav 0", "uav 1", "uav 2"}
     assert len(flight.times_s) == 6
     for name in flight.processes:
