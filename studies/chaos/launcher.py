@@ -128,7 +128,7 @@ class Launcher:
         line = " ".join(words)
         name = next((name for module, name in _MODULES.items() if module in line), f"{named} ({process.pid})")
         if name == "px4":  # the stand-in itself, not the process that starts and watches it
-            return f"px4 {words[2]}" if words[1] == str(_PX4) else f"starter {process.pid}"
+            return f"px4 {int(words[2]) - 1}" if words[1] == str(_PX4) else f"starter {process.pid}"
         return name
 
     def end(self) -> None:
@@ -158,7 +158,7 @@ def _px4_options(folder: Path) -> list[str]:
     program = folder / "px4" / "bin" / "px4"
     program.parent.mkdir(parents=True)
     program.touch(0o755)
-    command = json.dumps([sys.executable, str(_PX4), "{i}", "{tcp}"])
+    command = json.dumps([sys.executable, str(_PX4), "{sysid}", "{tcp}"])
     return [
         "--set=autopilot.kind=px4", f"--set=autopilot.px4_build={folder / 'px4'}",
         f"--set=autopilot.px4_command={command}",

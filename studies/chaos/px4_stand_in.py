@@ -1,4 +1,4 @@
-"""Program that stands in for a PX4 in flights whose processes fail: ``python px4_stand_in.py INSTANCE PORT``.
+"""Program that stands in for a PX4 in flights whose processes fail: ``python px4_stand_in.py SYSTEM PORT``.
 
 It answers each HIL_SENSOR with motors at rest, over PX4's simulator interface, and does not end by itself.
 It says nothing about a PX4: docs/how-to/px4.md states how to fly one.
@@ -16,9 +16,9 @@ LOCKSTEP = 1
 MOTORS = 16
 
 
-def main(instance: int, port: int) -> None:
+def main(system: int, port: int) -> None:
     """Connect, answer until the simulator closes the connection, and stay as a PX4 does."""
-    wire = common.MAVLink(None, srcSystem=instance + 1, srcComponent=1)
+    wire = common.MAVLink(None, srcSystem=system, srcComponent=1)
     wire.robust_parsing = True
     while True:
         try:
@@ -29,7 +29,7 @@ def main(instance: int, port: int) -> None:
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     heartbeat = common.MAVLink_heartbeat_message(0, common.MAV_AUTOPILOT_PX4, 0, 0, 0, 3)
     connection.sendall(heartbeat.pack(wire))
-    sys.stdout.write(f"px4 {instance} started\n")
+    sys.stdout.write(f"px4 of system {system} started\n")
     sys.stdout.flush()
     with contextlib.suppress(OSError):
         while data := connection.recv(65_536):
