@@ -4,7 +4,6 @@ import re
 import signal
 import threading
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import pytest
@@ -125,10 +124,8 @@ def test_a_repetition_is_counted_beside_the_failure_and_does_not_hide_it() -> No
     assert "- 1: SIGSTOP of radio in flight after 0.5 s: it ends after 20.0 s\n" in text
 
 
-def _record(number: int, **changes: Any) -> Flown:
-    fields: dict[str, Any] = {"fault": plan(number + 1, 1)[number], "status": 1, "ended_s": 1.0, "last_line": "x"}
-    outcome = Outcome(**(fields | {"complaints": ()} | changes))
-    return _flown(number, outcome)
+def _record(number: int) -> Flown:
+    return _flown(number, msgspec.structs.replace(FINE_OUTCOME, fault=plan(number + 1, 1)[number]))
 
 
 def test_records_are_read_back_and_a_half_written_line_is_dropped(tmp_path: Path) -> None:
