@@ -1,6 +1,7 @@
 """Command line of the chaos study. Exit status: 0 all as required, 1 not all, 2 bad input, 130 Ctrl-C."""
 
 import contextlib
+import resource
 import sys
 import tempfile
 from collections.abc import Callable
@@ -65,6 +66,7 @@ def main(
             records.append(file, flown[-1])
         messages.print(f"{number}: {'again: ' if is_again else ''}{_line(outcome)}", soft_wrap=True)
 
+    before = len(flown)
     left_out = _without_disk(chosen, messages)
     try:
         with interruptible():
@@ -81,6 +83,11 @@ def main(
                 _fly(bad, beside, lambda *each: keep(*each, is_again=True))
     except KeyboardInterrupt:
         raise typer.Exit(INTERRUPTED) from None
+    if len(flown) > before:
+        mean_s = _processor_s() / (len(flown) - before)
+        messages.print(
+            f"{mean_s:.1f} s of processor time a flight, without processes that outlive a launcher"
+        )
     counted = [each for each in flown if each.number in chosen]
     text = page(counted, flights=flights, seed=seed, beside=beside, left_out=len(left_out))
     if out is not None:
@@ -98,6 +105,12 @@ def _fly(faults: list[tuple[int, Fault]], beside: int, keep: Callable[[int, Outc
     with contextlib.closing(fly_all(faults, beside)) as flights:
         for number, outcome in flights:
             keep(number, outcome)
+
+
+def _processor_s() -> float:
+    """Return the processor time of this process and of the children that have ended."""
+    usages = map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(usage.ru_utime + usage.ru_stime for usage in usages)
 
 
 def _without_disk(chosen: dict[int, Fault], messages: Console) -> set[int]:
