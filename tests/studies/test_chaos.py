@@ -1,11 +1,14 @@
 """The chaos study: its plan and its judgement, and a few of its flights."""
 
+import contextlib
 import re
 import signal
 import threading
+import time
 from pathlib import Path
 
 import msgspec
+import psutil
 import pytest
 
 from foundation.exit_status import FAILED, FINE
@@ -23,7 +26,8 @@ from studies.chaos.faults import (
     plan,
 )
 from studies.chaos.fleet import fly_all
-from studies.chaos.flight import Outcome, fly_in_temporary_folder
+from studies.chaos.flight import Cancelled, Outcome, fly, fly_in_temporary_folder
+from studies.chaos.launcher import MARK
 from studies.chaos.page import page
 from studies.chaos.records import Flown
 from studies.chaos.requirements import END_LIMIT_S, end_limit_s, named, statuses
@@ -216,3 +220,33 @@ def test_flights_end_as_required(fault: Fault, tmp_path: Path) -> None:
     assert outcome.reached
     # a busy machine may take longer than the study allows
     assert [each for each in outcome.complaints if not each.startswith("it ends after")] == []
+
+
+@pytest.mark.multiprocess
+def test_a_cancelled_flight_leaves_no_process(tmp_path: Path) -> None:
+    fault = Fault(target="physics", kind="SIGKILL", phase="flight", delay_s=2.0)
+    cancelled = threading.Event()
+
+    def cancel() -> None:
+        deadline_s = time.monotonic() + 60.0
+        while not _processes_of(tmp_path) and time.monotonic() < deadline_s:
+            time.sleep(0.05)
+        cancelled.set()
+
+    canceller = threading.Thread(target=cancel)
+    canceller.start()
+    with pytest.raises(Cancelled):
+        fly(fault, tmp_path / "flight", cancelled)
+    canceller.join()
+    assert _processes_of(tmp_path) == []
+
+
+def _processes_of(folder: Path) -> list[str]:
+    """Return the command lines of the coflight processes whose temporary files are in a folder."""
+    found = []
+    for process in psutil.process_iter():
+        with contextlib.suppress(psutil.Error):
+            environment = process.environ()
+            if MARK in environment and environment.get("TMPDIR", "").startswith(str(folder)):
+                found.append(" ".join(process.cmdline()))
+    return found
