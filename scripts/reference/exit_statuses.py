@@ -81,7 +81,7 @@ STATUSES: Mapping[str, Mapping[int, str]] = {
         FINE: "All flights ended as required.",
         FAILED: "Some did not.",
         BAD_INPUT: _WRONG,
-        INTERRUPTED: _STOPPED,
+        INTERRUPTED: "Ctrl-C; with `--records` the same command continues.",
     },
     "study vehicle-cost": _LIMITS,
     "study radio-cost": _LIMITS,
@@ -134,7 +134,7 @@ def _keys(kind: type[Struct]) -> tuple[str, ...]:
 _CHECK_FIELDS = (
     "a list: `section`, `name`, `value`, `unit`, `at_least`, `at_most`, `met`, and `px4` of `study vehicle`"
 )
-_OUTCOMES = "a list: `fault`, `status`, `ended_s`, `last_line`, `complaints`, `reached`"
+_OUTCOMES = "a list: `fault`, `status`, `ended_s`, `last_line`, `complaints`, `reached`, `second_reached`"
 RESULTS = (
     Result("radio saturation", _keys(SaturationResult)),
     Result("radio broadcast", _keys(BroadcastResult)),

@@ -1,30 +1,40 @@
-"""The faults of the chaos study, and how a flight with one of them has to end."""
+"""The faults of the chaos study, and their plan."""
 
-import re
-import signal
-from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 from msgspec import Struct
 
-from foundation.exit_status import FAILED, FINE, INTERRUPTED
-
-Target = Literal["launcher", "physics", "radio", "prefork", "uav 0"]
+Target = Literal["launcher", "physics", "radio", "prefork", "uav 0", "application 0", "px4 0", "disk"]
+"""``application 0`` and ``px4 0`` are in flights whose autopilots are stand-ins for PX4."""
 Kind = Literal[
     "SIGKILL", "SIGSEGV", "SIGTERM", "SIGHUP", "SIGINT", "SIGSTOP", "SIGSTOP for 2 s",
-    "closed output", "file limit",
+    "closed output", "closed terminal", "file limit", "full",
 ]  # fmt: skip
 Phase = Literal["imports", "start", "flight", "pause", "stop", "report"]
-TARGETS: tuple[Target, ...] = ("launcher", "physics", "radio", "prefork", "uav 0")
+TARGETS: tuple[Target, ...] = (
+    "launcher", "physics", "radio", "prefork", "uav 0", "application 0", "px4 0", "disk",
+)  # fmt: skip
 KINDS: tuple[Kind, ...] = (
     "SIGKILL", "SIGSEGV", "SIGTERM", "SIGHUP", "SIGINT", "SIGSTOP", "SIGSTOP for 2 s",
-    "closed output", "file limit",
+    "closed output", "closed terminal", "file limit", "full",
 )  # fmt: skip
 PHASES: tuple[Phase, ...] = ("imports", "start", "flight", "pause", "stop", "report")
-DEATHS = ("SIGKILL", "SIGSEGV")
+WITH_PX4 = ("application 0", "px4 0")
 LONGEST_DELAY_S = {"imports": 0.6, "start": 0.3, "flight": 2.0, "pause": 1.0, "stop": 0.3, "report": 1.0}
 """Wall time between the begin of a phase and the fault, at most."""
+LONGEST_AFTER_S = 1.0
+"""Wall time between the first fault of a flight and its second, at most."""
+SINGLES = 4
+"""Flights with one fault before each flight with two."""
+
+
+class Second(Struct, frozen=True, kw_only=True):
+    """A second fault of another process, ``after_s`` of wall time after the first."""
+
+    target: Target
+    kind: Kind
+    after_s: float
 
 
 class Fault(Struct, frozen=True, kw_only=True):
@@ -34,22 +44,46 @@ class Fault(Struct, frozen=True, kw_only=True):
     kind: Kind
     phase: Phase
     delay_s: float
+    second: Second | None = None
 
     @property
     def title(self) -> str:
-        """One line."""
-        return f"{self.kind} of {self.target} in {self.phase}"
+        """One line without the delays."""
+        second = "" if self.second is None else f", {self.second.kind} of {self.second.target}"
+        return f"{self.kind} of {self.target}{second} in {self.phase}"
+
+    @property
+    def line(self) -> str:
+        """One line with the delays."""
+        second = "" if self.second is None else f" and {self.second.after_s:g} s"
+        return f"{self.title} after {self.delay_s:g} s{second}"
+
+    @property
+    def parts(self) -> "tuple[Fault, ...]":
+        """Both faults, each as the only one of a flight."""
+        alone = Fault(target=self.target, kind=self.kind, phase=self.phase, delay_s=self.delay_s)
+        if self.second is None:
+            return (alone,)
+        second = self.second
+        later_s = round(self.delay_s + second.after_s, 3)
+        return alone, Fault(target=second.target, kind=second.kind, phase=self.phase, delay_s=later_s)
 
 
 def is_possible(target: Target, kind: Kind, phase: Phase) -> bool:
     """Whether such a fault exists, and says something."""
+    if (target == "disk") != (kind == "full"):
+        return False
+    if target == "disk":
+        return phase != "imports"  # the run's folder is being made
     if target == "launcher":
         # one that is stopped for good waits to be continued
         return kind not in ("SIGSTOP", "file limit") and (
             kind != "closed output" or phase in ("flight", "report")
         )
-    if kind == "closed output" or phase == "report":
+    if kind in ("closed output", "closed terminal") or phase == "report":
         return False
+    if target in WITH_PX4:
+        return kind != "file limit" and phase in ("flight", "pause")
     if target == "uav 0" and phase == "imports":  # a fork imports nothing
         return False
     # only these write files, in flight
@@ -59,53 +93,35 @@ def is_possible(target: Target, kind: Kind, phase: Phase) -> bool:
 def plan(flights: int, seed: int) -> list[Fault]:
     """Draw the faults of a number of flights; equal seeds give equal faults, whatever the number.
 
-    All possible combinations of process, fault and phase come once before any comes twice.
+    Each fifth flight has two faults, in which any combination may come. Of those with one fault, all possible
+    combinations of process, fault and phase come once before any comes twice.
     """
     rng = np.random.default_rng([seed, 57])
     possible = [(t, k, p) for t in TARGETS for k in KINDS for p in PHASES if is_possible(t, k, p)]
     drawn: list[Fault] = []
     while len(drawn) < flights:
         for index in rng.permutation(len(possible)):
-            target, kind, phase = possible[index]
-            delay_s = round(float(rng.uniform(0.0, LONGEST_DELAY_S[phase])), 3)
-            drawn.append(Fault(target=target, kind=kind, phase=phase, delay_s=delay_s))
+            if len(drawn) % (SINGLES + 1) == SINGLES:
+                drawn.append(_two_faults(rng, possible))
+            drawn.append(_one_fault(rng, *possible[index]))
     return drawn[:flights]
 
 
-def statuses(fault: Fault) -> Sequence[int]:
-    """Return the exit statuses that a flight with this fault may have.
+def _one_fault(rng: np.random.Generator, target: Target, kind: Kind, phase: Phase) -> Fault:
+    delay_s = round(float(rng.uniform(0.0, LONGEST_DELAY_S[phase])), 3)
+    return Fault(target=target, kind=kind, phase=phase, delay_s=delay_s)
 
-    A launcher that was killed has the signal's. In phase ``stop`` the flight was interrupted before, and in
-    ``report`` it may have ended.
+
+def _two_faults(rng: np.random.Generator, possible: list[tuple[Target, Kind, Phase]]) -> Fault:
+    """Draw two faults of different processes in one phase, without other autopilots and full disks.
+
+    In phase ``report`` the launcher is alone.
     """
-    if fault.kind in ("SIGSTOP for 2 s", "closed output"):
-        return [INTERRUPTED] if fault.phase == "stop" else [FINE]
-    if fault.target == "launcher":
-        if fault.kind in DEATHS:
-            killed = -signal.Signals[fault.kind]
-            return [killed, FINE] if fault.phase == "report" else [killed]
-        return [INTERRUPTED, FINE] if fault.phase == "report" else [INTERRUPTED]
-    if fault.phase == "stop":
-        return [INTERRUPTED, FAILED]
-    if fault.target == "uav 0":  # once it has connected the run goes on without it
-        return [FAILED, FINE] if fault.phase == "start" else [FINE]
-    return [FAILED]
-
-
-def named(fault: Fault) -> Sequence[str]:
-    """Return texts of which the messages must have one; none: they need not name the process.
-
-    A process by its name and id; one that was killed with the signal. A vehicle that is stopped is lost, by
-    its name.
-    """
-    if fault.target == "launcher" or fault.kind == "SIGSTOP for 2 s" or fault.phase == "stop":
-        return []
-    name = re.escape(fault.target)
-    if fault.kind in DEATHS:
-        return [rf"{name} \(pid \d+\) was killed by {fault.kind}"]
-    texts = [rf"{name} \(pid "]
-    if fault.kind == "SIGSTOP":
-        texts = [rf"{name} \(pid \d+\) is stopped \(SIGSTOP\)"]
-        if fault.target == "uav 0":
-            texts.append(rf"{name}( was)? lost")
-    return texts
+    own = [each for each in possible if each[0] not in (*WITH_PX4, "disk") and each[2] != "report"]
+    target, kind, phase = own[int(rng.integers(len(own)))]
+    others = [each for each in own if each[0] != target and each[2] == phase]
+    first = _one_fault(rng, target, kind, phase)
+    other, other_kind, _ = others[int(rng.integers(len(others)))]
+    after_s = round(float(rng.uniform(0.0, LONGEST_AFTER_S)), 3)
+    second = Second(target=other, kind=other_kind, after_s=after_s)
+    return Fault(target=target, kind=kind, phase=phase, delay_s=first.delay_s, second=second)

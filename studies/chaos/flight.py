@@ -1,37 +1,32 @@
-"""One flight of the chaos study: a real ``coflight hold``, whose processes have a mark in their environment.
-
-A held swarm transmits and ranges on the ground, so a flight takes a few seconds and all processes work.
-"""
+"""One flight of the chaos study: a real ``coflight hold``, its faults, and the judgement of its end."""
 
 import contextlib
-import os
 import re
 import resource
 import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
-import uuid
+from collections.abc import Callable
 from pathlib import Path
-from typing import Self
 
 import psutil
 from msgspec import Struct
 
-from studies.chaos.faults import Fault, named, statuses
+from foundation.exit_status import FINE
+from studies.chaos.faults import Fault, Kind, Target
+from studies.chaos.launcher import Launcher
+from studies.chaos.requirements import STOP_S, end_limit_s, named, statuses
+from studies.chaos.small_disk import SmallDisk
 
-MARK = "COFLIGHT_CHAOS"
-END_LIMIT_S = 15.0
-"""Wall time from the fault to the end of a flight that does not go on."""
 GONE_LIMIT_S = 2.0
 """Wall time after the end within which no process is left."""
 REACH_LIMIT_S = 120.0
 """Wall time within which a phase must be reached."""
 COMPLETE_LIMIT_S = 120.0
 """Wall time within which a flight must be complete that goes on."""
-SIMULATED_S = 20.0
-"""Length of the flights, at twice the wall clock's pace: longer than it takes to find a stopped process."""
 POLL_S = 0.02
 SOCKET_FOLDER = "coflight-radio-"
 """Begin of the name of the folder for the radio's socket."""
@@ -40,7 +35,7 @@ FILE_BYTES = 4_096
 
 
 class Outcome(Struct, frozen=True, kw_only=True):
-    """How one flight ended. Wall times are from the fault on."""
+    """How one flight ended. Wall times are from the first fault on."""
 
     fault: Fault
     status: int | None
@@ -50,84 +45,68 @@ class Outcome(Struct, frozen=True, kw_only=True):
     """What is not as it has to be."""
     reached: bool = True
     """Whether the phase was reached while the process existed."""
+    second_reached: bool = True
+    """Whether the process of the second fault existed; the flight is judged by the first alone otherwise."""
 
 
-def fly(fault: Fault, folder: Path) -> Outcome:
-    """Fly into a new folder and inject the fault; returns the judged outcome and leaves no process."""
-    with _Flight(fault, folder) as flight:
-        return flight.judged()
+class Cancelled(Exception):
+    """The study is being ended."""
+
+
+def fly(fault: Fault, folder: Path, cancelled: threading.Event | None = None) -> Outcome:
+    """Fly into a new folder and inject the fault; returns the judged outcome and leaves no process.
+
+    Raises `Cancelled` soon after ``cancelled`` is set.
+    """
+    with contextlib.ExitStack() as stack:
+        disk = stack.enter_context(SmallDisk(folder / "disk")) if fault.target == "disk" else None
+        launcher = Launcher(fault, folder, disk)
+        stack.callback(launcher.end)
+        return _Flight(fault, launcher, disk, cancelled or threading.Event()).judged()
+
+
+def fly_in_temporary_folder(fault: Fault, cancelled: threading.Event | None = None) -> Outcome:
+    """Fly as `fly` in a folder that is deleted afterwards."""
+    with tempfile.TemporaryDirectory(prefix="coflight-chaos-") as folder:
+        return fly(fault, Path(folder), cancelled)
 
 
 class _Flight:
-    """A launcher with its processes. ``folder`` gets the run, its messages and its temporary files."""
-
-    def __init__(self, fault: Fault, folder: Path) -> None:
+    def __init__(
+        self, fault: Fault, launcher: Launcher, disk: SmallDisk | None, cancelled: threading.Event
+    ) -> None:
         self._fault = fault
-        self._mark = uuid.uuid4().hex
-        self._run = folder / "run"
-        self._messages = folder / "messages.txt"
-        self._temporary = folder / "temporary"
-        self._temporary.mkdir(0o700, parents=True)
-        duration_s = 0.2 if fault.phase == "report" else SIMULATED_S
-        speed = "max" if fault.phase == "report" else "2"
-        command = [
-            sys.executable, "-m", "coflight", "hold", "article", "--agents=2", f"--duration={duration_s:g}",
-            f"--speed={speed}", "--port-offset=auto", "--set=antenna.grid_deg=6", "--out", str(self._run),
-        ]  # fmt: skip
-        folders = dict.fromkeys(("TMPDIR", "XDG_RUNTIME_DIR"), str(self._temporary))
-        environment = os.environ | folders | {MARK: self._mark}
-        self._terminal, terminal = os.openpty()
-        self._reader: int | None = None
-        if fault.kind == "closed output":
-            self._reader, output = os.pipe()
-        else:
-            output = os.open(self._messages, os.O_WRONLY | os.O_CREAT)
-        self._launcher = subprocess.Popen(
-            command, env=environment, stdin=terminal, stdout=output, stderr=output, start_new_session=True,
-            preexec_fn=_take_terminal,  # noqa: PLW1509  this process has one thread
-        )  # fmt: skip
-        os.close(terminal)
-        os.close(output)
-        self._text = ""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for process in self._processes().values():
-            with contextlib.suppress(psutil.Error):
-                process.kill()
-        self._launcher.kill()
-        self._launcher.wait()
-        os.close(self._terminal)
-        if self._reader is not None:
-            os.close(self._reader)
+        self._launcher = launcher
+        self._disk = disk
+        self._cancelled = cancelled
 
     def judged(self) -> Outcome:
-        """Inject the fault, wait for the end, and judge it."""
+        """Inject the faults, wait for the end, and judge it."""
+        launcher = self._launcher
         if not self._reach():
             return Outcome(
-                fault=self._fault, status=self._launcher.poll(), ended_s=0.0, last_line=self._last_line(),
+                fault=self._fault, status=launcher.process.poll(), ended_s=0.0, last_line=self._last_line(),
                 complaints=(), reached=False,
             )  # fmt: skip
         wall_begin_s = time.monotonic()
-        self._inject()
-        expected = statuses(self._fault)
-        goes_on = 0 in expected
-        status: int | None = None
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            status = self._launcher.wait(COMPLETE_LIMIT_S if goes_on else 2.0 * END_LIMIT_S)
-        ended_s = time.monotonic() - wall_begin_s
-        left = self._left()
+        second_reached = self._inject_all()
+        fault = self._fault if second_reached else self._fault.parts[0]
+        expected, limit_s = statuses(fault), end_limit_s(fault)
+        goes_on = FINE in expected
+        self._wait(self._has_ended, COMPLETE_LIMIT_S if goes_on else 2.0 * limit_s)
+        status = launcher.process.poll()
+        ended_s = round(time.monotonic() - wall_begin_s, 3)
+        self._wait(lambda: not launcher.marked(), GONE_LIMIT_S)
+        left = sorted(launcher.marked())
         complaints = []
         if status is None:
             complaints.append("it does not end")
         elif status not in expected:
             complaints.append(f"status {status} instead of {' or '.join(map(str, expected))}")
-        if not goes_on and ended_s > END_LIMIT_S:
+        if not goes_on and ended_s > limit_s:
             complaints.append(f"it ends after {ended_s:.1f} s")
-        text = self._all_text()
-        patterns = named(self._fault)
+        text = launcher.text()
+        patterns = named(fault)
         if patterns and not any(re.search(pattern, text) for pattern in patterns):
             complaints.append("it does not name the process and what happened to it")
         if "Traceback" in text:
@@ -137,120 +116,143 @@ class _Flight:
         complaints += self._folder_complaints(status)
         return Outcome(
             fault=self._fault, status=status, ended_s=ended_s, last_line=self._last_line(),
-            complaints=tuple(complaints),
+            complaints=tuple(complaints), second_reached=second_reached,
         )  # fmt: skip
+
+    def _wait(self, holds: Callable[[], bool], limit_s: float) -> bool:
+        """Wait until a condition holds, at most for a wall time; returns whether it does."""
+        wall_end_s = time.monotonic() + limit_s
+        while not holds():
+            if time.monotonic() > wall_end_s:
+                return False
+            self._sleep(POLL_S)
+        return True
+
+    def _sleep(self, wall_s: float) -> None:
+        if self._cancelled.wait(max(0.0, wall_s)):
+            raise Cancelled
+
+    def _has_ended(self) -> bool:
+        return self._launcher.process.poll() is not None
 
     def _reach(self) -> bool:
         """Wait for the phase and its delay; returns whether the process exists then."""
-        wall_end_s = time.monotonic() + REACH_LIMIT_S
-        while not self._has_begun():
-            if self._launcher.poll() is not None or time.monotonic() > wall_end_s:
-                return False
-            time.sleep(POLL_S)
+        launcher = self._launcher
+        self._wait(lambda: self._has_ended() or self._has_begun(), REACH_LIMIT_S)
+        if self._has_ended() or not self._has_begun():
+            return False
         if self._fault.phase == "pause":
-            os.write(self._terminal, b" ")
-            while "paused at" not in self._all_text():
-                if self._launcher.poll() is not None or time.monotonic() > wall_end_s:
-                    return False
-                time.sleep(POLL_S)
+            launcher.press(b" ")
+            self._wait(lambda: self._has_ended() or "paused at" in launcher.text(), REACH_LIMIT_S)
+            if "paused at" not in launcher.text():
+                return False
         if self._fault.phase == "stop":
-            self._launcher.send_signal(signal.SIGINT)
-        time.sleep(self._fault.delay_s)
-        return self._launcher.poll() is None and self._fault.target in self._processes()
+            launcher.process.send_signal(signal.SIGINT)
+        self._sleep(self._fault.delay_s)
+        return self._exists(self._fault.target)
 
     def _has_begun(self) -> bool:
-        target, text = self._fault.target, self._all_text()
+        target, text = self._fault.target, self._launcher.text()
         match self._fault.phase:
             case "imports":
-                return target in self._processes() and (
-                    target != "launcher" or _handles(self._launcher.pid, signal.SIGTERM)
+                return target in self._launcher.processes() and (
+                    target != "launcher" or _handles(self._launcher.process.pid, signal.SIGTERM)
                 )
             case "start":
-                return "uav 0" in self._processes()
+                return "uav 0" in self._launcher.processes()
             case "report":
                 return "computing patterns" in text
             case _:
                 return "holding" in text and re.search(r"t = [0-9.]+ of ", text) is not None
 
-    def _inject(self) -> None:
-        process, kind = self._processes()[self._fault.target], self._fault.kind
-        with contextlib.suppress(psutil.NoSuchProcess, ProcessLookupError):
-            match kind:
-                case "closed output":
-                    assert self._reader is not None  # noqa: S101  opened for this kind
-                    os.close(self._reader)
-                    self._reader = None
-                case "file limit":
-                    sizes = (path.stat().st_size for path in (self._run / "raw").glob("*.bin"))
+    def _exists(self, target: Target) -> bool:
+        return not self._has_ended() and (target == "disk" or target in self._launcher.processes())
+
+    def _inject_all(self) -> bool:
+        """Inject the faults, each at its time; returns whether the second process existed.
+
+        Processes that are stopped for a time continue, and so does a flight in pause.
+        """
+        wall_begin_s = time.monotonic()
+        second = self._fault.second
+        continued: list[tuple[float, psutil.Process]] = []
+        reached = True
+        for i, part in enumerate(self._fault.parts):
+            if i > 0 and second is not None:
+                self._sleep(wall_begin_s + second.after_s - time.monotonic())
+                reached = self._exists(part.target)
+            if reached:
+                process = self._inject(part.target, part.kind)
+                if process is not None and part.kind == "SIGSTOP for 2 s":
+                    continued.append((time.monotonic() + STOP_S, process))
+        for wall_s, process in continued:
+            self._sleep(wall_s - time.monotonic())
+            with contextlib.suppress(psutil.NoSuchProcess):
+                process.send_signal(signal.SIGCONT)
+        if self._fault.phase == "pause":  # what goes on has to complete
+            self._launcher.press(b" ")
+        return reached
+
+    def _inject(self, target: Target, kind: Kind) -> psutil.Process | None:
+        """Inject a fault now; returns its process."""
+        if kind == "full":
+            assert self._disk is not None  # noqa: S101  made for this kind
+            self._disk.fill()
+        elif kind == "closed output":
+            self._launcher.close_output()
+        elif kind == "closed terminal":
+            self._launcher.close_terminal()
+        elif (process := self._launcher.processes().get(target)) is not None:
+            with contextlib.suppress(psutil.NoSuchProcess, ProcessLookupError):
+                if kind == "file limit":
+                    sizes = (path.stat().st_size for path in (self._launcher.run / "raw").glob("*.bin"))
                     limit = max(sizes, default=0) + FILE_BYTES
                     resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (limit, limit))
-                case "SIGSTOP for 2 s":
-                    os.kill(process.pid, signal.SIGSTOP)
-                    time.sleep(2.0)
-                    os.kill(process.pid, signal.SIGCONT)
-                case _:
-                    os.kill(process.pid, getattr(signal, kind))
-        if self._fault.phase == "pause":  # what goes on has to complete
-            with contextlib.suppress(OSError):
-                os.write(self._terminal, b" ")
-
-    def _processes(self) -> dict[str, psutil.Process]:
-        """Return the living processes of the flight by name."""
-        found = {}
-        for process in psutil.process_iter():
-            with contextlib.suppress(psutil.Error, OSError):
-                if process.environ().get(MARK) == self._mark and process.status() != psutil.STATUS_ZOMBIE:
-                    found[_name(process, self._launcher.pid)] = process
-        return found
-
-    def _left(self) -> list[str]:
-        """Return the names of the processes that exist after their time."""
-        wall_end_s = time.monotonic() + GONE_LIMIT_S
-        while (left := sorted(self._processes())) and time.monotonic() < wall_end_s:
-            time.sleep(POLL_S)
-        return left
+                else:
+                    process.send_signal(signal.SIGSTOP if kind == "SIGSTOP for 2 s" else signal.Signals[kind])
+            return process
+        return None
 
     def _folder_complaints(self, status: int | None) -> list[str]:
         """Judge the records and the temporary files."""
         complaints = []
-        left = sorted(path.name for path in self._temporary.iterdir())
+        left = sorted(path.name for path in self._launcher.temporary.iterdir())
         if status is not None and status < 0:  # the next launcher removes the socket of a killed one
             left = [name for name in left if not name.startswith(SOCKET_FOLDER)]
         if left:
             complaints.append(f"it leaves {', '.join(left)}")
-        has_flown = self._fault.phase not in ("imports", "start")
-        if has_flown and not (self._run / "summary.json").exists():
-            report = [sys.executable, "-m", "coflight", "report", str(self._run), "--json"]
-            done = subprocess.run(report, capture_output=True, text=True, check=False)
-            if done.returncode != 0:
-                complaints.append(f"its records cannot be read: {done.stderr.strip()[-200:]}")
+        summary = self._launcher.run / "summary.json"
+        if (summary if self._disk is None else self._disk.path(summary)).exists():
+            return complaints
+        if status == FINE:
+            complaints.append("it is complete without a summary")
+        if self._fault.phase not in ("imports", "start"):
+            error = self._report_error()
+            if error is not None:
+                complaints.append(f"its records cannot be read: {error[-200:]}")
         return complaints
 
-    def _all_text(self) -> str:
-        """Return all messages so far."""
-        if self._fault.kind != "closed output":
-            return self._messages.read_text(errors="replace") if self._messages.exists() else ""
-        if self._reader is not None:
-            os.set_blocking(self._reader, False)
-            with contextlib.suppress(BlockingIOError):
-                while data := os.read(self._reader, 65_536):
-                    self._text += data.decode(errors="replace")
-        return self._text
+    def _report_error(self) -> str | None:
+        """Make the tables of a run that was broken off; returns the error, if they cannot be made."""
+        command = [sys.executable, "-m", "coflight", "report", str(self._launcher.run), "--json"]
+        if self._disk is not None:
+            self._disk.free()
+            command = self._disk.command(command)
+        with tempfile.TemporaryFile(mode="w+") as messages:
+            report = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=messages,
+                env=self._launcher.environment,
+            )  # fmt: skip
+            try:
+                self._wait(lambda: report.poll() is not None, COMPLETE_LIMIT_S)
+            finally:
+                report.kill()
+                report.wait()
+            messages.seek(0)
+            return None if report.returncode == FINE else messages.read().strip()
 
     def _last_line(self) -> str:
-        return next(iter(reversed(self._all_text().splitlines())), "")
-
-
-def _name(process: psutil.Process, launcher: int) -> str:
-    """Return the name of one of the flight's processes."""
-    if process.pid == launcher:
-        return "launcher"
-    named = str(process.name())
-    if named.startswith("uav ") or named == "prefork":
-        return named
-    line = " ".join(process.cmdline())
-    modules = {"harness.simulator.server": "physics", "prefork_server": "prefork", "netsim": "radio"}
-    return next((name for module, name in modules.items() if module in line), f"{named} ({process.pid})")
+        return next(iter(reversed(self._launcher.text().splitlines())), "")
 
 
 def _handles(pid: int, number: signal.Signals) -> bool:
@@ -260,18 +262,3 @@ def _handles(pid: int, number: signal.Signals) -> bool:
             if line.startswith("SigCgt:"):
                 return bool(int(line.split()[1], 16) >> (number - 1) & 1)
     return False
-
-
-def _take_terminal() -> None:
-    """Make standard input the controlling terminal, and restore the signals that this process may ignore."""
-    import fcntl  # noqa: PLC0415  in the new process alone
-    import termios  # noqa: PLC0415
-
-    fcntl.ioctl(0, termios.TIOCSCTTY, 0)
-    signal.signal(signal.SIGHUP, signal.SIG_DFL)
-
-
-def fly_in_temporary_folder(fault: Fault) -> Outcome:
-    """Fly as `fly` in a folder that is deleted afterwards."""
-    with tempfile.TemporaryDirectory(prefix="coflight-chaos-") as folder:
-        return fly(fault, Path(folder))

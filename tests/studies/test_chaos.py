@@ -1,13 +1,36 @@
 """The chaos study: its plan and its judgement, and a few of its flights."""
 
+import contextlib
 import re
 import signal
+import threading
+import time
+from pathlib import Path
 
+import msgspec
+import psutil
 import pytest
 
-from studies.chaos.faults import KINDS, PHASES, TARGETS, Fault, is_possible, named, plan, statuses
-from studies.chaos.flight import Outcome, fly_in_temporary_folder
+from foundation.exit_status import FAILED, FINE
+from studies.chaos import records, small_disk
+from studies.chaos.faults import (
+    KINDS,
+    PHASES,
+    SINGLES,
+    TARGETS,
+    Fault,
+    Kind,
+    Second,
+    Target,
+    is_possible,
+    plan,
+)
+from studies.chaos.fleet import fly_all
+from studies.chaos.flight import Cancelled, Outcome, fly, fly_in_temporary_folder
+from studies.chaos.launcher import MARK
 from studies.chaos.page import page
+from studies.chaos.records import Flown
+from studies.chaos.requirements import END_LIMIT_S, end_limit_s, named, statuses
 
 COMBINATIONS = [(t, k, p) for t in TARGETS for k in KINDS for p in PHASES if is_possible(t, k, p)]
 
@@ -18,8 +41,37 @@ def test_equal_seeds_give_equal_plans_and_longer_ones_begin_alike() -> None:
 
 
 def test_every_combination_comes_once_before_any_comes_twice() -> None:
-    drawn = [(fault.target, fault.kind, fault.phase) for fault in plan(len(COMBINATIONS), 1)]
+    flights = len(COMBINATIONS) * (SINGLES + 1) // SINGLES
+    single = [fault for fault in plan(flights, 1) if fault.second is None]
+    drawn = [(fault.target, fault.kind, fault.phase) for fault in single]
+    assert len(drawn) == len(COMBINATIONS)
     assert sorted(drawn) == sorted(COMBINATIONS)
+
+
+def test_each_fifth_flight_has_two_possible_faults_of_different_processes() -> None:
+    faults = plan(500, 2)
+    double = [fault for fault in faults if fault.second is not None]
+    assert len(double) == 100
+    for fault in double:
+        first, second = fault.parts
+        assert first.target != second.target
+        assert is_possible(first.target, first.kind, fault.phase)
+        assert is_possible(second.target, second.kind, fault.phase)
+        assert second.delay_s >= first.delay_s
+
+
+def test_two_faults_permit_what_either_permits_and_completion_if_both_do() -> None:
+    def two(kind: Kind, other: Target, other_kind: Kind) -> Fault:
+        second = Second(target=other, kind=other_kind, after_s=0.5)
+        return Fault(target="radio", kind=kind, phase="flight", delay_s=0.5, second=second)
+
+    assert statuses(two("SIGSTOP for 2 s", "uav 0", "SIGINT")) == [FINE]
+    assert statuses(two("SIGSTOP for 2 s", "physics", "SIGINT")) == [FAILED]
+    assert set(statuses(two("SIGKILL", "launcher", "SIGKILL"))) == {FAILED, -signal.SIGKILL}
+    assert len(named(two("SIGKILL", "physics", "SIGTERM"))) == 2
+    assert named(two("SIGKILL", "launcher", "SIGTERM")) == []
+    assert len(named(two("SIGKILL", "launcher", "SIGSTOP for 2 s"))) == 1
+    assert end_limit_s(two("SIGKILL", "launcher", "SIGSTOP for 2 s")) == END_LIMIT_S + 2.5
 
 
 def test_every_fault_has_a_documented_status() -> None:
@@ -42,16 +94,103 @@ def test_a_killed_launcher_has_the_status_of_its_signal() -> None:
         assert statuses(fault) == [-signal.Signals[kind]]
 
 
+FAULT = Fault(target="radio", kind="SIGSTOP", phase="flight", delay_s=0.5)
+FINE_OUTCOME = Outcome(fault=FAULT, status=1, ended_s=6.0, last_line="", complaints=())
+SLOW = Outcome(fault=FAULT, status=1, ended_s=20.0, last_line="", complaints=("it ends after 20.0 s",))
+MISSED = Outcome(fault=FAULT, status=0, ended_s=0.0, last_line="", complaints=(), reached=False)
+
+
+def _flown(number: int, outcome: Outcome, *, again: bool = False) -> Flown:
+    return Flown(seed=1, number=number, commit="0123456789abcdef", again=again, outcome=outcome)
+
+
 def test_the_page_counts_and_lists_what_is_not_as_required() -> None:
-    fault = Fault(target="radio", kind="SIGSTOP", phase="flight", delay_s=0.5)
-    fine = Outcome(fault=fault, status=1, ended_s=6.0, last_line="", complaints=())
-    slow = Outcome(fault=fault, status=1, ended_s=20.0, last_line="", complaints=("it ends after 20.0 s",))
-    missed = Outcome(fault=fault, status=0, ended_s=0.0, last_line="", complaints=(), reached=False)
-    text = page([fine, slow, missed], flights=3, seed=1)
-    assert "| radio | SIGSTOP | 2 | 1 | flight | 1 | 20.0 s |" in text
+    flown = [_flown(0, FINE_OUTCOME), _flown(1, SLOW), _flown(2, MISSED)]
+    text = page(flown, flights=3, seed=1, beside=2)
+    assert "| radio | SIGSTOP | 2 | 1 |  | flight | 1 | 20.0 s |" in text
+    assert "| flight | 2 | 1 |  | 1 | 20.0 s |" in text
     assert "2 flights, 1 not as required. 1 more ended before their fault." in text
-    assert "- SIGSTOP of radio in flight after 0.5 s: it ends after 20.0 s" in text
-    assert "Not as required" not in page([fine], flights=1, seed=1)
+    assert "- 1: SIGSTOP of radio in flight after 0.5 s: it ends after 20.0 s\n" in text
+    assert "2 at a time" in text
+    assert "`0123456789`" in text
+    assert "Not as required" not in page(flown[:1], flights=1, seed=1, beside=1)
+
+
+def test_a_repetition_is_counted_beside_the_failure_and_does_not_hide_it() -> None:
+    flown = [_flown(0, SLOW), _flown(1, SLOW), _flown(0, FINE_OUTCOME, again=True)]
+    text = page(flown, flights=2, seed=1, beside=1)
+    assert "| radio | SIGSTOP | 2 | 0 | 1 of 1 | flight | 1 | 20.0 s |" in text
+    assert "2 flights, 2 not as required, of which 1 were on repetition." in text
+    assert (
+        "- 0: SIGSTOP of radio in flight after 0.5 s: it ends after 20.0 s. On repetition: as required"
+        in text
+    )
+    assert "- 1: SIGSTOP of radio in flight after 0.5 s: it ends after 20.0 s\n" in text
+
+
+def _record(number: int) -> Flown:
+    return _flown(number, msgspec.structs.replace(FINE_OUTCOME, fault=plan(number + 1, 1)[number]))
+
+
+def test_records_are_read_back_and_a_half_written_line_is_dropped(tmp_path: Path) -> None:
+    path = tmp_path / "flights.jsonl"
+    assert records.read(path, plan(9, 1), 1) == []
+    records.append(path, _record(0))
+    with path.open("ab") as file:
+        file.write(b'{"seed":1,"numb')
+    assert records.read(path, plan(9, 1), 1) == [_record(0)]
+    records.append(path, _record(4))
+    assert records.read(path, plan(9, 1), 1) == [_record(0), _record(4)]
+    assert records.read(path, plan(2, 1), 1)[0] == _record(0)
+
+
+@pytest.mark.parametrize(
+    ("line", "error"),
+    [
+        (b"{}\n", "line 1: not a flight of this study"),
+        (b"\xff\n", "line 1: not a flight of this study"),
+        (msgspec.json.encode(msgspec.structs.replace(_record(1), seed=2)) + b"\n", "with seed 2, not 1"),
+        (msgspec.json.encode(msgspec.structs.replace(_record(1), number=2)) + b"\n", "the fault of flight 2"),
+    ],
+)
+def test_records_of_another_study_are_refused_with_one_line(tmp_path: Path, line: bytes, error: str) -> None:
+    path = tmp_path / "flights.jsonl"
+    path.write_bytes(line)
+    with pytest.raises(records.RecordsError) as caught:
+        records.read(path, plan(9, 1), 1)
+    assert error in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert path.read_bytes() == line
+
+
+def test_flights_beside_each_other_are_all_flown_once() -> None:
+    both = threading.Barrier(2, timeout=20.0)
+
+    def fly(fault: Fault, cancelled: threading.Event) -> Outcome:  # noqa: ARG001
+        both.wait()  # passes only if two are under way
+        return msgspec.structs.replace(FINE_OUTCOME, fault=fault)
+
+    faults = list(enumerate(plan(6, 1)))
+    outcomes = dict(fly_all(faults, 2, fly))
+    assert {number: outcome.fault for number, outcome in outcomes.items()} == dict(faults)
+
+
+def test_an_interrupt_cancels_the_flights_under_way_and_starts_no_more() -> None:
+    begun: list[Fault] = []
+    ended: list[Fault] = []
+
+    def fly(fault: Fault, cancelled: threading.Event) -> Outcome:
+        begun.append(fault)
+        if len(begun) > 1:
+            assert cancelled.wait(20.0)
+            ended.append(fault)
+        return msgspec.structs.replace(FINE_OUTCOME, fault=fault)
+
+    flights = fly_all(list(enumerate(plan(9, 1))), 2, fly)
+    next(flights)
+    flights.close()
+    assert len(begun) <= 3
+    assert ended == begun[1:]
 
 
 @pytest.mark.multiprocess
@@ -61,12 +200,53 @@ def test_the_page_counts_and_lists_what_is_not_as_required() -> None:
         Fault(target="launcher", kind="SIGKILL", phase="start", delay_s=0.1),
         Fault(target="physics", kind="SIGSEGV", phase="flight", delay_s=0.5),
         Fault(target="prefork", kind="SIGSTOP", phase="imports", delay_s=0.2),
-        Fault(target="launcher", kind="SIGTERM", phase="pause", delay_s=0.1),
+        Fault(target="launcher", kind="closed terminal", phase="pause", delay_s=0.1),
+        Fault(target="application 0", kind="SIGKILL", phase="flight", delay_s=0.5),
+        Fault(target="disk", kind="full", phase="flight", delay_s=0.5),
+        Fault(
+            target="radio",
+            kind="SIGSTOP",
+            phase="flight",
+            delay_s=0.2,
+            second=Second(target="launcher", kind="SIGKILL", after_s=0.3),
+        ),
     ],
     ids=lambda fault: fault.title.replace(" ", "-"),
 )
-def test_flights_end_as_required(fault: Fault) -> None:
+def test_flights_end_as_required(fault: Fault, tmp_path: Path) -> None:
+    if fault.target == "disk" and not small_disk.is_permitted(tmp_path):
+        pytest.skip("this machine permits no mount namespace")
     outcome = fly_in_temporary_folder(fault)
     assert outcome.reached
     # a busy machine may take longer than the study allows
     assert [each for each in outcome.complaints if not each.startswith("it ends after")] == []
+
+
+@pytest.mark.multiprocess
+def test_a_cancelled_flight_leaves_no_process(tmp_path: Path) -> None:
+    fault = Fault(target="physics", kind="SIGKILL", phase="flight", delay_s=2.0)
+    cancelled = threading.Event()
+
+    def cancel() -> None:
+        deadline_s = time.monotonic() + 60.0
+        while not _processes_of(tmp_path) and time.monotonic() < deadline_s:
+            time.sleep(0.05)
+        cancelled.set()
+
+    canceller = threading.Thread(target=cancel)
+    canceller.start()
+    with pytest.raises(Cancelled):
+        fly(fault, tmp_path / "flight", cancelled)
+    canceller.join()
+    assert _processes_of(tmp_path) == []
+
+
+def _processes_of(folder: Path) -> list[str]:
+    """Return the command lines of the coflight processes whose temporary files are in a folder."""
+    found = []
+    for process in psutil.process_iter():
+        with contextlib.suppress(psutil.Error):
+            environment = process.environ()
+            if MARK in environment and environment.get("TMPDIR", "").startswith(str(folder)):
+                found.append(" ".join(process.cmdline()))
+    return found
