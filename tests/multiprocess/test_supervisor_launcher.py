@@ -12,6 +12,7 @@ import termios
 import time
 from pathlib import Path
 
+import forked_command
 import psutil
 import pytest
 from paths import SUPPORT
@@ -68,15 +69,9 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def launch(folder: Path, *arguments: str) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run(
-        [sys.executable, "-c", LAUNCHER, *arguments],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=WALL_LIMIT_S,
-        check=False,
-    )
+def launch(folder: Path, *arguments: str, code: str = LAUNCHER) -> "subprocess.CompletedProcess[str]":
+    """Run the launcher to its end, in a fork of a process that has its modules."""
+    return forked_command.run(arguments, folder, limit_s=WALL_LIMIT_S, code=code)
 
 
 def test_completed_run(folder: Path) -> None:
@@ -90,10 +85,7 @@ def test_completed_run(folder: Path) -> None:
 def test_list_of_written_files_has_no_empty_ones(folder: Path) -> None:
     content = "folder.summary.write_text('{}'); folder.flight.touch()"
     code = LAUNCHER.replace("    return {", f"    {content}\n    return {{")
-    launched = subprocess.run(
-        [sys.executable, "-c", code, "fine.toml", "--duration", "0.5", "--out", "run"],
-        cwd=folder, capture_output=True, text=True, timeout=WALL_LIMIT_S, check=False,
-    )  # fmt: skip
+    launched = launch(folder, "fine.toml", "--duration", "0.5", "--out", "run", code=code)
     assert launched.stderr.splitlines()[-1] == "written to run: manifest.json, summary.json"
 
 
@@ -180,10 +172,7 @@ def test_process_killed_at_its_end_fails_the_run(folder: Path) -> None:
 
 def test_too_few_file_descriptors_are_reported_before_the_start(folder: Path) -> None:
     narrow = f"import resource; resource.setrlimit(resource.RLIMIT_NOFILE, (40, 40)){LAUNCHER}"
-    launched = subprocess.run(
-        [sys.executable, "-c", narrow, "fine.toml", "--duration", "1.5"],
-        cwd=folder, capture_output=True, text=True, timeout=WALL_LIMIT_S, check=False,
-    )  # fmt: skip
+    launched = launch(folder, "fine.toml", "--duration", "1.5", code=narrow)
     assert launched.returncode == 2
     last_line = launched.stderr.splitlines()[-1]
     assert last_line.startswith("coflight: 5 processes take ")

@@ -11,20 +11,22 @@ from pathlib import Path
 
 _CONTEXT = multiprocessing.get_context("forkserver")
 _CONTEXT.set_forkserver_preload(["coflight.command", "harness.cli.fly", "harness.cli.report"])
+COMMAND = "import sys\nfrom coflight.command import main\nsys.exit(main())"
 
 
 def run(
     arguments: Sequence[str], folder: Path, *, limit_s: float, environment: Mapping[str, str] | None = None,
-    limits: Sequence[tuple[int, int]] = (),
+    limits: Sequence[tuple[int, int]] = (), code: str = COMMAND,
 ) -> "subprocess.CompletedProcess[str]":  # fmt: skip
     """Run ``coflight ARGUMENTS`` in a folder, with further environment and limits of resources (setrlimit).
 
-    Raises `subprocess.TimeoutExpired`.
+    ``code`` is the program in place of ``coflight``. Raises `subprocess.TimeoutExpired`.
     """
     with tempfile.TemporaryDirectory() as outputs:
         paths = [Path(outputs, name) for name in ("stdout", "stderr")]
         child = _CONTEXT.Process(
-            target=_command, args=(list(arguments), folder, paths, dict(environment or {}), list(limits))
+            target=_command,
+            args=(list(arguments), folder, paths, dict(environment or {}), list(limits), code),
         )
         child.start()
         child.join(limit_s)
@@ -38,7 +40,7 @@ def run(
 
 def _command(
     arguments: list[str], folder: Path, paths: list[Path], environment: dict[str, str],
-    limits: list[tuple[int, int]],
+    limits: list[tuple[int, int]], code: str,
 ) -> None:  # fmt: skip
     for stream, path in zip((sys.stdout, sys.stderr), paths, strict=True):
         with path.open("wb") as file:
@@ -47,7 +49,5 @@ def _command(
     os.environ.update(environment)
     for kind, value in limits:
         resource.setrlimit(kind, (value, value))
-    from coflight.command import main  # noqa: PLC0415  in the forked process only
-
     sys.argv = ["coflight", *arguments]
-    sys.exit(main())
+    exec(code, {"__name__": "__main__"})  # noqa: S102  of a test
