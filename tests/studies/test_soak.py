@@ -160,7 +160,7 @@ def test_loads_end_with_their_block():
 
 @pytest.mark.multiprocess
 def test_short_soak_of_real_swarms():
-    many_swarms = swarms_section.start_many(4)
+    many_swarms = swarms_section.start_many(3)
     assert (many_swarms.left_processes, many_swarms.left_folders) == (0, 0)
     assert many_swarms.measured[-1].descriptors == many_swarms.measured[1].descriptors
     flight = flight_section.fly(QUICK_SOAK.agents, 3.0, 0.5, seed=1)
