@@ -152,7 +152,7 @@ def test_a_flood_of_datagrams_is_bounded_by_the_queue_and_reported(tmp_path):
     hashes = []
     for kind in KINDS:
         with kind(path, out=tmp_path / kind.__name__, wall_limit_s=280.0) as swarm:
-            truth = swarm.run(until_s=2.0)
+            truth = swarm.run(until_s=1.5)
             (warned,) = {event.text for event in swarm.events if "4000 items" in getattr(event, "text", "")}
             hashes.append(swarm.summary(draw=False)["log_sha256"])
         assert truth.alive.all()
