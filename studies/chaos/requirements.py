@@ -19,8 +19,9 @@ FULL = "(?i)no space left on (the )?device"
 def statuses(fault: Fault) -> Sequence[int]:
     """Return the exit statuses that a flight with this fault may have.
 
-    A launcher that was killed has the signal's. In phase ``stop`` the flight was interrupted before, and in
-    ``report`` it may have ended. With two faults those of either, and 0 only if each permits it.
+    A launcher that was killed has the signal's. In phase ``stop`` the flight was interrupted before, and a
+    process that is stopped then, even for a short time, is killed; in ``report`` it may have ended. With two
+    faults those of either, and 0 only if each permits it.
     """
     each = [_statuses_of_one(part) for part in fault.parts]
     either = dict.fromkeys(status for some in each for status in some)
@@ -28,8 +29,10 @@ def statuses(fault: Fault) -> Sequence[int]:
 
 
 def _statuses_of_one(fault: Fault) -> Sequence[int]:
-    if fault.kind in GOES_ON:
-        return [INTERRUPTED] if fault.phase == "stop" else [FINE]
+    if fault.kind in GOES_ON and fault.phase != "stop":
+        return [FINE]
+    if fault.kind in GOES_ON and fault.target == "launcher":
+        return [INTERRUPTED]
     if fault.target == "launcher":
         if fault.kind in DEATHS:
             killed = -signal.Signals[fault.kind]

@@ -59,12 +59,13 @@ def fly(agents: int, duration_s: float, sample_s: float, seed: int) -> LongFligh
     with Swarm(find("article"), agents=agents, seed=seed, overrides=_ENDLESS_BATTERY) as swarm:
         while swarm.truth.t_s < duration_s:
             swarm.run_for(sample_s)
+            for event in swarm.events:
+                if isinstance(event, VehicleLost):
+                    lost = f"{uav(event.instance)} was lost at {event.time_us * 1e-6:.3f} s"
+                    raise SwarmError(f"{lost} of seed {seed}: {event.reason}")
             times_s.append(swarm.truth.t_s)
             for name, pid in {LAUNCHER: os.getpid(), **swarm.pids}.items():
                 processes.setdefault(name, []).append(measure(pid))
-        for event in swarm.events:
-            if isinstance(event, VehicleLost):
-                raise SwarmError(f"{uav(event.instance)} was lost: {event.reason}")
     return LongFlight(times_s=times_s, processes=processes)
 
 
