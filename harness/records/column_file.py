@@ -16,6 +16,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from harness.records.arrow_arrays import numbers, texts
+
 _ALIGNMENT_BYTES = 64
 _CODE = np.dtype("i4")
 
@@ -101,10 +103,10 @@ class ColumnFile:
         columns = {}
         for name, (field, component) in self._columns.items():
             values = self.array(field)
-            array = pa.array(values if component is None else values[:, component])
+            array = numbers(values if component is None else values[:, component])
             if field in self._texts:
-                texts = pa.array([text.decode("ascii") for text in self._texts[field]], pa.string())
-                array = pa.DictionaryArray.from_arrays(array, texts)
+                names = texts([text.decode("ascii") for text in self._texts[field]])
+                array = pa.DictionaryArray.from_arrays(array, names)
             columns[name] = array
         return pa.table(columns)
 

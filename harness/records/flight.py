@@ -1,5 +1,6 @@
 """A flight as arrays: input of the analysis and of the figures."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -8,6 +9,10 @@ from numpy.typing import NDArray
 
 from foundation.airframe.files import IRIS
 from foundation.types import Array
+
+
+def _nothing() -> None:
+    """Release no memory: the arrays are not those of a file."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -33,6 +38,8 @@ class Flight:
     """(T, N, 3) positions estimated by the vehicles, NaN if unknown; None if not recorded."""
     standing_height_m: float | tuple[float, ...] = IRIS.standing_height_m
     """Height of the centre of mass of a landed vehicle, of all or (N,)."""
+    release: Callable[[], None] = _nothing
+    """Returns memory to the system that holds what was read of arrays in a file; they are read again."""
 
     def __post_init__(self) -> None:
         """Check the shapes."""
@@ -56,13 +63,16 @@ class Flight:
         return len(self.time_us)
 
     def at(self, rows: NDArray[np.intp] | slice) -> "Flight":
-        """Return the flight at some of its instants: views for a slice, else arrays in C order."""
-        found: dict[str, Any] = {}
-        for name in _SERIES:
-            each = getattr(self, name)
-            if each is not None:
-                found[name] = each[rows] if isinstance(rows, slice) else np.ascontiguousarray(each[rows])
-        return replace(self, **found)
+        """Return the flight at some of its instants: views for a slice, else copies in C order."""
+        series = {name: getattr(self, name) for name in _SERIES}
+        present = {name: values for name, values in series.items() if values is not None}
+        if isinstance(rows, slice):
+            return replace(self, **{name: values[rows] for name, values in present.items()})
+        copies: dict[str, Any] = {"release": _nothing}
+        for name, values in present.items():
+            copies[name] = np.ascontiguousarray(values[rows])
+            self.release()
+        return replace(self, **copies)
 
     def sampled(self, rate_hz: float) -> "Flight":
         """Return the instants at or next after whole periods of ``rate_hz`` since the first, each once."""

@@ -6,7 +6,8 @@ give equal bytes.
 """
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from antenna.solvers.ports import MAIN_LOBE_DEG
 from autopilot.logs.vehicle_record import VEHICLE_RECORD, vehicle_record
 from foundation.records.record_log import READ_ROWS, count, read_blocks, read_rows
 from harness.records import columns
+from harness.records.arrow_arrays import numbers, texts
 from harness.records.column_file import ColumnFile
 from harness.records.flight import Flight
 from harness.records.run_folder import RunFolder
@@ -109,9 +111,9 @@ class _VehicleLog:
 
 def _with_names(receptions: pa.Table) -> pa.Table:
     """Return the table of receptions with names instead of codes."""
-    for name, texts in (("outcome", OUTCOMES), ("reception", STATES)):
+    for name, meanings in (("outcome", OUTCOMES), ("reception", STATES)):
         codes = receptions[name].cast(pa.int32()).combine_chunks()
-        named = pa.DictionaryArray.from_arrays(codes, pa.array(texts))
+        named = pa.DictionaryArray.from_arrays(codes, texts(meanings))
         receptions = receptions.set_column(receptions.schema.get_field_index(name), name, named)
     return receptions
 
@@ -132,7 +134,7 @@ def flight_in(flight: ColumnFile, scenario: Scenario, *, start_us: int | None) -
     fields = {name: flight.array(name) for name in _ANALYSED}
     shape = -1, scenario.agents
     records = {name: values.reshape(*shape, *values.shape[1:]) for name, values in fields.items()}
-    return flight_of(records, scenario, start_us=start_us)
+    return replace(flight_of(records, scenario, start_us=start_us), release=flight.release)
 
 
 def flight_of(
@@ -170,7 +172,9 @@ def make_flight(table: pa.Table, scenario: Scenario, *, start_us: int | None) ->
 
 def read_flight(folder: RunFolder, scenario: Scenario) -> Flight:
     """Read the flight of a reported run; raises OSError, and as `make_flight`."""
-    return make_flight(pq.read_table(folder.flight), scenario, start_us=flown_start_us(folder.events))
+    analysed = [column for name in _ANALYSED for column in column_names(name, FLIGHT_RECORD[name])]
+    table = pq.read_table(folder.flight, columns=analysed)
+    return make_flight(table, scenario, start_us=flown_start_us(folder.events))
 
 
 def write_gains(path: Path, series: GainSeries, scenario: Scenario) -> None:
@@ -184,9 +188,18 @@ def write_gains(path: Path, series: GainSeries, scenario: Scenario) -> None:
         )
     }
     rows |= {instant.time_us: (None, None, None, None, instant.reason) for instant in series.missing}
-    filled = [dict(zip(GAIN_TYPES, (time_us, *rows[time_us]), strict=True)) for time_us in sorted(rows)]
-    table = pa.Table.from_pylist(filled, schema=pa.schema(GAIN_TYPES))
+    ordered = [(time_us, *rows[time_us]) for time_us in sorted(rows)]
+    arrays = [_gain_column(kind, [row[k] for row in ordered]) for k, kind in enumerate(GAIN_TYPES.values())]
+    table = pa.Table.from_arrays(arrays, schema=pa.schema(GAIN_TYPES))
     _write(path, columns.describe(table, columns.GAINS, columns.origin(scenario)))
+
+
+def _gain_column(kind: pa.DataType, values: Sequence[Any]) -> pa.Array:
+    if kind == pa.string():
+        return texts(values)
+    missing = np.array([value is None for value in values], dtype=np.bool_)
+    filled = [0 if value is None else value for value in values]
+    return numbers(np.array(filled, dtype=kind.to_pandas_dtype()), missing=missing)
 
 
 def merge(truth: NDArray[Any], vehicles: list[NDArray[Any]]) -> NDArray[Any]:

@@ -80,6 +80,7 @@ def tracks_figure(flight: Flight, wind: WindConfig) -> Figure:
             plan.plot(east_m[on_the_way], north_m[on_the_way], "o", color=colour, markersize=3)
         plan.plot(desired_east_m[-1], desired_north_m[-1], color=colour, **cross)
         profile.plot(time_s, -desired_down_m, "k--", linewidth=1.0, zorder=1)
+        flight.release()
         living = np.flatnonzero(flight.alive[:, i])
         if len(living) > 0:
             first, last = living[0], living[-1]
@@ -169,9 +170,8 @@ def ftm_error_figure(error_m: Array) -> Figure:
 
 def _track_panels(flight: Flight) -> tuple[Figure, Axes, Axes, Axes]:
     """Return a figure with panels for map, heights and wind; the map has about the shape of the tracks."""
-    shown_m = np.concatenate([flight.pos_ned_m[flight.alive], flight.desired_pos_ned_m.reshape(-1, 3)])
-    north_m, east_m = np.maximum(np.ptp(shown_m[:, :2], axis=0), 1.0)
-    aspect = float(north_m / east_m)
+    north_m, east_m = (_extent_m(flight, axis) for axis in (0, 1))
+    aspect = max(north_m, 1.0) / max(east_m, 1.0)
     if aspect <= STACKED_ASPECT:
         map_in, heights_in = max(8.0 * aspect, 2.2), 2.4
         figure = Figure(figsize=(9.0, map_in + heights_in + 2.4), layout="constrained")
@@ -186,6 +186,15 @@ def _track_panels(flight: Flight) -> tuple[Figure, Axes, Axes, Axes]:
     return (
         figure, figure.add_subplot(grid[:, 0]), figure.add_subplot(grid[1, 1]), figure.add_subplot(grid[0, 1])
     )  # fmt: skip
+
+
+def _extent_m(flight: Flight, axis: int) -> float:
+    """Return the size along an axis of the site of all desired places and true positions."""
+    true_m, desired_m, alive = flight.pos_ned_m[..., axis], flight.desired_pos_ned_m[..., axis], flight.alive
+    greatest_m = np.maximum(true_m.max(where=alive, initial=-np.inf), desired_m.max())
+    least_m = np.minimum(true_m.min(where=alive, initial=np.inf), desired_m.min())
+    flight.release()
+    return float(greatest_m - least_m)
 
 
 def _draw_wind(axes: Axes, wind: WindConfig, height_m: float) -> None:

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -56,8 +55,6 @@ class Drawn(NamedTuple):
     occupancy: tuple[NDArray[np.int64], NDArray[np.float64]]
     """Times in us, and the fraction of the interval before each in which the channel was busy."""
     ftm_error_m: NDArray[np.float64]
-    release: Callable[[], None] = lambda: None
-    """Returns the memory of the flights that was read from a file."""
 
 
 class _Results(NamedTuple):
@@ -106,9 +103,7 @@ def _write_tables(folder: RunFolder, scenario: Scenario, outcome: RunOutcome) ->
         hashes[folder.receptions.name] = sha256_of(folder.receptions)
     window = _window(whole, outcome.formed_us, scenario)
     error = _formation_error(window, folder)
-    flight.release()
     antenna = _antenna(window, scenario)
-    flight.release()
     antenna_report.write(folder, antenna, scenario)
     summary = {
         "scenario": scenario.name,
@@ -134,9 +129,7 @@ def _write_tables(folder: RunFolder, scenario: Scenario, outcome: RunOutcome) ->
         summary["profile"] = msgspec.to_builtins(outcome.profile)
     _write_json(folder.summary, summary)
     air = read(folder.raw_air, AIR_RECORD)
-    drawn = Drawn(
-        whole, window, error, antenna, _occupancy(air["time_us"], air["busy_ns"]), error_m, flight.release
-    )
+    drawn = Drawn(whole, window, error, antenna, _occupancy(air["time_us"], air["busy_ns"]), error_m)
     solver = None if antenna.solver is None else asdict(antenna.solver)
     manifest = make_manifest(scenario, outcome, hashes=hashes, antenna=solver)
     return _Results(summary, manifest, drawn)
@@ -199,8 +192,8 @@ def draw_again(folder: RunFolder, scenario: Scenario, *, formed_us: int | None) 
     window = _window(whole, formed_us, scenario)
     error = _formation_error(window, folder)
     air, sessions = pq.read_table(folder.air), pq.read_table(folder.ftm)
-    completed = sessions.filter(pc.equal(sessions["status"], "ok"))
-    error_m = completed["distance_m"].to_numpy() - completed["true_distance_m"].to_numpy()
+    completed = np.array(sessions["status"].to_pylist(), dtype=np.str_) == "ok"
+    error_m = (sessions["distance_m"].to_numpy() - sessions["true_distance_m"].to_numpy())[completed]
     occupancy = _occupancy(air["time_us"].to_numpy(), air["busy_ns"].to_numpy())
     drawn = Drawn(whole, window, error, _antenna(window, scenario), occupancy, error_m)
     folder.figures.mkdir(exist_ok=True)
@@ -312,7 +305,7 @@ def _write_json(path: Path, content: dict[str, Any]) -> None:
 
 def _draw(folder: RunFolder, scenario: Scenario, drawn: Drawn) -> list[str]:
     """Write every figure for which the run has data, one after the other; returns the names of the files."""
-    whole, window, error, antenna, (time_us, busy_fraction), error_m, release = drawn
+    whole, window, error, antenna, (time_us, busy_fraction), error_m = drawn
     makers: dict[str, Callable[[], Figure]] = {}
     if len(whole):
         makers["tracks"] = lambda: figures.tracks_figure(whole, scenario.wind)
@@ -332,7 +325,7 @@ def _draw(folder: RunFolder, scenario: Scenario, drawn: Drawn) -> list[str]:
     title, written = f"{scenario.name}, seed {scenario.run.seed}", list[str]()
     for name, make in makers.items():
         written += figures.save(make(), folder.figures / name, title)
-        release()
+        whole.release()
         gc.collect()  # the figure, whose parts refer to each other
     return sorted(written)
 

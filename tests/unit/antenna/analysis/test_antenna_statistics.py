@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from antenna_arrays import perturbed
 from antenna_hertzian import exact_patterns, gain_dbi
+from scipy.stats import gaussian_kde
 
 from antenna.analysis.patterns import FLOOR_DBI, Pattern, directions_deg
 from antenna.analysis.statistics import (
@@ -69,6 +70,15 @@ def test_densities_integrate_to_one_and_follow_the_distribution():
     normal = np.exp(-0.5 * ((density.gain_dbi - 12.0) / 0.5) ** 2) / (0.5 * np.sqrt(2.0 * np.pi))
     # Scott's kernel widens a normal by 1 + K**-0.4: 1.8 % here, and the sample adds its own noise.
     assert np.abs(density.kernel_per_db - normal).max() < 0.06 * normal.max()
+
+
+@pytest.mark.parametrize("samples", [2, 3, 40, 3600])
+def test_density_equals_that_of_scipy(samples):
+    gains_dbi = np.random.default_rng(samples).normal(12.0, 0.5, samples)
+    density, kernel = gain_density(gains_dbi), gaussian_kde(gains_dbi)
+    reach_db = 4.0 * np.sqrt(kernel.covariance[0, 0])
+    assert density.gain_dbi[0] == pytest.approx(gains_dbi.min() - reach_db, rel=1e-12)
+    np.testing.assert_allclose(density.kernel_per_db, kernel(density.gain_dbi), rtol=1e-12)
 
 
 def test_equal_gains_have_a_histogram_and_no_curve():

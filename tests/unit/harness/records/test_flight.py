@@ -53,3 +53,14 @@ def test_sampling_counts_from_the_first_record():
     sampled = Flight(**arrays).sampled(1.0)
     np.testing.assert_array_equal(sampled.time_us, [12_340_000, 13_340_000, 14_340_000])
     assert sampled.pos_ned_m.shape == (3, 3, 3)
+
+
+def test_memory_is_released_after_each_copied_field_and_not_by_copies():
+    released = []
+    flight = Flight(**_arrays(), release=lambda: released.append(1))
+    assert flight.at(slice(2, 5)).release is flight.release
+    assert released == []
+    copied = flight.at(np.arange(3))
+    assert len(released) == len(_arrays())
+    copied.sampled(10.0)
+    assert len(released) == len(_arrays())
