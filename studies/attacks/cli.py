@@ -25,10 +25,10 @@ SUBJECTS: dict[str, Subject[AttacksPlan]] = {
     "datagrams": Subject(datagrams_section.jobs, datagrams_section.judge),
     "files": Subject(files_section.jobs, files_section.judge),
 }
-INTRODUCTION = """Programs attack flying runs from outside, as another user of the machine and as the own user
-of the run ([what a run trusts](../concepts/trust.md)). Each flight is flown a second time without the attack, up to the
-same simulated time: the logs are equal, byte for byte, or the manifest names the intruder. Memory is the largest
-private memory of a process, compared with that of the second flight. All numbers are produced by
+INTRODUCTION = """Programs attack flying runs from outside, as another user of the machine and as the user of
+the run ([what a run trusts](../concepts/trust.md)). Each flight is flown a second time without the attack, up
+to the same simulated time: the logs are equal, byte for byte, or the manifest names the intruder. Memory is
+the largest private memory of a process, compared with that of the second flight. All numbers are produced by
 
     coflight study attacks
 

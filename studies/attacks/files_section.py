@@ -174,8 +174,8 @@ def judge(plan: AttacksPlan, results: Results) -> Section:  # noqa: ARG001  the 
             "Another user tries to read and write every file and folder of a run in flight and after it, "
             "those beside the radio's socket, the cache of compiled kernels, and a campaign's store; to "
             "connect to the named sockets; to open the memory, settings and descriptors of the processes and "
-            "to signal them; and to run functions on scheduler, worker and nanny of the campaign's cluster. The folder "
-            f"that holds the run can be entered by all.{skipped}"
+            "to signal them; and to run functions on scheduler, worker and nanny of the campaign's cluster. "
+            f"The folder that holds the run can be entered by all.{skipped}"
         )
         + "\n",
         checks=tuple(

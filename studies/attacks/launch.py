@@ -33,6 +33,7 @@ class Intruder:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
+            bufsize=0,  # else the first line is read with a part of the report
         )
         order = Order(task=task, uid=OTHER_UID if is_other else None)
         self._write(msgspec.json.encode(order) + b"\n")
