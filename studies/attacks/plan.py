@@ -16,8 +16,8 @@ class AttacksPlan(Struct, frozen=True, kw_only=True):
     altered_connections: int = 200
     """Connections to the radio with altered bytes, in each flight"""
     flood_messages: int = 3_000_000
-    key_expressions: int = 100_000
-    """Names that a guest declares at the radio's router"""
+    key_expressions: int = 10_000
+    """Names that a guest declares at the radio's router, which keeps them"""
     idle_connections: int = 100
     datagrams_s: float = 15_000.0
     pairs: int = 5

@@ -108,12 +108,12 @@ def flood(task: BatchFlood, ended: threading.Event) -> Report:
 
 
 def declare_names(task: KeyExpressions, ended: threading.Event) -> Report:
-    """Declare queries to many keys, each of which the router may have to remember."""
+    """Declare publications at many keys, each of which the router may have to keep."""
     declared = 0
     with contextlib.closing(_session(task.login)) as session:
         kept = []
         while declared < task.count and not ended.is_set():
-            kept.append(session.asker(f"coflight/{task.login.run_id}/{declared}", timeout_s=ANSWER_LIMIT_S))
+            kept.append(session.sender(f"coflight/{task.login.run_id}/{declared}"))
             declared += 1
     return Report(counts={"names": len(kept)})
 
