@@ -37,7 +37,7 @@ from studies.attacks.tasks import (
 )
 
 OTHER_UID = 65_534
-"""User and group ``nobody``."""
+"""The unprivileged user and its group."""
 BEGUN = "begun"
 Perform = Callable[[Any, threading.Event], Report]
 PERFORMED_BY: dict[type, Perform] = {
