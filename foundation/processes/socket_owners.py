@@ -11,6 +11,7 @@ from pathlib import Path
 
 import psutil
 
+from foundation.processes.socket_diagnostics import udp_sockets
 from foundation.processes.socket_table import (
     Address,
     SocketEntry,
@@ -26,7 +27,7 @@ LIFETIME_S = 1.0
 SLOW_READ_S = 0.001
 READ_SHARE = 0.02
 """Share of wall time for which tables are read that take `SLOW_READ_S` of processor time or more: the time
-rises with the square of the number of sockets, which any user of the machine can make."""
+rises with the number of sockets, which any user of the machine can make."""
 ROOT_UID = 0
 UDP_TABLES = ("udp", "udp6")
 _SOCKET = "socket:["
@@ -47,6 +48,12 @@ def read_tables(*names: str) -> str | None:
     return "".join(texts)
 
 
+def read_udp() -> str | None:
+    """Return the tables of UDP sockets as one text (`socket_table`); None if the system has none."""
+    text = udp_sockets()
+    return read_tables(*UDP_TABLES) if text is None else text
+
+
 class DatagramOwners:
     """Whether UDP sockets on this machine belong to this process's user or to root.
 
@@ -60,7 +67,7 @@ class DatagramOwners:
     def __init__(
         self,
         own_host: str,
-        read: Read = lambda: read_tables(*UDP_TABLES),
+        read: Read = read_udp,
         *,
         cpu_s: Callable[[], float] = time.thread_time,
     ) -> None:

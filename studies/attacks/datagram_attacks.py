@@ -1,6 +1,7 @@
 """Attacks on ports and sockets with bytes: random ones, and valid messages at a rate. An I/O module."""
 
 import contextlib
+import resource
 import socket
 import threading
 import time
@@ -20,6 +21,8 @@ MOST_SMALL_BYTES = 280
 STREAM_BYTES = 30_000
 """Bytes of each connection."""
 CONNECT_LIMIT_S = 2.0
+DESCRIPTORS_BESIDE = 64
+"""Descriptors of this program beside its sockets."""
 PERIOD_S = 0.002
 """Wall time between two bursts of a steady rate."""
 _POOL_BYTES = 4_000_000
@@ -128,14 +131,32 @@ def send_steadily(task: SteadyDatagrams, ended: threading.Event) -> Report:
     """Send heartbeats of a ground station until the end, in bursts that keep the rate."""
     heartbeat = common.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
     encoder = Encoder(system=255, component=190)
-    begin_s = time.monotonic()
     sent = 0
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
-        sock.bind(("127.0.0.1", 0))
-        sock.settimeout(0.0)  # what the vehicle sends is not read
+    with contextlib.ExitStack() as stack:
+        sockets = [stack.enter_context(_bound()) for _ in range(_allowed(task.sockets))]
+        begin_s = time.monotonic()
         while not ended.wait(PERIOD_S):
             while sent < task.rate_s * (time.monotonic() - begin_s):
                 with contextlib.suppress(OSError):
-                    sock.sendto(encoder.encode(heartbeat), task.datagrams_to)
+                    sockets[sent % len(sockets)].sendto(encoder.encode(heartbeat), task.datagrams_to)
                 sent += 1
-    return Report(counts={"datagrams": sent, "per second": round(sent / (time.monotonic() - begin_s))})
+        taken_s = time.monotonic() - begin_s
+    return Report(counts={"datagrams": sent, "per second": round(sent / taken_s), "sockets": len(sockets)})
+
+
+def _bound() -> socket.socket:
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sock.bind(("127.0.0.1", 0))
+    sock.settimeout(0.0)  # what the vehicle sends is not read
+    return sock
+
+
+def _allowed(sockets: int) -> int:
+    """Raise the limit of descriptors as far as that many sockets need; return how many are possible."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    needed = sockets + DESCRIPTORS_BESIDE
+    if hard != resource.RLIM_INFINITY:
+        needed = min(needed, hard)
+    if soft != resource.RLIM_INFINITY and soft < needed:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (needed, hard))
+    return min(sockets, needed - DESCRIPTORS_BESIDE)

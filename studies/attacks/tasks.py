@@ -96,6 +96,8 @@ class SteadyDatagrams(Struct, frozen=True, kw_only=True, tag=True):
 
     datagrams_to: Address
     rate_s: float
+    sockets: int = 1
+    """From which they are sent in turn"""
 
 
 class OpenEverything(Struct, frozen=True, kw_only=True, tag=True):

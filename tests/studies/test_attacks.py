@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import common
 from autopilot.mavlink.codec import Parser
 from studies.attacks import duel, files_section, mavlink_section, radio_section, slots_section
 from studies.attacks.bytes_section import fly as fly_bytes
-from studies.attacks.datagrams_section import Pair
+from studies.attacks.datagrams_section import Pair, Sender
 from studies.attacks.datagrams_section import judge as judge_datagrams
 from studies.attacks.duel import Duel, Flown
 from studies.attacks.files_section import Tried
@@ -108,7 +108,8 @@ def test_mutated_messages_have_to_be_named():
 
 def test_a_slow_flight_and_a_slow_sender_are_found():
     def pair(beside, sent_s):
-        return Pair(is_other=False, without=4.0, beside=beside, sent_s=sent_s)
+        sender = Sender(name="own user", is_other=False, rate_s=15_000.0)
+        return Pair(sender=sender, without=4.0, beside=beside, sent_s=sent_s)
 
     def judged(*pairs):
         return failed(judge_datagrams(SMALL, {"datagrams": [[*pairs]]}).checks)
