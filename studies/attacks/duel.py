@@ -53,8 +53,8 @@ class Flown(Struct, frozen=True, kw_only=True):
     status: str
     causes: list[str]
     """Why it is not deterministic, as the manifest says"""
-    most_mb: dict[str, float]
-    """Largest private memory of each process after `BEGIN_S`"""
+    grown_mb: dict[str, float]
+    """Largest growth of each process's private memory since `BEGIN_S`: the launcher has flown before"""
     unknown: list[str]
     """Columns of the flight's table that have not-a-number or infinite values"""
     details: dict[str, Any]
@@ -121,7 +121,8 @@ def _fly(
         )
         with swarm:
             swarm.run(until_s=BEGIN_S)
-            most_mb = _memory_mb(swarm)
+            begin_mb = _memory_mb(swarm)
+            grown_mb = dict.fromkeys(begin_mb, 0.0)
             begun = [*early, *((each, stack.enter_context(_begun(each))) for each in prepare(swarm))]
             if begun:
                 swarm.set_speed(PACE)
@@ -129,7 +130,8 @@ def _fly(
             while swarm.truth.t_s < until_s or _are_running(begun):
                 swarm.run_for(SLICE_S)
                 for name, private_mb in _memory_mb(swarm).items():
-                    most_mb[name] = max(private_mb, most_mb.get(name, 0.0))
+                    growth_mb = private_mb - begin_mb.get(name, 0.0)
+                    grown_mb[name] = max(growth_mb, grown_mb.get(name, 0.0))
             reports = [intruder.report() for _, intruder in begun]
             simulated_s = swarm.truth.t_s
         summary = swarm.summary(draw=False)
@@ -139,7 +141,7 @@ def _fly(
             log_sha256=summary["log_sha256"],
             status=summary["status"],
             causes=manifest["nondeterminism"],
-            most_mb=most_mb,
+            grown_mb=grown_mb,
             unknown=unknown_columns(swarm.path / TABLE),
             details={each["name"]: each["details"] for each in manifest["processes"]},
             reports=reports,
@@ -197,10 +199,10 @@ def checks(duel: Duel) -> tuple[Check, ...]:
 
 
 def added_mb(duel: Duel) -> tuple[str, float]:
-    """Return the process whose largest memory differs most from that without the attack, and by how much."""
+    """Return the process whose growth differs most from that without the attack, and by how much."""
     if duel.attacked is None or duel.plain is None:
         return "", math.nan
-    added = {name: mb - duel.plain.most_mb.get(name, 0.0) for name, mb in duel.attacked.most_mb.items()}
+    added = {name: mb - duel.plain.grown_mb.get(name, 0.0) for name, mb in duel.attacked.grown_mb.items()}
     return max(added.items(), key=lambda item: item[1])
 
 

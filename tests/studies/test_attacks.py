@@ -66,7 +66,7 @@ def test_equal_seeds_give_equal_frames():
 def flown(**changed):
     usual = {
         "simulated_s": 6.0, "log_sha256": "a", "status": "not_formed", "causes": [],
-        "most_mb": {"radio": 50.0}, "unknown": [],
+        "grown_mb": {"radio": 50.0}, "unknown": [],
         "details": {"physics": {"rejected_connections": [{"count": 3}]}},
     }  # fmt: skip
     return Flown(**usual | changed)
@@ -85,7 +85,7 @@ def fought(*, may_influence=False, **changed):
         ({"log_sha256": "b", "causes": ["x"], "may_influence": True}, set()),
         ({"unknown": ["q"], "causes": ["x"], "may_influence": True}, {"columns that are no longer finite"}),
         ({"status": "failed"}, {"flights that ended early"}),
-        ({"most_mb": {"radio": 90.0}}, {"memory that the attack adds to a process"}),
+        ({"grown_mb": {"radio": 90.0}}, {"memory that the attack adds to a process"}),
         ({"reports": [Report(found=["reads a file"])]}, {"findings"}),
     ],
 )
