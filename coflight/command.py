@@ -53,6 +53,7 @@ STUDIES = {
     "article": Command("the article's cases and statements", "studies.article.cli", "article_app"),
     "soak": Command("what grows in long flights and many swarms", "studies.soak.cli", "soak_app"),
     "chaos": Command("how flights end whose processes fail", "studies.chaos.cli", "chaos_app"),
+    "attacks": Command("flights that are attacked from outside", "studies.attacks.cli", "attacks_app"),
     "vehicle-cost": Command("what a step of one vehicle costs", "studies.vehicle.bench_cli", "bench_app"),
     "radio-cost": Command("what the radio costs", "studies.radio.bench_cli", "bench_radio_app"),
 }

@@ -5,7 +5,7 @@ An I/O module: reads Linux's tables of sockets and processes.
 
 from collections.abc import Callable
 
-from foundation.processes.socket_owners import UDP_TABLES, ChildSockets, Read, read_tables
+from foundation.processes.socket_owners import ChildSockets, Read, read_udp
 from foundation.processes.socket_table import Address, SocketEntry, at_address, entries
 
 LOOK_UP_PERIOD_S = 0.5
@@ -20,9 +20,7 @@ class ChildSenders:
     system has none: then every sender is the child.
     """
 
-    def __init__(
-        self, child: Callable[[], ChildSockets], *, read: Read = lambda: read_tables(*UDP_TABLES)
-    ) -> None:
+    def __init__(self, child: Callable[[], ChildSockets], *, read: Read = read_udp) -> None:
         self._make_child, self._read = child, read
         self._child: ChildSockets | None = None
         self._table: str | None = None

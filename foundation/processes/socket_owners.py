@@ -5,11 +5,13 @@ Reads Linux's /proc. On a system without it nothing can be checked, and everythi
 
 import contextlib
 import os
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import psutil
 
+from foundation.processes.socket_diagnostics import udp_sockets
 from foundation.processes.socket_table import (
     Address,
     SocketEntry,
@@ -22,6 +24,10 @@ MARK = "COFLIGHT_CHILD"
 """Environment variable of every child and its descendants: ``<supervisor's token>/<child's name>``."""
 LIFETIME_S = 1.0
 """Wall time for which an answer of `DatagramOwners` is valid."""
+SLOW_READ_S = 0.001
+READ_SHARE = 0.02
+"""Share of wall time for which tables are read that take `SLOW_READ_S` of processor time or more: the time
+rises with the number of sockets, which any user of the machine can make."""
 ROOT_UID = 0
 UDP_TABLES = ("udp", "udp6")
 _SOCKET = "socket:["
@@ -42,20 +48,37 @@ def read_tables(*names: str) -> str | None:
     return "".join(texts)
 
 
+def read_udp() -> str | None:
+    """Return the tables of UDP sockets as one text (`socket_table`); None if the system has none."""
+    text = udp_sockets()
+    return read_tables(*UDP_TABLES) if text is None else text
+
+
 class DatagramOwners:
     """Whether UDP sockets on this machine belong to this process's user or to root.
 
     ``own_host`` is the address to which the asking socket is bound; addresses of other machines have no owner
     here and are trusted. ``read`` returns the tables (`socket_table`), which are read again when they are
-    older than `LIFETIME_S`. In all methods ``wall_s`` is the present wall time.
+    older than `LIFETIME_S`, or later within `READ_SHARE`; until then answers are kept, and addresses that
+    are not in the tables are not trusted. ``cpu_s`` returns the processor time of this thread. In all
+    methods ``wall_s`` is the present wall time.
     """
 
-    def __init__(self, own_host: str, read: Read = lambda: read_tables(*UDP_TABLES)) -> None:
+    def __init__(
+        self,
+        own_host: str,
+        read: Read = read_udp,
+        *,
+        cpu_s: Callable[[], float] = time.thread_time,
+    ) -> None:
         self._own_host = own_host
         self._read = read
+        self._cpu_s = cpu_s
         self._uids = {ROOT_UID, os.geteuid()}
         self._table: str | None = ""
         self._wall_read_s = float("-inf")
+        self._wall_next_s = float("-inf")
+        """When they may be read again."""
         self._owners: dict[Address, frozenset[int]] = {}
         """Users at each address that was looked up in the table."""
 
@@ -67,7 +90,7 @@ class DatagramOwners:
         if not is_on_this_machine(address[0], self._own_host):
             return True
         owners = self._owners_at(address, wall_s)
-        if not owners and self._wall_read_s < wall_since_s:
+        if not owners and self._wall_read_s < wall_since_s and wall_s >= self._wall_next_s:
             self._read_again(wall_s)
             owners = self._owners_at(address, wall_s)
         return self._table is None or (bool(owners) and owners <= self._uids)
@@ -79,11 +102,14 @@ class DatagramOwners:
         return not self._owners_at(address, wall_s) <= self._uids
 
     def _read_again(self, wall_s: float) -> None:
+        begin_s = self._cpu_s()
         self._table, self._wall_read_s = self._read(), wall_s
+        taken_s = self._cpu_s() - begin_s
+        self._wall_next_s = wall_s + (taken_s / READ_SHARE if taken_s >= SLOW_READ_S else 0.0)
         self._owners.clear()
 
     def _owners_at(self, address: Address, wall_s: float) -> frozenset[int]:
-        if wall_s - self._wall_read_s > LIFETIME_S:
+        if wall_s - self._wall_read_s > LIFETIME_S and wall_s >= self._wall_next_s:
             self._read_again(wall_s)
         owners = self._owners.get(address)
         if owners is None:

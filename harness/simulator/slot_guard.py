@@ -13,11 +13,11 @@ from typing import NamedTuple, Protocol
 
 from foundation.processes.child_senders import ChildSenders
 from foundation.processes.socket_owners import (
-    UDP_TABLES,
     ChildSockets,
     holder_of,
     mark_beside,
     read_tables,
+    read_udp,
 )
 from foundation.processes.socket_table import (
     Address,
@@ -95,7 +95,7 @@ class SlotGuard:
         on_rejected: Callable[[RejectedPeer], None] = lambda _: None,
         read_tcp: Callable[[], str | None] = lambda: read_tables("tcp"),
         read_tcp6: Callable[[], str | None] = lambda: read_tables("tcp6"),
-        read_udp: Callable[[], str | None] = lambda: read_tables(*UDP_TABLES),
+        read_udp: Callable[[], str | None] = read_udp,
     ) -> None:
         self._mark_of = mark_of
         self._on_rejected = on_rejected

@@ -77,6 +77,7 @@ STATUSES: Mapping[str, Mapping[int, str]] = {
         INTERRUPTED: _CONTINUES,
     },
     "study soak": _CHECKS,
+    "study attacks": _CHECKS,
     "study chaos": {
         FINE: "All flights ended as required.",
         FAILED: "Some did not.",
@@ -149,7 +150,7 @@ RESULTS = (
     Result("bench", _keys(FlightBench)),
     *(
         Result(f"study {name}", ("checks",), (_CHECK_FIELDS,))
-        for name in ("vehicle", "radio", "antenna", "codesign", "soak")
+        for name in ("vehicle", "radio", "antenna", "codesign", "soak", "attacks")
     ),
     Result(
         "study article", ("agree", "differ", "not_told_apart", "not_measured", "failed", "page", "statements")

@@ -19,6 +19,7 @@ WRONG = {
     "antenna": "pattern --formation none", "bench": "--agents none", "study vehicle": "--only none",
     "study radio": "--only none", "study antenna": "--only none", "study codesign": "--only none",
     "study soak": "--only none",
+    "study attacks": "--only none",
     "study article": "--seeds 0", "study vehicle-cost": "--repeats 0", "study radio-cost": "--rate-mbps 7",
     "study chaos": "--flights 0",
     "export": "no-such-run --time 1", "scenarios": "none",

@@ -11,6 +11,7 @@ from other_user import as_other_user, root_only
 from foundation.processes.socket_owners import (
     LIFETIME_S,
     MARK,
+    READ_SHARE,
     ChildSockets,
     DatagramOwners,
     holder_of,
@@ -90,6 +91,28 @@ def test_answers_are_kept_for_a_while_and_missing_addresses_looked_up_again_on_r
     for _ in range(100):  # of one call
         assert not owners.trusts((HERE, 14_553), 11.4, wall_since_s=11.4)
     assert read.reads == 4
+
+
+@pytest.mark.skipif(sys.byteorder != "little", reason="the text is of such a machine")
+def test_slow_tables_are_read_for_a_share_of_the_time_and_answers_are_kept_meanwhile() -> None:
+    read, cpu_s = Tables(table(0)), [0.0]
+    taken_s = 0.1
+
+    def read_slowly() -> str | None:
+        cpu_s[0] += taken_s
+        return read()
+
+    owners = DatagramOwners(HERE, read_slowly, cpu_s=lambda: cpu_s[0])
+    assert owners.trusts(SENDER, 10.0)
+    pause_s = taken_s / READ_SHARE
+    assert pause_s > 2.0 * LIFETIME_S
+    read.text = table(os.geteuid() + 1_234)
+    for wall_s in (10.1, 10.1 + LIFETIME_S, 9.9 + pause_s):
+        assert owners.trusts(SENDER, wall_s)
+        assert not owners.trusts((HERE, 14_551), wall_s, wall_since_s=wall_s)
+    assert read.reads == 1
+    assert not owners.trusts(SENDER, 10.1 + pause_s)
+    assert read.reads == 2
 
 
 def test_a_real_sender_is_trusted() -> None:

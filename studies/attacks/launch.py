@@ -1,0 +1,75 @@
+"""Start of programs that attack, as this user or as another. An I/O module."""
+
+import contextlib
+import os
+import subprocess
+import sys
+from typing import Self
+
+import msgspec
+
+from studies.attacks.intruder import BEGUN, OTHER_UID
+from studies.attacks.tasks import Order, Report, Task
+
+END_LIMIT_S = 60.0
+"""Wall time from the request to end to the end."""
+
+
+class IntruderError(Exception):
+    """A program that attacks has failed itself; the text is its last line."""
+
+
+def can_be_another() -> bool:
+    """Whether this process may start programs as another user."""
+    return os.geteuid() == 0
+
+
+class Intruder:
+    """A running attack; ended with its block. Raises IntruderError if it does not begin."""
+
+    def __init__(self, task: Task, *, is_other: bool) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "studies.attacks.intruder"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            bufsize=0,  # else the first line is read with a part of the report
+        )
+        order = Order(task=task, uid=OTHER_UID if is_other else None)
+        self._write(msgspec.json.encode(order) + b"\n")
+        assert self._process.stdout is not None  # noqa: S101  it is a pipe
+        if self._process.stdout.readline().strip() != BEGUN.encode():
+            self._process.kill()
+            raise IntruderError(self._last_line(self._process.communicate()[1]))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.kill()
+        self._process.communicate()
+
+    @property
+    def is_running(self) -> bool:
+        """Whether it attacks."""
+        return self._process.poll() is None
+
+    def report(self) -> Report:
+        """End the attack and return its report. Raises IntruderError."""
+        try:
+            output, messages = self._process.communicate(timeout=END_LIMIT_S)
+        except subprocess.TimeoutExpired:
+            raise IntruderError(f"an attack does not end within {END_LIMIT_S:g} s") from None
+        if self._process.returncode != 0:
+            raise IntruderError(self._last_line(messages))
+        return msgspec.json.decode(output, type=Report)
+
+    def _write(self, data: bytes) -> None:
+        assert self._process.stdin is not None  # noqa: S101  it is a pipe
+        with contextlib.suppress(BrokenPipeError):  # its messages say why
+            self._process.stdin.write(data)
+            self._process.stdin.flush()
+
+    def _last_line(self, messages: bytes) -> str:
+        lines = messages.decode(errors="replace").strip().splitlines()
+        return f"an attack has ended with status {self._process.returncode}: {lines[-1] if lines else ''}"
