@@ -6,7 +6,7 @@ An I/O module: reads Linux's tables of sockets and processes.
 from collections.abc import Callable
 
 from foundation.processes.socket_owners import ChildSockets, Read, read_udp
-from foundation.processes.socket_table import Address, SocketEntry, at_address, entries
+from foundation.processes.socket_table import Address, SocketEntry, SocketTable
 
 LOOK_UP_PERIOD_S = 0.5
 """Wall time for which the sockets of the machine and of the child count as they were looked up."""
@@ -23,7 +23,7 @@ class ChildSenders:
     def __init__(self, child: Callable[[], ChildSockets], *, read: Read = read_udp) -> None:
         self._make_child, self._read = child, read
         self._child: ChildSockets | None = None
-        self._table: str | None = None
+        self._table: SocketTable | None = None
         self._verdicts: dict[Address, bool] = {}
         """By sender, since the look-up."""
         self._wall_looked_up_s = float("-inf")
@@ -35,7 +35,8 @@ class ChildSenders:
         """
         if self._child is None or wall_s - self._wall_looked_up_s >= LOOK_UP_PERIOD_S:
             self._wall_looked_up_s = wall_s
-            self._table, self._child = self._read(), self._make_child()
+            text, self._child = self._read(), self._make_child()
+            self._table = None if text is None else SocketTable(text)
             self._verdicts.clear()
         verdict = self._verdicts.get(sender)
         if verdict is None:
@@ -45,4 +46,4 @@ class ChildSenders:
 
     def sockets_of(self, sender: Address) -> list[SocketEntry]:
         """Return the sockets at the sender's address as of the last look-up."""
-        return at_address(entries(self._table or "", sender[1]), sender)
+        return [] if self._table is None else self._table.at(sender)

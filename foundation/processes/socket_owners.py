@@ -15,8 +15,7 @@ from foundation.processes.socket_diagnostics import udp_sockets
 from foundation.processes.socket_table import (
     Address,
     SocketEntry,
-    at_address,
-    entries,
+    SocketTable,
     is_on_this_machine,
 )
 
@@ -28,6 +27,8 @@ SLOW_READ_S = 0.001
 READ_SHARE = 0.02
 """Share of wall time for which tables are read that take `SLOW_READ_S` of processor time or more: the time
 rises with the number of sockets, which any user of the machine can make."""
+MOST_KNOWN = 10_000
+"""Addresses whose owners are kept until the tables are read again."""
 ROOT_UID = 0
 UDP_TABLES = ("udp", "udp6")
 _SOCKET = "socket:["
@@ -75,7 +76,8 @@ class DatagramOwners:
         self._read = read
         self._cpu_s = cpu_s
         self._uids = {ROOT_UID, os.geteuid()}
-        self._table: str | None = ""
+        self._table: SocketTable | None = SocketTable("")
+        """None: the system has none."""
         self._wall_read_s = float("-inf")
         self._wall_next_s = float("-inf")
         """When they may be read again."""
@@ -103,7 +105,8 @@ class DatagramOwners:
 
     def _read_again(self, wall_s: float) -> None:
         begin_s = self._cpu_s()
-        self._table, self._wall_read_s = self._read(), wall_s
+        text, self._wall_read_s = self._read(), wall_s
+        self._table = None if text is None else SocketTable(text)
         taken_s = self._cpu_s() - begin_s
         self._wall_next_s = wall_s + (taken_s / READ_SHARE if taken_s >= SLOW_READ_S else 0.0)
         self._owners.clear()
@@ -113,7 +116,9 @@ class DatagramOwners:
             self._read_again(wall_s)
         owners = self._owners.get(address)
         if owners is None:
-            found = at_address(entries(self._table or "", address[1]), address)
+            found = [] if self._table is None else self._table.at(address)
+            if len(self._owners) >= MOST_KNOWN:
+                self._owners.clear()
             owners = self._owners[address] = frozenset(each.uid for each in found)
         return owners
 

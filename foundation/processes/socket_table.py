@@ -44,6 +44,22 @@ def entries(table: str, port: int) -> list[SocketEntry]:
     return found
 
 
+class SocketTable:
+    """A table whose lines are found by local port, in a time that does not rise with their number."""
+
+    def __init__(self, text: str) -> None:
+        self._lines: dict[str, list[str]] = {}
+        for line in text.splitlines():
+            local = line.split(maxsplit=_LOCAL + 1)[_LOCAL : _LOCAL + 1]
+            if local:
+                self._lines.setdefault(local[0].rpartition(":")[2], []).append(line)
+
+    def at(self, address: Address) -> list[SocketEntry]:
+        """Return the sockets that can send from an address and receive at it; other lines are skipped."""
+        lines = self._lines.get(f"{address[1]:04X}", ())
+        return at_address(filter(None, map(_entry, lines)), address)
+
+
 def at_address(sockets: Iterable[SocketEntry], address: Address) -> list[SocketEntry]:
     """Return the sockets that can send from an address and receive at it."""
     host, port = address

@@ -29,6 +29,8 @@ DPI = 150
 FORMATS = ("png", "pdf")
 SHOWN_ON_THE_WAY = 13
 """Number of instants at which a moving formation is marked on the map."""
+MOST_TRACK_POINTS = 10_000
+"""Instants of a track that are drawn, several for each dot of the paper; a flight of 400 s has as many."""
 LEGEND_VEHICLES = 12
 """Largest number of vehicles with a legend; more have a colour bar."""
 DOTTED_POINTS = 60
@@ -58,37 +60,41 @@ def save(figure: Figure, path: Path, title: str) -> list[str]:
 def tracks_figure(flight: Flight, wind: WindConfig) -> Figure:
     """Return a map of the tracks with the mean wind, and heights over time; T >= 1.
 
-    If the formation moves, the desired tracks are dashed.
+    If the formation moves, the desired tracks are dashed. Of a long flight `MOST_TRACK_POINTS` are drawn.
     """
     figure, plan, profile, rose = _track_panels(flight)
-    time_s = flight.time_us / 1e6
+    rows: slice | NDArray[np.int64] = slice(None)
+    if len(flight) > MOST_TRACK_POINTS:
+        rows = np.linspace(0, len(flight) - 1, MOST_TRACK_POINTS).astype(int)
+    time_s = flight.time_us[rows] / 1e6
     moves = bool((flight.desired_pos_ned_m != flight.desired_pos_ned_m[0]).any())
-    on_the_way = np.linspace(0, len(flight) - 1, SHOWN_ON_THE_WAY).astype(int)
+    on_the_way = np.linspace(0, len(time_s) - 1, SHOWN_ON_THE_WAY).astype(int)
     size = 4 if moves else 6
     cross: dict[str, Any] = {
         "linestyle": "none", "marker": "+", "markersize": 2 * size, "markeredgewidth": 0.3 * size,
     }  # fmt: skip
     for i, colour in enumerate(_colours(flight.alive.shape[1])):
+        alive = flight.alive[rows, i]
         north_m, east_m, down_m = (
-            np.ma.array(flight.pos_ned_m[:, i, axis], mask=~flight.alive[:, i]) for axis in range(3)
+            np.ma.array(flight.pos_ned_m[rows, i, axis], mask=~alive) for axis in range(3)
         )
         plan.plot(east_m, north_m, color=colour, linewidth=0.9)
         profile.plot(time_s, -down_m, color=colour, linewidth=0.9)
-        desired_north_m, desired_east_m, desired_down_m = flight.desired_pos_ned_m[:, i].T
+        desired_north_m, desired_east_m, desired_down_m = flight.desired_pos_ned_m[rows, i].T
         if moves:
             plan.plot(desired_east_m, desired_north_m, "--", color="0.2", linewidth=0.4, zorder=3)
             plan.plot(east_m[on_the_way], north_m[on_the_way], "o", color=colour, markersize=3)
         plan.plot(desired_east_m[-1], desired_north_m[-1], color=colour, **cross)
         profile.plot(time_s, -desired_down_m, "k--", linewidth=1.0, zorder=1)
         flight.release()
-        living = np.flatnonzero(flight.alive[:, i])
+        living = np.flatnonzero(alive)
         if len(living) > 0:
             first, last = living[0], living[-1]
             plan.plot(
                 east_m[first], north_m[first], "s", markeredgecolor=colour, color="white", markersize=size
             )
             # a cross at the position of a loss
-            marker, marker_size = ("o", size) if last == len(flight) - 1 else ("X", size + 3)
+            marker, marker_size = ("o", size) if last == len(time_s) - 1 else ("X", size + 3)
             plan.plot(
                 east_m[last],
                 north_m[last],

@@ -11,6 +11,7 @@ import pytest
 from foundation.processes.socket_table import (
     ANY_HOST,
     SocketEntry,
+    SocketTable,
     at_address,
     entries,
     is_on_this_machine,
@@ -46,6 +47,21 @@ def test_entries_have_a_ports_sockets_with_user_and_inode() -> None:
     assert entries(table, 14_550) == [SocketEntry(("127.0.0.1", 14_550), (ANY_HOST, 0), 1000, 77)]
     assert entries(table, 80) == [SocketEntry(("10.0.0.7", 80), (ANY_HOST, 0), 0, 78)]
     assert entries(table, 81) == entries("", 80) == []
+
+
+def test_a_table_finds_what_can_send_from_an_address() -> None:
+    lines = [
+        line(v4("127.0.0.1", 14_550), NONE, 1000, 77),
+        line(v6("::", 14_550), v6("::", 0), 5, 78),
+        line(v4("10.0.0.7", 14_550), NONE, 6, 79),
+        line(v4("127.0.0.1", 81), v4("127.0.0.1", 14_550), 7, 80),
+    ]
+    text = HEADER + "\n no line\n" + "".join(lines)
+    table = SocketTable(text)
+    assert [each.inode for each in table.at(("127.0.0.1", 14_550))] == [77, 78]
+    for address in (("127.0.0.1", 14_550), ("10.0.0.7", 14_550), ("127.0.0.1", 81), ("127.0.0.1", 80)):
+        assert table.at(address) == at_address(entries(text, address[1]), address)
+    assert SocketTable("").at(("127.0.0.1", 81)) == []
 
 
 def test_a_remote_port_of_the_same_number_is_no_entry() -> None:

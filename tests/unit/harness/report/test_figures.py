@@ -108,6 +108,23 @@ def test_tracks_mark_start_end_and_loss(tmp_path):
     assert set(_labels(safe)) == {"UAV 0", "start", "last position", "desired place at the end", "desired"}
 
 
+def test_tracks_of_a_long_flight_have_fewer_points_from_its_first_to_its_last(monkeypatch):
+    monkeypatch.setattr(figures, "MOST_TRACK_POINTS", 100)
+    flight = _moving_flight()
+    figure = figures.tracks_figure(flight, WindConfig())
+    map_axes, heights = figure.axes[:2]
+    tracks = [line for line in heights.lines if line.get_linestyle() == "-"]
+    assert [len(line.get_xdata()) for line in tracks] == [100] * 8
+    for line in tracks:
+        assert (line.get_xdata()[0], line.get_xdata()[-1]) == (
+            flight.time_us[0] / 1e6,
+            flight.time_us[-1] / 1e6,
+        )
+    at_loss = [line.get_xydata()[0] for line in map_axes.lines if line.get_marker() == "X"]
+    step_m = np.abs(np.diff(flight.pos_ned_m[195:200, 1, :2], axis=0)).sum(axis=0)[::-1]
+    np.testing.assert_array_less(np.abs(at_loss - flight.pos_ned_m[199, 1, [1, 0]])[0], step_m + 1e-9)
+
+
 @pytest.mark.parametrize(
     ("wind", "text"),
     [
