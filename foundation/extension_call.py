@@ -41,7 +41,7 @@ class _Thread:
     """The calls of one thread."""
 
     def __init__(self) -> None:
-        self.ident = threading.get_ident()
+        self.ident, self.native_id = threading.get_ident(), threading.get_native_id()
         self.call: ExtensionCall | None = None
         """The present call."""
         self.entries = 0
@@ -108,7 +108,8 @@ def watched(limit_s: float, *, on_stuck: Callable[[str], None]) -> Iterator[None
     """Watch the calls of this thread in the block.
 
     Args:
-        limit_s: Wall time within which a call must return, without the time in which the process is stopped.
+        limit_s: Wall time within which a call must return, without the time in which the process is stopped
+            or its thread gets no processor.
         on_stuck: Receives a line, in another thread, if a call cannot be ended.
 
     """
@@ -137,25 +138,35 @@ def memory_bytes() -> int:
     return int(Path("/proc/self/statm").read_bytes().split()[1]) * _PAGE_BYTES
 
 
+def _starved_s(native_id: int) -> float:
+    """Return the time so far in which a thread could run and had no processor; 0 where it is not known."""
+    try:
+        return int(Path(f"/proc/self/task/{native_id}/schedstat").read_bytes().split()[1]) * 1e-9
+    except (OSError, IndexError):
+        return 0.0
+
+
 def _watch(thread: _Thread, limit_s: float, on_stuck: Callable[[str], None], done: threading.Event) -> None:
-    """Look at the present call periodically; counts looks, which a stopped process does not make."""
-    entries, looks, most_bytes = -1, 0, memory_bytes() + MOST_BYTES
+    """Look at the present call periodically; adds the periods, of which a stopped process has none."""
+    entries, call_s, most_bytes = -1, 0.0, memory_bytes() + MOST_BYTES
+    starved_s = _starved_s(thread.native_id)
     while not done.wait(PERIOD_S):
-        call = thread.call
-        looks = looks + 1 if call is not None and thread.entries == entries else 0
+        call, before_s = thread.call, starved_s
+        starved_s = _starved_s(thread.native_id)
+        is_same = call is not None and thread.entries == entries
+        call_s = call_s + max(0.0, PERIOD_S - (starved_s - before_s)) if is_same else 0.0
         entries = thread.entries
-        if call is not None and looks * PERIOD_S >= STUCK_SHARE * limit_s:
-            on_stuck(
-                f"{call.title}: a call has not returned for {looks * PERIOD_S:.1f} s, and cannot be ended"
-            )
+        if call is not None and call_s >= STUCK_SHARE * limit_s:
+            on_stuck(f"{call.title}: a call has not returned for {call_s:.1f} s, and cannot be ended")
             return
-        if call is not None and looks * PERIOD_S >= ENDED_SHARE * limit_s:
-            _end(thread, call, f"the call has not returned for {looks * PERIOD_S:.1f} s")
+        if call is not None and call_s >= ENDED_SHARE * limit_s:
+            _end(thread, call, f"the call has not returned for {call_s:.1f} s")
         used_bytes = memory_bytes()
         if thread.measured is None and used_bytes > most_bytes - MEASURED_BYTES:
             thread.measured = set()
         if thread.measured is not None and used_bytes > most_bytes:
-            largest = call if looks else max(thread.measured, key=lambda each: each.grown_bytes, default=None)
+            grown = max(thread.measured, key=lambda each: each.grown_bytes, default=None)
+            largest = call if is_same else grown
             if largest is not None:
                 most_bytes = used_bytes + MOST_BYTES
                 largest.ended = f"its calls have taken more than {MOST_BYTES >> 20} MiB of memory"
