@@ -3,6 +3,7 @@
 Exit status: that of the command called; 0 for help; 2 for an unknown command, with one line on stderr.
 """
 
+import atexit
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -14,7 +15,7 @@ from foundation.exit_status import BAD_INPUT, FAILED, FINE
 from foundation.kernels import cache_folder
 from foundation.kernels.cache_trust import UntrustedCache
 from foundation.standard_streams import open_missing
-from harness.launch.interrupts import exiting_at_once
+from harness.launch.interrupts import exiting_at_once, ignore_interrupts
 from harness.scenario import packaged
 
 USAGE = "usage: coflight COMMAND [ARGUMENTS]   (coflight COMMAND --help)"
@@ -62,7 +63,11 @@ STUDIES = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     open_missing()
-    return _dispatch("coflight", COMMANDS, USAGE, sys.argv[1:] if arguments is None else arguments)
+    if arguments is None:
+        # the last of the calls at the end, which takes tenths of a second: a signal has no effect then
+        atexit.register(ignore_interrupts)
+        arguments = sys.argv[1:]
+    return _dispatch("coflight", COMMANDS, USAGE, arguments)
 
 
 def study(arguments: Sequence[str]) -> int:

@@ -360,11 +360,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str]) -> int:
-    try:
-        with interruptible():
+    with interruptible() as interrupt:
+        try:
             status = app(args=list(arguments), standalone_mode=False)
-    except BaseException as error:  # noqa: BLE001  every end has its status and its line
-        failure = _failure(error)
-        print(f"coflight: {failure}", file=sys.stderr)
-        return failure.status
+        except BaseException as error:  # noqa: BLE001  every end has its status and its line
+            interrupt.finish()
+            failure = _failure(error)
+            print(f"coflight: {failure}", file=sys.stderr)
+            return failure.status
+        interrupt.finish()
     return status if isinstance(status, int) else FINE

@@ -20,25 +20,32 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @contextlib.contextmanager
-def interruptible() -> Iterator[None]:
+def interruptible() -> Iterator["Interrupt"]:
     """Raise KeyboardInterrupt on each of these signals in the block; only for the main thread.
 
-    Signals within `SAME_REQUEST_S` after one that has raised it are ignored.
+    Signals within `SAME_REQUEST_S` after one that has raised it are ignored. Yields the handler.
 
     SIGINT is handled even if it was ignored: shells start background jobs so, and `kill -INT` must stop those
     too. An ignored SIGHUP stays ignored: nohup uses it to let a run outlive its terminal.
     """
-    interrupt = _Interrupt()
+    interrupt = Interrupt()
     before = {
         number: signal.signal(number, interrupt)
         for number in _SIGNALS
         if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN
     }
     try:
-        yield
+        yield interrupt
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def ignore_interrupts() -> None:
+    """Ignore these signals from now on: the result of the program is complete, and its process ends."""
+    if threading.current_thread() is threading.main_thread():
+        for number in _SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
 
 
 @contextlib.contextmanager
@@ -69,17 +76,23 @@ def exiting_at_once(line: str) -> Iterator[None]:
             signal.signal(number, handler)
 
 
-class _Interrupt:
+class Interrupt:
     """Handler of the signals of one program."""
 
     def __init__(self) -> None:
         self._wall_last_s = float("-inf")
+        self._is_over = False
+
+    def finish(self) -> None:
+        """Give further signals no effect: the program has its result."""
+        self._is_over = True
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
+        """Handle a signal. Raises KeyboardInterrupt."""
         if number == signal.SIGHUP:
             _mute_closed_terminal()
         wall_s = time.monotonic()
-        if wall_s - self._wall_last_s >= SAME_REQUEST_S:
+        if not self._is_over and wall_s - self._wall_last_s >= SAME_REQUEST_S:
             self._wall_last_s = wall_s
             signal.default_int_handler(number, frame)
 

@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+import textwrap
 import time
 from pathlib import Path
 
@@ -57,3 +58,33 @@ def test_signal_of_a_closed_terminal_during_the_imports_ends_the_command(tmp_pat
     )
     done = subprocess.run([sys.executable, "-c", code], check=False)
     assert done.returncode == 128 + signal.SIGINT
+
+
+def test_signals_have_no_effect_when_a_program_has_its_result() -> None:
+    with interruptible() as interrupt:
+        interrupt.finish()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.raise_signal(number)
+
+
+def test_signal_while_the_interpreter_ends_leaves_the_status() -> None:
+    """Sent by an object that is deleted with its module."""
+    code = """
+        import os, signal, sys, types
+        sys.argv = ["coflight", "fly"]
+        from coflight import command
+
+        class Late:
+            def __del__(self, kill=os.kill, pid=os.getpid(), number=signal.SIGTERM):
+                kill(pid, number)
+
+        module = types.ModuleType("swallowing")
+        module.main, module.late = lambda _: 3, Late()
+        sys.modules["swallowing"] = module
+        command.COMMANDS["fly"] = command.Command("", "swallowing", "main")
+        sys.exit(command.main())
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (3, "", "")
