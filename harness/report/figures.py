@@ -29,8 +29,8 @@ DPI = 150
 FORMATS = ("png", "pdf")
 SHOWN_ON_THE_WAY = 13
 """Number of instants at which a moving formation is marked on the map."""
-MOST_TRACK_POINTS = 10_000
-"""Instants of a track that are drawn, several for each dot of the paper; a flight of 400 s has as many."""
+MOST_INSTANTS = 10_000
+"""Instants that are drawn, several for each dot of a figure's width; a flight of 400 s has as many."""
 LEGEND_VEHICLES = 12
 """Largest number of vehicles with a legend; more have a colour bar."""
 DOTTED_POINTS = 60
@@ -60,14 +60,13 @@ def save(figure: Figure, path: Path, title: str) -> list[str]:
 def tracks_figure(flight: Flight, wind: WindConfig) -> Figure:
     """Return a map of the tracks with the mean wind, and heights over time; T >= 1.
 
-    If the formation moves, the desired tracks are dashed. Of a long flight `MOST_TRACK_POINTS` are drawn.
+    If the formation moves, the desired tracks are dashed. Of a long flight `MOST_INSTANTS` are drawn.
     """
     figure, plan, profile, rose = _track_panels(flight)
-    rows: slice | NDArray[np.int64] = slice(None)
-    if len(flight) > MOST_TRACK_POINTS:
-        rows = np.linspace(0, len(flight) - 1, MOST_TRACK_POINTS).astype(int)
+    rows = drawn_instants(len(flight))
     time_s = flight.time_us[rows] / 1e6
     moves = bool((flight.desired_pos_ned_m != flight.desired_pos_ned_m[0]).any())
+    flight.release()
     on_the_way = np.linspace(0, len(time_s) - 1, SHOWN_ON_THE_WAY).astype(int)
     size = 4 if moves else 6
     cross: dict[str, Any] = {
@@ -78,6 +77,7 @@ def tracks_figure(flight: Flight, wind: WindConfig) -> Figure:
         north_m, east_m, down_m = (
             np.ma.array(flight.pos_ned_m[rows, i, axis], mask=~alive) for axis in range(3)
         )
+        flight.release()
         plan.plot(east_m, north_m, color=colour, linewidth=0.9)
         profile.plot(time_s, -down_m, color=colour, linewidth=0.9)
         desired_north_m, desired_east_m, desired_down_m = flight.desired_pos_ned_m[rows, i].T
@@ -174,6 +174,11 @@ def ftm_error_figure(error_m: Array) -> Figure:
     return figure
 
 
+def drawn_instants(count: int) -> slice | NDArray[np.int64]:
+    """Return the indices of the instants that are drawn of a flight, with its first and last."""
+    return slice(None) if count <= MOST_INSTANTS else np.linspace(0, count - 1, MOST_INSTANTS).astype(int)
+
+
 def _track_panels(flight: Flight) -> tuple[Figure, Axes, Axes, Axes]:
     """Return a figure with panels for map, heights and wind; the map has about the shape of the tracks."""
     north_m, east_m = (_extent_m(flight, axis) for axis in (0, 1))
@@ -197,8 +202,10 @@ def _track_panels(flight: Flight) -> tuple[Figure, Axes, Axes, Axes]:
 def _extent_m(flight: Flight, axis: int) -> float:
     """Return the size along an axis of the site of all desired places and true positions."""
     true_m, desired_m, alive = flight.pos_ned_m[..., axis], flight.desired_pos_ned_m[..., axis], flight.alive
-    greatest_m = np.maximum(true_m.max(where=alive, initial=-np.inf), desired_m.max())
-    least_m = np.minimum(true_m.min(where=alive, initial=np.inf), desired_m.min())
+    greatest_m, least_m = desired_m.max(), desired_m.min()
+    flight.release()
+    greatest_m = np.maximum(true_m.max(where=alive, initial=-np.inf), greatest_m)
+    least_m = np.minimum(true_m.min(where=alive, initial=np.inf), least_m)
     flight.release()
     return float(greatest_m - least_m)
 

@@ -1,6 +1,7 @@
 """Absolute and shape error of the flown formation against the desired one."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,14 @@ from harness.records.flight import Flight
 
 _AT_ONCE = 8_192
 """Instants that are computed together, to limit the memory; each has the same result as alone"""
+
+
+class _Errors(NamedTuple):
+    """Arrays of an `ErrorSeries`."""
+
+    error_m: Array
+    horizontal_m: Array
+    valid: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,11 +31,12 @@ class ErrorSeries:
     """(T, N) horizontal part."""
     valid: NDArray[np.bool_]
     """(T, N) whether an error is defined."""
+    rms_m: float | None
+    """RMS over time and vehicles of the whole flight; None without valid errors."""
 
-    @property
-    def rms_m(self) -> float | None:
-        """RMS over time and vehicles; None without valid errors."""
-        return _rms(self.error_m, self.valid)
+    def at(self, rows: NDArray[np.int64] | slice) -> "ErrorSeries":
+        """Return the errors at some instants, with the RMS of the whole flight."""
+        return ErrorSeries(self.error_m[rows], self.horizontal_m[rows], self.valid[rows], self.rms_m)
 
     @property
     def horizontal_rms_m(self) -> float | None:
@@ -50,6 +60,10 @@ class FormationError:
     yaw_rad: Array
     """(T,) clockwise rotation of the flown against the desired formation; 0 with fewer than two vehicles."""
 
+    def at(self, rows: NDArray[np.int64] | slice) -> "FormationError":
+        """Return the errors at some instants."""
+        return FormationError(self.absolute.at(rows), self.shape.at(rows), self.yaw_rad[rows])
+
 
 def formation_error(flight: Flight) -> FormationError:
     """Return the absolute error and the shape error of every vehicle at every instant.
@@ -60,38 +74,36 @@ def formation_error(flight: Flight) -> FormationError:
     The shape error remains after the translation and the rotation about the vertical that align the places of
     the living vehicles with their positions in the least-squares sense.
     """
-    whole = FormationError(
-        absolute=_empty_series(flight.alive.shape),
-        shape=_empty_series(flight.alive.shape),
-        yaw_rad=np.empty(len(flight)),
+    shape, yaw_rad = flight.alive.shape, np.empty(len(flight))
+    absolute, aligned = (
+        _Errors(np.empty(shape), np.empty(shape), np.empty(shape, np.bool_)) for _ in range(2)
     )
     for first in range(0, len(flight), _AT_ONCE):
         rows = slice(first, min(first + _AT_ONCE, len(flight)))
-        part = _formation_error(flight.at(np.arange(rows.start, rows.stop)))
-        whole.yaw_rad[rows] = part.yaw_rad
-        for target, source in ((whole.absolute, part.absolute), (whole.shape, part.shape)):
-            target.error_m[rows] = source.error_m
-            target.horizontal_m[rows] = source.horizontal_m
-            target.valid[rows] = source.valid
-    return whole
+        part = flight.at(np.arange(rows.start, rows.stop))
+        found = _errors(part)
+        yaw_rad[rows] = found[2]
+        for target, source in ((absolute, found[0]), (aligned, found[1])):
+            for whole, new in zip(target, source, strict=True):
+                whole[rows] = new
+    return FormationError(absolute=_series(absolute), shape=_series(aligned), yaw_rad=yaw_rad)
 
 
-def _empty_series(shape: tuple[int, ...]) -> ErrorSeries:
-    return ErrorSeries(
-        error_m=np.empty(shape), horizontal_m=np.empty(shape), valid=np.empty(shape, dtype=np.bool_)
-    )
+def _series(errors: _Errors) -> ErrorSeries:
+    return ErrorSeries(*errors, _rms(errors.error_m, errors.valid))
 
 
-def _formation_error(flight: Flight) -> FormationError:
+def _errors(flight: Flight) -> tuple[_Errors, _Errors, Array]:
+    """Return absolute and shape errors, and the rotations."""
     alive = flight.alive
     aligned_ned_m, yaw_rad = _align(flight)
     over_its_place_ned_m = np.zeros((alive.shape[1], 3))
     over_its_place_ned_m[:, 2] -= flight.standing_height_m
     shape_defined = alive & (alive.sum(axis=1, keepdims=True) >= 2)
-    return FormationError(
-        absolute=_error_series(flight.pos_ned_m - flight.desired_pos_ned_m - over_its_place_ned_m, alive),
-        shape=_error_series(flight.pos_ned_m - aligned_ned_m, shape_defined),
-        yaw_rad=yaw_rad,
+    return (
+        _lengths(flight.pos_ned_m - flight.desired_pos_ned_m - over_its_place_ned_m, alive),
+        _lengths(flight.pos_ned_m - aligned_ned_m, shape_defined),
+        yaw_rad,
     )
 
 
@@ -125,9 +137,9 @@ def _align(flight: Flight) -> tuple[Array, Array]:
     return np.stack([turned.real, turned.imag, desired_ned_m[..., 2]], axis=-1) + pos_mean_ned_m, yaw_rad
 
 
-def _error_series(difference_ned_m: Array, valid: NDArray[np.bool_]) -> ErrorSeries:
+def _lengths(difference_ned_m: Array, valid: NDArray[np.bool_]) -> _Errors:
     counted_ned_m = np.where(valid[..., np.newaxis], difference_ned_m, 0.0)
-    return ErrorSeries(
+    return _Errors(
         error_m=np.linalg.norm(counted_ned_m, axis=-1),
         horizontal_m=np.linalg.norm(counted_ned_m[..., :2], axis=-1),
         valid=valid,

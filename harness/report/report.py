@@ -48,9 +48,8 @@ class Drawn(NamedTuple):
     """What the figures of a run show."""
 
     whole: Flight
-    window: Flight
-    """From when the formation was reached."""
-    error: FormationError | None
+    error: tuple[NDArray[np.int64], FormationError] | None
+    """Times in us from when the formation was reached, and the errors then; of a long flight some"""
     antenna: Aperture
     occupancy: tuple[NDArray[np.int64], NDArray[np.float64]]
     """Times in us, and the fraction of the interval before each in which the channel was busy."""
@@ -129,7 +128,8 @@ def _write_tables(folder: RunFolder, scenario: Scenario, outcome: RunOutcome) ->
         summary["profile"] = msgspec.to_builtins(outcome.profile)
     _write_json(folder.summary, summary)
     air = read(folder.raw_air, AIR_RECORD)
-    drawn = Drawn(whole, window, error, antenna, _occupancy(air["time_us"], air["busy_ns"]), error_m)
+    occupancy = _occupancy(air["time_us"], air["busy_ns"])
+    drawn = Drawn(whole, _drawn_error(window, error), antenna, occupancy, error_m)
     solver = None if antenna.solver is None else asdict(antenna.solver)
     manifest = make_manifest(scenario, outcome, hashes=hashes, antenna=solver)
     return _Results(summary, manifest, drawn)
@@ -195,7 +195,7 @@ def draw_again(folder: RunFolder, scenario: Scenario, *, formed_us: int | None) 
     completed = np.array(sessions["status"].to_pylist(), dtype=np.str_) == "ok"
     error_m = (sessions["distance_m"].to_numpy() - sessions["true_distance_m"].to_numpy())[completed]
     occupancy = _occupancy(air["time_us"].to_numpy(), air["busy_ns"].to_numpy())
-    drawn = Drawn(whole, window, error, _antenna(window, scenario), occupancy, error_m)
+    drawn = Drawn(whole, _drawn_error(window, error), _antenna(window, scenario), occupancy, error_m)
     folder.figures.mkdir(exist_ok=True)
     written = _draw(folder, scenario, drawn)
     manifest = msgspec.json.decode(folder.manifest.read_bytes()) | {"figures": written}
@@ -218,6 +218,15 @@ def _formation_error(window: Flight, folder: RunFolder) -> FormationError | None
     applications = folder.applications()
     flies_elsewhere = applications.phases and not applications.placed
     return None if flies_elsewhere or not len(window) else formation_error(window)
+
+
+def _drawn_error(
+    window: Flight, error: FormationError | None
+) -> tuple[NDArray[np.int64], FormationError] | None:
+    if error is None:
+        return None
+    rows = figures.drawn_instants(len(window))
+    return window.time_us[rows], error.at(rows)
 
 
 def _antenna(window: Flight, scenario: Scenario) -> Aperture:
@@ -305,12 +314,12 @@ def _write_json(path: Path, content: dict[str, Any]) -> None:
 
 def _draw(folder: RunFolder, scenario: Scenario, drawn: Drawn) -> list[str]:
     """Write every figure for which the run has data, one after the other; returns the names of the files."""
-    whole, window, error, antenna, (time_us, busy_fraction), error_m = drawn
+    whole, error, antenna, (time_us, busy_fraction), error_m = drawn
     makers: dict[str, Callable[[], Figure]] = {}
     if len(whole):
         makers["tracks"] = lambda: figures.tracks_figure(whole, scenario.wind)
     if error is not None:
-        makers["formation_error"] = lambda: figures.formation_error_figure(window.time_us, error)
+        makers["formation_error"] = lambda: figures.formation_error_figure(*error)
     gains, ideal = antenna.series, antenna.ideal
     if gains is not None and ideal is not None and len(gains.patterns):
         places_ned_m, heading_rad = scenario.places_ned_m(), antenna_report.heading_rad(scenario)

@@ -109,7 +109,7 @@ def test_tracks_mark_start_end_and_loss(tmp_path):
 
 
 def test_tracks_of_a_long_flight_have_fewer_points_from_its_first_to_its_last(monkeypatch):
-    monkeypatch.setattr(figures, "MOST_TRACK_POINTS", 100)
+    monkeypatch.setattr(figures, "MOST_INSTANTS", 100)
     flight = _moving_flight()
     figure = figures.tracks_figure(flight, WindConfig())
     map_axes, heights = figure.axes[:2]
