@@ -11,7 +11,8 @@ from foundation.records.private_files import open_private
 def write_whole(path: Path, content: bytes, *, private: bool = False) -> None:
     """Write a file atomically: readers find the new or the old content.
 
-    ``private``: only the owner can read it, whatever the umask and the rights of the old file are.
+    ``private``: only the owner can read it, whatever the umask and the rights of the old file are. Raises
+    OSError with the name of the file.
     """
     temporary = path.with_name(f".{path.name}")
     try:
@@ -20,9 +21,11 @@ def write_whole(path: Path, content: bytes, *, private: bool = False) -> None:
             file.flush()
             os.fsync(file.fileno())
         temporary.replace(path)
-    except BaseException:
+    except BaseException as error:
         with contextlib.suppress(OSError):
             temporary.unlink()  # frees space on a full disk
+        if isinstance(error, OSError) and error.filename is None:  # of a write, which has a descriptor only
+            error.filename = str(path)
         raise
 
 

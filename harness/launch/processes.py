@@ -324,7 +324,7 @@ class Processes(RunMonitor):
             late = f"not ready within {START_LIMIT_S:g} s: {', '.join(missing)}"
             message = self.next(deadline_s - time.monotonic(), late)
             if isinstance(message, Exited):
-                raise SwarmError(self._descriptions[message.name])
+                raise SwarmError(self.cause_of(message.name, message))
 
     def stop(self, *, at_once: bool = False) -> None:
         """End every process; harmless when repeated.

@@ -22,6 +22,9 @@ from harness.simulator.messages import ApplicationLost, Formed, Paused, Progress
 
 CAUSE_LIMIT_S = 0.3
 """Wall time after the end of a process within which that of another is found, which may be its cause."""
+START_CAUSE_LIMIT_S = 1.5
+"""The same for a vehicle or an application that ends in the start: an emulator that was interrupted closes
+its connections before it ends."""
 
 
 class RunMonitor:
@@ -214,7 +217,7 @@ class RunMonitor:
             self.exited[name] = message
             self._descriptions.setdefault(name, self._describe_end(message))
             if self._is_needed(name) and self._running and self.failure is None:
-                self.failure = self._cause(name, message)
+                self.failure = self.cause_of(name, message)
         self._on_message(message)
         return message
 
@@ -222,10 +225,11 @@ class RunMonitor:
         """Whether the run fails if that process ends: another autopilot's until all have connected, too."""
         return name in (PHYSICS, RADIO, PREFORK) or (not self._connected and name in self._until_connected)
 
-    def _cause(self, name: str, exited: Exited) -> str:
-        """Return a line for the end of an indispensable process, or for that of the radio, its cause."""
-        if name == PHYSICS and GONE in exited.last_words:
-            wall_end_s = time.monotonic() + CAUSE_LIMIT_S
+    def cause_of(self, name: str, exited: Exited) -> str:
+        """Return a line for the end of a process that is needed, or for that of the radio, its cause."""
+        in_start = name not in (PHYSICS, RADIO, PREFORK)
+        if in_start or (name == PHYSICS and GONE in exited.last_words):
+            wall_end_s = time.monotonic() + (START_CAUSE_LIMIT_S if in_start else CAUSE_LIMIT_S)
             while RADIO not in self.exited and (left_s := wall_end_s - time.monotonic()) > 0.0:
                 self._take(left_s)
             if RADIO in self.exited:

@@ -4,7 +4,7 @@ import re
 import signal
 from collections.abc import Sequence
 
-from foundation.exit_status import FAILED, FINE, INTERRUPTED
+from foundation.exit_status import BAD_INPUT, FAILED, FINE, INTERRUPTED
 from studies.chaos.faults import WITH_PX4, Fault
 
 DEATHS = ("SIGKILL", "SIGSEGV")
@@ -39,7 +39,8 @@ def _statuses_of_one(fault: Fault) -> Sequence[int]:
             return [killed, FINE] if fault.phase == "report" else [killed]
         return [INTERRUPTED, FINE] if fault.phase == "report" else [INTERRUPTED]
     if fault.target == "disk":
-        return {"stop": [INTERRUPTED, FAILED], "report": [FAILED, FINE]}.get(fault.phase, [FAILED])
+        permitted = {"start": [FAILED, BAD_INPUT], "stop": [INTERRUPTED, FAILED], "report": [FAILED, FINE]}
+        return permitted.get(fault.phase, [FAILED])
     if fault.phase == "stop":
         return [INTERRUPTED, FAILED]
     if fault.target in WITH_PX4:
@@ -52,9 +53,9 @@ def _statuses_of_one(fault: Fault) -> Sequence[int]:
 def named(fault: Fault) -> Sequence[str]:
     """Return texts of which the messages must have one; none: they need not name the process.
 
-    A process by its name and id; one that was killed with the signal. A vehicle that is stopped is lost, by
-    its name. Of two faults either may be named first, and none if the other ends the launcher or closes its
-    output.
+    A process by its name and id; one that was killed with the signal. A vehicle or application that is
+    stopped is lost, by its name. Of two faults either may be named first, and none if the other ends the
+    launcher or closes its output.
     """
     parts = fault.parts
     if len(parts) > 1 and any(part.target == "launcher" and part.kind != "SIGSTOP for 2 s" for part in parts):
@@ -75,7 +76,7 @@ def _named_of_one(fault: Fault) -> Sequence[str]:
     texts = [rf"{name} \(pid "]
     if fault.kind == "SIGSTOP":
         texts = [rf"{name} \(pid \d+\) is stopped \(SIGSTOP\)"]
-        if fault.target == "uav 0":
+        if fault.target in ("uav 0", "application 0"):
             texts.append(rf"{name}( was)? lost")
     return texts
 

@@ -8,7 +8,7 @@ import psutil
 import pytest
 
 from harness.launch.run_messages import ProcessNotice, SwarmError
-from harness.launch.run_monitor import RunMonitor
+from harness.launch.run_monitor import START_CAUSE_LIMIT_S, RunMonitor
 from harness.launch.supervisor import Exited
 from harness.records.run_folder import RunFolder
 from harness.simulator.emulator_client import GONE, UNANSWERED
@@ -107,3 +107,46 @@ def test_a_radio_that_computes_while_simulated_time_stands_still_is_named(
     assert len(named) == (0 if advancing else 1)
     for line in named:
         assert re.match(r"radio \(pid 2\) has worked for 8 s without progress \(.*\) at 3.000 s$", line)
+
+
+class RadioEndsLater(Processes):
+    """A vehicle has no radio during the start; the emulator's end is reported ``late_s`` afterwards."""
+
+    pids: ClassVar = {"physics": 1, "radio": 2, "uav 0": 3}
+
+    def __init__(self, late_s: float) -> None:
+        super().__init__("")
+        words = "uav: station 0: the 802.11 emulator does not acknowledge"
+        self.messages = [
+            ("uav 0", Exited(name="uav 0", pid=3, returncode=2, log_tail="", last_words=words)),
+        ]
+        self.wall_s = 1_000.0
+        self._wall_end_s = self.wall_s + late_s
+
+    def receive(self, timeout_s: float) -> Any:
+        if self.messages:
+            return self.messages.pop()
+        self.wall_s += timeout_s
+        if self.wall_s < self._wall_end_s:
+            return None
+        return "radio", Exited(name="radio", pid=2, returncode=-2, log_tail="", last_words="")
+
+
+@pytest.mark.parametrize(("late_s", "named"), [(1.0, "radio"), (START_CAUSE_LIMIT_S + 1.0, "uav 0")])
+def test_an_emulator_that_ends_in_the_start_is_the_cause_of_a_vehicle_without_radio(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, late_s: float, named: str
+) -> None:
+    supervisor = RadioEndsLater(late_s)
+    monkeypatch.setattr("time.monotonic", lambda: supervisor.wall_s)
+    monitor = RunMonitor(
+        supervisor,  # type: ignore[arg-type]
+        RunFolder(tmp_path),
+        starting=["uav 0"],
+        until_connected=["uav 0"],
+        call_limit_s=5.0,
+        wall_limit_s=None,
+        on_message=None,
+    )
+    monitor._running = True
+    with pytest.raises(SwarmError, match=rf"^{named} \(pid "):
+        monitor.next(1.0, "nothing")
