@@ -13,6 +13,7 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from resource import getpagesize
 from types import TracebackType
@@ -41,7 +42,7 @@ class _Thread:
     """The calls of one thread."""
 
     def __init__(self) -> None:
-        self.ident, self.native_id = threading.get_ident(), threading.get_native_id()
+        self.ident = threading.get_ident()
         self.call: ExtensionCall | None = None
         """The present call."""
         self.entries = 0
@@ -114,8 +115,9 @@ def watched(limit_s: float, *, on_stuck: Callable[[str], None]) -> Iterator[None
 
     """
     done = threading.Event()
+    scheduling = partial(_scheduling_s, threading.get_native_id())
     watch = threading.Thread(
-        target=_watch, args=(_LOCAL.thread, limit_s, on_stuck, done), name="calls", daemon=True
+        target=_watch, args=(_LOCAL.thread, scheduling, limit_s, on_stuck, done), name="calls", daemon=True
     )
     watch.start()
     try:
@@ -138,23 +140,34 @@ def memory_bytes() -> int:
     return int(Path("/proc/self/statm").read_bytes().split()[1]) * _PAGE_BYTES
 
 
-def _starved_s(native_id: int) -> float:
-    """Return the time so far in which a thread could run and had no processor; 0 where it is not known."""
+def _scheduling_s(native_id: int) -> tuple[float, float]:
+    """Return the times so far in which a thread had a processor, and in which it could run and had none.
+
+    Both are 0 where they are not known.
+    """
     try:
-        return int(Path(f"/proc/self/task/{native_id}/schedstat").read_bytes().split()[1]) * 1e-9
+        fields = Path(f"/proc/self/task/{native_id}/schedstat").read_bytes().split()
+        return int(fields[0]) * 1e-9, int(fields[1]) * 1e-9
     except (OSError, IndexError):
-        return 0.0
+        return 0.0, 0.0
 
 
-def _watch(thread: _Thread, limit_s: float, on_stuck: Callable[[str], None], done: threading.Event) -> None:
+def _watch(
+    thread: _Thread,
+    scheduling: Callable[[], tuple[float, float]],
+    limit_s: float,
+    on_stuck: Callable[[str], None],
+    done: threading.Event,
+) -> None:
     """Look at the present call periodically; adds the periods, of which a stopped process has none."""
     entries, call_s, most_bytes = -1, 0.0, memory_bytes() + MOST_BYTES
-    starved_s = _starved_s(thread.native_id)
+    ran_s, starved_s = scheduling()
     while not done.wait(PERIOD_S):
-        call, before_s = thread.call, starved_s
-        starved_s = _starved_s(thread.native_id)
+        call, ran_before_s, starved_before_s = thread.call, ran_s, starved_s
+        ran_s, starved_s = scheduling()
         is_same = call is not None and thread.entries == entries
-        call_s = call_s + max(0.0, PERIOD_S - (starved_s - before_s)) if is_same else 0.0
+        counted_s = max(ran_s - ran_before_s, PERIOD_S - (starved_s - starved_before_s))
+        call_s = call_s + counted_s if is_same else 0.0
         entries = thread.entries
         if call is not None and call_s >= STUCK_SHARE * limit_s:
             on_stuck(f"{call.title}: a call has not returned for {call_s:.1f} s, and cannot be ended")

@@ -4,7 +4,6 @@ An I/O module. The time rises with the number of sockets, that of reading /proc/
 15,000 sockets, which any user can make, 0.01 s instead of 0.2 s and more.
 """
 
-import contextlib
 import os
 import socket
 import sys
@@ -37,9 +36,7 @@ def udp_sockets() -> str | None:
     try:
         with socket.socket(socket.AF_NETLINK, socket.SOCK_DGRAM, _SOCK_DIAG) as sock:
             sock.settimeout(_LIMIT_S)
-            lines = list(_lines(sock, socket.AF_INET))
-            with contextlib.suppress(FileNotFoundError):  # without IPv6
-                lines += _lines(sock, socket.AF_INET6)
+            lines = [*_lines(sock, socket.AF_INET), *_lines(sock, socket.AF_INET6)]
     except OSError:
         return None
     return "".join(lines)
@@ -54,11 +51,11 @@ def _lines(sock: socket.socket, family: int) -> Iterator[str]:
         answer, at = sock.recv(_MOST_BYTES), 0
         while at < len(answer):
             size, kind, *_ = _HEADER.unpack_from(answer, at)
-            if kind == _DONE:
-                return
-            if kind == _ERROR:
+            if kind in (_ERROR, _DONE):  # without a handler for the protocol the end has an error, too
                 (code,) = _CODE.unpack_from(answer, at + _HEADER.size)
-                raise OSError(-code, os.strerror(-code))
+                if code < 0:
+                    raise OSError(-code, os.strerror(-code))
+                return
             local_port, remote_port, local, remote, uid, inode = _ENTRY.unpack_from(answer, at + _HEADER.size)
             yield (
                 f"0: {_hexadecimal(local, words)}:{local_port.hex().upper()} "

@@ -23,6 +23,8 @@ MARK = "COFLIGHT_CHILD"
 """Environment variable of every child and its descendants: ``<supervisor's token>/<child's name>``."""
 LIFETIME_S = 1.0
 """Wall time for which an answer of `DatagramOwners` is valid."""
+LONGEST_LIFETIME_S = 5.0
+"""The same while the tables are long."""
 SLOW_READ_S = 0.001
 READ_SHARE = 0.02
 """Share of wall time for which tables are read that take `SLOW_READ_S` of processor time or more: the time
@@ -108,7 +110,8 @@ class DatagramOwners:
         text, self._wall_read_s = self._read(), wall_s
         self._table = None if text is None else SocketTable(text)
         taken_s = self._cpu_s() - begin_s
-        self._wall_next_s = wall_s + (taken_s / READ_SHARE if taken_s >= SLOW_READ_S else 0.0)
+        delay_s = taken_s / READ_SHARE if taken_s >= SLOW_READ_S else 0.0
+        self._wall_next_s = wall_s + min(delay_s, LONGEST_LIFETIME_S)
         self._owners.clear()
 
     def _owners_at(self, address: Address, wall_s: float) -> frozenset[int]:

@@ -18,6 +18,8 @@ LOOPBACK = "127."
 _LOCAL, _REMOTE, _UID, _INODE = 1, 2, 7, 9
 """Columns of a line."""
 _WORD_DIGITS = 8
+_MAPPED = bytes(10) + b"\xff\xff"
+"""Begin of an address of version 6 that stands for one of version 4."""
 
 
 class SocketEntry(NamedTuple):
@@ -45,25 +47,42 @@ def entries(table: str, port: int) -> list[SocketEntry]:
 
 
 class SocketTable:
-    """A table whose lines are found by local port, in a time that does not rise with their number."""
+    """A table whose sockets are found by address, in a time that does not rise with their number."""
 
     def __init__(self, text: str) -> None:
         self._lines: dict[str, list[str]] = {}
+        self._entries: dict[str, list[SocketEntry]] = {}
+        """Those that were looked up; many sockets can share an address."""
         for line in text.splitlines():
             local = line.split(maxsplit=_LOCAL + 1)[_LOCAL : _LOCAL + 1]
             if local:
-                self._lines.setdefault(local[0].rpartition(":")[2], []).append(line)
+                self._lines.setdefault(local[0], []).append(line)
 
     def at(self, address: Address) -> list[SocketEntry]:
         """Return the sockets that can send from an address and receive at it; other lines are skipped."""
-        lines = self._lines.get(f"{address[1]:04X}", ())
-        return at_address(filter(None, map(_entry, lines)), address)
+        host, port = address
+        try:
+            raw = IPv4Address(host).packed
+        except ValueError:  # of version 6
+            hosts = [_words(IPv6Address(host).packed)]
+        else:
+            hosts = [_words(raw), _words(_MAPPED + raw)]
+        hosts += [_words(bytes(4)), _words(bytes(16))]
+        return [entry for each in hosts for entry in self._at(f"{each}:{port:04X}")]
+
+    def _at(self, local: str) -> list[SocketEntry]:
+        if local not in self._lines:
+            return []
+        found = self._entries.get(local)
+        if found is None:
+            found = [entry for entry in map(_entry, self._lines[local]) if entry is not None]
+            self._entries[local] = found
+        return found
 
 
-def at_address(sockets: Iterable[SocketEntry], address: Address) -> list[SocketEntry]:
-    """Return the sockets that can send from an address and receive at it."""
-    host, port = address
-    return [each for each in sockets if each.local in {(host, port), (ANY_HOST, port)}]
+def _words(packed: bytes) -> str:
+    """Return an address in the notation of the tables."""
+    return "".join(f"{word:08X}" for (word,) in struct.iter_unpack("=I", packed))
 
 
 def peer_of(sockets: Iterable[SocketEntry], local: Address, remote: Address) -> SocketEntry | None:

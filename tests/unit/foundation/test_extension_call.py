@@ -1,8 +1,11 @@
 """Calls of the user's code: exceptions, endless loops, calls that block, and memory."""
 
+import ast
+import os
 import re
 import threading
 import time
+from functools import partial
 
 import pytest
 
@@ -42,35 +45,67 @@ def test_an_endless_loop_is_ended_before_the_limit():
     assert time.monotonic() - begin_s >= extension_call.ENDED_SHARE * LIMIT_S
 
 
-def test_a_call_that_gets_no_processor_is_awaited(monkeypatch):
-    """Here for nine tenths of the time; the call takes four times the limit of wall time."""
+def scheduled(share):
+    """Return a stand-in for the scheduler's account of a thread that gets a share of a processor."""
     begin_s = time.monotonic()
-    monkeypatch.setattr(extension_call, "_starved_s", lambda _: 0.9 * (time.monotonic() - begin_s))
-    call = ExtensionCall("field code")
+
+    def scheduling_s(_native_id):
+        elapsed_s = time.monotonic() - begin_s
+        return share * elapsed_s, (1.0 - share) * elapsed_s
+
+    return scheduling_s
+
+
+def test_a_call_that_gets_no_processor_is_awaited(monkeypatch):
+    """The call takes four times the limit of wall time."""
+    monkeypatch.setattr(extension_call, "_scheduling_s", scheduled(0.1))
+    call, begin_s = ExtensionCall("field code"), time.monotonic()
     with watched(LIMIT_S, on_stuck=never), call:
         while time.monotonic() - begin_s < 4.0 * LIMIT_S:
             pass
 
 
-def test_the_time_without_a_processor_is_that_of_the_scheduler():
-    ended, native_id = threading.Event(), []
+def test_an_endless_loop_is_ended_by_its_processor_time_on_a_busy_machine(monkeypatch):
+    monkeypatch.setattr(extension_call, "_scheduling_s", scheduled(0.25))
+    call, begin_s = ExtensionCall("field code"), time.monotonic()
+    with watched(LIMIT_S, on_stuck=never), pytest.raises(ExtensionFailure, match="has not returned for"):
+        loop_in(call)
+    assert time.monotonic() - begin_s >= 2.0 * extension_call.ENDED_SHARE * LIMIT_S
 
-    def compute():
-        native_id.append(threading.get_native_id())
-        while not ended.is_set():
-            pass
 
-    thread = threading.Thread(target=compute)
-    thread.start()
-    while not native_id:
-        time.sleep(0.001)
-    before_s, begin_s = extension_call._starved_s(native_id[0]), time.monotonic()
-    time.sleep(0.2)
-    starved_s, elapsed_s = extension_call._starved_s(native_id[0]) - before_s, time.monotonic() - begin_s
-    ended.set()
-    thread.join()
-    assert 0.0 <= starved_s <= elapsed_s
-    assert extension_call._starved_s(-1) == 0.0
+def measured_shares():
+    """Return the shares of time in which this thread computes with and waits for a processor."""
+    scheduling = partial(extension_call._scheduling_s, threading.get_native_id())
+    (ran_s, starved_s), begin_s = scheduling(), time.monotonic()
+    while time.monotonic() - begin_s < 0.5:
+        pass
+    (ran_after_s, starved_after_s), elapsed_s = scheduling(), time.monotonic() - begin_s
+    return (ran_after_s - ran_s) / elapsed_s, (starved_after_s - starved_s) / elapsed_s
+
+
+def test_the_account_of_a_thread_is_the_schedulers_and_complete():
+    """Two processes share a processor, one of them forked as a vehicle is: both have all of the time."""
+    processors = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(processors)})
+    try:
+        reader, writer = os.pipe()
+        child = os.fork()
+        if child == 0:
+            try:
+                os.write(writer, repr(measured_shares()).encode())
+            finally:
+                os._exit(0)
+        own = measured_shares()
+        os.waitpid(child, 0)
+        forked = ast.literal_eval(os.read(reader, 200).decode())
+    finally:
+        os.sched_setaffinity(0, processors)
+        os.close(reader)
+        os.close(writer)
+    for ran, starved in (own, forked):
+        assert starved > 0.1
+        assert ran + starved == pytest.approx(1.0, abs=0.1)
+    assert extension_call._scheduling_s(-1) == (0.0, 0.0)
 
 
 def test_a_call_that_blocks_is_reported():

@@ -60,3 +60,11 @@ def test_the_tables_are_read_where_there_are_no_diagnostics(monkeypatch: pytest.
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         sock.bind(("127.0.0.1", 0))
         assert len(entries(read_udp() or "", sock.getsockname()[1])) == 1
+
+
+def test_a_kernel_without_a_handler_for_the_protocol_has_no_diagnostics(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It answers with an end that has an error, and not with an error."""
+    monkeypatch.setattr(socket, "IPPROTO_UDP", 99)
+    assert udp_sockets() is None

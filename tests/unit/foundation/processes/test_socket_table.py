@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from foundation.processes import socket_table
 from foundation.processes.socket_table import (
     ANY_HOST,
     SocketEntry,
     SocketTable,
-    at_address,
     entries,
     is_on_this_machine,
     peer_of,
@@ -59,9 +59,35 @@ def test_a_table_finds_what_can_send_from_an_address() -> None:
     text = HEADER + "\n no line\n" + "".join(lines)
     table = SocketTable(text)
     assert [each.inode for each in table.at(("127.0.0.1", 14_550))] == [77, 78]
-    for address in (("127.0.0.1", 14_550), ("10.0.0.7", 14_550), ("127.0.0.1", 81), ("127.0.0.1", 80)):
-        assert table.at(address) == at_address(entries(text, address[1]), address)
-    assert SocketTable("").at(("127.0.0.1", 81)) == []
+    assert [each.inode for each in table.at(("10.0.0.7", 14_550))] == [79, 78]
+    assert table.at(("127.0.0.1", 81)) == entries(text, 81)
+    assert table.at(("127.0.0.1", 80)) == SocketTable("").at(("127.0.0.1", 81)) == []
+
+
+def test_a_table_finds_addresses_of_version_6() -> None:
+    lines = [
+        line(v6("::1", 500), v6("::", 0), 1, 1),
+        line(v6("::ffff:127.0.0.1", 500), v6("::", 0), 2, 2),
+        line(v4(ANY_HOST, 500), NONE, 3, 3),
+    ]
+    table = SocketTable("".join(lines))
+    assert [each.inode for each in table.at(("::1", 500))] == [1, 3]
+    assert [each.inode for each in table.at(("127.0.0.1", 500))] == [2, 3]
+
+
+def test_a_look_up_does_not_read_sockets_of_other_addresses_of_the_port(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Any user can bind thousands of addresses of the loopback interface with one port."""
+    text = "".join(line(v4(f"127.0.{i // 256}.{i % 256}", 500), NONE, 1, i) for i in range(3_000))
+    read, entry = [], socket_table._entry
+    monkeypatch.setattr(socket_table, "_entry", lambda text: read.append(text) or entry(text))
+    table = SocketTable(text)
+    assert [each.inode for each in table.at(("127.0.1.7", 500))] == [263]
+    assert len(read) == 1
+    same = SocketTable("".join(line(v4("127.0.0.1", 500), NONE, 1, i) for i in range(3_000)))
+    assert len(same.at(("127.0.0.1", 500))) == len(same.at(("127.0.0.1", 500))) == 3_000
+    assert len(read) == 3_001
 
 
 def test_a_remote_port_of_the_same_number_is_no_entry() -> None:
@@ -93,7 +119,7 @@ def test_a_socket_bound_to_all_addresses_can_send_from_each() -> None:
         line(v4(host, 9_000), NONE, uid, uid)
         for uid, host in enumerate(("127.0.0.1", ANY_HOST, "127.0.0.2"), 1)
     )
-    found = at_address(entries(table, 9_000), ("127.0.0.1", 9_000))
+    found = SocketTable(table).at(("127.0.0.1", 9_000))
     assert [entry.uid for entry in found] == [1, 2]
 
 
