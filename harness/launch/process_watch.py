@@ -100,10 +100,9 @@ class ProcessWatch:
             slow_s = slow.computing_s + slow.starved_s
             if slow_s > SLOW_LIMIT_S:
                 self._slow.add(name)
-                limit = f"the run ends after {self._computing_limit_s:.0f} s of its processor time"
-                share = round(100.0 * slow.computing_s / slow_s)
-                if slow.starved_s > slow.computing_s:
-                    limit = f"it gets {share} % of a processor, {limit}"
-                what = f"has worked for {slow_s:.0f} s without progress ({limit})"
+                what = f"has worked for {slow_s:.0f} s without progress"
+                share = slow.computing_s / slow_s
+                if share < 0.5:
+                    what += f", with {100.0 * share:.0f} % of a processor"
                 return Finding(name, what, slow.status, given_up=False)
         return None

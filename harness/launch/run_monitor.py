@@ -82,6 +82,8 @@ class RunMonitor:
         """Time of the last look at the processes."""
         self._awaits_progress = False
         """Whether the physics server is to report what it does at least every second."""
+        self._awaits_radio_end = False
+        """Whether `cause_of` waits for the end of the radio."""
         self._memory_kills = memory_kills()
 
     @property
@@ -130,7 +132,8 @@ class RunMonitor:
             return
         self._wall_look_s = wall_s
         names = [PHYSICS, RADIO, PREFORK, *([] if self._connected else self._starting)]
-        progressing, stepping = ([PHYSICS], [RADIO]) if self._awaits_progress else ([], [])
+        progressing = [PHYSICS] if self._awaits_progress else []
+        stepping = [RADIO] if self._awaits_progress and self._connected else []
         states = self._supervisor.states(names)
         found = self._watch.look(wall_s, states, progressing=progressing, stepping=stepping)
         if found is not None:
@@ -200,7 +203,8 @@ class RunMonitor:
                 self.influences.append(message)
             case Progress() | Paused():
                 self._connected = True
-                if message.time_us > self.simulated_us:
+                stands = isinstance(message, Paused) or message.paused
+                if stands or message.time_us > self.simulated_us:
                     self._watch.on_progress(RADIO)
                 self.simulated_us = message.time_us
                 self.wall_paused_s = message.wall_paused_s
@@ -227,11 +231,16 @@ class RunMonitor:
 
     def cause_of(self, name: str, exited: Exited) -> str:
         """Return a line for the end of a process that is needed, or for that of the radio, its cause."""
-        in_start = name not in (PHYSICS, RADIO, PREFORK)
-        if in_start or (name == PHYSICS and GONE in exited.last_words):
-            wall_end_s = time.monotonic() + (START_CAUSE_LIMIT_S if in_start else CAUSE_LIMIT_S)
+        if name not in (PHYSICS, RADIO, PREFORK):
+            limit_s = START_CAUSE_LIMIT_S
+        else:
+            limit_s = CAUSE_LIMIT_S if name == PHYSICS and GONE in exited.last_words else 0.0
+        if limit_s and not self._awaits_radio_end:
+            self._awaits_radio_end = True  # meanwhile other processes may end for the same reason
+            wall_end_s = time.monotonic() + limit_s
             while RADIO not in self.exited and (left_s := wall_end_s - time.monotonic()) > 0.0:
                 self._take(left_s)
+            self._awaits_radio_end = False
             if RADIO in self.exited:
                 return self._descriptions[RADIO]
         elif name == PHYSICS and UNANSWERED in exited.last_words:

@@ -10,6 +10,9 @@ from typing import Any, get_type_hints
 import msgspec
 from msgspec import Struct
 
+_BEGIN = b'{"job":'
+"""Begin of each line."""
+
 
 class _Record(Struct, frozen=True, kw_only=True):
     job: str
@@ -37,18 +40,22 @@ class JobRecords:
         try:
             with path.open("a+b") as file:
                 file.seek(0)
-                data = file.read()
-                whole = data[: data.rfind(b"\n") + 1]
-                file.truncate(len(whole))
+                *lines, rest = file.read().split(b"\n")
+                for number, line in enumerate(lines, 1):
+                    record = self._record(line, number)
+                    self._records[record.job, _encoded(record.arguments)] = record
+                if not _BEGIN.startswith(rest[: len(_BEGIN)]):
+                    self._record(rest, len(lines) + 1)
+                file.truncate(sum(len(line) + 1 for line in lines))
         except OSError as error:
             raise JobRecordsError(f"{path}: {error.strerror or error}") from None
-        for number, line in enumerate(whole.splitlines(), 1):
-            try:
-                record = msgspec.json.decode(line, type=_Record)
-            except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-                text = f"{path}, line {number}: not the result of a job: {error}; give another file"
-                raise JobRecordsError(text) from None
-            self._records[record.job, _encoded(record.arguments)] = record
+
+    def _record(self, line: bytes, number: int) -> _Record:
+        try:
+            return msgspec.json.decode(line, type=_Record)
+        except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+            text = f"{self._path}, line {number}: not the result of a job: {error}; give another file"
+            raise JobRecordsError(text) from None
 
     def result(self, job: partial[Any]) -> Any:  # noqa: ANN401  what the job's function returns
         """Return the result of a job, None if the file has none.
@@ -81,6 +88,8 @@ class JobRecords:
 
 
 def _name(job: partial[Any]) -> str:
+    if job.keywords:
+        raise ValueError(f"{job}: only arguments by position are recorded")
     return f"{job.func.__module__}.{job.func.__qualname__}"
 
 

@@ -37,7 +37,8 @@ def run_subjects(
     """Run the jobs of the subjects and judge their results.
 
     ``progress`` is called with the subject, the number of its finished jobs and their total. Jobs whose
-    results are in ``records`` are not run, and the results of the others are added. Raises JobRecordsError.
+    results are in ``records`` are not run, and the results of the others are added. Raises JobRecordsError,
+    and the first error of a job: with records once all jobs have ended, else without those that wait.
     """
     results: dict[str, Results] = {}
     done = dict.fromkeys(subjects, 0)
@@ -55,11 +56,20 @@ def run_subjects(
                         results[name][group][index] = recorded
                         done[name] += 1
         total = {name: sum(map(len, results[name].values())) for name in subjects}
+        first_error: BaseException | None = None
         for future in as_completed(waiting):
             name, group, index, job = waiting[future]
+            if (error := future.exception()) is not None:
+                first_error = first_error or error
+                if records is None:
+                    pool.shutdown(wait=False, cancel_futures=True)
+                    raise error
+                continue
             results[name][group][index] = future.result()
             if records is not None:
                 records.add(job, future.result())
             done[name] += 1
             progress(name, done[name], total[name])
+        if first_error is not None:
+            raise first_error
     return {name: subject.judge(plan, results[name]) for name, subject in subjects.items()}

@@ -77,7 +77,7 @@ def test_process_that_is_continued_soon_does_not_end_the_run(launch: Launch) -> 
             swarm.run(until_s=1.0)
             pid = swarm.pids[name]
             os.kill(pid, signal.SIGSTOP)
-            threading.Timer(2.0, os.kill, (pid, signal.SIGCONT)).start()
+            threading.Timer(1.5, os.kill, (pid, signal.SIGCONT)).start()
             threading.Timer(6.0, swarm.pause).start()  # a command ends the stand-in's run
             swarm.run(until_s=1e6)
         return swarm.records_lost

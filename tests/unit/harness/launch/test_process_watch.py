@@ -98,15 +98,14 @@ def test_a_process_without_progress_is_found_by_what_it_does():
 def test_a_process_that_computes_without_progress_is_named_once_long_before_it_is_given_up(names):
     ((at_s, finding),) = slow_findings(lambda t: t, limit_s=100.0, **names)
     assert SLOW_LIMIT_S <= at_s < NAMED_WITHIN_S
-    what = "has worked for 8 s without progress (the run ends after 30 s of its processor time)"
-    assert (finding.name, finding.what) == ("radio", what)
+    assert (finding.name, finding.what) == ("radio", "has worked for 8 s without progress")
 
 
 def test_an_endless_loop_is_named_and_given_up_on_a_busy_machine_too():
     """It gets a tenth of a processor: as long as it has not computed much, it may only be starved."""
     ((at_s, finding),) = slow_findings(lambda t: 0.1 * t, limit_s=100.0, stepping=("radio",))
     assert SLOW_LIMIT_S <= at_s < NAMED_WITHIN_S
-    assert "it gets 10 % of a processor" in finding.what
+    assert finding.what == "has worked for 8 s without progress, with 10 % of a processor"
     starved = lambda t: {"physics": ProcessState(psutil.STATUS_RUNNING, 0.1 * t)}  # noqa: E731
     at_s, found = found_after_s(starved, limit_s=600.0)
     assert 10.0 * COMPUTING_LIMIT_S <= at_s < 10.0 * COMPUTING_LIMIT_S + 10.0
