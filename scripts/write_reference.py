@@ -29,6 +29,7 @@ from studies.antenna.cli import validate_antenna_app
 from studies.article.cli import article_app
 from studies.attacks.cli import attacks_app
 from studies.bench.cli import bench_app
+from studies.chaos.cli import chaos_app
 from studies.codesign.cli import codesign_app
 from studies.link_tables.tables import tables_app
 from studies.radio.bench_cli import bench_radio_app
@@ -45,6 +46,7 @@ APPLICATIONS = {
     "coflight study radio": validate_radio_app, "coflight study antenna": validate_antenna_app,
     "coflight study codesign": codesign_app, "coflight study article": article_app,
     "coflight study soak": soak_app, "coflight study attacks": attacks_app,
+    "coflight study chaos": chaos_app,
     "coflight study vehicle-cost": bench_vehicle_app, "coflight study radio-cost": bench_radio_app,
     "python scripts/link_tables.py": tables_app,
 }  # fmt: skip

@@ -25,6 +25,7 @@ _WRONG = "An option, a file or a value is wrong; nothing was flown or computed."
 _STOPPED = "Ctrl-C."
 _KEPT = "Ctrl-C; the records until then are kept."
 _CONTINUES = "Ctrl-C; the same command continues."
+_CONTINUES_WITH_RECORDS = "Ctrl-C; with `--records` the same command continues."
 _CHECKS = {
     FINE: "All requirements are met.",
     FAILED: "A requirement is not met, or the study failed.",
@@ -76,13 +77,13 @@ STATUSES: Mapping[str, Mapping[int, str]] = {
         BAD_INPUT: _WRONG,
         INTERRUPTED: _CONTINUES,
     },
-    "study soak": _CHECKS,
+    "study soak": {**_CHECKS, INTERRUPTED: _CONTINUES_WITH_RECORDS},
     "study attacks": _CHECKS,
     "study chaos": {
         FINE: "All flights ended as required.",
         FAILED: "Some did not.",
         BAD_INPUT: _WRONG,
-        INTERRUPTED: "Ctrl-C; with `--records` the same command continues.",
+        INTERRUPTED: _CONTINUES_WITH_RECORDS,
     },
     "study vehicle-cost": _LIMITS,
     "study radio-cost": _LIMITS,

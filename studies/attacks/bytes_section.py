@@ -5,7 +5,7 @@ from functools import partial
 from msgspec.structs import replace
 
 from harness.launch.swarm import Swarm
-from studies.attacks.duel import COLUMNS, Attack, Duel, checks, fight, row
+from studies.attacks.comparison import COLUMNS, Attack, Comparison, checks, compare, row
 from studies.attacks.launch import can_be_another
 from studies.attacks.plan import AttacksPlan
 from studies.attacks.sockets import OpenSockets
@@ -18,7 +18,7 @@ LINKS = ("unix", "tcp")
 
 
 def jobs(plan: AttacksPlan) -> dict[str, list[Job]]:
-    """Return a duel for each user and link of the radio."""
+    """Return a comparison for each user and link of the radio."""
     users = (False, True) if can_be_another() else (False,)
     count = len(users) * len(LINKS)
     part = replace(
@@ -27,8 +27,8 @@ def jobs(plan: AttacksPlan) -> dict[str, list[Job]]:
     return {_GROUP: [partial(fly, part, link, is_other) for link in LINKS for is_other in users]}
 
 
-def fly(plan: AttacksPlan, link: str, is_other: bool) -> Duel:  # noqa: FBT001  pickled with its position
-    """Send the plan's bytes to all that is open. Raises SwarmError, IntruderError."""
+def fly(plan: AttacksPlan, link: str, is_other: bool) -> Comparison:  # noqa: FBT001  pickled with its position
+    """Send the plan's bytes to all that is open. Raises SwarmError, AttackError."""
 
     def prepare(swarm: Swarm) -> list[Attack]:
         opened = OpenSockets(swarm)
@@ -43,7 +43,7 @@ def fly(plan: AttacksPlan, link: str, is_other: bool) -> Duel:  # noqa: FBT001  
         return [Attack(task=task, is_other=is_other)]
 
     user = "another user" if is_other else "own user"
-    return fight(
+    return compare(
         f"{user}, radio over {link}",
         prepare,
         overrides=[f"ports.radio_link={link}"],
@@ -54,7 +54,7 @@ def fly(plan: AttacksPlan, link: str, is_other: bool) -> Duel:  # noqa: FBT001  
 
 def judge(plan: AttacksPlan, results: Results) -> Section:
     """Compare the flights with those without bytes."""
-    duels: list[Duel] = results[_GROUP]
+    comparisons: list[Comparison] = results[_GROUP]
     return Section(
         title="Random bytes",
         conditions=filled(
@@ -64,6 +64,6 @@ def judge(plan: AttacksPlan, results: Results) -> Section:
             "message by accident, one of 65,536 with the form of one, which the manifest then names."
         )
         + "\n",
-        checks=tuple(check for duel in duels for check in checks(duel)),
-        tables=(ReportTable(caption="Attacks.", columns=COLUMNS, rows=tuple(map(row, duels))),),
+        checks=tuple(check for comparison in comparisons for check in checks(comparison)),
+        tables=(ReportTable(caption="Attacks.", columns=COLUMNS, rows=tuple(map(row, comparisons))),),
     )

@@ -27,7 +27,7 @@ SUBJECTS: dict[str, Subject[AttacksPlan]] = {
 }
 INTRODUCTION = """Programs attack flying runs from outside, as another user of the machine and as the user of
 the run ([what a run trusts](../concepts/trust.md)). Each flight is flown a second time without the attack, up
-to the same simulated time: the logs are equal, byte for byte, or the manifest names the intruder. Memory is
+to the same simulated time: the logs are equal, byte for byte, or the manifest names the cause. Memory is
 the growth of a process's private memory, compared with that in the second flight. All numbers are produced by
 
     coflight study attacks

@@ -17,8 +17,8 @@ OPERATIONS = ("run", "run_function")
 """Of scheduler, worker and nanny."""
 
 
-def run_somehow(task: RunOnCluster, ended: threading.Event) -> Report:  # noqa: ARG001
-    """Try all protocols and operations on all ports; a function that runs is a finding."""
+def try_functions(task: RunOnCluster, ended: threading.Event) -> Report:  # noqa: ARG001
+    """Try to run a function by all protocols and operations on all ports; one that runs is a finding."""
     tried = [
         (port, scheme, operation)
         for port in task.ports

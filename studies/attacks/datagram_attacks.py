@@ -7,6 +7,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from ipaddress import IPv4Address
 
 import numpy as np
 from pymavlink.dialects.v20 import common
@@ -25,6 +26,7 @@ DESCRIPTORS_BESIDE = 64
 """Descriptors of this program beside its sockets."""
 PERIOD_S = 0.002
 """Wall time between two bursts of a steady rate."""
+_FIRST_OF_ONE_PORT = IPv4Address("127.1.0.0")
 _POOL_BYTES = 4_000_000
 _FRAMED = 0.5
 """Share of connections whose bytes are in messages of a length of two bytes, as Zenoh's."""
@@ -133,7 +135,9 @@ def send_steadily(task: SteadyDatagrams, ended: threading.Event) -> Report:
     encoder = Encoder(system=255, component=190)
     sent = 0
     with contextlib.ExitStack() as stack:
-        sockets = [stack.enter_context(_bound()) for _ in range(_allowed(task.sockets))]
+        count = _allowed(task.sockets)
+        bound = _bound_to_one_port(count) if task.one_port else (_bound() for _ in range(count))
+        sockets = [stack.enter_context(sock) for sock in bound]
         begin_s = time.monotonic()
         while not ended.wait(PERIOD_S):
             while sent < task.rate_s * (time.monotonic() - begin_s):
@@ -144,11 +148,25 @@ def send_steadily(task: SteadyDatagrams, ended: threading.Event) -> Report:
     return Report(counts={"datagrams": sent, "per second": round(sent / taken_s), "sockets": len(sockets)})
 
 
-def _bound() -> socket.socket:
+def _bound(address: Address = ("127.0.0.1", 0)) -> socket.socket:
+    """Return a new socket at an address. Raises OSError."""
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    sock.bind(("127.0.0.1", 0))
+    try:
+        sock.bind(address)
+    except OSError:
+        sock.close()
+        raise
     sock.settimeout(0.0)  # what the vehicle sends is not read
     return sock
+
+
+def _bound_to_one_port(count: int) -> Iterator[socket.socket]:
+    """Yield sockets of one port at the addresses from 127.1.0.1 on. Raises OSError if it is taken at one."""
+    port = 0
+    for number in range(1, count + 1):
+        sock = _bound((str(_FIRST_OF_ONE_PORT + number), port))
+        port = sock.getsockname()[1]
+        yield sock
 
 
 def _allowed(sockets: int) -> int:

@@ -6,11 +6,12 @@ import time
 from functools import partial
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from harness.launch.swarm import Swarm
 from harness.scenario.packaged import find
-from studies.attacks.duel import AGENTS, BEGIN_S, ROW, SEED
-from studies.attacks.launch import Intruder, can_be_another
+from studies.attacks.comparison import AGENTS, BEGIN_S, ROW, SEED
+from studies.attacks.launch import AttackProcess, can_be_another
 from studies.attacks.plan import AttacksPlan
 from studies.attacks.sockets import vehicle_ports
 from studies.attacks.tasks import SteadyDatagrams
@@ -30,6 +31,7 @@ class Sender(Struct, frozen=True, kw_only=True):
     is_other: bool
     rate_s: float
     sockets: int = 1
+    one_port: bool = False
 
 
 class Pair(Struct, frozen=True, kw_only=True):
@@ -52,13 +54,14 @@ def senders(plan: AttacksPlan) -> list[Sender]:
     own = Sender(name="own user", is_other=False, rate_s=plan.datagrams_s)
     if not can_be_another():
         return [own]
-    crowd = Sender(
-        name=f"another user, {plan.crowd_sockets:,} sockets",
+    many = Sender(
+        name=f"another user, {plan.many_sockets:,} sockets",
         is_other=True,
-        rate_s=plan.crowd_datagrams_s,
-        sockets=plan.crowd_sockets,
+        rate_s=plan.many_sockets_datagrams_s,
+        sockets=plan.many_sockets,
     )
-    return [own, Sender(name="another user", is_other=True, rate_s=plan.datagrams_s), crowd]
+    one_port = replace(many, name=f"{many.name} of one port", one_port=True)
+    return [own, Sender(name="another user", is_other=True, rate_s=plan.datagrams_s), many, one_port]
 
 
 def jobs(plan: AttacksPlan) -> dict[str, list[Job]]:
@@ -67,12 +70,12 @@ def jobs(plan: AttacksPlan) -> dict[str, list[Job]]:
 
 
 def fly_all(plan: AttacksPlan) -> list[Pair]:
-    """Fly all pairs of each sender. Raises SwarmError, IntruderError."""
+    """Fly all pairs of each sender. Raises SwarmError, AttackError."""
     return [fly_pair(plan, sender) for _ in range(plan.pairs) for sender in senders(plan)]
 
 
 def fly_pair(plan: AttacksPlan, sender: Sender) -> Pair:
-    """Fly without and with datagrams. Raises SwarmError, IntruderError."""
+    """Fly without and with datagrams. Raises SwarmError, AttackError."""
     without, _ = _fly(plan, None)
     beside, sent_s = _fly(plan, sender)
     return Pair(sender=sender, without=without, beside=beside, sent_s=sent_s)
@@ -84,16 +87,21 @@ def _fly(plan: AttacksPlan, sender: Sender | None) -> tuple[float, float]:
     with Swarm(find("article"), agents=AGENTS, seed=SEED, overrides=ROW) as swarm:
         swarm.run(until_s=BEGIN_S)
         with contextlib.ExitStack() as stack:
-            intruder = None
+            process = None
             if sender is not None:
                 address = vehicle_ports(swarm, 0)[0]
-                task = SteadyDatagrams(datagrams_to=address, rate_s=sender.rate_s, sockets=sender.sockets)
-                intruder = stack.enter_context(Intruder(task, is_other=sender.is_other))
+                task = SteadyDatagrams(
+                    datagrams_to=address,
+                    rate_s=sender.rate_s,
+                    sockets=sender.sockets,
+                    one_port=sender.one_port,
+                )
+                process = stack.enter_context(AttackProcess(task, is_other=sender.is_other))
             wall_begin_s = time.monotonic()
             swarm.run_for(plan.pair_s)
             factor = plan.pair_s / (time.monotonic() - wall_begin_s)
-            if intruder is not None:
-                sent_s = float(intruder.report().counts["per second"])
+            if process is not None:
+                sent_s = float(process.report().counts["per second"])
     return factor, sent_s
 
 
@@ -117,9 +125,9 @@ def judge(plan: AttacksPlan, results: Results) -> Section:
         conditions=filled(
             f"{plan.datagrams_s:,.0f} heartbeats a second to the ground station's link of one of {AGENTS} "
             f"vehicles, in turns without and with, {plan.pairs} pairs of {plan.pair_s:g} s, as fast as "
-            f"possible; medians. Another user also sends {plan.crowd_datagrams_s:,.0f} a second from "
-            f"{plan.crowd_sockets:,} sockets in turn. The sender is a program of the same machine, so its "
-            "own processor time is included."
+            f"possible; medians. Another user also sends {plan.many_sockets_datagrams_s:,.0f} a second from "
+            f"{plan.many_sockets:,} sockets in turn, once of as many ports and once of one port at as many "
+            "addresses. The sender is a program of the same machine, so its own processor time is included."
         )
         + "\n",
         checks=tuple(checks),

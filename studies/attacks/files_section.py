@@ -14,8 +14,8 @@ from msgspec import Struct
 from foundation.kernels import cache_folder
 from harness.launch.swarm import Swarm
 from harness.scenario.packaged import find
-from studies.attacks.duel import AGENTS, ROW, SEED
-from studies.attacks.launch import Intruder, can_be_another
+from studies.attacks.comparison import AGENTS, ROW, SEED
+from studies.attacks.launch import AttackProcess, can_be_another
 from studies.attacks.plan import AttacksPlan
 from studies.attacks.sockets import OpenSockets, listening_ports
 from studies.attacks.tasks import OpenEverything, Report, RunOnCluster, Task
@@ -146,8 +146,8 @@ def _await_flight(process: "subprocess.Popen[bytes]", out: Path) -> None:
 
 def _report(task: Task) -> Report:
     """Return what another user has done."""
-    with Intruder(task, is_other=True) as intruder:
-        return intruder.report()
+    with AttackProcess(task, is_other=True) as process:
+        return process.report()
 
 
 def _together(reports: list[Report]) -> Report:

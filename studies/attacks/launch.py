@@ -4,18 +4,19 @@ import contextlib
 import os
 import subprocess
 import sys
+import tempfile
 from typing import Self
 
 import msgspec
 
-from studies.attacks.intruder import BEGUN, OTHER_UID
+from studies.attacks.attack_program import BEGUN, OTHER_UID
 from studies.attacks.tasks import Order, Report, Task
 
 END_LIMIT_S = 60.0
 """Wall time from the request to end to the end."""
 
 
-class IntruderError(Exception):
+class AttackError(Exception):
     """A program that attacks has failed itself; the text is its last line."""
 
 
@@ -24,15 +25,16 @@ def can_be_another() -> bool:
     return os.geteuid() == 0
 
 
-class Intruder:
-    """A running attack; ended with its block. Raises IntruderError if it does not begin."""
+class AttackProcess:
+    """A running attack; ended with its block. Raises AttackError if it does not begin."""
 
     def __init__(self, task: Task, *, is_other: bool) -> None:
+        self._messages = tempfile.TemporaryFile()  # noqa: SIM115  closed with its block; a full pipe holds a program
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "studies.attacks.intruder"],
+            [sys.executable, "-m", "studies.attacks.attack_program"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
+            stderr=self._messages,
             bufsize=0,  # else the first line is read with a part of the report
         )
         order = Order(task=task, uid=OTHER_UID if is_other else None)
@@ -40,7 +42,10 @@ class Intruder:
         assert self._process.stdout is not None  # noqa: S101  it is a pipe
         if self._process.stdout.readline().strip() != BEGUN.encode():
             self._process.kill()
-            raise IntruderError(self._last_line(self._process.communicate()[1]))
+            self._process.communicate()
+            error = AttackError(self._last_line())
+            self._messages.close()
+            raise error
 
     def __enter__(self) -> Self:
         return self
@@ -48,6 +53,7 @@ class Intruder:
     def __exit__(self, *_: object) -> None:
         self._process.kill()
         self._process.communicate()
+        self._messages.close()
 
     @property
     def is_running(self) -> bool:
@@ -55,13 +61,13 @@ class Intruder:
         return self._process.poll() is None
 
     def report(self) -> Report:
-        """End the attack and return its report. Raises IntruderError."""
+        """End the attack and return its report. Raises AttackError."""
         try:
-            output, messages = self._process.communicate(timeout=END_LIMIT_S)
+            output, _ = self._process.communicate(timeout=END_LIMIT_S)
         except subprocess.TimeoutExpired:
-            raise IntruderError(f"an attack does not end within {END_LIMIT_S:g} s") from None
+            raise AttackError(f"an attack does not end within {END_LIMIT_S:g} s") from None
         if self._process.returncode != 0:
-            raise IntruderError(self._last_line(messages))
+            raise AttackError(self._last_line())
         return msgspec.json.decode(output, type=Report)
 
     def _write(self, data: bytes) -> None:
@@ -70,6 +76,7 @@ class Intruder:
             self._process.stdin.write(data)
             self._process.stdin.flush()
 
-    def _last_line(self, messages: bytes) -> str:
-        lines = messages.decode(errors="replace").strip().splitlines()
+    def _last_line(self) -> str:
+        self._messages.seek(0)
+        lines = self._messages.read().decode(errors="replace").strip().splitlines()
         return f"an attack has ended with status {self._process.returncode}: {lines[-1] if lines else ''}"

@@ -3,7 +3,7 @@
 from functools import partial
 
 from harness.launch.swarm import Swarm
-from studies.attacks.duel import AGENTS, COLUMNS, Attack, Duel, checks, fight, row
+from studies.attacks.comparison import AGENTS, COLUMNS, Attack, Comparison, checks, compare, row
 from studies.attacks.plan import AttacksPlan
 from studies.attacks.sockets import vehicle_ports
 from studies.attacks.tasks import MutatedMavlink
@@ -17,12 +17,12 @@ SEEDS = (1, 2)
 
 
 def jobs(plan: AttacksPlan) -> dict[str, list[Job]]:
-    """Return duels of some seeds."""
+    """Return comparisons of some seeds."""
     return {_GROUP: [partial(fly, plan, seed) for seed in SEEDS]}
 
 
-def fly(plan: AttacksPlan, seed: int) -> Duel:
-    """Send mutated messages to all links of all vehicles. Raises SwarmError, IntruderError."""
+def fly(plan: AttacksPlan, seed: int) -> Comparison:
+    """Send mutated messages to all links of all vehicles. Raises SwarmError, AttackError."""
 
     def prepare(swarm: Swarm) -> list[Attack]:
         task = MutatedMavlink(
@@ -34,16 +34,16 @@ def fly(plan: AttacksPlan, seed: int) -> Duel:
         )
         return [Attack(task=task)]
 
-    return fight(f"seed {seed}", prepare, least_s=plan.least_s, may_influence=True)
+    return compare(f"seed {seed}", prepare, least_s=plan.least_s, may_influence=True)
 
 
 def judge(plan: AttacksPlan, results: Results) -> Section:
     """Require that no process ends, that all values are finite, and that the manifest names the sender."""
-    duels: list[Duel] = results[_GROUP]
+    comparisons: list[Comparison] = results[_GROUP]
     named = [
-        Check(f"{duel.title}: named influences", len(duel.attacked.causes), at_least=1.0)
-        for duel in duels
-        if duel.attacked is not None
+        Check(f"{comparison.title}: named influences", len(comparison.attacked.causes), at_least=1.0)
+        for comparison in comparisons
+        if comparison.attacked is not None
     ]
     return Section(
         title="Mutated MAVLink",
@@ -56,6 +56,6 @@ def judge(plan: AttacksPlan, results: Results) -> Section:
             "process may end."
         )
         + "\n",
-        checks=(*(check for duel in duels for check in checks(duel)), *named),
-        tables=(ReportTable(caption="Attacks.", columns=COLUMNS, rows=tuple(map(row, duels))),),
+        checks=(*(check for comparison in comparisons for check in checks(comparison)), *named),
+        tables=(ReportTable(caption="Attacks.", columns=COLUMNS, rows=tuple(map(row, comparisons))),),
     )

@@ -20,9 +20,9 @@ class AttacksPlan(Struct, frozen=True, kw_only=True):
     """Names that a guest declares at the radio's router, which keeps them"""
     idle_connections: int = 100
     datagrams_s: float = 15_000.0
-    crowd_sockets: int = 10_000
+    many_sockets: int = 10_000
     """Sockets of another user from which datagrams come in turn; tables of sockets are long then"""
-    crowd_datagrams_s: float = 1_000.0
+    many_sockets_datagrams_s: float = 1_000.0
     pairs: int = 5
     """Pairs of flights, without and with datagrams"""
     pair_s: float = 20.0
@@ -40,7 +40,7 @@ QUICK_ATTACKS = AttacksPlan(
     flood_messages=10_000,
     key_expressions=2_000,
     idle_connections=20,
-    crowd_sockets=5_000,
+    many_sockets=5_000,
     pairs=1,
     pair_s=3.0,
     least_s=2.0,

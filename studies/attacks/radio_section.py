@@ -5,7 +5,7 @@ from functools import partial
 
 from harness.launch.swarm import Swarm
 from netsim.transport.guest_access import read_guest_access
-from studies.attacks.duel import AGENTS, COLUMNS, Attack, Duel, checks, fight, row
+from studies.attacks.comparison import AGENTS, COLUMNS, Attack, Comparison, checks, compare, row
 from studies.attacks.launch import can_be_another
 from studies.attacks.plan import AttacksPlan
 from studies.attacks.tasks import (
@@ -21,7 +21,7 @@ from studies.common.report import ReportTable, Section, filled
 from studies.common.runner import Job, Results
 
 _GROUP = "radio"
-GUEST = "intruder"
+GUEST = "attacker"
 STATION = AGENTS
 """The guest's: after the vehicles."""
 _GUESTS = f"radio.guests=[{{name='{GUEST}', pos_ned_m=[0.0, -20.0, -1.5]}}]"
@@ -30,8 +30,8 @@ REFUSED_LIMIT_S = 0.5
 
 
 def jobs(plan: AttacksPlan) -> dict[str, list[Job]]:
-    """Return the duels, the longest first."""
-    duels = [
+    """Return the comparisons, the longest first."""
+    comparisons = [
         partial(fly, plan, "guest: flood", "unix"),
         *(partial(fly, plan, "guest: names", link) for link in LINKS),
         *(partial(fly, plan, "guest: altered bytes", link) for link in LINKS),
@@ -39,12 +39,12 @@ def jobs(plan: AttacksPlan) -> dict[str, list[Job]]:
         *(partial(fly, plan, "own user, no password", link) for link in LINKS),
     ]
     if can_be_another():
-        duels += [partial(fly, plan, "another user", link) for link in LINKS]
-    return {_GROUP: duels}
+        comparisons += [partial(fly, plan, "another user", link) for link in LINKS]
+    return {_GROUP: comparisons}
 
 
-def fly(plan: AttacksPlan, kind: str, link: str) -> Duel:
-    """Attack the radio in one way. Raises SwarmError, IntruderError."""
+def fly(plan: AttacksPlan, kind: str, link: str) -> Comparison:
+    """Attack the radio in one way. Raises SwarmError, AttackError."""
 
     def prepare(swarm: Swarm) -> list[Attack]:
         return [
@@ -52,7 +52,7 @@ def fly(plan: AttacksPlan, kind: str, link: str) -> Duel:
             for each in _tasks(plan, kind, guest_login(swarm))
         ]
 
-    return fight(
+    return compare(
         f"{kind}, {link}",
         prepare,
         overrides=[f"ports.radio_link={link}", _GUESTS],
@@ -104,7 +104,7 @@ def _tasks(plan: AttacksPlan, kind: str, login: Login) -> Sequence[Task]:
 
 def judge(plan: AttacksPlan, results: Results) -> Section:
     """Require that only a guest's own batches have an effect, which the manifest names."""
-    duels: list[Duel] = results[_GROUP]
+    comparisons: list[Comparison] = results[_GROUP]
     return Section(
         title="The radio",
         conditions=filled(
@@ -117,6 +117,6 @@ def judge(plan: AttacksPlan, results: Results) -> Section:
             "change the flight."
         )
         + "\n",
-        checks=tuple(check for duel in duels for check in checks(duel)),
-        tables=(ReportTable(caption="Attacks.", columns=COLUMNS, rows=tuple(map(row, duels))),),
+        checks=tuple(check for comparison in comparisons for check in checks(comparison)),
+        tables=(ReportTable(caption="Attacks.", columns=COLUMNS, rows=tuple(map(row, comparisons))),),
     )

@@ -1,4 +1,4 @@
-"""Thieves of vehicle slots and idle connections, from before the start to the end."""
+"""Foreign connections to vehicle slots and idle ones, from before the start to the end."""
 
 from functools import partial
 
@@ -6,7 +6,7 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Encoder
 from harness.launch.swarm import Swarm
-from studies.attacks.duel import AGENTS, COLUMNS, Attack, Duel, checks, fight, row
+from studies.attacks.comparison import AGENTS, COLUMNS, Attack, Comparison, checks, compare, row
 from studies.attacks.launch import can_be_another
 from studies.attacks.plan import AttacksPlan
 from studies.attacks.sockets import HERE, OpenSockets, free_base
@@ -20,13 +20,13 @@ INTRODUCTION = Encoder(system=1, component=1).encode(common.MAVLink_heartbeat_me
 
 
 def jobs(plan: AttacksPlan) -> dict[str, list[Job]]:
-    """Return a duel for each user."""
+    """Return a comparison for each user."""
     users = (False, True) if can_be_another() else (False,)
     return {_GROUP: [partial(fly, plan, is_other) for is_other in users]}
 
 
-def fly(plan: AttacksPlan, is_other: bool) -> Duel:  # noqa: FBT001  pickled with its position
-    """Connect to the slots before the vehicles do, and to the radio. Raises SwarmError, IntruderError."""
+def fly(plan: AttacksPlan, is_other: bool) -> Comparison:  # noqa: FBT001  pickled with its position
+    """Connect to the slots before the vehicles do, and to the radio. Raises SwarmError, AttackError."""
     base = free_base(AGENTS)
     names = ("gcs_local_udp", "companion_local_udp", "gcs_remote_udp", "companion_remote_udp", "radio_tcp")
     overrides = [
@@ -47,7 +47,7 @@ def fly(plan: AttacksPlan, is_other: bool) -> Duel:  # noqa: FBT001  pickled wit
         )
         return [Attack(task=radio, is_other=is_other, lasts=True)]
 
-    return fight(
+    return compare(
         "another user" if is_other else "own user",
         prepare,
         overrides=overrides,
@@ -58,25 +58,25 @@ def fly(plan: AttacksPlan, is_other: bool) -> Duel:  # noqa: FBT001  pickled wit
 
 
 def judge(plan: AttacksPlan, results: Results) -> Section:
-    """Require that the vehicles have their slots, and that the manifest counts the thieves."""
-    duels: list[Duel] = results[_GROUP]
+    """Require that the vehicles have their slots, and that the manifest counts the foreign connections."""
+    comparisons: list[Comparison] = results[_GROUP]
     counted = [
         Check(
-            f"{duel.title}: rejected connections in the manifest",
-            sum(each["count"] for each in duel.attacked.details["physics"]["rejected_connections"]),
+            f"{comparison.title}: rejected connections in the manifest",
+            sum(each["count"] for each in comparison.attacked.details["physics"]["rejected_connections"]),
             at_least=1.0,
         )
-        for duel in duels
-        if duel.attacked is not None
+        for comparison in comparisons
+        if comparison.attacked is not None
     ]
     return Section(
-        title="Thieves of slots, idle connections",
+        title="Foreign connections to slots, idle connections",
         conditions=filled(
             f"{plan.idle_connections} connections to the TCP port of each vehicle at the simulator, from the "
             "moment at which it listens; every second one sends a vehicle's first message. The same "
             "number to the radio in flight."
         )
         + "\n",
-        checks=(*(check for duel in duels for check in checks(duel)), *counted),
-        tables=(ReportTable(caption="Attacks.", columns=COLUMNS, rows=tuple(map(row, duels))),),
+        checks=(*(check for comparison in comparisons for check in checks(comparison)), *counted),
+        tables=(ReportTable(caption="Attacks.", columns=COLUMNS, rows=tuple(map(row, comparisons))),),
     )

@@ -1,4 +1,4 @@
-"""What a program that attacks is to do, and what it reports; passed as JSON (`intruder`)."""
+"""What a program that attacks is to do, and what it reports; passed as JSON (`attack_program`)."""
 
 from msgspec import Struct
 
@@ -98,6 +98,8 @@ class SteadyDatagrams(Struct, frozen=True, kw_only=True, tag=True):
     rate_s: float
     sockets: int = 1
     """From which they are sent in turn"""
+    one_port: bool = False
+    """Whether all sockets have one port, each at another address of 127.0.0.0/8"""
 
 
 class OpenEverything(Struct, frozen=True, kw_only=True, tag=True):

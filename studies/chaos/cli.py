@@ -18,10 +18,10 @@ from harness.launch.interrupts import interruptible
 from harness.records.versions import checkout
 from studies.chaos import records, small_disk
 from studies.chaos.faults import Fault, plan
-from studies.chaos.fleet import fly_all
 from studies.chaos.flight import Outcome
 from studies.chaos.page import page, write
-from studies.chaos.records import Flown
+from studies.chaos.records import FlightRecord
+from studies.chaos.side_by_side import fly_all
 from studies.common.command_line import JsonOption
 
 chaos_app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
@@ -31,7 +31,9 @@ chaos_app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 def main(
     flights: Annotated[int, typer.Option(help="Number of flights, of about 10 s each.", min=1)] = 20,
     seed: Annotated[int, typer.Option(help="Seed of the faults.", min=0)] = 1,
-    only: Annotated[str, typer.Option(help="Fly only faults whose title has this text.")] = "",
+    only: Annotated[
+        str, typer.Option(help="Fly only faults whose title has this text.", show_default="all")
+    ] = "",
     beside: Annotated[int, typer.Option(help="Flights at the same time.", min=1)] = 1,
     file: Annotated[
         Path | None,
@@ -61,16 +63,22 @@ def main(
     commit = "" if state is None else state.commit + ("-dirty" if state.dirty else "")
 
     def keep(number: int, outcome: Outcome, *, is_again: bool) -> None:
-        flown.append(Flown(seed=seed, number=number, commit=commit, again=is_again, outcome=outcome))
+        flown.append(FlightRecord(seed=seed, number=number, commit=commit, again=is_again, outcome=outcome))
         if file is not None:
             records.append(file, flown[-1])
         messages.print(f"{number}: {'again: ' if is_again else ''}{_line(outcome)}", soft_wrap=True)
 
     before = len(flown)
-    left_out = _without_disk(chosen, messages)
+    first, _ = records.first_and_again(flown)
+    not_permitted = _without_disk(chosen)
+    left_out = not_permitted - first.keys()
+    if left_out:
+        messages.print(
+            f"{len(left_out)} flights with a full disk are left out: this machine permits no mount namespace",
+            soft_wrap=True,
+        )
     try:
         with interruptible():
-            first, _ = records.first_and_again(flown)
             missing = [each for each in chosen.items() if each[0] not in {*first, *left_out}]
             _fly(missing, beside, lambda *each: keep(*each, is_again=False))
             first, repeated = records.first_and_again(flown)
@@ -78,7 +86,9 @@ def main(
                 bad = [
                     (number, fault)
                     for number, fault in chosen.items()
-                    if number in first and first[number].outcome.complaints and number not in repeated
+                    if number in first
+                    and first[number].outcome.complaints
+                    and number not in {*repeated, *not_permitted}
                 ]
                 _fly(bad, beside, lambda *each: keep(*each, is_again=True))
     except KeyboardInterrupt:
@@ -89,7 +99,9 @@ def main(
             f"{mean_s:.1f} s of processor time a flight, without processes that outlive a launcher"
         )
     counted = [each for each in flown if each.number in chosen]
-    text = page(counted, flights=flights, seed=seed, beside=beside, left_out=len(left_out))
+    text = page(
+        counted, flights=flights, seed=seed, beside=None if before else beside, left_out=len(left_out)
+    )
     if out is not None:
         messages.print(f"written to {write(out, text)}")
     first, _ = records.first_and_again(counted)
@@ -113,21 +125,17 @@ def _processor_s() -> float:
     return sum(usage.ru_utime + usage.ru_stime for usage in usages)
 
 
-def _without_disk(chosen: dict[int, Fault], messages: Console) -> set[int]:
-    """Return the numbers of the flights that this machine does not permit, with one line if there are any."""
+def _without_disk(chosen: dict[int, Fault]) -> set[int]:
+    """Return the numbers of the flights that this machine does not permit."""
     disks = {number for number, fault in chosen.items() if fault.target == "disk"}
     if not disks or small_disk.is_permitted(Path(tempfile.gettempdir())):
         return set()
-    messages.print(
-        f"{len(disks)} flights with a full disk are left out: this machine permits no mount namespace",
-        soft_wrap=True,
-    )
     return disks
 
 
 def _line(outcome: Outcome) -> str:
-    if not outcome.reached:
-        return f"{outcome.fault.line}: not reached: {outcome.last_line}"
+    if not outcome.reached and not outcome.complaints:
+        return f"{outcome.fault.line}: ended before its fault: {outcome.last_line}"
     judgement = "; ".join(outcome.complaints) or "as required"
     return (
         f"{outcome.fault.line}: status {outcome.status} after {outcome.ended_s:.1f} s, {judgement}: "

@@ -18,7 +18,7 @@ from msgspec import Struct
 from foundation.exit_status import FINE
 from studies.chaos.faults import Fault, Kind, Target
 from studies.chaos.launcher import Launcher
-from studies.chaos.requirements import STOP_S, end_limit_s, named, statuses
+from studies.chaos.requirements import STOP_S, end_limit_s, named, statuses, statuses_before
 from studies.chaos.small_disk import SmallDisk
 
 GONE_LIMIT_S = 2.0
@@ -44,7 +44,7 @@ class Outcome(Struct, frozen=True, kw_only=True):
     complaints: tuple[str, ...]
     """What is not as it has to be."""
     reached: bool = True
-    """Whether the phase was reached while the process existed."""
+    """Whether the phase was reached while the process existed; the launcher's end is judged otherwise."""
     second_reached: bool = True
     """Whether the process of the second fault existed; the flight is judged by the first alone otherwise."""
 
@@ -83,11 +83,9 @@ class _Flight:
     def judged(self) -> Outcome:
         """Inject the faults, wait for the end, and judge it."""
         launcher = self._launcher
-        if not self._reach():
-            return Outcome(
-                fault=self._fault, status=launcher.process.poll(), ended_s=0.0, last_line=self._last_line(),
-                complaints=(), reached=False,
-            )  # fmt: skip
+        has_begun = self._begin_phase()
+        if not (has_begun and self._exists(self._fault.target)):
+            return self._judged_before_fault(has_begun=has_begun)
         wall_begin_s = time.monotonic()
         second_reached = self._inject_all()
         fault = self._fault if second_reached else self._fault.parts[0]
@@ -119,6 +117,23 @@ class _Flight:
             complaints=tuple(complaints), second_reached=second_reached,
         )  # fmt: skip
 
+    def _judged_before_fault(self, *, has_begun: bool) -> Outcome:
+        """Judge a flight that does not reach its phase, or whose process has ended before its fault."""
+        complaint = ""
+        if not has_begun and not self._has_ended():
+            complaint = "it does not reach its phase"
+        else:
+            if self._fault.phase == "pause":  # the flight has to complete
+                self._launcher.press(b" ")
+            if not self._wait(self._has_ended, COMPLETE_LIMIT_S):
+                complaint = "it does not end"
+            elif self._launcher.process.poll() not in statuses_before(self._fault):
+                complaint = f"status {self._launcher.process.poll()} before its fault"
+        return Outcome(
+            fault=self._fault, status=self._launcher.process.poll(), ended_s=0.0,
+            last_line=self._last_line(), complaints=(complaint,) if complaint else (), reached=False,
+        )  # fmt: skip
+
     def _wait(self, holds: Callable[[], bool], limit_s: float) -> bool:
         """Wait until a condition holds, at most for a wall time; returns whether it does."""
         wall_end_s = time.monotonic() + limit_s
@@ -135,11 +150,10 @@ class _Flight:
     def _has_ended(self) -> bool:
         return self._launcher.process.poll() is not None
 
-    def _reach(self) -> bool:
-        """Wait for the phase and its delay; returns whether the process exists then."""
+    def _begin_phase(self) -> bool:
+        """Wait for the phase and its delay; returns whether the flight has reached the phase."""
         launcher = self._launcher
-        self._wait(lambda: self._has_ended() or self._has_begun(), REACH_LIMIT_S)
-        if self._has_ended() or not self._has_begun():
+        if not self._wait(lambda: self._has_ended() or self._has_begun(), REACH_LIMIT_S) or self._has_ended():
             return False
         if self._fault.phase == "pause":
             launcher.press(b" ")
@@ -149,7 +163,7 @@ class _Flight:
         if self._fault.phase == "stop":
             launcher.process.send_signal(signal.SIGINT)
         self._sleep(self._fault.delay_s)
-        return self._exists(self._fault.target)
+        return True
 
     def _has_begun(self) -> bool:
         target, text = self._fault.target, self._launcher.text()

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from studies.chaos.faults import KINDS, PHASES, TARGETS, Fault
-from studies.chaos.records import Flown, first_and_again
+from studies.chaos.records import FlightRecord, first_and_again
 from studies.chaos.requirements import END_LIMIT_S
 
 NAME = "chaos.md"
@@ -22,8 +22,8 @@ documented exit status; its messages have to name the process with its id, or as
 killed it; after 2 s no process and no temporary file may be left, except the folder of the radio's socket
 of a launcher that was killed; its records have to be readable. Of two faults the messages may name either.
 
-Drawn with seed {seed}: `coflight study chaos --flights {flights} --seed {seed}{beside_option}
---out docs/results`; {beside} at a time on {processors} processors, of commit {commits}.
+Drawn with seed {seed}: `coflight study chaos --flights {flights} --seed {seed} --out docs/results`;
+{at_a_time}of commit {commits}.
 
 {flown} flights, {bad} not as required{repeated}. {unreached} more ended before their fault{left_out}.
 {second_unreached} of {two} second faults found their process ended; these flights are judged by the first.
@@ -42,10 +42,15 @@ Drawn with seed {seed}: `coflight study chaos --flights {flights} --seed {seed}{
 {complaints}"""
 
 
-def page(flights_flown: Sequence[Flown], *, flights: int, seed: int, beside: int, left_out: int = 0) -> str:
-    """Return the page."""
+def page(
+    flights_flown: Sequence[FlightRecord], *, flights: int, seed: int, beside: int | None, left_out: int = 0
+) -> str:
+    """Return the page.
+
+    ``beside`` is the largest number of flights at the same time, None if they were flown in several sessions.
+    """
     first, again = first_and_again(flights_flown)
-    flown = [first[number] for number in sorted(first) if first[number].outcome.reached]
+    flown = [first[number] for number in sorted(first) if not _is_before_fault(first[number])]
     bad = [each for each in flown if each.outcome.complaints]
     two = [each for each in flown if each.outcome.fault.second is not None]
     repeated = [again[each.number] for each in bad if each.number in again]
@@ -54,9 +59,7 @@ def page(flights_flown: Sequence[Flown], *, flights: int, seed: int, beside: int
         limit=END_LIMIT_S,
         seed=seed,
         flights=flights,
-        beside=beside,
-        beside_option=f" --beside {beside}" if beside > 1 else "",
-        processors=len(os.sched_getaffinity(0)),
+        at_a_time="" if beside is None else _at_a_time(beside),
         commits=", ".join(f"`{_short(commit)}`" if commit else "unknown" for commit in commits) or "unknown",
         flown=len(flown),
         bad=len(bad),
@@ -76,11 +79,20 @@ def _short(commit: str) -> str:
     return name[:10] + dash + state
 
 
-def _is_fine(flown: Flown) -> bool:
+def _at_a_time(beside: int) -> str:
+    return f"up to {beside} at a time on {len(os.sched_getaffinity(0))} processors, "
+
+
+def _is_before_fault(flown: FlightRecord) -> bool:
+    """Whether a flight has ended before its fault, and as it may."""
+    return not flown.outcome.reached and not flown.outcome.complaints
+
+
+def _is_fine(flown: FlightRecord) -> bool:
     return flown.outcome.reached and not flown.outcome.complaints
 
 
-def _rows(flown: Sequence[Flown], again: dict[int, Flown]) -> list[str]:
+def _rows(flown: Sequence[FlightRecord], again: dict[int, FlightRecord]) -> list[str]:
     rows = []
 
     def add(name: str, kind: str, holds: Callable[[Fault], bool]) -> None:
@@ -99,7 +111,7 @@ def _rows(flown: Sequence[Flown], again: dict[int, Flown]) -> list[str]:
     return rows
 
 
-def _phase_rows(flown: Sequence[Flown], again: dict[int, Flown]) -> list[str]:
+def _phase_rows(flown: Sequence[FlightRecord], again: dict[int, FlightRecord]) -> list[str]:
     rows = []
     for phase in PHASES:
         some = [each for each in flown if each.outcome.fault.phase == phase]
@@ -109,7 +121,7 @@ def _phase_rows(flown: Sequence[Flown], again: dict[int, Flown]) -> list[str]:
     return rows
 
 
-def _counts(some: Sequence[Flown], again: dict[int, Flown]) -> tuple[int, str, str, str]:
+def _counts(some: Sequence[FlightRecord], again: dict[int, FlightRecord]) -> tuple[int, str, str, str]:
     """Return how many are as required and how many of the repeated, the statuses and the longest time."""
     repeated = [again[each.number] for each in some if each.outcome.complaints and each.number in again]
     statuses = ", ".join(sorted({str(each.outcome.status) for each in some}))
@@ -122,7 +134,7 @@ def _row(*cells: object) -> str:
     return f"| {' | '.join(map(str, cells))} |"
 
 
-def _complaints(bad: Sequence[Flown], again: dict[int, Flown]) -> str:
+def _complaints(bad: Sequence[FlightRecord], again: dict[int, FlightRecord]) -> str:
     if not bad:
         return ""
     lines = []
@@ -131,7 +143,8 @@ def _complaints(bad: Sequence[Flown], again: dict[int, Flown]) -> str:
         if each.number in again:
             repeated = again[each.number]
             judgement = "; ".join(repeated.outcome.complaints) or "as required"
-            line += f". On repetition: {judgement if repeated.outcome.reached else 'ended before its fault'}"
+            judgement = "ended before its fault" if _is_before_fault(repeated) else judgement
+            line += f". On repetition: {judgement}"
         lines.append(line)
     return "\n## Not as required\n\nThe number is the place in the plan.\n\n" + "\n".join(lines) + "\n"
 

@@ -10,7 +10,7 @@ from studies.chaos.faults import Fault
 from studies.chaos.flight import Outcome
 
 
-class Flown(Struct, frozen=True, kw_only=True):
+class FlightRecord(Struct, frozen=True, kw_only=True):
     """One flight of a study."""
 
     seed: int
@@ -26,10 +26,11 @@ class RecordsError(ValueError):
     """A file of records that is not of this study: one line."""
 
 
-def read(path: Path, faults: Sequence[Fault], seed: int) -> list[Flown]:
+def read(path: Path, faults: Sequence[Fault], seed: int) -> list[FlightRecord]:
     """Return the flights in a file of this plan, and cut off a last line that is half-written.
 
-    No file is no flight. Raises `RecordsError` for a file of another seed or plan, or with other content.
+    No file is no flight. Raises `RecordsError` for a file of another seed or plan, or with other content,
+    which stays as it is, and OSError.
     """
     try:
         data = path.read_bytes()
@@ -38,17 +39,33 @@ def read(path: Path, faults: Sequence[Fault], seed: int) -> list[Flown]:
     except OSError as error:
         raise RecordsError(f"{path}: cannot be read: {error.strerror or error}") from None
     whole = data[: data.rfind(b"\n") + 1]
-    flown = [_checked(path, i, line, faults, seed) for i, line in enumerate(whole.splitlines(), 1)]
+    lines = whole.split(b"\n")[:-1]
+    flown = [_checked(path, i, line, faults, seed) for i, line in enumerate(lines, 1)]
     if len(whole) < len(data):
+        last = data[len(whole) :]
+        if not _is_half_written(last, seed, is_first=not lines):
+            _checked(path, len(lines) + 1, last, faults, seed)
         with path.open("r+b") as file:
             file.truncate(len(whole))
     return flown
 
 
-def _checked(path: Path, line_number: int, line: bytes, faults: Sequence[Fault], seed: int) -> Flown:
+def _is_half_written(line: bytes, seed: int, *, is_first: bool) -> bool:
+    """Whether a line is the begin of a flight's, of which a part is missing."""
+    begin = b'{"seed":%d,"number":' % seed
+    if not line.startswith(begin) and (is_first or not begin.startswith(line)):
+        return False
+    try:
+        msgspec.json.decode(line)
+    except (msgspec.MsgspecError, UnicodeDecodeError):
+        return True
+    return False
+
+
+def _checked(path: Path, line_number: int, line: bytes, faults: Sequence[Fault], seed: int) -> FlightRecord:
     place = f"{path}, line {line_number}"
     try:
-        flown = msgspec.json.decode(line, type=Flown)
+        flown = msgspec.json.decode(line, type=FlightRecord)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise RecordsError(f"{place}: not a flight of this study: {error}; give another file") from None
     if flown.seed != seed:
@@ -61,16 +78,18 @@ def _checked(path: Path, line_number: int, line: bytes, faults: Sequence[Fault],
     return flown
 
 
-def append(path: Path, flown: Flown) -> None:
+def append(path: Path, flown: FlightRecord) -> None:
     """Append a flight, and return when it is in the file."""
     with path.open("ab") as file:
         file.write(msgspec.json.encode(flown) + b"\n")
 
 
-def first_and_again(flights: Iterable[Flown]) -> tuple[dict[int, Flown], dict[int, Flown]]:
+def first_and_again(
+    flights: Iterable[FlightRecord],
+) -> tuple[dict[int, FlightRecord], dict[int, FlightRecord]]:
     """Return the first flights and the last repetitions by their place in the plan."""
-    first: dict[int, Flown] = {}
-    again: dict[int, Flown] = {}
+    first: dict[int, FlightRecord] = {}
+    again: dict[int, FlightRecord] = {}
     for flown in flights:
         if flown.again:
             again[flown.number] = flown

@@ -50,6 +50,14 @@ def _statuses_of_one(fault: Fault) -> Sequence[int]:
     return [FAILED]
 
 
+def statuses_before(fault: Fault) -> Sequence[int]:
+    """Return the exit statuses that a flight may have that ends before its fault.
+
+    In phase ``stop`` it was interrupted; in another the flight may be complete.
+    """
+    return [INTERRUPTED] if fault.phase == "stop" else [FINE]
+
+
 def named(fault: Fault) -> Sequence[str]:
     """Return texts of which the messages must have one; none: they need not name the process.
 

@@ -25,12 +25,12 @@ class SmallDisk:
         folder.mkdir(parents=True)
         for user in _USER_OPTIONS:
             # the namespace exists as long as this process, which ends with its standard input
-            self._keeper = subprocess.Popen(
+            self._holder = subprocess.Popen(
                 ["unshare", *user, "--mount", "sh", "-c", _MOUNT, str(folder)],  # noqa: S607  as on the PATH
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, process_group=0,
             )  # fmt: skip
-            assert self._keeper.stdout is not None  # noqa: S101  a pipe
-            if self._keeper.stdout.readline():
+            assert self._holder.stdout is not None  # noqa: S101  a pipe
+            if self._holder.stdout.readline():
                 self._with_user = bool(user)
                 return
             self.close()
@@ -44,14 +44,14 @@ class SmallDisk:
 
     def command(self, command: list[str]) -> list[str]:
         """Return a command that runs ``command`` where the disk is, in the present working directory."""
-        namespaces = f"/proc/{self._keeper.pid}/ns"
+        namespaces = f"/proc/{self._holder.pid}/ns"
         user = ["--preserve-credentials", f"--user={namespaces}/user"] if self._with_user else []
         enter = ["nsenter", *user, f"--mount={namespaces}/mnt"]
         return [*enter, "sh", "-c", 'cd "$0" && exec "$@"', str(Path.cwd()), *command]
 
     def path(self, path: Path) -> Path:
         """Return the path by which this process reaches a file of the disk."""
-        return Path(f"/proc/{self._keeper.pid}/root") / path.relative_to("/")
+        return Path(f"/proc/{self._holder.pid}/root") / path.relative_to("/")
 
     def fill(self) -> None:
         """Write a file until no space is left."""
@@ -67,10 +67,10 @@ class SmallDisk:
 
     def close(self) -> None:
         """End the namespace, and with it the disk, once no process is left in it."""
-        for stream in (self._keeper.stdin, self._keeper.stdout):
+        for stream in (self._holder.stdin, self._holder.stdout):
             if stream is not None:
                 stream.close()
-        self._keeper.wait()
+        self._holder.wait()
 
 
 @cache

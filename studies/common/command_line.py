@@ -75,7 +75,8 @@ class Validation(Struct, Generic[P], frozen=True, kw_only=True):
         sections = [judged[name] for name in self.subjects if name in judged]
         page = self.page
         if kept is not None:
-            pieces = f"\nMeasured in pieces, with the commits {', '.join(kept.commits())}.\n"
+            used = [job for name in names for jobs in self.subjects[name].jobs(plan).values() for job in jobs]
+            pieces = f"\nMeasured in pieces, with the commits {', '.join(kept.commits_of(used))}.\n"
             page = replace(page, introduction=page.introduction + pieces)
         report_and_exit(sections, page=page, out=out, json=json, stdout=stdout, px4=self.px4)
 

@@ -3,6 +3,7 @@
 A validation of hours can so be measured in pieces: a job whose result the file has is not run again.
 """
 
+from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -85,6 +86,11 @@ class JobRecords:
     def commits(self) -> list[str]:
         """Return the commits of all results, each once, in the order of the file."""
         return list(dict.fromkeys(record.commit for record in self._records.values()))
+
+    def commits_of(self, jobs: Iterable[partial[Any]]) -> list[str]:
+        """Return the commits of the results of some jobs, each once, in the order of the jobs."""
+        keys = ((_name(job), _encoded(job.args)) for job in jobs)
+        return list(dict.fromkeys(self._records[key].commit for key in keys if key in self._records))
 
 
 def _name(job: partial[Any]) -> str:

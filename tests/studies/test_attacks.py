@@ -1,7 +1,9 @@
 """The study of attacks: its mutations, its judgement, and the core of its attacks on real flights (60 s)."""
 
+import socket
 import sys
 import tempfile
+import threading
 from collections import Counter
 from pathlib import Path
 
@@ -12,16 +14,18 @@ from other_user import root_only
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Parser
-from studies.attacks import duel, files_section, mavlink_section, radio_section, slots_section
+from studies.attacks import comparison, files_section, mavlink_section, radio_section, slots_section
 from studies.attacks.bytes_section import fly as fly_bytes
+from studies.attacks.comparison import ComparedFlight, Comparison
+from studies.attacks.datagram_attacks import send_steadily
 from studies.attacks.datagrams_section import Pair, Sender
 from studies.attacks.datagrams_section import judge as judge_datagrams
-from studies.attacks.duel import Duel, Flown
 from studies.attacks.files_section import Tried
-from studies.attacks.launch import Intruder, IntruderError
+from studies.attacks.launch import AttackError, AttackProcess
 from studies.attacks.mavlink_attacks import frames
 from studies.attacks.plan import QUICK_ATTACKS
-from studies.attacks.tasks import OpenEverything, RefusedLogins, Report
+from studies.attacks.sockets import HERE, free_base
+from studies.attacks.tasks import IdleConnections, OpenEverything, RefusedLogins, Report, SteadyDatagrams
 
 SMALL = replace(
     QUICK_ATTACKS,
@@ -69,11 +73,11 @@ def flown(**changed):
         "grown_mb": {"radio": 50.0}, "unknown": [],
         "details": {"physics": {"rejected_connections": [{"count": 3}]}},
     }  # fmt: skip
-    return Flown(**usual | changed)
+    return ComparedFlight(**usual | changed)
 
 
-def fought(*, may_influence=False, **changed):
-    return Duel(title="t", attacked=flown(**changed), plain=flown(), may_influence=may_influence)
+def compared(*, may_influence=False, **changed):
+    return Comparison(title="t", attacked=flown(**changed), plain=flown(), may_influence=may_influence)
 
 
 @pytest.mark.parametrize(
@@ -90,19 +94,19 @@ def fought(*, may_influence=False, **changed):
     ],
 )
 def test_what_an_attack_does_is_found(changed, found):
-    assert failed(duel.checks(fought(**changed))) == found
+    assert failed(comparison.checks(compared(**changed))) == found
 
 
 def test_a_flight_that_an_attack_ends_is_found_and_its_error_is_shown():
-    ended = Duel(title="t", attacked=None, plain=None, error="uav 1 was lost")
-    assert failed(duel.checks(ended)) == {"flights that ended early"}
-    assert "uav 1 was lost" in duel.row(ended)
+    ended = Comparison(title="t", attacked=None, plain=None, error="uav 1 was lost")
+    assert failed(comparison.checks(ended)) == {"flights that ended early"}
+    assert "uav 1 was lost" in comparison.row(ended)
     for section, group in ((mavlink_section, "mavlink"), (slots_section, "slots"), (radio_section, "radio")):
         assert failed(section.judge(SMALL, {group: [ended]}).checks) == {"flights that ended early"}
 
 
 def test_mutated_messages_have_to_be_named():
-    section = mavlink_section.judge(SMALL, {"mavlink": [fought(may_influence=True)]})
+    section = mavlink_section.judge(SMALL, {"mavlink": [compared(may_influence=True)]})
     assert failed(section.checks) == {"named influences"}
 
 
@@ -142,17 +146,79 @@ def test_another_user_opens_what_is_open_and_nothing_else():
             path.write_text("")
             path.chmod(mode)
         task = OpenEverything(paths=[str(readable), str(private), str(folder)], sockets=[], pids=[1])
-        with Intruder(task, is_other=True) as intruder:
-            report = intruder.report()
+        with AttackProcess(task, is_other=True) as process:
+            report = process.report()
     assert report.found == [f"reads {readable}"]
     assert report.counts == {"files and folders": 3, "processes": 1}
 
 
 def test_an_attack_that_fails_itself_is_one_line(monkeypatch):
     monkeypatch.setattr(sys, "executable", "/bin/false")
-    with pytest.raises(IntruderError, match="status 1") as raised:
-        Intruder(RefusedLogins(logins=[], limit_s=0.1), is_other=False)
+    with pytest.raises(AttackError, match="status 1") as raised:
+        AttackProcess(RefusedLogins(logins=[], limit_s=0.1), is_other=False)
     assert "\n" not in str(raised.value)
+
+
+def test_a_program_that_writes_many_messages_is_not_held_by_them(monkeypatch, tmp_path):
+    program = tmp_path / "program"
+    program.write_text("#!/bin/sh\nhead -c 1000000 /dev/zero >&2; echo begun; echo '{}'\n")
+    program.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(program))
+    with AttackProcess(RefusedLogins(logins=[], limit_s=0.1), is_other=False) as process:
+        assert process.report() == Report()
+
+
+class _StandInSwarm:
+    """A swarm whose time passes without processes."""
+
+    def __init__(self, *_, out, **__):
+        self.path, self.pids = out, {}
+        self.truth = self
+        self.t_s = 0.0
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def run(self, until_s):
+        self.t_s = until_s
+
+    def run_for(self, duration_s):
+        self.t_s += duration_s
+
+    def set_speed(self, _):
+        pass
+
+
+def test_a_flight_does_not_wait_for_an_attack_without_end(monkeypatch):
+    monkeypatch.setattr(comparison, "Swarm", _StandInSwarm)
+    monkeypatch.setattr(comparison, "ATTACK_LIMIT_S", 0.2)
+    endless = IdleConnections(streams_to=[(HERE, free_base(1))], count=1, introduction=b"")
+    with pytest.raises(AttackError, match="does not end within"):
+        comparison.compare("t", lambda _: [comparison.Attack(task=endless)], least_s=0.0)
+
+
+@pytest.mark.parametrize("one_port", [False, True])
+def test_datagrams_of_many_sockets_come_from_many_ports_or_from_many_addresses(one_port):
+    ended = threading.Event()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind((HERE, 0))
+        receiver.settimeout(20.0)
+        task = SteadyDatagrams(
+            datagrams_to=receiver.getsockname(), rate_s=1_000.0, sockets=300, one_port=one_port
+        )
+        sender = threading.Thread(target=send_steadily, args=(task, ended))
+        sender.start()
+        try:
+            sources = {receiver.recvfrom(1_000)[1] for _ in range(900)}
+        finally:
+            ended.set()
+            sender.join()
+    addresses, ports = ({source[i] for source in sources} for i in range(2))
+    assert len(sources) > 200
+    assert (len(addresses), len(ports)) == ((len(sources), 1) if one_port else (1, len(sources)))
 
 
 # ---- real flights
@@ -160,13 +226,13 @@ def test_an_attack_that_fails_itself_is_one_line(monkeypatch):
 
 @pytest.mark.multiprocess
 @root_only
-def test_random_bytes_and_thieves_of_another_user_change_no_byte_of_a_flight():
-    for fought_one in (fly_bytes(SMALL, "tcp", True), slots_section.fly(SMALL, True)):  # noqa: FBT003
-        assert failed(duel.checks(fought_one)) == set(), duel.row(fought_one)
+def test_random_bytes_and_foreign_connections_of_another_user_change_no_byte_of_a_flight():
+    for one in (fly_bytes(SMALL, "tcp", True), slots_section.fly(SMALL, True)):  # noqa: FBT003
+        assert failed(comparison.checks(one)) == set(), comparison.row(one)
 
 
 @pytest.mark.multiprocess
 @pytest.mark.parametrize("kind", ["guest: forged batches", "own user, no password"])
 def test_forged_batches_and_wrong_passwords_change_no_byte_of_a_flight(kind):
-    fought_one = radio_section.fly(SMALL, kind, "unix")
-    assert failed(duel.checks(fought_one)) == set(), duel.row(fought_one)
+    one = radio_section.fly(SMALL, kind, "unix")
+    assert failed(comparison.checks(one)) == set(), comparison.row(one)

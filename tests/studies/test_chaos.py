@@ -3,16 +3,20 @@
 import contextlib
 import re
 import signal
+import subprocess
+import sys
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
 import psutil
 import pytest
+from typer.testing import CliRunner
 
 from foundation.exit_status import FAILED, FINE
-from studies.chaos import records, small_disk
+from studies.chaos import cli, flight, records, small_disk
 from studies.chaos.faults import (
     KINDS,
     PHASES,
@@ -20,17 +24,18 @@ from studies.chaos.faults import (
     TARGETS,
     Fault,
     Kind,
+    Phase,
     Second,
     Target,
     is_possible,
     plan,
 )
-from studies.chaos.fleet import fly_all
 from studies.chaos.flight import Cancelled, Outcome, fly, fly_in_temporary_folder
 from studies.chaos.launcher import MARK
 from studies.chaos.page import page
-from studies.chaos.records import Flown
+from studies.chaos.records import FlightRecord
 from studies.chaos.requirements import END_LIMIT_S, end_limit_s, named, statuses
+from studies.chaos.side_by_side import fly_all
 
 COMBINATIONS = [(t, k, p) for t in TARGETS for k in KINDS for p in PHASES if is_possible(t, k, p)]
 
@@ -100,8 +105,8 @@ SLOW = Outcome(fault=FAULT, status=1, ended_s=20.0, last_line="", complaints=("i
 MISSED = Outcome(fault=FAULT, status=0, ended_s=0.0, last_line="", complaints=(), reached=False)
 
 
-def _flown(number: int, outcome: Outcome, *, again: bool = False) -> Flown:
-    return Flown(seed=1, number=number, commit="0123456789abcdef", again=again, outcome=outcome)
+def _flown(number: int, outcome: Outcome, *, again: bool = False) -> FlightRecord:
+    return FlightRecord(seed=1, number=number, commit="0123456789abcdef", again=again, outcome=outcome)
 
 
 def test_the_page_counts_and_lists_what_is_not_as_required() -> None:
@@ -111,9 +116,18 @@ def test_the_page_counts_and_lists_what_is_not_as_required() -> None:
     assert "| flight | 2 | 1 |  | 1 | 20.0 s |" in text
     assert "2 flights, 1 not as required. 1 more ended before their fault." in text
     assert "- 1: SIGSTOP of radio in flight after 0.5 s: it ends after 20.0 s\n" in text
-    assert "2 at a time" in text
+    assert "up to 2 at a time" in text
+    assert "at a time" not in page(flown, flights=3, seed=1, beside=None)
     assert "`0123456789`" in text
     assert "Not as required" not in page(flown[:1], flights=1, seed=1, beside=1)
+
+
+def test_a_flight_that_fails_before_its_fault_is_not_as_required() -> None:
+    failed = msgspec.structs.replace(MISSED, status=1, complaints=("status 1 before its fault",))
+    flown = [_flown(0, FINE_OUTCOME), _flown(1, failed), _flown(2, MISSED)]
+    text = page(flown, flights=3, seed=1, beside=1)
+    assert "2 flights, 1 not as required. 1 more ended before their fault." in text
+    assert "- 1: SIGSTOP of radio in flight after 0.5 s: status 1 before its fault\n" in text
 
 
 def test_a_repetition_is_counted_beside_the_failure_and_does_not_hide_it() -> None:
@@ -128,7 +142,7 @@ def test_a_repetition_is_counted_beside_the_failure_and_does_not_hide_it() -> No
     assert "- 1: SIGSTOP of radio in flight after 0.5 s: it ends after 20.0 s\n" in text
 
 
-def _record(number: int) -> Flown:
+def _record(number: int) -> FlightRecord:
     return _flown(number, msgspec.structs.replace(FINE_OUTCOME, fault=plan(number + 1, 1)[number]))
 
 
@@ -144,11 +158,21 @@ def test_records_are_read_back_and_a_half_written_line_is_dropped(tmp_path: Path
     assert records.read(path, plan(2, 1), 1)[0] == _record(0)
 
 
+ANOTHER_FILE = "not a flight of this study"
+ONE_LINE = msgspec.json.encode(_record(0)) + b"\n"
+
+
 @pytest.mark.parametrize(
     ("line", "error"),
     [
-        (b"{}\n", "line 1: not a flight of this study"),
-        (b"\xff\n", "line 1: not a flight of this study"),
+        (b"{}\n", f"line 1: {ANOTHER_FILE}"),
+        (b"\xff\n", f"line 1: {ANOTHER_FILE}"),
+        (b"notes without a last new line", f"line 1: {ANOTHER_FILE}"),
+        (b"{", f"line 1: {ANOTHER_FILE}"),
+        (b'{"seed":1,"number":3}', f"line 1: {ANOTHER_FILE}"),
+        (b'{"seed":2,"number":3,"com', f"line 1: {ANOTHER_FILE}"),
+        (ONE_LINE + b"notes", f"line 2: {ANOTHER_FILE}"),
+        (b'notes\n{"seed":1,"number":3,"com', f"line 1: {ANOTHER_FILE}"),
         (msgspec.json.encode(msgspec.structs.replace(_record(1), seed=2)) + b"\n", "with seed 2, not 1"),
         (msgspec.json.encode(msgspec.structs.replace(_record(1), number=2)) + b"\n", "the fault of flight 2"),
     ],
@@ -161,6 +185,84 @@ def test_records_of_another_study_are_refused_with_one_line(tmp_path: Path, line
     assert error in str(caught.value)
     assert "\n" not in str(caught.value)
     assert path.read_bytes() == line
+
+
+def test_a_recorded_flight_with_a_full_disk_is_not_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fly_none(faults: list[tuple[int, Fault]], _beside: int) -> Iterator[tuple[int, Outcome]]:
+        assert faults == []
+        yield from ()
+
+    monkeypatch.setattr(cli, "fly_all", fly_none)
+    monkeypatch.setattr(cli.kernel_cache, "prepare", lambda _: None)
+    monkeypatch.setattr(small_disk, "is_permitted", lambda _: False)
+    first, second = [i for i, fault in enumerate(plan(200, 1)) if fault.target == "disk"][:2]
+    path = tmp_path / "flights.jsonl"
+    records.append(path, _flown(first, msgspec.structs.replace(SLOW, fault=plan(200, 1)[first])))
+    options = ["--seed=1", "--only=of disk", "--again", f"--records={path}"]
+    one = CliRunner().invoke(cli.chaos_app, [f"--flights={first + 1}", *options])
+    assert one.exit_code == FAILED
+    assert "1 flights, 1 not as required" in one.stdout
+    assert "left out" not in one.output
+    assert "at a time" not in one.stdout
+    two = CliRunner().invoke(cli.chaos_app, [f"--flights={second + 1}", *options])
+    assert "and 1 with a full disk were left out" in two.stdout
+
+
+class _StandIn:
+    """A launcher that is another program, without processes."""
+
+    program = ""
+
+    def __init__(self, _fault: Fault, folder: Path, _disk: None) -> None:
+        self._messages = folder.with_suffix(".txt")
+        with self._messages.open("wb") as messages:
+            self.process = subprocess.Popen([sys.executable, "-c", self.program], stdout=messages)
+
+    def text(self) -> str:
+        return self._messages.read_text(encoding="utf-8")
+
+    def processes(self) -> dict[str, psutil.Process]:
+        return {}
+
+    def press(self, key: bytes) -> None:
+        pass
+
+    def end(self) -> None:
+        self.process.kill()
+        self.process.wait()
+
+
+HOLDS = """
+import signal, sys, time
+signal.signal(signal.SIGINT, lambda *_: sys.exit({}))
+print("holding\\nt = 0.1 of 60.0 s", flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.mark.parametrize(
+    ("program", "phase", "complaints"),
+    [
+        ("import time; time.sleep(60)", "flight", ("it does not reach its phase",)),
+        ("raise SystemExit(0)", "flight", ()),
+        ("raise SystemExit(1)", "flight", ("status 1 before its fault",)),
+        ("raise SystemExit(0)", "stop", ("status 0 before its fault",)),
+        (HOLDS.format(130), "stop", ()),
+        (HOLDS.format(1), "stop", ("status 1 before its fault",)),
+    ],
+)
+def test_a_flight_without_its_fault_is_judged_by_its_status(
+    program: str, phase: Phase, complaints: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_StandIn, "program", program)
+    monkeypatch.setattr(flight, "Launcher", _StandIn)
+    if complaints == ("it does not reach its phase",):
+        monkeypatch.setattr(flight, "REACH_LIMIT_S", 0.2)
+    outcome = fly(Fault(target="uav 0", kind="SIGKILL", phase=phase, delay_s=0.0), tmp_path / "flight")
+    assert not outcome.reached
+    assert outcome.complaints == complaints
 
 
 def test_flights_beside_each_other_are_all_flown_once() -> None:

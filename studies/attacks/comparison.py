@@ -1,10 +1,11 @@
-"""One seed flown twice, beside attacks and without; what differs. An I/O module."""
+"""One seed flown twice, beside attacks and without, and what differs. An I/O module."""
 
 import contextlib
 import json
 import math
 import os
 import tempfile
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from harness.launch.run_messages import SwarmError
 from harness.launch.swarm import Swarm
 from harness.launch.swarm_settings import Ports
 from harness.scenario.packaged import find
-from studies.attacks.launch import Intruder
+from studies.attacks.launch import AttackError, AttackProcess
 from studies.attacks.tasks import Report, Task
 from studies.common.report import Check
 from studies.soak.measure import measure
@@ -31,6 +32,8 @@ SLICE_S = 0.5
 """Simulated time between two measurements of memory."""
 PACE = 1.0
 """Simulated over wall time while an attack lasts, so that a long one does not need a longer flight."""
+ATTACK_LIMIT_S = 3_600.0
+"""Wall time within which attacks that end by themselves have ended."""
 MOST_MB = 30.0
 """Private memory that an attack may add to a process: buffers of its connections."""
 LAUNCHER = "launcher"
@@ -45,7 +48,7 @@ class Attack(Struct, frozen=True, kw_only=True):
     lasts: bool = False
 
 
-class Flown(Struct, frozen=True, kw_only=True):
+class ComparedFlight(Struct, frozen=True, kw_only=True):
     """One flight."""
 
     simulated_s: float
@@ -62,12 +65,12 @@ class Flown(Struct, frozen=True, kw_only=True):
     reports: list[Report] = []
 
 
-class Duel(Struct, frozen=True, kw_only=True):
+class Comparison(Struct, frozen=True, kw_only=True):
     """An attacked flight and the same without; ``error`` if the attacked one failed."""
 
     title: str
-    attacked: Flown | None
-    plain: Flown | None
+    attacked: ComparedFlight | None
+    plain: ComparedFlight | None
     error: str = ""
     may_influence: bool = False
     """Whether the attack is permitted to change the flight, which the manifest then has to name"""
@@ -76,7 +79,7 @@ class Duel(Struct, frozen=True, kw_only=True):
 Prepare = Callable[[Swarm], Sequence[Attack]]
 
 
-def fight(
+def compare(
     title: str,
     prepare: Prepare,
     *,
@@ -85,18 +88,21 @@ def fight(
     least_s: float,
     ports: Ports = "free",
     may_influence: bool = False,
-) -> Duel:
+) -> Comparison:
     """Fly beside attacks, then without, for the same simulated time.
 
     ``prepare`` returns the attacks on a swarm that flies; those of ``before`` begin before its start.
-    Raises IntruderError, and SwarmError for the flight without attacks.
+    Raises AttackError, also for an attack that does not end in time, and SwarmError for the flight without
+    attacks.
     """
     try:
         attacked = _fly(prepare, overrides, before=before, least_s=least_s, ports=ports)
     except SwarmError as error:
-        return Duel(title=title, attacked=None, plain=None, error=str(error), may_influence=may_influence)
+        return Comparison(
+            title=title, attacked=None, plain=None, error=str(error), may_influence=may_influence
+        )
     plain = _fly(lambda _: (), overrides, until_s=attacked.simulated_s, ports=ports)
-    return Duel(title=title, attacked=attacked, plain=plain, may_influence=may_influence)
+    return Comparison(title=title, attacked=attacked, plain=plain, may_influence=may_influence)
 
 
 def _fly(
@@ -107,7 +113,7 @@ def _fly(
     least_s: float = 0.0,
     until_s: float = 0.0,
     ports: Ports,
-) -> Flown:
+) -> ComparedFlight:
     """Fly until ``until_s``, or until all attacks have ended and ``least_s`` after their begin."""
     with contextlib.ExitStack() as stack, tempfile.TemporaryDirectory(prefix="coflight-attacks-") as folder:
         early = [(attack, stack.enter_context(_begun(attack))) for attack in before]
@@ -127,16 +133,19 @@ def _fly(
             if begun:
                 swarm.set_speed(PACE)
             until_s = max(until_s, BEGIN_S + least_s)
+            wall_end_s = time.monotonic() + ATTACK_LIMIT_S
             while swarm.truth.t_s < until_s or _are_running(begun):
+                if time.monotonic() > wall_end_s and _are_running(begun):
+                    raise AttackError(f"an attack does not end within {ATTACK_LIMIT_S:g} s")
                 swarm.run_for(SLICE_S)
                 for name, private_mb in _memory_mb(swarm).items():
                     growth_mb = private_mb - begin_mb.get(name, 0.0)
                     grown_mb[name] = max(growth_mb, grown_mb.get(name, 0.0))
-            reports = [intruder.report() for _, intruder in begun]
+            reports = [process.report() for _, process in begun]
             simulated_s = swarm.truth.t_s
         summary = swarm.summary(draw=False)
         manifest = json.loads((swarm.path / "manifest.json").read_text(encoding="utf-8"))
-        return Flown(
+        return ComparedFlight(
             simulated_s=simulated_s,
             log_sha256=summary["log_sha256"],
             status=summary["status"],
@@ -148,12 +157,12 @@ def _fly(
         )
 
 
-def _begun(attack: Attack) -> Intruder:
-    return Intruder(attack.task, is_other=attack.is_other)
+def _begun(attack: Attack) -> AttackProcess:
+    return AttackProcess(attack.task, is_other=attack.is_other)
 
 
-def _are_running(begun: Sequence[tuple[Attack, Intruder]]) -> bool:
-    return any(intruder.is_running for attack, intruder in begun if not attack.lasts)
+def _are_running(begun: Sequence[tuple[Attack, AttackProcess]]) -> bool:
+    return any(process.is_running for attack, process in begun if not attack.lasts)
 
 
 def _memory_mb(swarm: Swarm) -> dict[str, float]:
@@ -176,9 +185,9 @@ def unknown_columns(path: Path) -> list[str]:
     return unknown
 
 
-def checks(duel: Duel) -> tuple[Check, ...]:
-    """Return the requirements on a duel."""
-    title, attacked, plain = duel.title, duel.attacked, duel.plain
+def checks(comparison: Comparison) -> tuple[Check, ...]:
+    """Return the requirements on a comparison."""
+    title, attacked, plain = comparison.title, comparison.attacked, comparison.plain
     if attacked is None or plain is None:
         return (Check(f"{title}: flights that ended early", 1.0, at_most=0.0),)
     differs = attacked.log_sha256 != plain.log_sha256
@@ -189,35 +198,45 @@ def checks(duel: Duel) -> tuple[Check, ...]:
             int(differs and not attacked.causes),
             at_most=0.0,
         ),
-        Check(f"{title}: memory that the attack adds to a process", added_mb(duel)[1], "MB", at_most=MOST_MB),
+        Check(
+            f"{title}: memory that the attack adds to a process",
+            added_mb(comparison)[1],
+            "MB",
+            at_most=MOST_MB,
+        ),
         Check(f"{title}: findings", sum(len(each.found) for each in attacked.reports), at_most=0.0),
     )
-    if duel.may_influence:
+    if comparison.may_influence:
         new = set(attacked.unknown) - set(plain.unknown)
         return (*common, Check(f"{title}: columns that are no longer finite", len(new), at_most=0.0))
     return (*common, Check(f"{title}: named influences", len(attacked.causes), at_most=0.0))
 
 
-def added_mb(duel: Duel) -> tuple[str, float]:
+def added_mb(comparison: Comparison) -> tuple[str, float]:
     """Return the process whose growth differs most from that without the attack, and by how much."""
-    if duel.attacked is None or duel.plain is None:
+    if comparison.attacked is None or comparison.plain is None:
         return "", math.nan
-    added = {name: mb - duel.plain.grown_mb.get(name, 0.0) for name, mb in duel.attacked.grown_mb.items()}
+    added = {
+        name: mb - comparison.plain.grown_mb.get(name, 0.0)
+        for name, mb in comparison.attacked.grown_mb.items()
+    }
     return max(added.items(), key=lambda item: item[1])
 
 
-def row(duel: Duel) -> tuple[str, ...]:
-    """Return a duel as a row: title, simulated time, what was sent, hash, named causes, memory."""
-    if duel.attacked is None or duel.plain is None:
-        return duel.title, "", "", "", duel.error, ""
-    sent = [f"{value:,} {name}" for each in duel.attacked.reports for name, value in each.counts.items()]
-    found = [text for each in duel.attacked.reports for text in each.found]
-    equal = "equal" if duel.attacked.log_sha256 == duel.plain.log_sha256 else "other"
-    process, mb = added_mb(duel)
-    causes = "; ".join([*duel.attacked.causes, *found]) or "none"
+def row(comparison: Comparison) -> tuple[str, ...]:
+    """Return a comparison as a row: title, simulated time, what was sent, hash, named causes, memory."""
+    if comparison.attacked is None or comparison.plain is None:
+        return comparison.title, "", "", "", comparison.error, ""
+    sent = [
+        f"{value:,} {name}" for each in comparison.attacked.reports for name, value in each.counts.items()
+    ]
+    found = [text for each in comparison.attacked.reports for text in each.found]
+    equal = "equal" if comparison.attacked.log_sha256 == comparison.plain.log_sha256 else "other"
+    process, mb = added_mb(comparison)
+    causes = "; ".join([*comparison.attacked.causes, *found]) or "none"
     return (
-        duel.title,
-        f"{duel.attacked.simulated_s:.1f}",
+        comparison.title,
+        f"{comparison.attacked.simulated_s:.1f}",
         ", ".join(sent),
         equal,
         causes,

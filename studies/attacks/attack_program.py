@@ -1,4 +1,4 @@
-"""The program that attacks: ``python -m studies.attacks.intruder``. Its input is one line, an `Order`.
+"""The program that attacks: ``python -m studies.attacks.attack_program``. Its input is one line, an `Order`.
 
 It prints ``begun`` when it has loaded what it needs and has the user of its order, then one line, a `Report`.
 The end of its input ends attacks that last until then, and the program with its report.
@@ -51,11 +51,11 @@ PERFORMED_BY: dict[type, Perform] = {
     KeyExpressions: radio_attacks.declare_names,
     IdleConnections: connection_attacks.hold_connections,
     OpenEverything: file_attacks.open_everything,
-    RunOnCluster: cluster_attacks.run_somehow,
+    RunOnCluster: cluster_attacks.try_functions,
 }
 
 
-def become(uid: int) -> None:
+def change_user(uid: int) -> None:
     """Change the user and the group of this process, without further groups. Raises PermissionError."""
     os.setgroups([])
     os.setresgid(uid, uid, uid)
@@ -66,7 +66,7 @@ def main() -> None:
     """Perform the order on standard input."""
     order = msgspec.json.decode(sys.stdin.buffer.readline(), type=Order)
     if order.uid is not None:
-        become(order.uid)
+        change_user(order.uid)
     ended = threading.Event()
     threading.Thread(target=_await_end, args=(ended,), daemon=True).start()
     sys.stdout.write(f"{BEGUN}\n")
