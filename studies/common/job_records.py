@@ -83,10 +83,6 @@ class JobRecords:
             file.write(msgspec.json.encode(record) + b"\n")
         self._records[record.job, _encoded(record.arguments)] = record
 
-    def commits(self) -> list[str]:
-        """Return the commits of all results, each once, in the order of the file."""
-        return list(dict.fromkeys(record.commit for record in self._records.values()))
-
     def commits_of(self, jobs: Iterable[partial[Any]]) -> list[str]:
         """Return the commits of the results of some jobs, each once, in the order of the jobs."""
         keys = ((_name(job), _encoded(job.args)) for job in jobs)
