@@ -22,6 +22,13 @@ def observed(states):
     return activity
 
 
+TIMES = ("waiting_s", "computing_s", "starved_s", "stopped_s")
+
+
+def times_of(activity):
+    return {name: getattr(activity, name) for name in TIMES}
+
+
 @pytest.mark.parametrize(
     ("status", "share", "counted"),
     [
@@ -31,15 +38,21 @@ def observed(states):
         (psutil.STATUS_DISK_SLEEP, 0.0, "computing_s"),
         (psutil.STATUS_STOPPED, 0.0, "stopped_s"),
         (psutil.STATUS_TRACING_STOP, 0.0, "stopped_s"),
-        (psutil.STATUS_RUNNING, 0.05, None),
     ],
 )
 def test_time_counts_as_what_the_process_does(status, share, counted):
     activity = observed([(status, share * k * PERIOD_S) for k in range(LOOKS + 1)])
-    times = {name: getattr(activity, name) for name in ("waiting_s", "computing_s", "stopped_s")}
-    expected = dict.fromkeys(times, 0.0) | ({} if counted is None else {counted: LOOKS * PERIOD_S})
-    assert times == pytest.approx(expected)
-    assert activity.starved is (counted is None)
+    assert times_of(activity) == pytest.approx(dict.fromkeys(TIMES, 0.0) | {counted: LOOKS * PERIOD_S})
+    assert not activity.starved
+
+
+def test_of_a_process_that_gets_no_processor_its_processor_time_counts():
+    activity = observed([(psutil.STATUS_RUNNING, 0.05 * k * PERIOD_S) for k in range(LOOKS + 1)])
+    counted = {"computing_s": 0.05 * LOOKS * PERIOD_S, "starved_s": 0.95 * LOOKS * PERIOD_S}
+    assert times_of(activity) == pytest.approx(dict.fromkeys(TIMES, 0.0) | counted)
+    assert activity.starved
+    activity.on_progress()
+    assert times_of(activity) == dict.fromkeys(TIMES, 0.0)
 
 
 def test_a_process_that_is_continued_is_not_stopped_any_more():
