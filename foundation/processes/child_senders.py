@@ -6,20 +6,18 @@ An I/O module: reads Linux's tables of sockets and processes.
 import time
 from collections.abc import Callable
 
-from foundation.processes.socket_owners import LONGEST_LIFETIME_S, ChildSockets, Read, read_udp
+from foundation.processes.socket_owners import LONGEST_LIFETIME_S, READ_SHARE, ChildSockets, Read, read_udp
 from foundation.processes.socket_table import Address, SocketEntry, SocketTable
 
 LOOK_UP_PERIOD_S = 0.5
 """Wall time for which the sockets of the machine and of the child count as they were looked up, at least."""
-LOOK_UP_SHARE = 0.02
-"""Most of the wall time that look-ups take, which are longer the more sockets and processes there are."""
 
 
 class ChildSenders:
     """Whether UDP sockets on this machine are a child's.
 
     ``child`` returns the sockets of the child, which are looked up once per `LOOK_UP_PERIOD_S` at most, and
-    within `LOOK_UP_SHARE`, since that reads the descriptors of all processes. ``read`` returns the tables
+    within `READ_SHARE`, since that reads the descriptors of all processes. ``read`` returns the tables
     (`socket_table`), None if the system has none: then every sender is the child. ``cpu_s`` returns the
     processor time of this thread.
     """
@@ -50,7 +48,7 @@ class ChildSenders:
             self._table = None if text is None else SocketTable(text)
             self._verdicts.clear()
             taken_s = self._cpu_s() - begin_s
-            delay_s = min(max(LOOK_UP_PERIOD_S, taken_s / LOOK_UP_SHARE), LONGEST_LIFETIME_S)
+            delay_s = min(max(LOOK_UP_PERIOD_S, taken_s / READ_SHARE), LONGEST_LIFETIME_S)
             self._wall_next_s = wall_s + delay_s
         verdict = self._verdicts.get(sender)
         if verdict is None:

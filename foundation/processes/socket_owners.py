@@ -28,7 +28,8 @@ LONGEST_LIFETIME_S = 5.0
 SLOW_READ_S = 0.001
 READ_SHARE = 0.02
 """Share of wall time for which tables are read that take `SLOW_READ_S` of processor time or more: the time
-rises with the number of sockets, which any user of the machine can make."""
+rises with the number of sockets, which any user of the machine can make. At least once per
+`LONGEST_LIFETIME_S`, whatever it takes."""
 MOST_KNOWN = 10_000
 """Addresses whose owners are kept until the tables are read again."""
 ROOT_UID = 0

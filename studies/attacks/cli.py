@@ -14,7 +14,7 @@ from studies.attacks import (
     slots_section,
 )
 from studies.attacks.plan import QUICK_ATTACKS, AttacksPlan
-from studies.common.command_line import JsonOption, Page, Validation
+from studies.common.command_line import JsonOption, Page, RecordsOption, Validation
 from studies.common.runner import Subject
 
 SUBJECTS: dict[str, Subject[AttacksPlan]] = {
@@ -32,7 +32,8 @@ the growth of a process's private memory, compared with that in the second fligh
 
     coflight study attacks
 
-as root, since only root can start programs as another user; with `--out docs/results` it writes this page.
+as root, since only root can start programs as another user; with `--out docs/results` it writes this page,
+and with `--records FILE` it can be broken off and continued.
 """
 VALIDATION = Validation(
     program="coflight study attacks",
@@ -51,10 +52,11 @@ def attacks(
     only: Annotated[
         str, typer.Option(help=f"Some of {', '.join(SUBJECTS)}.", metavar="NAME,NAME")
     ] = ",".join(SUBJECTS),
+    records: RecordsOption = None,
     json: JsonOption = False,  # noqa: FBT002
     out: Annotated[
         Path | None, typer.Option(help="Folder for attacks.md; without it no file is written.")
     ] = None,
 ) -> None:
     """Attack flying runs from outside, and compare them with flights without an attack."""
-    VALIDATION.run(QUICK_ATTACKS if quick else AttacksPlan(), only, out=out, json=json)
+    VALIDATION.run(QUICK_ATTACKS if quick else AttacksPlan(), only, out=out, json=json, records=records)

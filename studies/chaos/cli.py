@@ -23,6 +23,7 @@ from studies.chaos.page import page, write
 from studies.chaos.records import FlightRecord
 from studies.chaos.side_by_side import fly_all
 from studies.common.command_line import JsonOption
+from studies.common.record_lines import RecordsError, append_record
 
 chaos_app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -53,9 +54,7 @@ def main(
     chosen = {number: fault for number, fault in enumerate(faults) if only in fault.title}
     try:
         flown = [] if file is None else records.read(file, faults, seed)
-        if file is not None:  # a file that cannot be written is an error before the flights
-            file.open("ab").close()
-    except (records.RecordsError, OSError) as error:
+    except RecordsError as error:
         messages.print(f"coflight study chaos: {error}", soft_wrap=True)
         raise typer.Exit(BAD_INPUT) from None
     kernel_cache.prepare(messages.print)
@@ -65,7 +64,7 @@ def main(
     def keep(number: int, outcome: Outcome, *, is_again: bool) -> None:
         flown.append(FlightRecord(seed=seed, number=number, commit=commit, again=is_again, outcome=outcome))
         if file is not None:
-            records.append(file, flown[-1])
+            append_record(file, flown[-1])
         messages.print(f"{number}: {'again: ' if is_again else ''}{_line(outcome)}", soft_wrap=True)
 
     before = len(flown)

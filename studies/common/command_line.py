@@ -17,13 +17,18 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from foundation.exit_status import BAD_INPUT, FAILED, FINE
 from harness.launch import kernel_cache
 from harness.records.versions import checkout
-from studies.common.job_records import JobRecords, JobRecordsError
+from studies.common.job_records import JobRecords
+from studies.common.record_lines import RecordsError
 from studies.common.report import Section, show, write_csv, write_page
 from studies.common.runner import Subject, run_subjects
 
 WIDTH = 120
 """Columns of the output if it is not a terminal."""
 CHECK_FIELDS = ("name", "value", "unit", "at_least", "at_most")
+RecordsOption = Annotated[
+    Path | None,
+    typer.Option(help="Keep results in this file, and take those that it has: to measure in pieces."),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print only the numbers, as one JSON object.")]
 P = TypeVar("P")
 
@@ -93,7 +98,7 @@ def _refused(program: str, messages: Console) -> Iterator[None]:
     """Exit with an error message if records of results cannot be used."""
     try:
         yield
-    except JobRecordsError as error:
+    except RecordsError as error:
         messages.print(f"{program}: --records: {error}", soft_wrap=True)
         raise typer.Exit(BAD_INPUT) from None
 

@@ -37,7 +37,7 @@ def run_subjects(
     """Run the jobs of the subjects and judge their results.
 
     ``progress`` is called with the subject, the number of its finished jobs and their total. Jobs whose
-    results are in ``records`` are not run, and the results of the others are added. Raises JobRecordsError,
+    results are in ``records`` are not run, and the results of the others are added. Raises RecordsError,
     and the first error of a job: with records once all jobs have ended, else without those that wait.
     """
     results: dict[str, Results] = {}

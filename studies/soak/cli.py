@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from msgspec.structs import replace
 
-from studies.common.command_line import JsonOption, Page, Validation
+from studies.common.command_line import JsonOption, Page, RecordsOption, Validation
 from studies.common.runner import Subject
 from studies.soak import flight_section, repeats_section, size_section, swarms_section
 from studies.soak.plan import QUICK_SOAK, SoakPlan
@@ -48,10 +48,7 @@ def soak(
     ] = None,
     swarms: Annotated[int | None, typer.Option(help="Swarms in one process.", min=4)] = None,
     repeats: Annotated[int | None, typer.Option(help="Flights of one seed.", min=2)] = None,
-    records: Annotated[
-        Path | None,
-        typer.Option(help="Keep results in this file, and take those that it has: to measure in pieces."),
-    ] = None,
+    records: RecordsOption = None,
     json: JsonOption = False,  # noqa: FBT002
     out: Annotated[
         Path | None, typer.Option(help="Folder for soak.md; without it no file is written.")

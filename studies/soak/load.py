@@ -42,6 +42,7 @@ def random_load(rng: np.random.Generator) -> Iterator[str]:
 def _start(stack: contextlib.ExitStack, code: str, *, nice: int) -> None:
     """Start a process that ends with the stack, or with this process: its input then ends."""
     command = [sys.executable, "-I", "-c", _WITH_PARENT + code]
-    process = stack.enter_context(subprocess.Popen(command, stdin=subprocess.PIPE))
+    # a group of its own: Ctrl-C reaches the study, which ends it
+    process = stack.enter_context(subprocess.Popen(command, stdin=subprocess.PIPE, process_group=0))
     stack.callback(process.kill)
     os.setpriority(os.PRIO_PROCESS, process.pid, nice)

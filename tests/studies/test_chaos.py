@@ -36,6 +36,7 @@ from studies.chaos.page import page
 from studies.chaos.records import FlightRecord
 from studies.chaos.requirements import END_LIMIT_S, end_limit_s, named, statuses
 from studies.chaos.side_by_side import fly_all
+from studies.common.record_lines import RecordsError, append_record
 
 COMBINATIONS = [(t, k, p) for t in TARGETS for k in KINDS for p in PHASES if is_possible(t, k, p)]
 
@@ -149,16 +150,16 @@ def _record(number: int) -> FlightRecord:
 def test_records_are_read_back_and_a_half_written_line_is_dropped(tmp_path: Path) -> None:
     path = tmp_path / "flights.jsonl"
     assert records.read(path, plan(9, 1), 1) == []
-    records.append(path, _record(0))
+    append_record(path, _record(0))
     with path.open("ab") as file:
         file.write(b'{"seed":1,"numb')
     assert records.read(path, plan(9, 1), 1) == [_record(0)]
-    records.append(path, _record(4))
+    append_record(path, _record(4))
     assert records.read(path, plan(9, 1), 1) == [_record(0), _record(4)]
     assert records.read(path, plan(2, 1), 1)[0] == _record(0)
 
 
-ANOTHER_FILE = "not a flight of this study"
+ANOTHER_FILE = "not a record of this study"
 ONE_LINE = msgspec.json.encode(_record(0)) + b"\n"
 
 
@@ -180,7 +181,7 @@ ONE_LINE = msgspec.json.encode(_record(0)) + b"\n"
 def test_records_of_another_study_are_refused_with_one_line(tmp_path: Path, line: bytes, error: str) -> None:
     path = tmp_path / "flights.jsonl"
     path.write_bytes(line)
-    with pytest.raises(records.RecordsError) as caught:
+    with pytest.raises(RecordsError) as caught:
         records.read(path, plan(9, 1), 1)
     assert error in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -199,7 +200,7 @@ def test_a_recorded_flight_with_a_full_disk_is_not_left_out(
     monkeypatch.setattr(small_disk, "is_permitted", lambda _: False)
     first, second = [i for i, fault in enumerate(plan(200, 1)) if fault.target == "disk"][:2]
     path = tmp_path / "flights.jsonl"
-    records.append(path, _flown(first, msgspec.structs.replace(SLOW, fault=plan(200, 1)[first])))
+    append_record(path, _flown(first, msgspec.structs.replace(SLOW, fault=plan(200, 1)[first])))
     options = ["--seed=1", "--only=of disk", "--again", f"--records={path}"]
     one = CliRunner().invoke(cli.chaos_app, [f"--flights={first + 1}", *options])
     assert one.exit_code == FAILED

@@ -8,7 +8,8 @@ import pytest
 import typer
 
 from studies.common.command_line import Page, Validation
-from studies.common.job_records import JobRecords, JobRecordsError
+from studies.common.job_records import JobRecords
+from studies.common.record_lines import RecordsError
 from studies.common.report import Check, Section
 from studies.common.runner import Job, Results, Subject, run_subjects
 from studies.soak.swarms_section import ManySwarms
@@ -89,13 +90,13 @@ def test_a_last_line_that_is_half_written_is_dropped(tmp_path: Path) -> None:
 def test_another_file_is_refused_and_kept(tmp_path: Path, content: str) -> None:
     path = tmp_path / "records"
     path.write_text(content, encoding="latin-1")
-    with pytest.raises(JobRecordsError, match=r"records, line 1: .*; give another file$"):
+    with pytest.raises(RecordsError, match=r"records, line 1: .*; give another file$"):
         JobRecords(path, "abc")
     assert path.read_text(encoding="latin-1") == content
 
 
 def test_a_file_that_cannot_be_written_is_refused_before_anything_is_run(tmp_path: Path) -> None:
-    with pytest.raises(JobRecordsError, match="No such file or directory"):
+    with pytest.raises(RecordsError, match="No such file or directory"):
         JobRecords(tmp_path / "none" / "records", "abc")
 
 
