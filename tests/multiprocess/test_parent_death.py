@@ -71,17 +71,23 @@ def modules(tmp_path: Path) -> dict[str, str]:
     return {"PYTHONPATH": path}
 
 
+def stopped(pids: Sequence[int]) -> int:
+    """Return how many of the processes are stopped; each of them runs, waits, or is stopped."""
+    return sum(psutil.Process(pid).status() == psutil.STATUS_STOPPED for pid in pids)
+
+
 def test_no_child_outlives_a_killed_launcher_whatever_it_does(
     tmp_path: Path, modules: dict[str, str]
 ) -> None:
     command = [sys.executable, "-c", LAUNCHER, str(tmp_path)]
     with subprocess.Popen(command, env=os.environ | modules, stdout=subprocess.PIPE) as launcher:
-        assert launcher.stdout is not None
-        pids = [int(pid) for pid in launcher.stdout.readline().split()]
-        assert len(pids) == 4
-        states = [psutil.Process(pid).status() for pid in pids]
-        assert states.count(psutil.STATUS_STOPPED) == 2
-        launcher.kill()
+        try:
+            assert launcher.stdout is not None
+            pids = [int(pid) for pid in launcher.stdout.readline().split()]
+            assert len(pids) == 4
+            wait_for(lambda: stopped(pids) == 2, "two children that have stopped themselves")
+        finally:
+            launcher.kill()
     wait_for(lambda: not any(map(alive, pids)), "end of the children")
 
 
