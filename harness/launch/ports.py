@@ -10,7 +10,7 @@ from typing import NamedTuple
 import msgspec
 
 from harness.launch import external_autopilots
-from harness.launch.resources import ResourceError, bind
+from harness.launch.resources import ResourceError, bind, reserve_udp
 from harness.scenario.scenario import Scenario
 
 OFFSETS = range(1_000, 65_536, 1_000)
@@ -29,8 +29,8 @@ class Claim(NamedTuple):
     states: dict[int, socket.socket]
     """UDP sockets for the states of ArduPilots, by vehicle, with the numbers of their listeners."""
     reserved: dict[int, socket.socket]
-    """A UDP socket at a port of each vehicle without a listener: until the vehicle is started, it keeps other
-    swarms from the same ports."""
+    """A socket that reserves a UDP port of each vehicle without a listener: other swarms do not bind it, not
+    even to try it, before the vehicle has."""
 
     @property
     def sockets(self) -> tuple[socket.socket, ...]:
@@ -41,11 +41,6 @@ class Claim(NamedTuple):
         """Close the sockets that the physics server has inherited; harmless when repeated."""
         for each in (*self.listeners.values(), *self.states.values()):
             each.close()
-
-    def release(self, instance: int) -> None:
-        """Close the reservation of a vehicle, which is about to bind the port."""
-        if instance in self.reserved:
-            self.reserved[instance].close()
 
     def close(self) -> None:
         """Close all sockets; harmless when repeated."""
@@ -112,11 +107,10 @@ def _claim(scenario: Scenario) -> Claim:
         reserved: dict[int, socket.socket] = {}
         for base in (ports.gcs_local_udp, ports.companion_local_udp):
             for i in vehicles if base else ():
-                bound = bind(socket.SOCK_DGRAM, scenario.links.host, base + i)
                 if i in listeners or i in reserved:
-                    bound.close()
+                    bind(socket.SOCK_DGRAM, scenario.links.host, base + i).close()
                 else:
-                    reserved[i] = stack.enter_context(bound)
+                    reserved[i] = stack.enter_context(reserve_udp(scenario.links.host, base + i))
         if ports.radio_link == "tcp" and ports.radio_tcp:
             bind(socket.SOCK_STREAM, ports.host, ports.radio_tcp).close()
         stack.pop_all()

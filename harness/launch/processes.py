@@ -258,7 +258,6 @@ class Processes(RunMonitor):
                 simulator_port=simulator_ports.get(i, 0),
                 radio_endpoint=radio.endpoint,
             )
-            claim.release(i)
             if i in self._external:
                 self._start_external(i, simulator_ports[i])
             elif i in simulator_ports:

@@ -42,11 +42,32 @@ def bind(kind: socket.SocketKind, host: str, port: int) -> socket.socket:
     except OSError as error:
         sock.close()
         protocol = "TCP" if kind == socket.SOCK_STREAM else "UDP"
-        raise ResourceError(
-            f"{protocol} port {port} on {host}: {os.strerror(error.errno or 0)}",
-            in_use=error.errno == errno.EADDRINUSE,
-        ) from None
+        raise _not_bound(protocol, host, port, error) from None
     return sock
+
+
+def reserve_udp(host: str, port: int) -> socket.socket:
+    """Return a socket that keeps other swarms of this machine from a UDP port, which stays free to be bound.
+
+    It has a name in Linux's abstract namespace, which ends with it. Raises ResourceError as `bind`, if
+    another swarm has reserved the port or a program has bound it.
+    """
+    sock = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        sock.bind(f"\0coflight-udp-{host}-{port}")
+        bind(socket.SOCK_DGRAM, host, port).close()
+    except OSError as error:
+        sock.close()
+        raise _not_bound("UDP", host, port, error) from None
+    except ResourceError:
+        sock.close()
+        raise
+    return sock
+
+
+def _not_bound(protocol: str, host: str, port: int, error: OSError) -> ResourceError:
+    line = f"{protocol} port {port} on {host}: {os.strerror(error.errno or 0)}"
+    return ResourceError(line, in_use=error.errno == errno.EADDRINUSE)
 
 
 def open_descriptors() -> int:
@@ -58,7 +79,7 @@ def allow_descriptors(children: int) -> None:
     """Raise the limit of descriptors to what a run with that many children needs; they inherit it.
 
     The launcher holds `DESCRIPTORS_OF_CHILD` per child: of a vehicle that has not started yet, both ends of
-    its link to the simulator and the socket that reserves its UDP port. The physics server and the 802.11
+    its link to the simulator and the socket that reserves a UDP port. The physics server and the 802.11
     emulator hold two per vehicle at most. Raises ResourceError if the system does not allow as many.
     """
     needed = open_descriptors() + DESCRIPTORS_BESIDE + DESCRIPTORS_OF_CHILD * children

@@ -12,7 +12,6 @@ returns, and is not lost even if the sender is killed. All others use queries wi
 import json
 import os
 import socket
-import tempfile
 import time
 from collections.abc import Callable, Sequence
 
@@ -156,10 +155,11 @@ class Transport:
         """
         before = _listening_ports()
         try:
-            with tempfile.NamedTemporaryFile("w", prefix="coflight-", encoding="ascii") as users:  # mode 0600
+            with os.fdopen(os.memfd_create("users"), "w", encoding="ascii") as users:  # no name to be left
                 users.write(dictionary(rights))
                 users.flush()
-                session = zenoh.open(_router_config(endpoint, rights, users.name))
+                path = f"/proc/self/fd/{users.fileno()}"
+                session = zenoh.open(_router_config(endpoint, rights, path))
         except zenoh.ZError as error:
             raise TransportError(f"cannot listen on {endpoint}: {_first_line(error)}") from None
         protocol, _, address = endpoint.partition("/")

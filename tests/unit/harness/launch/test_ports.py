@@ -10,6 +10,7 @@ from external_swarms import free_base
 
 from autopilot.parameters.config import AutopilotConfig
 from harness.launch import ports as ports_module
+from harness.launch import resources
 from harness.launch.ports import claim
 from harness.launch.resources import ResourceError, bind
 from harness.scenario.scenario import PortsConfig, Scenario
@@ -90,20 +91,35 @@ def test_vehicles_with_inherited_sockets_have_no_listener_and_need_no_port() -> 
             assert claimed.listeners.keys() == claimed.states.keys() == {1}
 
 
-def test_a_port_of_each_vehicle_without_a_listener_stays_reserved_until_it_is_released() -> None:
+@pytest.mark.parametrize("field", ["gcs_local_udp", "companion_local_udp"])
+def test_a_claimed_port_is_free_for_its_vehicle_while_other_swarms_search(field: str) -> None:
     base = free_base(AGENTS)
-    for field in ("gcs_local_udp", "companion_local_udp"):
-        given = scenario(**{field: base})
-        unix = msgspec.structs.replace(given.ports, simulator_link="unix")
-        claimed = claim(msgspec.structs.replace(given, ports=unix), search=False)
-        with contextlib.closing(claimed):
-            assert [each.getsockname()[1] for each in claimed.sockets] == [base, base + 1]
+    given = scenario(**{field: base})
+    given = msgspec.structs.replace(given, ports=msgspec.structs.replace(given.ports, simulator_link="unix"))
+    with contextlib.closing(claim(given, search=False)), contextlib.ExitStack() as vehicles:
+        for i in reversed(range(AGENTS)):  # in any order
             with pytest.raises(ResourceError, match=f"^UDP port {base} "):
                 claim(given, search=False)
-            claimed.release(0)
-            with pytest.raises(ResourceError, match=f"^UDP port {base + 1} "):
-                claim(given, search=False)
-        claim(given, search=False).close()
+            vehicles.enter_context(bind(socket.SOCK_DGRAM, HOST, base + i))
+    claim(given, search=False).close()
+
+
+def test_other_swarms_do_not_bind_a_claimed_port_to_try_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    base, tried = free_base(AGENTS), list[int]()
+
+    def trying(kind: socket.SocketKind, host: str, port: int) -> socket.socket:
+        tried.append(port)
+        return bind(kind, host, port)
+
+    given = scenario(gcs_local_udp=base)
+    given = msgspec.structs.replace(given, ports=msgspec.structs.replace(given.ports, simulator_link="unix"))
+    with contextlib.closing(claim(given, search=False)):
+        monkeypatch.setattr(ports_module, "bind", trying)
+        monkeypatch.setattr(resources, "bind", trying)
+        with contextlib.closing(claim(given, search=True)) as other:
+            assert other.scenario.ports.gcs_local_udp > base
+    assert tried
+    assert not {base, base + 1} & {*tried}
 
 
 def test_an_ardupilots_states_have_the_number_of_its_listener() -> None:
