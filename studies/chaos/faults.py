@@ -25,6 +25,9 @@ LONGEST_DELAY_S = {"imports": 0.6, "start": 0.3, "flight": 2.0, "pause": 1.0, "s
 """Wall time between the begin of a phase and the fault, at most."""
 LONGEST_AFTER_S = 1.0
 """Wall time between the first fault of a flight and its second, at most."""
+_INTERRUPTS = ("SIGTERM", "SIGHUP", "SIGINT", "closed terminal")
+_INTERRUPTIBLE = ("start", "flight", "pause")
+"""Phases that an interrupt of the launcher turns into phase ``stop``."""
 SINGLES = 4
 """Flights with one fault before each flight with two."""
 
@@ -60,13 +63,18 @@ class Fault(Struct, frozen=True, kw_only=True):
 
     @property
     def parts(self) -> "tuple[Fault, ...]":
-        """Both faults, each as the only one of a flight."""
+        """Both faults, each as the only one of a flight.
+
+        A second fault after the launcher was interrupted is one in phase ``stop``.
+        """
         alone = Fault(target=self.target, kind=self.kind, phase=self.phase, delay_s=self.delay_s)
         if self.second is None:
             return (alone,)
         second = self.second
         later_s = round(self.delay_s + second.after_s, 3)
-        return alone, Fault(target=second.target, kind=second.kind, phase=self.phase, delay_s=later_s)
+        is_interrupted = self.target == "launcher" and self.kind in _INTERRUPTS
+        phase: Phase = "stop" if is_interrupted and self.phase in _INTERRUPTIBLE else self.phase
+        return alone, Fault(target=second.target, kind=second.kind, phase=phase, delay_s=later_s)
 
 
 def is_possible(target: Target, kind: Kind, phase: Phase) -> bool:

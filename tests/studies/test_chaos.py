@@ -15,7 +15,7 @@ import psutil
 import pytest
 from typer.testing import CliRunner
 
-from foundation.exit_status import FAILED, FINE
+from foundation.exit_status import FAILED, FINE, INTERRUPTED
 from studies.chaos import cli, flight, records, small_disk
 from studies.chaos.faults import (
     KINDS,
@@ -78,6 +78,15 @@ def test_two_faults_permit_what_either_permits_and_completion_if_both_do() -> No
     assert named(two("SIGKILL", "launcher", "SIGTERM")) == []
     assert len(named(two("SIGKILL", "launcher", "SIGSTOP for 2 s"))) == 1
     assert end_limit_s(two("SIGKILL", "launcher", "SIGSTOP for 2 s")) == END_LIMIT_S + 2.5
+
+
+def test_a_second_fault_after_an_interrupt_is_one_of_the_stop() -> None:
+    second = Second(target="physics", kind="SIGSTOP for 2 s", after_s=0.25)
+    fault = Fault(target="launcher", kind="SIGHUP", phase="start", delay_s=0.25, second=second)
+    assert fault.parts[1].phase == "stop"
+    assert set(statuses(fault)) == {INTERRUPTED, FAILED}
+    killed = Fault(target="launcher", kind="SIGKILL", phase="start", delay_s=0.25, second=second)
+    assert killed.parts[1].phase == "start"
 
 
 def test_every_fault_has_a_documented_status() -> None:
