@@ -6,6 +6,7 @@ BIN := $(VENV)/bin
 ENVIRONMENT := $(VENV)/.python
 STAMP := $(VENV)/.set-up
 DEV := $(VENV)/.set-up-dev
+VIEW := $(VENV)/.set-up-view
 CLIENTS := $(VENV)/.set-up-clients
 DOCS := $(VENV)/.set-up-docs
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
@@ -14,9 +15,10 @@ ARGS ?=
 # each process would compile every module again
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup swarm wheel test test-clients validate validate-radio validate-antenna codesign campaign article antenna bench bench-radio docs lock lint format clean
+.PHONY: help setup swarm view wheel test test-clients validate validate-radio validate-antenna codesign campaign article antenna bench bench-radio docs lock lint format clean
 help:
 	@echo "make swarm [ARGS='--duration 20 --seed 3']   fly scenarios/article.toml"
+	@echo "make view  [ARGS='--duration 20']            the same flight in the viewer Rerun (docs/how-to/view.md)"
 	@echo "make test  [ARGS='-k radio']                 run the tests"
 	@echo "make test-clients                            MAVSDK and MAVProxy fly swarms at the clock's pace (docs/how-to/ground-control.md)"
 	@echo "make validate [ARGS='--quick | --out docs/results']   measure how well one vehicle flies (docs/results/validation.md)"
@@ -53,11 +55,18 @@ $(DEV): requirements-dev.lock $(STAMP)
 swarm: $(STAMP)
 	$(BIN)/coflight fly article $(ARGS)
 
+$(VIEW): requirements-view.lock $(STAMP)
+	$(LOCKED) requirements-view.lock --no-deps
+	@touch $@
+
+view: $(VIEW)
+	$(BIN)/coflight fly article --view $(ARGS)
+
 # builds the wheel, installs it into a new environment, flies and tests the examples outside the checkout
 wheel: $(DEV)
 	$(BIN)/python scripts/try_wheel.py
 
-test: $(DEV)
+test: $(DEV) $(VIEW)
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder $(ARGS)
 
 $(CLIENTS): requirements-clients.lock $(DEV)
