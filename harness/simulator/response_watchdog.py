@@ -3,8 +3,8 @@
 A machine under load starves processes for seconds, and the result of a run must not depend on that. Silence
 therefore counts only while the process could have answered (`harness.simulator.process_activity`). A dead
 process is given up at once, a stopped one after some seconds. Of one that is runnable but starved only its
-processor time counts. Silence of one that sleeps or computes counts, because a vehicle waits for nothing but
-its sensors: its radio's deliveries precede their notice.
+processor time counts. Silence of one that sleeps or computes counts; but the sleep of a vehicle does not
+while the 802.11 emulator has work, as it may owe the vehicle a delivery (`ResponseWatchdog.set_radio_pid`).
 """
 
 from collections.abc import Callable, Mapping
@@ -12,7 +12,14 @@ from dataclasses import dataclass
 
 import psutil
 
-from harness.simulator.process_activity import ENDED, STOPPED_LIMIT_S, Activity, ProcessState, state_of
+from harness.simulator.process_activity import (
+    ENDED,
+    STOPPED_LIMIT_S,
+    Activity,
+    ProcessState,
+    has_work,
+    state_of,
+)
 
 LOOK_AFTER_S = 0.25
 """Shorter silences are ignored; from then on the process is examined."""
@@ -55,6 +62,7 @@ class ResponseWatchdog:
         self._stopped_limit_s = stopped_limit_s
         self._on_check = on_check
         self._processes: dict[int, psutil.Process] = {}
+        self._radio_pid: int | None = None
         self._wall_begin_s = 0.0
         self._since_s: Mapping[int, float] = _NO_SILENCES
         self._observations: dict[int, Activity] = {}
@@ -66,6 +74,10 @@ class ResponseWatchdog:
             self._processes[instance] = psutil.Process(pid)
         except psutil.NoSuchProcess:
             self._processes.pop(instance, None)
+
+    def set_radio_pid(self, pid: int) -> None:
+        """Set the process id of the 802.11 emulator, whose deliveries the vehicles wait for."""
+        self._radio_pid = pid
 
     def begin(self, wall_s: float, *, silent_since_s: Mapping[int, float] = _NO_SILENCES) -> None:
         """Begin a wait for all vehicles; ``silent_since_s``: starts of silences that continue in it."""
@@ -92,7 +104,7 @@ class ResponseWatchdog:
         if seen is None:
             self._observations[instance] = Activity.begin(wall_s, state)
             return SilenceFinding(wall_silence_s=silence_s)
-        seen.look(wall_s, state)
+        seen.look(wall_s, state, held_up=self._is_radio_busy())
         report_after_s = STARVED_REPORT_AFTER_S if seen.starved else REPORT_AFTER_S
         newly = instance not in self._reported and not starting and silence_s >= report_after_s
         if newly:
@@ -105,6 +117,9 @@ class ResponseWatchdog:
         elif seen.waiting_s > limit_s or seen.computing_s > max(limit_s, COMPUTING_LIMIT_S):
             reason = f"it has not answered for {silence_s:.1f} s"
         return SilenceFinding(wall_silence_s=silence_s, newly_silent=newly, give_up=reason)
+
+    def _is_radio_busy(self) -> bool:
+        return self._radio_pid is not None and has_work(self._radio_pid)
 
     def _process_state(self, instance: int) -> ProcessState:
         process = self._processes.get(instance)

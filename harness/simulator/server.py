@@ -327,6 +327,7 @@ def serve(
     def set_pid(command: SetPid | SetRadioPid) -> None:
         if isinstance(command, SetRadioPid):
             emulator_watchdog.set_pid(EMULATOR, command.pid)
+            watchdog.set_radio_pid(command.pid)
             return
         chosen = application_watchdog if command.is_application else watchdog
         chosen.set_pid(command.instance, command.pid)

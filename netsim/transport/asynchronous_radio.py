@@ -11,9 +11,12 @@ from netsim.transport.malformed import MalformedCount
 from netsim.transport.zenoh_session import Question, Transport
 from netsim.wire.messages import Ack, RxBatch, TxBatch, TxItem, decode, encode
 
+_MOST_WAITING = 1_024
+"""Deliveries that wait while the program's other threads hold the interpreter; the oldest ones are lost."""
+
 
 class AsynchronousRadio:
-    """One station's radio; ``put`` is called with each delivery, in a Zenoh thread.
+    """One station's radio; ``put`` is called with each delivery, in a thread of its own.
 
     Raises RadioLost if the emulator does not respond. A station number in use is not rejected: the deliveries
     go to the first client.
@@ -26,7 +29,7 @@ class AsynchronousRadio:
         self._put = put
         self._newest_us = -1
         self._malformed = MalformedCount("delivery")
-        transport.serve(receive_key(run_id, station), self._take)
+        transport.serve(receive_key(run_id, station), self._take, most_waiting=_MOST_WAITING)
         self._asker = transport.asker(guest_transmit_key(run_id, station), timeout_s=ANSWER_LIMIT_S)
         self.hand_over(())  # its acknowledgement shows that the key above is declared at the emulator
 

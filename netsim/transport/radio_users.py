@@ -45,7 +45,7 @@ def rights(config: ServerConfig) -> list[Rights]:
             Rights(
                 guest_user(station, password),
                 asks=(guest_transmit_key(run_id, station), directory_key(run_id)),
-                served=(guest_transmit_key(run_id, "*"), directory_key(run_id)),
+                served=(guest_transmit_key(run_id, station), directory_key(run_id)),
                 serves=(receive_key(run_id, station),),
             )
             for station, password in enumerate(passwords.guests, start=config.stations)

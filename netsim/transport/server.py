@@ -37,7 +37,7 @@ from netsim.transport.malformed import MalformedCount
 from netsim.transport.profile_groups import PROFILE_GROUPS
 from netsim.transport.radio_users import rights
 from netsim.transport.socket_folder import unix_endpoint
-from netsim.transport.zenoh_session import Asker, Question, TopicSender, Transport
+from netsim.transport.zenoh_session import MOST_WAITING, Asker, Question, TopicSender, Transport
 from netsim.wire.lockstep import Advance, Advanced
 from netsim.wire.messages import Ack, Directory, DirectoryRequest, RxBatch, Station, TxBatch, decode, encode
 
@@ -92,10 +92,11 @@ class Server:
             else:
                 self._senders[station] = self._transport.sender(key)
         self._transmissions = self._transport.mailbox(transmit_key(config.run_id))
-        self._transport.serve(transmit_key(config.run_id), self._on_declared)
-        if self._by_key:
-            self._transport.serve(guest_transmit_key(config.run_id, "*"), self._on_guest)
-        self._transport.serve(directory_key(config.run_id), self._on_directory)
+        all_at_once = max(MOST_WAITING, self._service.stations)
+        self._transport.serve(transmit_key(config.run_id), self._on_declared, most_waiting=all_at_once)
+        for key in self._by_key:  # each with a buffer of its own, which no other guest can fill
+            self._transport.serve(key, self._on_guest)
+        self._transport.serve(directory_key(config.run_id), self._on_directory, most_waiting=all_at_once)
 
     @property
     def reached_us(self) -> int:

@@ -12,8 +12,10 @@ returns, and is not lost even if the sender is killed. All others use queries wi
 import json
 import os
 import socket
+import threading
 import time
-from collections.abc import Callable, Sequence
+import weakref
+from collections.abc import Callable, Iterable, Sequence
 
 import psutil
 import zenoh
@@ -27,7 +29,8 @@ RUNTIME = """(
 )"""
 """One thread for all of Zenoh's thread pools: a query wakes one thread at each end instead of two or three.
 
-Python handlers run in other threads, one per served key, so this thread never waits for Python.
+Python handlers run in other threads, one per served key. Queries wait for them in a buffer that drops the
+oldest one when it is full, so this thread never waits for Python: while it waits, its tasks fill the memory.
 """
 
 LONGEST_DIRECT_BYTES = 49_000
@@ -46,6 +49,10 @@ _MOST_PENDING = 10_000
 _PENDING_LIMIT_MS = 2_000
 """Wall time after which it closes such a connection. A client tries again within `CONNECT_LIMIT_S`."""
 _CHANNEL_MESSAGES = 4_096
+MOST_WAITING = 64
+"""Default number of queries that wait for the handler of a key. Each can hold a receive buffer of 64 KiB."""
+_END_LIMIT_S = 5.0
+"""Wall time within which handlers have to return when the session is closed."""
 _SHORTEST_NAP_S, _LONGEST_NAP_S = 50e-6, 2e-3
 """Polling interval for a late message; Zenoh's channels have no time-out."""
 
@@ -146,6 +153,9 @@ class Transport:
         self._session = session
         self.endpoint = endpoint
         """Endpoint that this process listens on, or is connected to."""
+        self._handlers: list[threading.Thread] = []
+        # a thread that is still in Zenoh when the interpreter has ended aborts the process
+        self._end = weakref.finalize(self, _end, session, self._handlers)
 
     @classmethod
     def listen(cls, endpoint: str, rights: Sequence[Rights]) -> "Transport":
@@ -218,17 +228,39 @@ class Transport:
         """Whether a router is connected; for sessions opened with `connect`."""
         return any(True for _ in self._session.info.routers_zid())
 
-    def serve(self, key: str, handler: Callable[[Question], None]) -> None:
+    def serve(
+        self, key: str, handler: Callable[[Question], None], *, most_waiting: int = MOST_WAITING
+    ) -> None:
         """Serve queries to ``key``.
 
-        The handler is called in a Zenoh thread; it replies there or passes the query on.
+        The handler is called in a thread of this key; it replies there or passes the query on. At most
+        ``most_waiting`` queries wait for it: the oldest are dropped, without a reply.
         """
-        self._session.declare_queryable(key, lambda query: handler(Question(query)), complete=True)
+        waiting: zenoh.handlers.RingChannel[zenoh.Query] = zenoh.handlers.RingChannel(most_waiting)
+        queryable = self._session.declare_queryable(key, waiting, complete=True)
+        thread = threading.Thread(target=_handle, args=(queryable, handler), name=f"serve {key}", daemon=True)
+        self._handlers.append(thread)
+        thread.start()
 
     def close(self) -> None:
-        """Close the session; repeated calls have no effect."""
-        if not self._session.is_closed():
-            self._session.close()  # type: ignore[no-untyped-call]
+        """Close the session, and wait for handlers; repeated calls have no effect."""
+        self._end()
+
+
+def _handle(
+    queryable: zenoh.Queryable[zenoh.handlers.Handler[zenoh.Query]], handler: Callable[[Question], None]
+) -> None:
+    """Call the handler for each query until the session is closed."""
+    for query in queryable.handler:
+        handler(Question(query))
+
+
+def _end(session: zenoh.Session, threads: Iterable[threading.Thread]) -> None:
+    """Close a session, which ends its threads, and wait for them."""
+    session.close()  # type: ignore[no-untyped-call]
+    for thread in threads:
+        if thread is not threading.current_thread():
+            thread.join(_END_LIMIT_S)
 
 
 def _router_config(endpoint: str, rights: Sequence[Rights], dictionary_path: str) -> zenoh.Config:

@@ -5,6 +5,7 @@ import queue
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -60,6 +61,31 @@ def test_answer_may_be_sent_later_by_another_thread(listener):
         assert second.ask(b"?").answer() == b"now"
         waiting.get(timeout=5.0).answer(b"late" * 100_000)
         assert later.answer() == b"late" * 100_000
+
+
+def test_a_slow_handler_loses_the_oldest_queries_and_delays_no_other_key(listener):
+    with contextlib.ExitStack() as stack:
+        client = stack.enter_context(connected(listener))
+        asked, handled = 2_000, []
+        begun, released = threading.Event(), threading.Event()
+
+        def handle_late(question):
+            begun.set()
+            released.wait(30.0)
+            handled.append(int(question.payload))
+            question.answer(question.payload)
+
+        listener.serve("test/slow", handle_late, most_waiting=10)
+        listener.serve("test/quick", lambda question: question.answer(b"quick"))
+        slow, quick = (client.asker(f"test/{name}", timeout_s=30.0) for name in ("slow", "quick"))
+        pending = [slow.ask(b"0")]
+        assert begun.wait(10.0)
+        pending += [slow.ask(b"%d" % number) for number in range(1, asked)]
+        assert quick.ask(b"?").answer() == b"quick"  # arrives after all of them, on the same connection
+        released.set()
+        assert pending[-1].answer() == b"%d" % (asked - 1)
+        assert handled == [0, *range(asked - 10, asked)]
+        assert pending[1].answer() is None
 
 
 def wait_for_declarations(client):

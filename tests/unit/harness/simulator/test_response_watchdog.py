@@ -1,9 +1,13 @@
 """When a silent vehicle is given up, by the state of its process."""
 
+import subprocess
+import sys
+import time
+
 import psutil
 import pytest
 
-from harness.simulator.process_activity import STOPPED_LIMIT_S, ProcessState
+from harness.simulator.process_activity import HELD_UP_LIMIT_S, STOPPED_LIMIT_S, ProcessState, has_work
 from harness.simulator.response_watchdog import (
     COMPUTING_LIMIT_S,
     LOOK_AFTER_S,
@@ -69,6 +73,45 @@ def test_a_stopped_process_is_given_up_after_some_seconds_and_a_continued_one_is
 def test_the_time_in_which_this_process_did_not_run_does_not_count():
     sleeping = [(psutil.STATUS_SLEEPING, 0.0)] * 100
     assert given_up_s(ResponseWatchdog(2.0), sleeping, every_s=10.0) is None
+
+
+def test_the_sleep_of_a_vehicle_does_not_count_while_the_radio_has_work():
+    """Another client of the radio can keep it busy for seconds on a busy machine."""
+    watchdog = ResponseWatchdog(2.0)
+    watchdog._is_radio_busy = lambda: True
+    sleeping = [(psutil.STATUS_SLEEPING, 0.0)]
+    assert given_up_s(watchdog, sleeping * 500) is None
+    assert given_up_s(watchdog, sleeping * 700) == pytest.approx(HELD_UP_LIMIT_S + 2.4, abs=0.25)
+    watchdog._is_radio_busy = lambda: next(busy)
+    busy = iter([True] * 100 + [False] * 100)
+    assert given_up_s(watchdog, sleeping * 200) == pytest.approx(10.0 + 2.3, abs=0.5)
+    watchdog._is_radio_busy = lambda: True
+    stopped = [(psutil.STATUS_STOPPED, 0.0)] * 100
+    assert given_up_s(watchdog, stopped) == pytest.approx(STOPPED_LIMIT_S + 0.4, abs=0.25)
+
+
+def test_a_process_has_work_if_any_of_its_threads_has():
+    script = (
+        "import sys, threading\n"
+        "def work():\n"
+        "    while working: pass\n"
+        "working = True; threading.Thread(target=work).start()\n"
+        "print('works', flush=True); sys.stdin.readline(); working = False\n"
+        "print('rests', flush=True); sys.stdin.readline()\n"
+    )
+    command = [sys.executable, "-c", script]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "works\n"
+        assert has_work(process.pid)
+        process.stdin.write("\n")
+        process.stdin.flush()
+        assert process.stdout.readline() == "rests\n"
+        wall_deadline_s = time.monotonic() + 10.0
+        while has_work(process.pid):
+            assert time.monotonic() < wall_deadline_s
+            time.sleep(0.01)
+        process.stdin.write("\n")
+    assert not has_work(process.pid)
 
 
 def test_each_check_is_reported():

@@ -31,7 +31,7 @@ def test_each_guest_has_its_own_user_with_the_keys_of_its_station():
     assert ground == Rights(
         User("guest-8", "g"),
         asks=("coflight/r/radio/tx/8", "coflight/r/radio/directory"),
-        served=("coflight/r/radio/tx/*", "coflight/r/radio/directory"),
+        served=("coflight/r/radio/tx/8", "coflight/r/radio/directory"),
         serves=("coflight/r/radio/rx/8",),
     )
     assert car.serves == ("coflight/r/radio/rx/9",)
