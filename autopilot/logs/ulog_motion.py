@@ -170,5 +170,6 @@ def home(vehicle: "Vehicle", count: int) -> Values | None:
     yaw_rad = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     return {
         "lat": place.lat_deg, "lon": place.lon_deg, "alt": place.alt_m, "x": north_m, "y": east_m,
-        "z": down_m, "yaw": yaw_rad, "valid_alt": True, "valid_hpos": True, "valid_lpos": True, "update_count": count,
+        "z": down_m, "yaw": yaw_rad, "valid_alt": True, "valid_hpos": True, "valid_lpos": True,
+        "update_count": count,
     }  # fmt: skip

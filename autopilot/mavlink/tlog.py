@@ -1,8 +1,8 @@
 """The tlog of a ground link: MAVLink frames of both directions with their times.
 
 Ground stations record the same. Each frame follows its time, 8 bytes, big endian, in microseconds since 1970:
-the scenario's epoch plus simulated time. pymavlink's ``mavlogfile``, MAVExplorer and QGroundControl's replay read
-it. SETUP_SIGNING, which contains a key, is left out.
+the scenario's epoch plus simulated time. pymavlink's ``mavlogfile``, MAVExplorer and QGroundControl's replay
+read it. SETUP_SIGNING, which contains a key, is left out.
 """
 
 import os
