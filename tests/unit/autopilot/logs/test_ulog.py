@@ -1,4 +1,4 @@
-"""The ULog of a vehicle, read by pyulog: a recorded flight is played to a host with fast steps. About 10 s."""
+"""The ULog of a vehicle, read by pyulog: a recorded flight is played to a host with fast steps. 5 s."""
 
 import contextlib
 import errno
@@ -9,6 +9,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from paths import ROOT
 from pymavlink.dialects.v20 import common
 from pyulog import ULog
 
@@ -25,6 +26,7 @@ from autopilot.services.service import GROUND_STATION, Addressed, Partner
 from autopilot.vehicle.host import Host
 from studies.vehicle.bench import record_flight
 
+GUIDE = ROOT / "docs" / "how-to" / "ulog.md"
 STEP_US = 4_000
 FLIGHT_S = 12.0
 CHANGED_US = 10_000_000
@@ -34,17 +36,18 @@ CONFIG = VehicleConfig(
     places_ned_m=((0.0, 0.0, -5.0),), epoch_unix_us=1_700_000_000_000_000,
 )  # fmt: skip
 SIZES = {
-    "uint64_t": 8, "double": 8, "float": 4, "uint32_t": 4, "int32_t": 4, "uint16_t": 2, "uint8_t": 1, "bool": 1
+    "uint64_t": 8, "double": 8, "float": 4, "uint32_t": 4, "int32_t": 4, "uint16_t": 2, "uint8_t": 1,
+    "bool": 1,
 }  # fmt: skip
 WITHOUT_CHANGE = {"manual_control_setpoint", "home_position"}
 """Topics without samples, or with few, in a flight without sticks."""
 READ_BY_FLIGHT_REVIEW = {
-    "vehicle_local_position": "x y z vx vy vz xy_valid z_valid v_xy_valid v_z_valid ref_timestamp ref_lat ref_lon "
-    "dist_bottom dist_bottom_valid",
+    "vehicle_local_position": "x y z vx vy vz xy_valid z_valid v_xy_valid v_z_valid ref_timestamp ref_lat "
+    "ref_lon dist_bottom dist_bottom_valid",
     "vehicle_local_position_setpoint": "x y z vx vy vz",
     "vehicle_local_position_groundtruth": "x y z vx vy vz",
-    "vehicle_gps_position": "latitude_deg longitude_deg altitude_msl_m fix_type time_utc_usec eph epv hdop vdop "
-    "s_variance_m_s satellites_used noise_per_ms jamming_indicator vel_m_s",
+    "vehicle_gps_position": "latitude_deg longitude_deg altitude_msl_m fix_type time_utc_usec eph epv hdop "
+    "vdop s_variance_m_s satellites_used noise_per_ms jamming_indicator vel_m_s",
     "vehicle_air_data": "baro_alt_meter",
     "vehicle_global_position": "alt",
     "vehicle_attitude": "q[0] q[3]",
@@ -62,8 +65,8 @@ READ_BY_FLIGHT_REVIEW = {
     "sensor_combined": "accelerometer_m_s2[0] accelerometer_m_s2[2] gyro_rad[0] gyro_rad[2]",
     "vehicle_imu_status": "accel_vibration_metric",
     "vehicle_magnetometer": "magnetometer_ga[0] magnetometer_ga[1] magnetometer_ga[2]",
-    "battery_status": "voltage_v current_a discharged_mah remaining ocv_estimate internal_resistance_estimate "
-    "temperature",
+    "battery_status": "voltage_v current_a discharged_mah remaining ocv_estimate "
+    "internal_resistance_estimate temperature",
     "sensor_baro": "temperature",
     "estimator_status": "health_flags timeout_flags time_slip",
     "vehicle_status": "nav_state arming_state failsafe failsafe_and_user_took_over is_vtol vehicle_type "
@@ -157,7 +160,7 @@ def test_the_fields_that_flight_review_plots_are_defined(topic):
 
 
 def test_topics_of_the_inertial_sensor_are_sampled_in_fast_steps_too(flown, stream):
-    log, states, _, player = flown
+    log, _, _, player = flown
     assert player.inertial > 0.25 * len(stream)
     times_us = columns(log, "sensor_combined")["timestamp"]
     assert np.array_equal(np.diff(times_us), np.full(len(stream) - 1, STEP_US))
@@ -210,7 +213,7 @@ def test_the_angular_acceleration_is_that_of_the_rates(flown):
     np.testing.assert_allclose(rates["xyz_derivative[0]"][5:], expected, atol=0.1)
 
 
-def test_motors_are_the_controls_that_the_simulator_receives(flown, stream):
+def test_motors_are_the_controls_that_the_simulator_receives(flown):
     log, states, *_ = flown
     motors = columns(log, "actuator_motors")
     armed = np.array([states[time_us][2] for time_us in motors["timestamp"].tolist()])
@@ -275,6 +278,22 @@ def test_a_value_beyond_its_type_drops_the_sample():
     encoder = SampleEncoder(3, TOPICS[NUMBER_OF["rate_ctrl_status"]])
     assert encoder.encode(1, {"rollspeed_integ": 1e39}) == b""
     assert len(encoder.encode(1, {"rollspeed_integ": 1.0})) == TOPICS[NUMBER_OF["rate_ctrl_status"]].size + 3
+
+
+def test_the_table_of_the_guide_has_all_topics_with_their_periods():
+    """Rows ``| topic, topic | period in ms or words | contents |``."""
+    rows = [
+        line.split("|")[1:3]
+        for line in GUIDE.read_text(encoding="utf-8").splitlines()
+        if line.startswith("| `")
+    ]
+    told = {name.strip(" `"): period.strip() for names, period in rows for name in names.split(",")}
+    expected = {
+        topic.name: f"{topic.period_us / 1000:g} ms" if topic.period_us else told.get(topic.name)
+        for topic in TOPICS + TRUTH_TOPICS
+    }
+    assert {name: period for name, period in told.items() if not name.startswith("logging.")} == expected
+    assert (told["sensor_combined"], told["home_position"]) == ("each sample", "each change")
 
 
 # ---- the file

@@ -1,4 +1,4 @@
-"""The ground truth that a report adds to ULogs: a flight in one process, with and without them. About 10 s."""
+"""The ground truth that a report adds to ULogs: flights in one process, with and without them. 5 s."""
 
 import io
 import subprocess
