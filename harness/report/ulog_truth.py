@@ -1,4 +1,4 @@
-"""Adds the ground truth to the vehicles' ULogs: the simulator knows it, the vehicles do not.
+"""Adds the ground truth, which only the simulator has, to the vehicles' ULogs.
 
 The report appends subscriptions and samples of the topics that PX4 names ``..._groundtruth``, from the record
 of the truth, at its rate (``run.record_rate_hz``) or the topic's if that is lower. They are ordinary messages

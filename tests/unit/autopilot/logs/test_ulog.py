@@ -287,13 +287,13 @@ def test_the_table_of_the_guide_has_all_topics_with_their_periods():
         for line in GUIDE.read_text(encoding="utf-8").splitlines()
         if line.startswith("| `")
     ]
-    told = {name.strip(" `"): period.strip() for names, period in rows for name in names.split(",")}
+    listed = {name.strip(" `"): period.strip() for names, period in rows for name in names.split(",")}
     expected = {
-        topic.name: f"{topic.period_us / 1000:g} ms" if topic.period_us else told.get(topic.name)
+        topic.name: f"{topic.period_us / 1000:g} ms" if topic.period_us else listed.get(topic.name)
         for topic in TOPICS + TRUTH_TOPICS
     }
-    assert {name: period for name, period in told.items() if not name.startswith("logging.")} == expected
-    assert (told["sensor_combined"], told["home_position"]) == ("each sample", "each change")
+    assert {name: period for name, period in listed.items() if not name.startswith("logging.")} == expected
+    assert (listed["sensor_combined"], listed["home_position"]) == ("each sample", "each change")
 
 
 # ---- the file
