@@ -17,7 +17,7 @@ import socket
 import sys
 import time
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -35,6 +35,7 @@ from autopilot.mavlink.codec import Encoder, Message
 from autopilot.mavlink.input_budget import InputBudget
 from autopilot.mavlink.links import UdpLink
 from autopilot.mavlink.signing import SigningKeyError
+from autopilot.mavlink.tlog import TelemetryLog
 from autopilot.navigation import plan_file
 from autopilot.navigation.plan_file import PlanFileError
 from autopilot.navigation.site_plan import PlanError
@@ -98,7 +99,16 @@ class VehicleProcess:
     ) -> None:
         ports = config.ports
         self._profile_from_us = config.profile_from_us
-        self._links = [stack.enter_context(contextlib.closing(link)) for link in _open_links(config)]
+        tap: Callable[[bytes], None] | None = None
+        if config.logging.tlog and config.params_path is not None:
+            path = Path(config.params_path).with_name(f"ground-{config.instance}.tlog")
+            tlog = stack.enter_context(
+                contextlib.closing(TelemetryLog(path, epoch_unix_us=config.epoch_unix_us))
+            )
+            tap = partial(self._record, tlog)
+
+        opened = _open_links(config, ground_tap=tap)
+        self._links = [stack.enter_context(contextlib.closing(link)) for link in opened]
         self._radio: RadioClient | None = None
         if (endpoint := ports.radio_endpoint) is not None:
             self._radio = RadioClient(
@@ -230,6 +240,10 @@ class VehicleProcess:
                 )
                 emit(Warned(name=self._host.name, time_us=now_us, text=text))
 
+    def _record(self, tlog: TelemetryLog, frame: bytes) -> None:
+        """Add a frame to the log of the ground link, at the vehicle's time."""
+        tlog.add(self._host.vehicle.flight.now_us, frame)
+
     def _send(self, outgoing: Links) -> None:
         """Send messages on their links."""
         if any(to.link == GROUND_STATION and _is_heartbeat(message) for to, message in outgoing):
@@ -269,8 +283,13 @@ class VehicleProcess:
         return answer
 
 
-def _open_links(config: VehicleConfig) -> Iterator[UdpLink]:
-    """Open the links in the order of their numbers. Raises OSError and SigningKeyError."""
+def _open_links(
+    config: VehicleConfig, *, ground_tap: Callable[[bytes], None] | None = None
+) -> Iterator[UdpLink]:
+    """Open the links in the order of their numbers; ``ground_tap`` is that of the ground station link.
+
+    Raises OSError and SigningKeyError.
+    """
     links, ports = config.links, config.ports
     key, received = None, signing.SigningStreams()
     owners = DatagramOwners(links.host) if links.local_senders == "own" else None
@@ -290,6 +309,7 @@ def _open_links(config: VehicleConfig) -> Iterator[UdpLink]:
             signer=None if key is None else signing.Signer(key, link_id=number, received=received),
             owners=owners,
             budget=InputBudget(),
+            tap=ground_tap if number == GROUND_STATION else None,
         )
 
 

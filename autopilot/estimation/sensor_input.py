@@ -57,6 +57,8 @@ class SensorInput:
         """The last HIL_SENSOR of sensor 0."""
         self.baro: Message | None = None
         """The last one with a pressure."""
+        self.mag: Message | None = None
+        """The last one with a magnetic field that the estimator uses."""
         self.gps: Message | None = None
         self.gps_us = 0
         self.motor_currents_a: Sequence[float] | None = None
@@ -127,6 +129,7 @@ class SensorInput:
         # aiding first: the inertial sample completes the estimator's step
         if fields & MAG_FIELDS == MAG_FIELDS and now_us >= self._mag_us:
             self._seen_us[_MAG] = now_us
+            self.mag = message
             self._mag_us = now_us - now_us % self._mag_period_us + self._mag_period_us
             self._estimator.on_mag(now_us, (message.xmag, message.ymag, message.zmag))
         if fields & BARO_FIELDS == BARO_FIELDS:

@@ -1,217 +1,237 @@
-"""A log of a vehicle's estimates, setpoints and status in PX4's ULog format, version 1.
+"""The ULog of one vehicle: PX4's topics, with the definitions of v1.17, at the rates of its default logger.
 
-Layout: https://docs.px4.io/main/en/dev_log/ulog_file_format.html. A header, definitions (flag bits, formats,
-information, parameters), then data: subscriptions, samples, changed parameters, texts. Pure: returns bytes.
-Timestamps are microseconds of simulated time. Positions are from the estimator's origin, in NED, in metres.
+The writer returns bytes, piece by piece: the head, then for each full step the samples that are due, and in
+blocks of `ROWS_AT_ONCE` inertial samples those of the topics that are sampled in fast steps too. Timestamps
+are microseconds of simulated time. Positions are from the estimator's origin, in NED, in metres. Ground truth
+is not known to a vehicle: the report adds its topics (`harness.report.ulog_truth`), which the head defines.
 """
 
-import contextlib
-import math
-import struct
+from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
-from autopilot.commander.commander import Commander
-from autopilot.mavlink.modes import EXTERNAL_MODES, FlightMode
-from autopilot.navigation.site_frame import geodetic
-from autopilot.parameters.table import ROWS, ParameterSet
+from autopilot.logs import ulog_estimator, ulog_motion, ulog_sensors, ulog_status
+from autopilot.logs.ulog_messages import (
+    SampleEncoder,
+    Values,
+    default_parameter,
+    file_header,
+    format_definition,
+    logged_text,
+    number_information,
+    parameter,
+    subscription,
+    text_information,
+)
+from autopilot.logs.ulog_rows import RowEncoder
+from autopilot.logs.ulog_topics import NUMBER_OF, TOPICS, TRUTH_TOPICS
+from autopilot.parameters.table import ROWS
 from autopilot.services.parameter import value_bytes
-from foundation.geometry.rotations import quat_to_euler
 
 if TYPE_CHECKING:
     from autopilot.vehicle.vehicle import Vehicle
 
-MAGIC = b"ULog\x01\x12\x35"
-VERSION = 1
-_HEADER = struct.Struct("<7sBQ")
-_MESSAGE = struct.Struct("<HB")
-_CODES = {"uint64_t": "Q", "double": "d", "float": "f", "uint8_t": "B", "bool": "?"}
-_NAN3 = (math.nan, math.nan, math.nan)
-Numbers = tuple[float, ...]
+ROWS_AT_ONCE = 250
+"""A second at the simulator's 250 Hz: what a killed vehicle has not written yet."""
+PX4_VERSION = 0x0111_00FF
+"""v1.17.0, a release: that of the message definitions, and that of the vehicle's AUTOPILOT_VERSION."""
+DATA_FORMAT = 2
+"""PX4's version of the contents: positions of receivers in degrees and metres."""
+_IMU_FIELDS = 0b11_1111
+_UNKNOWN_ATTITUDE = (float("nan"),) * 4
 
 
-class Topic(NamedTuple):
-    """A topic by PX4's name, and the fields of its samples after the timestamp, in order."""
+class _Source(NamedTuple):
+    """Where the samples of a topic come from."""
 
-    name: str
-    fields: tuple[str, ...]
-    """C type and name, as in ``float[4] q``; large types first, so that no padding is needed."""
-
-    @property
-    def format(self) -> str:
-        """Text of the format definition."""
-        return f"{self.name}:uint64_t timestamp;" + "".join(f"{field};" for field in self.fields)
-
-    @property
-    def layout(self) -> struct.Struct:
-        """Layout of a sample."""
-        codes = "Q"
-        for field in self.fields:
-            kind, _, length = field.split(" ")[0].rstrip("]").partition("[")
-            codes += length + _CODES[kind]
-        return struct.Struct("<" + codes)
+    topic: str
+    read: Callable[[], Values | None]
+    key: Callable[[], object] | None = None
+    """What the topic depends on, of topics that PX4 publishes on changes: sampled at once when it changes."""
+    needs_change: bool = False
+    """Whether nothing is sampled without a change."""
 
 
-TOPICS = (
-    Topic("vehicle_attitude", ("float[4] q",)),
-    Topic(
-        "vehicle_local_position",
-        (
-            "double ref_lat", "double ref_lon", "float ref_alt", "float x", "float y", "float z", "float vx",
-            "float vy", "float vz", "float heading", "float eph", "float epv", "bool xy_valid",
-            "bool z_valid", "bool v_xy_valid", "bool v_z_valid", "bool xy_global", "bool z_global",
-        ),
-    ),
-    Topic("vehicle_local_position_setpoint", (
-        "float x", "float y", "float z", "float vx", "float vy", "float vz", "float yaw",
-    )),
-    Topic("vehicle_global_position", (
-        "double lat", "double lon", "float alt", "float eph", "float epv",
-    )),
-    Topic("battery_status", (
-        "float voltage_v", "float current_a", "float remaining", "uint8_t warning", "bool connected",
-    )),
-    Topic("vehicle_status", (
-        "uint64_t armed_time", "uint8_t arming_state", "uint8_t nav_state", "uint8_t vehicle_type",
-        "uint8_t system_id", "bool failsafe",
-    )),
-)  # fmt: skip
-"""Indexed by subscription id."""
-_LAYOUTS = tuple(topic.layout for topic in TOPICS)
+class _Stream:
+    """One topic with the time of its next sample."""
 
-NAV_STATES = {
-    FlightMode.MANUAL: 0, FlightMode.ALTITUDE: 1, FlightMode.POSITION: 2, FlightMode.MISSION: 3,
-    FlightMode.HOLD: 4, FlightMode.READY: 4, FlightMode.RETURN: 5, FlightMode.ACRO: 10,
-    FlightMode.DESCEND: 12, FlightMode.OFFBOARD: 14, FlightMode.STABILIZED: 15, FlightMode.TAKEOFF: 17,
-    FlightMode.LAND: 18,
-    **{mode: 23 + number for number, mode in enumerate(EXTERNAL_MODES)},
-}  # fmt: skip
-"""PX4's vehicle_status.nav_state"""
-_OTHER_STATE = 21
-"""Orbit, the only other mode; 21 is NAVIGATION_STATE_ORBIT."""
-_STANDBY, _ARMED = 1, 2
-_ROTARY_WING = 1
+    def __init__(self, source: _Source) -> None:
+        number = NUMBER_OF[source.topic]
+        self._source, self._period_us = source, TOPICS[number].period_us
+        self._encoder = SampleEncoder(number, TOPICS[number])
+        self._due_us = 0
+        self._key: object = None
+
+    def sample(self, now_us: int) -> bytes:
+        """Return the sample of a step, if there is one."""
+        source = self._source
+        due = now_us >= self._due_us
+        if source.key is not None:
+            key = source.key()
+            changed, self._key = key != self._key, key
+            due = (due and changed) if source.needs_change else (due or changed)
+        if not due:
+            return b""
+        if self._period_us:
+            self._due_us = now_us - now_us % self._period_us + self._period_us
+        values = source.read()
+        return b"" if values is None else self._encoder.encode(now_us, values)
 
 
 class UlogWriter:
     """Returns the bytes of one log, piece by piece."""
 
-    def __init__(self, name: str, parameters: ParameterSet) -> None:
-        """``name`` is the vehicle's name in the log."""
-        self._name = name
-        self._parameters = parameters
-        self._version = -1
+    def __init__(self, name: str, version: str, vehicle: "Vehicle") -> None:
+        """``name`` is the vehicle's name in the log, ``version`` that of the program."""
+        self._name, self._version = name, version
+        self._vehicle = vehicle
+        self._parameters_version = -1
         self._written: dict[str, bytes] = {}
-        self._armed_us: int | None = None
+        self._rows = RowEncoder()
+        self._yaw_resets = 0
+        self._known_us = self._entered_us = self._homes = 0
+        self._mode: object = None
+        self._masks = ulog_status.mode_masks(vehicle)
+        self._streams = [_Stream(source) for source in self._sources()]
 
     def begin(self, now_us: int) -> bytes:
-        """Return header and definitions."""
-        data = _HEADER.pack(MAGIC, VERSION, now_us) + _message("B", bytes(40))
-        for topic in TOPICS:
-            data += _message("F", topic.format.encode())
-        data += _information("char", "sys_name", b"coflight") + _information("char", "ver_hw", b"SIM")
-        data += _information("char", "vehicle", self._name.encode())
-        data += self._changed_parameters()
-        for number, topic in enumerate(TOPICS):
-            data += _message("A", struct.pack("<BH", 0, number) + topic.name.encode())
-        return data
-
-    def samples(self, vehicle: "Vehicle") -> bytes:
-        """Return a sample of each topic that has data, and parameters that changed since the last call."""
-        now_us = vehicle.flight.now_us
-        commander = vehicle.commander
-        if not commander.armed:
-            self._armed_us = None
-        elif self._armed_us is None:
-            self._armed_us = now_us
-        data = b"" if self._version == self._parameters.version else self._changed_parameters()
-        values = (
-            _attitude(vehicle),
-            _local_position(vehicle),
-            _setpoint(vehicle),
-            _global_position(vehicle),
-            _battery(vehicle),
-            _status(commander, self._armed_us or 0, vehicle.config.instance + 1),
+        """Return header and definitions, and have all steps from now on collect their rows."""
+        self._vehicle.shared.samples.open()
+        topics = TOPICS + TRUTH_TOPICS
+        information = {
+            "sys_name": "coflight", "ver_hw": "SITL", "sys_os_name": "Linux", "ver_sw": self._version,
+            "vehicle": self._name,
+        }  # fmt: skip
+        return (
+            file_header(now_us)
+            + b"".join(map(format_definition, topics))
+            + b"".join(text_information(name, value) for name, value in information.items())
+            + number_information("ver_sw_release", PX4_VERSION)
+            + number_information("ver_data_format", DATA_FORMAT)
+            + self._defaults()
+            + self._changed_parameters()
+            + b"".join(subscription(number, topic) for number, topic in enumerate(TOPICS))
         )
-        for number, (layout, sample) in enumerate(zip(_LAYOUTS, values, strict=True)):
-            if sample is not None:
-                with contextlib.suppress(OverflowError):  # the estimate has diverged
-                    data += _message("D", struct.pack("<H", number) + layout.pack(now_us, *sample))
-        return data
+
+    def step(self) -> bytes:
+        """Return what a full step adds: samples that are due, and parameters that have changed."""
+        vehicle = self._vehicle
+        now_us, rows, state = vehicle.flight.now_us, vehicle.shared.samples, vehicle.flight.state
+        changed = self._parameters_version != vehicle.parameters.version
+        data = b""
+        if state.yaw_reset_counter != self._yaw_resets:
+            data += self.rest()  # the rows before the reset
+            self._yaw_resets = state.yaw_reset_counter
+        self._add_row()
+        if changed or rows.count >= ROWS_AT_ONCE:
+            data += self.rest()
+        if vehicle.flight.origin_known and not self._known_us:
+            self._known_us = now_us
+        if vehicle.commander.mode != self._mode:
+            self._mode, self._entered_us = vehicle.commander.mode, now_us
+        data += b"".join([stream.sample(now_us) for stream in self._streams])
+        return data + self._changed_parameters() if changed else data
+
+    def rest(self) -> bytes:
+        """Return the samples of the rows that were not returned yet."""
+        rows, state = self._vehicle.shared.samples, self._vehicle.flight.state
+        if not rows.count:
+            return b""
+        return self._rows.encode(
+            rows.take(),
+            yaw_resets=self._yaw_resets,
+            yaw_reset_rad=state.yaw_reset_delta_rad if self._yaw_resets else 0.0,
+            accel_bias_m_s2=state.accel_bias_m_s2.tolist(),
+        )
 
     @staticmethod
     def text(severity: int, now_us: int, text: str) -> bytes:
         """Return a text that was sent to the stations; ``severity`` is MAV_SEVERITY, as in syslog."""
-        return _message("L", struct.pack("<BQ", ord("0") + severity, now_us) + text.encode())
+        return logged_text(severity, now_us, text)
 
-    def _changed_parameters(self) -> bytes:
-        self._version = self._parameters.version
-        data = b""
+    def _add_row(self) -> None:
+        """Append the row of a full step, as `fast_step.inertial_step` does of a fast one."""
+        vehicle = self._vehicle
+        sensor, state, controller = vehicle.flight.sensor, vehicle.flight.state, vehicle.pilot.controller
+        if sensor is None or sensor.fields_updated & _IMU_FIELDS != _IMU_FIELDS:
+            return
+        block = controller.block
+        attitude = _UNKNOWN_ATTITUDE if vehicle.estimator.filter is None else state.q_ned_frd.tolist()
+        vehicle.shared.samples.append((
+            sensor.time_usec, sensor.xacc, sensor.yacc, sensor.zacc, sensor.xgyro, sensor.ygyro, sensor.zgyro,
+            *attitude, *state.omega_frd_rad_s.tolist(), *block["rate_setpoint_frd_rad_s"][0].tolist(),
+            *block["torque"][0].tolist(), controller.thrust,
+        ))  # fmt: skip
+
+    def _sources(self) -> tuple[_Source, ...]:
+        """Return the topics that full steps sample."""
+        vehicle, flight, commander = self._vehicle, self._vehicle.flight, self._vehicle.commander
+        motion, sensors = ulog_motion, ulog_sensors
+
+        def of(read: Callable[["Vehicle"], Values | None]) -> Callable[[], Values | None]:
+            return partial(read, vehicle)
+
+        def pressure(read: Callable[..., Values]) -> Callable[[], Values | None]:
+            return lambda: None if flight.baro is None else read(flight.baro)
+
+        return (
+            _Source("vehicle_attitude_setpoint", of(motion.attitude_setpoint)),
+            _Source("vehicle_local_position", lambda: motion.local_position(vehicle, self._known_us)),
+            _Source("vehicle_local_position_setpoint", of(motion.local_position_setpoint)),
+            _Source("vehicle_global_position", of(motion.global_position)),
+            _Source("trajectory_setpoint", of(motion.trajectory_setpoint)),
+            _Source("actuator_motors", of(motion.motors)),
+            _Source("actuator_outputs", of(motion.outputs)),
+            _Source("hover_thrust_estimate", of(motion.hover_thrust)),
+            _Source("rate_ctrl_status", of(motion.rate_integrals)),
+            _Source("vehicle_gps_position", of(sensors.gps), lambda: flight.gps_us, needs_change=True),
+            _Source("sensor_gps", of(sensors.gps), lambda: flight.gps_us, needs_change=True),
+            _Source("vehicle_air_data", pressure(sensors.air_data)),
+            _Source("sensor_baro", pressure(sensors.baro)),
+            _Source("vehicle_magnetometer", lambda: None if flight.mag is None else sensors.mag(flight.mag)),
+            _Source("estimator_status", of(ulog_estimator.status)),
+            _Source("estimator_innovations", of(ulog_estimator.innovations)),
+            _Source("estimator_innovation_variances", of(ulog_estimator.variances)),
+            _Source("estimator_innovation_test_ratios", of(ulog_estimator.test_ratios)),
+            _Source("estimator_states", of(ulog_estimator.states)),
+            _Source("estimator_sensor_bias", of(ulog_estimator.sensor_bias)),
+            _Source("battery_status", of(sensors.battery)),
+            _Source("manual_control_setpoint", of(sensors.sticks)),
+            _Source("vehicle_land_detected", of(ulog_status.landed), lambda: vehicle.pilot.land_stage),
+            _Source(
+                "vehicle_status",
+                lambda: ulog_status.status(vehicle, self._entered_us),
+                lambda: (commander.mode, commander.armed, commander.failsafe, vehicle.pilot.landed),
+            ),
+            _Source(
+                "failsafe_flags",
+                lambda: ulog_status.failsafe_flags(vehicle, self._masks),
+                lambda: (flight.conditions, flight.causes),
+            ),
+            _Source("home_position", self._home, lambda: flight.home, needs_change=True),
+        )
+
+    def _home(self) -> Values | None:
+        self._homes += 1
+        return ulog_motion.home(self._vehicle, self._homes)
+
+    def _defaults(self) -> bytes:
+        """Return the defaults of the parameters that differ from theirs; the others have none in the log."""
+        parameters, data = self._vehicle.parameters, b""
         for row in ROWS:
-            value = value_bytes(row.is_integer, self._parameters.get(row.name))
-            if self._written.get(row.name) != value:
-                self._written[row.name] = value
-                key = f"{'int32_t' if row.is_integer else 'float'} {row.name}".encode()
-                data += _message("P", bytes([len(key)]) + key + value)
+            value = value_bytes(row.is_integer, parameters.get(row.name))
+            default = value_bytes(row.is_integer, parameters.default(row.name))
+            if value != default:
+                data += default_parameter(row.name, default, is_integer=row.is_integer)
         return data
 
-
-def _message(kind: str, content: bytes) -> bytes:
-    return _MESSAGE.pack(len(content), ord(kind)) + content
-
-
-def _information(kind: str, name: str, value: bytes) -> bytes:
-    key = f"{kind}[{len(value)}] {name}".encode()
-    return _message("I", bytes([len(key)]) + key + value)
-
-
-def _attitude(vehicle: "Vehicle") -> Numbers | None:
-    state = vehicle.flight.state
-    return tuple(state.q_ned_frd.tolist()) if state.attitude_valid else None
-
-
-def _local_position(vehicle: "Vehicle") -> Numbers | None:
-    state, known = vehicle.flight.state, vehicle.flight.origin_known
-    if not state.attitude_valid:
-        return None
-    north_std, east_std, down_std = state.pos_std_m.tolist()
-    return (
-        state.origin_lat_deg if known else math.nan, state.origin_lon_deg if known else math.nan,
-        state.origin_alt_m if known else math.nan, *state.pos_ned_m.tolist(), *state.vel_ned_m_s.tolist(),
-        quat_to_euler(state.q_ned_frd).tolist()[2], math.hypot(north_std, east_std), down_std,
-        state.position_valid, state.height_valid, state.velocity_valid, state.velocity_valid, known, known,
-    )  # fmt: skip
-
-
-def _setpoint(vehicle: "Vehicle") -> Numbers | None:
-    setpoint = vehicle.flight.setpoint
-    if setpoint is None:
-        return None
-    position = _NAN3 if setpoint.pos_ned_m is None else tuple(setpoint.pos_ned_m)
-    velocity = _NAN3 if setpoint.vel_ned_m_s is None else tuple(setpoint.vel_ned_m_s)
-    return (
-        *(value if used else math.nan for value, used in zip(position, setpoint.pos_axes, strict=True)),
-        *(value if used else math.nan for value, used in zip(velocity, setpoint.vel_axes, strict=True)),
-        math.nan if setpoint.yaw_rad is None else setpoint.yaw_rad,
-    )
-
-
-def _global_position(vehicle: "Vehicle") -> Numbers | None:
-    state = vehicle.flight.state
-    if not (vehicle.flight.origin_known and state.position_valid):
-        return None
-    north_std, east_std, down_std = state.pos_std_m.tolist()
-    return *geodetic(state.pos_ned_m, state), math.hypot(north_std, east_std), down_std
-
-
-def _battery(vehicle: "Vehicle") -> Numbers | None:
-    battery = vehicle.flight.battery
-    if battery.sampled_us is None:
-        return None
-    current_a = -1.0 if battery.current_a is None else battery.current_a
-    return battery.voltage_v, current_a, battery.remaining, int(battery.warning), True
-
-
-def _status(commander: Commander, armed_us: int, system: int) -> Numbers:
-    arming = _ARMED if commander.armed else _STANDBY
-    nav_state = NAV_STATES.get(commander.mode, _OTHER_STATE)
-    return armed_us, arming, nav_state, _ROTARY_WING, system, commander.failsafe
+    def _changed_parameters(self) -> bytes:
+        """Return the parameters that have changed since the last call."""
+        parameters, data = self._vehicle.parameters, b""
+        self._parameters_version = parameters.version
+        for row in ROWS:
+            value = value_bytes(row.is_integer, parameters.get(row.name))
+            if self._written.get(row.name) != value:
+                self._written[row.name] = value
+                data += parameter(row.name, value, is_integer=row.is_integer)
+        return data

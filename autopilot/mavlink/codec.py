@@ -219,6 +219,13 @@ def stamp(message: Message, *, system: int, component: int) -> Message:
     return message
 
 
+def kind_of(frame: bytes) -> int:
+    """Return the message id of a whole frame."""
+    if frame[0] == _MAGIC_V1:
+        return frame[_KIND_V1]
+    return int.from_bytes(frame[_KIND : _HEADER_BYTES[_MAGIC_V2]], "little")
+
+
 def frame_bytes(message: Message) -> int:
     """Length of a message's unsigned MAVLink 2 frame in bytes."""
     header = message.get_header()

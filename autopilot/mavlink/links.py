@@ -11,7 +11,7 @@ import contextlib
 import socket
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from pymavlink.dialects.v20 import common
 
@@ -68,12 +68,15 @@ class UdpLink:
         signer: Signer | None = None,
         owners: DatagramOwners | None = None,
         budget: InputBudget | None = None,
+        tap: Callable[[bytes], None] | None = None,
     ) -> None:
         """Bind ``host:local_port`` (0: any free port); the default partner is at ``remote_port`` (0: none).
 
-        Its address is ``remote_host``, by default ``host``; both are IPv4 addresses. Raises OSError if the
-        port is in use.
+        Its address is ``remote_host``, by default ``host``; both are IPv4 addresses. ``tap`` receives each
+        frame that is accepted or sent; one that is sent to several partners, as the first of them gets it.
+        Raises OSError if the port is in use.
         """
+        self._tap = tap
         self._signer = signer
         self._owners, self._budget = owners, budget
         self.foreign: Address | None = None
@@ -157,6 +160,8 @@ class UdpLink:
             if received:
                 number = self._add_partner(address)
                 for message in received:
+                    if self._tap is not None:
+                        self._tap(bytes(message.get_msgbuf()))
                     if message.get_msgId() == _SETUP_SIGNING:
                         self.counters.setup_signing += 1
                     else:
@@ -223,12 +228,15 @@ class UdpLink:
             if number not in {BROADCAST, peer.number}:
                 continue
             frame = packed[i]
+            is_first = frame is None
             if frame is None:
                 frame = packed[i] = encoder.encode_for(message, sequences)
             else:
                 frame = sequences.renumber(frame, message.get_msgId())
             if signer is not None:
                 frame = signed(frame, message.get_msgId(), signer, now)
+            if is_first and self._tap is not None:
+                self._tap(frame)
             if not datagrams or len(datagrams[-1]) + len(frame) > MAX_DATAGRAM_BYTES:
                 datagrams.append(bytearray())
             datagrams[-1] += frame

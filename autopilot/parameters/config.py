@@ -250,6 +250,20 @@ def _ipv4(field: str, text: str) -> IPv4Address:
         raise ValueError(f"{field}: {text!r} is not an IPv4 address such as 127.0.0.1 or 0.0.0.0") from None
 
 
+class LoggingConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The scenario's ``[logging]`` table: logs of the vehicles in the formats of PX4 and ground stations.
+
+    Of coflight's own vehicles only: a PX4 or ArduPilot writes its own logs.
+    """
+
+    ulog: bool = False
+    """Whether each vehicle writes ``uav-N.ulg`` from its start on, PX4's ULog. Otherwise only a vehicle that
+    a ground station has spoken to writes it, from then on."""
+    tlog: bool = False
+    """Whether the messages on each ground link are written to ``ground-N.tlog``, as ground stations do. A
+    swarm in one process has no links."""
+
+
 class TrackMotion(
     Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="track"
 ):
@@ -340,6 +354,7 @@ class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     ports: VehiclePorts = VehiclePorts()
     autopilot: AutopilotConfig = AutopilotConfig()
     links: LinksConfig = LinksConfig()
+    logging: LoggingConfig = LoggingConfig()
     onboard: OnboardConfig = OnboardConfig()
     devices: Devices = Devices()
     places_ned_m: tuple[tuple[Position, Position, Position], ...]

@@ -336,6 +336,13 @@ class ParameterSet:
         parameter = _find(name)
         return _setting(self.settings, parameter) / parameter.setting_per_unit
 
+    def default(self, name: str) -> float:
+        """Value before any overrides, in PX4's unit. Raises ParameterError for an unknown name."""
+        if name in self._stated_defaults:
+            return self._stated_defaults[name]
+        parameter = _find(name)
+        return _setting(self._defaults, parameter) / parameter.setting_per_unit
+
     def set(self, name: str, value: float) -> None:
         """Change a value, given in PX4's unit. Raises ParameterError; then nothing is changed."""
         if _only_at_start(name):

@@ -48,6 +48,8 @@ class FlightData:
     """The last HIL_SENSOR."""
     baro: Message | None = None
     """The last HIL_SENSOR with a pressure."""
+    mag: Message | None = None
+    """The last HIL_SENSOR with a magnetic field that the estimator uses."""
     gps: Message | None = None
     """The last HIL_GPS."""
     gps_us: int = 0

@@ -16,13 +16,25 @@ from numba import njit
 
 from autopilot.control.cascade import follow_trajectory
 from autopilot.control.state import CascadeState
-from autopilot.estimation.horizon import NOT_FINITE, Horizon, advance
+from autopilot.estimation.horizon import NOT_FINITE, OMEGA, Horizon, advance
 from autopilot.estimation.sensor_input import BARO_FIELDS, IMU_FIELDS, MAG_FIELDS
 from autopilot.mavlink.frame import FIRST, HEADER_BYTES, PAYLOAD, Octets, payload_bytes, seal
 from autopilot.mavlink.hil import HilMessage, HilSensor, unpack
 from autopilot.mavlink.hil_schema import HIL_ACTUATOR_CONTROLS, HIL_SENSOR
-from foundation.kernels.inner import constant
+from autopilot.vehicle.shared_state import (
+    ACCEL,
+    ATTITUDE,
+    GYRO,
+    MOST_ROWS,
+    RATE_SETPOINT,
+    RATES,
+    THRUST,
+    TIME,
+    TORQUE,
+)
+from foundation.kernels.inner import constant, inner
 from foundation.kernels.records import Records
+from foundation.types import Array
 from netsim.wire.lockstep import BATCH_HANDED_OVER
 
 _SENSOR_ID, _SENSOR_EXTRA = constant(HIL_SENSOR.message_id), constant(HIL_SENSOR.crc_extra)
@@ -61,6 +73,23 @@ def within_limits(limits: np.void, time_us: int, horizon_us: int, aids: int) -> 
     )
 
 
+@inner
+def _append_row(
+    log: np.void, time_us: int, accel: Array, gyro: Array, estimate: Array, cascade: CascadeState
+) -> None:
+    """Append the row of a sample; see `shared_state.SAMPLE_ROW`."""
+    row = log["rows"][log["count"]]
+    row[TIME] = time_us
+    for i in range(3):
+        row[ACCEL + i], row[GYRO + i] = accel[i], gyro[i]
+        row[RATES + i] = estimate[OMEGA + i]
+        row[RATE_SETPOINT + i], row[TORQUE + i] = cascade.rate_setpoint_frd_rad_s[i], cascade.torque[i]
+    for i in range(4):
+        row[ATTITUDE + i] = estimate[i]
+    row[THRUST] = cascade.allocation.thrust
+    log["count"] += 1
+
+
 @njit(cache=True)
 def inertial_step(
     size: int, incoming: Octets, answer: Octets,
@@ -87,6 +116,9 @@ def inertial_step(
         return False
     if filtered.waiting + 1 >= samples.size:  # a full ring buffer would advance the horizon further
         return False
+    log = state["samples"]
+    if log["count"] >= MOST_ROWS:
+        return False
     accel, gyro = np.empty(3), np.empty(3)
     accel[0], accel[1], accel[2] = sensor["xacc"], sensor["yacc"], sensor["zacc"]
     gyro[0], gyro[1], gyro[2] = sensor["xgyro"], sensor["ygyro"], sensor["zgyro"]
@@ -103,6 +135,8 @@ def inertial_step(
             reply["controls"][i] = c.allocation.controls[i]
     clock["now_us"] = clock["inertial_us"] = clock["estimate_us"] = time_us
     reply["time_usec"] = time_us
+    if log["open"]:
+        _append_row(log, time_us, accel, gyro, filtered.estimate[:], cascade[0])
     seal(answer, state["sequence"], _ANSWER_EXTRA)
     state["sequence"] = (state["sequence"] + 1) % 256
     return True

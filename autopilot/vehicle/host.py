@@ -71,6 +71,7 @@ class Host:
         self._log = None if config.log_path is None else RecordLog(config.log_path, self.record)
         self._flight_log: FlightLog | None = None
         self._may_log = config.params_path is not None
+        self._must_log = self._may_log and config.logging.ulog
 
     def introduction(self) -> bytes:
         """Return the heartbeat that identifies the vehicle when it connects to the simulator."""
@@ -120,6 +121,8 @@ class Host:
         radio_items: Sequence[RxItem] = ()
         if self._radio is not None and clock.fields_updated & BATCH_DELIVERED:
             radio_items = self._radio.receive(now_us)
+        if self._must_log and self._may_log:
+            self._begin_flight_log(now_us)
         output = self.vehicle.step(
             sim_messages=simulator_messages,
             link_messages=link_messages,
@@ -129,7 +132,7 @@ class Host:
         if link_messages and self._may_log:
             self._begin_flight_log(now_us)
         if self._flight_log is not None:
-            self._flight_log.on_step(output, link_active)
+            self._flight_log.on_step(now_us, output.links)
         actuators = output.actuators
         if output.save_parameters:
             self._save_parameters()  # the result is reported in the next step
@@ -160,11 +163,13 @@ class Host:
         if messaging.take_save_request():
             self._save_parameters()
             answers += messaging.take_outgoing()
+        if self._flight_log is not None:
+            self._flight_log.on_texts(self.vehicle.flight.now_us, answers)
         return answers
 
     def _begin_fast_steps(self, now_us: int, answer: bytes) -> None:
         """Allow fast steps after this reply, if possible, until the next full step is due."""
-        if self._waiting or self._parser.unfinished or self._flight_log is not None:
+        if self._waiting or self._parser.unfinished:
             return
         period_us = self._config.record_period_us
         next_record_us = NEVER_US if self._log is None else now_us - now_us % period_us + period_us
@@ -176,19 +181,23 @@ class Host:
         return self._parser.bad_bytes
 
     def close(self) -> None:
-        """Write the rest of the logs; repeated calls have no effect."""
-        if self._flight_log is not None:
-            self._flight_log.close()
-        if self._log is not None:
-            self._log.close()
+        """Write the rest of the logs; repeated calls have no effect. Raises OSError."""
+        try:
+            if self._flight_log is not None:
+                self._flight_log.close()
+        finally:
+            if self._log is not None:
+                self._log.close()
 
     def _begin_flight_log(self, now_us: int) -> None:
-        """Start the ULog, once, next to the parameter file."""
+        """Start the ULog, once, next to the parameter file. Raises OSError if the scenario requires it."""
         self._may_log = False
         path = Path(f"{self._config.params_path}").with_suffix(".ulg")
         try:
-            self._flight_log = FlightLog(path, self.vehicle, now_us)
+            self._flight_log = FlightLog(path, self.vehicle, now_us, required=self._must_log)
         except OSError as error:
+            if self._must_log:
+                raise
             sys.stderr.write(f"{self.name}: no log: {error}\n")
 
     def _save_parameters(self) -> None:

@@ -83,6 +83,11 @@ class Pilot:
         parameters.subscribe(self._land_detector.set_params, "land_detector")
 
     @property
+    def land_stage(self) -> LandStage:
+        """Stage of the land detector."""
+        return self._land_detector.stage
+
+    @property
     def controls(self) -> list[float]:
         """Controls (16,) of HIL_ACTUATOR_CONTROLS."""
         motors = self.controller.controls

@@ -317,7 +317,7 @@ class Vehicle:
         if sensors.take(sim_messages, now_us):
             flight.gps, flight.gps_us = sensors.gps, sensors.gps_us
             self.messaging.on_new_fix()
-        flight.sensor, flight.baro = sensors.sensor, sensors.baro
+        flight.sensor, flight.baro, flight.mag = sensors.sensor, sensors.baro, sensors.mag
         flight.state = self.estimator.live
 
     def _update_inputs(self) -> None:

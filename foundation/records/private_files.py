@@ -28,14 +28,15 @@ def make_private(folder: Path, *, exist_ok: bool = False) -> None:
             raise
 
 
-def open_private(path: Path) -> int:
-    """Create a file with `FILE_MODE`, instead of any other of its name; returns its descriptor.
+def open_private(path: Path, *, readable: bool = False) -> int:
+    """Create a file with `FILE_MODE`, instead of any other of its name; returns its descriptor for writing.
 
-    Raises OSError.
+    It is ``readable`` by the descriptor too if so. Raises OSError.
     """
     with contextlib.suppress(FileNotFoundError):
         path.unlink()
-    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, FILE_MODE)
+    access = os.O_RDWR if readable else os.O_WRONLY
+    return os.open(path, access | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, FILE_MODE)
 
 
 def write_private(path: Path, content: bytes) -> None:

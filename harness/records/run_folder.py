@@ -10,7 +10,9 @@ gains.parquet antenna.nec patterns.nc         antenna: gains over time, median i
 figures/*.png *.pdf                           figures, each in both formats
 logs/*.log  config/*.json                     the processes' messages, their settings
 guests.json                                   while a run with radio.guests flies: how programs join it
-uav-0.params uav-0.ulg ...                    parameters that a ground station saved, ULog
+uav-0.ulg ...                                 ULog (logging.ulog, or a ground station), with ground truth
+ground-0.tlog ...                             messages on the ground links (logging.tlog)
+uav-0.params ...                              parameters that a ground station saved
 raw/                                          binary logs, until the tables exist
 
 Only the owner can read a run: its folder has mode 0700. A folder that exists, and is empty, keeps its rights;
@@ -216,6 +218,10 @@ class RunFolder:
     def write_manifest(self, content: bytes) -> None:
         """Replace the manifest, which only its owner can read. Raises OSError."""
         write_whole(self.manifest, content, private=True)
+
+    def ulog(self, instance: int) -> Path:
+        """Return the path of the ULog of one vehicle, which exists if it was asked for."""
+        return self.path / f"uav-{instance}.ulg"
 
     def raw_vehicle(self, instance: int) -> Path:
         """Return the path of the binary log of one vehicle's estimates."""

@@ -31,6 +31,7 @@ from harness.report import antenna_report, figures
 from harness.report.antenna_report import Aperture
 from harness.report.flown_array import figure_patterns
 from harness.report.formation_error import FormationError, formation_error
+from harness.report.ulog_truth import add_truth
 from harness.scenario.scenario import Scenario
 from harness.simulator.messages import Formed
 from harness.simulator.motion_start import flown_start_us, since_start_s
@@ -91,6 +92,7 @@ def _write_tables(folder: RunFolder, scenario: Scenario, outcome: RunOutcome) ->
     """Write tables and summary."""
     plan, start_us = scenario.plan(), flown_start_us(folder.events)
     simulated_us = outcome.simulated_us or 0
+    add_truth(folder, scenario)
     flight = write_tables(folder, scenario, lambda time_us: plan.places(since_start_s(time_us, start_us)))
     whole = flight_in(flight, scenario, start_us=start_us)
     error_m, requested = _sessions(folder)

@@ -23,6 +23,7 @@ from autopilot.parameters.config import (
     AutopilotConfig,
     Devices,
     LinksConfig,
+    LoggingConfig,
     Port,
     RadioEndpoint,
     Site,
@@ -193,6 +194,8 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Parameters, geofence, mission and PX4."""
     links: LinksConfig = LinksConfig()
     """Addresses of the MAVLink links."""
+    logging: LoggingConfig = LoggingConfig()
+    """ULog and tlog files."""
     onboard: OnboardConfig = OnboardConfig()
     """The on-board application."""
     radio: RadioConfig = RadioConfig()
@@ -317,6 +320,7 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             ports=msgspec.structs.replace(self.vehicle_ports(instance), radio_endpoint=radio_endpoint),
             autopilot=self.autopilot.for_uav(instance),
             links=self.links,
+            logging=self.logging,
             onboard=self.onboard,
             devices=Devices(
                 gps_delay_s=self.sensors.gps_model().delay_s,

@@ -157,7 +157,7 @@ RESULTS = (
         "study article", ("agree", "differ", "not_told_apart", "not_measured", "failed", "page", "statements")
     ),
     Result("study chaos", ("flights",), (_OUTCOMES,)),
-    Result("study vehicle-cost", ("limit_us", "streams off", "streams on", "off, no compiler")),
+    Result("study vehicle-cost", ("limit_us", "streams off", "streams on", "off, ULog", "off, no compiler")),
     Result("study radio-cost", ("saturated", "article")),
 )
 """Commands with ``--json``, other than those that print the summary of a run."""

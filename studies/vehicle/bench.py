@@ -24,10 +24,11 @@ from msgspec import Struct
 from autopilot.commander.commander import Commander
 from autopilot.control.flight import FlightController
 from autopilot.estimation.sensor_input import SensorInput
+from autopilot.logs.ulog_file import FlightLog
 from autopilot.mavlink.codec import Encoder
 from autopilot.mavlink.hil import TO_VEHICLE, HilActuatorControls, HilEncoder, HilParser
 from autopilot.onboard.app import OnboardApp
-from autopilot.parameters.config import VehicleConfig
+from autopilot.parameters.config import LoggingConfig, VehicleConfig
 from autopilot.parameters.onboard_config import OnboardConfig
 from autopilot.services.service import Services
 from autopilot.services.streams import MessageStreams
@@ -55,6 +56,7 @@ _PARTS: tuple[tuple[str, type, tuple[str, ...]], ...] = (
     ("control", FlightController, ("update",)),
     ("services", Services, ("on_timer", "on_message")),
     ("streams", MessageStreams, ("on_timer",)),
+    ("ULog", FlightLog, ("on_step",)),
 )
 """Part, class and methods; the time of a nested part is subtracted from the outer one."""
 REST = "the step around them"
@@ -95,10 +97,10 @@ def record_flight(seconds: float) -> Recording:
         return Recording(stream=solo.stream, armed_from=armed_from)
 
 
-def measure(recording: Recording, *, streams: bool, repeats: int) -> StepCost:
+def measure(recording: Recording, *, streams: bool, repeats: int, ulog: bool = False) -> StepCost:
     """Replay the flight ``repeats`` times and return the fastest: other load only adds time."""
-    step_us, longest_us = min(_play(recording, streams=streams) for _ in range(repeats))
-    passes = [_play_by_part(recording, streams=streams) for _ in range(repeats)]
+    step_us, longest_us = min(_play(recording, streams=streams, ulog=ulog) for _ in range(repeats))
+    passes = [_play_by_part(recording, streams=streams, ulog=ulog) for _ in range(repeats)]
     parts_us = {part: min(spent_us[part] for spent_us in passes) for part in passes[0]}
     scale = step_us / sum(parts_us.values())
     return StepCost(
@@ -134,8 +136,13 @@ def play_file(path: str) -> None:
 class _Process:
     """The vehicle's process without its sockets: see ``autopilot.__main__``."""
 
-    def __init__(self, *, streams: bool) -> None:
-        self.host = Host(_config(), None)
+    def __init__(self, *, streams: bool, log_folder: str | None) -> None:
+        config = _config()
+        if log_folder is not None:
+            config = msgspec.structs.replace(
+                config, params_path=f"{log_folder}/uav-0.params", logging=LoggingConfig(ulog=True)
+            )
+        self.host = Host(config, None)
         self._active = (streams, streams)
         self._link_encoder = Encoder(system=1, component=1)
 
@@ -150,10 +157,20 @@ class _Process:
                 self._link_encoder.encode(message)
 
 
-def _play(recording: Recording, *, streams: bool) -> tuple[float, float]:
+@contextmanager
+def _process(*, streams: bool, ulog: bool) -> Iterator[_Process]:
+    """Yield a process, whose ULog is written to a folder that is deleted."""
+    with ExitStack() as stack:
+        folder = stack.enter_context(tempfile.TemporaryDirectory()) if ulog else None
+        process = _Process(streams=streams, log_folder=folder)
+        stack.callback(process.host.close)
+        yield process
+
+
+def _play(recording: Recording, *, streams: bool, ulog: bool) -> tuple[float, float]:
     """Return mean processor time and 99 % quantile of the wall time of the steps since arming."""
-    process, wall_us = _Process(streams=streams), []
-    with _no_collection():
+    wall_us = []
+    with _process(streams=streams, ulog=ulog) as process, _no_collection():
         for data in recording.stream[: recording.armed_from]:
             process.step(data)
         start_ns = time.thread_time_ns()
@@ -179,10 +196,10 @@ def _play_floor(recording: Recording) -> float:
     return 1e-3 * (time.thread_time_ns() - start_ns) / len(flown)
 
 
-def _play_by_part(recording: Recording, *, streams: bool) -> dict[str, float]:
+def _play_by_part(recording: Recording, *, streams: bool, ulog: bool) -> dict[str, float]:
     """Return the mean time of every part, microseconds, from timers around its methods."""
-    process, watch = _Process(streams=streams), _StopWatch()
-    with ExitStack() as stack:
+    watch = _StopWatch()
+    with _process(streams=streams, ulog=ulog) as process, ExitStack() as stack:
         for part, owner, names in _PARTS:
             for name in names:
                 timed = watch.around(part, getattr(owner, name))

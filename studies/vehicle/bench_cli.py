@@ -30,6 +30,7 @@ def bench(
     costs = {
         "streams off": measure(recording, streams=False, repeats=repeats),
         "streams on": measure(recording, streams=True, repeats=repeats),
+        "off, ULog": measure(recording, streams=False, repeats=repeats, ulog=True),
         "off, no compiler": measure_without_compiler(recording),
     }
     if json:
