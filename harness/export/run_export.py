@@ -34,7 +34,7 @@ from harness.records.tables import flight_of
 from harness.scenario.scenario import Scenario
 from harness.simulator.motion_start import flown_start_us
 
-STEP_US = 500_000
+STEP_US = 1_000_000
 """Simulated time that is in memory at once."""
 SELDOM_US = 100_000
 """Period of the scene's links and of positions on the Earth."""
