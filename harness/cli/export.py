@@ -74,7 +74,9 @@ def export(
             "give one of --time, for a NEC deck, --wide, for the flight, and --mcap, for the whole run"
         )
     if out is not None and time is None:
-        raise typer.BadParameter("--out is the file of the deck of --time; --wide and --mcap name their own file")
+        raise typer.BadParameter(
+            "--out is the file of the deck of --time; --wide and --mcap name their own file"
+        )
     if mcap is not None:
         _write_mcap(run, mcap)
     elif wide is not None:

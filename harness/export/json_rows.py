@@ -86,7 +86,9 @@ def _values(name: str, values: NDArray[Any], layout: np.dtype[Any]) -> list[Any]
     is_whole = kind != "f" or bool(np.isfinite(values).all())
     components = labels(name, layout)
     if components is None:
-        return found if is_whole or layout.shape else [each if math.isfinite(each) else None for each in found]
+        return (
+            found if is_whole or layout.shape else [each if math.isfinite(each) else None for each in found]
+        )
     if is_whole:
         return [dict(zip(components, row, strict=True)) for row in found]
     return [

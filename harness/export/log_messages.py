@@ -50,7 +50,9 @@ def event_topics() -> list[Topic]:
         "required": ["event", "time_us"],
     }
     return [
-        Topic(name=EVENTS, schema="coflight.Event", json_schema=schema, description="A line of events.jsonl."),
+        Topic(
+            name=EVENTS, schema="coflight.Event", json_schema=schema, description="A line of events.jsonl."
+        ),
         Topic(
             name=LOG,
             schema="foxglove.Log",
@@ -71,7 +73,9 @@ class LogMessages:
         """Yield the messages of events."""
         for event in events:
             time_ns = event["time_us"] * 1_000
-            yield Message(time_ns, EVENTS, {name: value for name, value in event.items() if value is not None})
+            yield Message(
+                time_ns, EVENTS, {name: value for name, value in event.items() if value is not None}
+            )
             level, name, text = in_words(event)
             yield self._line(time_ns, level, name, text)
 

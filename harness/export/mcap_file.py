@@ -89,7 +89,9 @@ def foxglove_class(schema: str) -> type[ProtobufMessage]:
     package, _, name = schema.partition(".")
     if package != _FOXGLOVE:
         raise ValueError(f"{schema}: no schema of Foxglove")
-    found: type[ProtobufMessage] = getattr(importlib.import_module(f"foxglove_schemas_protobuf.{name}_pb2"), name)
+    found: type[ProtobufMessage] = getattr(
+        importlib.import_module(f"foxglove_schemas_protobuf.{name}_pb2"), name
+    )
     return found
 
 
@@ -107,4 +109,3 @@ def descriptors_of(protobuf: type[ProtobufMessage]) -> bytes:
     add(protobuf.DESCRIPTOR.file)
     data: bytes = found.SerializeToString()
     return data
-

@@ -34,9 +34,7 @@ class RadioMessages:
         self.topics = [
             _topic(FRAMES, "coflight.Frame", RADIO, FRAME_LOG, "when it ends"),
             _topic(RANGING, "coflight.Ranging", FTM, SESSION_LOG, "at the time that its distance belongs to"),
-            _topic(
-                OCCUPANCY, "coflight.Occupancy", AIR, AIR_RECORD, "then", more={"busy_fraction": _BUSY}
-            ),
+            _topic(OCCUPANCY, "coflight.Occupancy", AIR, AIR_RECORD, "then", more={"busy_fraction": _BUSY}),
         ]
         if with_receptions:
             self.topics.append(
@@ -67,7 +65,13 @@ class RadioMessages:
 
 
 def _topic(
-    name: str, schema: str, kind: TableKind, layout: np.dtype[Any], when: str, *, more: Any = None  # noqa: ANN401
+    name: str,
+    schema: str,
+    kind: TableKind,
+    layout: np.dtype[Any],
+    when: str,
+    *,
+    more: Any = None,  # noqa: ANN401
 ) -> Topic:
     return Topic(
         name=name,

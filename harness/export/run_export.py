@@ -202,7 +202,11 @@ def _sensor_topics(path: Path) -> list[Topic]:
     with pq.ParquetFile(path, buffer_size=65_536) as file:
         for batch in file.iter_batches(READ_ROWS, columns=["uav", "sensor", "column"], use_threads=False):
             for uav, sensor, column in sorted(
-                set(zip(*(batch.column(name).to_pylist() for name in ("uav", "sensor", "column")), strict=True))
+                set(
+                    zip(
+                        *(batch.column(name).to_pylist() for name in ("uav", "sensor", "column")), strict=True
+                    )
+                )
             ):
                 found.setdefault((uav, sensor), {})[column] = None
     return [sensor_topic(uav, sensor, list(columns)) for (uav, sensor), columns in sorted(found.items())]

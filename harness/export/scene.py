@@ -82,7 +82,13 @@ class Scene:
         return Message(time_ns, topic, {"entities": list(entities)})
 
     def _entity(
-        self, time_ns: int, name: str, *, frame: str = SITE, lifetime_ns: int = 0, **parts: Any  # noqa: ANN401
+        self,
+        time_ns: int,
+        name: str,
+        *,
+        frame: str = SITE,
+        lifetime_ns: int = 0,
+        **parts: Any,  # noqa: ANN401
     ) -> Content:
         return {
             "timestamp": timestamp(self._epoch_ns + time_ns),

@@ -25,7 +25,10 @@ _ERROR_FIELDS: Mapping[str, Schema] = {
         "vehicles; 0 for a lost vehicle. Unit: m."
     },
     "alive": {"type": "array", "items": {"type": "boolean"}, "description": "Whether each vehicle flies."},
-    "absolute_rms_m": {"type": "number", "description": "RMS of `absolute_m` over the living vehicles. Unit: m."},
+    "absolute_rms_m": {
+        "type": "number",
+        "description": "RMS of `absolute_m` over the living vehicles. Unit: m.",
+    },
     "shape_rms_m": {"type": "number", "description": "RMS of `shape_m` over the living vehicles. Unit: m."},
     "absolute_horizontal_rms_m": {"type": "number", "description": "The same, horizontal part. Unit: m."},
     "shape_horizontal_rms_m": {"type": "number", "description": "The same, horizontal part. Unit: m."},

@@ -69,9 +69,7 @@ class VehicleMessages:
                     "estimator, in `site`.",
                 ),
             ):
-                yield Topic(
-                    name=f"/{frame_of(uav)}/{name}", schema="foxglove.PoseInFrame", description=text
-                )
+                yield Topic(name=f"/{frame_of(uav)}/{name}", schema="foxglove.PoseInFrame", description=text)
             for name, text in (
                 ("location", "True position on the Earth, 10 times a second."),
                 (
@@ -81,9 +79,7 @@ class VehicleMessages:
                 ),
                 ("gps", "The last GPS fix, at the first recorded instant that has it."),
             ):
-                yield Topic(
-                    name=f"/{frame_of(uav)}/{name}", schema="foxglove.LocationFix", description=text
-                )
+                yield Topic(name=f"/{frame_of(uav)}/{name}", schema="foxglove.LocationFix", description=text)
 
     def messages(self, flight: NDArray[Any], seldom: NDArray[np.bool_]) -> Iterator[Message]:
         """Yield the messages of (T, N) records; locations at the instants ``seldom`` (T,) only."""
