@@ -68,7 +68,7 @@ def export(
         ),
     ] = None,
 ) -> None:
-    """Write a run: an antenna as a NEC deck (--time), its flight in wide form (--wide), or all as MCAP (--mcap)."""
+    """Write a run: its antenna as a NEC deck (--time), its flight as one table (--wide), or all (--mcap)."""
     if [time, wide, mcap].count(None) != 2:
         raise typer.BadParameter(
             "give one of --time, for a NEC deck, --wide, for the flight, and --mcap, for the whole run"

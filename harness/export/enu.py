@@ -1,6 +1,6 @@
 """Frames of Foxglove: east, north, up (ENU) of the site and forward, left, up (FLU) of a body.
 
-Pure functions on arrays of any leading shape. Positions are permuted and negated only, so they keep every bit.
+Pure functions on arrays of any leading shape. Positions are permuted and negated only: they keep every bit.
 """
 
 import math
@@ -30,8 +30,8 @@ def flu_of_frd(frd: Array) -> Array:
 def q_enu_flu_of(q_ned_frd: Array) -> Array:
     """Return rotations (..., 4) from FLU to ENU of rotations from FRD to NED; Hamilton, wxyz.
 
-    It is q_enu_ned q_ned_frd q_frd_flu, with half turns about (1, 1, 0) and (1, 0, 0), multiplied out; its sign
-    is such that level flight to the north gives a positive w.
+    It is q_enu_ned q_ned_frd q_frd_flu, with half turns about (1, 1, 0) and (1, 0, 0), multiplied out. Its
+    sign is such that level flight to the north gives a positive w.
     """
     w, x, y, z = (q_ned_frd[..., k] for k in range(4))
     return np.stack([w + z, x + y, x - y, w - z], axis=-1) * _HALF

@@ -34,7 +34,7 @@ def schema_of(
         if components is None and of_field.shape:
             described: Schema = {"type": "array", "items": single}
         elif components is not None:
-            described = {"type": "object", "properties": {label: single for label in components}}
+            described = {"type": "object", "properties": dict.fromkeys(components, single)}
         else:
             described = single
         properties[field] = described | {"description": _text(column, field)}

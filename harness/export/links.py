@@ -79,7 +79,7 @@ class LinkTable:
         self._severity = np.concatenate([self._severity, severity[known]])
 
     def take(self, until_ns: int) -> NDArray[np.int8]:
-        """Return and remove the severities (stations, stations) up to a time; those below the diagonal are 0."""
+        """Return and remove the severities (stations, stations) up to a time; 0 below the diagonal."""
         count = int(np.searchsorted(self._times_ns, until_ns, side="right"))
         found = np.zeros((self._stations, self._stations), np.int8)
         np.maximum.at(found, (self._pairs[:count, 0], self._pairs[:count, 1]), self._severity[:count])

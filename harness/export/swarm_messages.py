@@ -1,4 +1,4 @@
-"""Messages of the swarm: events, log, formation error, antenna gain, readings of the scenario's own sensors."""
+"""Messages of the swarm: events, log, formation error, antenna gain, readings of the user's sensors."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby

@@ -41,7 +41,7 @@ class VehicleMessages:
     def __init__(
         self, scenario: Scenario, applications: Layout, layout: np.dtype[Any], *, epoch_ns: int
     ) -> None:
-        """``layout`` is that of the flight, `harness.records.tables.flight_record`; ``epoch_ns``: UNIX time 0."""
+        """``layout`` is that of the flight, `harness.records.tables.flight_record`; ``epoch_ns`` the UNIX date of 0."""
         kind = flight_kind(applications)
         self._scenario, self._epoch_ns = scenario, epoch_ns
         self._fields = [name for name in layout.names or () if name != "uav"]
@@ -65,8 +65,10 @@ class VehicleMessages:
                 ("pose", "True position and attitude in `site`, at every recorded instant."),
                 (
                     "believed_pose",
-                    "Position by the application, or by the estimator without one, and attitude by the "
-                    "estimator, in `site`.",
+                    (
+                        "Position by the application, or by the estimator without one, and attitude by the "
+                        "estimator, in `site`."
+                    ),
                 ),
             ):
                 yield Topic(name=f"/{frame_of(uav)}/{name}", schema="foxglove.PoseInFrame", description=text)
@@ -74,8 +76,10 @@ class VehicleMessages:
                 ("location", "True position on the Earth, 10 times a second."),
                 (
                     "believed_location",
-                    "Position by the application on the Earth, with the covariance that it states, 10 times a "
-                    "second.",
+                    (
+                        "Position by the application on the Earth, with the covariance that it states, 10 times "
+                        "a second."
+                    ),
                 ),
                 ("gps", "The last GPS fix, at the first recorded instant that has it."),
             ):
@@ -187,13 +191,13 @@ def _swarm_topics() -> Iterator[Topic]:
     yield Topic(
         name=TRANSFORMS,
         schema="foxglove.FrameTransforms",
-        description="Frames `uavN` (truth) and `uavN_believed` (as the vehicle estimates) in `site`, at every "
-        "recorded instant.",
+        description="Frames `uavN` (truth) and `uavN_believed` (as the vehicle estimates) in `site`, at "
+        "every recorded instant.",
     )
 
 
 def believed_pos_ned_m(rows: NDArray[Any]) -> Array:
-    """Return the positions (..., 3) that vehicles estimate: the application's, the estimator's without one."""
+    """Return the positions (..., 3) that vehicles estimate: the application's, else the estimator's."""
     onboard_ned_m: Array = rows["onboard_pos_ned_m"]
     known = np.isfinite(onboard_ned_m).all(axis=-1, keepdims=True)
     return np.where(known, onboard_ned_m, rows["estimator_pos_ned_m"])

@@ -20,6 +20,7 @@ from harness.export.run_export import write_mcap
 from harness.launch.one_process import OneProcessSwarm
 from harness.records.run_folder import RunFolder, read_scenario
 from harness.scenario.scenario_file import load
+from netsim.emulator.log_layout import FRAME_LOG
 
 AGENTS, LOST, HEXACOPTER = 4, 2, 1
 SETTINGS = (
@@ -389,8 +390,6 @@ def test_a_folder_that_is_no_run_is_named(tmp_path, capsys):
 
 
 def frames(*rows):
-    from netsim.emulator.log_layout import FRAME_LOG
-
     found = np.zeros(len(rows), FRAME_LOG)
     for k, row in enumerate(rows):
         for name, value in row.items():
