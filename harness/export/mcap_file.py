@@ -71,7 +71,7 @@ class McapFile:
 
     def finish(self) -> None:
         """Write what remains, and the index. Raises OSError."""
-        self._writer.finish()  # type: ignore[no-untyped-call]  the library has no type here
+        self._writer.finish()  # type: ignore[no-untyped-call] # the library has none
 
 
 class _Channel:

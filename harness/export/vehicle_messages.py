@@ -41,7 +41,7 @@ class VehicleMessages:
     def __init__(
         self, scenario: Scenario, applications: Layout, layout: np.dtype[Any], *, epoch_ns: int
     ) -> None:
-        """``layout`` is that of the flight, `harness.records.tables.flight_record`; ``epoch_ns`` the UNIX date of 0."""
+        """``layout``: the flight's, `harness.records.tables.flight_record`; ``epoch_ns``: UNIX time of 0."""
         kind = flight_kind(applications)
         self._scenario, self._epoch_ns = scenario, epoch_ns
         self._fields = [name for name in layout.names or () if name != "uav"]
@@ -77,8 +77,8 @@ class VehicleMessages:
                 (
                     "believed_location",
                     (
-                        "Position by the application on the Earth, with the covariance that it states, 10 times "
-                        "a second."
+                        "Position by the application on the Earth, with the covariance that it states, 10 "
+                        "times a second."
                     ),
                 ),
                 ("gps", "The last GPS fix, at the first recorded instant that has it."),
