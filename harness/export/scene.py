@@ -25,8 +25,8 @@ _DESCRIPTIONS = {
     PLACES: "Places of the formation, at the height of a centre of mass over them. At the start and when "
     "they move.",
     LINKS: "Links that carried frames since the message before, in the colour of their worst outcome, 10 "
-    "times a second: green delivered, blue ranging, yellow received by some of a group, orange lost to noise, "
-    "red collided.",
+    "times a second: green delivered, blue ranging, yellow received by some of a group, orange lost to "
+    "noise, red collided.",
     TRAILS: "True paths of the last 10 s, twice a second.",
     WIND: "Wind at each vehicle, 0.2 m for 1 N or 1 m/s, 10 times a second.",
     BELIEVED: "Position by the application of each vehicle, with an ellipsoid of its standard deviation, 10 "
