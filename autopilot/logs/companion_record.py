@@ -44,7 +44,7 @@ class CompanionLog:
         self._fix_ned_m = self._origin_ned_m = UNKNOWN_NED_M
         """Position of the newest fix, and offset of a local position, whose height is unchanged."""
         self._written_us = 0
-        self._log = RecordLog(path, vehicle_record(app.layout.columns))
+        self._log = RecordLog(path, vehicle_record(app.layout.columns), block_rows=config.log_block_rows)
 
     def on_message(self, message: Message, now_us: int) -> None:
         """Store a message of the own PX4, before the application has it; write a row if one is due before it.

@@ -12,6 +12,7 @@ from msgspec.structs import replace
 from autopilot.parameters.onboard_config import OnboardConfig
 from foundation.airframe.description import Airframe
 from foundation.airframe.files import IRIS
+from foundation.records.record_log import BLOCK_ROWS
 
 REMEMBERED_S = 2.0
 """How long the application stores its vehicle's past positions; older distances cannot be used."""
@@ -364,6 +365,8 @@ class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     motion: AnyMotion | None = None
     log_path: str | None = None
     """Binary log of estimates; None: no log."""
+    log_block_rows: Annotated[int, Meta(ge=1)] = BLOCK_ROWS
+    """Rows that are written to it at once; 1 for a log that is read in flight."""
     params_path: str | None = None
     """File to which MAV_CMD_PREFLIGHT_STORAGE writes the parameters; None: the command is not supported."""
     call_limit_s: Annotated[float, Meta(gt=0.0, le=120.0)] = 5.0

@@ -68,10 +68,16 @@ class Host:
         self._links_waiting: Links = []
         self.record = vehicle_record(self.vehicle.columns)
         """Layout of the log"""
-        self._log = None if config.log_path is None else RecordLog(config.log_path, self.record)
+        self._log = self._open_log()
         self._flight_log: FlightLog | None = None
         self._may_log = config.params_path is not None
         self._must_log = self._may_log and config.logging.ulog
+
+    def _open_log(self) -> RecordLog | None:
+        config = self._config
+        if config.log_path is None:
+            return None
+        return RecordLog(config.log_path, self.record, block_rows=config.log_block_rows)
 
     def introduction(self) -> bytes:
         """Return the heartbeat that identifies the vehicle when it connects to the simulator."""

@@ -5,6 +5,7 @@ structured dtype. Blocks have a fixed number of rows, so equal runs write equal 
 blocks up to the last are readable.
 """
 
+import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -18,12 +19,17 @@ READ_ROWS = 16_384
 
 
 class RecordLog:
-    """Writer of one log file, which is created or truncated."""
+    """Writer of one log file, which is created or truncated.
 
-    def __init__(self, path: str | Path, dtype: np.dtype[Any]) -> None:
+    ``block_rows``: number of rows that are written at once; 1 for a log that is read while it grows. The
+    bytes of the file do not depend on it.
+    """
+
+    def __init__(self, path: str | Path, dtype: np.dtype[Any], *, block_rows: int = BLOCK_ROWS) -> None:
         self._file = Path(path).open("wb")  # noqa: SIM115 - closed by close()
         self._dtype = dtype
-        self._block_bytes = BLOCK_ROWS * dtype.itemsize
+        self._block_rows = block_rows
+        self._block_bytes = block_rows * dtype.itemsize
         self._rows: list[Any] = []
         self._packed = bytearray()
         """Packed rows that do not yet fill a block."""
@@ -31,9 +37,10 @@ class RecordLog:
     def append(self, rows: Iterable[Any]) -> None:
         """Add rows: tuples in the order of the dtype's fields, or records of that dtype."""
         self._rows.extend(rows)
-        while len(self._rows) >= BLOCK_ROWS:
-            self._write(np.array(self._rows[:BLOCK_ROWS], dtype=self._dtype).tobytes())
-            del self._rows[:BLOCK_ROWS]
+        block_rows = self._block_rows
+        while len(self._rows) >= block_rows:
+            self._write(np.array(self._rows[:block_rows], dtype=self._dtype).tobytes())
+            del self._rows[:block_rows]
 
     def append_array(self, rows: NDArray[np.void]) -> None:
         """Add rows (n,) of the dtype; not to be mixed with `append` in one log."""
@@ -63,6 +70,17 @@ class RecordLog:
         except OSError as error:
             error.filename = error.filename or self._file.name
             raise
+
+
+def cut_to_blocks(path: str | Path, dtype: np.dtype[Any]) -> None:
+    """Cut a log to whole blocks: those that a process with logs of usual blocks had written when killed.
+
+    A missing file is none. Raises OSError.
+    """
+    path = Path(path)
+    if path.exists():
+        block_bytes = BLOCK_ROWS * dtype.itemsize
+        os.truncate(path, path.stat().st_size // block_bytes * block_bytes)
 
 
 def read(path: str | Path, dtype: np.dtype[Any]) -> NDArray[Any]:

@@ -3,21 +3,30 @@
 import contextlib
 import hashlib
 import os
+from collections.abc import Iterator
 from pathlib import Path
+from typing import IO
 
 from foundation.records.private_files import open_private
 
 
 def write_whole(path: Path, content: bytes, *, private: bool = False) -> None:
-    """Write a file atomically: readers find the new or the old content.
+    """Write a file atomically, as `whole_file`."""
+    with whole_file(path, private=private) as file:
+        file.write(content)
 
-    ``private``: only the owner can read it, whatever the umask and the rights of the old file are. Raises
-    OSError with the name of the file.
+
+@contextlib.contextmanager
+def whole_file(path: Path, *, private: bool = False) -> Iterator[IO[bytes]]:
+    """Open a file to be written atomically: readers find the old content, and the new when the block ends.
+
+    An error or a signal in the block leaves the old file. ``private``: only the owner can read it, whatever
+    the umask and the rights of the old file are. Raises OSError with the name of the file.
     """
     temporary = path.with_name(f".{path.name}")
     try:
         with os.fdopen(open_private(temporary), "wb") if private else temporary.open("wb") as file:
-            file.write(content)
+            yield file
             file.flush()
             os.fsync(file.fileno())
         temporary.replace(path)

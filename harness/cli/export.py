@@ -1,4 +1,4 @@
-"""Exports a run: the antenna at an instant as a NEC deck for nec2c and xnec2c, or the flight in wide form.
+"""Exports a run: an antenna as a NEC deck for nec2c and xnec2c, the flight in wide form, or all as MCAP.
 
 Exit status: 0 success, 2 bad input or no antenna at that time, with one line on stderr, 130
 interrupted.
@@ -33,7 +33,7 @@ class DeckRefused(Exception):
 
 
 class FlightRefused(Exception):
-    """There is no flight to export; the text is the reason in one line."""
+    """There is no flight to export, or no file for it; the text is the reason in one line."""
 
 
 @app.command()
@@ -59,13 +59,27 @@ def export(
             metavar="FILE.parquet|FILE.csv",
         ),
     ] = None,
+    mcap: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write the whole run to this file for Foxglove and PlotJuggler: the scene, and all tables as"
+            " messages with the times of the simulation. Only its owner can read it.",
+            metavar="FILE.mcap",
+        ),
+    ] = None,
 ) -> None:
-    """Write a run: the antenna at an instant (--time) as a NEC deck, or its flight in wide form (--wide)."""
-    if (time is None) == (wide is None):
-        raise typer.BadParameter("give either --time, for a NEC deck, or --wide, for the flight")
-    if wide is not None:
-        if out is not None:
-            raise typer.BadParameter("--out is the file of the deck of --time; --wide names its own file")
+    """Write a run: its antenna as a NEC deck (--time), its flight as one table (--wide), or all (--mcap)."""
+    if [time, wide, mcap].count(None) != 2:
+        raise typer.BadParameter(
+            "give one of --time, for a NEC deck, --wide, for the flight, and --mcap, for the whole run"
+        )
+    if out is not None and time is None:
+        raise typer.BadParameter(
+            "--out is the file of the deck of --time; --wide and --mcap name their own file"
+        )
+    if mcap is not None:
+        _write_mcap(run, mcap)
+    elif wide is not None:
         _write_flight(run, wide)
     elif time is not None:
         deck = deck_at(run, time)
@@ -87,6 +101,19 @@ def _write_flight(run: Path, target: Path) -> None:
         write_wide(flight, target)
     except (KeyError, ValueError) as error:
         raise FlightRefused(f"{flight}: not the flight of a run: {error.args[0]}") from None
+
+
+def _write_mcap(run: Path, target: Path) -> None:
+    from harness.export.run_export import SUFFIX, write_mcap  # noqa: PLC0415  slow to import, for --mcap only
+
+    if target.suffix != SUFFIX:
+        raise FlightRefused(f"--mcap {target}: expected a name that ends in {SUFFIX}")
+    if target.is_dir():
+        raise FlightRefused(f"--mcap {target}: it is a folder; name a file")
+    try:
+        write_mcap(RunFolder(run), target)
+    except (KeyError, ValueError) as error:
+        raise FlightRefused(f"{run}: its tables are not of the scenario in its manifest: {error}") from None
 
 
 def deck_at(run: Path, time_s: float) -> str:

@@ -245,6 +245,7 @@ class OneProcessSwarm(Swarm):
         out: str | Path | None = None,
         wall_limit_s: float | None = None,
         on_message: Callable[[Message], None] | None = None,
+        live_records: bool = False,
     ) -> None:
         super().__init__(
             scenario,
@@ -255,6 +256,7 @@ class OneProcessSwarm(Swarm):
             out=out,
             wall_limit_s=wall_limit_s,
             on_message=on_message,
+            live_records=live_records,
         )
 
     def mavlink(self, instance: int) -> Any:  # noqa: ANN401  see `Swarm.mavlink`

@@ -13,8 +13,10 @@ from collections.abc import Callable, Container, Mapping, Sequence
 
 import psutil
 
+from autopilot.logs.vehicle_record import vehicle_record
 from autopilot.process.iteration import APPLICATION
 from foundation.processes.prefork import FIRST_DESCRIPTOR
+from foundation.records.record_log import cut_to_blocks
 from foundation.system_error import in_words
 from harness.launch import cpu_affinity, external_autopilots, kernel_cache, ports
 from harness.launch.cpu_affinity import CpuAffinity
@@ -385,6 +387,10 @@ class Processes(RunMonitor):
         self._supervisor.kill(uav(instance))
         if instance in self._applications:
             self._supervisor.kill(application(instance))
+        if self._folder.has_live_records:  # the tables are those of a run without
+            cut_to_blocks(
+                self._folder.raw_vehicle(instance), vehicle_record(self._folder.applications().columns)
+            )
         self.drain()
 
     def send(self, command: AnyCommand) -> None:

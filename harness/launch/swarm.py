@@ -81,7 +81,8 @@ class Swarm:
     SwarmTimeoutError after this wall time since the start, in which the compilation of kernels does not
     count. ``on_message`` receives the messages of the processes and their ends, on the thread that runs the
     swarm, and before the first a warning if ranging does not determine the formation's shape.
-    ``profile_from_s``: simulated time from which the processes are profiled, for `profile`.
+    ``profile_from_s``: simulated time from which the processes are profiled, for `profile`. ``live_records``:
+    the raw logs have each record at once, for a program that reads them in flight.
 
     Raises ScenarioError for an invalid scenario, and `foundation.kernels.cache_trust.UntrustedCache`.
     """
@@ -102,6 +103,7 @@ class Swarm:
         wall_limit_s: float | None = None,
         on_message: Callable[[Message], None] | None = None,
         profile_from_s: float | None = None,
+        live_records: bool = False,
     ) -> None:
         use_kernel_cache()  # the report's kernels run in this process
         if isinstance(scenario, Scenario):
@@ -123,7 +125,7 @@ class Swarm:
         step_us = self.scenario.run.step_us
         # not before the first step is done: vehicles start until then
         from_us = None if profile_from_s is None else max(round(profile_from_s * 1e6), 2 * step_us)
-        self._folder = RunFolder(self.path, profile_from_us=from_us)
+        self._folder = RunFolder(self.path, profile_from_us=from_us, live_records=live_records)
         self._processes = self._make_processes(
             self.scenario,
             self._folder,

@@ -27,7 +27,7 @@ import shutil
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Self
+from typing import Annotated, Self
 
 import msgspec
 from msgspec import Struct
@@ -36,6 +36,7 @@ from autopilot.onboard.application import NO_APPLICATION, Layout
 from autopilot.onboard.factory import dissectors_of, layout_of
 from autopilot.parameters.config import RadioEndpoint
 from foundation.records.private_files import FOLDER_MODE, PARENT_MODE, make_private, write_private
+from foundation.records.record_log import BLOCK_ROWS
 from foundation.records.whole_file import write_whole
 from foundation.records.write_access import fault_of
 from harness.scenario.scenario import Scenario
@@ -56,6 +57,9 @@ class PhysicsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """What the on-board applications report."""
     sensor_log_path: str | None = None
     """None: the scenario has no sensors of its own."""
+    log_block_rows: Annotated[int, msgspec.Meta(ge=1)] = BLOCK_ROWS
+    """Rows that are written at once to the logs of truth, channel and sensors; 1 for logs that are read in
+    flight."""
     connect_timeout_s: float = 120.0
     profile_from_us: int | None = None
     """Simulated time from which the process profiles itself; None: never."""
@@ -86,14 +90,17 @@ class FolderRefused(Exception):
 class RunFolder:
     """Paths of a run below ``path``; `create` makes the folders.
 
-    The processes profile themselves from the simulated time ``profile_from_us`` on.
+    The processes profile themselves from the simulated time ``profile_from_us`` on. ``live_records``: they
+    write each record to the raw logs at once, for a program that reads them in flight.
     """
 
-    def __init__(self, path: Path, *, profile_from_us: int | None = None) -> None:
+    def __init__(self, path: Path, *, profile_from_us: int | None = None, live_records: bool = False) -> None:
         self.path = path
         self.first_manifest: bytes | None = None
         """Content of the manifest that `create` writes."""
         self._profile_from_us = profile_from_us
+        self.has_live_records = live_records
+        self._log_block_rows = 1 if live_records else BLOCK_ROWS
         self._is_new = False
         """Whether `create` has made this run, and not another process at the same time."""
         self._made: list[Path] = []
@@ -248,6 +255,7 @@ class RunFolder:
             frame_log_path=str(self.raw_frames),
             session_log_path=str(self.raw_sessions),
             reception_log_path=str(self.raw_receptions) if scenario.radio.log_receptions else None,
+            log_block_rows=self._log_block_rows,
             capture_path=str(self.capture) if scenario.radio.capture else None,
             epoch_unix_us=scenario.run.epoch_unix_us,
             profile_from_us=self._profile_from_us,
@@ -273,6 +281,7 @@ class RunFolder:
             event_log_path=str(self.events),
             applications=layout_of(scenario.onboard),
             sensor_log_path=str(self.raw_sensors) if scenario.sensors.extra else None,
+            log_block_rows=self._log_block_rows,
             profile_from_us=self._profile_from_us,
         )
         return self.write_config("physics", config)
@@ -296,7 +305,11 @@ class RunFolder:
         ports = msgspec.structs.replace(config.ports, simulator_tcp=simulator_port)
         params_path = str(self.path / f"uav-{instance}.params")
         config = msgspec.structs.replace(
-            config, ports=ports, params_path=params_path, profile_from_us=self._profile_from_us
+            config,
+            ports=ports,
+            params_path=params_path,
+            log_block_rows=self._log_block_rows,
+            profile_from_us=self._profile_from_us,
         )
         return self.write_config(f"uav-{instance}", config)
 

@@ -54,7 +54,7 @@ def write_tables(
     if scenario.radio.log_receptions:
         logs.append((folder.receptions, columns.RECEPTIONS, folder.raw_receptions, RECEPTION_LOG))
     for target, kind, log, layout in logs:
-        with ColumnFile(folder.path, layout, _column_fields(layout), rows=count(log, layout)) as found:
+        with ColumnFile(folder.path, layout, column_fields(layout), rows=count(log, layout)) as found:
             for records in read_blocks(log, layout):
                 found.append(records)
             table = found.table()
@@ -77,9 +77,7 @@ def _flight_columns(
     instants = count(folder.raw_truth, truth) // n
     vehicles = [_VehicleLog(folder.raw_vehicle(i), own) for i in range(n)]
     with contextlib.ExitStack() as stack:
-        found = stack.enter_context(
-            ColumnFile(folder.path, layout, _column_fields(layout), rows=instants * n)
-        )
+        found = stack.enter_context(ColumnFile(folder.path, layout, column_fields(layout), rows=instants * n))
         at_once = max(1, READ_ROWS // n)
         for first in range(0, instants, at_once):
             rows = min(at_once, instants - first) * n
@@ -118,7 +116,7 @@ def _with_names(receptions: pa.Table) -> pa.Table:
     return receptions
 
 
-def _column_fields(layout: np.dtype[Any]) -> dict[str, tuple[str, int | None]]:
+def column_fields(layout: np.dtype[Any]) -> dict[str, tuple[str, int | None]]:
     """Return field and component of each column of a layout, in the order of the table."""
     found: dict[str, tuple[str, int | None]] = {}
     for name in layout.names or ():

@@ -2,7 +2,9 @@
 
 from collections.abc import Callable, Collection
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from foundation.records.record_log import RecordLog
 from harness.simulator.truth_record import SENSOR_RECORD
@@ -26,14 +28,21 @@ NONE = Readings()
 class ExtraReadings:
     """Samples, records and divides readings; ``external`` are the vehicles with another program's autopilot.
 
-    ``log_path`` is that of the table of readings, without which there is none.
+    ``log_path`` is that of the table of readings, without which there is none; ``open_log`` opens it.
     """
 
-    def __init__(self, sensors: ExtraSensors, external: Collection[int], log_path: str | Path | None) -> None:
+    def __init__(
+        self,
+        sensors: ExtraSensors,
+        external: Collection[int],
+        log_path: str | Path | None,
+        *,
+        open_log: Callable[[str | Path, np.dtype[Any]], RecordLog] = RecordLog,
+    ) -> None:
         self._sensors = sensors
         self._is_empty = not len(sensors)
         self._external = external
-        self._log = None if log_path is None else RecordLog(log_path, SENSOR_RECORD)
+        self._log = None if log_path is None else open_log(log_path, SENSOR_RECORD)
 
     def sample(
         self, time_us: int, inputs_of: Callable[[int], WorldInputs], faults: Faults, lost: Collection[int]

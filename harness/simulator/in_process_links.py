@@ -3,9 +3,7 @@
 They replace the sockets and the Zenoh session of a run of many processes.
 """
 
-import os
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 
 import msgspec
 
@@ -13,7 +11,7 @@ from autopilot.parameters.config import VehicleConfig
 from autopilot.vehicle.host import Host, warnings
 from foundation.extension_failure import ExtensionFailure
 from foundation.processes.child_protocol import Warned
-from foundation.records.record_log import BLOCK_ROWS
+from foundation.records.record_log import cut_to_blocks
 from netsim.emulator.interface import NetworkEmulator
 from netsim.transport.lockstep_radio import Deliveries, checked
 from netsim.wire.lockstep import Advance, Advanced
@@ -142,5 +140,4 @@ class InProcessLink:
         self._is_open = False
         self.host.close()
         if self.killed and self._log_path is not None:
-            block_bytes = BLOCK_ROWS * self.host.record.itemsize
-            os.truncate(self._log_path, Path(self._log_path).stat().st_size // block_bytes * block_bytes)
+            cut_to_blocks(self._log_path, self.host.record)

@@ -7,6 +7,7 @@ run in this process (`harness.launch.one_process`). Independent of the wall cloc
 
 import contextlib
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -141,6 +142,7 @@ class Simulation:
         self._touching: set[tuple[int, int]] = set()
         self._attenuation_db = scenario.radio.extra_attenuation_db
         """Attenuation of every radio link, without that of active faults: the scenario's, or as commanded."""
+        open_log = partial(RecordLog, block_rows=config.log_block_rows)
         with contextlib.ExitStack() as stack:  # closes everything if a part cannot be opened
             keep = stack.enter_context
             self._world: Physics = physics(
@@ -152,11 +154,13 @@ class Simulation:
                 ground_altitude_m=scenario.site.altitude_m,
             )
             keep(contextlib.closing(self._world))
-            self._truth_log = keep(contextlib.closing(RecordLog(config.truth_log_path, self._truth_record)))
+            self._truth_log = keep(contextlib.closing(open_log(config.truth_log_path, self._truth_record)))
             self._readings = keep(
-                contextlib.closing(ExtraReadings(extra_sensors, self._external, config.sensor_log_path))
+                contextlib.closing(
+                    ExtraReadings(extra_sensors, self._external, config.sensor_log_path, open_log=open_log)
+                )
             )
-            self._air_log = keep(contextlib.closing(RecordLog(config.air_log_path, AIR_RECORD)))
+            self._air_log = keep(contextlib.closing(open_log(config.air_log_path, AIR_RECORD)))
             self._event_log = keep(Path(config.event_log_path).open("wb", buffering=0))  # noqa: SIM115
             self.lockstep = keep(contextlib.closing(make_lockstep(self)))
             self._applications: ApplicationLinks | None = None

@@ -76,9 +76,11 @@ class EmulatorService:
         """Create the log files named in the settings. Raises OSError."""
         config, keep = self._config, self._files.enter_context
         if config.frame_log_path is not None:
-            self._frame_log = keep(contextlib.closing(RecordLog(config.frame_log_path, FRAME_LOG)))
+            log = RecordLog(config.frame_log_path, FRAME_LOG, block_rows=config.log_block_rows)
+            self._frame_log = keep(contextlib.closing(log))
         if config.session_log_path is not None:
-            self._session_log = keep(contextlib.closing(RecordLog(config.session_log_path, SESSION_LOG)))
+            log = RecordLog(config.session_log_path, SESSION_LOG, block_rows=config.log_block_rows)
+            self._session_log = keep(contextlib.closing(log))
         if config.reception_log_path is not None:
             self._reception_log = keep(
                 contextlib.closing(RecordLog(config.reception_log_path, RECEPTION_LOG))

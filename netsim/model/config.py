@@ -8,6 +8,8 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct
 
+from foundation.records.record_log import BLOCK_ROWS
+
 NonNegative = Annotated[float, Meta(ge=0.0, le=1e6)]
 Positive = Annotated[float, Meta(gt=0.0, le=1e6)]
 BandwidthMhz = Literal[20, 40, 80]
@@ -244,6 +246,8 @@ class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     session_log_path: str | None = None
     reception_log_path: str | None = None
     """Used with ``radio.log_receptions``."""
+    log_block_rows: Annotated[int, Meta(ge=1)] = BLOCK_ROWS
+    """Rows that are written at once to the logs of frames and sessions; 1 for logs read in flight."""
     capture_path: str | None = None
     epoch_unix_us: Annotated[int, Meta(ge=0, lt=16_725_225_600_000_000)] = 0
     """Date of simulated time 0 in captures, before 2500: 64 bits of nanoseconds end in 2554."""

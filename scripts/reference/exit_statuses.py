@@ -88,9 +88,9 @@ STATUSES: Mapping[str, Mapping[int, str]] = {
     "study vehicle-cost": _LIMITS,
     "study radio-cost": _LIMITS,
     "export": {
-        FINE: "The deck or the table is written.",
+        FINE: "The deck, the table or the MCAP file is written.",
         BAD_INPUT: "The folder is not of a run that has ended, there is no antenna at that time, or the "
-        "table's file cannot be written.",
+        "file cannot be written.",
         INTERRUPTED: _STOPPED,
     },
     "scenarios": {FINE: "The names are listed.", BAD_INPUT: "It takes no arguments."},
@@ -185,7 +185,7 @@ run's folder. `fly --profile` adds `profile`.
 {summary}
 ## JSON of the other commands
 
-`coflight export` writes a NEC deck on standard output or, with `--wide`, a table into a file, and
+`coflight export` writes a NEC deck on standard output or, with `--wide` or `--mcap`, a file, and
 `coflight scenarios` names, one a line; both have no `--json`.
 
 {results}"""

@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from foundation.records.record_log import BLOCK_ROWS, RecordLog, count, read, read_blocks, read_rows
+from foundation.records.record_log import (
+    BLOCK_ROWS,
+    RecordLog,
+    count,
+    cut_to_blocks,
+    read,
+    read_blocks,
+    read_rows,
+)
 from netsim.emulator.log_layout import FRAME_LOG
 from netsim.emulator.records import FrameRecord
 
@@ -43,6 +51,30 @@ def test_packed_rows_are_written_in_the_same_blocks(tmp_path):
     for log in logs:
         log.close()
     assert (tmp_path / "rows").read_bytes() == (tmp_path / "arrays").read_bytes()
+
+
+def test_a_log_of_single_rows_has_each_at_once_and_the_same_bytes_in_the_end(tmp_path):
+    logs = [RecordLog(tmp_path / "live", PAIR, block_rows=1), RecordLog(tmp_path / "blocks", PAIR)]
+    for k, row in enumerate(rows(BLOCK_ROWS + 3)):
+        for log in logs:
+            log.append([row])
+        assert count(tmp_path / "live", PAIR) == k + 1
+    for log in logs:
+        log.close()
+    assert (tmp_path / "live").read_bytes() == (tmp_path / "blocks").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("written", "left"), [(3, 0), (BLOCK_ROWS, BLOCK_ROWS), (BLOCK_ROWS + 3, BLOCK_ROWS)]
+)
+def test_a_log_cut_to_blocks_is_that_of_a_killed_process(tmp_path, written, left):
+    path = tmp_path / "log.bin"
+    cut_to_blocks(path, PAIR)
+    log = RecordLog(path, PAIR, block_rows=1)
+    log.append(rows(written))
+    cut_to_blocks(path, PAIR)
+    assert count(path, PAIR) == left
+    log.close()
 
 
 def test_incomplete_record_is_ignored_and_a_missing_file_is_empty(tmp_path):

@@ -200,7 +200,7 @@ def test_a_refused_export_is_one_line_and_status_2(run, tmp_path, capsys):
     assert "the run's own table" in refused(run.path, "--wide", run.flight)
     assert "no run that has ended" in refused(tmp_path, "--wide", tmp_path / "wide.csv")
     assert "No such file" in refused(run.path, "--wide", tmp_path / "nowhere" / "wide.csv")
-    assert "either --time" in refused(run.path)
-    assert "either --time" in refused(run.path, "--time", 5, "--wide", tmp_path / "wide.csv")
+    assert "one of --time" in refused(run.path)
+    assert "one of --time" in refused(run.path, "--time", 5, "--wide", tmp_path / "wide.csv")
     assert "--out" in refused(run.path, "--wide", tmp_path / "wide.csv", "--out", tmp_path / "x")
     assert run.flight.read_bytes() == before
