@@ -103,7 +103,7 @@ def number(value: float | None, form: str = ".3f", unit: str = "") -> str:
 
 def count(value: float | None) -> str:
     """Return a whole number in groups of three digits; a dash for None."""
-    return "–" if value is None else f"{int(value):,}".replace(",", " ")
+    return "–" if value is None else f"{int(value):,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
 
 
 def percent(part: float, whole: float, form: str = ".2f") -> str:

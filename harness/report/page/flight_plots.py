@@ -1,6 +1,7 @@
 """Figures of the flight: map, heights, speeds, errors, batteries, numbers of applications and of sensors."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from harness.report.page.encoding import plot_text, singles
 from harness.report.page.envelope import MOST_POINTS, Envelope, envelope
 from harness.report.page.plots import Plot, axis, line, rate_note, time_plot, vehicle_colours, vehicle_lines
 
+MAP_PX = 440
 MOST_HEIGHTS = 16
 """Largest number of different desired heights that are drawn"""
 
@@ -50,7 +52,7 @@ def map_plot(
     layout = {
         "xaxis": axis("East (m)"), "yaxis": axis("North (m)", scaleanchor="x"), "hovermode": "closest",
     }  # fmt: skip
-    return Plot(key="map", title="Tracks", data=data, layout=layout, note=note, height_px=440)
+    return Plot(key="map", title="Tracks", data=data, layout=layout, note=note, height_px=MAP_PX)
 
 
 def heights_plot(time_s: NDArray[Any], down_m: Envelope, desired_down_m: Envelope, *, bin_s: float) -> Plot:
@@ -62,7 +64,8 @@ def heights_plot(time_s: NDArray[Any], down_m: Envelope, desired_down_m: Envelop
         data.append(dashed | {
             "line": {"color": "#8a8f98", "width": 1, "dash": "dash"}, "showlegend": k == 0,
         })  # fmt: skip
-    return time_plot("heights", "Heights", "Height over the site (m)", data, note=rate_note(bin_s))
+    plot = time_plot("heights", "Heights", "Height over the site (m)", data, note=rate_note(bin_s))
+    return replace(plot, height_px=MAP_PX)
 
 
 def vehicle_plot(

@@ -143,7 +143,7 @@ class Replay:
             "vehicles": n,
             "colours": vehicle_colours(n),
             "range": [[float(low[k]), float(high[k])] for k in range(3)],
-            "aspect": [float(each) for each in (size[0] / widest, size[1] / widest, height / widest)],
+            "aspect": _aspect([float(size[0]), float(size[1]), height]),
             "stretch": round(height / float(size[2]), 3),
         }
 
@@ -157,3 +157,11 @@ class Replay:
         low[2] = min(low[2], 0.0)
         margin = 0.05 * max(float((high - low).max()), 1.0)
         return low - margin * np.array([1.0, 1.0, 0.0]), high + margin
+
+
+def _aspect(size_m: list[float]) -> list[float]:
+    """Return the sides of the scene, whose volume is 1 unless it is very long or narrow."""
+    widest = max(size_m)
+    sides = [max(each, 0.05 * widest) for each in size_m]
+    mean = (sides[0] * sides[1] * sides[2]) ** (1.0 / 3.0)
+    return [min(each / mean, 2.6) for each in sides]

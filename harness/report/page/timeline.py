@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ MOST_BARS = 3_000
 """Bars of the time line; with more, phases and modes are shown at fewer instants"""
 MOST_EVENTS = 500
 """Events that are marked and listed; all are in events.jsonl"""
+MODE_COLOURS = ("#a9b4c2", "#c9bfae", "#9fc3b5", "#b9a7c7", "#c2b280", "#8fa3b8", "#d0b5b5", "#b5c99a")
 _ROW_PX, _MANY_ROW_PX, _MANY = 38, 16, 16
 
 
@@ -111,9 +113,8 @@ def timeline_plot(
     places = {"Phase": (-0.40, 0.40), "Mode": (0.02, 0.24), "Failsafe": (0.28, 0.12)}
     if "Phase" not in present:
         places["Mode"] = (-0.40, 0.64)
-    colour = iter(QUALITATIVE * 40)
     for lane, (found, meanings) in present.items():
-        first_of_lane = True
+        first_of_lane, colour = True, cycle(MODE_COLOURS if lane == "Mode" else QUALITATIVE)
         for value in dict.fromkeys(each.value for each in found):
             chosen = [each for each in found if each.value == value]
             offset, width = places[lane]
@@ -124,8 +125,7 @@ def timeline_plot(
                 "base": [round(each.start_s, 3) for each in chosen],
                 "x": [round(each.end_s - each.start_s, 3) for each in chosen],
                 "width": width,
-                "marker": {"color": BAD if lane == "Failsafe" else next(colour),
-                           "opacity": 1.0 if lane != "Mode" else 0.55},
+                "marker": {"color": BAD if lane == "Failsafe" else next(colour)},
                 "customdata": [[each.vehicle, each.start_s, each.end_s] for each in chosen],
                 "hovertemplate": f"{lane}: {plot_text(name)}<br>%{{customdata[1]:.2f}} to "
                 "%{customdata[2]:.2f} s<extra>UAV %{customdata[0]}</extra>",

@@ -184,7 +184,7 @@
           xaxis: Object.assign(title("East (m)"), { range: x }),
           yaxis: Object.assign(title("North (m)"), { range: y }),
           zaxis: Object.assign(title("Up (m)"), { range: z }),
-          aspectmode: "manual", aspectratio: { x: data.aspect[0] * 1.35, y: data.aspect[1] * 1.35, z: data.aspect[2] * 1.35 },
+          aspectmode: "manual", aspectratio: { x: data.aspect[0], y: data.aspect[1], z: data.aspect[2] },
           camera: { eye: { x: -1.15, y: -1.35, z: 0.85 } }, uirevision: "kept",
         },
         legend: { orientation: "h", y: 1, yanchor: "top", x: 0, bgcolor: "rgba(0,0,0,0)" },
