@@ -168,6 +168,7 @@ def lines_of(rows: pa.Table, others: Sequence[str]) -> dict[str, np.ndarray[tupl
 
 
 def axis_name(rows: pa.Table, factor: str) -> str:
+    """Return the name of a factor with its unit."""
     unit = (rows.schema.field(factor).metadata or {}).get(b"unit", b"").decode()
     return f"{factor} ({unit})" if unit else factor
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
@@ -59,20 +60,30 @@ def make_page(rows: pa.Table, folder: Path) -> Page:
     seeds = len(set(rows.column("seed").to_pylist()))
     cards = [
         Card(label="Runs", value=count(len(rows)), detail=f"{seeds} seed{'s' if seeds > 1 else ''}"),
-        Card(label="Completed", value=count(statuses.get("completed", 0)),
-             detail=percent(statuses.get("completed", 0), len(rows), ".1f")),
+        Card(
+            label="Completed",
+            value=count(statuses.get("completed", 0)),
+            detail=percent(statuses.get("completed", 0), len(rows), ".1f"),
+        ),
         Card(label="Formation not reached", value=count(statuses.get("not_formed", 0))),
         Card(label="Failed", value=count(failed), tone="bad" if failed else ""),
-    ]  # fmt: skip
+    ]
     sections = [_factor_section(number, rows, shown, factor) for number, factor in enumerate(found)]
-    sections += [*_failed_section(rows, found, folder), _runs_section(rows, found, folder), _files_section(folder)]
+    sections += [
+        *_failed_section(rows, found, folder),
+        _runs_section(rows, found, folder),
+        _files_section(folder),
+    ]
     return Page(
-        kind="Campaign", title=name, badge=f"{failed} failed" if failed else "no run failed",
+        kind="Campaign",
+        title=name,
+        badge=f"{failed} failed" if failed else "no run failed",
         badge_tone="bad" if failed else "good",
         subtitle=[f"scenario {scenario}", f"{len(rows)} runs", f"factors: {', '.join(found)}"],
-        cards=cards, sections=[each for each in sections if each is not None],
+        cards=cards,
+        sections=sections,
         footer="Written by coflight. The file holds all that it shows and loads nothing.",
-    )  # fmt: skip
+    )
 
 
 def _factor_section(number: int, rows: pa.Table, shown: pa.Table, factor: str) -> Section:
@@ -81,25 +92,30 @@ def _factor_section(number: int, rows: pa.Table, shown: pa.Table, factor: str) -
     others = tuple(name for name in factors(rows) if name != factor)
     lines, pooled = lines_of(shown, others) if len(shown) else {}, ""
     if len(lines) > MOST_LINES:
-        lines, pooled = {"": range(len(shown))}, f"; pooled over {', '.join(others)}"
+        lines, pooled = {"": np.arange(len(shown))}, f"; pooled over {', '.join(others)}"
     results = {
-        label: {each.column: intervals(shown.take(list(of_line)), factor, each) for each in quantities}
+        label: {each.column: intervals(shown.take(of_line), factor, each) for each in quantities}
         for label, of_line in lines.items()
     }
     text = f"Points are means over the flights with their {CONFIDENCE:.0%} interval (Student's t){pooled}."
     if len(shown) < len(rows):
         text += f" Failed runs are left out: {len(rows) - len(shown)} of {len(rows)}."
     return Section(
-        key=f"factor-{number}", title=factor,
+        key=f"factor-{number}",
+        title=factor,
         text=text if quantities else "No run has results.",
         plots=[
-            _plot(f"factor-{number}-{k}", rows, factor, each, {
-                label: of_line[each.column] for label, of_line in results.items()
-            })
+            _plot(
+                f"factor-{number}-{k}",
+                rows,
+                factor,
+                each,
+                {label: of_line[each.column] for label, of_line in results.items()},
+            )
             for k, each in enumerate(quantities)
         ],
         tables=[_interval_table(factor, quantities, results)] if quantities else [],
-    )  # fmt: skip
+    )
 
 
 def _plot(
@@ -112,23 +128,46 @@ def _plot(
         ordered = sorted(found, key=lambda value: places[value])
         means = [found[value].value for value in ordered]
         halves = [found[value].high - found[value].value for value in ordered]
-        data.append({
-            "type": "scatter", "mode": "lines+markers" if is_number else "markers",
-            "name": plot_text(label or "all runs"), "showlegend": len(lines) > 1,
-            "x": [places[value] for value in ordered] if is_number else [_category(value) for value in ordered],
-            "y": means, "line": {"color": colour, "width": 1.2}, "marker": {"color": colour, "size": 7},
-            "error_y": {"type": "data", "array": [0.0 if math.isnan(half) else half for half in halves],
-                        "color": colour, "thickness": 1.4, "width": 5},
-            "text": [plot_text(f"{found[value].text()}, {found[value].count} flights") for value in ordered],
-            "hovertemplate": "%{text}<extra>%{x}</extra>",
-        })  # fmt: skip
-    kind: dict[str, Any] = {} if is_number else {
-        "type": "category", "categoryorder": "array", "categoryarray": [_category(value) for value in places],
-    }  # fmt: skip
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "lines+markers" if is_number else "markers",
+                "name": plot_text(label or "all runs"),
+                "showlegend": len(lines) > 1,
+                "x": [places[value] for value in ordered]
+                if is_number
+                else [_category(value) for value in ordered],
+                "y": means,
+                "line": {"color": colour, "width": 1.2},
+                "marker": {"color": colour, "size": 7},
+                "error_y": {
+                    "type": "data",
+                    "array": [0.0 if math.isnan(half) else half for half in halves],
+                    "color": colour,
+                    "thickness": 1.4,
+                    "width": 5,
+                },
+                "text": [
+                    plot_text(f"{found[value].text()}, {found[value].count} flights") for value in ordered
+                ],
+                "hovertemplate": "%{text}<extra>%{x}</extra>",
+            }
+        )
+    kind: dict[str, Any] = (
+        {}
+        if is_number
+        else {
+            "type": "category",
+            "categoryorder": "array",
+            "categoryarray": [_category(value) for value in places],
+        }
+    )
     layout = {
-        "xaxis": axis(plot_text(axis_name(rows, factor)), **kind), "yaxis": axis(quantity.label),
-        "scattermode": "group", "hovermode": "closest",
-    }  # fmt: skip
+        "xaxis": axis(plot_text(axis_name(rows, factor)), **kind),
+        "yaxis": axis(quantity.label),
+        "scattermode": "group",
+        "hovermode": "closest",
+    }
     return Plot(key=key, title=quantity.label, data=data, layout=layout)
 
 
@@ -173,11 +212,19 @@ def _runs_section(rows: pa.Table, found: Sequence[str], folder: Path) -> Section
     heads = ("Run", *found, "Seed", "Status", *(each.column for each in quantities))
     first = len(heads) - len(quantities)
     return Section(
-        key="runs", title="Runs",
+        key="runs",
+        title="Runs",
         text="A run's file has its whole summary, and the settings with which coflight fly repeats it.",
-        tables=[Table(heads=heads, rows=_listed(rows, names, folder), numeric=range(first, len(heads)),
-                      note=_more(rows), is_long=True)],
-    )  # fmt: skip
+        tables=[
+            Table(
+                heads=heads,
+                rows=_listed(rows, names, folder),
+                numeric=range(first, len(heads)),
+                note=_more(rows),
+                is_long=True,
+            )
+        ],
+    )
 
 
 def _listed(rows: pa.Table, names: Sequence[str], folder: Path) -> list[list[Cell]]:
@@ -209,5 +256,7 @@ def _files_section(folder: Path) -> Section:
         if path.is_file()
     ]
     return Section(
-        key="files", title="Files", tables=[Table(heads=("File", "Size"), rows=rows, numeric=(1,), is_long=True)]
+        key="files",
+        title="Files",
+        tables=[Table(heads=("File", "Size"), rows=rows, numeric=(1,), is_long=True)],
     )

@@ -38,7 +38,9 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 def report(
     run: Annotated[Path, typer.Argument(help="Folder of a run or campaign that has ended.", metavar="RUN")],
     *,
-    figures: Annotated[bool, typer.Option("--figures", help="Draw the figures and report.html again.")] = False,
+    figures: Annotated[
+        bool, typer.Option("--figures", help="Draw the figures and report.html again.")
+    ] = False,
     json: Annotated[bool, typer.Option("--json", help="The summary alone on stdout.")] = False,
 ) -> None:
     """Show what came out of a run or campaign; make the tables of a run that was interrupted before that."""

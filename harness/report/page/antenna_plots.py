@@ -24,28 +24,44 @@ def gain_plots(series: GainSeries, ideal: Pattern | None) -> list[Plot]:
     time_s = series.time_us / 1e6
     found = envelope(series.max_gain_dbi[:, np.newaxis])
     data = [
-        line(time_s[found.rows], found.values[:, 0], "flown", _FLOWN, hovertemplate="%{y:.3f} dBi<extra></extra>")
+        line(
+            time_s[found.rows],
+            found.values[:, 0],
+            "flown",
+            _FLOWN,
+            hovertemplate="%{y:.3f} dBi<extra></extra>",
+        )
     ]
     if ideal is not None:
         ends_s = time_s[[0, -1]]
         data.append(line(ends_s, np.full(2, ideal.max_gain_dbi), "every UAV upright in its place", _IDEAL))
         data[-1]["line"] = {"color": _IDEAL, "width": 1.4, "dash": "dash"}
     if series.missing:
-        data.append({
-            "type": "scatter", "mode": "markers", "name": "no pattern", "marker": {"symbol": "x", "color": BAD},
-            "x": [each.time_us / 1e6 for each in series.missing[:200]],
-            "y": [float(series.max_gain_dbi.min())] * len(series.missing[:200]),
-            "text": [each.reason for each in series.missing[:200]], "hovertemplate": "%{text}<extra></extra>",
-        })  # fmt: skip
-    plot = time_plot(
-        "gain", "Maximum gain", "Gain (dBi)", data, note=rate_note(bin_seconds(time_s, found))
-    )  # fmt: skip
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "markers",
+                "name": "no pattern",
+                "marker": {"symbol": "x", "color": BAD},
+                "x": [each.time_us / 1e6 for each in series.missing[:200]],
+                "y": [float(series.max_gain_dbi.min())] * len(series.missing[:200]),
+                "text": [each.reason for each in series.missing[:200]],
+                "hovertemplate": "%{text}<extra></extra>",
+            }
+        )
+    plot = time_plot("gain", "Maximum gain", "Gain (dBi)", data, note=rate_note(bin_seconds(time_s, found)))
     note = f"{len(series.patterns)} instants in formation"
     return [
         plot,
-        histogram("gain-density", "Distribution of the maximum gain", "Gain (dBi)", series.max_gain_dbi,
-                  note=note, colour=_FLOWN),
-    ]  # fmt: skip
+        histogram(
+            "gain-density",
+            "Distribution of the maximum gain",
+            "Gain (dBi)",
+            series.max_gain_dbi,
+            note=note,
+            colour=_FLOWN,
+        ),
+    ]
 
 
 def pattern_plots(ideal: Pattern, flown: Pattern) -> list[Plot]:
@@ -55,11 +71,23 @@ def pattern_plots(ideal: Pattern, flown: Pattern) -> list[Plot]:
     horizon = [(name, colour, each.phi_deg, _row(each, 90.0)) for name, colour, each in _both(ideal, flown)]
     upright = [(name, colour, *_circle(each, 90.0)) for name, colour, each in _both(ideal, flown)]
     return [
-        _polar("pattern-horizon", "Pattern, horizontal cut", horizon, low_dbi, top_dbi,
-               "theta = 90°; angle: phi, from broadside (0°) to end fire (90°)"),
-        _polar("pattern-upright", "Pattern, vertical cut", upright, low_dbi, top_dbi,
-               "phi = 90° and 270°; angle: theta, 0° is up, 90° is end fire"),
-    ]  # fmt: skip
+        _polar(
+            "pattern-horizon",
+            "Pattern, horizontal cut",
+            horizon,
+            low_dbi,
+            top_dbi,
+            "theta = 90°; angle: phi, from broadside (0°) to end fire (90°)",
+        ),
+        _polar(
+            "pattern-upright",
+            "Pattern, vertical cut",
+            upright,
+            low_dbi,
+            top_dbi,
+            "phi = 90° and 270°; angle: theta, 0° is up, 90° is end fire",
+        ),
+    ]
 
 
 def _both(ideal: Pattern, flown: Pattern) -> tuple[tuple[str, str, Pattern], ...]:
@@ -82,26 +110,35 @@ def _circle(pattern: Pattern, phi_deg: float) -> tuple[NDArray[Any], NDArray[Any
 
 
 def _polar(
-    key: str, title: str, cuts: list[tuple[str, str, NDArray[Any], NDArray[Any]]], low_dbi: float, top_dbi: float,
+    key: str,
+    title: str,
+    cuts: list[tuple[str, str, NDArray[Any], NDArray[Any]]],
+    low_dbi: float,
+    top_dbi: float,
     note: str,
-) -> Plot:  # fmt: skip
+) -> Plot:
     data = [
         {
-            "type": "scatterpolar", "mode": "lines", "name": name,
+            "type": "scatterpolar",
+            "mode": "lines",
+            "name": name,
             "theta": singles(np.append(angle_deg, angle_deg[0])),
             "r": singles(np.maximum(np.append(gain_dbi, gain_dbi[0]), low_dbi)),
             "line": {"color": colour, "width": 1.6, "dash": "dash" if k == 0 else "solid"},
             "hovertemplate": "%{theta:.1f}°: %{r:.2f} dBi<extra></extra>",
         }
         for k, (name, colour, angle_deg, gain_dbi) in enumerate(cuts)
-    ]  # fmt: skip
+    ]
     layout = {
         "polar": {
-            "radialaxis": {"range": [low_dbi, top_dbi], "ticksuffix": " dBi", "nticks": 5, "angle": 22.5,
-                           "tickangle": 22.5},
+            "radialaxis": {
+                "range": [low_dbi, top_dbi],
+                "ticksuffix": " dBi",
+                "nticks": 5,
+                "angle": 22.5,
+                "tickangle": 22.5,
+            },
             "angularaxis": {"rotation": 90, "direction": "clockwise"},
         },
-    }  # fmt: skip
+    }
     return Plot(key=key, title=title, data=data, layout=layout, note=note, height_px=420)
-
-

@@ -13,8 +13,16 @@ TIME_BINS = 600
 """Intervals of the figures over time"""
 LEAST_BIN_S = 0.1
 COLUMNS = (
-    "start_ns", "end_ns", "source", "kind", "mode", "bytes", "delivered", "collided", "lost_to_noise",
-)  # fmt: skip
+    "start_ns",
+    "end_ns",
+    "source",
+    "kind",
+    "mode",
+    "bytes",
+    "delivered",
+    "collided",
+    "lost_to_noise",
+)
 """Columns of ``radio.parquet`` that are read"""
 OUTCOMES = ("delivered", "collided", "lost_to_noise")
 _FIELDS = ("frames", "bytes", "airtime_s", *OUTCOMES)
@@ -79,13 +87,19 @@ class ChannelStatistics:
         middles_s = (self.edges_s[1:] + self.edges_s[:-1]) / 2.0
         kinds = [
             {
-                "type": "scatter", "mode": "lines", "name": plot_text(kind), "stackgroup": "kinds",
-                "x": singles(middles_s), "y": singles(found / width_s),
+                "type": "scatter",
+                "mode": "lines",
+                "name": plot_text(kind),
+                "stackgroup": "kinds",
+                "x": singles(middles_s),
+                "y": singles(found / width_s),
                 "line": {"width": 0.5, "color": colour, "shape": "hvh"},
                 "hovertemplate": f"{plot_text(kind)}: %{{y:.1f}} per s<extra></extra>",
             }
-            for colour, (kind, found) in zip(QUALITATIVE * 4, sorted(self.kinds_over_time.items()), strict=False)
-        ]  # fmt: skip
+            for colour, (kind, found) in zip(
+                QUALITATIVE * 4, sorted(self.kinds_over_time.items()), strict=False
+            )
+        ]
         note = f"mean over {width_s:.3g} s"
         total = self.outcomes_over_time.sum(axis=1)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -95,27 +109,50 @@ class ChannelStatistics:
             for k, name, colour in ((1, "collided", BAD), (2, "lost to noise", "#b8860b"))
         ]
         return [
-            time_plot("frames", "Frames on the channel", "Frames per s", kinds, note=note, rangemode="tozero"),
-            time_plot("losses", "Intended receivers that lost a frame", "Share (%)", losses, note=note,
-                      rangemode="tozero"),
-        ]  # fmt: skip
+            time_plot(
+                "frames", "Frames on the channel", "Frames per s", kinds, note=note, rangemode="tozero"
+            ),
+            time_plot(
+                "losses",
+                "Intended receivers that lost a frame",
+                "Share (%)",
+                losses,
+                note=note,
+                rangemode="tozero",
+            ),
+        ]
 
 
 def occupancy_plot(time_us: NDArray[np.int64], busy_fraction: NDArray[np.float64]) -> Plot | None:
-    """Return the busy fraction (K,), 0 to 1, in the intervals that end at ``time_us`` (K,); None for K = 0."""
+    """Return the busy fraction (K,), 0 to 1, in intervals ending at ``time_us`` (K,); None if K is 0."""
     if not len(time_us):
         return None
     percent = 100.0 * busy_fraction
     mean = float(percent.mean())
-    data = [line(time_us / 1e6, percent, "busy", GOOD, showlegend=False, hovertemplate="%{y:.2f} %<extra></extra>")]
+    data = [
+        line(
+            time_us / 1e6, percent, "busy", GOOD, showlegend=False, hovertemplate="%{y:.2f} %<extra></extra>"
+        )
+    ]
     plot = time_plot(
-        "occupancy", "Occupancy of the channel", "Channel busy (%)", data, rangemode="tozero",
+        "occupancy",
+        "Occupancy of the channel",
+        "Channel busy (%)",
+        data,
+        rangemode="tozero",
         note=f"mean {mean:.1f} %; over the interval of 1 s before each point",
-    )  # fmt: skip
-    plot.layout["shapes"] = [{
-        "type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": mean, "y1": mean,
-        "line": {"dash": "dash", "width": 1, "color": "#8a8f98"},
-    }]  # fmt: skip
+    )
+    plot.layout["shapes"] = [
+        {
+            "type": "line",
+            "xref": "paper",
+            "x0": 0,
+            "x1": 1,
+            "y0": mean,
+            "y1": mean,
+            "line": {"dash": "dash", "width": 1, "color": "#8a8f98"},
+        }
+    ]
     return plot
 
 
@@ -130,16 +167,24 @@ def losses_plot(stations: Sequence[dict[str, float]]) -> Plot | None:
             100.0 * row[key] / total if (total := sum(row[each] for each in OUTCOMES)) else 0.0
             for row in stations
         ]
-        data.append({
-            "type": "bar", "name": name, "x": names, "y": [round(share, 4) for share in shares],
-            "marker": {"color": colour},
-            "hovertemplate": f"station %{{x}}, {name}: %{{y:.2f}} %<extra></extra>",
-        })  # fmt: skip
+        data.append(
+            {
+                "type": "bar",
+                "name": name,
+                "x": names,
+                "y": [round(share, 4) for share in shares],
+                "marker": {"color": colour},
+                "hovertemplate": f"station %{{x}}, {name}: %{{y:.2f}} %<extra></extra>",
+            }
+        )
     return Plot(
-        key="losses-by-station", title="Losses by transmitting station", data=data,
-        layout={"barmode": "stack", "xaxis": axis("Station", type="category"),
-                "yaxis": axis("Share of intended receivers (%)")},
+        key="losses-by-station",
+        title="Losses by transmitting station",
+        data=data,
+        layout={
+            "barmode": "stack",
+            "xaxis": axis("Station", type="category"),
+            "yaxis": axis("Share of intended receivers (%)"),
+        },
         note="of all frames of a station; numbers from that of UAVs on are guests",
-    )  # fmt: skip
-
-
+    )

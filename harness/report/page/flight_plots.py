@@ -33,45 +33,74 @@ def map_plot(
     colours = vehicle_colours(pos_ned_m.shape[1])
     for i, colour in enumerate(colours):
         more = {
-            "meta": {"uav": i}, "showlegend": False, "customdata": singles(time_s),
+            "meta": {"uav": i},
+            "showlegend": False,
+            "customdata": singles(time_s),
             "hovertemplate": "east %{x:.2f} m, north %{y:.2f} m<br>t = %{customdata:.2f} s"
             f"<extra>UAV {i}</extra>",
-        }  # fmt: skip
+        }
         data.append(line(pos_ned_m[:, i, 1], pos_ned_m[:, i, 0], f"UAV {i}", colour, **more))
         if moves:
             north_m, east_m = desired_pos_ned_m[:, i, 0], desired_pos_ned_m[:, i, 1]
-            wanted = line(east_m, north_m, "desired", "#8a8f98", meta={"uav": i}, showlegend=False)
-            data.append(wanted | {"line": {"color": "#8a8f98", "width": 0.7, "dash": "dot"}, "hoverinfo": "skip"})
+            planned = line(east_m, north_m, "desired", "#8a8f98", meta={"uav": i}, showlegend=False)
+            data.append(
+                planned | {"line": {"color": "#8a8f98", "width": 0.7, "dash": "dot"}, "hoverinfo": "skip"}
+            )
     last = desired_pos_ned_m[-1]
-    data.append({
-        "type": "scatter", "mode": "markers", "name": "desired place at the end", "x": singles(last[:, 1]),
-        "y": singles(last[:, 0]), "marker": {"symbol": "cross-thin", "size": 11, "color": colours,
-                                             "line": {"width": 2, "color": colours}},
-        "hovertemplate": "east %{x:.2f} m, north %{y:.2f} m<extra>desired place</extra>", "showlegend": False,
-    })  # fmt: skip
+    data.append(
+        {
+            "type": "scatter",
+            "mode": "markers",
+            "name": "desired place at the end",
+            "x": singles(last[:, 1]),
+            "y": singles(last[:, 0]),
+            "marker": {
+                "symbol": "cross-thin",
+                "size": 11,
+                "color": colours,
+                "line": {"width": 2, "color": colours},
+            },
+            "hovertemplate": "east %{x:.2f} m, north %{y:.2f} m<extra>desired place</extra>",
+            "showlegend": False,
+        }
+    )
     layout = {
-        "xaxis": axis("East (m)"), "yaxis": axis("North (m)", scaleanchor="x"), "hovermode": "closest",
-    }  # fmt: skip
+        "xaxis": axis("East (m)"),
+        "yaxis": axis("North (m)", scaleanchor="x"),
+        "hovermode": "closest",
+    }
     return Plot(key="map", title="Tracks", data=data, layout=layout, note=note, height_px=MAP_PX)
 
 
 def heights_plot(time_s: NDArray[Any], down_m: Envelope, desired_down_m: Envelope, *, bin_s: float) -> Plot:
     """Return heights over the site, and the different desired ones."""
     data = vehicle_lines(time_s[down_m.rows], -down_m.values, digits=2, unit="m")
-    wanted = np.unique(-desired_down_m.values, axis=1)[:, :MOST_HEIGHTS]
-    for k in range(wanted.shape[1]):
-        dashed = line(time_s[desired_down_m.rows], wanted[:, k], "desired", "#8a8f98", hoverinfo="skip")
-        data.append(dashed | {
-            "line": {"color": "#8a8f98", "width": 1, "dash": "dash"}, "showlegend": k == 0,
-        })  # fmt: skip
+    heights = np.unique(-desired_down_m.values, axis=1)[:, :MOST_HEIGHTS]
+    for k in range(heights.shape[1]):
+        dashed = line(time_s[desired_down_m.rows], heights[:, k], "desired", "#8a8f98", hoverinfo="skip")
+        data.append(
+            dashed
+            | {
+                "line": {"color": "#8a8f98", "width": 1, "dash": "dash"},
+                "showlegend": k == 0,
+            }
+        )
     plot = time_plot("heights", "Heights", "Height over the site (m)", data, note=rate_note(bin_s))
     return replace(plot, height_px=MAP_PX)
 
 
 def vehicle_plot(
-    key: str, title: str, label: str, time_s: NDArray[Any], values: NDArray[Any], *, digits: int = 2,
-    unit: str = "", note: str = "", **layout: Any,  # noqa: ANN401  settings of the axis
-) -> Plot | None:  # fmt: skip
+    key: str,
+    title: str,
+    label: str,
+    time_s: NDArray[Any],
+    values: NDArray[Any],
+    *,
+    digits: int = 2,
+    unit: str = "",
+    note: str = "",
+    **layout: Any,  # noqa: ANN401  settings of the axis
+) -> Plot | None:
     """Return a figure of values (T, N) over all recorded instants; None without a number."""
     found = envelope(values)
     if not np.isfinite(found.values).any():
@@ -111,11 +140,18 @@ def error_plots(errors: ErrorEnvelopes) -> list[Plot]:
     plots = []
     for key, title, found, rms_m in (
         ("error-absolute", "Formation error, from the desired places", errors.absolute, errors.rms_m[0]),
-        ("error-shape", "Formation error, shape: after the best rigid alignment", errors.shape, errors.rms_m[1]),
+        (
+            "error-shape",
+            "Formation error, shape: after the best rigid alignment",
+            errors.shape,
+            errors.rms_m[1],
+        ),
     ):
         time_s = errors.time_s[found.rows]
         data = vehicle_lines(time_s, found.values[:, :-1], unit="m")
-        data.append(line(time_s, found.values[:, -1], "RMS over UAVs", "currentColor", hovertemplate="%{y:.3f} m"))
+        data.append(
+            line(time_s, found.values[:, -1], "RMS over UAVs", "currentColor", hovertemplate="%{y:.3f} m")
+        )
         rms = "not defined" if rms_m is None else f"RMS {rms_m:.3f} m"
         note = f"{rms}; {rate_note(bin_seconds(errors.time_s, found))}"
         plots.append(time_plot(key, title, "Error (m)", data, note=note, rangemode="tozero"))
@@ -127,9 +163,15 @@ def number_plot(key: str, name: str, time_s: NDArray[Any], values: NDArray[Any])
     unit = unit_of(name)
     label = f"{name} ({unit})" if unit else name
     return vehicle_plot(
-        key, plot_text(name), plot_text(label), time_s, values, digits=3, unit=unit,
+        key,
+        plot_text(name),
+        plot_text(label),
+        time_s,
+        values,
+        digits=3,
+        unit=unit,
         note="reported by the on-board applications",
-    )  # fmt: skip
+    )
 
 
 def sensor_plots(
@@ -137,8 +179,8 @@ def sensor_plots(
 ) -> list[Plot]:
     """Return a figure for each value of the scenario's own sensors.
 
-    ``series`` has the least and greatest value of each bin (2 B, N) by sensor and column, ``edges_s`` (B + 1,)
-    the bins' ends.
+    ``series`` has the least and greatest value of each bin (2 B, N) by sensor and column, and ``edges_s``
+    (B + 1,) the ends of the bins.
     """
     starts, middles = edges_s[:-1], (edges_s[1:] + edges_s[:-1]) / 2.0
     time_s = np.column_stack([starts, middles]).ravel()

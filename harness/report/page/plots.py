@@ -17,9 +17,21 @@ from harness.report.page.encoding import plot_text, singles
 
 HEIGHT_PX = 320
 QUALITATIVE = (
-    "#4c78a8", "#f58518", "#54a24b", "#b279a2", "#eeca3b", "#72b7b2", "#ff9da6", "#9d755d", "#e45756",
-    "#79706e", "#8cd17d", "#499894", "#d37295", "#b6992d",
-)  # fmt: skip
+    "#4c78a8",
+    "#f58518",
+    "#54a24b",
+    "#b279a2",
+    "#eeca3b",
+    "#72b7b2",
+    "#ff9da6",
+    "#9d755d",
+    "#e45756",
+    "#79706e",
+    "#8cd17d",
+    "#499894",
+    "#d37295",
+    "#b6992d",
+)
 GOOD, BAD, NEUTRAL = "#2f9e62", "#d64545", "#8a8f98"
 
 
@@ -67,33 +79,58 @@ def vehicle_lines(
     x = singles(time_s)
     return [
         {
-            "type": "scatter", "mode": "lines", "name": f"UAV {i}", "x": x, "y": singles(values[:, i]),
-            "line": {"color": colour, "width": 1.1}, "meta": {"uav": i}, "showlegend": False,
+            "type": "scatter",
+            "mode": "lines",
+            "name": f"UAV {i}",
+            "x": x,
+            "y": singles(values[:, i]),
+            "line": {"color": colour, "width": 1.1},
+            "meta": {"uav": i},
+            "showlegend": False,
             "hovertemplate": f"%{{y:.{digits}f}}{plot_text(f' {unit}'.rstrip())}<extra>UAV {i}</extra>",
         }
         for i, colour in enumerate(vehicle_colours(values.shape[1]))
         if np.isfinite(values[:, i]).any()
-    ]  # fmt: skip
+    ]
 
 
 def line(
-    x: NDArray[Any], y: NDArray[Any], name: str, colour: str, **more: Any  # noqa: ANN401  any setting
-) -> dict[str, Any]:  # fmt: skip
+    x: NDArray[Any],
+    y: NDArray[Any],
+    name: str,
+    colour: str,
+    **more: Any,  # noqa: ANN401  any setting
+) -> dict[str, Any]:
     """Return one line; ``more`` are settings of the trace."""
     return {
-        "type": "scatter", "mode": "lines", "name": plot_text(name), "x": singles(x), "y": singles(y),
-        "line": {"color": colour, "width": 1.6}, **more,
-    }  # fmt: skip
+        "type": "scatter",
+        "mode": "lines",
+        "name": plot_text(name),
+        "x": singles(x),
+        "y": singles(y),
+        "line": {"color": colour, "width": 1.6},
+        **more,
+    }
 
 
 def time_plot(
-    key: str, title: str, label: str, data: Sequence[dict[str, Any]], *, note: str = "", **layout: Any  # noqa: ANN401
-) -> Plot:  # fmt: skip
+    key: str,
+    title: str,
+    label: str,
+    data: Sequence[dict[str, Any]],
+    *,
+    note: str = "",
+    **layout: Any,  # noqa: ANN401
+) -> Plot:
     """Return a figure over the simulated time; ``layout`` are further settings of the vertical axis."""
     return Plot(
-        key=key, title=title, data=list(data), note=note, over_time=True,
+        key=key,
+        title=title,
+        data=list(data),
+        note=note,
+        over_time=True,
         layout={"xaxis": TIME, "yaxis": axis(label, **layout), "hovermode": "closest"},
-    )  # fmt: skip
+    )
 
 
 def rate_note(bin_s: float) -> str:
@@ -107,10 +144,14 @@ def histogram(key: str, title: str, label: str, values: NDArray[Any], *, note: s
     centres = (edges[1:] + edges[:-1]) / 2.0
     width = float(edges[1] - edges[0])
     bars = {
-        "type": "bar", "x": singles(centres), "y": counts.tolist(), "width": width,
-        "marker": {"color": colour, "opacity": 0.8}, "showlegend": False,
+        "type": "bar",
+        "x": singles(centres),
+        "y": counts.tolist(),
+        "width": width,
+        "marker": {"color": colour, "opacity": 0.8},
+        "showlegend": False,
         "hovertemplate": "%{x:.3f}: %{y}<extra></extra>",
-    }  # fmt: skip
+    }
     layout = {"xaxis": axis(label), "yaxis": axis("Number"), "bargap": 0.0}
     return Plot(key=key, title=title, data=[bars], layout=layout, note=note)
 
@@ -131,17 +172,22 @@ def matrix(
     """Return a matrix (N, N), such as of initiators and peers, as a coloured table; NaN is left out."""
     count = len(values)
     heat = {
-        "type": "heatmap", "z": singles(values), "colorscale": "RdBu" if diverging else "Viridis",
-        "hovertemplate": f"%{{y}} to %{{x}}: %{{z:.3g}} {plot_text(unit)}<extra></extra>", "xgap": 1, "ygap": 1,
+        "type": "heatmap",
+        "z": singles(values),
+        "colorscale": "RdBu" if diverging else "Viridis",
+        "hovertemplate": f"%{{y}} to %{{x}}: %{{z:.3g}} {plot_text(unit)}<extra></extra>",
+        "xgap": 1,
+        "ygap": 1,
         "colorbar": {"title": {"text": plot_text(unit)}, "thickness": 12},
         **({"zmid": 0.0} if diverging else {}),
-    }  # fmt: skip
+    }
     if count <= 12:
         heat |= {"texttemplate": "%{z:.2g}"}
     ticks = {"tickmode": "linear", "tick0": 0, "dtick": max(1, count // 12)}
     layout = {
         "xaxis": axis("Peer", **ticks, constrain="domain", showgrid=False),
-        "yaxis": axis("Initiator", **ticks, autorange="reversed", scaleanchor="x", constrain="domain",
-                      showgrid=False),
-    }  # fmt: skip
+        "yaxis": axis(
+            "Initiator", **ticks, autorange="reversed", scaleanchor="x", constrain="domain", showgrid=False
+        ),
+    }
     return Plot(key=key, title=title, data=[heat], layout=layout, note=note, height_px=400)

@@ -1,5 +1,6 @@
 """Statistics of ranging: sessions by status and pair, errors over time and distance, from batches."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -20,7 +21,7 @@ MOST_MATRIX = 64
 
 
 class RangingStatistics:
-    """Results of the sessions of a run; of each completed one, time, distance and error are kept (12 byte)."""
+    """Results of ranging; time, distance and error of each completed one are kept (12 byte)."""
 
     def __init__(self, end_s: float) -> None:
         self._end_s = end_s
@@ -54,7 +55,7 @@ class RangingStatistics:
         return self._kept[0]
 
     def pair_rows(self) -> list[tuple[int, int, int, int, float | None, float | None]]:
-        """Return initiator, peer, sessions, completed ones, mean error and its standard deviation, by pair."""
+        """Return initiator, peer, sessions, completed ones, mean error and its deviation, by pair."""
         rows = []
         for (initiator, peer), (count, completed, total, squares) in sorted(self._pairs.items()):
             mean = total / completed if completed else None
@@ -72,12 +73,21 @@ class RangingStatistics:
         if len(found):
             error_m = found[:, 2].astype(np.float64)
             spread_m = float(error_m.std(ddof=1)) if len(error_m) > 1 else 0.0
-            note = f"{len(error_m)} sessions, mean {error_m.mean():.4f} m, standard deviation {spread_m:.4f} m"
+            note = (
+                f"{len(error_m)} sessions, mean {error_m.mean():.4f} m, standard deviation {spread_m:.4f} m"
+            )
             plots += [
-                histogram("ranging-error", "Ranging errors", "Measured less true distance (m)", error_m,
-                          note=note, colour=GOOD),
-                self._over_time(found), _over_distance(found),
-            ]  # fmt: skip
+                histogram(
+                    "ranging-error",
+                    "Ranging errors",
+                    "Measured less true distance (m)",
+                    error_m,
+                    note=note,
+                    colour=GOOD,
+                ),
+                self._over_time(found),
+                _over_distance(found),
+            ]
         return plots + self._matrices()
 
     def _over_time(self, found: NDArray[np.float32]) -> Plot:
@@ -86,9 +96,12 @@ class RangingStatistics:
         middles_s, low, middle, high = _percentiles(found[:, 0], found[:, 2], edges_s)
         note = f"of the sessions in every {edges_s[1] - edges_s[0]:.3g} s" if len(edges_s) > 1 else ""
         return time_plot(
-            "ranging-over-time", "Ranging errors over time", "Error (m)", _band(middles_s, low, middle, high),
+            "ranging-over-time",
+            "Ranging errors over time",
+            "Error (m)",
+            _band(middles_s, low, middle, high),
             note=note,
-        )  # fmt: skip
+        )
 
     def _matrices(self) -> list[Plot]:
         stations = 1 + max(max(pair) for pair in self._pairs)
@@ -99,11 +112,22 @@ class RangingStatistics:
             share[initiator, peer] = 100.0 * completed / count
             if mean_m is not None:
                 mean[initiator, peer] = mean_m
-        plots = [matrix("ranging-share", "Completed sessions by pair", share, note="of the pair's requests",
-                        unit="%")]  # fmt: skip
+        plots = [
+            matrix(
+                "ranging-share", "Completed sessions by pair", share, note="of the pair's requests", unit="%"
+            )
+        ]
         if np.isfinite(mean).any():
-            plots.append(matrix("ranging-mean", "Mean ranging error by pair", mean, unit="m", diverging=True,
-                                note="measured less true distance"))  # fmt: skip
+            plots.append(
+                matrix(
+                    "ranging-mean",
+                    "Mean ranging error by pair",
+                    mean,
+                    unit="m",
+                    diverging=True,
+                    note="measured less true distance",
+                )
+            )
         return plots
 
 
@@ -115,7 +139,7 @@ def _percentiles(
     order = np.argsort(interval, kind="stable")
     bounds = np.searchsorted(interval[order], np.arange(len(edges)))
     middles, rows = [], []
-    for k, (first, last) in enumerate(zip(bounds[:-1], bounds[1:], strict=True)):
+    for k, (first, last) in enumerate(itertools.pairwise(bounds)):
         if last > first:
             middles.append((edges[k] + edges[k + 1]) / 2.0)
             rows.append(np.percentile(values[order[first:last]], PERCENTILES))
@@ -128,7 +152,9 @@ def _band(
 ) -> list[dict[str, Any]]:
     edge = {"showlegend": False, "hoverinfo": "skip"}
     upper = line(x, high, "95 %", GOOD, **edge) | {"line": {"width": 0, "color": GOOD}}
-    lower = line(x, low, "5 % to 95 %", GOOD, fill="tonexty", fillcolor="rgba(47,158,98,0.22)", hoverinfo="skip")
+    lower = line(
+        x, low, "5 % to 95 %", GOOD, fill="tonexty", fillcolor="rgba(47,158,98,0.22)", hoverinfo="skip"
+    )
     lower |= {"line": {"width": 0, "color": GOOD}}
     return [upper, lower, line(x, middle, "median", GOOD, hovertemplate="median %{y:.4f} m<extra></extra>")]
 
@@ -142,8 +168,9 @@ def _over_distance(found: NDArray[np.float32]) -> Plot:
     data[2]["mode"] = "lines+markers"
     layout = {"xaxis": axis("True distance (m)"), "yaxis": axis("Error (m)")}
     return Plot(
-        key="ranging-over-distance", title="Ranging errors over distance", data=data, layout=layout,
+        key="ranging-over-distance",
+        title="Ranging errors over distance",
+        data=data,
+        layout=layout,
         note=f"of the sessions in every {edges_m[1] - edges_m[0]:.3g} m",
-    )  # fmt: skip
-
-
+    )

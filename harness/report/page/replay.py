@@ -59,9 +59,12 @@ class Links:
         is_data = frames["kind"] == (texts.index("data") if "data" in texts else -1)
         to_one = is_data & (frames["destination"] >= 0)
         self._add(
-            frames["end_ns"][to_one], frames["source"][to_one], frames["destination"][to_one],
-            frames["delivered"][to_one] > 0, SENT,
-        )  # fmt: skip
+            frames["end_ns"][to_one],
+            frames["source"][to_one],
+            frames["destination"][to_one],
+            frames["delivered"][to_one] > 0,
+            SENT,
+        )
         to_all = is_data & (frames["destination"] < 0) & (frames["source"] < self._vehicles)
         instants = np.searchsorted(self._ends_s, frames["end_ns"][to_all] / 1e9)
         inside = instants < len(self._ends_s)
@@ -71,8 +74,13 @@ class Links:
         np.add.at(self._heard[..., 1], at, lost[to_all][inside])
 
     def _add(
-        self, time_ns: NDArray[Any], first: NDArray[Any], second: NDArray[Any], fine: NDArray[np.bool_], kind: int
-    ) -> None:  # fmt: skip
+        self,
+        time_ns: NDArray[Any],
+        first: NDArray[Any],
+        second: NDArray[Any],
+        fine: NDArray[np.bool_],
+        kind: int,
+    ) -> None:
         n = self._vehicles
         instants = np.searchsorted(self._ends_s, time_ns / 1e9)
         known = (instants < len(self._ends_s)) & (first < n) & (second < n) & (first >= 0) & (second >= 0)
@@ -150,9 +158,9 @@ class Replay:
     def _extent(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the least and greatest east, north and up of living vehicles and places, with a margin."""
         counted = self.alive & np.isfinite(self.pos_ned_m).all(axis=-1)
-        points = np.concatenate(
-            [self.pos_ned_m[counted], self.desired_pos_ned_m.reshape(-1, 3)]
-        ) @ _ENU_FROM_NED.T  # fmt: skip
+        points = (
+            np.concatenate([self.pos_ned_m[counted], self.desired_pos_ned_m.reshape(-1, 3)]) @ _ENU_FROM_NED.T
+        )
         low, high = points.min(axis=0), points.max(axis=0)
         low[2] = min(low[2], 0.0)
         margin = 0.05 * max(float((high - low).max()), 1.0)

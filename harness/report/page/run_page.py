@@ -53,9 +53,13 @@ class Computed:
 
 
 def write_page(
-    folder: RunFolder, scenario: Scenario, computed: Computed, *, summary: Mapping[str, Any],
+    folder: RunFolder,
+    scenario: Scenario,
+    computed: Computed,
+    *,
+    summary: Mapping[str, Any],
     manifest: Mapping[str, Any],
-) -> None:  # fmt: skip
+) -> None:
     """Write the page of a run that has its tables. Raises OSError."""
     page = make_page(folder, scenario, computed, summary=summary, manifest=manifest)
     from harness.report.page.html import render  # noqa: PLC0415  Jinja and Plotly: for pages only
@@ -64,9 +68,13 @@ def write_page(
 
 
 def make_page(
-    folder: RunFolder, scenario: Scenario, computed: Computed, *, summary: Mapping[str, Any],
+    folder: RunFolder,
+    scenario: Scenario,
+    computed: Computed,
+    *,
+    summary: Mapping[str, Any],
     manifest: Mapping[str, Any],
-) -> Page:  # fmt: skip
+) -> Page:
     """Return the content of the page. Raises OSError."""
     end_s = float(summary["simulated_s"])
     flight = FlightColumns(folder.flight, scenario.agents)
@@ -75,17 +83,22 @@ def make_page(
     ranging = read_ranging(folder, end_s, links)
     events = event_rows(read_events(folder))
     happened = Section(
-        key="events", title="Events",
+        key="events",
+        title="Events",
         plots=[timeline_plot(_lanes(flight, folder), events, vehicles=scenario.agents, end_s=end_s)],
         tables=run_sections.event_tables(events),
-    )  # fmt: skip
+    )
     sections = [happened]
     if replayed is not None:
         sections.append(_replay_section(replayed))
     sections.append(
-        Section(key="flight", title="Flight", plots=_flight_plots(flight, folder, computed, end_s),
-                tables=[run_sections.vehicle_table(summary, scenario)])
-    )  # fmt: skip
+        Section(
+            key="flight",
+            title="Flight",
+            plots=_flight_plots(flight, folder, computed, end_s),
+            tables=[run_sections.vehicle_table(summary, scenario)],
+        )
+    )
     flight.close()
     antenna = computed.antenna
     if antenna.series is not None and antenna.series.patterns:
@@ -97,18 +110,23 @@ def make_page(
     by_station = [] if (plot := losses_plot(stations)) is None else [plot]
     sections += [
         Section(
-            key="channel", title="Channel", plots=[*occupancy, *channel.plots(), *by_station],
+            key="channel",
+            title="Channel",
+            plots=[*occupancy, *channel.plots(), *by_station],
             tables=run_sections.channel_tables(channel, scenario.agents),
             text="" if stations else "No frame was sent.",
         ),
         Section(
-            key="ranging", title="Ranging", plots=ranging.plots(), tables=run_sections.ranging_tables(ranging),
+            key="ranging",
+            title="Ranging",
+            plots=ranging.plots(),
+            tables=run_sections.ranging_tables(ranging),
             text="" if ranging.by_status else "No ranging session was requested.",
         ),
         run_sections.scenario_section(scenario),
         run_sections.provenance_section(summary, manifest),
         run_sections.files_section(folder),
-    ]  # fmt: skip
+    ]
     return run_sections.page_of(
         scenario, summary, manifest, sections, colours=vehicle_colours(scenario.agents)
     )
@@ -149,8 +167,8 @@ def _replay(flight: FlightColumns) -> tuple[Replay | None, Links | None]:
 def _replay_section(replay: Replay) -> Section:
     content = replay.content()
     parts = [
-        f"{replay.rate_hz:.3g} instants per second; links are all ranging sessions and datagrams to one "
-        "receiver since the instant before, as one line for each pair",
+        f"{replay.rate_hz:.3g} instants per second",
+        "links are the ranging sessions and datagrams to one receiver since the instant before",
         "a red halo: some receivers lost broadcasts of that UAV, and its size is their share",
     ]
     if content["stretch"] > 1.0:
@@ -182,26 +200,49 @@ def _flight_plots(flight: FlightColumns, folder: RunFolder, computed: Computed, 
         plots += flight_plots.error_plots(computed.errors)
     made = (
         flight_plots.vehicle_plot(
-            "localisation", "Error of the position that UAVs believe", "Error (m)", time_s,
-            flight.length("onboard_pos_ned_m", "pos_ned_m"), digits=3, unit="m", rangemode="tozero",
+            "localisation",
+            "Error of the position that UAVs believe",
+            "Error (m)",
+            time_s,
+            flight.length("onboard_pos_ned_m", "pos_ned_m"),
+            digits=3,
+            unit="m",
+            rangemode="tozero",
             note="on-board localisation against the truth",
         ),
         flight_plots.vehicle_plot(
-            "speed", "Speed", "Speed (m/s)", time_s, flight.length("vel_ned_m_s"), unit="m/s", rangemode="tozero"
-        ),
-        flight_plots.vehicle_plot(
-            "tilt", "Tilt", "Angle from upright (°)", time_s, flight.tilt_deg(), digits=1, unit="°",
+            "speed",
+            "Speed",
+            "Speed (m/s)",
+            time_s,
+            flight.length("vel_ned_m_s"),
+            unit="m/s",
             rangemode="tozero",
         ),
         flight_plots.vehicle_plot(
-            "battery", "Battery", "Charge left (%)", time_s, 100.0 * flight.living("battery_remaining"),
-            digits=1, unit="%",
+            "tilt",
+            "Tilt",
+            "Angle from upright (°)",
+            time_s,
+            flight.tilt_deg(),
+            digits=1,
+            unit="°",
+            rangemode="tozero",
+        ),
+        flight_plots.vehicle_plot(
+            "battery",
+            "Battery",
+            "Charge left (%)",
+            time_s,
+            100.0 * flight.living("battery_remaining"),
+            digits=1,
+            unit="%",
         ),
         *(
             flight_plots.number_plot(f"app-{k}", name, time_s, flight.living(name))
             for k, name in enumerate(flight.application_columns()[:MOST_NUMBERS])
         ),
-    )  # fmt: skip
+    )
     plots += [plot for plot in made if plot is not None]
     series, edges_s, left_out = read_sensors(folder, flight.vehicles, end_s)
     return plots + flight_plots.sensor_plots(series, edges_s, left_out=left_out)

@@ -49,22 +49,37 @@ FILES = {
 
 
 def page_of(
-    scenario: Scenario, summary: Mapping[str, Any], manifest: Mapping[str, Any], sections: Sequence[Section],
-    *, colours: Sequence[str],
-) -> Page:  # fmt: skip
+    scenario: Scenario,
+    summary: Mapping[str, Any],
+    manifest: Mapping[str, Any],
+    sections: Sequence[Section],
+    *,
+    colours: Sequence[str],
+) -> Page:
     """Return the page of these sections with its head."""
     status = str(summary["status"])
     vehicles = f"{scenario.agents} UAV{'s' if scenario.agents > 1 else ''}"
     notes = [str(summary["reason"])] if summary.get("reason") else []
     notes += [f"Not deterministic: {cause}" for cause in manifest["nondeterminism"]]
     return Page(
-        kind="Run", title=scenario.name, badge=status.replace("_", " "), badge_tone=TONES.get(status, ""),
-        subtitle=[f"seed {scenario.run.seed}", vehicles, f"{summary['simulated_s']:.1f} s simulated",
-                  f"flown {manifest['started_utc']}", f"coflight {manifest['versions'].get('coflight', '')}"],
-        notes=notes, cards=cards(summary), sections=sections, vehicles=list(colours),
+        kind="Run",
+        title=scenario.name,
+        badge=status.replace("_", " "),
+        badge_tone=TONES.get(status, ""),
+        subtitle=[
+            f"seed {scenario.run.seed}",
+            vehicles,
+            f"{summary['simulated_s']:.1f} s simulated",
+            f"flown {manifest['started_utc']}",
+            f"coflight {manifest['versions'].get('coflight', '')}",
+        ],
+        notes=notes,
+        cards=cards(summary),
+        sections=sections,
+        vehicles=list(colours),
         footer="Written by coflight. The file holds all that it shows and loads nothing; it has the settings "
         "of the scenario and the command line in it.",
-    )  # fmt: skip
+    )
 
 
 def cards(summary: Mapping[str, Any]) -> list[Card]:
@@ -76,26 +91,56 @@ def cards(summary: Mapping[str, Any]) -> list[Card]:
     receivers = sum(frames[key] for key in ("delivered", "collided", "lost_to_noise"))
     deterministic = bool(summary["deterministic"])
     return [
-        Card(label="Formation reached at", value=number(summary["formed_s"], ".2f", "s"),
-             detail=f"{summary['formation_s']:.1f} s in formation"),
-        Card(label="Shape error, RMS", value=number(formation["shape"], ".3f", "m"),
-             detail=f"from the places: {number(formation['absolute'], '.3f', 'm')}"),
-        Card(label="Maximum gain, mean", value=number(gain["mean"], ".2f", "dBi"),
-             detail=f"ideal {number(gain['ideal'], '.2f', 'dBi')}" if gain["mean"] is not None
-             else str(gain.get("note") or "")),
-        Card(label="Channel busy", value=percent(summary["channel_busy_fraction"], 1.0),
-             detail=f"{count(frames['sent'])} frames"),
-        Card(label="Frames delivered", value=percent(frames["delivered"], receivers),
-             detail=f"{count(frames['collided'])} collided, {count(frames['lost_to_noise'])} lost to noise"),
-        Card(label="Ranging sessions", value=f"{count(ftm['completed'])} of {count(ftm['requested'])}",
-             detail=f"error {number(ftm['error_mean_m'], '.3f')} ± {number(ftm['error_std_m'], '.3f', 'm')}"),
-        Card(label="Vehicles lost", value=str(lost), tone="bad" if lost else "",
-             detail=f"{summary['collisions']} collisions"),
-        Card(label="Deterministic", value="yes" if deterministic else "no",
-             tone="good" if deterministic else "bad", detail=f"log {str(summary['log_sha256'])[:12]}"),
-        Card(label="Real-time factor", value=number(summary["real_time_factor"], ".2f"),
-             detail=f"{number(summary['wall_s'], '.1f', 's')} of wall time"),
-    ]  # fmt: skip
+        Card(
+            label="Formation reached at",
+            value=number(summary["formed_s"], ".2f", "s"),
+            detail=f"{summary['formation_s']:.1f} s in formation",
+        ),
+        Card(
+            label="Shape error, RMS",
+            value=number(formation["shape"], ".3f", "m"),
+            detail=f"from the places: {number(formation['absolute'], '.3f', 'm')}",
+        ),
+        Card(
+            label="Maximum gain, mean",
+            value=number(gain["mean"], ".2f", "dBi"),
+            detail=f"ideal {number(gain['ideal'], '.2f', 'dBi')}"
+            if gain["mean"] is not None
+            else str(gain.get("note") or ""),
+        ),
+        Card(
+            label="Channel busy",
+            value=percent(summary["channel_busy_fraction"], 1.0),
+            detail=f"{count(frames['sent'])} frames",
+        ),
+        Card(
+            label="Frames delivered",
+            value=percent(frames["delivered"], receivers),
+            detail=f"{count(frames['collided'])} collided, {count(frames['lost_to_noise'])} lost to noise",
+        ),
+        Card(
+            label="Ranging sessions",
+            value=f"{count(ftm['completed'])} of {count(ftm['requested'])}",
+            detail=f"error {number(ftm['error_mean_m'], '.3f')} ± {number(ftm['error_std_m'], '.3f', 'm')}",
+        ),
+        Card(
+            label="Vehicles lost",
+            value=str(lost),
+            tone="bad" if lost else "",
+            detail=f"{summary['collisions']} collisions",
+        ),
+        Card(
+            label="Deterministic",
+            value="yes" if deterministic else "no",
+            tone="good" if deterministic else "bad",
+            detail=f"log {str(summary['log_sha256'])[:12]}",
+        ),
+        Card(
+            label="Real-time factor",
+            value=number(summary["real_time_factor"], ".2f"),
+            detail=f"{number(summary['wall_s'], '.1f', 's')} of wall time",
+        ),
+    ]
 
 
 def event_tables(events: Sequence[EventRow]) -> list[Table]:
@@ -106,7 +151,11 @@ def event_tables(events: Sequence[EventRow]) -> list[Table]:
         [f"{each.time_s:.3f}", "run" if each.vehicle is None else f"UAV {each.vehicle}", each.text]
         for each in events[:MOST_EVENTS]
     ]
-    note = f"The first {MOST_EVENTS} of {len(events)}; events.jsonl has all." if len(events) > MOST_EVENTS else ""
+    note = (
+        f"The first {MOST_EVENTS} of {len(events)}; events.jsonl has all."
+        if len(events) > MOST_EVENTS
+        else ""
+    )
     return [Table(heads=("Time (s)", "Of", "Event"), rows=rows, numeric=(0,), note=note, is_long=True)]
 
 
@@ -115,13 +164,25 @@ def vehicle_table(summary: Mapping[str, Any], scenario: Scenario) -> Table:
     rotors = scenario.rotors()
     rows: list[list[Cell]] = [
         [
-            f"UAV {each['uav']}", str(rotors[each["uav"]]), scenario.autopilot.kind_of(each["uav"]),
-            "yes" if each["alive"] else "no", number(each["absolute_rms_m"]), number(each["shape_rms_m"]),
+            f"UAV {each['uav']}",
+            str(rotors[each["uav"]]),
+            scenario.autopilot.kind_of(each["uav"]),
+            "yes" if each["alive"] else "no",
+            number(each["absolute_rms_m"]),
+            number(each["shape_rms_m"]),
             "; ".join(filter(None, (each["lost"], each["application_lost"]))) or "–",
         ]
         for each in summary["vehicles"]
-    ]  # fmt: skip
-    heads = ("UAV", "Rotors", "Autopilot", "Alive at the end", "RMS from place (m)", "RMS of shape (m)", "Lost")
+    ]
+    heads = (
+        "UAV",
+        "Rotors",
+        "Autopilot",
+        "Alive at the end",
+        "RMS from place (m)",
+        "RMS of shape (m)",
+        "Lost",
+    )
     return Table(title="Vehicles", heads=heads, rows=rows, numeric=(1, 4, 5), is_long=True)
 
 
@@ -143,26 +204,35 @@ def channel_tables(channel: ChannelStatistics, vehicles: int) -> list[Table]:
     heads = ("Frames", "Bytes", "Airtime (s)", "Delivered", "Collided", "Lost to noise", "Lost (%)")
     tables = []
     for title, first, sums in (
-        ("Frames by kind", "Kind", channel.by_kind), ("Frames by transmission mode", "Mode", channel.by_mode),
+        ("Frames by kind", "Kind", channel.by_kind),
+        ("Frames by transmission mode", "Mode", channel.by_mode),
         ("Frames by station", "Station", channel.by_source),
-    ):  # fmt: skip
+    ):
         rows: list[list[Cell]] = [
             [
-                _station(each["name"], vehicles), count(each["frames"]), count(each["bytes"]),
-                f"{each['airtime_s']:.3f}", *(count(each[key]) for key in ("delivered", "collided", "lost_to_noise")),
-                percent(each["collided"] + each["lost_to_noise"],
-                        each["delivered"] + each["collided"] + each["lost_to_noise"]),
+                _station(each["name"], vehicles),
+                count(each["frames"]),
+                count(each["bytes"]),
+                f"{each['airtime_s']:.3f}",
+                *(count(each[key]) for key in ("delivered", "collided", "lost_to_noise")),
+                percent(
+                    each["collided"] + each["lost_to_noise"],
+                    each["delivered"] + each["collided"] + each["lost_to_noise"],
+                ),
             ]
             for each in channel.table(sums)
-        ]  # fmt: skip
+        ]
         tables.append(
             Table(title=title, heads=(first, *heads), rows=rows, numeric=range(1, 8), is_long=len(rows) > 12)
         )
     tables[-1] = Table(
-        title=tables[-1].title, heads=tables[-1].heads, rows=tables[-1].rows, numeric=range(1, 8),
+        title=tables[-1].title,
+        heads=tables[-1].heads,
+        rows=tables[-1].rows,
+        numeric=range(1, 8),
         is_long=tables[-1].is_long,
         note="Delivered, collided and lost count intended receivers: a broadcast has several.",
-    )  # fmt: skip
+    )
     return tables
 
 
@@ -182,14 +252,22 @@ def ranging_tables(ranging: RangingStatistics) -> list[Table]:
     ]
     pairs = ranging.pair_rows()
     rows: list[list[Cell]] = [
-        [str(initiator), str(peer), count(sessions), percent(completed, sessions, ".1f"), number(mean, ".4f"),
-         number(spread, ".4f")]
+        [
+            str(initiator),
+            str(peer),
+            count(sessions),
+            percent(completed, sessions, ".1f"),
+            number(mean, ".4f"),
+            number(spread, ".4f"),
+        ]
         for initiator, peer, sessions, completed, mean, spread in pairs[:MOST_PAIRS]
-    ]  # fmt: skip
+    ]
     note = f"The first {MOST_PAIRS} of {len(pairs)} pairs." if len(pairs) > MOST_PAIRS else ""
     heads = ("Initiator", "Peer", "Sessions", "Completed", "Mean error (m)", "Standard deviation (m)")
     return [
-        Table(title="Sessions by status", heads=("Status", "Sessions", "Share"), rows=statuses, numeric=(1, 2)),
+        Table(
+            title="Sessions by status", heads=("Status", "Sessions", "Share"), rows=statuses, numeric=(1, 2)
+        ),
         Table(title="Sessions by pair", heads=heads, rows=rows, numeric=range(6), note=note, is_long=True),
     ]
 
@@ -202,16 +280,23 @@ def scenario_section(scenario: Scenario) -> Section:
     table = Table(heads=("Field", "Value", "Default", "Meaning"), rows=rows, is_long=len(rows) > 16)
     whole = msgspec.json.format(msgspec.json.encode(scenario), indent=2).decode()
     return Section(
-        key="scenario", title="Scenario", tables=[table] if rows else [],
+        key="scenario",
+        title="Scenario",
+        tables=[table] if rows else [],
         text="Fields that differ from their defaults." if rows else "All fields have their defaults.",
-        source=whole, source_title="All fields",
-    )  # fmt: skip
+        source=whole,
+        source_title="All fields",
+    )
 
 
 def provenance_section(summary: Mapping[str, Any], manifest: Mapping[str, Any]) -> Section:
     """Return what the run was flown with, and what it depended on."""
     checkout = manifest["checkout"]
-    commit = "–" if checkout is None else str(checkout["commit"]) + (", changed files" if checkout["dirty"] else "")
+    commit = (
+        "–"
+        if checkout is None
+        else str(checkout["commit"]) + (", changed files" if checkout["dirty"] else "")
+    )
     facts: list[tuple[str, Cell]] = [
         ("Deterministic", "yes: it depends on scenario and seed alone" if summary["deterministic"] else "no"),
         *(("Depends also on", str(cause)) for cause in manifest["nondeterminism"]),
@@ -252,7 +337,8 @@ def files_section(folder: RunFolder) -> Section:
             name = f"{part}/{path.name}"
             rows.append([Link(name, quote(name)), what, size_text(path.stat().st_size)])
     return Section(
-        key="files", title="Files", tables=[Table(heads=("File", "Content", "Size"), rows=rows, numeric=(2,),
-                                                  is_long=True)],
+        key="files",
+        title="Files",
+        tables=[Table(heads=("File", "Content", "Size"), rows=rows, numeric=(2,), is_long=True)],
         text="Links lead to the files beside this page, if they are still there.",
-    )  # fmt: skip
+    )

@@ -1,4 +1,4 @@
-"""What happened when: phases, modes and failsafes of every vehicle as bars, events as marks and as a table."""
+"""What happened when: phases, modes and failsafes of every vehicle as bars, events as marks and in words."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -64,7 +64,9 @@ def segments(time_s: NDArray[Any], values: NDArray[Any], alive: NDArray[np.bool_
         ends = np.append(starts[1:], len(rows) - 1)
         for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
             if column[start] >= 0:
-                found.append(Segment(i, int(column[start]), float(time_s[rows[start]]), float(time_s[rows[end]])))
+                found.append(
+                    Segment(i, int(column[start]), float(time_s[rows[start]]), float(time_s[rows[end]]))
+                )
     return found
 
 
@@ -100,9 +102,12 @@ def _in_words(event: Mapping[str, Any]) -> tuple[str, bool]:
 
 
 def timeline_plot(
-    lanes: Mapping[str, tuple[Sequence[Segment], Mapping[str, str]]], events: Sequence[EventRow], *,
-    vehicles: int, end_s: float,
-) -> Plot:  # fmt: skip
+    lanes: Mapping[str, tuple[Sequence[Segment], Mapping[str, str]]],
+    events: Sequence[EventRow],
+    *,
+    vehicles: int,
+    end_s: float,
+) -> Plot:
     """Return the time line.
 
     ``lanes`` are the segments of phases (``Phase``), modes (``Mode``) and failsafes (``Failsafe``), each with
@@ -120,7 +125,10 @@ def timeline_plot(
             offset, width = places[lane]
             name = meanings.get(str(value), f"{lane.lower()} {value}")
             bar = {
-                "type": "bar", "orientation": "h", "name": plot_text(name), "legendgroup": lane,
+                "type": "bar",
+                "orientation": "h",
+                "name": plot_text(name),
+                "legendgroup": lane,
                 "y": [each.vehicle + offset + width / 2.0 for each in chosen],
                 "base": [round(each.start_s, 3) for each in chosen],
                 "x": [round(each.end_s - each.start_s, 3) for each in chosen],
@@ -129,7 +137,7 @@ def timeline_plot(
                 "customdata": [[each.vehicle, each.start_s, each.end_s] for each in chosen],
                 "hovertemplate": f"{lane}: {plot_text(name)}<br>%{{customdata[1]:.2f}} to "
                 "%{customdata[2]:.2f} s<extra>UAV %{customdata[0]}</extra>",
-            }  # fmt: skip
+            }
             if first_of_lane:
                 bar["legendgrouptitle"] = {"text": lane}
                 first_of_lane = False
@@ -138,17 +146,29 @@ def timeline_plot(
     labels = list(range(0, vehicles, 1 if vehicles <= _MANY else 4))
     row_px = _ROW_PX if vehicles <= _MANY else _MANY_ROW_PX
     layout = {
-        "barmode": "overlay", "hovermode": "closest",
+        "barmode": "overlay",
+        "hovermode": "closest",
         "xaxis": TIME | {"range": [0, max(end_s, 1e-3)], "zeroline": False},
-        "yaxis": axis("", tickvals=[-1, *labels], ticktext=["run", *(f"UAV {i}" for i in labels)],
-                      range=[vehicles - 0.4, -1.6], showgrid=False, zeroline=False),
+        "yaxis": axis(
+            "",
+            tickvals=[-1, *labels],
+            ticktext=["run", *(f"UAV {i}" for i in labels)],
+            range=[vehicles - 0.4, -1.6],
+            showgrid=False,
+            zeroline=False,
+        ),
         "legend": {"orientation": "v", "x": 1.01, "y": 1.0, "tracegroupgap": 6},
-    }  # fmt: skip
+    }
     return Plot(
-        key="timeline", title="What happened when", data=data, layout=layout, is_wide=True, over_time=True,
+        key="timeline",
+        title="What happened when",
+        data=data,
+        layout=layout,
+        is_wide=True,
+        over_time=True,
         height_px=max(300, 110 + row_px * (vehicles + 1)),
         note="" if present else "The run has no records of the vehicles.",
-    )  # fmt: skip
+    )
 
 
 def _marks(events: Sequence[EventRow]) -> list[dict[str, Any]]:
@@ -159,14 +179,24 @@ def _marks(events: Sequence[EventRow]) -> list[dict[str, Any]]:
         ("events", "diamond", NEUTRAL, [each for each in events if not each.is_bad]),
     ):
         if chosen:
-            data.append({
-                "type": "scatter", "mode": "markers", "name": name, "legendgroup": "Events",
-                "x": [each.time_s for each in chosen],
-                "y": [-1 if each.vehicle is None else each.vehicle for each in chosen],
-                "marker": {"symbol": symbol, "size": 10, "color": colour, "line": {"width": 1, "color": "#fff"}},
-                "text": [plot_text(each.text) for each in chosen],
-                "hovertemplate": "%{text}<br>t = %{x:.3f} s<extra></extra>",
-            })  # fmt: skip
+            data.append(
+                {
+                    "type": "scatter",
+                    "mode": "markers",
+                    "name": name,
+                    "legendgroup": "Events",
+                    "x": [each.time_s for each in chosen],
+                    "y": [-1 if each.vehicle is None else each.vehicle for each in chosen],
+                    "marker": {
+                        "symbol": symbol,
+                        "size": 10,
+                        "color": colour,
+                        "line": {"width": 1, "color": "#fff"},
+                    },
+                    "text": [plot_text(each.text) for each in chosen],
+                    "hovertemplate": "%{text}<br>t = %{x:.3f} s<extra></extra>",
+                }
+            )
     if data:
         data[0]["legendgrouptitle"] = {"text": "Events"}
     return data
