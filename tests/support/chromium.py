@@ -31,10 +31,10 @@ class FilePage:
         self.page.goto(path.as_uri())
         self.page.wait_for_function("document.readyState === 'complete'")
 
-    def draw_all(self) -> int:
-        """Scroll to every figure until it is drawn; returns their number."""
+    def draw_all(self, most: int | None = None) -> int:
+        """Scroll to every figure, or to the first ``most``, until it is drawn; returns the number of all."""
         figures = self.page.locator(".graph")
-        for k in range(figures.count()):
+        for k in range(min(figures.count(), most or 1_000)):
             figures.nth(k).scroll_into_view_if_needed()
             figures.nth(k).locator(".main-svg").first.wait_for(state="attached")
         return int(figures.count())

@@ -43,7 +43,7 @@
       }
     }
     if (window.innerWidth < 700 && result.legend.orientation === "v") {
-      result.legend = Object.assign({}, result.legend, { orientation: "h", x: 0, y: -0.18, yanchor: "top" });
+      result.legend = Object.assign({}, result.legend, { orientation: "h", x: 0, y: -0.3, yanchor: "top" });
     }
     return result;
   }
