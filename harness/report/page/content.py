@@ -98,7 +98,10 @@ class Page:
 
 def number(value: float | None, form: str = ".3f", unit: str = "") -> str:
     """Return a number with its unit; a dash for None."""
-    return "–" if value is None else f"{value:{form}} {unit}".rstrip()
+    if value is None:
+        return "–"
+    text = f"{value:{form}} {unit}".rstrip()
+    return text[1:] if text.startswith("-") and not text.strip("-0. " + unit) else text
 
 
 def count(value: float | None) -> str:
