@@ -229,8 +229,9 @@ def _runs_section(rows: pa.Table, found: Sequence[str], folder: Path) -> Section
 
 def _listed(rows: pa.Table, names: Sequence[str], folder: Path) -> list[list[Cell]]:
     listed = []
-    for row in rows.select(list(dict.fromkeys(names))).slice(0, MOST_ROWS).to_pylist():
-        cells: list[Cell] = ["–" if row[name] is None else _short(row[name]) for name in names]
+    known = [name for name in dict.fromkeys(names) if name in rows.column_names]
+    for row in rows.select(known).slice(0, MOST_ROWS).to_pylist():
+        cells: list[Cell] = ["–" if row.get(name) is None else _short(row[name]) for name in names]
         digest = str(row["digest"])
         if (folder / "runs" / f"{digest}.json").is_file():
             cells[0] = Link(digest, quote(f"runs/{digest}.json"))

@@ -13,6 +13,8 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 BATCH_ROWS = 65_536
+_BUFFER_BYTES = 65_536
+"""Of a column's compressed data that is read at once; without a buffer it is the column of a row group"""
 _KINDS = {"double": "float64", "float": "float32", "halffloat": "float16"}
 """Names of NumPy's types by those of Arrow, where they differ"""
 
@@ -22,7 +24,7 @@ class TableReader:
 
     def __init__(self, path: Path) -> None:
         """Open the table. Raises OSError."""
-        self._file = pq.ParquetFile(path, pre_buffer=False)
+        self._file = pq.ParquetFile(path, pre_buffer=False, buffer_size=_BUFFER_BYTES)
         self.names: list[str] = self._file.schema_arrow.names
         self.rows: int = self._file.metadata.num_rows
         self.texts: dict[str, list[str]] = {}
@@ -33,13 +35,24 @@ class TableReader:
         """Return a column of all rows; of texts their codes. Raises KeyError, OSError."""
         if name not in self.names:
             raise KeyError(name)
-        parts = [part[name] for part in self.batches([name])]
-        return np.concatenate(parts) if parts else np.empty(0)
+        found, first = None, 0
+        for part in self.batches([name]):
+            values = part[name]
+            if found is None:
+                found = np.empty(self.rows, values.dtype)
+            found[first : first + len(values)] = values
+            first += len(values)
+        return np.empty(0) if found is None else found
 
     def batches(self, names: Sequence[str], *, rows: int = BATCH_ROWS) -> Iterator[dict[str, NDArray[Any]]]:
         """Yield some columns in batches of at most ``rows`` rows, in order. Raises OSError."""
-        for batch in self._file.iter_batches(batch_size=rows, columns=list(names), use_threads=False):
-            yield {name: self._values(name, batch.column(name)) for name in names}
+        before = pa.default_memory_pool()
+        pa.set_memory_pool(pa.system_memory_pool())  # returns what is freed at once
+        try:
+            for batch in self._file.iter_batches(batch_size=rows, columns=list(names), use_threads=False):
+                yield {name: self._values(name, batch.column(name)) for name in names}
+        finally:
+            pa.set_memory_pool(before)
 
     def _values(self, name: str, array: pa.Array) -> NDArray[Any]:
         if pa.types.is_dictionary(array.type):

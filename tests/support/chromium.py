@@ -61,7 +61,9 @@ def browser() -> Iterator[Any]:
 
 
 @contextlib.contextmanager
-def file_page(started: Any, *, width: int = 1280, height: int = 900, scheme: str = "light") -> Iterator[FilePage]:
+def file_page(
+    started: Any, *, width: int = 1280, height: int = 900, scheme: str = "light"
+) -> Iterator[FilePage]:
     """Make a page without a network: offline, and every request but those of files is aborted."""
     context = started.new_context(viewport={"width": width, "height": height}, color_scheme=scheme)
     context.set_offline(True)

@@ -136,7 +136,7 @@ def _lanes(flight: FlightColumns, folder: RunFolder) -> dict[str, tuple[list[Seg
     """Return phases, modes and failsafes of the vehicles as segments, with the meanings of their values."""
     columns = flight_kind(folder.applications()).columns
     time_s, alive = flight.time_s, flight.alive
-    causes = np.where(flight.column("failsafe"), flight.column("causes").astype(np.int64), -1)
+    causes = np.where(flight.column("failsafe"), flight.column("causes"), -1)
     failsafes = segments(time_s, causes, alive)
     words = failsafe_words(sorted({each.value for each in failsafes}), columns["causes"].values)
     return {

@@ -52,8 +52,8 @@ def segments(time_s: NDArray[Any], values: NDArray[Any], alive: NDArray[np.bool_
         return []
     rows = np.arange(len(time_s))
     while True:
-        shown = np.where(alive[rows], values[rows].astype(np.int64), -1)
-        changes = np.count_nonzero(np.diff(shown, axis=0))
+        shown = np.where(alive[rows], values[rows].astype(np.int32), -1).astype(np.int32)
+        changes = np.count_nonzero(shown[1:] != shown[:-1])
         if changes + shown.shape[1] <= MOST_BARS or len(rows) < 3:
             break
         rows = rows[::2] if len(rows) % 2 else np.append(rows[::2], rows[-1])
@@ -204,4 +204,4 @@ def _marks(events: Sequence[EventRow]) -> list[dict[str, Any]]:
 
 def phases_of(values: NDArray[Any]) -> NDArray[Any]:
     """Return the phases (T, N) with -1 where a vehicle has no application."""
-    return np.where(values == NO_PHASE, -1, values.astype(np.int64))
+    return np.where(values == NO_PHASE, -1, values.astype(np.int32))

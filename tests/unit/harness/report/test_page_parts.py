@@ -182,6 +182,10 @@ def test_changes_of_a_scenario_are_the_fields_that_differ():
     assert change.description == "Seed of all random streams of the run."
     assert not list(changes(Scenario(name="other")))
     with_fault = msgspec.convert(
-        {"name": "x", "faults": [{"kind": "motor", "uav": 0, "motor": 1, "effectiveness": 0.5, "start_s": 2.0}]}, Scenario
+        {
+            "name": "x",
+            "faults": [{"kind": "motor", "uav": 0, "motor": 1, "effectiveness": 0.5, "start_s": 2.0}],
+        },
+        Scenario,
     )
     assert [each.path for each in changes(with_fault)] == ["faults"]
