@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-BATCH_ROWS = 65_536
+BATCH_ROWS = 8_192
 _BUFFER_BYTES = 65_536
 """Of a column's compressed data that is read at once; without a buffer it is the column of a row group"""
 _KINDS = {"double": "float64", "float": "float32", "halffloat": "float16"}

@@ -34,9 +34,9 @@ class FlightColumns:
         """Return a column (T, N). Raises KeyError, OSError."""
         return self._reader.column(name).reshape(-1, self.vehicles)
 
-    def living(self, name: str) -> NDArray[np.float64]:
+    def living(self, name: str) -> NDArray[np.float32]:
         """Return a column (T, N) of numbers, NaN where a vehicle is lost. Raises KeyError, OSError."""
-        values = self.column(name).astype(np.float64)
+        values = self.column(name).astype(np.float32)
         values[~self.alive] = np.nan
         return values
 
@@ -44,23 +44,23 @@ class FlightColumns:
         """Return a vector at some instants (K, N, 3). Raises KeyError, OSError."""
         return np.stack([self.column(f"{name}.{each}")[rows] for each in components], axis=-1)
 
-    def length(self, name: str, other: str | None = None, components: str = "ned") -> NDArray[np.float64]:
+    def length(self, name: str, other: str | None = None, components: str = "ned") -> NDArray[np.float32]:
         """Return the length (T, N) of a vector, or of its difference to another one, of living vehicles."""
-        total = np.zeros((len(self), self.vehicles))
+        total = np.zeros((len(self), self.vehicles), np.float32)
         for each in components:
-            values = self.living(f"{name}.{each}")
+            values = self.column(f"{name}.{each}")
             if other is not None:
                 values -= self.column(f"{other}.{each}")
-            total += values * values
-        length: NDArray[np.float64] = np.sqrt(total)
-        return length
+            values *= values
+            total += values
+        total[~self.alive] = np.nan
+        return np.sqrt(total, out=total)
 
-    def tilt_deg(self) -> NDArray[np.float64]:
+    def tilt_deg(self) -> NDArray[np.float32]:
         """Return the angle (T, N) between the bodies' and the site's vertical, of living vehicles."""
-        x, y = self.living("q_ned_frd.x"), self.living("q_ned_frd.y")
-        cosine = 1.0 - 2.0 * (x * x + y * y)
-        angle: NDArray[np.float64] = np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))
-        return angle
+        sine = self.length("q_ned_frd", components="xy")
+        np.minimum(sine, 1.0, out=sine)
+        return np.rad2deg(2.0 * np.arcsin(sine))
 
     def application_columns(self) -> list[str]:
         """Return the names of the columns of the on-board applications."""
