@@ -39,7 +39,9 @@ LOCKS = (
         ("pyproject.toml", "--extra", "nec2", "--extra", "env"),
         needs_backend=True,
     ),
-    Lock("requirements-view.lock", "The extra `view`: the viewer Rerun.", ("pyproject.toml", "--extra", "view")),
+    Lock(
+        "requirements-view.lock", "The extra `view`: the viewer Rerun.", ("pyproject.toml", "--extra", "view")
+    ),
     Lock(
         "requirements-dev.lock",
         "The dependency group `dev`: linters, type checker and tests.",

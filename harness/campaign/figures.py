@@ -93,15 +93,15 @@ def factor_figure(rows: pa.Table, factor: str) -> Figure | None:
     Runs that failed are left out, and their number is on the figure.
     """
     shown = rows.filter(pc.not_equal(rows.column("status"), FAILED))
-    quantities = [each for each in QUANTITIES if _has_values(shown, each)]
+    quantities = [each for each in QUANTITIES if has_values(shown, each)]
     if not quantities:
         return None
     others = tuple(name for name in factors(rows) if name != factor)
-    lines = _lines(shown, others)
+    lines = lines_of(shown, others)
     pooled = others if len(lines) > MOST_LINES else ()
     if pooled:
         lines = {"": np.arange(len(shown))}
-    places, is_number = _places(rows.column(factor))
+    places, is_number = places_of(rows.column(factor))
     style = "o-" if is_number else "o"
     panel_rows = -(-len(quantities) // MOST_COLUMNS)
     columns = -(-len(quantities) // panel_rows)
@@ -117,7 +117,7 @@ def factor_figure(rows: pa.Table, factor: str) -> Figure | None:
             _draw_line(axes, [places[value] + shift for value in found], list(found.values()), label, style)
         axes.set(title=quantity.label)
         axes.title.set_fontsize("medium")
-        axes.set_xlabel(_axis_name(rows, factor), parse_math=False)
+        axes.set_xlabel(axis_name(rows, factor), parse_math=False)
         axes.grid(alpha=0.3)
         axes.yaxis.set_major_locator(MaxNLocator(nbins=5))
         _tick(axes, places, is_number=is_number)
@@ -150,7 +150,7 @@ def intervals(rows: pa.Table, factor: str, quantity: Quantity) -> dict[Any, Inte
     return {value: interval for value, interval in found.items() if interval.count}
 
 
-def _has_values(rows: pa.Table, quantity: Quantity) -> bool:
+def has_values(rows: pa.Table, quantity: Quantity) -> bool:
     """Whether a run has a value; of a count, one other than 0."""
     if quantity.column not in rows.column_names:
         return False
@@ -158,7 +158,7 @@ def _has_values(rows: pa.Table, quantity: Quantity) -> bool:
     return any(values) if quantity.count else bool(values)
 
 
-def _lines(rows: pa.Table, others: Sequence[str]) -> dict[str, np.ndarray[tuple[int], np.dtype[np.int64]]]:
+def lines_of(rows: pa.Table, others: Sequence[str]) -> dict[str, np.ndarray[tuple[int], np.dtype[np.int64]]]:
     """Return the rows of every combination of values of other factors, by its name."""
     if not others:
         return {"": np.arange(len(rows))}
@@ -167,7 +167,8 @@ def _lines(rows: pa.Table, others: Sequence[str]) -> dict[str, np.ndarray[tuple[
     return {name: np.flatnonzero(np.array(named) == name) for name in dict.fromkeys(named)}
 
 
-def _axis_name(rows: pa.Table, factor: str) -> str:
+def axis_name(rows: pa.Table, factor: str) -> str:
+    """Return the name of a factor with its unit."""
     unit = (rows.schema.field(factor).metadata or {}).get(b"unit", b"").decode()
     return f"{factor} ({unit})" if unit else factor
 
@@ -176,7 +177,7 @@ def _text(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _places(column: pa.ChunkedArray) -> tuple[dict[Any, float], bool]:
+def places_of(column: pa.ChunkedArray) -> tuple[dict[Any, float], bool]:
     """Return the place of every value on the axis, and whether the axis is numeric."""
     values = list(dict.fromkeys(column.to_pylist()))
     is_number = not any(is_type(column.type) for is_type in _NO_NUMBERS) and None not in values

@@ -5,6 +5,7 @@ A small file for every run that has ended is written atomically:
 runs/<digest>.json                 status and summary of a run, with the hash of this content
 runs/<digest>.gains.parquet ...    requested series
 table.parquet table.csv            one row per run, when all have ended
+report.html                        results on one page, for a browser
 flying/                            temporary run folders
 lock                               held by the campaign that uses the folder
 
@@ -33,6 +34,7 @@ from harness.scenario.scenario import Scenario
 FAILED: Literal["failed"] = "failed"
 _LOCK = "lock"
 TABLES = ("table.parquet", "table.csv")
+PAGE = "report.html"
 
 
 class CampaignError(Exception):
@@ -163,7 +165,7 @@ class Store:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 raise CampaignError(f"{self.folder}: another campaign flies into it") from None
-            tables = (self.folder / f".{name}" for name in TABLES)
+            tables = (self.folder / f".{name}" for name in (*TABLES, PAGE))
             for left in (*self._runs.glob(".*.json"), *self._runs.glob(".*.parquet"), *tables):
                 if left.is_file():  # foreign files are kept
                     left.unlink()

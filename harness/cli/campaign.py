@@ -24,6 +24,7 @@ from harness.campaign.display import CampaignDisplay
 from harness.campaign.running import known, run
 from harness.campaign.store import (
     FAILED,
+    PAGE,
     PLAIN_FLIGHT,
     TABLES,
     CampaignError,
@@ -113,8 +114,10 @@ def campaign(
                 note=display.note,
             )
         from harness.campaign.figures import draw_table  # noqa: PLC0415  slow to import, needed at the end
+        from harness.campaign.page import write_page  # noqa: PLC0415  as above
 
         drawn = draw_table(table.parquet)
+        write_page(table.parquet)
     except KeyboardInterrupt:
         raise BrokenOff from None
     fine = print_table(table.rows, out, drawn, flown_now=len(missing), json=json)
@@ -147,7 +150,8 @@ def print_table(rows: pa.Table, folder: Path, figures: Sequence[str], *, flown_n
         _print_json(result)
     else:
         ends = ", ".join(f"{count} {status.replace('_', ' ')}" for status, count in sorted(counts.items()))
-        sys.stdout.write("\n".join([f"{len(rows)} runs: {ends}", *tables, *drawn]) + "\n")
+        page = [str(path)] if (path := folder / PAGE).exists() else []
+        sys.stdout.write("\n".join([f"{len(rows)} runs: {ends}", *tables, *drawn, *page]) + "\n")
     return not counts.get(FAILED)
 
 

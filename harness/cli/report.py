@@ -38,7 +38,9 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 def report(
     run: Annotated[Path, typer.Argument(help="Folder of a run or campaign that has ended.", metavar="RUN")],
     *,
-    figures: Annotated[bool, typer.Option("--figures", help="Draw the figures again.")] = False,
+    figures: Annotated[
+        bool, typer.Option("--figures", help="Draw the figures and report.html again.")
+    ] = False,
     json: Annotated[bool, typer.Option("--json", help="The summary alone on stdout.")] = False,
 ) -> None:
     """Show what came out of a run or campaign; make the tables of a run that was interrupted before that."""
@@ -82,6 +84,7 @@ def report(
         except (KeyError, ValueError):
             raise NotARun(f"{folder.path}: its tables are not of the scenario in its manifest") from None
         messages.print(f"drawn into {folder.figures}: {', '.join(drawn)}", soft_wrap=True)
+        messages.print(f"written: {folder.page}", soft_wrap=True)
     if json:
         sys.stdout.write(folder.summary.read_text(encoding="utf-8"))
     else:
@@ -94,11 +97,14 @@ def report(
 
 def _report_campaign(folder: Path, *, figures: bool, json: bool) -> None:
     from harness.campaign.figures import draw_table  # noqa: PLC0415  slow to import, for campaigns only
+    from harness.campaign.page import write_page  # noqa: PLC0415  as above
     from harness.cli.campaign import print_table  # noqa: PLC0415  as above
 
     path = folder / TABLES[0]
     try:
         drawn = draw_table(path) if figures else []
+        if figures:
+            write_page(path)
         print_table(pq.read_table(path), folder, drawn, flown_now=0, json=json)
     except (KeyError, ValueError):
         raise NotARun(f"{path}: no campaign of this version wrote it: fly the campaign again") from None

@@ -8,6 +8,7 @@ sensors.parquet                               readings of the scenario's own sen
 radio.pcapng coflight_beacon.lua              capture of the channel, Wireshark's dissector of beacons
 gains.parquet antenna.nec patterns.nc         antenna: gains over time, median instant as NEC deck, patterns
 figures/*.png *.pdf                           figures, each in both formats
+report.html                                   all of it on one page, for a browser, without a network
 logs/*.log  config/*.json                     the processes' messages, their settings
 guests.json                                   while a run with radio.guests flies: how programs join it
 uav-0.ulg ...                                 ULog (logging.ulog, or a ground station), with ground truth
@@ -116,6 +117,7 @@ class RunFolder:
         self.ftm, self.air = path / "ftm.parquet", path / "air.parquet"
         self.gains, self.deck = path / "gains.parquet", path / "antenna.nec"
         self.patterns = path / "patterns.nc"
+        self.page = path / "report.html"
         self.guest_access = path / guest_access.FILE
         self.raw_truth, self.raw_air = self.raw / "truth.bin", self.raw / "air.bin"
         self.capture = path / "radio.pcapng"

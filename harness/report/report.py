@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from antenna.analysis.gain_figures import gain_density_figure, patterns_figure
+from antenna.analysis.patterns import Pattern
 from foundation.records.record_log import count, read, read_blocks, read_rows
 from foundation.records.whole_file import sha256_of, write_whole
 from harness.launch.interrupts import interrupts_deferred
@@ -31,6 +32,8 @@ from harness.report import antenna_report, figures
 from harness.report.antenna_report import Aperture
 from harness.report.flown_array import figure_patterns
 from harness.report.formation_error import FormationError, formation_error
+from harness.report.page.flight_plots import ErrorEnvelopes
+from harness.report.page.run_page import Computed, write_page
 from harness.report.ulog_truth import add_truth
 from harness.scenario.scenario import Scenario
 from harness.simulator.messages import Formed
@@ -55,6 +58,8 @@ class Drawn(NamedTuple):
     occupancy: tuple[NDArray[np.int64], NDArray[np.float64]]
     """Times in us, and the fraction of the interval before each in which the channel was busy."""
     ftm_error_m: NDArray[np.float64]
+    errors: ErrorEnvelopes | None
+    """The errors of the whole time in formation, for the page"""
 
 
 class _Results(NamedTuple):
@@ -83,8 +88,9 @@ def finish(
             folder.delete_tables()
         raise
     if draw:
-        results.manifest["figures"] = _draw(folder, scenario, results.drawn)
+        results.manifest["figures"], patterns = _draw(folder, scenario, results.drawn)
         folder.write_manifest(manifest_text(results.manifest))
+        _write_page(folder, scenario, results.drawn, patterns, results.summary, results.manifest)
     return results.summary
 
 
@@ -131,7 +137,7 @@ def _write_tables(folder: RunFolder, scenario: Scenario, outcome: RunOutcome) ->
     _write_json(folder.summary, summary)
     air = read(folder.raw_air, AIR_RECORD)
     occupancy = _occupancy(air["time_us"], air["busy_ns"])
-    drawn = Drawn(whole, _drawn_error(window, error), antenna, occupancy, error_m)
+    drawn = Drawn(whole, _drawn_error(window, error), antenna, occupancy, error_m, _envelopes(window, error))
     solver = None if antenna.solver is None else asdict(antenna.solver)
     manifest = make_manifest(scenario, outcome, hashes=hashes, antenna=solver)
     return _Results(summary, manifest, drawn)
@@ -197,11 +203,14 @@ def draw_again(folder: RunFolder, scenario: Scenario, *, formed_us: int | None) 
     completed = np.array(sessions["status"].to_pylist(), dtype=np.str_) == "ok"
     error_m = (sessions["distance_m"].to_numpy() - sessions["true_distance_m"].to_numpy())[completed]
     occupancy = _occupancy(air["time_us"].to_numpy(), air["busy_ns"].to_numpy())
-    drawn = Drawn(whole, _drawn_error(window, error), _antenna(window, scenario), occupancy, error_m)
+    antenna, envelopes = _antenna(window, scenario), _envelopes(window, error)
+    drawn = Drawn(whole, _drawn_error(window, error), antenna, occupancy, error_m, envelopes)
     folder.figures.mkdir(exist_ok=True)
-    written = _draw(folder, scenario, drawn)
+    written, patterns = _draw(folder, scenario, drawn)
     manifest = msgspec.json.decode(folder.manifest.read_bytes()) | {"figures": written}
     folder.write_manifest(manifest_text(manifest))
+    summary = msgspec.json.decode(folder.summary.read_bytes(), type=dict[str, Any])
+    _write_page(folder, scenario, drawn, patterns, summary, manifest)
     return written
 
 
@@ -229,6 +238,10 @@ def _drawn_error(
         return None
     rows = figures.drawn_instants(len(window))
     return window.time_us[rows], error.at(rows)
+
+
+def _envelopes(window: Flight, error: FormationError | None) -> ErrorEnvelopes | None:
+    return None if error is None else ErrorEnvelopes(window.time_us, error)
 
 
 def _antenna(window: Flight, scenario: Scenario) -> Aperture:
@@ -314,9 +327,15 @@ def _write_json(path: Path, content: dict[str, Any]) -> None:
     write_whole(path, msgspec.json.format(msgspec.json.encode(content), indent=2) + b"\n")
 
 
-def _draw(folder: RunFolder, scenario: Scenario, drawn: Drawn) -> list[str]:
-    """Write every figure for which the run has data, one after the other; returns the names of the files."""
-    whole, error, antenna, (time_us, busy_fraction), error_m = drawn
+def _draw(
+    folder: RunFolder, scenario: Scenario, drawn: Drawn
+) -> tuple[list[str], tuple[Pattern, Pattern] | None]:
+    """Write every figure for which the run has data, one after the other.
+
+    Returns the names of the files, and the ideal and the median pattern if they are drawn.
+    """
+    whole, error, antenna, (time_us, busy_fraction), error_m, _ = drawn
+    patterns: tuple[Pattern, Pattern] | None = None
     makers: dict[str, Callable[[], Figure]] = {}
     if len(whole):
         makers["tracks"] = lambda: figures.tracks_figure(whole, scenario.wind)
@@ -325,7 +344,7 @@ def _draw(folder: RunFolder, scenario: Scenario, drawn: Drawn) -> list[str]:
     gains, ideal = antenna.series, antenna.ideal
     if gains is not None and ideal is not None and len(gains.patterns):
         places_ned_m, heading_rad = scenario.places_ned_m(), antenna_report.heading_rad(scenario)
-        perfect, flown = figure_patterns(gains, places_ned_m, heading_rad, scenario.antenna)
+        perfect, flown = patterns = figure_patterns(gains, places_ned_m, heading_rad, scenario.antenna)
         max_gain_dbi, ideal_dbi = gains.max_gain_dbi, ideal.max_gain_dbi
         makers["gain_density"] = lambda: gain_density_figure({"flown": max_gain_dbi}, ideal_dbi)
         makers["patterns"] = lambda: patterns_figure({"Ideal": perfect, "Flown": flown})
@@ -338,7 +357,18 @@ def _draw(folder: RunFolder, scenario: Scenario, drawn: Drawn) -> list[str]:
         written += figures.save(make(), folder.figures / name, title)
         whole.release()
         gc.collect()  # the figure, whose parts refer to each other
-    return sorted(written)
+    return sorted(written), patterns
+
+
+def _write_page(
+    folder: RunFolder, scenario: Scenario, drawn: Drawn, patterns: tuple[Pattern, Pattern] | None,
+    summary: dict[str, Any], manifest: dict[str, Any],
+) -> None:  # fmt: skip
+    """Write ``report.html``. Raises OSError."""
+    computed = Computed(
+        errors=drawn.errors, antenna=drawn.antenna, patterns=patterns, occupancy=drawn.occupancy
+    )
+    write_page(folder, scenario, computed, summary=summary, manifest=manifest)
 
 
 def _occupancy(
