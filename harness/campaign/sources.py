@@ -11,7 +11,10 @@ from pathlib import Path
 from harness.records.versions import FLOWN_WITH, versions
 
 _FLOWN_PACKAGES = ("foundation", "antenna", "netsim", "autopilot", "harness")
-_NOT_FLOWN = ("antenna/lab/", "netsim/lab/", "harness/campaign/", "harness/cli/", "harness/report/page/")
+_NOT_FLOWN = (
+    "antenna/lab/", "netsim/lab/", "harness/campaign/", "harness/cli/", "harness/export/",
+    "harness/report/page/", "harness/view/",
+)  # fmt: skip
 """Folders that do not affect a flight, except modules that compute its results."""
 _SHOWN = {"antenna/analysis/gain_figures.py", "harness/report/figures.py", "harness/launch/pytest_plugin.py"}
 """Modules for drawing and tests, which do not affect a flight."""

@@ -16,6 +16,7 @@ ASKED = {
         *PROJECT["project"]["dependencies"], *PROJECT["project"]["optional-dependencies"]["nec2"],
         *PROJECT["build-system"]["requires"],
     ],
+    "requirements-view.lock": PROJECT["project"]["optional-dependencies"]["view"],
     **{f"requirements-{name}.lock": asked for name, asked in PROJECT["dependency-groups"].items()},
 }  # fmt: skip
 TEXTS = {lock.name: (ROOT / lock.name).read_text(encoding="utf-8") for lock in LOCKS}
