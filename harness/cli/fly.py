@@ -11,7 +11,7 @@ import traceback
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import msgspec
 import typer
@@ -23,6 +23,7 @@ from foundation.system_error import described, in_words
 from harness.cli.keyboard import Keyboard
 from harness.cli.out_option import out_folder
 from harness.cli.progress import FlightDisplay, Stage, display_for, summary_table
+from harness.cli.view_options import FlightView
 from harness.launch.interrupts import interruptible
 from harness.launch.profiling import profile_table
 from harness.launch.run_messages import SetupError, SwarmError
@@ -35,9 +36,6 @@ from harness.world.faults import MOST_TIME_S
 
 SLOWEST, FASTEST = 1.0 / 64.0, 64.0
 """Speeds that keys lead to: at the first a step takes 0.25 s; few machines keep the other."""
-
-if TYPE_CHECKING:
-    from harness.cli.view_options import FlightView
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -169,8 +167,6 @@ def fly(
         factor = _speed(speed or ("1" if waits else "max"))
         display = display_for(messages, forms=plan.forms)
         if view or web or record is not None:
-            from harness.cli.view_options import FlightView  # noqa: PLC0415  slow to import, rarely needed
-
             shown = FlightView(out, window=view, web=web, record=record, note=display.note)
         live = shown is not None
         if one_process:
@@ -252,7 +248,7 @@ def _keys(swarm: Swarm, *, until_interrupted: bool) -> str:
 
 
 def _fly(
-    swarm: Swarm, display: FlightDisplay, *, until_interrupted: bool, shown: "FlightView | None"
+    swarm: Swarm, display: FlightDisplay, *, until_interrupted: bool, shown: FlightView | None
 ) -> SwarmError | KeyboardInterrupt | None:
     """Start, form, hold and stop. Returns what broke it off, if there are records all the same."""
     run = swarm.scenario.run

@@ -83,6 +83,7 @@ def range_entries(sessions: Rows, flight: Rows, times_us: NDArray[np.int64]) -> 
             fields={
                 "strips": list(ends),
                 "labels": labels,
+                "show_labels": np.zeros(len(ends), np.bool_),
                 "colors": _colours(RANGE, len(ends)),
                 "radii": np.full(len(ends), -1.0),
             },

@@ -14,7 +14,6 @@ from harness.view.entries import Entry
 TIMELINE = "simulated_time"
 FLUSH_LIMIT_S = 5.0
 """Wall time to wait for a viewer at the end"""
-_HIDDEN = ("world/ranges", "world/believed/uncertainty")
 
 
 class RerunSink:

@@ -30,8 +30,9 @@ WIND_M_PER_M_S = 0.5
 """Length of an arrow of the wind, for a velocity of the air"""
 WIND_M_PER_N = 0.5
 """The same for a force of the wind"""
-SIGMAS = 3.0
+SIGMAS = 1.0
 """Standard deviations that an ellipsoid of a believed position reaches to"""
+NEUTRAL: Colour = (110, 110, 110)
 GREY: Colour = (150, 150, 150)
 WIND: Colour = (90, 200, 250)
 LOBE: Colour = (255, 220, 60)
@@ -304,8 +305,8 @@ class Scene:
 
 _WARNINGS = frozenset({"vehiclelost", "applicationlost", "collision", "faultchanged"})
 _LINES: tuple[tuple[str, str, Colour], ...] = (
-    ("plots/error/shape", "shape, RMS", (240, 240, 240)),
-    ("plots/channel/busy", "channel busy, %", (240, 240, 240)),
+    ("plots/error/shape", "shape, RMS", NEUTRAL),
+    ("plots/channel/busy", "channel busy, %", NEUTRAL),
     ("plots/frames/delivered", "delivered", links.DELIVERED),
     ("plots/frames/collided", "collided", links.COLLIDED),
     ("plots/frames/lost_to_noise", "lost to noise", links.LOST),

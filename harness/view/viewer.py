@@ -81,16 +81,39 @@ class Viewer:
                 process_group=0,
                 env=os.environ | {"XDG_CONFIG_HOME": str(folder.resolve()), "NO_COLOR": "1"},
             )
+        self._pages: subprocess.Popen[bytes] | None = None
         try:
             self.web_port, self.port = self._await_ports()
+            if in_browser:
+                self.web_port = self._serve_pages()
         except BaseException:
             self.close()
             raise
+
+    def _serve_pages(self) -> int:
+        """Start the server of the pages; returns its port."""
+        ports = map(str, (self.web_port, self.port))
+        self._pages = spawn(
+            bound_module("harness.view.page_server", *ports),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            process_group=0,
+        )
+        assert self._pages.stdout is not None  # noqa: S101  it is PIPE
+        line = self._pages.stdout.readline()
+        if not line.strip().isdigit():
+            raise ViewerError("the server of the viewer's pages did not start")
+        return int(line)
 
     @property
     def pid(self) -> int:
         """Process id of the program."""
         return self._process.pid
+
+    @property
+    def pids(self) -> list[int]:
+        """Process ids of all that was started."""
+        return [self.pid] if self._pages is None else [self.pid, self._pages.pid]
 
     @property
     def url(self) -> str:
@@ -150,13 +173,16 @@ class Viewer:
 
     def close(self) -> None:
         """End the program; harmless when repeated."""
-        if self.is_open:
-            self._process.terminate()
+        for process in filter(None, (self._pages, self._process)):
+            process.terminate()
+        for process in filter(None, (self._pages, self._process)):
             try:
-                self._process.wait(END_LIMIT_S)
+                process.wait(END_LIMIT_S)
             except subprocess.TimeoutExpired:
-                self._process.kill()
-                self._process.wait()
+                process.kill()
+                process.wait()
+        if self._pages is not None and self._pages.stdout is not None:
+            self._pages.stdout.close()
 
     def __enter__(self) -> Self:
         return self
