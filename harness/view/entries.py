@@ -27,6 +27,8 @@ class Entry:
     kind: str
     fields: dict[str, Any] = field(default_factory=dict)
     """Values by component: of all instants, one after the other"""
+    others: "tuple[Entry, ...]" = ()
+    """Of other kinds, with the same path and instants: one message holds all"""
     times_us: NDArray[np.int64] | None = None
     """(T,) simulated times; None: at all times"""
     lengths: NDArray[np.int64] | None = None

@@ -26,13 +26,15 @@ from harness.view.entries import Entry
 from harness.view.rerun_sink import RerunSink
 from harness.view.scene import Scene, scalars, surface_entries
 
-STEP_US = 200_000
-"""Simulated time that is sent at once"""
+STEP_US = 500_000
+"""Simulated time that is sent at once in flight"""
+REPLAY_STEP_US = 1_000_000
+"""The same of a run that has ended: a viewer is faster with few and large messages"""
 SURFACE_US = 1_000_000
 """Simulated time between two patterns of the antenna"""
 PERIOD_S = 0.05
 """Wall time between two looks at the logs"""
-MOST_WHOLE = 25
+MOST_WHOLE = 10
 """Pieces that are sent with all instants if more are there at once"""
 
 
@@ -95,7 +97,7 @@ def replay(folder: RunFolder, sink: RerunSink) -> None:
     """Send a reported run. Raises OSError, NotARun and as `read_scenario`."""
     scenario = read_scenario(folder)
     feed = Feed(folder, scenario, sink)
-    for piece in pieces_of_tables(folder, scenario, step_us=STEP_US):
+    for piece in pieces_of_tables(folder, scenario, step_us=REPLAY_STEP_US):
         feed.send(piece)
 
 

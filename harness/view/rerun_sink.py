@@ -50,9 +50,10 @@ class RerunSink:
         self._recording.log(entry.path, value, static=True)
 
     def _send_columns(self, entry: Entry) -> None:
-        columns = getattr(rr, entry.kind).columns(**entry.fields)
-        if entry.lengths is not None:
-            columns = columns.partition(entry.lengths)
+        columns = []
+        for part in (entry, *entry.others):
+            of_part = getattr(rr, part.kind).columns(**part.fields)
+            columns += of_part if part.lengths is None else of_part.partition(part.lengths)
         times = rr.TimeColumn(TIMELINE, duration=np.asarray(entry.times_us).astype("timedelta64[us]"))
         self._recording.send_columns(entry.path, indexes=[times], columns=columns)
 

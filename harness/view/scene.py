@@ -57,6 +57,8 @@ class Scene:
         self._start_us: int | None = None
         self._trail: deque[tuple[int, Array]] = deque()
         self._states: dict[str, str] = {}
+        self._empty: set[str] = set()
+        """Entities that show nothing now"""
         self._air: tuple[int, int] = (0, 0)
         self.formed = False
         """Whether the formation was reached"""
@@ -82,19 +84,22 @@ class Scene:
                 )
             )
             circles = airframe_shape.rotor_circles(airframe)
-            found.append(at_all_times(f"{path}/rotors", "LineStrips3D", strips=circles, radii=[0.015]))
+            found.append(at_all_times(path, "LineStrips3D", strips=circles, radii=[0.015]))
             found.append(
                 at_all_times(
                     f"{path}/name", "Points3D", positions=[[0.0, 0.0, 0.0]], labels=[f"UAV {i}"],
                     colors=[colour], radii=[-5.0], show_labels=True,
                 )
             )  # fmt: skip
-            found += [
-                at_all_times(f"plots/{plot}/uav-{i}", "SeriesLines", names=[f"UAV {i}"], colors=[colour])
-                for plot in ("error", "height", "battery")
-            ]
-        for path, name, colour in _LINES:
-            found.append(at_all_times(path, "SeriesLines", names=[name], colors=[colour]))
+        names = [f"UAV {i}" for i in range(len(self._airframes))]
+        found += [
+            at_all_times(f"plots/{plot}/uavs", "SeriesLines", names=names, colors=self._colours)
+            for plot in ("error", "height", "battery")
+        ]
+        found += [
+            at_all_times(path, "SeriesLines", names=list(lines), colors=list(lines.values()))
+            for path, lines in _LINES.items()
+        ]
         found.append(
             at_all_times(
                 "plots/ranging/error", "SeriesPoints", names=["measured - true"], colors=[LOBE],
@@ -118,11 +123,24 @@ class Scene:
         found += self._vehicles(flight, times_us)
         found += self._places(flight, times_us)
         found += self._wind(flight, times_us)
-        found += links.link_entries(piece.frames, flight, times_us)
-        found += links.range_entries(piece.sessions, flight, times_us)
+        found += self._changed(links.link_entries(piece.frames, flight, times_us))
+        found += self._changed(links.range_entries(piece.sessions, flight, times_us))
         found += self._trails(flight, times_us)
         found += self._plots_of_flight(flight, times_us)
         found += self._state_changes(flight, times_us)
+        return found
+
+    def _changed(self, entries: list[Entry]) -> list[Entry]:
+        """Return the entries without those that show nothing, as before."""
+        found = []
+        for entry in entries:
+            is_empty = entry.lengths is not None and not entry.lengths.any()
+            if not (is_empty and entry.path in self._empty):
+                found.append(entry)
+            if is_empty:
+                self._empty.add(entry.path)
+            else:
+                self._empty.discard(entry.path)
         return found
 
     def flight(self, rows: Rows) -> Flight:
@@ -134,23 +152,21 @@ class Scene:
         for i, airframe in enumerate(self._airframes):
             of_vehicle, path = flight[:, i], vehicle_path(i)
             q_wxyz = of_vehicle["q_ned_frd"]
+            rotors = len(airframe.rotors)
+            colours = airframe_shape.rotor_colours(airframe, of_vehicle["rotor_speed_rad_s"][:, :rotors])
+            spinning = Entry(
+                path=path,
+                kind="LineStrips3D",
+                fields={"colors": colours.reshape(-1, 3)},
+                lengths=np.full(len(times_us), rotors),
+            )
             found.append(
                 Entry(
                     path=path,
                     kind="Transform3D",
                     times_us=times_us,
                     fields={"translation": of_vehicle["pos_ned_m"], "quaternion": q_wxyz[:, [1, 2, 3, 0]]},
-                )
-            )
-            rotors = len(airframe.rotors)
-            colours = airframe_shape.rotor_colours(airframe, of_vehicle["rotor_speed_rad_s"][:, :rotors])
-            found.append(
-                Entry(
-                    path=f"{path}/rotors",
-                    kind="LineStrips3D",
-                    times_us=times_us,
-                    fields={"colors": colours.reshape(-1, 3)},
-                    lengths=np.full(len(times_us), rotors),
+                    others=(spinning,),
                 )
             )
         return found
@@ -221,12 +237,11 @@ class Scene:
 
     def _plots_of_flight(self, flight: Rows, times_us: NDArray[np.int64]) -> list[Entry]:
         error = formation_error(self.flight(flight))
-        series: dict[str, Array] = {}
-        for i in range(flight.shape[1]):
-            of_vehicle, alive = flight[:, i], flight["alive"][:, i]
-            series[f"plots/error/uav-{i}"] = np.where(alive, error.absolute.error_m[:, i], np.nan)
-            series[f"plots/height/uav-{i}"] = -of_vehicle["pos_ned_m"][:, 2]
-            series[f"plots/battery/uav-{i}"] = 100.0 * of_vehicle["battery_remaining"].astype(np.float64)
+        series: dict[str, Array] = {
+            "plots/error/uavs": np.where(flight["alive"], error.absolute.error_m, np.nan),
+            "plots/height/uavs": -flight["pos_ned_m"][:, :, 2],
+            "plots/battery/uavs": 100.0 * flight["battery_remaining"].astype(np.float64),
+        }
         valid = error.shape.valid
         count = np.maximum(valid.sum(axis=1), 1)
         square_m2 = np.where(valid, error.shape.error_m, 0.0) ** 2
@@ -246,9 +261,9 @@ class Scene:
             self._air = time_us, busy_ns
         until_us = np.array([piece.until_us])
         seconds = (piece.until_us - piece.after_us) * 1e-6
-        for name in ("delivered", "collided", "lost_to_noise"):
-            rate = np.array([piece.frames[name].sum() / seconds])
-            found.append(scalars(f"plots/frames/{name}", until_us, rate))
+        names = ("delivered", "collided", "lost_to_noise")
+        rates = np.array([[piece.frames[name].sum() / seconds for name in names]])
+        found.append(scalars("plots/frames/receptions", until_us, rates))
         done = piece.sessions[piece.sessions["status"] == b"ok"]
         if len(done):
             found.append(
@@ -304,14 +319,15 @@ class Scene:
 
 
 _WARNINGS = frozenset({"vehiclelost", "applicationlost", "collision", "faultchanged"})
-_LINES: tuple[tuple[str, str, Colour], ...] = (
-    ("plots/error/shape", "shape, RMS", NEUTRAL),
-    ("plots/channel/busy", "channel busy, %", NEUTRAL),
-    ("plots/frames/delivered", "delivered", links.DELIVERED),
-    ("plots/frames/collided", "collided", links.COLLIDED),
-    ("plots/frames/lost_to_noise", "lost to noise", links.LOST),
-    ("plots/gain/maximum", "maximum gain, dBi", LOBE),
-)
+_LINES: dict[str, dict[str, Colour]] = {
+    "plots/error/shape": {"shape, RMS": NEUTRAL},
+    "plots/channel/busy": {"channel busy, %": NEUTRAL},
+    "plots/frames/receptions": {
+        "delivered": links.DELIVERED, "collided": links.COLLIDED, "lost to noise": links.LOST,
+    },
+    "plots/gain/maximum": {"maximum gain, dBi": LOBE},
+}  # fmt: skip
+"""Names and colours of lines by plot"""
 
 
 def event_text(event: Event) -> str:
@@ -332,12 +348,17 @@ def event_text(event: Event) -> str:
         case "collision":
             return f"UAVs {event['first']} and {event['second']} collide"
         case "faultchanged":
-            return f"fault {event['what']} of {uav} has {event['change']}"
+            return f"fault {event['what']} of {uav} {event['change']}"
     return str(event["event"])
 
 
 def scalars(path: str, times_us: NDArray[np.int64], values: Array) -> Entry:
-    """Return values over time; those that are not finite are left out."""
+    """Return values over time, (T,) without those that are not finite, or of several lines (T, n)."""
+    if values.ndim == 2:
+        lengths = np.full(len(values), values.shape[1])
+        return Entry(
+            path=path, kind="Scalars", times_us=times_us, fields={"scalars": values.ravel()}, lengths=lengths
+        )
     there = np.isfinite(values)
     return Entry(path=path, kind="Scalars", times_us=times_us[there], fields={"scalars": values[there]})
 
