@@ -26,6 +26,8 @@ from harness.view.entries import Colour, Entry, at_all_times, vehicle_colour
 TRAIL_US = 20_000_000
 """Length of a trail"""
 TRAIL_STEP_US = 200_000
+OCCUPANCY_ROWS = 5
+"""Records of the channel, by `run.record_rate_hz`, between two points of its occupancy"""
 WIND_M_PER_M_S = 0.5
 """Length of an arrow of the wind, for a velocity of the air"""
 WIND_M_PER_N = 0.5
@@ -253,12 +255,12 @@ class Scene:
     def _plots_of_radio(self, piece: Piece) -> list[Entry]:
         found: list[Entry] = []
         if len(piece.air):
-            last_us, last_ns = self._air
-            time_us, busy_ns = int(piece.air["time_us"][-1]), int(piece.air["busy_ns"][-1])
-            if time_us > last_us:
-                share = 100.0 * (busy_ns - last_ns) / ((time_us - last_us) * 1e3)
-                found.append(scalars("plots/channel/busy", np.array([time_us]), np.array([share])))
-            self._air = time_us, busy_ns
+            air = piece.air[::-1][::OCCUPANCY_ROWS][::-1]
+            time_us = np.concatenate([[self._air[0]], air["time_us"]])
+            busy_ns = np.concatenate([[self._air[1]], air["busy_ns"]])
+            share = 100.0 * np.diff(busy_ns) / (np.diff(time_us) * 1e3)
+            found.append(scalars("plots/channel/busy", air["time_us"], share))
+            self._air = int(time_us[-1]), int(busy_ns[-1])
         until_us = np.array([piece.until_us])
         seconds = (piece.until_us - piece.after_us) * 1e-6
         names = ("delivered", "collided", "lost_to_noise")

@@ -138,8 +138,8 @@ class Viewer:
             if not self.is_open:
                 raise ViewerError(f"the viewer did not start: {self._last_line()} (log: {self._log})")
             web, data = self._announced()
-            wanted = {data, web} if self.in_browser else {data}
-            if 0 not in wanted and wanted == self._listening():
+            expected = {data, web} if self.in_browser else {data}
+            if 0 not in expected and expected == self._listening():
                 return web, data
             time.sleep(_POLL_S)
         raise ViewerError(f"the viewer did not start within {START_LIMIT_S:g} s (log: {self._log})")

@@ -15,6 +15,7 @@ from supervising import alive, wait_for
 from view_pieces import line_of_vehicles
 
 from autopilot.onboard.factory import layout_of
+from harness.launch.one_process import fly
 from harness.scenario.scenario_file import load
 from harness.view.entries import vehicle_colour
 
@@ -25,13 +26,22 @@ from harness.view.viewer import LOOPBACK, Viewer
 
 pytestmark = pytest.mark.multiprocess
 
-FLIGHT = ("--agents", "2", "--set", "formation.columns=2", "--set", "formation.height_m=2", "--duration", "1")
+SETTINGS = ("agents=2", "formation.columns=2", "formation.height_m=2", "run.duration_s=1")
 CHROMIUM = Path("/usr/bin/chromium")
 LIMIT_S = 120.0
 
 
 def start(*arguments, folder):
-    command = [sys.executable, "-m", "coflight", "fly", "article", *FLIGHT, "--json", *arguments]
+    command = [
+        sys.executable,
+        "-m",
+        "coflight",
+        "fly",
+        "article",
+        *(f"--set={each}" for each in SETTINGS),
+        "--json",
+        *arguments,
+    ]
     environment = {
         name: text for name, text in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")
     }
@@ -62,10 +72,8 @@ def of_view(process):
 
 @pytest.fixture(scope="module")
 def plain_hash(tmp_path_factory):
-    process = start("--out", "run", folder=tmp_path_factory.mktemp("plain"))
-    output, _ = process.communicate(timeout=LIMIT_S)
-    assert process.returncode == 0
-    return json.loads(output)["log_sha256"]
+    """Return the hash of the same flight in one process and without a view."""
+    return fly(load(SCENARIOS / "article.toml", SETTINGS), tmp_path_factory.mktemp("plain"))["log_sha256"]
 
 
 def test_a_flight_whose_viewer_is_killed_ends_as_one_without(plain_hash, tmp_path):
@@ -107,22 +115,14 @@ def test_a_flight_whose_viewer_is_killed_ends_as_one_without(plain_hash, tmp_pat
         assert f"{entity}" in printed, entity
 
 
-def test_a_feed_that_dies_is_named_and_the_flight_goes_on(plain_hash, tmp_path):
-    process = start("--record", "run.rrd", "--out", "run", folder=tmp_path)
-    wait_for(lambda: "harness.view.feed" in of_view(process), "the feed")
-    of_view(process)["harness.view.feed"].kill()
-    output, messages = process.communicate(timeout=LIMIT_S)
-    assert process.returncode == 0, messages
-    assert messages.count("the flight goes on") == 1
-    assert "SIGKILL" in messages
-    assert json.loads(output)["log_sha256"] == plain_hash
-
-
-def test_a_killed_launcher_leaves_nothing_of_the_view(tmp_path):
+def test_a_dead_feed_is_named_and_a_killed_launcher_leaves_nothing(tmp_path):
     process = start("--web", "--out", "run", folder=tmp_path)
     read_until(process, "open http")
     wait_for(lambda: len(of_view(process)) == 3, "the parts of the view")
     parts = of_view(process)
+    parts["harness.view.feed"].kill()
+    line = read_until(process, "the flight goes on")
+    assert "SIGKILL" in line
     os.kill(process.pid, signal.SIGKILL)
     process.communicate(timeout=LIMIT_S)
     wait_for(lambda: not any(alive(child.pid) for child in parts.values()), "the end of the view")
