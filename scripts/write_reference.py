@@ -17,6 +17,7 @@ from antenna.lab.cli import app as antenna_app
 from harness.cli.campaign import campaign_app
 from harness.cli.export import app as export_app
 from harness.cli.fly import app as fly_app
+from harness.cli.replay import app as replay_app
 from harness.cli.report import app as report_app
 from netsim.lab.cli import app as wifi_app
 from reference.commands import commands_page
@@ -40,7 +41,8 @@ from studies.vehicle.cli import validate_app
 
 FOLDER = Path(__file__).parents[1] / "docs" / "reference"
 APPLICATIONS = {
-    "coflight fly": fly_app, "coflight report": report_app, "coflight campaign": campaign_app,
+    "coflight fly": fly_app, "coflight replay": replay_app, "coflight report": report_app,
+    "coflight campaign": campaign_app,
     "coflight radio": wifi_app, "coflight antenna": antenna_app, "coflight export": export_app,
     "coflight bench": bench_app, "coflight study vehicle": validate_app,
     "coflight study radio": validate_radio_app, "coflight study antenna": validate_antenna_app,

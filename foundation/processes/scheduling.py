@@ -14,3 +14,12 @@ def yield_when_woken() -> None:
     if sys.platform == "linux":
         with contextlib.suppress(OSError):  # not permitted in some sandboxes; only slower
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+
+
+def run_when_idle() -> None:
+    """Let this process and its later children run only while no other process needs their processor."""
+    with contextlib.suppress(OSError):
+        os.nice(19)
+    if sys.platform == "linux":
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))

@@ -23,6 +23,7 @@ from foundation.system_error import described, in_words
 from harness.cli.keyboard import Keyboard
 from harness.cli.out_option import out_folder
 from harness.cli.progress import FlightDisplay, Stage, display_for, summary_table
+from harness.cli.view_options import FlightView
 from harness.launch.interrupts import interruptible
 from harness.launch.profiling import profile_table
 from harness.launch.run_messages import SetupError, SwarmError
@@ -30,6 +31,7 @@ from harness.launch.swarm import Swarm
 from harness.records.run_folder import RunFolder
 from harness.scenario.scenario import ScenarioError
 from harness.scenario.scenario_file import load
+from harness.view.viewer import ViewerError
 from harness.world.faults import MOST_TIME_S
 
 SLOWEST, FASTEST = 1.0 / 64.0, 64.0
@@ -123,6 +125,21 @@ def fly(
             " connections from outside: no ground station, companion or guest of the radio.",
         ),
     ] = False,
+    view: Annotated[
+        bool,
+        typer.Option(
+            "--view",
+            help="Show the flight in the viewer Rerun (pip install coflight[view]); without a display in a"
+            " browser, at the address that is printed.",
+        ),
+    ] = False,
+    web: Annotated[
+        bool, typer.Option("--web", help="The same in a browser, also on a machine with a display.")
+    ] = False,
+    record: Annotated[
+        Path | None,
+        typer.Option(help="Record what the viewer shows; the program rerun opens it.", metavar="FILE.rrd"),
+    ] = None,
     profile: Annotated[
         bool, typer.Option("--profile", help="Report processor time by process and part.")
     ] = False,
@@ -140,6 +157,7 @@ def fly(
     overrides = [f"{path}={value}" for path, value in named.items() if value is not None]
     display: FlightDisplay | None = None
     swarm: Swarm | None = None
+    shown: FlightView | None = None
     try:
         plan = load(scenario, [*(settings or []), *overrides])
         out = out or _free_folder(plan.name)
@@ -148,10 +166,15 @@ def fly(
             _check_one_process(waits=waits, profile=profile, port_offset=port_offset)
         factor = _speed(speed or ("1" if waits else "max"))
         display = display_for(messages, forms=plan.forms)
+        if view or web or record is not None:
+            shown = FlightView(out, window=view, web=web, record=record, note=display.note)
+        live = shown is not None
         if one_process:
             from harness.launch.one_process import OneProcessSwarm  # noqa: PLC0415  loads the physics, which prints a line
 
-            swarm = OneProcessSwarm(plan, speed=factor, out=out, on_message=display.on_message)
+            swarm = OneProcessSwarm(
+                plan, speed=factor, out=out, on_message=display.on_message, live_records=live
+            )
         else:
             swarm = Swarm(
                 plan,
@@ -161,11 +184,14 @@ def fly(
                 port_offset=_port_offset(port_offset or ("0" if waits else "auto")),
                 on_message=display.on_message,
                 profile_from_s=0.0 if profile else None,
+                live_records=live,
             )
         endless = waits and duration is None
-        broken_off = _fly(swarm, display, until_interrupted=endless)
+        broken_off = _fly(swarm, display, until_interrupted=endless, shown=shown)
         display.close()
         _report(swarm, broken_off, messages, as_json=json, endless=endless)
+        if shown is not None:
+            shown.keep_open()
     except BaseException as error:  # noqa: BLE001  every end has its status
         if display is not None:
             display.close()
@@ -175,6 +201,9 @@ def fly(
             swarm.stop()
             error = ExitFailure(INTERRUPTED, f"broken off: {_left(swarm.path)}")
         raise _failure(error) from None
+    finally:
+        if shown is not None:
+            shown.close()
 
 
 def _free_folder(name: str) -> Path:
@@ -219,7 +248,7 @@ def _keys(swarm: Swarm, *, until_interrupted: bool) -> str:
 
 
 def _fly(
-    swarm: Swarm, display: FlightDisplay, *, until_interrupted: bool
+    swarm: Swarm, display: FlightDisplay, *, until_interrupted: bool, shown: FlightView | None
 ) -> SwarmError | KeyboardInterrupt | None:
     """Start, form, hold and stop. Returns what broke it off, if there are records all the same."""
     run = swarm.scenario.run
@@ -232,6 +261,8 @@ def _fly(
     try:
         processes = "one process is" if len(swarm.pids) == 1 else f"{len(swarm.pids)} processes are"
         display.note(f"{processes} ready")
+        if shown is not None:
+            shown.begin()
         holds, forms = swarm.scenario.onboard.hold, swarm.scenario.forms
         for line in swarm.addresses if holds else ():
             display.note(line)
@@ -254,6 +285,8 @@ def _fly(
         return error
     finally:
         _stop(swarm, display)
+        if shown is not None:
+            shown.end_feed()
     return None
 
 
@@ -328,7 +361,7 @@ def _failure(error: BaseException) -> ExitFailure:
     match error:
         case ExitFailure():
             return error
-        case ScenarioError() | SetupError():
+        case ScenarioError() | SetupError() | ViewerError():
             return ExitFailure(BAD_INPUT, str(error))
         case typer.TyperException():
             return ExitFailure(BAD_INPUT, error.format_message())

@@ -87,6 +87,13 @@ STATUSES: Mapping[str, Mapping[int, str]] = {
     },
     "study vehicle-cost": _LIMITS,
     "study radio-cost": _LIMITS,
+    "replay": {
+        FINE: "The run was shown or recorded, or the viewer was closed.",
+        FAILED: "The viewer does not start.",
+        BAD_INPUT: "The folder is not of a run that has ended, Rerun is not installed, or the recording "
+        "cannot be written.",
+        INTERRUPTED: "Ctrl-C before the whole run was sent.",
+    },
     "export": {
         FINE: "The deck, the table or the MCAP file is written.",
         BAD_INPUT: "The folder is not of a run that has ended, there is no antenna at that time, or the "

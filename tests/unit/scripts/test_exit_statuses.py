@@ -23,6 +23,7 @@ WRONG = {
     "study article": "--seeds 0", "study vehicle-cost": "--repeats 0", "study radio-cost": "--rate-mbps 7",
     "study chaos": "--flights 0",
     "export": "no-such-run --time 1", "scenarios": "none",
+    "replay": "no-such-run",
 }  # fmt: skip
 """Arguments that each command refuses."""
 COMPUTED = {
@@ -90,6 +91,7 @@ def test_json_is_one_object_with_the_documented_keys(command, capsys, tmp_path, 
         ("bench", "studies.bench.cli.load"),
         ("study radio", "studies.common.command_line.run_subjects"),
         ("export run --time 1", "harness.cli.export.read_scenario"),
+        ("replay .", "harness.cli.replay.read_scenario"),
     ],
 )
 def test_interrupted(command, called, capsys, tmp_path, monkeypatch):

@@ -1,0 +1,128 @@
+"""The feed: reads a run's records and sends what they show to a viewer, a file or both.
+
+``python -m harness.view.feed RUN`` follows a flight, from a process of its own, until the end of its stdin:
+nothing waits for it. `replay` sends a run that has ended. A feed that is behind its flight shows fewer
+instants.
+"""
+
+import argparse
+import contextlib
+import sys
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from antenna.solvers.interface import Backend, BackendUnavailable
+from foundation.kernels.use_cache import use_kernel_cache
+from foundation.processes.scheduling import run_when_idle
+from harness.records.live_pieces import LivePieces
+from harness.records.pieces import Piece, pieces_of_tables
+from harness.records.run_folder import RunFolder, read_raw_scenario, read_scenario
+from harness.scenario.scenario import Scenario
+from harness.view.antenna_surface import live_solver, surface_at
+from harness.view.entries import Entry
+from harness.view.rerun_sink import RerunSink
+from harness.view.scene import Scene, scalars, surface_entries
+
+STEP_US = 500_000
+"""Simulated time that is sent at once in flight"""
+REPLAY_STEP_US = 1_000_000
+"""The same of a run that has ended: a viewer is faster with few and large messages"""
+SURFACE_US = 1_000_000
+"""Simulated time between two patterns of the antenna"""
+PERIOD_S = 0.05
+"""Wall time between two looks at the logs"""
+MOST_WHOLE = 10
+"""Pieces that are sent with all instants if more are there at once"""
+
+
+class Feed:
+    """Sends the pieces of one run, in the order of time."""
+
+    def __init__(self, folder: RunFolder, scenario: Scenario, sink: RerunSink) -> None:
+        self._scenario, self._sink = scenario, sink
+        self._scene = Scene(scenario, folder.applications())
+        self._solver: Backend | None = None
+        self._has_solver = True
+        self._surface_us = 0
+        sink.send(self._scene.static())
+
+    def send(self, piece: Piece, *, thin: bool = False) -> None:
+        """Send what a piece shows; with ``thin`` its last instant only, and no antenna."""
+        self._sink.send(self._scene.entries(piece, thin=thin))
+        if not thin:
+            self._sink.send(self._antenna(piece))
+
+    def _antenna(self, piece: Piece) -> list[Entry]:
+        due = piece.until_us >= self._surface_us + SURFACE_US
+        if not (due and self._has_solver and self._scene.formed and len(piece.flight)):
+            return []
+        self._surface_us = piece.until_us
+        if self._solver is None:
+            try:
+                self._solver = live_solver(self._scenario.antenna)
+            except BackendUnavailable:
+                self._has_solver = False
+                return []
+        flight = self._scene.flight(piece.flight[-1:])
+        surface = surface_at(flight, 0, self._scenario.antenna, self._solver)
+        if surface is None:
+            return []
+        found = surface_entries(surface, int(flight.time_us[0]))
+        if piece.gains is None:
+            gain_dbi = np.array([surface.max_gain_dbi])
+            found.append(scalars("plots/gain/maximum", flight.time_us, gain_dbi))
+        return found
+
+
+def follow(folder: RunFolder, sink: RerunSink, ended: threading.Event, *, whole: bool) -> None:
+    """Send a flight that goes on, until ``ended`` and the end of its logs; ``whole``: all its instants."""
+    scenario = read_raw_scenario(folder)
+    feed = Feed(folder, scenario, sink)
+    with LivePieces(folder, scenario, step_us=STEP_US) as live:
+        is_last = False
+        while not is_last:
+            is_last = ended.is_set()
+            pieces = list(live.advance(ended=is_last))
+            behind = len(pieces) - MOST_WHOLE
+            for number, piece in enumerate(pieces):
+                feed.send(piece, thin=not whole and number < behind)
+            if not is_last:
+                ended.wait(PERIOD_S)
+
+
+def replay(folder: RunFolder, sink: RerunSink) -> None:
+    """Send a reported run. Raises OSError, NotARun and as `read_scenario`."""
+    scenario = read_scenario(folder)
+    feed = Feed(folder, scenario, sink)
+    for piece in pieces_of_tables(folder, scenario, step_us=REPLAY_STEP_US):
+        feed.send(piece)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Follow a flight; returns the exit status."""
+    parser = argparse.ArgumentParser(prog="python -m harness.view.feed")
+    parser.add_argument("run", type=Path)
+    parser.add_argument("--url")
+    parser.add_argument("--record", type=Path)
+    options = parser.parse_args(arguments)
+    run_when_idle()
+    ended = threading.Event()
+
+    def await_end() -> None:
+        with contextlib.suppress(OSError):
+            sys.stdin.buffer.read()
+        ended.set()
+
+    threading.Thread(target=await_end, daemon=True).start()
+    sink = RerunSink(options.run.name, url=options.url, file=options.record)
+    follow(RunFolder(options.run), sink, ended, whole=options.url is None)
+    sink.close()
+    return 0
+
+
+if __name__ == "__main__":
+    use_kernel_cache()
+    sys.exit(main())
