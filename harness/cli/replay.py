@@ -90,9 +90,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with interruptible():
             status = app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False)
-    except (KeyboardInterrupt, typer.Abort):
-        _say("coflight: broken off: the same command starts again")
-        return INTERRUPTED
     except typer.TyperException as error:
         return _refuse(error.format_message(), BAD_INPUT)
     except (NotARun, ViewerError) as error:
@@ -101,6 +98,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _refuse(str(error), FAILED)
     except OSError as error:
         return _refuse(in_words(error), BAD_INPUT)
+    if status == INTERRUPTED:  # typer's status for Ctrl-C
+        _say("coflight: broken off: the same command starts again")
     return status if isinstance(status, int) else FINE
 
 
