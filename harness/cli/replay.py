@@ -20,6 +20,8 @@ from harness.launch.interrupts import interruptible
 from harness.records.run_folder import NotARun, RunFolder, read_scenario
 from harness.view.viewer import Viewer, ViewerError, check_installed, has_display
 
+_BROKEN_OFF = "broken off: the same command starts again"
+
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
@@ -91,8 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with interruptible():
             status = app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False)
     except (KeyboardInterrupt, typer.Abort):
-        _say("coflight: broken off: the same command starts again")
-        return INTERRUPTED
+        return _refuse(_BROKEN_OFF, INTERRUPTED)
     except typer.TyperException as error:
         return _refuse(error.format_message(), BAD_INPUT)
     except (NotARun, ViewerError) as error:
@@ -101,6 +102,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _refuse(str(error), FAILED)
     except OSError as error:
         return _refuse(in_words(error), BAD_INPUT)
+    if status == INTERRUPTED:  # typer's status for Ctrl-C
+        return _refuse(_BROKEN_OFF, INTERRUPTED)
     return status if isinstance(status, int) else FINE
 
 
