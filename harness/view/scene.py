@@ -26,6 +26,8 @@ from harness.view.entries import Colour, Entry, at_all_times, vehicle_colour
 TRAIL_US = 20_000_000
 """Length of a trail"""
 TRAIL_STEP_US = 200_000
+SURFACE_ALPHA = 110
+"""Opacity of the antenna's pattern, 0 to 255: vehicles and links in it are visible"""
 OCCUPANCY_ROWS = 5
 """Records of the channel, by `run.record_rate_hz`, between two points of its occupancy"""
 WIND_M_PER_M_S = 0.5
@@ -93,6 +95,8 @@ class Scene:
                     colors=[colour], radii=[-5.0], show_labels=True,
                 )
             )  # fmt: skip
+        translucent = [255, 255, 255, SURFACE_ALPHA]
+        found.append(at_all_times("world/antenna/pattern", "Mesh3D", albedo_factor=translucent))
         names = [f"UAV {i}" for i in range(len(self._airframes))]
         found += [
             at_all_times(f"plots/{plot}/uavs", "SeriesLines", names=names, colors=self._colours)
@@ -369,7 +373,7 @@ def surface_entries(surface: Surface, time_us: int) -> list[Entry]:
     """Return the antenna's pattern, its main lobe and its gain at an instant."""
     at = np.array([time_us])
     share = np.clip((surface.gain_dbi - surface.max_gain_dbi + 20.0) / 20.0, 0.0, 1.0)
-    colours = np.stack([60 + 195 * share, 70 + 110 * share, 200 - 160 * share, 110 + 0 * share], axis=1)
+    colours = np.stack([60 + 195 * share, 70 + 110 * share, 200 - 160 * share], axis=1)
     vertices = {"vertex_positions": surface.vertices_ned_m, "vertex_colors": colours.astype(np.uint8)}
     count = len(surface.vertices_ned_m)
     lobe = {"origins": surface.centre_ned_m[None], "vectors": 1.15 * surface.lobe_ned_m[None]}
