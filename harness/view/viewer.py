@@ -139,7 +139,7 @@ class Viewer:
                 raise ViewerError(f"the viewer did not start: {self._last_line()} (log: {self._log})")
             web, data = self._announced()
             expected = {data, web} if self.in_browser else {data}
-            if 0 not in expected and expected == self._listening():
+            if 0 not in expected and expected <= self._listening():
                 return web, data
             time.sleep(_POLL_S)
         raise ViewerError(f"the viewer did not start within {START_LIMIT_S:g} s (log: {self._log})")

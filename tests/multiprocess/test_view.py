@@ -14,8 +14,12 @@ from paths import SCENARIOS
 from supervising import alive, wait_for
 from view_pieces import line_of_vehicles
 
+from autopilot.logs.vehicle_record import VEHICLE_RECORD
 from autopilot.onboard.factory import layout_of
-from harness.launch.one_process import fly
+from foundation.records.record_log import count
+from harness.launch.one_process import OneProcessSwarm, fly
+from harness.launch.swarm import Swarm
+from harness.records.run_folder import RunFolder
 from harness.scenario.scenario_file import load
 from harness.view.entries import vehicle_colour
 
@@ -126,6 +130,22 @@ def test_a_dead_feed_is_named_and_a_killed_launcher_leaves_nothing(tmp_path):
     os.kill(process.pid, signal.SIGKILL)
     process.communicate(timeout=LIMIT_S)
     wait_for(lambda: not any(alive(child.pid) for child in parts.values()), "the end of the view")
+
+
+def test_live_records_of_a_killed_vehicle_are_those_of_a_run_without(tmp_path):
+    """Each record is in the log at once; of a killed vehicle the tables have whole blocks, as otherwise."""
+    hashes = []
+    for kind, live in ((Swarm, True), (OneProcessSwarm, False)):
+        with kind(
+            load(SCENARIOS / "article.toml", SETTINGS), out=tmp_path / kind.__name__, live_records=live
+        ) as swarm:
+            truth = swarm.run(until_s=1.02)
+            rows = count(RunFolder(swarm.path).raw_vehicle(1), VEHICLE_RECORD)
+            assert rows == (25 if live else 0), truth.t_s
+            swarm.kill(1)
+            swarm.run(until_s=1.5)
+        hashes.append(swarm.summary(draw=False)["log_sha256"])
+    assert hashes[0] == hashes[1]
 
 
 @pytest.mark.skipif(not CHROMIUM.exists(), reason="needs Chromium")
