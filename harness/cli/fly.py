@@ -248,7 +248,7 @@ def _keys(swarm: Swarm, *, until_interrupted: bool) -> str:
 
 
 def _fly(
-    swarm: Swarm, display: FlightDisplay, *, until_interrupted: bool, shown: FlightView | None
+    swarm: Swarm, display: FlightDisplay, *, until_interrupted: bool, shown: FlightView | None = None
 ) -> SwarmError | KeyboardInterrupt | None:
     """Start, form, hold and stop. Returns what broke it off, if there are records all the same."""
     run = swarm.scenario.run
