@@ -1,7 +1,7 @@
 """``coflight replay RUN``: shows a run that has ended in the viewer Rerun, or writes it as a recording of it.
 
-Exit status: 0 fine, 1 the viewer does not start, 2 no such run or no Rerun, 130 interrupted before the run
-was sent; all but 0 with one line on stderr.
+Exit status: 0 fine, 1 the viewer does not start or ends too early, 2 no such run or no Rerun, 130 interrupted
+before the run was sent; all but 0 with one line on stderr.
 """
 
 import sys
@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
+import msgspec
 import typer
 
 from foundation.exit_status import BAD_INPUT, FAILED, FINE, INTERRUPTED
@@ -24,7 +25,7 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
 class _NotShown(Exception):
-    """The viewer does not start; the text is one line."""
+    """The viewer does not start, or has ended; the text is one line."""
 
 
 @app.command()
@@ -54,9 +55,13 @@ def replay(
 
     name = run.resolve().name
     if record is not None:
-        sink = RerunSink(name, file=record)
-        feed.replay(folder, sink)
-        sink.close()
+        try:
+            sink = RerunSink(name, file=record)
+            feed.replay(folder, sink)
+            sink.close()
+        except BaseException:
+            record.unlink(missing_ok=True)  # half a recording; the same command starts again
+            raise
         _say(f"recorded into {record}: rerun {record} opens it")
         return
     in_browser = web or not has_display()
@@ -72,7 +77,8 @@ def replay(
                 _say(f"open {viewer.address}")
             sink = RerunSink(name, url=viewer.url)
             feed.replay(folder, sink)
-            sink.close()
+            if not sink.close():
+                raise _NotShown("the viewer ended before the whole run was sent")
             _say("the whole run is sent; " + ("Ctrl-C ends the viewer" if in_browser else "close the window"))
             try:
                 viewer.wait()
@@ -96,6 +102,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _refuse(str(error), BAD_INPUT)
     except _NotShown as error:
         return _refuse(str(error), FAILED)
+    except (ValueError, msgspec.MsgspecError) as error:
+        return _refuse(f"these are not the tables of a run: {error}", BAD_INPUT)
     except OSError as error:
         return _refuse(in_words(error), BAD_INPUT)
     if status == INTERRUPTED:  # typer's status for Ctrl-C

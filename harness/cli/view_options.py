@@ -39,9 +39,11 @@ class FlightView:
 
     def end_feed(self) -> None:
         """Send the rest of the flight, whose logs are closed."""
-        self._view.end_feed()
-        if self._record is not None:
+        is_whole = self._view.end_feed()
+        if self._record is not None and is_whole:
             self._note(f"recorded into {self._record}: rerun {self._record} opens it")
+        elif self._record is not None and self._record.exists():
+            self._note(f"{self._record} is not whole; coflight replay RUN --record FILE writes all of it")
 
     def keep_open(self) -> None:
         """Wait until the user is done: until the window is closed or, at a terminal, Ctrl-C."""

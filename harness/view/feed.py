@@ -119,7 +119,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     threading.Thread(target=await_end, daemon=True).start()
     sink = RerunSink(options.run.name, url=options.url, file=options.record)
     follow(RunFolder(options.run), sink, ended, whole=options.url is None)
-    sink.close()
+    if not sink.close():
+        sys.stderr.write("the viewer is gone\n")
     return 0
 
 

@@ -14,7 +14,9 @@ from harness.launch.spawner import spawn
 from harness.view.viewer import Viewer
 
 END_LIMIT_S = 20.0
-"""Wall time that the feed has after the flight for what is left"""
+"""Wall time that the feed has after the flight for what a viewer still lacks"""
+RECORD_LIMIT_S = 300.0
+"""The same for what a recording lacks"""
 
 
 class LiveView:
@@ -67,22 +69,26 @@ class LiveView:
                 f"the view has no data any more: its feed {ending(status)} (log: {log}); the flight goes on"
             )
 
-    def end_feed(self) -> None:
-        """Let the feed send what is left of the flight, and end it; harmless when repeated."""
+    def end_feed(self) -> bool:
+        """Let the feed send what is left of the flight, and end it; harmless when repeated.
+
+        Returns whether it has sent the flight to its end.
+        """
         feed = self._feed
         if feed is None:
-            return
+            return False
         stdin: IO[bytes] | None = feed.stdin
         if stdin is not None and not stdin.closed:
             stdin.close()
         try:
-            feed.wait(END_LIMIT_S)
+            feed.wait(END_LIMIT_S if self._record is None else RECORD_LIMIT_S)
         except subprocess.TimeoutExpired:
             self._is_ending = True
             feed.kill()
             feed.wait()
             self._note("the view lacks the end of the flight: its feed was too slow")
         self._feed = None
+        return feed.returncode == 0
 
     def end(self) -> None:
         """End feed and viewer; harmless when repeated."""

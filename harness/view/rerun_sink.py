@@ -1,6 +1,5 @@
 """The door to Rerun: entries are sent to a viewer or a file. No other module imports it."""
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -57,13 +56,18 @@ class RerunSink:
         times = rr.TimeColumn(TIMELINE, duration=np.asarray(entry.times_us).astype("timedelta64[us]"))
         self._recording.send_columns(entry.path, indexes=[times], columns=columns)
 
-    def close(self) -> None:
-        """Send what is left; a viewer that is gone is waited for `FLUSH_LIMIT_S` at most."""
+    def close(self) -> bool:
+        """Send what is left, and return whether all has arrived.
+
+        A viewer that is gone is waited for `FLUSH_LIMIT_S` at most.
+        """
+        is_whole = True
         try:
             self._recording.flush(timeout_sec=FLUSH_LIMIT_S)
         except (RuntimeError, ValueError):  # the viewer is gone
-            os.write(2, b"the viewer is gone\n")
+            is_whole = False
         self._recording.disconnect()
+        return is_whole
 
 
 def _plot(name: str, origin: str) -> rrb.TimeSeriesView:

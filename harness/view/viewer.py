@@ -71,7 +71,7 @@ class Viewer:
             arguments += ["--serve-web", "--web-viewer-port", "0", "--server-memory-limit", MEMORY_LIMIT]
         else:
             arguments += ["--expect-data-soon"]
-        self._log = folder / "viewer.log"
+        self._log, self._pages_log = folder / "viewer.log", folder / "pages.log"
         with self._log.open("wb") as output:
             self._process = spawn(
                 bound_module("harness.view.viewer_program", *arguments),
@@ -93,16 +93,18 @@ class Viewer:
     def _serve_pages(self) -> int:
         """Start the server of the pages; returns its port."""
         ports = map(str, (self.web_port, self.port))
-        self._pages = spawn(
-            bound_module("harness.view.page_server", *ports),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            process_group=0,
-        )
+        with self._pages_log.open("wb") as errors:
+            self._pages = spawn(
+                bound_module("harness.view.page_server", *ports),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                process_group=0,
+            )
         assert self._pages.stdout is not None  # noqa: S101  it is PIPE
         line = self._pages.stdout.readline()
         if not line.strip().isdigit():
-            raise ViewerError("the server of the viewer's pages did not start")
+            raise ViewerError(f"the server of the viewer's pages did not start (log: {self._pages_log})")
         return int(line)
 
     @property
