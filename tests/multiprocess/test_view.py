@@ -174,11 +174,9 @@ def test_the_web_viewer_shows_eight_vehicles(tmp_path):
             page.wait_for_timeout(500)
             page.screenshot(path=tmp_path / "page.png")
             with pil.open(tmp_path / "page.png") as picture:
-                scene_part = picture.convert("RGB").crop(
-                    (0, 40, 590, 500)
-                )  # the plots have these colours too
+                scene_part = picture.convert("RGB").crop((0, 40, 590, 500))
             shown = scene_part.getcolors(1_000_000)
-            # as lines, bodies and names; antialiasing and shading change some
+            # the plots have these colours too; shading changes some of lines, bodies and names
             missing = {one for one in colours if not any(near(one, other) for _, other in shown)}
         browser.close()
         sink.close()
