@@ -27,6 +27,7 @@ from autopilot.logs.ulog_rows import RowEncoder
 from autopilot.logs.ulog_topics import NUMBER_OF, TOPICS, TRUTH_TOPICS
 from autopilot.parameters.table import ROWS
 from autopilot.services.parameter import value_bytes
+from autopilot.vehicle.shared_state import MOST_ROWS
 
 if TYPE_CHECKING:
     from autopilot.vehicle.vehicle import Vehicle
@@ -122,6 +123,8 @@ class UlogWriter:
         if state.yaw_reset_counter != self._yaw_resets:
             data += self.rest()  # the rows before the reset
             self._yaw_resets = state.yaw_reset_counter
+        if rows.count == MOST_ROWS:
+            data += self.rest()  # there must be room for the row
         self._add_row()
         if changed or rows.count >= ROWS_AT_ONCE:
             data += self.rest()

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 _UNKNOWN = 65_535
 """MAVLink's mark of an unknown value of 16 bits."""
+_MOST_MAH = 65_535.0
+"""Greatest capacity that battery_status can state."""
 _PA_PER_HPA = 100.0
 _KELVIN = 273.15
 _AIR_J_KG_K = 287.1
@@ -82,7 +84,7 @@ def battery(vehicle: "Vehicle") -> Values | None:
         "current_a": -1.0 if pack.current_a is None else pack.current_a,
         "discharged_mah": pack.consumed_mah, "remaining": pack.remaining, "scale": 1.0,
         "time_remaining_s": math.nan if left_s is None else left_s, "cell_count": pack.params.cells,
-        "capacity": round(max(pack.params.capacity_mah, 0.0)) & _UNKNOWN, "id": 1,
+        "capacity": round(min(max(pack.params.capacity_mah, 0.0), _MOST_MAH)), "id": 1,
         "warning": int(pack.warning),
         "internal_resistance_estimate": pack.cell_resistance_ohm, "is_required": True,
     }  # fmt: skip

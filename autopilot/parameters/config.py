@@ -258,8 +258,8 @@ class LoggingConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """
 
     ulog: bool = False
-    """Whether each vehicle writes ``uav-N.ulg`` from its start on, PX4's ULog. Otherwise only a vehicle that
-    a ground station has spoken to writes it, from then on."""
+    """Whether each vehicle writes ``uav-N.ulg`` from its start on, PX4's ULog. Otherwise a vehicle writes
+    it from the first message of a ground station on."""
     tlog: bool = False
     """Whether the messages on each ground link are written to ``ground-N.tlog``, as ground stations do. A
     swarm in one process has no links."""

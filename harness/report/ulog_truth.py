@@ -116,6 +116,7 @@ class _TruthEncoder:
         self._origin_ned_m = np.array((north_m, east_m, -standing_m))
         self._ref_alt_m = site.altitude_m + standing_m
         self._last_us = 0
+        self._ref_us: int | None = None
 
     def encode(self, truth: NDArray[Any]) -> bytes:
         """Return the samples of records (n,) of `truth_record`."""
@@ -125,6 +126,8 @@ class _TruthEncoder:
         time_us, q = truth["time_us"], truth["q_ned_frd"]
         before_us = np.concatenate(([self._last_us], time_us[:-1]))
         self._last_us = int(time_us[-1])
+        if self._ref_us is None:
+            self._ref_us = int(time_us[0])
         local_m, vel_m_s = truth["pos_ned_m"] - self._origin_ned_m, truth["vel_ned_m_s"]
         lat_deg, lon_deg, alt_m = ned_to_geodetic(
             truth["pos_ned_m"],
@@ -135,12 +138,12 @@ class _TruthEncoder:
         w, x, y, z = q.T
         found: tuple[Columns, ...] = (
             {"xyz": truth["omega_frd_rad_s"], "xyz_derivative": math.nan},
-            {"q": q, "delta_q_reset": (1.0, 0.0, 0.0, 0.0)},
+            {"q": q, "delta_q_reset": np.tile((1.0, 0.0, 0.0, 0.0), (len(q), 1))},
             {
                 "x": local_m[:, 0], "y": local_m[:, 1], "z": local_m[:, 2],
                 "vx": vel_m_s[:, 0], "vy": vel_m_s[:, 1], "vz": vel_m_s[:, 2], "z_deriv": vel_m_s[:, 2],
                 "heading": np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
-                "ref_timestamp": time_us[0], "ref_lat": self._ref_deg[0], "ref_lon": self._ref_deg[1],
+                "ref_timestamp": self._ref_us, "ref_lat": self._ref_deg[0], "ref_lon": self._ref_deg[1],
                 "ref_alt": self._ref_alt_m,
                 **dict.fromkeys(
                     ("xy_valid", "z_valid", "v_xy_valid", "v_z_valid", "xy_global", "z_global"), True

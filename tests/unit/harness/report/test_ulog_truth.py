@@ -14,8 +14,9 @@ from autopilot.logs.ulog_topics import TOPICS, TRUTH_TOPICS
 from harness.launch.one_process import OneProcessSwarm
 from harness.records.run_folder import RunFolder
 from harness.report import report
-from harness.report.ulog_truth import add_truth
+from harness.report.ulog_truth import _TruthEncoder, add_truth
 from harness.scenario.scenario_file import load
+from harness.simulator.truth_record import truth_record
 
 UNTIL_S = 6.0
 SCENARIO = SCENARIOS / "article.toml"
@@ -119,6 +120,28 @@ def test_a_torn_end_is_removed_and_a_second_report_replaces_the_first(flown, tmp
     for topic in TRUTH_TOPICS:
         for field, values in log.get_dataset(topic.name).data.items():
             np.testing.assert_array_equal(values, again.get_dataset(topic.name).data[field])
+
+
+@pytest.mark.parametrize("rows", range(1, 9))
+def test_blocks_of_any_length_give_the_samples_of_one_block(rows):
+    """Also of 3 and 4 rows, the numbers of elements of a vector and of a quaternion."""
+    scenario = load(SCENARIO, ["agents=2", *FORMATION])
+    truth = np.zeros(24, truth_record(4))
+    truth["time_us"] = 40_000 * np.arange(1, 25)
+    truth["q_ned_frd"] = np.random.default_rng(1).normal(size=(24, 4))
+
+    def samples(size):
+        encoder = _TruthEncoder(scenario.site, None, 0.055)
+        data = b"".join(encoder.encode(truth[at : at + size]) for at in range(0, 24, size))
+        found = []
+        at = 0
+        while at < len(data):
+            end = at + 3 + int.from_bytes(data[at : at + 2], "little")
+            found.append(data[at:end])
+            at = end
+        return sorted(found)
+
+    assert samples(rows) == samples(24)
 
 
 @pytest.mark.parametrize("content", [b"", b"ULog", b"no log of PX4, but longer than its header"])
