@@ -74,7 +74,7 @@ class Scene:
             yield from self._trails(time_us, pos_enu_m)
             if seldom[t]:
                 yield from self._places(time_ns, rows)
-                yield self._links(time_ns, pos_enu_m, links.take(time_ns))
+                yield self._links(time_ns, pos_enu_m, self._of_living(rows, links.take(time_ns)))
                 yield self._wind(time_ns, rows, pos_enu_m)
                 yield self._believed(time_ns, rows)
 
@@ -127,6 +127,11 @@ class Scene:
             for at, airframe in zip(vectors(places_enu_m), self._airframes, strict=True)
         ]
         yield self._update(time_ns, PLACES, self._entity(time_ns, "places", spheres=spheres))
+
+    def _of_living(self, rows: NDArray[Any], severity: NDArray[np.int8]) -> NDArray[np.int8]:
+        """Return severities without those of lost vehicles, which receive no frame to a group."""
+        on_air = np.concatenate([rows["alive"], np.ones(len(self._guests), dtype=np.bool_)])
+        return severity * np.outer(on_air, on_air)
 
     def _links(self, time_ns: int, pos_enu_m: Array, severity: NDArray[np.int8]) -> Message:
         guests_enu_m = [enu_of_ned(np.array(guest.pos_ned_m, dtype=np.float64)) for guest in self._guests]

@@ -15,9 +15,11 @@ from scipy.spatial.transform import Rotation
 from foundation import exit_status
 from foundation.geometry.geodesy import geodetic_to_ned
 from harness.cli import export
-from harness.export import links
+from harness.export import enu, links, scene
+from harness.export.messages import vectors
 from harness.export.run_export import write_mcap
 from harness.launch.one_process import OneProcessSwarm
+from harness.records import pieces
 from harness.records.run_folder import RunFolder, read_scenario
 from harness.scenario.scenario_file import load
 from netsim.emulator.log_layout import FRAME_LOG
@@ -335,6 +337,22 @@ def test_the_page_lists_the_topics(read):
         assert schema in row or name.startswith("/uavN/sensors/"), topic
         assert row, topic
         assert channel.metadata["description"].rstrip(".") in row, topic
+
+
+def test_no_link_ends_at_a_lost_vehicle(flown):
+    """The table of frames does not have the receivers of a frame to a group."""
+    (last,) = (
+        piece.flight[-1:]
+        for piece in pieces.pieces_of_tables(flown.folder, flown.scenario, step_us=1_000_000_000)
+    )
+    table = links.LinkTable(AGENTS + 1)
+    table.add_frames(frames({"end_ns": 1, "source": 0, "destination": -1, "kind": b"data", "delivered": 3}))
+    drawn = scene.Scene(flown.scenario, epoch_ns=0).messages(last, np.ones(1, np.bool_), table)
+    (entity,) = next(content for _, topic, content in drawn if topic == scene.LINKS)["entities"]
+    points = [tuple(point.values()) for line in entity["lines"] for point in line["points"]]
+    ends = [tuple(at.values()) for at in vectors(enu.enu_of_ned(last["pos_ned_m"][0]))]
+    assert {*ends} - {ends[LOST]} <= {*points}
+    assert ends[LOST] not in points
 
 
 # ---- an export that fails
