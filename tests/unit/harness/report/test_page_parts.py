@@ -175,6 +175,18 @@ def test_table_reader_gives_the_values_of_arrow(tmp_path):
     assert reader.column("whole").tolist() == list(range(15))
 
 
+def test_table_reader_uses_a_pool_of_its_own_and_leaves_that_of_the_process(tmp_path):
+    pq.write_table(pa.table({"value": np.arange(100_000.0)}), tmp_path / "t.parquet")
+    process, system = pa.default_memory_pool(), pa.system_memory_pool()
+    reader = TableReader(tmp_path / "t.parquet")
+    before = system.bytes_allocated()
+    batches = reader.batches(["value"])
+    part = next(batches)
+    assert pa.default_memory_pool().backend_name == process.backend_name
+    assert system.bytes_allocated() - before >= part["value"].nbytes
+    reader.close()
+
+
 def test_changes_of_a_scenario_are_the_fields_that_differ():
     run = RunConfig(seed=9)
     (change,) = changes(Scenario(name="x", run=run))
