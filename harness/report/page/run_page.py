@@ -171,6 +171,8 @@ def _replay_section(replay: Replay) -> Section:
         "links are the ranging sessions and datagrams to one receiver since the instant before",
         "a red halo: some receivers lost broadcasts of that UAV, and its size is their share",
     ]
+    if (until_s := replay.links.until_s()) is not None:
+        parts.append(f"links after {until_s:.2f} s are left out, as they are too many")
     if content["stretch"] > 1.0:
         parts.append(f"heights are stretched {content['stretch']:.3g} times")
     note = "; ".join(parts)

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from harness.records.table_reader import TableReader
+from harness.report.page import replay
 from harness.report.page.channel_plots import ChannelStatistics
 from harness.report.page.encoding import packed, plot_text, script_json
 from harness.report.page.envelope import envelope
@@ -110,6 +111,40 @@ def test_links_are_those_since_the_instant_before_and_failed_if_one_failed():
     assert _unpacked(content["starts"], np.int32) == [0, 0, 1, 2]
     pairs = [_unpacked(content[key], np.uint8) for key in ("first", "second", "state")]
     assert pairs == [[0, 1], [1, 2], [1, 0]]
+
+
+@pytest.mark.parametrize("merged_at", [1, 10**6])
+def test_links_in_batches_are_those_of_all_rows_and_stay_bounded(monkeypatch, merged_at):
+    rng = np.random.default_rng(5)
+    count, ends_s = 4_000, np.arange(1.0, 41.0)
+    sessions = {
+        "measured_ns": np.sort(rng.integers(0, 40 * 10**9, count)), "initiator": rng.integers(0, 5, count),
+        "peer": rng.integers(0, 5, count), "status": (rng.random(count) < 0.2).astype(int),
+    }  # fmt: skip
+    expected: dict[tuple[int, int, int], int] = {}
+    for time_ns, *pair, status in zip(*(values.tolist() for values in sessions.values()), strict=True):
+        key = (int(np.searchsorted(ends_s, time_ns / 1e9)), min(pair), max(pair))
+        expected[key] = max(expected.get(key, 0), status)
+
+    def found(most):
+        monkeypatch.setattr(replay, "MOST_LINKS", most)
+        monkeypatch.setattr(replay, "MERGED_AT", merged_at)
+        links = Links(ends_s, vehicles=5)
+        for first in range(0, count, 128):
+            links.add_sessions(
+                {name: values[first : first + 128] for name, values in sessions.items()}, ["ok", "timeout"]
+            )
+        content = links.content()
+        instants = np.repeat(np.arange(40), np.diff(_unpacked(content["starts"], np.int32)))
+        first, second, state = (_unpacked(content[key], np.uint8) for key in ("first", "second", "state"))
+        rows = zip(instants.tolist(), first, second, strict=True)
+        return list(zip(rows, state, strict=True)), links.until_s()
+
+    whole = sorted(expected.items())
+    assert found(10_000) == (whole, None)
+    cut, until_s = found(100)
+    assert cut == whole[:100]
+    assert until_s == ends_s[whole[100][0][0] - 1]
 
 
 def test_halos_are_shares_of_lost_broadcasts():
