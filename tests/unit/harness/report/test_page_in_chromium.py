@@ -89,6 +89,15 @@ def test_slider_moves_vehicles_and_links(run, chromium):
         assert z_last == pytest.approx([-each for each in truth[-3:]], abs=1e-5)
         opened.page.locator("#chips button[data-uav='1']").click()
         assert len(opened.page.evaluate(positions)) == 2
+        opened.page.locator("#plot-timeline .main-svg").first.wait_for(state="attached")
+        drawn = opened.page.locator("#plot-timeline .nsewdrag")
+        drawn.scroll_into_view_if_needed()
+        size = drawn.bounding_box()
+        row = size["height"] * 1.6 / 4.2  # of the rows from -1.6 to 2.6, the bars of phases at 0
+        drawn.hover(position={"x": 0.5 * size["width"], "y": row})
+        drawn.click(position={"x": 0.5 * size["width"], "y": row})
+        middle_s = float(opened.page.inner_text("#replay-clock").removeprefix("t = ").removesuffix(" s"))
+        assert middle_s == pytest.approx(0.5 * time_us[-1] / 1e6, abs=0.2)  # an instant and a dot
         assert opened.errors == []
 
 
