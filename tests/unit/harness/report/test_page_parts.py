@@ -3,6 +3,7 @@
 import base64
 import json
 import math
+import os
 
 import msgspec
 import numpy as np
@@ -12,15 +13,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from harness.records.run_folder import RunFolder
 from harness.records.table_reader import TableReader
 from harness.report.page import replay
 from harness.report.page.channel_plots import ChannelStatistics
+from harness.report.page.content import Link, file_link
 from harness.report.page.encoding import packed, plot_text, script_json
 from harness.report.page.envelope import envelope
+from harness.report.page.flight_plots import sensor_plots
 from harness.report.page.ranging_plots import RangingStatistics
 from harness.report.page.replay import Links, replay_rows
+from harness.report.page.run_tables import recorded_s
 from harness.report.page.scenario_changes import changes
-from harness.report.page.timeline import MOST_BARS, event_rows, segments
+from harness.report.page.timeline import MOST_BARS, MOST_EVENTS, event_rows, segments, shown_events
 from harness.scenario.scenario import RunConfig, Scenario
 
 
@@ -82,6 +87,27 @@ def test_values_that_alternate_give_a_bounded_number_of_segments():
 def test_unknown_events_are_listed_by_their_fields():
     (row,) = event_rows([{"event": "news", "time_us": 1_500_000, "instance": 2, "what": "x"}])
     assert (row.time_s, row.vehicle, row.text, row.is_bad) == (1.5, 2, "news what = x", False)
+
+
+def test_failures_are_shown_also_after_many_texts():
+    texts = [{"event": "applicationtext", "time_us": k, "instance": 0, "text": "x"} for k in range(700)]
+    lost = {"event": "vehiclelost", "time_us": 900, "instance": 3, "reason": "r"}
+    shown = shown_events(event_rows([*texts, lost]))
+    assert len(shown) == MOST_EVENTS
+    assert shown[-1].text == "Lost: r"
+    assert [each.time_s * 1e6 for each in shown[:-1]] == pytest.approx(list(range(MOST_EVENTS - 1)))
+
+
+def test_link_to_a_file_whose_name_is_not_utf8_leads_to_its_bytes():
+    link = file_link(os.fsdecode(b"logs/\xff<b> #.log"))
+    assert link == Link("logs/\N{REPLACEMENT CHARACTER}<b> #.log", "logs/%FF%3Cb%3E%20%23.log")
+
+
+def test_names_of_sensors_are_escaped_in_figures_and_plain_over_them():
+    series = {("A & B", "<i>_m"): np.zeros((4, 1), np.float32)}
+    (plot,) = sensor_plots(series, np.array([0.0, 1.0, 2.0]), left_out=0)
+    assert plot.title == "A & B: <i>_m"
+    assert plot.layout["yaxis"]["title"]["text"].startswith("&lt;i&gt;_m")
 
 
 @pytest.mark.parametrize(("duration_s", "vehicles"), [(60.0, 8), (3600.0, 8), (60.0, 64), (36000.0, 254)])
@@ -194,6 +220,30 @@ def test_ranging_statistics_are_those_of_numpy():
     assert pair == [0, 1, 4, 3]
     assert (mean, spread) == pytest.approx((error_m[:3].mean(), error_m[:3].std(ddof=1)))
     assert found.by_status == {"ok": 3, "timeout": 1}
+
+
+@pytest.mark.parametrize("duration_s", [50.0, 31.1, 0.05])
+def test_errors_over_time_and_distance_have_the_first_and_the_last_session(duration_s):
+    sessions = {
+        "measured_ns": np.array([0.0, 0.5, 0.999, 1.0]) * duration_s * 1e9, "initiator": np.zeros(4, int),
+        "peer": np.ones(4, int), "status": np.zeros(4, int),
+        "true_distance_m": np.array([1.0, 2.0, 3.0, 9.0]), "distance_m": np.array([4.0, 2.0, 3.0, 16.0]),
+    }  # fmt: skip
+    found = RangingStatistics(duration_s)
+    found.add(sessions, {"status": ["ok"]})
+    plots = {plot.key: plot for plot in found.plots()}
+    for key in ("ranging-over-time", "ranging-over-distance"):
+        low, high = (np.float32(_unpacked(plots[key].data[k]["y"], np.float32)) for k in (1, 0))
+        assert high[-1] > 3.0
+        if len(high) > 1:
+            assert (low[0], high[0]) == (3.0, 3.0)
+
+
+def test_figures_of_a_killed_run_reach_its_last_frame(tmp_path):
+    folder = RunFolder(tmp_path)
+    for last_s, expected_s in ((5.93, 5.93), (5.15, 5.12), (1.0, 5.12)):
+        pq.write_table(pa.table({"start_ns": [0, int(last_s * 1e9)]}), folder.radio)
+        assert recorded_s(folder, 5.12) == pytest.approx(expected_s)
 
 
 def test_table_reader_gives_the_values_of_arrow(tmp_path):
