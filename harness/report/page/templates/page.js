@@ -178,13 +178,14 @@
                         marker: { size: 6, color: f.living.colour.length ? f.living.colour : c.text, line: { width: 1, color: c.panel } } }, xyz(f.living)),
         Object.assign({ type: "scatter3d", mode: "markers+text", name: "lost", text: f.lost.text, textposition: "top center",
                         hovertemplate: hover, textfont: { color: c.text, size: 12 }, showlegend: f.lost.x.length > 0,
-                        marker: { symbol: "x", size: 6, color: "#d64545" } }, xyz(f.lost)),
+                        marker: { symbol: "diamond", size: 7, color: "#d64545" } }, xyz(f.lost)),
       ];
     }
 
     function layout() {
       const [x, y, z] = data.range;
       const title = (text) => ({ title: { text } });
+      const far = Math.max(1, Math.hypot(...data.aspect) / Math.sqrt(3));
       return themed({
         margin: { l: 0, r: 0, t: 0, b: 0 },
         scene: {
@@ -192,7 +193,7 @@
           yaxis: Object.assign(title("North (m)"), { range: y }),
           zaxis: Object.assign(title("Up (m)"), { range: z }),
           aspectmode: "manual", aspectratio: { x: data.aspect[0], y: data.aspect[1], z: data.aspect[2] },
-          camera: { eye: { x: -1.25, y: -1.45, z: 0.9 }, center: { x: 0, y: 0, z: -0.12 } }, uirevision: "kept",
+          camera: { eye: { x: -1.25 * far, y: -1.45 * far, z: 0.9 * far }, center: { x: 0, y: 0, z: -0.12 } }, uirevision: "kept",
         },
         legend: { orientation: "h", y: 1, yanchor: "top", x: 0, bgcolor: "rgba(0,0,0,0)" },
       }, node.clientHeight);
