@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 import numpy as np
 import pyarrow as pa
@@ -30,7 +29,18 @@ from harness.campaign.figures import (
 from harness.campaign.intervals import CONFIDENCE, Interval
 from harness.campaign.store import FAILED, PAGE, TABLES
 from harness.campaign.table import CAMPAIGN_KEY, SCENARIO_KEY
-from harness.report.page.content import Card, Cell, Link, Page, Section, Table, count, percent, size_text
+from harness.report.page.content import (
+    Card,
+    Cell,
+    Link,
+    Page,
+    Section,
+    Table,
+    count,
+    file_link,
+    percent,
+    size_text,
+)
 from harness.report.page.encoding import plot_text
 from harness.report.page.plots import QUALITATIVE, Plot, axis
 
@@ -234,7 +244,7 @@ def _listed(rows: pa.Table, names: Sequence[str], folder: Path) -> list[list[Cel
         cells: list[Cell] = ["–" if row.get(name) is None else _short(row[name]) for name in names]
         digest = str(row["digest"])
         if (folder / "runs" / f"{digest}.json").is_file():
-            cells[0] = Link(digest, quote(f"runs/{digest}.json"))
+            cells[0] = Link(digest, file_link(f"runs/{digest}.json").target)
         listed.append(cells)
     return listed
 
@@ -252,7 +262,7 @@ def _files_section(folder: Path) -> Section:
     paths = [folder / name for name in TABLES] + sorted([*folder.glob("by-*.png"), *folder.glob("by-*.pdf")])
     paths += sorted((folder / "runs").glob("[!.]*.parquet"))[:MOST_ROWS]
     rows: list[list[Cell]] = [
-        [Link(name := path.relative_to(folder).as_posix(), quote(name)), size_text(path.stat().st_size)]
+        [file_link(path.relative_to(folder).as_posix()), size_text(path.stat().st_size)]
         for path in paths
         if path.is_file()
     ]

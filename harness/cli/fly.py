@@ -348,7 +348,8 @@ def _left(path: Path) -> str:
     """Return what a run has whose results are not complete, and the command that completes them."""
     folder = RunFolder(path)
     if folder.is_reported():
-        return f"the tables are written, the figures are not: coflight report {path} --figures draws them"
+        made_by = f"coflight report {path} --figures makes them"
+        return f"the tables are written, figures or report.html are not: {made_by}"
     megabytes = sum(raw.stat().st_size for raw in folder.raw.glob("*.bin")) / 1e6
     return (
         f"no table is written; {megabytes:.1f} MB of raw logs are kept in {folder.raw}: "

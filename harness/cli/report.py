@@ -61,8 +61,8 @@ def report(
         except OSError as error:
             if folder.is_reported():
                 raise _NotWritten(
-                    f"the tables are written, the figures are not: {in_words(error)}; coflight report {run} "
-                    "--figures draws them"
+                    f"the tables are written, figures or report.html are not: {in_words(error)}; "
+                    f"coflight report {run} --figures makes them"
                 ) from None
             raise _NotWritten(
                 f"the tables cannot be written: {in_words(error)}; the raw logs are kept in {folder.raw}"

@@ -24,7 +24,12 @@ class TableReader:
 
     def __init__(self, path: Path) -> None:
         """Open the table. Raises OSError."""
-        self._file = pq.ParquetFile(path, pre_buffer=False, buffer_size=_BUFFER_BYTES)
+        before = pa.default_memory_pool()
+        pa.set_memory_pool(pa.system_memory_pool())  # kept by the file; it returns what is freed at once
+        try:
+            self._file = pq.ParquetFile(path, pre_buffer=False, buffer_size=_BUFFER_BYTES)
+        finally:
+            pa.set_memory_pool(before)
         self.names: list[str] = self._file.schema_arrow.names
         self.rows: int = self._file.metadata.num_rows
         self.texts: dict[str, list[str]] = {}
@@ -46,13 +51,8 @@ class TableReader:
 
     def batches(self, names: Sequence[str], *, rows: int = BATCH_ROWS) -> Iterator[dict[str, NDArray[Any]]]:
         """Yield some columns in batches of at most ``rows`` rows, in order. Raises OSError."""
-        before = pa.default_memory_pool()
-        pa.set_memory_pool(pa.system_memory_pool())  # returns what is freed at once
-        try:
-            for batch in self._file.iter_batches(batch_size=rows, columns=list(names), use_threads=False):
-                yield {name: self._values(name, batch.column(name)) for name in names}
-        finally:
-            pa.set_memory_pool(before)
+        for batch in self._file.iter_batches(batch_size=rows, columns=list(names), use_threads=False):
+            yield {name: self._values(name, batch.column(name)) for name in names}
 
     def _values(self, name: str, array: pa.Array) -> NDArray[Any]:
         if pa.types.is_dictionary(array.type):

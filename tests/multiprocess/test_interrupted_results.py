@@ -94,8 +94,8 @@ def test_signal_while_figures_are_drawn_keeps_the_tables(
         assert fly.main([*FLIGHT, *SMALL, "--out", str(run)]) == fly.INTERRUPTED
     last_line = capsys.readouterr().err.splitlines()[-1]
     assert last_line == (
-        "coflight: broken off: the tables are written, the figures are not: "
-        f"coflight report {run} --figures draws them"
+        "coflight: broken off: the tables are written, figures or report.html are not: "
+        f"coflight report {run} --figures makes them"
     )
     assert report.main([str(run), "--figures"]) == report.FINE
     assert "tracks.png" in capsys.readouterr().err

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import shutil
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -31,13 +32,20 @@ class FilePage:
         self.page.goto(path.as_uri())
         self.page.wait_for_function("document.readyState === 'complete'")
 
-    def draw_all(self, most: int | None = None) -> int:
-        """Scroll to every figure, or to the first ``most``, until it is drawn; returns the number of all."""
+    def draw_all(self) -> int:
+        """Scroll to every figure until it is drawn; returns their number."""
         figures = self.page.locator(".graph")
-        for k in range(min(figures.count(), most or 1_000)):
+        for k in range(figures.count()):
             figures.nth(k).scroll_into_view_if_needed()
             figures.nth(k).locator(".main-svg").first.wait_for(state="attached")
         return int(figures.count())
+
+    def wait_until(self, expression: str) -> None:
+        """Wait until an expression is true. Playwright's own wait is forbidden by the page's policy."""
+        end_s = time.monotonic() + LIMIT_MS / 1e3
+        while not self.page.evaluate(expression):
+            assert time.monotonic() < end_s, f"not within {LIMIT_MS / 1e3:.0f} s: {expression}"
+            self.page.wait_for_timeout(50.0)
 
     def foreign_requests(self) -> list[str]:
         """Return the addresses that are neither of files nor made by the page."""

@@ -134,13 +134,14 @@ def occupancy_plot(time_us: NDArray[np.int64], busy_fraction: NDArray[np.float64
             time_us / 1e6, percent, "busy", GOOD, showlegend=False, hovertemplate="%{y:.2f} %<extra></extra>"
         )
     ]
+    interval = f"{np.diff(time_us)[0] / 1e6:.3g} s before each point" if len(time_us) > 1 else "the whole run"
     plot = time_plot(
         "occupancy",
         "Occupancy of the channel",
         "Channel busy (%)",
         data,
         rangemode="tozero",
-        note=f"mean {mean:.1f} %; over the interval of 1 s before each point",
+        note=f"mean {mean:.2f} %; over {interval}",
     )
     plot.layout["shapes"] = [
         {

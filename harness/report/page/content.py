@@ -3,9 +3,11 @@
 The template escapes every text. Texts of figures are escaped where they are made (`encoding.plot_text`).
 """
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
+from urllib.parse import quote
 
 from harness.report.page.plots import Plot
 
@@ -94,6 +96,12 @@ class Page:
             "vehicles": list(self.vehicles),
             **self.extra,
         }
+
+
+def file_link(name: str) -> Link:
+    """Return a link to a file of the page's folder; bytes of its name that are not UTF-8 show as U+FFFD."""
+    encoded = os.fsencode(name)
+    return Link(encoded.decode(errors="replace"), quote(encoded))
 
 
 def number(value: float | None, form: str = ".3f", unit: str = "") -> str:

@@ -164,7 +164,7 @@ def number_plot(key: str, name: str, time_s: NDArray[Any], values: NDArray[Any])
     label = f"{name} ({unit})" if unit else name
     return vehicle_plot(
         key,
-        plot_text(name),
+        name,
         plot_text(label),
         time_s,
         values,
@@ -194,5 +194,5 @@ def sensor_plots(
         note = rate_note(float(edges_s[1] - edges_s[0]))
         if left_out:
             note += f"; {left_out} further values are in sensors.parquet"
-        plots.append(time_plot(f"sensor-{number}", plot_text(f"{sensor}: {column}"), label, data, note=note))
+        plots.append(time_plot(f"sensor-{number}", f"{sensor}: {column}", label, data, note=note))
     return plots

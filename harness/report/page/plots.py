@@ -42,6 +42,7 @@ class Plot:
     key: str
     """Name of its element, unique on the page"""
     title: str
+    """Plain text, over the figure and not in it"""
     data: list[dict[str, Any]]
     layout: dict[str, Any] = field(default_factory=dict)
     note: str = ""

@@ -92,9 +92,9 @@ class RangingStatistics:
 
     def _over_time(self, found: NDArray[np.float32]) -> Plot:
         edges_s = time_bins(self._end_s)
-        edges_s = edges_s[:: max(1, len(edges_s) // MOST_TIMES)]
+        edges_s = np.linspace(0.0, edges_s[-1], min(len(edges_s) - 1, MOST_TIMES) + 1)
         middles_s, low, middle, high = _percentiles(found[:, 0], found[:, 2], edges_s)
-        note = f"of the sessions in every {edges_s[1] - edges_s[0]:.3g} s" if len(edges_s) > 1 else ""
+        note = f"of the sessions in every {edges_s[1] - edges_s[0]:.3g} s"
         return time_plot(
             "ranging-over-time",
             "Ranging errors over time",
@@ -134,8 +134,11 @@ class RangingStatistics:
 def _percentiles(
     at: NDArray[Any], values: NDArray[Any], edges: NDArray[Any]
 ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """Return the middles of the intervals between ``edges`` with values, and 5 %, median and 95 % there."""
-    interval = np.searchsorted(edges, at, side="right") - 1
+    """Return the middles of the intervals between ``edges`` with values, and 5 %, median and 95 % there.
+
+    The first and the last interval have what lies before and after the edges, too.
+    """
+    interval = np.clip(np.searchsorted(edges, at, side="right") - 1, 0, len(edges) - 2)
     order = np.argsort(interval, kind="stable")
     bounds = np.searchsorted(interval[order], np.arange(len(edges)))
     middles, rows = [], []

@@ -16,6 +16,8 @@ MOST_POSITIONS = 60_000
 """Positions of all vehicles together"""
 MOST_LINKS = 400_000
 """Entries of links; with more the last instants have none"""
+MERGED_AT = 100_000
+"""Entries of links that are collected before they are merged, at least"""
 FRAME_COLUMNS = ("end_ns", "source", "destination", "kind", "delivered", "collided", "lost_to_noise")
 """Columns of ``radio.parquet`` that are read"""
 SESSION_COLUMNS = ("measured_ns", "initiator", "peer", "status")
@@ -44,8 +46,10 @@ class Links:
 
     def __init__(self, time_s: NDArray[Any], vehicles: int) -> None:
         self._ends_s, self._vehicles = time_s, vehicles
-        self._states: dict[int, list[int]] = {}
-        """Successes and failures by (instant, first, second, kind) as one number"""
+        self._states = np.empty(0, np.int64)
+        """(instant, first, second, kind and whether one failed), each as one number; sorted"""
+        self._added: list[NDArray[np.int64]] = []
+        """Such numbers that are not merged yet"""
         self._heard = np.zeros((len(time_s), vehicles, 2), np.int64)
         """Receivers that group frames of each vehicle reached and did not reach"""
 
@@ -85,21 +89,33 @@ class Links:
         instants = np.searchsorted(self._ends_s, time_ns / 1e9)
         known = (instants < len(self._ends_s)) & (first < n) & (second < n) & (first >= 0) & (second >= 0)
         low, high = np.minimum(first, second)[known], np.maximum(first, second)[known]
-        keys = ((instants[known] * n + low) * n + high) * 4 + kind
-        found, inverse = np.unique(keys, return_inverse=True)
-        good = np.bincount(inverse, fine[known], minlength=len(found)).astype(int)
-        all_of = np.bincount(inverse, minlength=len(found))
-        for key, successes, total in zip(found.tolist(), good.tolist(), all_of.tolist(), strict=True):
-            state = self._states.setdefault(key, [0, 0])
-            state[0] += successes
-            state[1] += total - successes
+        self._added.append(
+            np.unique(((instants[known] * n + low) * n + high) * 4 + kind + ~fine[known]).astype(np.int64)
+        )
+        if sum(map(len, self._added)) > max(MERGED_AT, len(self._states)):
+            self._merge()
+
+    def _merge(self) -> None:
+        """Merge what was added, and drop what `content` cannot give."""
+        self._states = np.unique(np.concatenate([self._states, *self._added]))[: 2 * (MOST_LINKS + 1)]
+        self._added = []
+
+    def until_s(self) -> float | None:
+        """Return the time up to which `content` has all links; None: all of them."""
+        self._merge()
+        links = np.unique(self._states // 2)
+        if len(links) <= MOST_LINKS:
+            return None
+        last = int(links[MOST_LINKS] // (2 * self._vehicles**2)) - 1
+        return float(self._ends_s[last]) if last >= 0 else float(self._ends_s[0])
 
     def content(self) -> dict[str, Any]:
         """Return, for the script, the links of each instant, and the shares of lost group frames (K, N)."""
         n = self._vehicles
-        keys = np.array(sorted(self._states), np.int64)[:MOST_LINKS]
-        failed = np.array([self._states[key][1] > 0 for key in keys.tolist()], np.int64)
-        pairs, kinds = keys // 4, keys % 4
+        self._merge()
+        is_last = np.diff(self._states // 2, append=-1) != 0  # the failure, of a link with successes too
+        states = self._states[is_last][:MOST_LINKS]
+        pairs, codes = states // 4, states % 4
         instants = pairs // (n * n)
         total = self._heard.sum(axis=-1)
         share = np.where(total > 0, 255.0 * self._heard[..., 1] / np.maximum(total, 1), 0.0)
@@ -107,7 +123,7 @@ class Links:
             "starts": packed(np.searchsorted(instants, np.arange(len(self._ends_s) + 1)).astype(np.int32)),
             "first": packed((pairs // n % n).astype(np.uint8)),
             "second": packed((pairs % n).astype(np.uint8)),
-            "state": packed((kinds + failed).astype(np.uint8)),
+            "state": packed(codes.astype(np.uint8)),
             "lost": packed(np.ceil(share).astype(np.uint8)),
         }
 

@@ -31,6 +31,7 @@ from harness.report.page.run_tables import (
     read_events,
     read_ranging,
     read_sensors,
+    recorded_s,
 )
 from harness.report.page.timeline import Segment, event_rows, phases_of, segments, timeline_plot
 from harness.scenario.scenario import Scenario
@@ -76,7 +77,7 @@ def make_page(
     manifest: Mapping[str, Any],
 ) -> Page:
     """Return the content of the page. Raises OSError."""
-    end_s = float(summary["simulated_s"])
+    end_s = recorded_s(folder, float(summary["simulated_s"]))
     flight = FlightColumns(folder.flight, scenario.agents)
     replayed, links = _replay(flight)
     channel = read_channel(folder, end_s, links)
@@ -171,6 +172,8 @@ def _replay_section(replay: Replay) -> Section:
         "links are the ranging sessions and datagrams to one receiver since the instant before",
         "a red halo: some receivers lost broadcasts of that UAV, and its size is their share",
     ]
+    if (until_s := replay.links.until_s()) is not None:
+        parts.append(f"links after {until_s:.2f} s are left out, as they are too many")
     if content["stretch"] > 1.0:
         parts.append(f"heights are stretched {content['stretch']:.3g} times")
     note = "; ".join(parts)

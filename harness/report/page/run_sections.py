@@ -3,7 +3,6 @@
 import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any
-from urllib.parse import quote
 
 import msgspec
 
@@ -12,11 +11,11 @@ from harness.report.page.channel_plots import ChannelStatistics
 from harness.report.page.content import (
     Card,
     Cell,
-    Link,
     Page,
     Section,
     Table,
     count,
+    file_link,
     number,
     percent,
     size_text,
@@ -24,7 +23,7 @@ from harness.report.page.content import (
 from harness.report.page.plots import Plot
 from harness.report.page.ranging_plots import RangingStatistics
 from harness.report.page.scenario_changes import changes
-from harness.report.page.timeline import MOST_EVENTS, EventRow
+from harness.report.page.timeline import MOST_EVENTS, EventRow, shown_events
 from harness.scenario.scenario import Scenario
 
 MOST_PAIRS = 400
@@ -149,10 +148,10 @@ def event_tables(events: Sequence[EventRow]) -> list[Table]:
         return []
     rows: list[list[Cell]] = [
         [f"{each.time_s:.3f}", "run" if each.vehicle is None else f"UAV {each.vehicle}", each.text]
-        for each in events[:MOST_EVENTS]
+        for each in shown_events(events)
     ]
     note = (
-        f"The first {MOST_EVENTS} of {len(events)}; events.jsonl has all."
+        f"{MOST_EVENTS} of {len(events)}, failures before others; events.jsonl has all."
         if len(events) > MOST_EVENTS
         else ""
     )
@@ -331,11 +330,11 @@ def files_section(folder: RunFolder) -> Section:
     others = (*folder.path.glob("*.lua"), *folder.path.glob("*.ulg"), *folder.path.glob("*.params"))
     for name in (*names, *sorted(path.name for path in others)):
         size = (folder.path / name).stat().st_size
-        rows.append([Link(name, quote(name)), FILES.get(name, ""), size_text(size)])
+        rows.append([file_link(name), FILES.get(name, ""), size_text(size)])
     for part, what in (("figures", "figure"), ("logs", "messages of a process")):
         for path in sorted((folder.path / part).glob("*")):
             name = f"{part}/{path.name}"
-            rows.append([Link(name, quote(name)), what, size_text(path.stat().st_size)])
+            rows.append([file_link(name), what, size_text(path.stat().st_size)])
     return Section(
         key="files",
         title="Files",

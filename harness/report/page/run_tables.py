@@ -71,6 +71,18 @@ class FlightColumns:
         self._reader.close()
 
 
+def recorded_s(folder: RunFolder, simulated_s: float) -> float:
+    """Return the time up to which figures of channel and ranging reach. Raises OSError.
+
+    It is the end of the flight; of a run whose launcher was killed the channel may be recorded for longer.
+    """
+    reader = TableReader(folder.radio)
+    starts_s = [float(frames["start_ns"].max()) / 1e9 for frames in reader.batches(["start_ns"])]
+    reader.close()
+    last_s = max(starts_s, default=0.0)
+    return last_s if last_s > simulated_s + channel_plots.LEAST_BIN_S else simulated_s
+
+
 def read_channel(folder: RunFolder, end_s: float, links: replay.Links | None) -> ChannelStatistics:
     """Return the statistics of the frames of a run, and add its datagrams to the links. Raises OSError."""
     found, reader = ChannelStatistics(end_s), TableReader(folder.radio)

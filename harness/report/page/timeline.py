@@ -78,6 +78,12 @@ def event_rows(events: Sequence[Mapping[str, Any]]) -> list[EventRow]:
     ]
 
 
+def shown_events(events: Sequence[EventRow]) -> list[EventRow]:
+    """Return the events that are marked and listed, in their order; of many, failures first."""
+    chosen = sorted(range(len(events)), key=lambda k: not events[k].is_bad)[:MOST_EVENTS]
+    return [events[k] for k in sorted(chosen)]
+
+
 def _in_words(event: Mapping[str, Any]) -> tuple[str, bool]:
     """Return the text of an event, and whether it is a failure."""
     match event["event"]:
@@ -142,7 +148,7 @@ def timeline_plot(
                 bar["legendgrouptitle"] = {"text": lane}
                 first_of_lane = False
             data.append(bar)
-    data += _marks(events[:MOST_EVENTS])
+    data += _marks(shown_events(events))
     labels = list(range(0, vehicles, 1 if vehicles <= _MANY else 4))
     row_px = _ROW_PX if vehicles <= _MANY else _MANY_ROW_PX
     layout = {

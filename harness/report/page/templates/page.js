@@ -63,7 +63,14 @@
     const isNew = !drawn.has(node);
     drawn.set(node, plot);
     Plotly.react(node, traces(plot), themed(plot.layout, node.clientHeight), config);
-    if (isNew && plot.time && replay) node.on("plotly_click", (event) => replay.seek(event.points[0].x));
+    if (isNew && plot.time && replay) node.on("plotly_click", (event) => replay.seek(clickedTime(node, event)));
+  }
+
+  function clickedTime(node, event) {
+    const point = event.points[0];
+    if (point.data.type !== "bar") return point.x;
+    const axis = point.xaxis; // a bar has the time of its end as x
+    return axis.p2c(event.event.clientX - node.getBoundingClientRect().left - axis._offset);
   }
 
   function drawAll() {
@@ -126,7 +133,7 @@
           found.lostFrames.size.push(12 + (26 * links.lost[k * n + i]) / 255);
         }
         if (span > 0) {
-          for (let j = first; j <= k; j += stride) {
+          for (let j = first + ((k - first) % stride); j <= k; j += stride) {
             if (alive[j * n + i]) { push(found.trail, at(pos, j, i)); found.trail.colour.push(data.colours[i]); }
           }
           gap(found.trail);
@@ -171,13 +178,14 @@
                         marker: { size: 6, color: f.living.colour.length ? f.living.colour : c.text, line: { width: 1, color: c.panel } } }, xyz(f.living)),
         Object.assign({ type: "scatter3d", mode: "markers+text", name: "lost", text: f.lost.text, textposition: "top center",
                         hovertemplate: hover, textfont: { color: c.text, size: 12 }, showlegend: f.lost.x.length > 0,
-                        marker: { symbol: "x", size: 6, color: "#d64545" } }, xyz(f.lost)),
+                        marker: { symbol: "diamond", size: 7, color: "#d64545" } }, xyz(f.lost)),
       ];
     }
 
     function layout() {
       const [x, y, z] = data.range;
       const title = (text) => ({ title: { text } });
+      const far = Math.max(1, Math.hypot(...data.aspect) / Math.sqrt(3));
       return themed({
         margin: { l: 0, r: 0, t: 0, b: 0 },
         scene: {
@@ -185,7 +193,7 @@
           yaxis: Object.assign(title("North (m)"), { range: y }),
           zaxis: Object.assign(title("Up (m)"), { range: z }),
           aspectmode: "manual", aspectratio: { x: data.aspect[0], y: data.aspect[1], z: data.aspect[2] },
-          camera: { eye: { x: -1.15, y: -1.35, z: 0.85 } }, uirevision: "kept",
+          camera: { eye: { x: -1.25 * far, y: -1.45 * far, z: 0.9 * far }, center: { x: 0, y: 0, z: -0.12 } }, uirevision: "kept",
         },
         legend: { orientation: "h", y: 1, yanchor: "top", x: 0, bgcolor: "rgba(0,0,0,0)" },
       }, node.clientHeight);

@@ -18,8 +18,6 @@ from harness.report.page.run_sections import page_of, scenario_section
 from harness.report.report import draw_again
 from harness.scenario.scenario_file import load
 
-MOST_NARROW = 6
-"""Figures that are drawn at the narrow width"""
 HOSTILE = "</script><script>window.hacked = 1</script><img src=x onerror='window.hacked = 1'>{{ 7 * 7 }}%{x}"
 
 
@@ -56,40 +54,71 @@ def test_page_drawn_again_from_the_tables_has_the_same_bytes(run):
     assert run.page.read_bytes() == before
 
 
-@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (420, "dark")])
-def test_run_has_all_figures_without_errors_network_or_sideways_scrolling(run, chromium, width, scheme):
-    with file_page(chromium, width=width, scheme=scheme) as opened:
-        opened.open(run.page)
-        assert opened.draw_all(MOST_NARROW if width < 1000 else None) >= 15
-        assert opened.errors == []
-        assert opened.foreign_requests() == []
-        assert opened.page.evaluate("document.documentElement.scrollWidth") <= width
-        text = opened.page.inner_text("main")
-        for part in ("Formation reached at", "Ranging sessions", "reach_timeout_s", "Hash of the logs"):
-            assert part in text
-
-
-def test_slider_moves_vehicles_and_links(run, chromium):
-    positions = "document.getElementById('replay').data.find((each) => each.name === 'UAV').z"
+@pytest.fixture(scope="module")
+def wide(run, chromium):
+    """Open the page of the run once: its scene takes some 4 s with software rendering."""
     with file_page(chromium) as opened:
         opened.open(run.page)
-        opened.page.locator("#replay").scroll_into_view_if_needed()
-        opened.page.locator("#replay .main-svg").first.wait_for(state="attached")
-        slider = opened.page.locator("#replay-time")
-        found = []
-        for instant in ("0", slider.get_attribute("max")):
-            slider.fill(instant)
-            found.append((opened.page.evaluate(positions), opened.page.inner_text("#replay-clock")))
-        (z_first, at_first), (z_last, at_last) = found
-        time_us = pq.read_table(run.flight, columns=["time_us"])["time_us"].to_pylist()
-        assert (at_first, at_last) == (f"t = {time_us[0] / 1e6:.2f} s", f"t = {time_us[-1] / 1e6:.2f} s")
-        assert len(z_first) == len(z_last) == 3
-        truth = pq.read_table(run.flight, columns=["pos_ned_m.d"])["pos_ned_m.d"].to_pylist()
-        assert z_first == pytest.approx([-each for each in truth[:3]], abs=1e-5)
-        assert z_last == pytest.approx([-each for each in truth[-3:]], abs=1e-5)
-        opened.page.locator("#chips button[data-uav='1']").click()
-        assert len(opened.page.evaluate(positions)) == 2
-        assert opened.errors == []
+        yield opened
+
+
+def test_run_has_all_figures_without_errors_network_or_sideways_scrolling(wide):
+    assert wide.draw_all() >= 15
+    assert wide.errors == []
+    assert wide.foreign_requests() == []
+    assert wide.page.evaluate("document.documentElement.scrollWidth") <= 1280
+    text = wide.page.inner_text("main")
+    for part in ("Formation reached at", "Ranging sessions", "reach_timeout_s", "Hash of the logs"):
+        assert part in text
+
+
+def test_slider_moves_vehicles_and_links(run, wide):
+    page = wide.page
+    positions = "document.getElementById('replay').data.find((each) => each.name === 'UAV').z"
+    page.locator("#replay").scroll_into_view_if_needed()
+    page.locator("#replay .main-svg").first.wait_for(state="attached")
+    slider = page.locator("#replay-time")
+    found = []
+    for instant in ("0", slider.get_attribute("max")):
+        slider.fill(instant)
+        found.append((page.evaluate(positions), page.inner_text("#replay-clock")))
+    (z_first, at_first), (z_last, at_last) = found
+    time_us = pq.read_table(run.flight, columns=["time_us"])["time_us"].to_pylist()
+    assert (at_first, at_last) == (f"t = {time_us[0] / 1e6:.2f} s", f"t = {time_us[-1] / 1e6:.2f} s")
+    assert len(z_first) == len(z_last) == 3
+    truth = pq.read_table(run.flight, columns=["pos_ned_m.d"])["pos_ned_m.d"].to_pylist()
+    assert z_first == pytest.approx([-each for each in truth[:3]], abs=1e-5)
+    assert z_last == pytest.approx([-each for each in truth[-3:]], abs=1e-5)
+    page.locator("#chips button[data-uav='1']").click()
+    assert len(page.evaluate(positions)) == 2
+    assert wide.errors == []
+
+
+def test_click_on_a_bar_sets_the_replay_to_the_time_there(run, wide):
+    end_s = msgspec.json.decode(run.summary.read_bytes())["simulated_s"]
+    bars = wide.page.locator("#plot-timeline .nsewdrag")
+    bars.scroll_into_view_if_needed()
+    size = bars.bounding_box()
+    row = size["height"] * 1.6 / 4.2  # of the rows from -1.6 to 2.6, the bars of phases at 0
+    at = {"x": 0.5 * size["width"], "y": row}
+    bars.hover(position=at)
+    bars.click(position=at)
+    found_s = float(wide.page.inner_text("#replay-clock").removeprefix("t = ").removesuffix(" s"))
+    assert found_s == pytest.approx(0.5 * end_s, abs=0.2)  # an instant and a dot
+
+
+def test_page_follows_to_a_narrow_dark_screen(wide):
+    colours = (
+        "[getComputedStyle(document.documentElement).getPropertyValue('--text').trim(),"
+        " ...[...document.querySelectorAll('.graph')].map((each) => each._fullLayout.font.color)]"
+    )
+    light, *_ = wide.page.evaluate(colours)
+    wide.page.set_viewport_size({"width": 420, "height": 900})
+    wide.page.emulate_media(color_scheme="dark")
+    wide.wait_until(f"new Set({colours}).size === 1")
+    wide.wait_until("document.documentElement.scrollWidth <= 420")
+    assert wide.page.evaluate(colours)[0] != light
+    assert wide.errors == []
 
 
 def test_names_of_strangers_stay_text(run, chromium, tmp_path):

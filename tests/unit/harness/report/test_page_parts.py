@@ -3,6 +3,7 @@
 import base64
 import json
 import math
+import os
 
 import msgspec
 import numpy as np
@@ -12,14 +13,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from harness.records.run_folder import RunFolder
 from harness.records.table_reader import TableReader
+from harness.report.page import replay
 from harness.report.page.channel_plots import ChannelStatistics
+from harness.report.page.content import Link, file_link
 from harness.report.page.encoding import packed, plot_text, script_json
 from harness.report.page.envelope import envelope
+from harness.report.page.flight_plots import sensor_plots
 from harness.report.page.ranging_plots import RangingStatistics
 from harness.report.page.replay import Links, replay_rows
+from harness.report.page.run_tables import recorded_s
 from harness.report.page.scenario_changes import changes
-from harness.report.page.timeline import MOST_BARS, event_rows, segments
+from harness.report.page.timeline import MOST_BARS, MOST_EVENTS, event_rows, segments, shown_events
 from harness.scenario.scenario import RunConfig, Scenario
 
 
@@ -83,6 +89,27 @@ def test_unknown_events_are_listed_by_their_fields():
     assert (row.time_s, row.vehicle, row.text, row.is_bad) == (1.5, 2, "news what = x", False)
 
 
+def test_failures_are_shown_also_after_many_texts():
+    texts = [{"event": "applicationtext", "time_us": k, "instance": 0, "text": "x"} for k in range(700)]
+    lost = {"event": "vehiclelost", "time_us": 900, "instance": 3, "reason": "r"}
+    shown = shown_events(event_rows([*texts, lost]))
+    assert len(shown) == MOST_EVENTS
+    assert shown[-1].text == "Lost: r"
+    assert [each.time_s * 1e6 for each in shown[:-1]] == pytest.approx(list(range(MOST_EVENTS - 1)))
+
+
+def test_link_to_a_file_whose_name_is_not_utf8_leads_to_its_bytes():
+    link = file_link(os.fsdecode(b"logs/\xff<b> #.log"))
+    assert link == Link("logs/\N{REPLACEMENT CHARACTER}<b> #.log", "logs/%FF%3Cb%3E%20%23.log")
+
+
+def test_names_of_sensors_are_escaped_in_figures_and_plain_over_them():
+    series = {("A & B", "<i>_m"): np.zeros((4, 1), np.float32)}
+    (plot,) = sensor_plots(series, np.array([0.0, 1.0, 2.0]), left_out=0)
+    assert plot.title == "A & B: <i>_m"
+    assert plot.layout["yaxis"]["title"]["text"].startswith("&lt;i&gt;_m")
+
+
 @pytest.mark.parametrize(("duration_s", "vehicles"), [(60.0, 8), (3600.0, 8), (60.0, 64), (36000.0, 254)])
 def test_replays_are_bounded_and_reach_the_end(duration_s, vehicles):
     time_s = np.arange(0.0, duration_s, 0.04)
@@ -110,6 +137,40 @@ def test_links_are_those_since_the_instant_before_and_failed_if_one_failed():
     assert _unpacked(content["starts"], np.int32) == [0, 0, 1, 2]
     pairs = [_unpacked(content[key], np.uint8) for key in ("first", "second", "state")]
     assert pairs == [[0, 1], [1, 2], [1, 0]]
+
+
+@pytest.mark.parametrize("merged_at", [1, 10**6])
+def test_links_in_batches_are_those_of_all_rows_and_stay_bounded(monkeypatch, merged_at):
+    rng = np.random.default_rng(5)
+    count, ends_s = 4_000, np.arange(1.0, 41.0)
+    sessions = {
+        "measured_ns": np.sort(rng.integers(0, 40 * 10**9, count)), "initiator": rng.integers(0, 5, count),
+        "peer": rng.integers(0, 5, count), "status": (rng.random(count) < 0.2).astype(int),
+    }  # fmt: skip
+    expected: dict[tuple[int, int, int], int] = {}
+    for time_ns, *pair, status in zip(*(values.tolist() for values in sessions.values()), strict=True):
+        key = (int(np.searchsorted(ends_s, time_ns / 1e9)), min(pair), max(pair))
+        expected[key] = max(expected.get(key, 0), status)
+
+    def found(most):
+        monkeypatch.setattr(replay, "MOST_LINKS", most)
+        monkeypatch.setattr(replay, "MERGED_AT", merged_at)
+        links = Links(ends_s, vehicles=5)
+        for first in range(0, count, 128):
+            links.add_sessions(
+                {name: values[first : first + 128] for name, values in sessions.items()}, ["ok", "timeout"]
+            )
+        content = links.content()
+        instants = np.repeat(np.arange(40), np.diff(_unpacked(content["starts"], np.int32)))
+        first, second, state = (_unpacked(content[key], np.uint8) for key in ("first", "second", "state"))
+        rows = zip(instants.tolist(), first, second, strict=True)
+        return list(zip(rows, state, strict=True)), links.until_s()
+
+    whole = sorted(expected.items())
+    assert found(10_000) == (whole, None)
+    cut, until_s = found(100)
+    assert cut == whole[:100]
+    assert until_s == ends_s[whole[100][0][0] - 1]
 
 
 def test_halos_are_shares_of_lost_broadcasts():
@@ -161,6 +222,30 @@ def test_ranging_statistics_are_those_of_numpy():
     assert found.by_status == {"ok": 3, "timeout": 1}
 
 
+@pytest.mark.parametrize("duration_s", [50.0, 31.1, 0.05])
+def test_errors_over_time_and_distance_have_the_first_and_the_last_session(duration_s):
+    sessions = {
+        "measured_ns": np.array([0.0, 0.5, 0.999, 1.0]) * duration_s * 1e9, "initiator": np.zeros(4, int),
+        "peer": np.ones(4, int), "status": np.zeros(4, int),
+        "true_distance_m": np.array([1.0, 2.0, 3.0, 9.0]), "distance_m": np.array([4.0, 2.0, 3.0, 16.0]),
+    }  # fmt: skip
+    found = RangingStatistics(duration_s)
+    found.add(sessions, {"status": ["ok"]})
+    plots = {plot.key: plot for plot in found.plots()}
+    for key in ("ranging-over-time", "ranging-over-distance"):
+        low, high = (np.float32(_unpacked(plots[key].data[k]["y"], np.float32)) for k in (1, 0))
+        assert high[-1] > 3.0
+        if len(high) > 1:
+            assert (low[0], high[0]) == (3.0, 3.0)
+
+
+def test_figures_of_a_killed_run_reach_its_last_frame(tmp_path):
+    folder = RunFolder(tmp_path)
+    for last_s, expected_s in ((5.93, 5.93), (5.15, 5.12), (1.0, 5.12)):
+        pq.write_table(pa.table({"start_ns": [0, int(last_s * 1e9)]}), folder.radio)
+        assert recorded_s(folder, 5.12) == pytest.approx(expected_s)
+
+
 def test_table_reader_gives_the_values_of_arrow(tmp_path):
     table = pa.table({
         "flag": [True, False, True] * 5, "text": pa.array(["b", "a", "b"] * 5).dictionary_encode(),
@@ -173,6 +258,18 @@ def test_table_reader_gives_the_values_of_arrow(tmp_path):
     found["text"] = [reader.texts["text"][code] for code in found["text"]]
     assert repr(found) == repr(table.to_pydict())
     assert reader.column("whole").tolist() == list(range(15))
+
+
+def test_table_reader_uses_a_pool_of_its_own_and_leaves_that_of_the_process(tmp_path):
+    pq.write_table(pa.table({"value": np.arange(100_000.0)}), tmp_path / "t.parquet")
+    process, system = pa.default_memory_pool(), pa.system_memory_pool()
+    reader = TableReader(tmp_path / "t.parquet")
+    before = system.bytes_allocated()
+    batches = reader.batches(["value"])
+    part = next(batches)
+    assert pa.default_memory_pool().backend_name == process.backend_name
+    assert system.bytes_allocated() - before >= part["value"].nbytes
+    reader.close()
 
 
 def test_changes_of_a_scenario_are_the_fields_that_differ():
