@@ -327,7 +327,7 @@ def files_section(folder: RunFolder) -> Section:
     """Return links to the files of the folder, relative to the page. Raises OSError."""
     rows: list[list[Cell]] = []
     names = [name for name in FILES if (folder.path / name).is_file()]
-    others = (*folder.path.glob("*.lua"), *folder.path.glob("*.ulg"), *folder.path.glob("*.params"))
+    others = (path for suffix in ("lua", "params", "tlog", "ulg") for path in folder.path.glob(f"*.{suffix}"))
     for name in (*names, *sorted(path.name for path in others)):
         size = (folder.path / name).stat().st_size
         rows.append([file_link(name), FILES.get(name, ""), size_text(size)])
