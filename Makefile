@@ -118,7 +118,7 @@ lock: $(ENVIRONMENT)
 
 # paths that are checked for words kept for people; none: all
 PLAIN :=
-lint: $(DEV)
+lint: $(DEV) $(VIEW)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy

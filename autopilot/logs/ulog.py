@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from autopilot.vehicle.vehicle import Vehicle
 
 ROWS_AT_ONCE = 250
-"""A second at the simulator's 250 Hz: what a killed vehicle has not written yet."""
+"""A second at the simulator's 250 Hz. With the file's buffer a killed vehicle lacks up to two seconds."""
 PX4_VERSION = 0x0111_00FF
 """v1.17.0, a release: that of the message definitions, and that of the vehicle's AUTOPILOT_VERSION."""
 DATA_FORMAT = 2

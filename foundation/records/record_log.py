@@ -21,8 +21,8 @@ READ_ROWS = 16_384
 class RecordLog:
     """Writer of one log file, which is created or truncated.
 
-    ``block_rows``: number of rows that are written at once; 1 for a log that is read while it grows. The
-    bytes of the file do not depend on it.
+    ``block_rows``: number of rows, multiples of which are written; 1 for a log that is read while it grows.
+    The bytes of the file do not depend on it.
     """
 
     def __init__(self, path: str | Path, dtype: np.dtype[Any], *, block_rows: int = BLOCK_ROWS) -> None:
@@ -37,10 +37,10 @@ class RecordLog:
     def append(self, rows: Iterable[Any]) -> None:
         """Add rows: tuples in the order of the dtype's fields, or records of that dtype."""
         self._rows.extend(rows)
-        block_rows = self._block_rows
-        while len(self._rows) >= block_rows:
-            self._write(np.array(self._rows[:block_rows], dtype=self._dtype).tobytes())
-            del self._rows[:block_rows]
+        whole = len(self._rows) - len(self._rows) % self._block_rows
+        if whole:
+            self._write(np.array(self._rows[:whole], dtype=self._dtype).tobytes())
+            del self._rows[:whole]
 
     def append_array(self, rows: NDArray[np.void]) -> None:
         """Add rows (n,) of the dtype; not to be mixed with `append` in one log."""

@@ -31,6 +31,7 @@ class FlightView:
         try:
             self._view.begin()
         except (ViewerError, OSError) as error:
+            self._view.end()
             self._note(f"there is no view of this flight: {error}")
             return
         viewer = self._view.viewer

@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import BoundaryNorm, ListedColormap, to_hex
+from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
@@ -23,6 +22,7 @@ from numpy.typing import NDArray
 from foundation.types import Array
 from harness.records.flight import Flight
 from harness.report.formation_error import ErrorSeries, FormationError
+from harness.report.vehicle_colours import vehicle_colours
 from harness.world.wind.config import WindConfig, direction_ned
 
 DPI = 150
@@ -72,7 +72,7 @@ def tracks_figure(flight: Flight, wind: WindConfig) -> Figure:
     cross: dict[str, Any] = {
         "linestyle": "none", "marker": "+", "markersize": 2 * size, "markeredgewidth": 0.3 * size,
     }  # fmt: skip
-    for i, colour in enumerate(_colours(flight.alive.shape[1])):
+    for i, colour in enumerate(vehicle_colours(flight.alive.shape[1])):
         alive = flight.alive[rows, i]
         north_m, east_m, down_m = (
             np.ma.array(flight.pos_ned_m[rows, i, axis], mask=~alive) for axis in range(3)
@@ -235,7 +235,7 @@ def _draw_wind(axes: Axes, wind: WindConfig, height_m: float) -> None:
 def _draw_errors(axes: Axes, time_us: NDArray[np.int64], series: ErrorSeries, title: str) -> None:
     time_s = time_us / 1e6
     error_m = np.ma.array(series.error_m, mask=~series.valid)
-    for i, colour in enumerate(_colours(error_m.shape[1])):
+    for i, colour in enumerate(vehicle_colours(error_m.shape[1])):
         axes.plot(time_s, error_m[:, i], color=colour, linewidth=0.7, alpha=0.8)
     rms_m = series.rms_m
     axes.plot(time_s, np.ma.sqrt((error_m**2).mean(axis=1)), color="black", linewidth=1.8)
@@ -247,7 +247,7 @@ def _draw_errors(axes: Axes, time_us: NDArray[np.int64], series: ErrorSeries, ti
 
 def _explain_colours(figure: Figure, panels: Sequence[Axes], count: int, marks: Sequence[Line2D]) -> None:
     """Add a legend below the panels: marks, and the colours of vehicles; many have a colour bar instead."""
-    colours = _colours(count)
+    colours = vehicle_colours(count)
     lines: list[Artist] = []
     if count <= LEGEND_VEHICLES:
         lines = [Line2D([], [], color=colour, label=f"UAV {i}") for i, colour in enumerate(colours)]
@@ -266,12 +266,6 @@ def _mark(marker: str, label: str, size: float, *, color: str, markeredgecolor: 
         [], [], linestyle="none", marker=marker, label=label, markersize=size, color=color,
         markeredgecolor=markeredgecolor or color,
     )  # fmt: skip
-
-
-def _colours(count: int) -> list[str]:
-    if count <= 10:
-        return [f"C{i}" for i in range(count)]
-    return [to_hex(rgba) for rgba in colormaps["turbo"](np.linspace(0.05, 0.95, count))]
 
 
 def _finish(axes: Axes) -> None:

@@ -7,16 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 Colour = tuple[int, int, int]
-PALETTE: tuple[Colour, ...] = (
-    (57, 106, 177), (218, 124, 48), (62, 150, 81), (204, 37, 41), (107, 76, 154), (148, 139, 61),
-    (23, 162, 184), (214, 93, 177),
-)  # fmt: skip
-"""Colours of the vehicles, in turn"""
+"""Red, green and blue, 0 to 255"""
 
 
-def vehicle_colour(vehicle: int) -> Colour:
-    """Return the colour of a vehicle."""
-    return PALETTE[vehicle % len(PALETTE)]
+def colour_of(text: str) -> Colour:
+    """Return the colour of a text ``#rrggbb``."""
+    red, green, blue = bytes.fromhex(text.removeprefix("#"))
+    return red, green, blue
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

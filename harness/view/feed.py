@@ -1,6 +1,6 @@
 """The feed: reads a run's records and sends what they show to a viewer, a file or both.
 
-``python -m harness.view.feed RUN`` follows a flight, from a process of its own, until the end of its stdin:
+`main` follows a flight, from a process of its own (`harness.view.feed_program`), until the end of its stdin:
 nothing waits for it. `replay` sends a run that has ended. A feed that is behind its flight shows fewer
 instants.
 """
@@ -15,8 +15,6 @@ from pathlib import Path
 import numpy as np
 
 from antenna.solvers.interface import Backend, BackendUnavailable
-from foundation.kernels.use_cache import use_kernel_cache
-from foundation.processes.scheduling import run_when_idle
 from harness.records.live_pieces import LivePieces
 from harness.records.pieces import Piece, pieces_of_tables
 from harness.records.run_folder import RunFolder, read_raw_scenario, read_scenario
@@ -103,12 +101,11 @@ def replay(folder: RunFolder, sink: RerunSink) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Follow a flight; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m harness.view.feed")
+    parser = argparse.ArgumentParser(prog="python -m harness.view.feed_program")
     parser.add_argument("run", type=Path)
     parser.add_argument("--url")
     parser.add_argument("--record", type=Path)
     options = parser.parse_args(arguments)
-    run_when_idle()
     ended = threading.Event()
 
     def await_end() -> None:
@@ -122,8 +119,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not sink.close():
         sys.stderr.write("the viewer is gone\n")
     return 0
-
-
-if __name__ == "__main__":
-    use_kernel_cache()
-    sys.exit(main())

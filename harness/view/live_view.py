@@ -46,7 +46,7 @@ class LiveView:
         environment = {name: text for name, text in os.environ.items() if name != MARK}
         with (logs / "feed.log").open("wb") as log:
             self._feed = spawn(
-                bound_module("harness.view.feed", *arguments),
+                bound_module("harness.view.feed_program", *arguments),
                 stdin=subprocess.PIPE,
                 stdout=log,
                 stderr=log,

@@ -18,10 +18,11 @@ from harness.records.flight import Flight
 from harness.records.pieces import Event, Piece, Rows
 from harness.records.tables import flight_of
 from harness.report.formation_error import formation_error
+from harness.report.vehicle_colours import vehicle_colours
 from harness.scenario.scenario import Scenario
 from harness.view import airframe_shape, links
 from harness.view.antenna_surface import Surface
-from harness.view.entries import Colour, Entry, at_all_times, vehicle_colour
+from harness.view.entries import Colour, Entry, at_all_times, colour_of
 
 TRAIL_US = 20_000_000
 """Length of a trail"""
@@ -56,7 +57,7 @@ class Scene:
         meanings = columns.flight_kind(applications).columns
         self._modes, self._phases = meanings["mode"].values, meanings["phase"].values
         self._causes = meanings["causes"].values
-        self._colours = np.array([vehicle_colour(i) for i in range(scenario.agents)], np.uint8)
+        self._colours = np.array([*map(colour_of, vehicle_colours(scenario.agents))], np.uint8)
         self._standing_m = np.array([airframe.standing_height_m for airframe in self._airframes])
         self._start_us: int | None = None
         self._trail: deque[tuple[int, Array]] = deque()
@@ -78,7 +79,7 @@ class Scene:
             )
         )  # fmt: skip
         for i, airframe in enumerate(self._airframes):
-            path, colour = vehicle_path(i), vehicle_colour(i)
+            path, colour = vehicle_path(i), self._colours[i]
             body, lines = f"{path}/airframe", airframe_shape.arms(airframe) + airframe_shape.nose(airframe)
             found.append(at_all_times(body, "LineStrips3D", strips=lines, colors=[colour], radii=[0.025]))
             half_m = [0.5 * side for side in airframe.body.size_m]

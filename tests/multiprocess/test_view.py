@@ -20,8 +20,9 @@ from foundation.records.record_log import count
 from harness.launch.one_process import OneProcessSwarm, fly
 from harness.launch.swarm import Swarm
 from harness.records.run_folder import RunFolder
+from harness.report.vehicle_colours import vehicle_colours
 from harness.scenario.scenario_file import load
-from harness.view.entries import vehicle_colour
+from harness.view.entries import colour_of
 
 pytest.importorskip("rerun", reason="the extra coflight[view] is not installed")
 from harness.view.rerun_sink import RerunSink
@@ -154,7 +155,7 @@ def test_the_web_viewer_shows_eight_vehicles(tmp_path):
     sync_api = pytest.importorskip("playwright.sync_api")
     pil = pytest.importorskip("PIL.Image")
     scenario = load(SCENARIOS / "article.toml")
-    colours = {vehicle_colour(i) for i in range(scenario.agents)}
+    colours = {*map(colour_of, vehicle_colours(scenario.agents))}
     assert len(colours) == scenario.agents == 8
     with Viewer(tmp_path / "viewer", in_browser=True) as viewer, sync_api.sync_playwright() as playwright:
         sink = RerunSink("test", url=viewer.url)

@@ -11,7 +11,8 @@ from foundation.unit_names import unit_of
 from harness.report.formation_error import ErrorSeries, FormationError
 from harness.report.page.encoding import plot_text, singles
 from harness.report.page.envelope import MOST_POINTS, Envelope, envelope
-from harness.report.page.plots import Plot, axis, line, rate_note, time_plot, vehicle_colours, vehicle_lines
+from harness.report.page.plots import Plot, axis, line, rate_note, time_plot, vehicle_lines
+from harness.report.vehicle_colours import vehicle_colours
 
 MAP_PX = 440
 MOST_HEIGHTS = 16

@@ -9,11 +9,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
-from matplotlib.colors import to_hex
 from numpy.typing import NDArray
 
 from harness.report.page.encoding import plot_text, singles
+from harness.report.vehicle_colours import vehicle_colours
 
 HEIGHT_PX = 320
 QUALITATIVE = (
@@ -56,13 +55,6 @@ class Plot:
     def content(self) -> dict[str, Any]:
         """Return the figure for the page's script."""
         return {"data": self.data, "layout": self.layout, "time": self.over_time}
-
-
-def vehicle_colours(count: int) -> list[str]:
-    """Return the colours of the vehicles, as in the figures of ``figures/``."""
-    if count <= 10:
-        return [to_hex(f"C{i}") for i in range(count)]
-    return [to_hex(rgba) for rgba in colormaps["turbo"](np.linspace(0.05, 0.95, count))]
 
 
 def axis(title: str, **more: Any) -> dict[str, Any]:  # noqa: ANN401  any setting of an axis

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.report.page.encoding import packed, singles
-from harness.report.page.plots import vehicle_colours
+from harness.report.vehicle_colours import vehicle_colours
 
 RATES_HZ = (10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
 MOST_INSTANTS = 1_500

@@ -22,7 +22,7 @@ from harness.report.page.channel_plots import losses_plot, occupancy_plot
 from harness.report.page.content import Page, Section
 from harness.report.page.envelope import envelope
 from harness.report.page.flight_plots import ErrorEnvelopes
-from harness.report.page.plots import Plot, vehicle_colours
+from harness.report.page.plots import Plot
 from harness.report.page.replay import Links, Replay, replay_rows
 from harness.report.page.run_tables import (
     FlightColumns,
@@ -34,6 +34,7 @@ from harness.report.page.run_tables import (
     recorded_s,
 )
 from harness.report.page.timeline import Segment, event_rows, phases_of, segments, timeline_plot
+from harness.report.vehicle_colours import vehicle_colours
 from harness.scenario.scenario import Scenario
 
 MOST_NUMBERS = 12

@@ -9,6 +9,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from host_players import Player
 from paths import ROOT
 from pymavlink.dialects.v20 import common
 from pyulog import ULog
@@ -23,14 +24,12 @@ from autopilot.parameters.config import LoggingConfig, VehicleConfig
 from autopilot.parameters.onboard_config import OnboardConfig
 from autopilot.parameters.table import ROWS
 from autopilot.services.service import GROUND_STATION, Addressed, Partner
-from autopilot.vehicle.host import Host
 from studies.vehicle.bench import record_flight
 
 GUIDE = ROOT / "docs" / "how-to" / "ulog.md"
 STEP_US = 4_000
 FLIGHT_S = 12.0
 CHANGED_US = 10_000_000
-NO_LINKS = (False, False)
 CONFIG = VehicleConfig(
     run_id="bench", instance=0, seed=7, onboard=OnboardConfig(localisation="gps"),
     places_ned_m=((0.0, 0.0, -5.0),), epoch_unix_us=1_700_000_000_000_000,
@@ -76,28 +75,11 @@ READ_BY_FLIGHT_REVIEW = {
 """Topics and fields that Flight Review's plots of a multicopter read (configured_plots.py, June 2026)."""
 
 
-class Player:
-    """A host that receives a recorded flight; ``compiled``: fast steps are allowed."""
-
-    def __init__(self, folder, *, compiled=True, ulog=True):
-        config = msgspec.structs.replace(
-            CONFIG, params_path=str(folder / "uav-0.params"), logging=LoggingConfig(ulog=ulog)
-        )
-        self.host = Host(config, None)
-        self.inertial = 0
-        if not compiled:
-            self.host._inertial.open = lambda *_, **__: None
-
-    def play(self, data):
-        host = self.host
-        size = host.put(data)
-        answer = host.inertial_step(size)
-        if answer is not None:
-            self.inertial += 1
-            return bytes(answer)
-        return b"".join(
-            host.step(messages, link_messages=[], link_active=NO_LINKS)[0] for messages in host.push(size)
-        )
+def player_into(folder, *, compiled=True, ulog=True):
+    """Return a host that receives a recorded flight and writes into a folder."""
+    path = str(folder / "uav-0.params")
+    config = msgspec.structs.replace(CONFIG, params_path=path, logging=LoggingConfig(ulog=ulog))
+    return Player(config, compiled=compiled)
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +92,7 @@ def stream():
 def flown(stream, tmp_path_factory):
     """Return the log of the flight, states at its full steps, replies, and the player."""
     folder = tmp_path_factory.mktemp("flown")
-    player, states, replies = Player(folder), {}, []
+    player, states, replies = player_into(folder), {}, []
     with contextlib.closing(player.host):
         for data in stream:
             before = player.inertial
@@ -257,8 +239,8 @@ def test_the_log_changes_no_reply_and_is_the_same_without_compiled_steps(flown, 
     log, _, replies, _ = flown
     (tmp_path / "without").mkdir()
     (tmp_path / "plain").mkdir()
-    without = Player(tmp_path / "without", ulog=False)
-    plain = Player(tmp_path / "plain", compiled=False)
+    without = player_into(tmp_path / "without", ulog=False)
+    plain = player_into(tmp_path / "plain", compiled=False)
     with contextlib.closing(without.host), contextlib.closing(plain.host):
         for data, reply in zip(stream, replies, strict=True):
             assert without.play(data) == reply
@@ -320,7 +302,7 @@ def run(host, begin_us, end_us, *station_messages, active=(True, False)):
 
 @pytest.fixture
 def host(tmp_path):
-    with contextlib.closing(Player(tmp_path, ulog=False).host) as made:
+    with contextlib.closing(player_into(tmp_path, ulog=False).host) as made:
         yield made
 
 
@@ -358,13 +340,13 @@ def test_a_message_from_a_station_starts_a_log_that_can_be_read_while_written(ho
 
 
 def test_others_cannot_read_the_log(tmp_path):
-    with contextlib.closing(Player(tmp_path).host) as host:
+    with contextlib.closing(player_into(tmp_path).host) as host:
         run(host, 4_000, 100_000)
     assert (tmp_path / "uav-0.ulg").stat().st_mode & 0o777 == 0o600
 
 
 def test_of_a_killed_vehicle_all_but_the_last_second_is_readable(tmp_path):
-    with contextlib.closing(Player(tmp_path).host) as host:
+    with contextlib.closing(player_into(tmp_path).host) as host:
         run(host, 4_000, 5_000_000)
         left = (tmp_path / "uav-0.ulg").read_bytes()  # what a kill leaves
     times_us = columns(ULog(io.BytesIO(left)), "sensor_combined")["timestamp"]
@@ -388,7 +370,7 @@ class FullDisk(io.RawIOBase):
 
 @pytest.mark.parametrize("ulog", [True, False])
 def test_a_full_disk_ends_a_vehicle_whose_log_is_required_and_names_the_file(tmp_path, capsys, ulog):
-    player = Player(tmp_path, ulog=ulog)
+    player = player_into(tmp_path, ulog=ulog)
     run(player.host, 4_000, 200_000, LIST)
     player.host._flight_log._file.close()
     player.host._flight_log._file = FullDisk()

@@ -2,13 +2,13 @@
 
 import pytest
 from fastcrc import crc16
+from host_players import Player
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.hil import TO_VEHICLE, HilParser, HilSensor, pack
 from autopilot.parameters.config import VehicleConfig
 from autopilot.parameters.onboard_config import OnboardConfig
 from autopilot.services.service import GROUND_STATION, NEVER_US, Addressed, Partner
-from autopilot.vehicle.host import Host
 from autopilot.vehicle.shared_state import FastStepLimits
 from autopilot.vehicle.vehicle import DECISION_PERIOD_US
 from studies.vehicle.bench import record_flight
@@ -20,7 +20,6 @@ CONFIG = VehicleConfig(
     run_id="bench", instance=0, seed=7, onboard=OnboardConfig(localisation="gps"),
     places_ned_m=((0.0, 0.0, -5.0),),
 )  # fmt: skip
-NO_LINKS = (False, False)
 CRC_EXTRA = bytes([common.mavlink_map[common.MAVLINK_MSG_ID_HIL_SENSOR].crc_extra])
 
 
@@ -28,27 +27,6 @@ CRC_EXTRA = bytes([common.mavlink_map[common.MAVLINK_MSG_ID_HIL_SENSOR].crc_extr
 def stream():
     """Return the bytes of each step of a flight to a position and some seconds there."""
     return record_flight(FLIGHT_S).stream
-
-
-class Player:
-    """A host and its replies; ``compiled``: fast steps are allowed."""
-
-    def __init__(self, *, compiled: bool) -> None:
-        self.host = Host(CONFIG, None)
-        self.inertial = 0
-        if not compiled:
-            self.host._inertial.open = lambda *_, **__: None
-
-    def play(self, data):
-        host = self.host
-        size = host.put(data)
-        answer = host.inertial_step(size)
-        if answer is not None:
-            self.inertial += 1
-            return bytes(answer)
-        return b"".join(
-            host.step(messages, link_messages=[], link_active=NO_LINKS)[0] for messages in host.push(size)
-        )
 
 
 def memory(host):
@@ -76,7 +54,7 @@ def _time_us(data):
 
 
 def test_fast_steps_give_the_same_flight_to_the_bit(stream):
-    compiled, plain = Player(compiled=True), Player(compiled=False)
+    compiled, plain = Player(CONFIG), Player(CONFIG, compiled=False)
     for data in stream:
         assert compiled.play(data) == plain.play(data)
     assert plain.inertial == 0
@@ -96,7 +74,7 @@ def test_fast_steps_give_the_same_flight_to_the_bit(stream):
 
 def test_in_flight_there_are_25_full_steps_a_second(stream):
     """GPS, compass, barometer, decisions, application, fusion: all due in the same steps."""
-    player, whole_us = Player(compiled=True), []
+    player, whole_us = Player(CONFIG), []
     for data in stream:
         before = player.inertial
         player.play(data)
@@ -145,7 +123,7 @@ OTHERS = {
 
 @pytest.fixture(scope="module")
 def flying(stream):
-    player = Player(compiled=True)
+    player = Player(CONFIG)
     return player, until_inertial(player, stream)
 
 
@@ -170,7 +148,7 @@ def test_an_inertial_sample_is_a_fast_step(flying):
 @pytest.mark.parametrize("limit", FastStepLimits._fields)
 def test_each_limit_ends_the_fast_steps(stream, limit):
     """Horizon limits are compared with the time of the filter, which is late by the delay."""
-    player = Player(compiled=True)
+    player = Player(CONFIG)
     host, data = player.host, until_inertial(player, stream)
     limited_us = _time_us(data)
     if limit == "horizon_us":
@@ -187,7 +165,7 @@ def test_each_limit_ends_the_fast_steps(stream, limit):
 
 @pytest.mark.parametrize("fields", [0x1C0, 0x1A00, 0x1C0 | 0x1A00])
 def test_compass_and_barometer_are_skipped_until_a_reading_is_due(stream, fields):
-    player = Player(compiled=True)
+    player = Player(CONFIG)
     host, data = player.host, until_inertial(player, stream)
     reading = sensor_like(data, fields_updated=0x3F | fields, abs_pressure=1000.0)
     limits = host.vehicle.shared.block["limits"]
@@ -198,7 +176,7 @@ def test_compass_and_barometer_are_skipped_until_a_reading_is_due(stream, fields
 
 
 def test_while_the_simulator_is_silent_the_state_is_that_of_the_last_step(stream):
-    player = Player(compiled=True)
+    player = Player(CONFIG)
     data = until_inertial(player, stream)
     player.play(data)
     host = player.host
@@ -211,7 +189,7 @@ def test_while_the_simulator_is_silent_the_state_is_that_of_the_last_step(stream
 
 
 def test_with_an_active_link_every_step_is_full(stream):
-    player = Player(compiled=True)
+    player = Player(CONFIG)
     data = until_inertial(player, stream)
     host = player.host
     for messages in host.push(host.put(data)):
