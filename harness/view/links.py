@@ -81,7 +81,7 @@ def range_entries(sessions: Rows, flight: Rows, times_us: NDArray[np.int64]) -> 
             times_us=times_us,
             lengths=np.bincount(at, minlength=len(times_us)),
             fields={
-                "strips": list(ends),
+                "strips": ends,
                 "labels": labels,
                 "show_labels": np.zeros(len(ends), np.bool_),
                 "colors": _colours(RANGE, len(ends)),
@@ -98,7 +98,7 @@ def _lines(
     t, source, destination = np.nonzero(lines)
     pos_ned_m: Array = flight["pos_ned_m"]
     ends = np.stack([pos_ned_m[t, source], pos_ned_m[t, destination]], axis=1)
-    fields = {"strips": list(ends), "colors": _colours(colour, len(ends)), "radii": np.full(len(ends), -1.2)}
+    fields = {"strips": ends, "colors": _colours(colour, len(ends)), "radii": np.full(len(ends), -1.2)}
     lengths = lines.sum(axis=(1, 2))
     return Entry(path=path, kind="LineStrips3D", times_us=times_us, fields=fields, lengths=lengths)
 

@@ -198,7 +198,7 @@ class Scene:
             ),
             Entry(
                 path="world/errors", kind="LineStrips3D", times_us=times_us, lengths=each,
-                fields={"strips": list(lines), "colors": colours, "radii": np.full(len(colours), -0.7)},
+                fields={"strips": lines, "colors": colours, "radii": np.full(len(colours), -0.7)},
             ),
             Entry(
                 path="world/believed/positions", kind="Points3D", times_us=times_us,
@@ -238,7 +238,7 @@ class Scene:
                 kind="LineStrips3D",
                 times_us=times_us[-1:],
                 lengths=np.array([len(tracks)]),
-                fields={"strips": list(tracks), "colors": self._colours, "radii": np.full(len(tracks), -0.8)},
+                fields={"strips": tracks, "colors": self._colours, "radii": np.full(len(tracks), -0.8)},
             )
         ]
 
