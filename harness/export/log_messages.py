@@ -11,11 +11,13 @@ from harness.export.json_rows import DIALECT, Schema
 from harness.export.messages import Content, Message, Topic, frame_of, timestamp
 from harness.export.vehicle_messages import names_of_bits, value_names
 from harness.records.columns import flight_kind
+from harness.records.event_words import Level, in_words
 from harness.records.pieces import Event
 
 EVENTS, LOG = "/events", "/log"
 INFO, WARNING, ERROR = 2, 3, 4
 """`Log.Level`"""
+_LEVELS = {Level.INFO: INFO, Level.WARNING: WARNING, Level.ERROR: ERROR}
 SWARM = "swarm"
 _INTEGER, _STRING = {"type": "integer"}, {"type": "string"}
 _FIELDS: Mapping[str, Schema] = {
@@ -76,8 +78,9 @@ class LogMessages:
             yield Message(
                 time_ns, EVENTS, {name: value for name, value in event.items() if value is not None}
             )
-            level, name, text = in_words(event)
-            yield self._line(time_ns, level, name, text)
+            words = in_words(event)
+            name = SWARM if words.vehicle is None else frame_of(words.vehicle)
+            yield self._line(time_ns, _LEVELS[words.level], name, words.text)
 
     def changes(self, flight: NDArray[Any]) -> Iterator[Message]:
         """Yield the messages of changes between instants of (T, N) records."""
@@ -122,28 +125,3 @@ def _rows_with_changes(rows: NDArray[Any]) -> NDArray[Any]:
     changed = np.ones(len(rows), dtype=np.bool_)
     changed[1:] = np.any([rows[name][1:] != rows[name][:-1] for name in _WATCHED], axis=0)
     return rows[changed]
-
-
-def in_words(event: Event) -> tuple[int, str, str]:
-    """Return level, name of the vehicle or `SWARM`, and text of an event."""
-    instance = event.get("instance")
-    of = SWARM if instance is None else frame_of(instance)
-    match event["event"]:
-        case "formed":
-            return INFO, of, "formation reached"
-        case "formationmoves":
-            return INFO, of, f"formation moves at {event['start_us'] * 1e-6:.3f} s"
-        case "applicationtext":
-            return INFO, of, event["text"]
-        case "vehiclelost":
-            return ERROR, of, f"lost: {event['reason']}"
-        case "applicationlost":
-            return ERROR, of, f"application lost: {event['reason']}"
-        case "collision":
-            return ERROR, frame_of(event["first"]), f"touches {frame_of(event['second'])}"
-        case "faultchanged":
-            motor = event.get("motor")
-            what = event["what"] if motor is None else f"{event['what']} {motor}"
-            return WARNING, of, f"fault {event['number']} ({what}) {event['change']}"
-        case kind:
-            return INFO, of, str(kind)

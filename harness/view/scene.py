@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from autopilot.onboard.application import Layout
 from foundation.types import Array
 from harness.records import columns
+from harness.records.event_words import in_words
 from harness.records.flight import Flight
 from harness.records.pieces import Event, Piece, Rows
 from harness.records.tables import flight_of
@@ -316,16 +317,14 @@ class Scene:
         }
 
     def _text(self, event: Event) -> Entry:
-        level = "WARN" if event["event"] in _WARNINGS else "INFO"
         return Entry(
             path=f"log/{event['event']}",
             kind="TextLog",
             times_us=np.array([event["time_us"]]),
-            fields={"text": [event_text(event)], "level": [level]},
+            fields={"text": [event_text(event)], "level": [in_words(event).level.value]},
         )
 
 
-_WARNINGS = frozenset({"vehiclelost", "applicationlost", "collision", "faultchanged"})
 _LINES: dict[str, dict[str, Colour]] = {
     "plots/error/shape": {"shape, RMS": NEUTRAL},
     "plots/channel/busy": {"channel busy, %": NEUTRAL},
@@ -339,24 +338,8 @@ _LINES: dict[str, dict[str, Colour]] = {
 
 def event_text(event: Event) -> str:
     """Return an event in one line."""
-    vehicle = event.get("instance")
-    uav = "all UAVs" if vehicle is None else f"UAV {vehicle}"
-    match event["event"]:
-        case "formed":
-            return "formation reached"
-        case "formationmoves":
-            return f"the formation moves from t = {event['start_us'] * 1e-6:.2f} s on"
-        case "applicationtext":
-            return f"{uav}: {event['text']}"
-        case "vehiclelost":
-            return f"{uav} is lost: {event['reason']}"
-        case "applicationlost":
-            return f"the application of {uav} is lost: {event['reason']}"
-        case "collision":
-            return f"UAVs {event['first']} and {event['second']} collide"
-        case "faultchanged":
-            return f"fault {event['what']} of {uav} {event['change']}"
-    return str(event["event"])
+    _, vehicle, text = in_words(event)
+    return text if vehicle is None else f"UAV {vehicle}: {text}"
 
 
 def scalars(path: str, times_us: NDArray[np.int64], values: Array) -> Entry:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autopilot.logs.vehicle_record import NO_PHASE
+from harness.records.event_words import Level, in_words
 from harness.report.page.encoding import plot_text
 from harness.report.page.plots import BAD, NEUTRAL, QUALITATIVE, TIME, Plot, axis
 
@@ -72,39 +73,19 @@ def segments(time_s: NDArray[Any], values: NDArray[Any], alive: NDArray[np.bool_
 
 def event_rows(events: Sequence[Mapping[str, Any]]) -> list[EventRow]:
     """Return the events of ``events.jsonl`` in words, in their order."""
-    return [
-        EventRow(event["time_us"] / 1e6, event.get("instance"), str(event["event"]), *_in_words(event))
-        for event in events
-    ]
+    found = []
+    for event in events:
+        words = in_words(event)
+        text = words.text[:1].upper() + words.text[1:]
+        is_bad = words.level is not Level.INFO
+        found.append(EventRow(event["time_us"] / 1e6, words.vehicle, str(event["event"]), text, is_bad))
+    return found
 
 
 def shown_events(events: Sequence[EventRow]) -> list[EventRow]:
     """Return the events that are marked and listed, in their order; of many, failures first."""
     chosen = sorted(range(len(events)), key=lambda k: not events[k].is_bad)[:MOST_EVENTS]
     return [events[k] for k in sorted(chosen)]
-
-
-def _in_words(event: Mapping[str, Any]) -> tuple[str, bool]:
-    """Return the text of an event, and whether it is a failure."""
-    match event["event"]:
-        case "formed":
-            return "Formation reached", False
-        case "formationmoves":
-            return f"Formation moves at {event['start_us'] / 1e6:.3f} s", False
-        case "applicationtext":
-            return f"Application: {event['text']}", False
-        case "vehiclelost":
-            return f"Lost: {event['reason']}", True
-        case "applicationlost":
-            return f"Application lost: {event['reason']}", True
-        case "collision":
-            return f"UAV {event['first']} and UAV {event['second']} touched", True
-        case "faultchanged":
-            motor = "" if event.get("motor") is None else f" {event['motor']}"
-            return f"Fault {event['number']} ({event['what']}{motor}) {event['change']}", True
-        case kind:
-            rest = {key: value for key, value in event.items() if key not in ("event", "time_us", "instance")}
-            return f"{kind} {', '.join(f'{key} = {value}' for key, value in rest.items())}".strip(), False
 
 
 def timeline_plot(

@@ -86,7 +86,7 @@ def test_values_that_alternate_give_a_bounded_number_of_segments():
 
 def test_unknown_events_are_listed_by_their_fields():
     (row,) = event_rows([{"event": "news", "time_us": 1_500_000, "instance": 2, "what": "x"}])
-    assert (row.time_s, row.vehicle, row.text, row.is_bad) == (1.5, 2, "news what = x", False)
+    assert (row.time_s, row.vehicle, row.text, row.is_bad) == (1.5, 2, "News what = x", False)
 
 
 def test_failures_are_shown_also_after_many_texts():

@@ -118,12 +118,12 @@ def test_channel_occupancy_is_that_of_the_piece(scene, scenario):
 @pytest.mark.parametrize(
     ("event", "text"),
     [
-        ({"event": "vehiclelost", "instance": 3, "reason": "it ended"}, "UAV 3 is lost: it ended"),
+        ({"event": "vehiclelost", "instance": 3, "reason": "it ended"}, "UAV 3: lost: it ended"),
         (
-            {"event": "faultchanged", "instance": None, "what": "gps", "change": "began"},
-            "fault gps of all UAVs began",
+            {"event": "faultchanged", "instance": None, "number": 2, "what": "gps_loss", "change": "began"},
+            "fault 2 (gps_loss) began",
         ),
-        ({"event": "collision", "first": 1, "second": 2}, "UAVs 1 and 2 collide"),
+        ({"event": "collision", "first": 1, "second": 2}, "UAV 1: touches UAV 2"),
     ],
 )
 def test_events_are_lines_of_the_log(event, text):
