@@ -310,7 +310,7 @@ class Scene:
         mode = self._modes.get(str(row["mode"]), f"mode {row['mode']}")
         phase = self._phases.get(str(row["phase"]), "")
         causes = [text for bit, text in self._causes.items() if int(row["causes"]) & int(bit)]
-        failsafe = ", ".join(causes) or ("active" if row["failsafe"] else "none")
+        failsafe = (", ".join(causes) or "active") if row["failsafe"] else "none"
         return {
             f"states/uav-{vehicle}/mode": f"{mode}, {phase}" if phase else mode,
             f"states/uav-{vehicle}/failsafe": failsafe,

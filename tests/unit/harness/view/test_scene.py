@@ -83,7 +83,8 @@ def test_errors_and_heights_are_those_of_the_flight(scene, scenario):
 
 def test_states_are_entered_when_they_change(scene, scenario):
     piece = line_of_vehicles(scenario)
-    piece.flight["causes"][3:, 0] = int(Cause.GPS_LOST)
+    piece.flight["causes"][2:, 0] = int(Cause.GPS_LOST)
+    piece.flight["failsafe"][3:, 0] = True
     piece.flight["alive"][4:, 1] = False
 
     def states(entries, path):
