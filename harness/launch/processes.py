@@ -220,6 +220,8 @@ class Processes(RunMonitor):
         with contextlib.ExitStack() as sockets:
             with interrupts_deferred():  # the stop removes the folder that this makes
                 self._radio = radio = RadioLink(scenario, self._folder, run_id=run_id)
+            if self._folder.has_live_records:  # a view computes patterns in flight
+                kernel_cache.prepare(self._note, self._on_compiled)
             self._kernels = kernel_cache.prepare_flight(self._note, self._on_compiled)
             self._wall_start_s = time.monotonic()
             simulator_ports = {i: each.getsockname()[1] for i, each in claim.listeners.items()}
