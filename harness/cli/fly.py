@@ -29,7 +29,7 @@ from harness.launch.profiling import profile_table
 from harness.launch.run_messages import SetupError, SwarmError
 from harness.launch.swarm import Swarm
 from harness.records.run_folder import RunFolder
-from harness.scenario.scenario import ScenarioError
+from harness.scenario.scenario import Scenario, ScenarioError
 from harness.scenario.scenario_file import load
 from harness.view.viewer import ViewerError
 from harness.world.faults import MOST_TIME_S
@@ -80,7 +80,7 @@ def fly(
     speed: Annotated[
         str | None,
         typer.Option(
-            help="Simulated against wall time; 'max', the default, is as fast as it goes.",
+            help="Simulated against wall time; 'max', the default without [[programs]], is as fast as it goes.",
             metavar="max|FACTOR",
         ),
     ] = None,
@@ -163,8 +163,8 @@ def fly(
         out = out or _free_folder(plan.name)
         waits = plan.onboard.hold
         if one_process:
-            _check_one_process(waits=waits, profile=profile, port_offset=port_offset)
-        factor = _speed(speed or ("1" if waits else "max"))
+            _check_one_process(plan, profile=profile, port_offset=port_offset)
+        factor = _speed(speed or ("1" if waits or plan.has_network else "max"))
         display = display_for(messages, forms=plan.forms)
         if view or web or record is not None:
             shown = FlightView(out, window=view, web=web, record=record, note=display.note)
@@ -213,8 +213,11 @@ def _free_folder(name: str) -> Path:
     return next(each for each in itertools.chain([path], others) if not each.exists())
 
 
-def _check_one_process(*, waits: bool, profile: bool, port_offset: str | None) -> None:
-    if waits:
+def _check_one_process(plan: Scenario, *, profile: bool, port_offset: str | None) -> None:
+    if plan.has_network:
+        line = "--one-process has no network: [[programs]] and [network] need several processes"
+        raise ExitFailure(BAD_INPUT, line)
+    if plan.onboard.hold:
         raise ExitFailure(BAD_INPUT, "--hold waits for a ground station, and none can connect to one process")
     if profile:
         line = "--profile needs several processes; it cannot be combined with --one-process"

@@ -39,7 +39,7 @@ from harness.launch.run_messages import (
     SwarmError,
     SwarmTimeoutError,
 )
-from harness.launch.swarm_settings import PortOffset, Ports, Speed, speed_factor, with_ports
+from harness.launch.swarm_settings import PortOffset, Ports, Speed, check_speed, speed_factor, with_ports
 from harness.launch.truth import SwarmTruth
 from harness.records.manifest import make_manifest, manifest_text
 from harness.records.outcome import RunOutcome
@@ -84,7 +84,8 @@ class Swarm:
     ``profile_from_s``: simulated time from which the processes are profiled, for `profile`. ``live_records``:
     the raw logs have each record at once, for a program that reads them in flight.
 
-    Raises ScenarioError for an invalid scenario, and `foundation.kernels.cache_trust.UntrustedCache`.
+    Raises ScenarioError for an invalid scenario, SetupError for ``"max"`` with programs, which need wall
+    time, and `foundation.kernels.cache_trust.UntrustedCache`.
     """
 
     _make_processes: ClassVar[type[Processes]] = Processes
@@ -117,6 +118,7 @@ class Swarm:
             scenario = load(scenario, [*overrides, *settings])
         self.scenario = with_ports(scenario, ports, port_offset)
         self._speed = speed_factor(speed)
+        check_speed(self.scenario, self._speed)
         if out is None:
             self.path = Path(tempfile.mkdtemp(prefix="coflight-"))
             weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
@@ -290,7 +292,9 @@ class Swarm:
 
     def set_speed(self, speed: Speed) -> None:
         """Fly at another speed from now on, from any thread. Raises SwarmError."""
-        self._speed = speed_factor(speed)
+        factor = speed_factor(speed)
+        check_speed(self.scenario, factor)
+        self._speed = factor
         self._processes.send(SetSpeed(speed=self._speed))
 
     def _after_us(self, duration_s: float) -> int:

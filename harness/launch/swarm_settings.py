@@ -21,6 +21,14 @@ def speed_factor(speed: Speed) -> float:
     return float(speed)
 
 
+def check_speed(scenario: Scenario, factor: float) -> None:
+    """Raise SetupError for a factor 0, as fast as possible, of a scenario with programs in wall time."""
+    if scenario.has_network and factor == 0.0:
+        raise SetupError(
+            "speed max: [[programs]] and [network] need wall time; expected a factor, such as 1 or 0.5"
+        )
+
+
 def with_ports(scenario: Scenario, ports: Ports, offset: PortOffset) -> Scenario:
     """Return the scenario with free ports, or with its own plus a number. Raises SetupError."""
     if ports == "scenario" and offset == "auto":

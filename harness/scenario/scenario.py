@@ -33,8 +33,10 @@ from autopilot.parameters.config import (
 from autopilot.parameters.onboard_config import OnboardConfig
 from foundation.airframe.description import Airframe
 from harness.scenario import airframe_choice, autopilot_settings, formation_shape, world_checks
+from harness.scenario import programs as vehicle_programs
 from harness.scenario.airframe_choice import VehicleTable
 from harness.scenario.formation_shape import FormationConfig
+from harness.scenario.programs import NetworkConfig, VehicleProgram
 from harness.world.faults import MOST_TIME_S, AnyFault, check
 from harness.world.physics.environment import EnvironmentConfig
 from harness.world.sensors.config import SensorsConfig
@@ -204,6 +206,10 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Elements, feeds and solver of the antenna."""
     ports: PortsConfig = PortsConfig()
     """TCP and UDP ports."""
+    network: NetworkConfig = NetworkConfig()
+    """Network namespaces of the vehicles."""
+    programs: tuple[VehicleProgram, ...] = ()
+    """Unmodified programs on the vehicles: tables ``[[programs]]``."""
 
     def __post_init__(self) -> None:
         """Check what no single field can."""
@@ -244,6 +250,11 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             except ValueError as error:
                 raise ValueError(f"formation.motion.{error}") from None
         self.ports.check(self.agents)
+        vehicle_programs.check(self.programs, self.agents)
+        if self.has_network and self.ports.radio_link != "unix":
+            raise ValueError(
+                "ports.radio_link: network namespaces reach the emulator by its Unix socket; expected unix"
+            )
 
     def _check_wind(self) -> None:
         """Check that only one part of a vehicle compensates the wind."""
@@ -333,6 +344,11 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             call_limit_s=self.run.silence_limit_s,
             record_period_us=self.record_period_us,
         )
+
+    @property
+    def has_network(self) -> bool:
+        """Whether the vehicles have network namespaces."""
+        return self.network.enabled or bool(self.programs)
 
     @property
     def ardupilots(self) -> tuple[int, ...]:

@@ -18,6 +18,7 @@ from harness.scenario import (
     formation_shape,
     packaged,
 )
+from harness.scenario import programs as vehicle_programs
 from harness.scenario.element_file import ElementFileError
 from harness.scenario.formation_shape import FormationFileError
 from harness.scenario.scenario import Scenario, ScenarioError
@@ -26,7 +27,7 @@ from harness.scenario.validation_errors import InvalidTable, convert
 from harness.world.faults import EXPECTED
 from netsim.radio_models import registry
 
-ARRAYS_OF_TABLES = ("faults", "wind.gusts", "sensors.extra", "sensors.boxes", "onboard.programs")
+ARRAYS_OF_TABLES = ("faults", "wind.gusts", "sensors.extra", "sensors.boxes", "onboard.programs", "programs")
 _EXPECTED = {
     **EXPECTED,
     **registry.EXPECTED,
@@ -96,7 +97,10 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
     # an override of a packaged scenario names a module or file of the current folder
     folder = Path() if packaged.FOLDER in path.parents else path.parent
     try:
-        return with_code(msgspec.structs.replace(scenario, autopilot=autopilot, links=links), folder)
+        programs = vehicle_programs.with_folder(scenario.programs, folder)
+        return with_code(
+            msgspec.structs.replace(scenario, autopilot=autopilot, links=links, programs=programs), folder
+        )
     except ValueError as error:  # code of the user, or contents of the files conflict with other settings
         raise ScenarioError(f"{path}: {error}") from None
 

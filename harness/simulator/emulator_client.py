@@ -1,7 +1,7 @@
 """Client of the 802.11 emulator in the time master: requests intervals of simulated time."""
 
-from collections.abc import Collection, Mapping
-from typing import Protocol
+from collections.abc import Callable, Collection, Mapping
+from typing import NamedTuple, Protocol
 
 import msgspec
 
@@ -20,6 +20,18 @@ UNANSWERED = "the 802.11 emulator does not answer"
 
 class RadioSilent(ConnectionError):
     """The 802.11 emulator does not answer the time master."""
+
+
+class Pace(NamedTuple):
+    """How simulated time follows wall time."""
+
+    due_ns: int
+    """Wall time, of the monotonic clock, at which a simulated time is due; 0: as soon as possible"""
+    speed: float
+    """Simulated over wall time"""
+
+
+UNPACED = Pace(0, 0.0)
 
 
 class EmulatorLine(Protocol):
@@ -41,12 +53,21 @@ class EmulatorClient:
 
     ``asynchronous``: some radios belong to hosts outside the lockstep and may transmit at any time. Intervals
     are then as long as a step and none is skipped; deliveries are released one step after the interval's
-    end, so that the emulator can run in parallel with that step.
+    end, so that the emulator can run in parallel with that step. ``pace`` returns the pace at a simulated
+    time, for the packets of programs, which live in wall time.
     """
 
-    def __init__(self, line: EmulatorLine, *, period_us: int, asynchronous: bool = False) -> None:
+    def __init__(
+        self,
+        line: EmulatorLine,
+        *,
+        period_us: int,
+        asynchronous: bool = False,
+        pace: Callable[[int], Pace] = lambda _: UNPACED,
+    ) -> None:
         self._period_us = period_us
         self._asynchronous = asynchronous
+        self._pace = pace
         self._line = line
         self._request: Advance | None = None
         """Request that the emulator has not answered yet."""
@@ -93,6 +114,7 @@ class EmulatorClient:
         if not self._asynchronous and not senders and to_us < quiet_us:
             return
         self._requested_us = to_us
+        due_ns, speed = self._pace(to_us)
         self._request = Advance(
             to_us=to_us,
             release_us=to_us + step_us if self._asynchronous else to_us,
@@ -104,6 +126,8 @@ class EmulatorClient:
             silent=silent,
             extra_attenuation_db=extra_attenuation_db,
             range_offsets_m=tuple(range_offsets_m.items()),
+            due_ns=due_ns,
+            speed=speed,
         )
         self._line.send(self._request)
 

@@ -28,7 +28,7 @@ from foundation.system_error import in_words
 from harness.records.run_folder import PhysicsConfig
 from harness.simulator.application_links import ApplicationLinks
 from harness.simulator.ardupilot_link import ArduPilotLink
-from harness.simulator.emulator_client import EmulatorClient, RadioSilent
+from harness.simulator.emulator_client import UNPACED, EmulatorClient, Pace, RadioSilent
 from harness.simulator.emulator_wait import EMULATOR, POLL_S, AwaitedLine, radio_watchdog
 from harness.simulator.lockstep import OWN, PX4, ConnectTimeout, Lockstep
 from harness.simulator.messages import (
@@ -99,6 +99,14 @@ class Pacer:
             self._anchor = (time_us, wall_s)
         return ahead_s
 
+    def pace(self, time_us: int) -> Pace:
+        """Return the wall time at which ``time_us`` is due, and the speed."""
+        if self._anchor is None:
+            return UNPACED
+        anchor_us, wall_anchor_s = self._anchor
+        wall_s = wall_anchor_s + (time_us - anchor_us) * 1e-6 / self._speed
+        return Pace(round(wall_s * 1e9), self._speed)
+
 
 class _Commands:
     """Queue of commands; `Pause`, `Resume` and `SetSpeed` take effect at once instead."""
@@ -149,17 +157,21 @@ def obey(
     inbox: "queue.SimpleQueue[AnyCommand]",
     *,
     connect_timeout_s: float,
+    pacer: Pacer | None = None,
     emit: Callable[[AnyEvent], None],
     set_pid: Callable[[SetPid | SetRadioPid], None] = lambda _: None,
     on_wait: Callable[[float], object] = lambda _: None,
 ) -> None:
     """Execute commands until Stop; ``set_pid`` receives the process ids of the others.
 
+    ``pacer`` is for others to read; None: one of its own.
+
     ``on_wait`` is called with the wall time, repeatedly while vehicles are awaited that have not connected.
 
     Raises the errors of the simulation's vehicles and of its channel.
     """
-    connected, line, pacer = False, _Commands(inbox), Pacer()
+    connected, line = False, _Commands(inbox)
+    pacer = pacer or Pacer()
 
     def keep_waiting() -> bool:
         on_wait(time.monotonic())
@@ -335,13 +347,14 @@ def serve(
             guard.set_pid(command.instance, command.pid)
 
     with contextlib.ExitStack() as stack:
-        emulator = None
+        emulator, pacer = None, Pacer()
         if clock is not None:
             line = time_masters_end(stack.enter_context(clock), limit_s=POLL_S)
             emulator = EmulatorClient(
                 AwaitedLine(line, emulator_watchdog),
                 period_us=scenario.onboard.loop_period_us,
-                asynchronous=bool(scenario.radio.guests),
+                asynchronous=bool(scenario.radio.guests) or scenario.has_network,
+                pace=pacer.pace,
             )
         simulation = stack.enter_context(
             contextlib.closing(
@@ -361,6 +374,7 @@ def serve(
             obey(
                 simulation,
                 inbox,
+                pacer=pacer,
                 connect_timeout_s=config.connect_timeout_s,
                 emit=emit,
                 set_pid=set_pid,

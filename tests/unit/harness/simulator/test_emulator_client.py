@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from harness.simulator.emulator_client import MAX_QUIET_US, EmulatorClient, RadioSilent
+from harness.simulator.emulator_client import MAX_QUIET_US, EmulatorClient, Pace, RadioSilent
 from netsim.wire.lockstep import LEAD_US, Advanced, unpack_rows
 
 STEP_US = 4_000
@@ -152,3 +152,10 @@ def test_an_emulator_that_does_not_answer_or_is_gone_is_an_error(client, emulato
     client.begin(0, STEP_US, TRUTH, **RADIO)
     with pytest.raises(RadioSilent, match=reason):
         client.end()
+
+
+def test_request_has_the_pace_at_its_end(emulator):
+    paces = {STEP_US: Pace(7_000, 0.5)}
+    client = EmulatorClient(emulator, period_us=PERIOD_US, asynchronous=True, pace=paces.__getitem__)
+    client.begin(0, STEP_US, TRUTH, **RADIO)
+    assert (emulator.requests[0].due_ns, emulator.requests[0].speed) == (7_000, 0.5)

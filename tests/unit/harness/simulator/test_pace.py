@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from foundation.processes.child_protocol import Stop
+from harness.simulator.emulator_client import UNPACED
 from harness.simulator.messages import AnyCommand, Pause, Paused, Progress, Resume, RunUntil, SetSpeed
 from harness.simulator.server import MOST_LAG_S, NAP_S, PROGRESS_PERIOD_S, Pacer, obey
 
@@ -223,3 +224,16 @@ def test_another_speed_and_a_pause_apply_at_once_in_a_slow_run(clock: Clock) -> 
     assert standing[-1].wall_paused_s == pytest.approx(3.5, abs=1.5 * PROGRESS_PERIOD_S)
     for earlier, later in pairwise(standing):
         assert later.wall_paused_s - earlier.wall_paused_s == pytest.approx(later.wall_s - earlier.wall_s)
+
+
+def test_pace_states_when_a_simulated_time_is_due() -> None:
+    pacer = Pacer()
+    pacer.begin(0.5, 1_000_000, 20.0)
+    assert pacer.pace(2_000_000) == UNPACED  # the first step sets the anchor
+    pacer.ahead_s(1_000_000, 20.0)
+    assert pacer.pace(2_000_000) == (22_000_000_000, 0.5)
+    pacer.pause()
+    assert pacer.pace(2_000_000) == UNPACED
+    pacer.begin(0.0, 1_000_000, 30.0)
+    pacer.ahead_s(1_000_000, 30.0)
+    assert pacer.pace(2_000_000) == UNPACED
