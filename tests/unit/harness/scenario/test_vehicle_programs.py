@@ -72,5 +72,5 @@ def test_wrong_field_is_named(path, override, line):
 
 
 def test_programs_refuse_a_speed_without_wall_time(path, tmp_path):
-    with pytest.raises(SetupError, match="speed max: .* need wall time"):
+    with pytest.raises(SetupError, match="speed max"):
         Swarm(path, out=tmp_path / "run")
