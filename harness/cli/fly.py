@@ -80,7 +80,7 @@ def fly(
     speed: Annotated[
         str | None,
         typer.Option(
-            help="Simulated against wall time; 'max' is as fast as it goes, and the default without programs.",
+            help="Simulated against wall time; 'max', the default without programs, is as fast as it goes.",
             metavar="max|FACTOR",
         ),
     ] = None,
