@@ -37,6 +37,7 @@ COMMANDS = {
     "hold": Command("start a swarm that waits for ground stations", "harness.cli.fly", "main", ("--hold",)),
     "report": Command("show a run, make missing tables, draw figures again", "harness.cli.report", "main"),
     "replay": Command("show a run in the viewer Rerun", "harness.cli.replay", "main"),
+    "shell": Command("open a shell on a vehicle of a running swarm", "harness.cli.shell", "main"),
     "campaign": Command("fly many runs into one table", "harness.cli.campaign", "main"),
     "radio": Command("simulate the radio alone", "netsim.lab.cli", "main"),
     "antenna": Command("compute antenna patterns alone", "antenna.lab.cli", "main"),

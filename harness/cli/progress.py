@@ -18,6 +18,7 @@ from rich.text import Text
 from foundation.durations import duration_text
 from foundation.processes.child_protocol import Warned
 from harness.cli.troubles import Lag, Trouble, Troubles, error_m
+from harness.launch.death_report import ending
 from harness.launch.kernel_cache import CompileProgress
 from harness.launch.process_commands import application, uav
 from harness.launch.run_messages import Compiling, Message, ProcessNotice
@@ -35,6 +36,7 @@ from harness.simulator.messages import (
     VehicleSilent,
     VehicleTruth,
 )
+from netsim.network.messages import ProgramEnded
 
 LINE_PERIOD_S, COMPILING_LINE_PERIOD_S = 3.0, 10.0
 """Wall time between two plain lines, in flight and while kernels compile."""
@@ -94,6 +96,10 @@ def describe(message: Message) -> str | None:
             vehicles = "every uav" if message.instance is None else uav(message.instance)
             what = message.what if message.motor is None else f"{message.what} {message.motor}"
             return f"{_at(message.time_us)}: fault {message.number} ({what}) of {vehicles} {message.change}"
+        case ProgramEnded() if message.returncode:
+            how = f"{uav(message.station)}: program {message.name} {ending(message.returncode)}"
+            again = message.restart_in_s
+            return how if again is None else f"{how}; it is started again in {again:.0f} s"
         case Warned():
             return f"{_at(message.time_us)}: {message.name}: {message.text}"
         case ProcessNotice():

@@ -4,7 +4,7 @@ import os
 import sys
 from pathlib import Path
 
-PHYSICS, RADIO, PREFORK = "physics", "radio", "prefork"
+PHYSICS, RADIO, PREFORK, NETWORK = "physics", "radio", "prefork", "network"
 
 
 def uav(instance: int) -> str:

@@ -24,6 +24,7 @@ from harness.launch.disk_space import space_warning
 from harness.launch.external_process import AutopilotError
 from harness.launch.interrupts import interrupts_deferred
 from harness.launch.process_commands import (
+    NETWORK,
     PHYSICS,
     PREFORK,
     RADIO,
@@ -44,6 +45,7 @@ from harness.launch.run_messages import (
 from harness.launch.run_monitor import RunMonitor
 from harness.launch.socket_pairs import SocketPairs, descriptor_list
 from harness.launch.supervisor import Exited, Supervisor, SupervisorError
+from harness.launch.vehicle_network import ProgramStarts, network_config, write_holders
 from harness.records.run_folder import FolderRefused, RunFolder
 from harness.scenario.scenario import Scenario
 from harness.simulator.messages import (
@@ -53,6 +55,7 @@ from harness.simulator.messages import (
     SetRadioPid,
     VehicleLost,
 )
+from netsim.network.messages import StartPrograms
 
 START_LIMIT_S = 120.0
 """Wall time within which every process must be ready."""
@@ -110,6 +113,7 @@ class Processes(RunMonitor):
         """Whether coflight's autopilot flies any vehicle."""
         self._has_prefork = self._has_own or bool(self._applications)
         self._radio: RadioLink | None = None
+        self._program_starts = ProgramStarts(scenario)
         self._kernels = kernel_cache.Compilers()
         self._affinity: CpuAffinity | None = None
         self.forced: tuple[str, ...] = ()
@@ -211,6 +215,19 @@ class Processes(RunMonitor):
             self.send(SetPid(instance=i, pid=self.ready[application(i)].pid, is_application=True))
         self.send(SetRadioPid(pid=self.ready[RADIO].pid))
         self._pin()
+        if NETWORK in self.ready:
+            write_holders(self._folder.network, self.ready[NETWORK].details["holders"])
+            self._start_programs(self._program_starts.before_flight())
+
+    def _start_programs(self, numbers: tuple[int, ...]) -> None:
+        if numbers and self._supervisor.alive(NETWORK):
+            self._supervisor.send(NETWORK, StartPrograms(programs=numbers))
+
+    def _take(self, wall_limit_s: float) -> Message | None:
+        message = super()._take(wall_limit_s)
+        if message is not None and self._running:
+            self._start_programs(self._program_starts.due(message))
+        return message
 
     def _start_linked(
         self, claim: ports.Claim, own_links: SocketPairs, application_links: SocketPairs
@@ -252,6 +269,13 @@ class Processes(RunMonitor):
             links.close_server_ends()
         self._await_ready([RADIO])
         self._ports |= radio.open(self.ready[RADIO].details["endpoint"])
+        if radio.packets_endpoint is not None:
+            settings = network_config(
+                scenario, radio.packets_endpoint, run_id=run_id, logs=self._folder.logs
+            )
+            path = self._folder.write_config(NETWORK, settings)
+            self._supervisor.start(NETWORK, bound_module("netsim.network", *supervised(path)))
+            self._await_ready([NETWORK])
         if self._has_prefork:
             self._await_ready([PREFORK])
         for i in vehicles:
@@ -355,8 +379,8 @@ class Processes(RunMonitor):
                     pass  # ends that this stop has caused are no events
                 self._remove_files()
                 return
-            for names in ([PHYSICS], vehicles, [RADIO, PREFORK]):
-                if names is vehicles and PREFORK in self._found:
+            for names in ([PHYSICS], [NETWORK, *vehicles], [RADIO, PREFORK]):
+                if NETWORK in names and PREFORK in self._found:
                     self._supervisor.continue_or_kill(PREFORK, after_forks_s=ENDS_LIMIT_S)
                 forced += self._supervisor.end(names, grace_s=STOP_LIMIT_S)
             self.forced = (*forced, *self._supervisor.stop())
@@ -368,6 +392,8 @@ class Processes(RunMonitor):
                 self.note_failure(self.records_lost)
 
     def _remove_files(self) -> None:
+        with contextlib.suppress(OSError):
+            self._folder.network.unlink()
         if self._radio is not None:
             self._radio.remove()
         if self._has_claim:

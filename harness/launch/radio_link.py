@@ -25,21 +25,25 @@ class RadioLink:
         self._guest_access = folder.guest_access
         self._socket_folder = SocketFolder() if scenario.ports.radio_link == "unix" else None
         path = None if self._socket_folder is None else str(self._socket_folder.path / SOCKET)
-        passwords = new_passwords(len(scenario.radio.guests))
+        passwords = new_passwords(len(scenario.radio.guests), packets=scenario.has_network)
         self.config: ServerConfig = folder.radio_config(
             scenario, run_id=run_id, socket_path=path, passwords=passwords
         )
         """Settings of the emulator's process."""
-        self._password = passwords.vehicles
+        self._passwords = passwords
         self.endpoint: RadioEndpoint | None = None
         """What vehicles connect to, once the emulator is ready."""
+        self.packets_endpoint: RadioEndpoint | None = None
+        """What the process of network interfaces connects to, likewise, if there is one."""
 
     def open(self, locator: str) -> set[int]:
         """Store the endpoint and write the file for guests if there are any; returns the TCP ports in use.
 
         Raises OSError.
         """
-        self.endpoint = RadioEndpoint(locator=locator, password=self._password)
+        self.endpoint = RadioEndpoint(locator=locator, password=self._passwords.vehicles)
+        if self._passwords.packets is not None:
+            self.packets_endpoint = RadioEndpoint(locator=locator, password=self._passwords.packets)
         if self.config.radio.guests:
             write_guest_access(self._guest_access, self.config, locator)
         return {int(locator.rpartition(":")[2])} if locator.startswith("tcp/") else set()

@@ -12,7 +12,7 @@ from typing import Any
 
 from foundation.processes.child_protocol import Finished, Influenced, Ready
 from harness.launch.death_report import is_full, memory_kills, recorded_bytes
-from harness.launch.process_commands import PHYSICS, PREFORK, RADIO, application
+from harness.launch.process_commands import NETWORK, PHYSICS, PREFORK, RADIO, application
 from harness.launch.process_watch import LOOK_PERIOD_S, Finding, ProcessWatch
 from harness.launch.run_messages import Message, ProcessNotice, RunEvent, SwarmError, SwarmTimeoutError
 from harness.launch.supervisor import Exited, Supervisor, SupervisorError
@@ -131,7 +131,7 @@ class RunMonitor:
         if wall_s - self._wall_look_s < LOOK_PERIOD_S:
             return
         self._wall_look_s = wall_s
-        names = [PHYSICS, RADIO, PREFORK, *([] if self._connected else self._starting)]
+        names = [PHYSICS, RADIO, PREFORK, NETWORK, *([] if self._connected else self._starting)]
         progressing = [PHYSICS] if self._awaits_progress else []
         stepping = [RADIO] if self._awaits_progress and self._connected else []
         states = self._supervisor.states(names)
@@ -227,11 +227,11 @@ class RunMonitor:
 
     def _is_needed(self, name: str) -> bool:
         """Whether the run fails if that process ends: another autopilot's until all have connected, too."""
-        return name in (PHYSICS, RADIO, PREFORK) or (not self._connected and name in self._until_connected)
+        return name in (PHYSICS, RADIO, PREFORK, NETWORK) or (not self._connected and name in self._until_connected)
 
     def cause_of(self, name: str, exited: Exited) -> str:
         """Return a line for the end of a process that is needed, or for that of the radio, its cause."""
-        if name not in (PHYSICS, RADIO, PREFORK):
+        if name not in (PHYSICS, RADIO, PREFORK, NETWORK):
             limit_s = START_CAUSE_LIMIT_S
         else:
             limit_s = CAUSE_LIMIT_S if name == PHYSICS and GONE in exited.last_words else 0.0

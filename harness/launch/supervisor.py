@@ -36,6 +36,7 @@ from harness.launch.prefork_client import Forker, ForkError, process_of
 from harness.launch.spawner import spawn
 from harness.simulator.messages import AnyCommand, AnyEvent
 from harness.simulator.process_activity import DEAD, ENDED, HELD, ProcessState, state_of
+from netsim.network.messages import ProgramEnded, ProgramStarted, StartPrograms
 
 INPUT_GRACE_S = 1.0
 """Wall time that a child has to end after the end of its stdin."""
@@ -75,7 +76,7 @@ class Exited(Struct, frozen=True, kw_only=True):
         return f"{self.name} (pid {self.pid}) {ending(self.returncode)}"
 
 
-ChildMessage = Ready | Finished | Influenced | Warned | AnyEvent
+ChildMessage = Ready | Finished | Influenced | Warned | ProgramStarted | ProgramEnded | AnyEvent
 NamedMessage = tuple[str, ChildMessage | Exited]
 """A child's name, and an event of it or its end."""
 _decoder = msgspec.json.Decoder(ChildMessage)
@@ -325,7 +326,7 @@ class Supervisor:
         except queue.Empty:
             return None
 
-    def send(self, name: str, command: AnyCommand) -> None:
+    def send(self, name: str, command: AnyCommand | StartPrograms) -> None:
         """Write a command to a child's stdin. No effect if it has ended, which the queue reports.
 
         Raises SupervisorError for a child that was never started.

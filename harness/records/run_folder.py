@@ -79,6 +79,8 @@ class _Applications(Struct, frozen=True):
     applications: Layout = NO_APPLICATION
 
 
+NETWORK_FILE = "network.json"
+"""Name of the file of the processes by which vehicles' network namespaces are entered."""
 LISTED = 3
 """Entries of a folder that an error message names."""
 NAME_ANOTHER = "name a new or an empty one with --out (in Python, out=)"
@@ -119,6 +121,7 @@ class RunFolder:
         self.patterns = path / "patterns.nc"
         self.page = path / "report.html"
         self.guest_access = path / guest_access.FILE
+        self.network = path / NETWORK_FILE
         self.raw_truth, self.raw_air = self.raw / "truth.bin", self.raw / "air.bin"
         self.capture = path / "radio.pcapng"
         self.receptions, self.raw_receptions = path / "receptions.parquet", self.raw / "receptions.bin"
@@ -253,6 +256,7 @@ class RunFolder:
             port=scenario.ports.radio_tcp,
             stations=scenario.agents,
             seed=scenario.run.seed,
+            packets=scenario.has_network,
             radio=scenario.radio,
             frame_log_path=str(self.raw_frames),
             session_log_path=str(self.raw_sessions),
