@@ -146,8 +146,11 @@ class PacketExchange:
     # --- packets sent
 
     def _accept_all(self, wall_limit_s: float) -> None:
-        """Accept the packets of all messages that have arrived, waiting for the first one."""
-        while (payload := self._inbox.take(wall_limit_s)) is not None:
+        """Accept the packets of messages that have arrived, waiting for the first one."""
+        for _ in range(MOST_WAITING_MESSAGES):  # a sender without pauses must not stop the channel
+            payload = self._inbox.take(wall_limit_s)
+            if payload is None:
+                return
             self._accept(payload)
             wall_limit_s = 0.0
 
