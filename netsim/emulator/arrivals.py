@@ -6,11 +6,12 @@ from operator import itemgetter
 
 import msgspec
 
+from netsim.emulator.packets import Packets
 from netsim.emulator.records import Tally
 from netsim.ftm.initiator import Ranging
 from netsim.mac.jobs import GroupReception
 from netsim.model.random_streams import FloatStream, Model, RandomStreams
-from netsim.phy.frames import Datagram
+from netsim.phy.frames import Datagram, Packet
 from netsim.wire.messages import Delivery, FtmResult, RxItem, Sent, Survey
 
 _Received = tuple[int, int, int, RxItem]
@@ -23,6 +24,7 @@ class Arrivals:
 
     ``vehicles`` of the ``stations`` also receive surveys; ``silent`` stations get no results.
     ``drop_fraction`` is the share of items that hosts lose; ``tally`` counts them and the ranging sessions.
+    ``packets`` takes the packets among the received frames.
     """
 
     def __init__(
@@ -34,6 +36,7 @@ class Arrivals:
         streams: RandomStreams,
         tally: Tally,
         silent: set[int],
+        packets: Packets,
     ) -> None:
         self._vehicles = vehicles
         self._drop_fraction = drop_fraction
@@ -43,14 +46,21 @@ class Arrivals:
             self._losses = [streams.uniforms(Model.HOST_LOSS, i) for i in range(stations)]
         self._tally = tally
         self._silent = silent
+        self._packets = packets
         self._received: list[list[_Received]] = [[] for _ in range(stations)]
         """Items by receiving station."""
 
     def add_datagram(self, received: GroupReception) -> None:
-        """Add a datagram to the deliveries of its receivers, except where the host loses it."""
+        """Add a datagram to the deliveries of its receivers, except where the host loses it.
+
+        A packet is passed to `Packets` instead.
+        """
         source, seq, datagram = received.source, received.seq, received.body
         if not isinstance(datagram, Datagram):
-            raise TypeError("the body of a data frame must be a Datagram")
+            if not isinstance(datagram, Packet):
+                raise TypeError("the body of a data frame must be a Datagram or a Packet")
+            self._packets.add(datagram, received, [self._host_loses(each) for each in received.stations])
+            return
         for station, end_ns, power_mw in zip(
             received.stations, received.ends_ns, received.powers_mw, strict=True
         ):

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from netsim.emulator.arrivals import Arrivals
 from netsim.emulator.ideal_channel import IdealChannel, undisturbed
+from netsim.emulator.packets import PacketReception, Packets
 from netsim.emulator.records import EmulatorCounters, FrameRecord, Tally, frame_records
 from netsim.emulator.settings_checks import check
 from netsim.ftm.initiator import Ranging
@@ -23,7 +24,7 @@ from netsim.ftm.session import FtmRadio
 from netsim.ftm.stamps import Clock
 from netsim.mac.jobs import FrameSender, GroupReception, Job, JobOutcome, Reception
 from netsim.mac.radios import Radios
-from netsim.mac.rates import datagram_modes
+from netsim.mac.rates import DatagramModes, datagram_modes
 from netsim.model.config import RadioConfig, StationConfig
 from netsim.model.event_queue import EventQueue
 from netsim.model.random_streams import Model, RandomStreams
@@ -39,8 +40,11 @@ from netsim.phy.frames import (
 from netsim.phy.propagation import Links, Trajectories, is_possible
 from netsim.radio_models.registry import make_models
 from netsim.wire.messages import Broadcast, FtmRequest, RxItem, Sent, TxBatch, TxItem, Unicast
+from netsim.wire.packets import SentPacket
 
-NOTHING_PENDING_US = 2**62 // 1000
+NOTHING_PENDING_US = 2**62 // 1_000
+NOTHING_PENDING_NS = 1_000 * NOTHING_PENDING_US
+"""Time of the next event if there is none."""
 Doubles = NDArray[np.float64]
 _ORDER = itemgetter(0, 1, 2)
 _ITEM_ORDER = attrgetter("at_us", "seq")
@@ -72,6 +76,12 @@ class Emulator:
         self._streams = RandomStreams(seed)
         self._tally = Tally()
         self._silent: set[int] = set()
+        self.queue = EventQueue()
+        self._modes: list[DatagramModes] = []
+        self._macs: list[FrameSender] = []
+        self._packets = Packets(
+            config=config, queue=self.queue, macs=self._macs, modes=self._modes, silent=self._silent
+        )
         self._arrivals = Arrivals(
             stations=stations,
             vehicles=self._vehicles,
@@ -79,8 +89,8 @@ class Emulator:
             streams=self._streams,
             tally=self._tally,
             silent=self._silent,
+            packets=self._packets,
         )
-        self.queue = EventQueue()
         self.trajectories = Trajectories(stations)
         self._level = np.tile([1.0, 0.0, 0.0, 0.0], (stations, 1))
         """Default attitudes (n, 4), wxyz."""
@@ -101,16 +111,13 @@ class Emulator:
         self.range_offsets_m: Mapping[int, float] = {}
         """Offsets added to the distances of sessions that end from now on, by initiator."""
         own = {each.station: each for each in config.stations}
-        self._modes = [
-            datagram_modes(config, own.get(i, StationConfig(station=i)), self._streams)
-            for i in range(stations)
-        ]
         self._ftm: list[FtmRadio] = []
-        self._macs: list[FrameSender] = []
         clocks = [
             Clock(config.ftm.clock_ppm, self._streams.generator(Model.CLOCK, i)) for i in range(stations)
         ]
         for i in range(stations):
+            own_config = own.get(i, StationConfig(station=i))
+            self._modes.append(datagram_modes(config, own_config, self._streams))
             self._add_station(i, clocks)
         self._submitted: list[tuple[int, int, int, TxItem]] = []
         self._ready_ns = [0] * stations
@@ -154,6 +161,21 @@ class Emulator:
             self._ready_ns[station] = ready_ns
             self._submitted.append((ready_ns, station, item.seq, item))
 
+    def submit_packet(self, packet: SentPacket, at_ns: int) -> None:
+        """Queue a packet at its sender at simulated time ``at_ns``, or now if that is in the past.
+
+        Packets of one station and time keep their order. Raises ValueError for a station that does not exist.
+        """
+        self._packets.submit(packet, at_ns)
+
+    def take_packets(self) -> list[PacketReception]:
+        """Return the packets received since the last call, in order of their end."""
+        return self._packets.take()
+
+    def take_ended(self) -> dict[int, int]:
+        """Return the numbers of packets that have left the queues since the last call, by sender."""
+        return self._packets.take_ended()
+
     def advance(
         self,
         *,
@@ -163,13 +185,30 @@ class Emulator:
         vel_ned_m_s: Doubles,
         q_ned_frd: Doubles | None = None,
     ) -> dict[int, list[RxItem]]:
-        """Simulate up to and including ``to_us``.
+        """Simulate up to and including ``to_us``: `begin`, `run_until` and `end` of an interval.
+
+        Returns the received items by station. Raises ValueError as `begin`.
+        """
+        self.begin(
+            to_us=to_us, at_us=at_us, pos_ned_m=pos_ned_m, vel_ned_m_s=vel_ned_m_s, q_ned_frd=q_ned_frd
+        )
+        self.run_until(1_000 * to_us)
+        return self.end()
+
+    def begin(
+        self,
+        *,
+        to_us: int,
+        at_us: int,
+        pos_ned_m: Doubles,
+        vel_ned_m_s: Doubles,
+        q_ned_frd: Doubles | None = None,
+    ) -> None:
+        """Begin an interval that ends at ``to_us`` and schedule the submitted items.
 
         The stations are at ``pos_ned_m`` (n, 3) at ``at_us``, move at ``vel_ned_m_s`` (n, 3) and have the
-        attitudes ``q_ned_frd`` (n, 4), wxyz, by default level. Returns the received items by station, for
-        stations that received any: in order of (time, source, seq), where the source of a result is the peer
-        or destination, followed by a `Survey` for a vehicle. Raises ValueError for arrays of a wrong shape or
-        with invalid values, or for a time in the past.
+        attitudes ``q_ned_frd`` (n, 4), wxyz, by default level. Raises ValueError for arrays of a wrong shape
+        or with invalid values, or for a time in the past.
         """
         positions, velocities = (np.asarray(each, dtype=np.float64) for each in (pos_ned_m, vel_ned_m_s))
         attitudes = self._level if q_ned_frd is None else q_ned_frd
@@ -187,14 +226,29 @@ class Emulator:
         for ready_ns, station, _, item in self._submitted:
             self.queue.at(ready_ns, self._on_ready, (station, item))
         self._submitted.clear()
-        self.queue.run_until(to_ns)
-        return self._arrivals.take(to_ns, self._channel.surveyed_ns)
+
+    def run_until(self, time_ns: int) -> None:
+        """Simulate up to and including ``time_ns``, which is within the interval."""
+        self.queue.run_until(time_ns)
+
+    def end(self) -> dict[int, list[RxItem]]:
+        """Return the received items by station, for stations that received any.
+
+        They are in order of (time, source, seq), where the source of a result is the peer or destination,
+        followed by a `Survey` for a vehicle.
+        """
+        return self._arrivals.take(self.queue.now_ns, self._channel.surveyed_ns)
+
+    @property
+    def next_event_ns(self) -> int:
+        """Earliest time of the next event if nothing more is submitted."""
+        submitted_ns = min((entry[0] for entry in self._submitted), default=NOTHING_PENDING_NS)
+        return min(submitted_ns, self.queue.next_ns(), NOTHING_PENDING_NS)
 
     @property
     def next_event_us(self) -> int:
         """Earliest time of the next event if nothing more is submitted; rounded down."""
-        submitted_ns = min((entry[0] for entry in self._submitted), default=NOTHING_PENDING_US * 1_000)
-        return min(submitted_ns // 1_000, self.queue.next_ns() // 1_000, NOTHING_PENDING_US)
+        return self.next_event_ns // 1_000
 
     def _on_ready(self, entry: tuple[int, TxItem]) -> None:
         station, item = entry
@@ -300,7 +354,9 @@ class Emulator:
     @property
     def counters(self) -> EmulatorCounters:
         """Counters since the start of the run."""
-        return self._tally.counters(self._channel.frames_sent(), self._channel.broadcasts())
+        return self._tally.counters(
+            self._channel.frames_sent(), self._channel.broadcasts(), self._packets.counters
+        )
 
     def take_frames(self) -> list[FrameRecord]:
         """Return the transmissions that ended since the last call, in order of their end."""

@@ -29,7 +29,7 @@ class FrameRecord(NamedTuple):
     """Length including MAC header and FCS."""
     seq: int
     """Sequence number of the item or request; for a measurement frame its number in the session, from 1; for
-    a rejection, RTS, CTS and ACK 0."""
+    a packet, a rejection, RTS, CTS and ACK 0."""
     delivered: int
     """Intended receivers that received it."""
     collided: int
@@ -52,15 +52,27 @@ class FtmCounters(Struct, frozen=True, kw_only=True):
     error_square_sum_m2: float
 
 
-class EmulatorCounters(Struct, frozen=True, kw_only=True):
+class PacketCounters(Struct, frozen=True, kw_only=True):
+    """Counters of network interfaces' packets since the start of the run."""
+
+    outcomes: dict[str, int]
+    """Packets that have left the queues, by outcome: of `netsim.mac.jobs.JobOutcome`, or
+    ``unknown_destination``."""
+    delivered: int
+    """Receptions, of a group packet one per receiver."""
+    lost_by_hosts: int
+    """Receptions that the receivers' hosts have lost."""
+
+
+class EmulatorCounters(Struct, frozen=True, kw_only=True, omit_defaults=True):
     """Counters since the start of the run."""
 
     frames_sent: dict[str, int]
     """Transmissions by kind, retransmissions included."""
     broadcasts_delivered: tuple[int, ...]
-    """Broadcast datagrams received, indexed by receiver."""
+    """Broadcast datagrams and group packets received, indexed by receiver."""
     broadcasts_collided: tuple[int, ...]
-    """Broadcast datagrams that would have been received without other transmissions."""
+    """Those that would have been received without other transmissions."""
     broadcasts_lost_to_noise: tuple[int, ...]
     drops: dict[str, int]
     """Broadcast datagrams dropped before transmission, by reason."""
@@ -69,6 +81,8 @@ class EmulatorCounters(Struct, frozen=True, kw_only=True):
     lost_by_hosts: int
     """Datagrams that the radio received and the host lost."""
     ftm: FtmCounters
+    packets: PacketCounters | None = None
+    """None, and omitted when encoded, in a run without packets."""
 
 
 _KIND_BYTES = np.array([kind.value for kind in KINDS], "S16")
@@ -132,8 +146,10 @@ class Tally:
             self._error_square_sum_m2 += error_m * error_m
         self._sessions.append(ranging)
 
-    def counters(self, frames_sent: list[int], broadcasts: Integers) -> EmulatorCounters:
-        """Return all counters; a channel supplies its frames by kind and its broadcast datagrams (n, 3)."""
+    def counters(
+        self, frames_sent: list[int], broadcasts: Integers, packets: PacketCounters | None
+    ) -> EmulatorCounters:
+        """Return all counters; a channel supplies its frames by kind and its group data frames (n, 3)."""
         delivered, collided, lost = (tuple(column) for column in broadcasts.T.tolist())
         return EmulatorCounters(
             frames_sent=dict(zip((kind.value for kind in KINDS), frames_sent, strict=True)),
@@ -150,6 +166,7 @@ class Tally:
                 error_sum_m=self._error_sum_m,
                 error_square_sum_m2=self._error_square_sum_m2,
             ),
+            packets=packets,
         )
 
     def take_sessions(self) -> list[Ranging]:

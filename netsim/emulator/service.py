@@ -18,12 +18,14 @@ from netsim.capture.pcapng_writer import Capture
 from netsim.emulator.emulator import Emulator
 from netsim.emulator.interface import NetworkEmulator
 from netsim.emulator.log_layout import FRAME_LOG, RECEPTION_LOG, SESSION_LOG
+from netsim.emulator.packets import PacketReception
 from netsim.emulator.records import frame_log_rows, reception_log_rows
 from netsim.model.config import ServerConfig
 from netsim.phy.frames import Transmission
 from netsim.phy.propagation import is_possible
 from netsim.wire.lockstep import LEAD_US, Advance, Advanced, unpack_rows
 from netsim.wire.messages import RxBatch, Station, TxBatch
+from netsim.wire.packets import SentPacket
 
 Doubles = NDArray[np.float64]
 
@@ -169,6 +171,15 @@ class EmulatorService:
     def advance(self, request: Advance) -> dict[Station, RxBatch]:
         """Simulate the interval of an `Advance` and return its deliveries by station.
 
+        Raises ValueError as `begin`.
+        """
+        self.begin(request)
+        self.run_until(1_000 * request.to_us)
+        return self.end(request)
+
+    def begin(self, request: Advance) -> None:
+        """Begin the interval of an `Advance` with the batches that are due.
+
         Raises ValueError unless it has finite motion of all vehicles, known stations and a later time.
         """
         pos_ned_m, vel_ned_m_s, q_ned_frd = self._motion(request)
@@ -186,13 +197,21 @@ class EmulatorService:
             self._emulator.submit(batch)
         self._emulator.links.set_extra_attenuation_db(request.extra_attenuation_db)
         self._emulator.range_offsets_m = dict(request.range_offsets_m)
-        arrivals = self._emulator.advance(
+        self._emulator.begin(
             to_us=request.to_us,
             at_us=request.at_us,
             pos_ned_m=pos_ned_m,
             vel_ned_m_s=vel_ned_m_s,
             q_ned_frd=q_ned_frd,
         )
+
+    def run_until(self, time_ns: int) -> None:
+        """Simulate up to and including ``time_ns``, which is within the interval that has begun."""
+        self._emulator.run_until(time_ns)
+
+    def end(self, request: Advance) -> dict[Station, RxBatch]:
+        """End the interval, which has been simulated completely; return its deliveries by station."""
+        arrivals = self._emulator.end()
         self._write_logs()
         if self._capture is not None:
             self._capture.settle(1_000 * request.to_us)
@@ -202,6 +221,26 @@ class EmulatorService:
             for station, items in arrivals.items()
             if station not in self._silent
         }
+
+    @property
+    def next_event_ns(self) -> int:
+        """Earliest time of the next event on the channel without further submissions."""
+        return self._emulator.next_event_ns
+
+    def submit_packet(self, packet: SentPacket, at_ns: int) -> bool:
+        """Queue a packet at ``at_ns`` or now; return False unless its sender is a vehicle."""
+        if packet.station >= self._config.stations:
+            return False
+        self._emulator.submit_packet(packet, at_ns)
+        return True
+
+    def take_packets(self) -> list[PacketReception]:
+        """Return the packets received since the last call, in order of their end."""
+        return self._emulator.take_packets()
+
+    def take_ended(self) -> dict[Station, int]:
+        """Return the numbers of packets that have left the queues since the last call, by sender."""
+        return self._emulator.take_ended()
 
     def advanced(self, *, delivered: tuple[Station, ...] = (), missing: tuple[Station, ...] = ()) -> Advanced:
         """Return the reply to the time master after `advance`, or instead of it if senders are missing."""

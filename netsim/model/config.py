@@ -226,6 +226,8 @@ class RadioPasswords(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     vehicles: str
     guests: tuple[str, ...] = ()
     """One for each guest, in their order."""
+    packets: str | None = None
+    """Of the host of network interfaces; None: there is none."""
 
 
 class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -241,6 +243,8 @@ class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     stations: Annotated[int, Meta(ge=0)]
     """Number of vehicles; the guests of ``radio`` are numbered after them."""
     seed: Annotated[int, Meta(ge=0)]
+    packets: bool = False
+    """Accept packets of network interfaces; requires ``passwords.packets``."""
     radio: RadioConfig = RadioConfig()
     frame_log_path: str | None = None
     session_log_path: str | None = None

@@ -17,7 +17,9 @@ CTS_BYTES = 14
 ACK_BYTES = 14
 DATA_OVERHEAD_BYTES = 24 + 4
 """MAC header and FCS of a data or action frame."""
-UDP_OVERHEAD_BYTES = 8 + 20 + 8
+SNAP_OVERHEAD_BYTES = 8
+"""LLC/SNAP header."""
+UDP_OVERHEAD_BYTES = SNAP_OVERHEAD_BYTES + 20 + 8
 """LLC/SNAP, IPv4 and UDP headers."""
 MAX_MSDU_BYTES = 2304
 """Largest frame body after the MAC header (9.2.4.7)."""
@@ -28,6 +30,15 @@ class Datagram(NamedTuple):
 
     port: int
     """UDP port, source and destination."""
+    payload: bytes
+
+
+class Packet(NamedTuple):
+    """Body of a data frame: the payload of an Ethernet frame, of any protocol."""
+
+    destination: bytes
+    """MAC address of 6 bytes: a group's, or that of the frame's destination."""
+    ether_type: int
     payload: bytes
 
 

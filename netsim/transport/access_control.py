@@ -29,6 +29,10 @@ class Rights(NamedTuple):
     """Key expressions at which the router serves them: without their declarations a client sends none."""
     serves: tuple[str, ...] = ()
     """Keys at which it may reply to queries."""
+    publishes: tuple[str, ...] = ()
+    """Keys at which it may publish to the router's subscribers."""
+    subscribes: tuple[str, ...] = ()
+    """Keys at which it may receive what the router publishes."""
 
 
 _SHARED = ("put", "declare_subscriber", "query", "declare_queryable", "reply")
@@ -66,6 +70,11 @@ def _rules(rights: Rights) -> Iterator[dict[str, Any]]:
         ("egress", ("declare_queryable",), rights.served),
         ("ingress", _SERVED, rights.serves),
         ("egress", ("query",), rights.serves),
+        ("ingress", ("put",), rights.publishes),
+        # without the subscriber's declaration a client sends nothing
+        ("egress", ("declare_subscriber",), rights.publishes),
+        ("ingress", ("declare_subscriber",), rights.subscribes),
+        ("egress", ("put",), rights.subscribes),
     ):
         if keys:
             yield {

@@ -11,6 +11,7 @@ PROFILE_GROUPS = {
     "netsim.model.events": "events",
     "netsim.model.tables": "events",
     "netsim.emulator.arrivals": "events",
+    "netsim.emulator.packets": "events",
     "netsim.emulator.ideal_channel": "events",
     "netsim.wire": "batches",
     "netsim.emulator.service": "batches",
@@ -20,5 +21,7 @@ PROFILE_GROUPS = {
     "netsim.capture": "records",
     "foundation.processes.message_stream": LINK,
     "netsim.transport.zenoh_session": LINK,
+    "netsim.transport.packet_exchange": LINK,
+    "netsim.transport.packet_pace": LINK,
     "netsim.transport.server": LINK,
 }

@@ -4,6 +4,7 @@ One thread receives an interval request from the time master, collects the vehic
 sends the deliveries. Vehicles publish without acknowledgement, which runs no Python code here; the request
 lists the senders, and the server waits for their batches. Batches of later steps are kept, so the simulation
 does not depend on the order of messages. Guests are served in Zenoh threads, each at a key of its own.
+Packets of network interfaces are exchanged during an interval (`netsim.transport.packet_exchange`).
 """
 
 import contextlib
@@ -12,6 +13,7 @@ import os
 import queue
 import socket
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -30,10 +32,13 @@ from netsim.transport.lockstep_radio import (
     directory_key,
     guest_transmit_key,
     in_pieces,
+    packets_received_key,
+    packets_sent_key,
     receive_key,
     transmit_key,
 )
 from netsim.transport.malformed import MalformedCount
+from netsim.transport.packet_exchange import MOST_WAITING_BYTES, MOST_WAITING_MESSAGES, PacketExchange
 from netsim.transport.profile_groups import PROFILE_GROUPS
 from netsim.transport.radio_users import rights
 from netsim.transport.socket_folder import unix_endpoint
@@ -44,15 +49,16 @@ from netsim.wire.messages import Ack, Directory, DirectoryRequest, RxBatch, Stat
 OFFER_LIMIT_S = 0.25
 """Time-out of queries to guests, wall time; the server does not wait for replies."""
 GUEST, FOREIGN = "a guest on the radio", "a program that uses the vehicles' password"
+PROGRAMS = "programs on the radio"
 """What may influence a run."""
 
 
 class Server:
     """The Zenoh session and the emulator.
 
-    ``on_influence`` is called with the cause, `GUEST` or `FOREIGN`, when the run begins to depend on more
-    than scenario and seed; once for each. Raises TransportError, OSError for a log file, ValueError for
-    inconsistent settings.
+    ``on_influence`` is called with the cause, `GUEST`, `FOREIGN` or `PROGRAMS`, when the run begins to depend
+    on more than scenario and seed; once for each. Raises TransportError, OSError for a log file, ValueError
+    for inconsistent settings.
     """
 
     def __init__(self, config: ServerConfig, *, on_influence: Callable[[str], None] = lambda _: None) -> None:
@@ -91,12 +97,30 @@ class Server:
                 self._askers[station] = self._transport.asker(key, timeout_s=OFFER_LIMIT_S, lossy=True)
             else:
                 self._senders[station] = self._transport.sender(key)
+        self._packets = self._packet_exchange(config) if config.packets else None
         self._transmissions = self._transport.mailbox(transmit_key(config.run_id))
         all_at_once = max(MOST_WAITING, self._service.stations)
         self._transport.serve(transmit_key(config.run_id), self._on_declared, most_waiting=all_at_once)
         for key in self._by_key:  # each with a buffer of its own, which no other guest can fill
             self._transport.serve(key, self._on_guest)
         self._transport.serve(directory_key(config.run_id), self._on_directory, most_waiting=all_at_once)
+
+    def _packet_exchange(self, config: ServerConfig) -> PacketExchange:
+        transport = self._transport
+        inbox = transport.inbox(
+            packets_sent_key(config.run_id),
+            most_waiting=MOST_WAITING_MESSAGES,
+            most_bytes=MOST_WAITING_BYTES,
+        )
+        return PacketExchange(
+            self._service,
+            inbox,
+            vehicles=config.stations,
+            publish=transport.sender(packets_received_key(config.run_id)).send,
+            now_ns=time.monotonic_ns,
+            on_packets=lambda: self._influence(PROGRAMS),
+            on_malformed=lambda: self._influence(FOREIGN),
+        )
 
     @property
     def reached_us(self) -> int:
@@ -112,12 +136,16 @@ class Server:
             # Linux weighs sched_yield among the processes of one session, here the vehicles on this processor
             self._service.set_between_events(os.sched_yield if _shares_a_processor() else None)
             self.advance(request, clock.send)
-        return {"counters": self._service.counters} | self.refused
+        packets = {} if self._packets is None else {"packets": self._packets.counters}
+        return {"counters": self._service.counters} | self.refused | packets
 
     @property
     def refused(self) -> dict[str, dict[str, int]]:
         """Numbers of invalid messages and of dropped batches of guests, by their origin."""
-        malformed = {name: each.count for name, each in self._malformed.items() if each.count}
+        counts = self._malformed
+        if self._packets is not None:
+            counts = counts | {_INTERFACES: self._packets.malformed}
+        malformed = {name: each.count for name, each in counts.items() if each.count}
         return {"malformed": malformed, "dropped_batches": dict(self._intake.dropped)}
 
     def close(self) -> None:
@@ -136,7 +164,8 @@ class Server:
             answer(self._service.advanced(missing=tuple(sorted(missing))))
             return
         self._intake.begin_interval()
-        batches = self._service.advance(request)
+        advance = self._service.advance if self._packets is None else self._packets.advance
+        batches = advance(request)
         delivered = sorted(batches.keys() & self._senders.keys())
         answer(self._service.advanced(delivered=tuple(delivered)))
         # the first vehicles may share this processor and cannot run before the end of this loop
@@ -215,7 +244,7 @@ class Server:
 
 
 _ACK, _FULL = encode(Ack()), encode(Ack(full=True))
-_VEHICLES, _DIRECTORY = "vehicles", "directory"
+_VEHICLES, _DIRECTORY, _INTERFACES = "vehicles", "directory", "interfaces"
 """Origins of messages beside the guests."""
 
 

@@ -11,6 +11,7 @@ returns, and is not lost even if the sender is killed. All others use queries wi
 
 import json
 import os
+import queue
 import socket
 import threading
 import time
@@ -124,6 +125,39 @@ class Mailbox:
         return sample
 
 
+class Inbox:
+    """Messages published to a key, in order, for one Python thread that is woken as soon as one arrives.
+
+    At most ``most_waiting`` messages with ``most_bytes`` wait: further ones are dropped and counted.
+    """
+
+    def __init__(self, most_waiting: int, most_bytes: int) -> None:
+        self._most_waiting, self._most_bytes = most_waiting, most_bytes
+        self._messages: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        self._put_bytes = self._taken_bytes = 0
+        """Each is written by one thread."""
+        self.dropped = 0
+        """Number of messages that found it full."""
+
+    def put(self, payload: bytes) -> None:
+        """Add a message, or drop and count it."""
+        waiting_bytes = self._put_bytes - self._taken_bytes + len(payload)
+        if self._messages.qsize() >= self._most_waiting or waiting_bytes > self._most_bytes:
+            self.dropped += 1
+            return
+        self._put_bytes += len(payload)
+        self._messages.put(payload)
+
+    def take(self, wall_limit_s: float) -> bytes | None:
+        """Return the next message, waiting at most ``wall_limit_s``; None without any."""
+        try:
+            payload = self._messages.get(block=wall_limit_s > 0.0, timeout=max(0.0, wall_limit_s))
+        except queue.Empty:
+            return None
+        self._taken_bytes += len(payload)
+        return payload
+
+
 class Question:
     """A query from another process, which takes one reply."""
 
@@ -223,6 +257,17 @@ class Transport:
         """Declare a subscriber that stores messages to ``key`` from now on."""
         return Mailbox(self._session.declare_subscriber(key, zenoh.handlers.FifoChannel(_CHANNEL_MESSAGES)))
 
+    def inbox(self, key: str, *, most_waiting: int, most_bytes: int) -> Inbox:
+        """Declare a subscriber whose messages a thread moves to an `Inbox`."""
+        inbox = Inbox(most_waiting, most_bytes)
+        arriving: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(most_waiting)
+        subscriber = self._session.declare_subscriber(key, arriving)
+        name = f"receive {key}"
+        thread = threading.Thread(target=_move, args=(subscriber, inbox), name=name, daemon=True)
+        self._handlers.append(thread)
+        thread.start()
+        return inbox
+
     @property
     def connected(self) -> bool:
         """Whether a router is connected; for sessions opened with `connect`."""
@@ -253,6 +298,12 @@ def _handle(
     """Call the handler for each query until the session is closed."""
     for query in queryable.handler:
         handler(Question(query))
+
+
+def _move(subscriber: zenoh.Subscriber[zenoh.handlers.Handler[zenoh.Sample]], inbox: Inbox) -> None:
+    """Move the messages of a subscriber to an inbox until the session is closed."""
+    for sample in subscriber.handler:
+        inbox.put(sample.payload.to_bytes())
 
 
 def _end(session: zenoh.Session, threads: Iterable[threading.Thread]) -> None:

@@ -1,4 +1,5 @@
 """Messages between radios, emulator and time master: `messages` of the radio, `lockstep` of the intervals.
 
-Imports no other folder of `netsim`. They are sent by `netsim.transport`.
+`packets` are those of network interfaces, `addresses` those of stations. Imports no other folder of `netsim`.
+They are sent by `netsim.transport`.
 """

@@ -47,6 +47,10 @@ class Advance(Struct, frozen=True, kw_only=True, array_like=True):
     """Extra attenuation of every link from now on"""
     range_offsets_m: tuple[tuple[Station, RangeOffset], ...] = ()
     """Offsets added to measured ranges from now on, by initiator; without an entry there is none."""
+    due_ns: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
+    """Wall time of the machine's monotonic clock at which ``to_us`` is due; 0: the run has no pace."""
+    speed: Annotated[float, Meta(ge=0.0, le=1e6)] = 0.0
+    """Simulated seconds per wall second; 0: the run has no pace."""
 
 
 class Advanced(Struct, frozen=True, kw_only=True, array_like=True):

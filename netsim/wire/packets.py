@@ -1,8 +1,9 @@
 """Messages between the emulator and the host of network interfaces: packets of unmodified programs.
 
-A packet is the payload of one Ethernet frame of an interface ``wlan0``, and one frame of the channel. Programs
-live in wall time: the messages have times of the machine's monotonic clock (`time.monotonic_ns`), which both
-processes share. As in `netsim.wire.messages`, messages are versioned, typed and encoded as MessagePack.
+A packet is the payload of one Ethernet frame of an interface ``wlan0``, and one frame of the channel.
+Programs run in wall time: the messages have times of the machine's monotonic clock
+(`time.monotonic_ns`), which both processes share. As in `netsim.wire.messages`, messages are versioned, typed
+and encoded as MessagePack.
 """
 
 from typing import Annotated, Literal

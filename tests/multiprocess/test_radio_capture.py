@@ -17,7 +17,9 @@ from netsim.capture.pcapng_writer import Capture
 from netsim.emulator.emulator import Emulator
 from netsim.ftm.elements import Request, Status
 from netsim.model.config import RadioConfig
+from netsim.wire.addresses import GROUP_ADDRESS, ipv4_address, mac_address
 from netsim.wire.messages import Broadcast, FtmRequest, TxBatch
+from netsim.wire.packets import SentPacket
 
 pytestmark = [
     pytest.mark.multiprocess,
@@ -259,3 +261,52 @@ def test_stations_interfaces_have_dates_signals_and_frames_with_errors(run):
     malformed = tshark(run.receivers_path, "radiotap.flags.badfcs", condition="_ws.malformed")
     assert malformed == [["1"]] * sum(row[4] == "1" for row in found)
     assert tshark(run.receivers_path, "frame.number", condition="_ws.malformed", preferences=()) == []
+
+
+def test_packets_of_interfaces_are_decoded_by_their_type(tmp_path):
+    """An ARP request, an ICMPv6 router solicitation and an IPv4 datagram to one station."""
+    path = tmp_path / "packets.pcapng"
+    config = RadioConfig(rician_k_db=None, broadcast_rts=False)
+    multicast = bytes.fromhex("333300000002")
+    arp = bytes.fromhex("0001080006040001") + mac_address(1) + ipv4_address(1) + bytes(6) + ipv4_address(2)
+    solicitation = bytes.fromhex(
+        "6000000000083afffe800000000000000000000000000001ff020000000000000000000000000002"
+        "85007bb800000000"
+    )  # fmt: skip
+    datagram = (
+        bytes.fromhex("4500001c00004000401126cd") + ipv4_address(1) + ipv4_address(2)
+        + bytes.fromhex("1f901f9100080000")
+    )  # fmt: skip
+    with contextlib.closing(Capture(path, config=config)) as capture:
+        emulator = Emulator(
+            config=config, stations=3, seed=np.random.SeedSequence(5), on_transmission=capture.append
+        )
+        for number, (destination, ether_type, payload) in enumerate(
+            [
+                (GROUP_ADDRESS, 0x0806, arp),
+                (multicast, 0x86DD, solicitation),
+                (mac_address(2), 0x0800, datagram),
+            ]
+        ):
+            packet = SentPacket(
+                station=1, destination=destination, ether_type=ether_type, category="be", read_ns=0,
+                payload=payload,
+            )  # fmt: skip
+            emulator.submit_packet(packet, 1_000_000 * number)
+        emulator.advance(to_us=8_000, at_us=0, pos_ned_m=PLACES_NED_M[:3], vel_ned_m_s=np.zeros((3, 3)))
+    rows = tshark(
+        path, "wlan.da", "wlan.sa", "llc.type", "frame.protocols", "wlan.fcs.status", "ip.checksum.status",
+        condition="wlan.fc.type == 2",
+    )  # fmt: skip
+    sender = "02:00:00:00:00:01"
+    assert [row[:3] for row in rows] == [
+        ["ff:ff:ff:ff:ff:ff", sender, "0x0806"],
+        ["33:33:00:00:00:02", sender, "0x86dd"],
+        ["02:00:00:00:00:02", sender, "0x0800"],
+    ]
+    assert [row[3].split("llc:")[1] for row in rows] == ["arp", "ipv6:icmpv6", "ip:udp"]
+    assert {row[4] for row in rows} == {"1"}
+    assert rows[2][5] == "1"
+    assert tshark(path, "frame.number", condition="_ws.malformed") == []
+    (request,) = tshark(path, "arp.src.proto_ipv4", "arp.dst.proto_ipv4", condition="arp")
+    assert request == ["10.1.0.1", "10.1.0.2"]

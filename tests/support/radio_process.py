@@ -14,7 +14,7 @@ from foundation.processes.child_protocol import Stop
 from netsim.model.config import RadioConfig, ServerConfig
 from netsim.transport.interval_stream import time_masters_end
 from netsim.transport.lockstep_radio import RadioClient, vehicles_user
-from netsim.transport.radio_users import guest_user, new_passwords
+from netsim.transport.radio_users import guest_user, new_passwords, packets_user
 from netsim.transport.zenoh_session import Transport
 from netsim.wire.lockstep import Advance, pack_rows
 
@@ -26,18 +26,19 @@ POSES_M = ((0.0, 0.0, -10.0), (0.0, 8.5, -10.0), (2.5, 0.0, -10.0))
 class Radio:
     """An emulator's process, and the time master's end of its socket."""
 
-    def __init__(self, folder, stations=3, seed=1, **radio):
+    def __init__(self, folder, stations=3, seed=1, *, packets=False, **radio):
         self.frames_path = folder / "frames.bin"
         self.vehicles = stations
         self.files = contextlib.ExitStack()
         self.socket_path = self.files.enter_context(unix_socket())
-        self.passwords = new_passwords(len(radio.get("guests", ())))
+        self.passwords = new_passwords(len(radio.get("guests", ())), packets=packets)
         config = ServerConfig(
             run_id=RUN,
             socket_path=self.socket_path,
             passwords=self.passwords,
             stations=stations,
             seed=seed,
+            packets=packets,
             radio=RadioConfig(**radio),
             frame_log_path=str(self.frames_path),
         )
@@ -75,6 +76,11 @@ class Radio:
         user = vehicles_user(self.passwords.vehicles)
         if guest is not None:
             user = guest_user(guest, self.passwords.guests[guest - self.vehicles])
+        return contextlib.closing(Transport.connect(self.endpoint, user))
+
+    def interfaces(self):
+        """Return a session as the host of network interfaces, to be closed in a ``with``."""
+        user = packets_user(self.passwords.packets)
         return contextlib.closing(Transport.connect(self.endpoint, user))
 
     def advance(self, to_us, **changes):

@@ -10,10 +10,11 @@ from netsim_pcapng import OFDM24, datagram, radiotap
 
 from netsim.capture.ieee80211 import NETWORK_ADDRESS, address, mpdu
 from netsim.capture.radiotap import Radiotap
-from netsim.phy.frames import ACK_BYTES, CTS_BYTES, GROUP, RTS_BYTES, Datagram, Frame, FrameKind
+from netsim.phy.frames import ACK_BYTES, CTS_BYTES, GROUP, RTS_BYTES, Datagram, Frame, FrameKind, Packet
 from netsim.phy.modes import phy_mode
 
 NON_HT = [f"ofdm{rate}" for rate in (6, 9, 12, 18, 24, 36, 48, 54)]
+MULTICAST = bytes.fromhex("333300000001")
 CRC_RESIDUE = 0x2144DF1C
 """CRC-32 of anything that its own CRC-32 follows, least significant byte first."""
 
@@ -80,6 +81,27 @@ def test_a_datagram_has_every_header_and_valid_checksums(
     assert struct.unpack(">HHH", udp[:6]) == (port, port, len(udp))
     assert udp[6:8] != b"\x00\x00"  # would be no checksum
     assert udp[8:] == payload
+
+
+@given(
+    source=stations,
+    destination=st.one_of(stations.map(lambda each: (each, address(each))), st.just((GROUP, MULTICAST))),
+    ether_type=st.integers(0x0600, 0xFFFF),
+    payload=st.binary(max_size=2_296),
+)
+def test_a_packet_has_its_own_destination_and_type(source, destination, ether_type, payload):
+    """Layout by offset: 802.11 header 0..24, LLC/SNAP ..32, payload, FCS 4."""
+    station, to = destination
+    frame = Frame(
+        kind=FrameKind.DATA, source=source, destination=station, mode=OFDM24, frame_bytes=len(payload) + 36,
+        body=Packet(to, ether_type, payload),
+    )  # fmt: skip
+    data = mpdu(frame)
+    assert len(data) == frame.frame_bytes
+    assert zlib.crc32(data) == CRC_RESIDUE
+    assert (data[:2], data[4:10], data[10:16]) == (b"\x08\x00", to, address(source))
+    assert data[24:32] == b"\xaa\xaa\x03\x00\x00\x00" + struct.pack(">H", ether_type)
+    assert data[32:-4] == payload
 
 
 def test_checksum_of_zero_is_encoded_per_protocol():

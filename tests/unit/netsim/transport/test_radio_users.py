@@ -9,7 +9,7 @@ from foundation.records.private_files import write_private
 from netsim.model.config import GuestConfig, RadioConfig, RadioPasswords, ServerConfig
 from netsim.transport.access_control import Rights, User, access_control, dictionary
 from netsim.transport.guest_access import FILE, read_guest_access, write_guest_access
-from netsim.transport.radio_users import new_passwords, rights
+from netsim.transport.radio_users import new_passwords, packets_user, rights
 
 GUESTS = tuple(GuestConfig(name=name, pos_ned_m=(0.0, 0.0, 0.0)) for name in ("ground", "car"))
 
@@ -54,10 +54,36 @@ def test_no_guest_may_publish_or_subscribe():
     assert dictionary(rights(config())) == "vehicles:v\nguest-8:g\nguest-9:c\n"
 
 
+def test_the_host_of_interfaces_may_publish_and_receive_packets_and_nothing_else():
+    passwords = msgspec.structs.replace(PASSWORDS, packets="p")
+    one = msgspec.structs.replace(config(passwords), packets=True)
+    *others, interfaces = rights(one)
+    assert others == rights(config())
+    assert interfaces == Rights(
+        packets_user("p"),
+        publishes=("coflight/r/radio/packets/tx",),
+        subscribes=("coflight/r/radio/packets/rx",),
+    )
+    rules = access_control([interfaces])["rules"]
+    assert {(*each["flows"], *each["messages"], *each["key_exprs"]) for each in rules} == {
+        ("ingress", "put", "coflight/r/radio/packets/tx"),
+        ("egress", "declare_subscriber", "coflight/r/radio/packets/tx"),
+        ("ingress", "declare_subscriber", "coflight/r/radio/packets/rx"),
+        ("egress", "put", "coflight/r/radio/packets/rx"),
+    }
+    assert rights(config(passwords)) == rights(config())  # no user without packets
+    with pytest.raises(ValueError, match="passwords: expected one for the host of network interfaces"):
+        rights(msgspec.structs.replace(one, passwords=PASSWORDS))
+
+
 def test_passwords_are_different_in_each_run_and_for_each_user():
     first, second = new_passwords(2), new_passwords(2)
     assert len({first.vehicles, *first.guests, second.vehicles, *second.guests}) == 6
     assert all(len(password) == 32 for password in (first.vehicles, *first.guests))
+    assert first.packets is None
+    with_packets = new_passwords(0, packets=True)
+    assert len(with_packets.packets) == 32
+    assert with_packets.packets != with_packets.vehicles
 
 
 @pytest.mark.parametrize("passwords", [None, RadioPasswords(vehicles="v", guests=("g",))])
