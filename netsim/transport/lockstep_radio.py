@@ -58,6 +58,16 @@ def receive_key(run_id: str, station: int) -> str:
     return f"coflight/{run_id}/radio/rx/{station}"
 
 
+def packets_sent_key(run_id: str) -> str:
+    """Return the key of SentPackets, published by the host of network interfaces."""
+    return f"coflight/{run_id}/radio/packets/tx"
+
+
+def packets_received_key(run_id: str) -> str:
+    """Return the key of ReceivedPackets, published by the emulator."""
+    return f"coflight/{run_id}/radio/packets/rx"
+
+
 def directory_key(run_id: str) -> str:
     """Return the key of the emulator's directory: DirectoryRequest -> Directory."""
     return f"coflight/{run_id}/radio/directory"
