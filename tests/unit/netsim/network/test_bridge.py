@@ -25,7 +25,8 @@ def frame(source=0, destination=GROUP_ADDRESS, ether_type=ARP, payload=b"x"):
 
 def received(stations, due_ns=0, source=0):
     return ReceivedPacket(
-        stations=stations, source=source, destination=GROUP_ADDRESS, ether_type=IPV4, due_ns=due_ns, payload=b"p"
+        stations=stations, source=source, destination=GROUP_ADDRESS, ether_type=IPV4, due_ns=due_ns,
+        payload=b"p",
     )  # fmt: skip
 
 

@@ -33,7 +33,10 @@ def test_tag_stands_before_the_ether_type():
 @pytest.mark.parametrize(
     ("dscp", "category"),
     # class selectors 0 to 7 are the user priorities of IEEE 802.11-2016, table 10-1; 46 is EF
-    [(0, "be"), (8, "bk"), (16, "bk"), (24, "be"), (32, "vi"), (40, "vi"), (48, "vo"), (56, "vo"), (46, "vi"), (63, "vo")],
+    [
+        (0, "be"), (8, "bk"), (16, "bk"), (24, "be"), (32, "vi"), (40, "vi"), (48, "vo"), (56, "vo"),
+        (46, "vi"), (63, "vo"),
+    ],
 )  # fmt: skip
 @pytest.mark.parametrize("ecn", [0, 3])
 def test_category_is_of_the_upper_bits_of_the_dscp(dscp, category, ecn):

@@ -23,7 +23,7 @@ FILTERED = "Name:\tpython\nSeccomp:\t2\nSeccomp_filters:\t1"
         (
             {APPARMOR: "1", "/proc/self/status": FILTERED},
             errno.EPERM,
-            "apparmor_restrict_unprivileged_userns=0",
+            "restrict_unprivileged_userns=0",
         ),
         ({APPARMOR: "0", "/proc/self/status": FILTERED}, errno.EPERM, "--security-opt seccomp=unconfined"),
         ({"/proc/self/status": "Seccomp:\t0"}, errno.EPERM, "chroot"),

@@ -37,9 +37,8 @@ def test_delay_doubles_up_to_a_limit_and_begins_again():
 
 def config(**changes):
     program = ProgramConfig(**{"station": 1, "command": ("true",), "log_path": "log"} | changes)
-    return NetworkConfig(
-        run_id="r", endpoint="e", user="u", password="p", stations=(0, 1), programs=(program,)
-    )  # fmt: skip
+    user = {"user": "u", "password": "p"}
+    return NetworkConfig(run_id="r", endpoint="e", **user, stations=(0, 1), programs=(program,))
 
 
 def test_settings_survive_their_file():
