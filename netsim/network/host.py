@@ -27,7 +27,7 @@ from netsim.network.wakeable_queue import WakeableQueue
 from netsim.transport.access_control import User
 from netsim.transport.lockstep_radio import packets_received_key, packets_sent_key
 from netsim.transport.malformed import MalformedCount
-from netsim.transport.zenoh_session import Transport
+from netsim.transport.zenoh_session import Transport, TransportError
 from netsim.wire.messages import Station
 from netsim.wire.packets import SentPacket, SentPackets, decode_received, encode_packets
 
@@ -35,6 +35,8 @@ MOST_PACKETS = 64
 """Most packets of a message."""
 FRAMES_PER_TURN = 16
 """Most frames that are read from a station before the others have their turn."""
+EMULATOR_LIMIT_S = 20.0
+"""Wall time within which the emulator's declaration has to arrive."""
 
 logger = logging.getLogger(__name__)
 
@@ -114,7 +116,10 @@ class BridgedInterfaces:
 
 
 class Host:
-    """Interfaces, programs and the emulator's messages; `serve` returns after a command to stop."""
+    """Interfaces, programs and the emulator's messages; `serve` returns after a command to stop.
+
+    Raises TransportError if the emulator does not accept packets.
+    """
 
     def __init__(
         self, config: NetworkConfig, networks: Sequence[VehicleNetwork], transport: Transport,
@@ -126,13 +131,16 @@ class Host:
         self._programs = Programs(
             config.programs, {each.station: each.namespace_fd for each in networks}, report=emit
         )
+        transport.subscribe(packets_received_key(config.run_id), self._received.put)
+        sender = transport.sender(packets_sent_key(config.run_id))
+        if not sender.wait_for_receiver(EMULATOR_LIMIT_S):
+            raise TransportError(f"{config.endpoint}: the 802.11 emulator does not accept packets")
         self._interfaces = BridgedInterfaces(
             {each.station: PacketSocket(each.frames) for each in networks},
             window_packets=config.window_packets,
             selector=self._selector,
-            publish=transport.sender(packets_sent_key(config.run_id)).send,
+            publish=sender.send,
         )
-        transport.subscribe(packets_received_key(config.run_id), self._received.put)
         self._child_ended = _child_signals()
         for source in (self._received, self._inbox, self._child_ended):
             self._selector.register(source, selectors.EVENT_READ)

@@ -99,6 +99,18 @@ class TopicSender:
         """Send a message; wait while the connection is full."""
         self._publisher.put(payload)
 
+    def wait_for_receiver(self, wall_limit_s: float) -> bool:
+        """Wait until there is a subscriber and return True; False after ``wall_limit_s``.
+
+        Without one, messages of a client are dropped.
+        """
+        wall_deadline_s = time.monotonic() + wall_limit_s
+        while not self._publisher.matching_status:
+            if time.monotonic() > wall_deadline_s:
+                return False
+            time.sleep(_LONGEST_NAP_S)
+        return True
+
 
 class Mailbox:
     """Messages published to a key, in order. Filled by Zenoh, read by one Python thread."""
