@@ -10,7 +10,9 @@ Sources: veth(4), ip-link(8), packet(7), linux/ethtool.h, linux/sockios.h, netde
 
 import contextlib
 import ctypes
+import errno
 import fcntl
+import os
 import socket
 import struct
 from ipaddress import IPv4Address, IPv6Address
@@ -136,5 +138,5 @@ def set_offloads_off(name: str) -> None:
 
 
 def _explained(station: Station, error: NetlinkError) -> InterfaceError:
-    hint = "; is the kernel module `veth` available?" if error.code == 95 else ""  # EOPNOTSUPP
-    return InterfaceError(f"station {station}: cannot make {INTERFACE}: {error}{hint}")
+    hint = "; is the kernel module `veth` available?" if error.code == errno.EOPNOTSUPP else ""
+    return InterfaceError(f"station {station}: cannot make {INTERFACE}: {os.strerror(error.code)}{hint}")

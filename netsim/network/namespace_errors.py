@@ -37,7 +37,7 @@ def _remedy(number: int | None, read: Callable[[str], str | None]) -> str:
         if read(f"/proc/sys/{name.replace('.', '/')}") == "0":
             return f"; {name} is 0: sudo sysctl {name}=10000"
     if number == errno.ENOSPC:
-        return "; too many namespaces: see sysctl user.max_user_namespaces and user.max_net_namespaces"
+        return "; a limit is reached: see sysctl user.max_user_namespaces and user.max_net_namespaces"
     if number in {errno.EINVAL, errno.ENOSYS}:
         return "; the kernel has no such namespaces (CONFIG_USER_NS, CONFIG_NET_NS, CONFIG_PID_NS)"
     if read("/proc/sys/kernel/apparmor_restrict_unprivileged_userns") == "1":

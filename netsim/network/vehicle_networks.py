@@ -73,7 +73,9 @@ def make_networks(stations: Sequence[Station], outer_proc: int) -> list[VehicleN
     networks = []
     with ours:
         while True:
-            answer, fds, _, _ = socket.recv_fds(ours, _MOST_BYTES, 2)
+            answer, fds, _, _ = socket.recv_fds(ours, _MOST_BYTES, 2)  # ignores its flags in Python 3.11
+            for fd in fds:
+                os.set_inheritable(fd, False)  # noqa: FBT003  or all programs would have them
             if not answer:
                 break
             match _answers.decode(answer):

@@ -8,6 +8,7 @@ import sys
 import time
 from pathlib import Path
 
+import msgspec
 import psutil
 import pytest
 from supervising import alive, wait_for
@@ -17,6 +18,7 @@ from vehicle_programs import (  # noqa: F401  a fixture
     as_other,
     namespaces,
     needs,
+    network_config,
     programs_on_vehicles,
     python_of_others,
 )
@@ -29,6 +31,21 @@ LIMIT_S = 2.0
 """Wall time within which nothing is left after a kill."""
 DAEMON = "setsid sh -c 'trap \"\" TERM HUP; while true; do sleep 1; done' & echo started; sleep 1000"
 """A program whose child has a session of its own and ignores signals."""
+LAUNCHER = """
+import sys
+from pathlib import Path
+from foundation.processes.child_protocol import Ready
+from harness.launch.process_commands import bound_module
+from harness.launch.supervisor import Supervisor
+supervisor = Supervisor(Path(sys.argv[1]))
+supervisor.start("network", bound_module("netsim.network", "--config", sys.argv[2], "--supervised"))
+while not isinstance(message := supervisor.receive(20.0)[1], Ready):
+    pass
+holders = message.details["holders"].values()
+print(message.pid == supervisor.pids["network"], message.pid, *holders, flush=True)
+if sys.stdin.read(1):
+    supervisor.stop()
+"""
 ENTER = """
 import sys
 from netsim.network.vehicle_entry import enter_vehicle
@@ -118,6 +135,30 @@ def test_nothing_outlives_a_launcher_that_is_killed_while_networks_are_made():
                 host.process.wait(10.0)
                 if len(pids) > 1:  # it has bound itself to its parent
                     assert_nothing_is_left(pids, vehicles, time.monotonic())
+
+
+@pytest.mark.parametrize("is_killed", [True, False], ids=["killed", "stopping"])
+def test_nothing_outlives_its_supervisor(tmp_path, is_killed):
+    path = tmp_path / "network.json"
+    with contextlib.closing(Channel((0, 1))) as channel:
+        path.write_bytes(msgspec.json.encode(network_config(channel, ())))
+        launcher = subprocess.Popen(
+            [sys.executable, "-c", LAUNCHER, tmp_path, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
+        with launcher:
+            same, *numbers = launcher.stdout.readline().split()
+            assert same == b"True"
+            pid, *holders = map(int, numbers)
+            pids = [pid, *(each.pid for each in psutil.Process(pid).children(recursive=True))]
+            assert set(holders) < set(pids)
+            vehicles = inodes(holders)
+            begin_s = time.monotonic()
+            if is_killed:
+                launcher.kill()
+            else:
+                launcher.communicate(b"stop", timeout=20.0)
+                assert launcher.returncode == 0
+        assert_nothing_is_left(pids, vehicles, begin_s)
 
 
 @needs("setpriv")

@@ -196,14 +196,17 @@ def test_programs_see_only_their_vehicle_and_the_host_keeps_its_interfaces():
     names = (
         "import os, socket; print(sorted(dict(socket.if_nameindex()).values()), os.getsid(0) == os.getpid())"
     )
+    files = "import os; print(sorted(os.listdir('/proc/self/fd')))"
     programs = [
         (1, script(names)),
         (1, ["sh", "-c", 'echo "$COLOUR"; pwd'], {"environment": {"COLOUR": "red"}}),
+        (1, script(files)),
     ]
     with programs_on_vehicles(programs) as (_, host):
         host.start()
         assert "['lo', 'wlan0'] True" in host.wait_for_log(0, "\n")
         assert host.wait_for_log(1, str(host.folder)).splitlines()[0] == "red"
+        assert host.wait_for_log(2, "\n") == "['0', '1', '2', '3']\n"  # 3 is of the folder that is listed
         assert psutil.net_if_addrs() == before
         host.stop()
     assert psutil.net_if_addrs() == before

@@ -119,6 +119,14 @@ class Channel:
         )  # fmt: skip
 
 
+def network_config(channel, programs, **settings):
+    """Return settings of the process for the stations of a channel."""
+    return NetworkConfig(
+        run_id=RUN, endpoint=channel.endpoint, user=USER.name, password=USER.password,
+        stations=tuple(channel.stations), programs=programs, **settings,
+    )  # fmt: skip
+
+
 class HostProcess:
     """``python -m netsim.network`` as a child; its folder and logs are removed by `close`.
 
@@ -132,12 +140,8 @@ class HostProcess:
         self._events: queue.SimpleQueue = queue.SimpleQueue()
         python, environment = python_of_others() if other_user else (sys.executable, None)
         configs = tuple(self._program(index, *each) for index, each in enumerate(programs))
-        config = NetworkConfig(
-            run_id=RUN, endpoint=channel.endpoint, user=USER.name, password=USER.password,
-            stations=tuple(channel.stations), programs=configs, **settings,
-        )  # fmt: skip
         path = self.folder / "network.json"
-        path.write_bytes(msgspec.json.encode(config))
+        path.write_bytes(msgspec.json.encode(network_config(channel, configs, **settings)))
         user = as_other() if other_user else ()
         self.process = subprocess.Popen(
             [*before, *user, python, "-m", "netsim.network", "--config", path, "--supervised"],
