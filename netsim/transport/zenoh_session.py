@@ -100,6 +100,18 @@ class TopicSender:
         """Send a message; wait while the connection is full."""
         self._publisher.put(payload)
 
+    def wait_for_receiver(self, wall_limit_s: float) -> bool:
+        """Wait until there is a subscriber and return True; False after ``wall_limit_s``.
+
+        Without one, messages of a client are dropped.
+        """
+        wall_deadline_s = time.monotonic() + wall_limit_s
+        while not self._publisher.matching_status:
+            if time.monotonic() > wall_deadline_s:
+                return False
+            time.sleep(_LONGEST_NAP_S)
+        return True
+
 
 class Mailbox:
     """Messages published to a key, in order. Filled by Zenoh, read by one Python thread."""
@@ -287,6 +299,16 @@ class Transport:
         self._handlers.append(thread)
         thread.start()
 
+    def subscribe(self, key: str, handler: Callable[[bytes], None]) -> None:
+        """Call the handler with each message to ``key`` from now on, in order, in a thread of this key."""
+        arriving: zenoh.handlers.FifoChannel[zenoh.Sample] = zenoh.handlers.FifoChannel(_CHANNEL_MESSAGES)
+        subscriber = self._session.declare_subscriber(key, arriving)
+        thread = threading.Thread(
+            target=_pass_on, args=(subscriber, handler), name=f"receive {key}", daemon=True
+        )
+        self._handlers.append(thread)
+        thread.start()
+
     def close(self) -> None:
         """Close the session, and wait for handlers; repeated calls have no effect."""
         self._end()
@@ -312,6 +334,14 @@ def _end(session: zenoh.Session, threads: Iterable[threading.Thread]) -> None:
     for thread in threads:
         if thread is not threading.current_thread():
             thread.join(_END_LIMIT_S)
+
+
+def _pass_on(
+    subscriber: zenoh.Subscriber[zenoh.handlers.Handler[zenoh.Sample]], handler: Callable[[bytes], None]
+) -> None:
+    """Call the handler with each message until the session is closed."""
+    for sample in subscriber.handler:
+        handler(sample.payload.to_bytes())
 
 
 def _router_config(endpoint: str, rights: Sequence[Rights], dictionary_path: str) -> zenoh.Config:

@@ -1,122 +1,258 @@
-"""Unmodified programs in the network namespaces of flying vehicles, whose datagrams cross the channel."""
+"""Unmodified programs on vehicles: ping, sockets and their checksums, floods, restarts, stops."""
 
-import collections
+import contextlib
+import socket
+import struct
 import subprocess
 import sys
-import time
+import types
 
-import pyarrow.parquet as pq
+import psutil
 import pytest
-from paths import ROOT
+from supervising import wait_for
+from vehicle_programs import HostProcess, namespaces, needs, programs_on_vehicles  # noqa: F401  a fixture
 
-from harness.launch.swarm import Swarm
-from netsim.network.namespaces import why_not
+from foundation.processes.child_protocol import Ready
+from netsim.network.ethernet import build
+from netsim.network.messages import ProgramEnded, ProgramStarted
+from netsim.wire.addresses import mac_address
 
-pytestmark = [
-    pytest.mark.multiprocess,
-    pytest.mark.skipif(why_not() is not None, reason=str(why_not())),
-]
+pytestmark = [pytest.mark.multiprocess, pytest.mark.usefixtures("namespaces")]
 
-AGENTS = 8
-PAYLOAD_BYTES = 700
-FRAME_BYTES = PAYLOAD_BYTES + 8 + 20 + 8 + 28
-"""UDP, IPv4 and LLC/SNAP headers, and MAC header with FCS"""
-SCENARIO = f"""
-agents = {AGENTS}
-[radio]
-broadcast_rts = false
-fading = "rician"
-extra_attenuation_db = 8.0
-[[programs]]
-name = "exchange"
-command = ["{sys.executable}", "exchange.py", "--id", "{{uav}}", "--bytes", "{PAYLOAD_BYTES}"]
-folder = "{ROOT / "examples" / "udp-exchange"}"
+RECEIVER = """
+import socket, struct, sys
+index = socket.if_nametoindex("wlan0")
+v4 = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+v4.bind(("", 5000))
+group = struct.pack("4s4si", socket.inet_aton("239.1.2.3"), bytes(4), index)
+v4.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group)
+v6 = socket.socket(socket.AF_INET6, socket.SOCK_DGRAM)
+v6.bind(("::", 5001))
+print("bound", flush=True)
+for each, count in ((v4, 3), (v6, 1)):
+    for _ in range(count):
+        data, sender = each.recvfrom(2000)
+        print(data.decode(), sender[0], flush=True)
 """
-DEADLINE_S = 20.0
+SENDER = """
+import socket
+v4 = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+v4.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+for host in ("255.255.255.255", "10.255.255.255", "239.1.2.3"):
+    v4.sendto(host.encode(), (host, 5000))
+v6 = socket.socket(socket.AF_INET6, socket.SOCK_DGRAM)
+v6.sendto(b"ff02::1", ("ff02::1", 5001, 0, socket.if_nametoindex("wlan0")))
+"""
+TCP_SERVER = """
+import socket
+server = socket.create_server(("", 6000))
+print("bound", flush=True)
+connection, _ = server.accept()
+received = b""
+while data := connection.recv(65536):
+    received += data
+print(len(received), set(received) == {7}, flush=True)
+"""
+TCP_CLIENT = """
+import socket
+with socket.create_connection(("10.1.0.3", 6000)) as connection:
+    connection.sendall(bytes([7]) * 200_000)
+with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as datagrams:
+    datagrams.sendto(bytes(5000), ("10.1.0.3", 6001))
+"""
+FLOOD = """
+import socket
+sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+sender.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+for number in range(500):
+    sender.sendto(number.to_bytes(2, "big"), ("10.255.255.255", 5000))
+"""
+FORGER = """
+import socket
+raw = socket.socket(socket.AF_PACKET, socket.SOCK_RAW)
+raw.bind(("wlan0", 0))
+raw.send(bytes.fromhex("ffffffffffff" "020000000001" "88b5") + bytes(46))
+raw.send(bytes.fromhex("ffffffffffff" "020000000000" "88b5") + bytes(46))
+"""
+both_users = pytest.mark.parametrize("other_user", [False, True], ids=["own user", "other user"])
 
 
-@pytest.fixture
-def scenario(tmp_path):
-    path = tmp_path / "exchange.toml"
-    path.write_text(SCENARIO)
-    return path
+def script(code):
+    """Return the command of a Python script without coflight."""
+    return sys.executable, "-I", "-S", "-c", code
 
 
-def lines_of(run):
-    """Return the lines of each vehicle's program so far, by vehicle."""
-    return [(run / "logs" / f"uav-{uav}-exchange.log").read_text().splitlines() for uav in range(AGENTS)]
+def public_script(code, *, other_user):
+    return ("/usr/bin/python3", "-c", code) if other_user else script(code)
 
 
-def received_of(run):
-    return sum(line.startswith("received") for lines in lines_of(run) for line in lines)
-
-
-def test_broadcasts_of_two_scripts_arrive_as_the_frame_log_says(scenario, tmp_path):
-    with Swarm(scenario, speed=1, out=tmp_path / "run") as swarm:
-        swarm.run(until_s=6.0)
-        before = received_of(swarm.path)
-        assert before > 0
-        swarm.cut_channel()
-        swarm.run_for(1.0)
-        cut = received_of(swarm.path)
-        swarm.run_for(2.0)
-        assert received_of(swarm.path) == cut
-        swarm.restore_channel()
-        swarm.run_for(3.0)
-        assert received_of(swarm.path) > cut
-        summary = swarm.summary(draw=False)
-        leftovers = swarm.leftovers()
-    assert leftovers == []
-    assert summary["deterministic"] is False
-    lines = lines_of(swarm.path)
-    sent = sum(line.startswith("sent") for each in lines for line in each)
-    assert sent > AGENTS * 80
-    frames = pq.read_table(swarm.path / "radio.parquet").to_pylist()
-    exchanged = [frame for frame in frames if frame["bytes"] == FRAME_BYTES]
-    delivered = sum(frame["delivered"] for frame in exchanged)
-    # the programs are ended while the last frames are on the air
-    assert delivered == pytest.approx(received_of(swarm.path), abs=2 * AGENTS)
-    assert len(exchanged) == pytest.approx(sent, abs=2 * AGENTS)
-    pairs = collections.Counter(
-        (uav, line.split()[1]) for uav, each in enumerate(lines) for line in each if line.startswith("received")
+@needs("ping", "setpriv")
+@both_users
+def test_vehicles_ping_each_other_and_resolve_their_addresses(other_user):
+    command = (
+        "ping -c 3 -i 0.2 10.1.0.3; ping -6 -c 2 -i 0.2 ff02::1%wlan0; cat /proc/net/arp /proc/net/if_inet6"
     )
-    assert len(pairs) == AGENTS * (AGENTS - 1)
-
-
-def test_programs_that_fail_are_named_and_restarted(tmp_path):
-    path = tmp_path / "failing.toml"
-    path.write_text(
-        'agents = 2\n[[programs]]\nname = "failing"\nuav = 1\n'
-        'command = ["sh", "-c", "echo started; exit 3"]\nrestart = "on_failure"\n'
+    with programs_on_vehicles([(0, ["sh", "-c", command])], other_user=other_user) as (_, host):
+        host.start()
+        assert host.event(ProgramEnded).returncode == 0
+        log = host.log(0)
+    assert "3 packets transmitted, 3 received, 0% packet loss" in log
+    assert any(
+        line.split()[0] == "10.1.0.3" and "02:00:00:00:00:03" in line for line in log.splitlines() if line
     )
-    messages = []
-    with Swarm(path, speed=1, out=tmp_path / "run", on_message=messages.append) as swarm:
-        swarm.run(until_s=4.0)
-        swarm.summary(draw=False)
-        assert swarm.leftovers() == []
-    texts = [str(getattr(message, "text", "")) for message in messages]
-    assert any("failing" in text and "status 3" in text for text in texts), texts
-    log = (tmp_path / "run" / "logs" / "uav-1-failing.log").read_text()
-    assert log.count("started") >= 2
+    for station in (1, 3):
+        assert f"from fe80::ff:fe00:{station}%wlan0" in log
+    assert "fe8000000000000000000000ff" not in log  # the link-local address has no tentative copy
+    (local,) = [line for line in log.splitlines() if line.endswith("wlan0") and line.startswith("fe80")]
+    assert local.split()[0] == "fe80000000000000000000fffe000000"
+    assert int(local.split()[4], 16) & 0x40 == 0  # IFA_F_TENTATIVE
 
 
-def test_shell_enters_the_network_of_one_vehicle(tmp_path):
-    path = tmp_path / "network.toml"
-    path.write_text("agents = 3\n[network]\nenabled = true\n")
-    with Swarm(path, speed=1, out=tmp_path / "run") as swarm:
-        command = [sys.executable, "-m", "coflight", "shell", "2", "--run", str(swarm.path), "--"]
-        addresses = subprocess.run(
-            [*command, "cat", "/proc/net/dev", "/sys/class/net/wlan0/address"],
-            capture_output=True, text=True, timeout=DEADLINE_S, check=False,
-        )  # fmt: skip
-        assert addresses.returncode == 0, addresses.stderr
-        assert "wlan0" in addresses.stdout
-        wrong = subprocess.run(
-            [*command[:4], "3", *command[5:], "true"],
-            capture_output=True, text=True, timeout=DEADLINE_S, check=False,
-        )  # fmt: skip
-        assert wrong.returncode == 2
-        assert "there is no UAV 3 among 3" in wrong.stderr
-        wall_end_s = time.monotonic() + DEADLINE_S
-        while swarm.simulated_s < 1.0 and time.monotonic() < wall_end_s:
-            swarm.run_for(0.5)
+@needs("setpriv")
+@both_users
+def test_scripts_receive_broadcasts_and_multicasts(other_user):
+    receivers = [(station, public_script(RECEIVER, other_user=other_user)) for station in (1, 3)]
+    programs = [(0, public_script(SENDER, other_user=other_user)), *receivers]
+    with programs_on_vehicles(programs, other_user=other_user) as (_, host):
+        host.start([1, 2])
+        for index in (1, 2):
+            host.wait_for_log(index, "bound")
+        host.start()
+        for index in (1, 2):
+            *_, first, second, third, fourth = host.wait_for_log(index, "ff02::1").splitlines()
+            assert first == "255.255.255.255 10.1.0.0"
+            assert second == "10.255.255.255 10.1.0.0"
+            assert third == "239.1.2.3 10.1.0.0"
+            assert fourth == "ff02::1 fe80::ff:fe00:0"
+        counters = host.stop()
+    assert counters["programs"] == {"started": 3, "failed": 0, "orphans": 0}
+
+
+@needs("tshark")
+def test_packets_are_complete_when_they_are_read(tmp_path):
+    with programs_on_vehicles([(3, script(TCP_SERVER)), (0, script(TCP_CLIENT))]) as (channel, host):
+        host.start([0])
+        host.wait_for_log(0, "bound")
+        host.start()
+        assert host.event(ProgramEnded, program=1).returncode == 0
+        assert "200000 True" in host.wait_for_log(0, "200000")
+        wait_for(lambda: sum(each.payload[9] == 17 for each in ipv4(channel)) >= 4, "four fragments")
+        packets = [each for each in ipv4(channel) if each.payload[9] in {6, 17}]  # TCP, UDP
+    assert max(len(each.payload) for each in packets) == 1500
+    capture = tmp_path / "packets.pcap"
+    with capture.open("wb") as file:
+        file.write(struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65_535, 1))
+        for each in packets:
+            frame = build(each.destination, mac_address(each.station), each.ether_type, each.payload)
+            file.write(struct.pack("<IIII", 0, 0, len(frame), len(frame)) + frame)
+    options = [f"-o{name}.check_checksum:TRUE" for name in ("ip", "udp", "tcp")]
+    fields = [f"-e{name}.checksum.status" for name in ("ip", "udp", "tcp")]
+    command = ["tshark", "-r", str(capture), *options, "-Tfields", *fields]
+    table = subprocess.run(command, capture_output=True, check=True, text=True).stdout
+    statuses = [line.split("\t") for line in table.splitlines()]
+    assert len(statuses) == len(packets)
+    checked = [set(",".join(column).split(",")) for column in zip(*statuses, strict=True)]
+    assert checked == [{"1"}, {"", "1"}, {"", "1"}]  # good, or of another protocol
+
+
+def ipv4(channel):
+    return [each for each in channel.packets if each.ether_type == 0x0800]
+
+
+def test_flood_waits_in_the_kernel_until_packets_have_ended():
+    window = 20
+    with programs_on_vehicles([(0, script(FLOOD))], hold=True, window_packets=window) as (channel, host):
+        host.start()
+        assert host.event(ProgramEnded).returncode == 0
+        wait_for(lambda: sum(each.station == 0 for each in channel.packets) == window, "a full window")
+        channel.release()
+        wait_for(lambda: len(flood(channel)) == 500, "the rest of the flood")
+        counters = host.stop()["bridge"]
+    assert flood(channel) == list(range(500))
+    assert counters["outstanding_packets"] == 0
+    assert counters["kernel_drops"] == {}
+
+
+def flood(channel):
+    packets = [each.payload for each in ipv4(channel) if each.payload[9] == 17]
+    return [int.from_bytes(each[28:30], "big") for each in packets]
+
+
+def test_forged_sources_and_invalid_messages_are_dropped_and_counted():
+    with programs_on_vehicles([(0, script(FORGER))]) as (channel, host):
+        for payload in (b"", b"\x00", bytes(300)):
+            channel.publish_bytes(payload)
+        host.start()
+        assert host.event(ProgramEnded).returncode == 0
+        wait_for(lambda: any(each.ether_type == 0x88B5 for each in channel.packets), "the frame of its own")
+        assert [each.station for each in channel.packets if each.ether_type == 0x88B5] == [0]
+        counters = host.stop()["bridge"]
+    assert counters["dropped_frames"]["source"] == 1
+    assert counters["malformed_messages"] == 3
+
+
+def test_programs_see_only_their_vehicle_and_the_host_keeps_its_interfaces():
+    before = psutil.net_if_addrs()
+    names = (
+        "import os, socket; print(sorted(dict(socket.if_nameindex()).values()), os.getsid(0) == os.getpid())"
+    )
+    files = "import os; print(sorted(os.listdir('/proc/self/fd')))"
+    programs = [
+        (1, script(names)),
+        (1, ["sh", "-c", 'echo "$COLOUR"; pwd'], {"environment": {"COLOUR": "red"}}),
+        (1, script(files)),
+    ]
+    with programs_on_vehicles(programs) as (_, host):
+        host.start()
+        assert "['lo', 'wlan0'] True" in host.wait_for_log(0, "\n")
+        assert host.wait_for_log(1, str(host.folder)).splitlines()[0] == "red"
+        assert host.wait_for_log(2, "\n") == "['0', '1', '2', '3']\n"  # 3 is of the folder that is listed
+        assert psutil.net_if_addrs() == before
+        host.stop()
+    assert psutil.net_if_addrs() == before
+
+
+def test_statuses_of_programs_and_their_restarts():
+    programs = [
+        (0, ["sh", "-c", "exit 3"], {"restart": "on-failure"}),
+        (0, ["sh", "-c", "kill -9 $$"]),
+        (1, ["/no/such/program"]),
+        (1, ["/etc/passwd"]),
+        (1, ["true"], {"log_path": "/no/such/folder/log"}),
+        (1, ["true"], {"restart": "on-failure"}),
+    ]
+    with programs_on_vehicles(programs) as (_, host):
+        host.start()
+        ended = [host.event(ProgramEnded) for _ in programs]
+        statuses = {each.program: (each.returncode, each.restart_in_s) for each in ended}
+        assert statuses == {
+            0: (3, 0.5), 1: (-9, None), 2: (127, None), 3: (126, None), 4: (127, None), 5: (0, None)
+        }  # fmt: skip
+        assert host.log(2) == "/no/such/program: No such file or directory\n"
+        host.event(ProgramStarted, program=0)
+        assert host.event(ProgramEnded, program=0).restart_in_s == 1.0
+        counters = host.stop()["programs"]
+    assert (counters["started"], counters["failed"]) == (7, 6)
+
+
+def test_stop_ends_programs_that_ignore_it_and_reaps_orphans():
+    orphan = (
+        "trap 'echo asked' TERM; (sleep 0.05 & echo $! > orphan); while kill -0 $(cat orphan); do :; done"
+    )
+    command = f"{orphan}; echo running; while true; do sleep 0.1; done"
+    with programs_on_vehicles([(0, ["sh", "-c", command]), (1, ["sleep", "1000"])]) as (_, host):
+        host.start()
+        host.wait_for_log(0, "running")
+        host.command(command="start programs", programs=[7])  # there is none
+        details = host.stop()
+        assert "asked" in host.log(0)
+    assert details["programs"] == {"started": 2, "failed": 0, "orphans": 1}
+
+
+def test_unreachable_emulator_is_one_line():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        closed = types.SimpleNamespace(endpoint=f"tcp/127.0.0.1:{server.getsockname()[1]}", stations=(0,))
+    with contextlib.closing(HostProcess(closed, [])) as host:
+        with pytest.raises(AssertionError, match=r"^no Ready: network: .*\n$"):
+            host.event(Ready)
+        assert host.process.wait(10.0) == 2

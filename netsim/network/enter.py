@@ -1,0 +1,45 @@
+"""``python -m netsim.network.enter NETWORK_FD [--folder FOLDER] -- COMMAND ...``: a command on a vehicle.
+
+The command runs in the network namespace of an inherited descriptor, in a session of its own. It ends with
+the PID namespace it is started in. Exit status: 126 if it cannot be executed, 127 if it is not found. Imports
+only what it needs, as it precedes each program.
+"""
+
+import ctypes
+import os
+import signal
+import sys
+
+_CLONE_NEWNET = 0x40000000  # linux/sched.h
+CANNOT_EXECUTE, NOT_FOUND = 126, 127
+
+
+def main(arguments: list[str]) -> int:
+    """Execute the command; returns an exit status if that fails, after one line on stderr."""
+    marker = arguments.index("--")
+    options, command = arguments[:marker], arguments[marker + 1 :]
+    namespace = int(options[0])
+    try:
+        _enter(namespace)
+        os.close(namespace)
+        if options[1:]:
+            os.chdir(options[2])
+        os.setsid()
+        for number in (signal.SIGPIPE, signal.SIGXFSZ):  # Python ignores them, and a program would inherit it
+            signal.signal(number, signal.SIG_DFL)
+        os.execvp(command[0], command)  # noqa: S606  there is no shell
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename else ""
+        print(f"{command[0]}: {place}{error.strerror}", file=sys.stderr)  # noqa: T201  the program's log
+        return NOT_FOUND if isinstance(error, FileNotFoundError) else CANNOT_EXECUTE
+
+
+def _enter(namespace: int) -> None:
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.setns(namespace, _CLONE_NEWNET):
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number), "network namespace")
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

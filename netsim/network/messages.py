@@ -1,0 +1,91 @@
+"""Settings, commands and events of the process that hosts interfaces and programs of vehicles."""
+
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+from foundation.processes.child_protocol import Stop
+from netsim.network.bridge import WINDOW_PACKETS
+from netsim.wire.messages import Station
+
+NAME = "network"
+"""Name of the process in its events."""
+Restart = Literal["never", "on-failure", "always"]
+Index = Annotated[int, Meta(ge=0)]
+"""Position of a program in `NetworkConfig.programs`."""
+
+
+class ProgramConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A program on a vehicle."""
+
+    station: Station
+    command: Annotated[tuple[str, ...], Meta(min_length=1)]
+    """Program and arguments, without a shell; the program is searched in PATH."""
+    log_path: str
+    """File to which stdout and stderr are appended"""
+    environment: dict[str, str] = {}
+    """Variables added to those of the host process"""
+    folder: str | None = None
+    """Working folder; None: that of the host process"""
+    restart: Restart = "never"
+    """When it is started again: after an exit status other than 0 or a signal, or after every end."""
+
+
+class NetworkConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Settings of the process."""
+
+    run_id: str
+    endpoint: str
+    """Zenoh endpoint of the emulator"""
+    user: str
+    """Zenoh user"""
+    password: str
+    stations: Annotated[tuple[Station, ...], Meta(min_length=1)]
+    """Stations that have an interface, each once"""
+    programs: tuple[ProgramConfig, ...] = ()
+    """Programs, which are not started before a command"""
+    window_packets: Annotated[int, Meta(ge=1)] = WINDOW_PACKETS
+    """Most packets of a station in the emulator"""
+
+
+class StartPrograms(Struct, frozen=True, kw_only=True, tag="start programs", tag_field="command"):
+    """Command: start programs that have not been started."""
+
+    programs: tuple[Index, ...] | None = None
+    """None: all"""
+
+
+Command = StartPrograms | Stop
+
+
+class ProgramStarted(Struct, frozen=True, kw_only=True, tag="program started", tag_field="event"):
+    """A program has been started; it may still fail to be executed, with exit status 126 or 127."""
+
+    program: int
+    station: int
+    pid: int
+    """Process id in the namespace of the vehicles' processes"""
+
+
+class ProgramEnded(Struct, frozen=True, kw_only=True, tag="program ended", tag_field="event"):
+    """A program has ended."""
+
+    program: int
+    station: int
+    returncode: int
+    """Exit status, or minus the signal that killed it; 126 and 127 as of a shell: it cannot be executed, it
+    is not found"""
+    ran_s: float
+    restart_in_s: float | None = None
+    """Wall time after which it is started again; None: it is not"""
+
+
+def check(config: NetworkConfig) -> None:
+    """Raise ValueError if settings are inconsistent."""
+    if len(set(config.stations)) != len(config.stations):
+        raise ValueError("stations: each may occur once")
+    for index, program in enumerate(config.programs):
+        if program.station not in config.stations:
+            raise ValueError(f"programs[{index}].station: {program.station} has no interface")
+        if not program.command[0] or any("\0" in argument for argument in program.command):
+            raise ValueError(f"programs[{index}].command: no program, or a NUL character")

@@ -1,0 +1,167 @@
+"""Network namespaces of all vehicles with their interfaces, made by a process that ends afterwards.
+
+A thread that has left the host's network namespace cannot return to it, as it has no privileges there. So a
+child process makes the namespaces, and passes packet sockets and descriptors of the namespaces to this one.
+For each vehicle a small process remains, the holder, by which other processes can enter its namespaces
+(`netsim.network.vehicle_entry`).
+"""
+
+import contextlib
+import os
+import signal
+import socket
+import time
+from collections.abc import Sequence
+from typing import NamedTuple, NoReturn
+
+import msgspec
+
+from foundation.system_error import described
+from netsim.network.namespaces import (
+    CLONE_NEWNET,
+    new_network_namespace,
+    outer_pid,
+    set_namespace,
+)
+from netsim.wire.messages import Station
+
+_RUNNING_LIMIT_S = 10.0
+"""Wall time that the kernel has to report that an interface can send; it takes milliseconds."""
+_POLL_S = 0.002
+_MOST_BYTES = 65_536
+
+
+class VehicleNetwork(NamedTuple):
+    """What this process has of a vehicle's network."""
+
+    station: Station
+    namespace_fd: int
+    frames: socket.socket
+    """Packet socket of the bridge's end of the interface"""
+    holder_pid: int
+    """As the host numbers processes"""
+
+
+class NetworksNotMade(OSError):
+    """Namespaces or interfaces cannot be made; the text is one line."""
+
+
+class _Made(msgspec.Struct, tag=True):
+    station: Station
+    holder_pid: int
+
+
+class _Failed(msgspec.Struct, tag=True):
+    reason: str
+
+
+_answers = msgspec.json.Decoder(_Made | _Failed)
+
+
+def make_networks(stations: Sequence[Station], outer_proc: int) -> list[VehicleNetwork]:
+    """Return a network for each station, with interfaces that can send.
+
+    To be called with one thread in `namespaces.run_as_first_process`, whose descriptor of the host's
+    ``/proc`` it takes. Raises NetworksNotMade.
+    """
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    pid = os.fork()
+    if pid == 0:
+        ours.close()
+        _make(stations, outer_proc, theirs)
+    theirs.close()
+    networks = []
+    with ours:
+        while True:
+            answer, fds, _, _ = socket.recv_fds(ours, _MOST_BYTES, 2)  # ignores its flags in Python 3.11
+            for fd in fds:
+                os.set_inheritable(fd, False)  # noqa: FBT003  or all programs would have them
+            if not answer:
+                break
+            match _answers.decode(answer):
+                case _Made(station, holder_pid):
+                    namespace_fd, frames_fd = fds
+                    networks.append(
+                        VehicleNetwork(station, namespace_fd, socket.socket(fileno=frames_fd), holder_pid)
+                    )
+                case _Failed(reason):
+                    raise NetworksNotMade(reason)
+    status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+    if status or len(networks) != len(stations):
+        raise NetworksNotMade(f"the process that makes the vehicles' networks ended with status {status}")
+    return networks
+
+
+def _make(stations: Sequence[Station], outer_proc: int, answers: socket.socket) -> NoReturn:
+    """Make the networks, send them, and exit; must not return into the parent's code."""
+    status = 1
+    try:
+        bridge = new_network_namespace()
+        made = []
+        for station in stations:  # before the import of pyroute2, so that the holders are small
+            namespace_fd = new_network_namespace()
+            made.append((station, namespace_fd, _start_holder(station, outer_proc)))
+        for (station, namespace_fd, holder_pid), frames in zip(
+            made, _with_interfaces(bridge, [each[:2] for each in made]), strict=True
+        ):
+            answer = msgspec.json.encode(_Made(station, holder_pid))
+            socket.send_fds(answers, [answer], [namespace_fd, frames.fileno()])
+        status = 0
+    except BaseException as error:  # noqa: BLE001  reported by the parent
+        answers.send(msgspec.json.encode(_Failed(described(error))))
+    finally:
+        os._exit(status)
+
+
+def _with_interfaces(bridge: int, namespaces: Sequence[tuple[Station, int]]) -> list[socket.socket]:
+    """Make the interfaces of all vehicles and return their packet sockets."""
+    from netsim.network import interfaces, packet_socket  # noqa: PLC0415  after the holders have been forked
+
+    set_namespace(bridge, CLONE_NEWNET)
+    interfaces.disable_ipv6()
+    sockets = []
+    for station, namespace_fd in namespaces:
+        interfaces.make_pair(station, namespace_fd)
+        sockets.append(packet_socket.open_packet_socket(interfaces.peer_name(station)))
+    for station, namespace_fd in namespaces:
+        set_namespace(namespace_fd, CLONE_NEWNET)
+        interfaces.configure(station)
+    wall_deadline_s = time.monotonic() + _RUNNING_LIMIT_S
+    for station, namespace_fd in namespaces:
+        set_namespace(namespace_fd, CLONE_NEWNET)
+        while not interfaces.is_running(interfaces.INTERFACE):
+            if time.monotonic() > wall_deadline_s:
+                raise NetworksNotMade(f"station {station}: {interfaces.INTERFACE} does not get up")
+            time.sleep(_POLL_S)
+    return sockets
+
+
+def _start_holder(station: Station, outer_proc: int) -> int:
+    """Fork a process that stays in the present network namespace; return its process id of the host."""
+    reader, writer = os.pipe()
+    if os.fork() == 0:
+        _hold(outer_proc, writer)
+    os.close(writer)
+    with os.fdopen(reader, "rb") as answer:
+        text = answer.read()
+    if not text:
+        raise NetworksNotMade(f"station {station}: the process that holds its namespace has ended")
+    return int(text)
+
+
+def _hold(outer_proc: int, answer: int) -> NoReturn:
+    """Report the process id, close all files, and wait for a signal."""
+    try:
+        os.setsid()
+        for number in (signal.SIGINT, signal.SIGPIPE):
+            signal.signal(number, signal.SIG_DFL)
+        os.write(answer, str(outer_pid(outer_proc)).encode())
+        null = os.open(os.devnull, os.O_RDWR)
+        for stream in range(3):
+            os.dup2(null, stream)
+        with contextlib.suppress(OSError, ValueError):
+            os.closerange(3, os.sysconf("SC_OPEN_MAX"))
+        while True:
+            signal.pause()
+    finally:
+        os._exit(1)

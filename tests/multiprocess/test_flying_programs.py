@@ -1,0 +1,122 @@
+"""Unmodified programs in the network namespaces of flying vehicles, whose datagrams cross the channel."""
+
+import collections
+import subprocess
+import sys
+import time
+
+import pyarrow.parquet as pq
+import pytest
+from paths import ROOT
+
+from harness.launch.swarm import Swarm
+from netsim.network.namespaces import why_not
+
+pytestmark = [
+    pytest.mark.multiprocess,
+    pytest.mark.skipif(why_not() is not None, reason=str(why_not())),
+]
+
+AGENTS = 8
+PAYLOAD_BYTES = 700
+FRAME_BYTES = PAYLOAD_BYTES + 8 + 20 + 8 + 28
+"""UDP, IPv4 and LLC/SNAP headers, and MAC header with FCS"""
+SCENARIO = f"""
+agents = {AGENTS}
+[radio]
+broadcast_rts = false
+fading = "rician"
+extra_attenuation_db = 8.0
+[[programs]]
+name = "exchange"
+command = ["{sys.executable}", "exchange.py", "--id", "{{uav}}", "--bytes", "{PAYLOAD_BYTES}"]
+folder = "{ROOT / "examples" / "udp-exchange"}"
+"""
+DEADLINE_S = 20.0
+
+
+@pytest.fixture
+def scenario(tmp_path):
+    path = tmp_path / "exchange.toml"
+    path.write_text(SCENARIO)
+    return path
+
+
+def lines_of(run):
+    """Return the lines of each vehicle's program so far, by vehicle."""
+    return [(run / "logs" / f"uav-{uav}-exchange.log").read_text().splitlines() for uav in range(AGENTS)]
+
+
+def received_of(run):
+    return sum(line.startswith("received") for lines in lines_of(run) for line in lines)
+
+
+def test_broadcasts_of_two_scripts_arrive_as_the_frame_log_says(scenario, tmp_path):
+    with Swarm(scenario, speed=1, out=tmp_path / "run") as swarm:
+        swarm.run(until_s=6.0)
+        before = received_of(swarm.path)
+        assert before > 0
+        swarm.cut_channel()
+        swarm.run_for(1.0)
+        cut = received_of(swarm.path)
+        swarm.run_for(2.0)
+        assert received_of(swarm.path) == cut
+        swarm.restore_channel()
+        swarm.run_for(3.0)
+        assert received_of(swarm.path) > cut
+        summary = swarm.summary(draw=False)
+        leftovers = swarm.leftovers()
+    assert leftovers == []
+    assert summary["deterministic"] is False
+    lines = lines_of(swarm.path)
+    sent = sum(line.startswith("sent") for each in lines for line in each)
+    assert sent > AGENTS * 80
+    frames = pq.read_table(swarm.path / "radio.parquet").to_pylist()
+    exchanged = [frame for frame in frames if frame["bytes"] == FRAME_BYTES]
+    delivered = sum(frame["delivered"] for frame in exchanged)
+    # the programs are ended while the last frames are on the air
+    assert delivered == pytest.approx(received_of(swarm.path), abs=2 * AGENTS)
+    assert len(exchanged) == pytest.approx(sent, abs=2 * AGENTS)
+    pairs = collections.Counter(
+        (uav, line.split()[1]) for uav, each in enumerate(lines) for line in each if line.startswith("received")
+    )
+    assert len(pairs) == AGENTS * (AGENTS - 1)
+
+
+def test_programs_that_fail_are_named_and_restarted(tmp_path):
+    path = tmp_path / "failing.toml"
+    path.write_text(
+        'agents = 2\n[[programs]]\nname = "failing"\nuav = 1\n'
+        'command = ["sh", "-c", "echo started; exit 3"]\nrestart = "on_failure"\n'
+    )
+    messages = []
+    with Swarm(path, speed=1, out=tmp_path / "run", on_message=messages.append) as swarm:
+        swarm.run(until_s=4.0)
+        swarm.summary(draw=False)
+        assert swarm.leftovers() == []
+    texts = [str(getattr(message, "text", "")) for message in messages]
+    assert any("failing" in text and "status 3" in text for text in texts), texts
+    log = (tmp_path / "run" / "logs" / "uav-1-failing.log").read_text()
+    assert log.count("started") >= 2
+
+
+def test_shell_enters_the_network_of_one_vehicle(tmp_path):
+    path = tmp_path / "network.toml"
+    path.write_text("agents = 3\n[network]\nenabled = true\n")
+    with Swarm(path, speed=1, out=tmp_path / "run") as swarm:
+        command = [sys.executable, "-m", "coflight", "shell", "2", "--run", str(swarm.path), "--"]
+        addresses = subprocess.run(
+            [*command, "cat", "/proc/net/dev", "/sys/class/net/wlan0/address"],
+            capture_output=True, text=True, timeout=DEADLINE_S, check=False,
+        )  # fmt: skip
+        assert addresses.returncode == 0, addresses.stderr
+        assert "wlan0" in addresses.stdout
+        wrong = subprocess.run(
+            [*command[:4], "3", *command[5:], "true"],
+            capture_output=True, text=True, timeout=DEADLINE_S, check=False,
+        )  # fmt: skip
+        assert wrong.returncode == 2
+        assert "there is no UAV 3 among 3" in wrong.stderr
+        wall_end_s = time.monotonic() + DEADLINE_S
+        while swarm.simulated_s < 1.0 and time.monotonic() < wall_end_s:
+            swarm.run_for(0.5)
