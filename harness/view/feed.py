@@ -20,6 +20,7 @@ from harness.records.pieces import Piece, pieces_of_tables
 from harness.records.run_folder import RunFolder, read_raw_scenario, read_scenario
 from harness.scenario.scenario import Scenario
 from harness.view.antenna_surface import live_solver, surface_at
+from harness.view.camera import overview
 from harness.view.entries import Entry
 from harness.view.rerun_sink import RerunSink
 from harness.view.scene import Scene, scalars, surface_entries
@@ -45,6 +46,7 @@ class Feed:
         self._solver: Backend | None = None
         self._has_solver = True
         self._surface_us = 0
+        sink.arrange(overview(scenario.places_ned_m()))
         sink.send(self._scene.static())
 
     def send(self, piece: Piece, *, thin: bool = False) -> None:

@@ -126,7 +126,7 @@ class Viewer:
     def address(self) -> str:
         """Address to open in a browser."""
         data = f"rerun%2Bhttp%3A%2F%2F{LOOPBACK}%3A{self.port}%2Fproxy"
-        return f"http://{LOOPBACK}:{self.web_port}/?url={data}"
+        return f"http://{LOOPBACK}:{self.web_port}/?url={data}&hide_welcome_screen"
 
     @property
     def is_open(self) -> bool:

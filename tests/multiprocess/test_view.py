@@ -22,6 +22,7 @@ from harness.launch.swarm import Swarm
 from harness.records.run_folder import RunFolder
 from harness.report.vehicle_colours import vehicle_colours
 from harness.scenario.scenario_file import load
+from harness.view.camera import overview
 from harness.view.entries import colour_of
 
 pytest.importorskip("rerun", reason="the extra coflight[view] is not installed")
@@ -160,6 +161,7 @@ def test_the_web_viewer_shows_eight_vehicles(tmp_path):
     with Viewer(tmp_path / "viewer", in_browser=True) as viewer, sync_api.sync_playwright() as playwright:
         sink = RerunSink("test", url=viewer.url)
         scene = Scene(scenario, layout_of(scenario.onboard))
+        sink.arrange(overview(scenario.places_ned_m()))
         sink.send(scene.static())
         sink.send(scene.entries(line_of_vehicles(scenario)))
         browser = playwright.chromium.launch(
