@@ -9,7 +9,8 @@ import argparse
 import contextlib
 import sys
 import threading
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -77,6 +78,17 @@ class Feed:
         return found
 
 
+def send_newest_whole(feed: Feed, pieces: Iterable[Piece], *, whole: bool) -> None:
+    """Send pieces, without ``whole`` all but the newest `MOST_WHOLE` thin; no more than these are held."""
+    newest: deque[Piece] = deque()
+    for piece in pieces:
+        newest.append(piece)
+        if whole or len(newest) > MOST_WHOLE:
+            feed.send(newest.popleft(), thin=not whole)
+    while newest:
+        feed.send(newest.popleft())
+
+
 def follow(folder: RunFolder, sink: RerunSink, ended: threading.Event, *, whole: bool) -> None:
     """Send a flight that goes on, until ``ended`` and the end of its logs; ``whole``: all its instants."""
     scenario = read_raw_scenario(folder)
@@ -85,10 +97,7 @@ def follow(folder: RunFolder, sink: RerunSink, ended: threading.Event, *, whole:
         is_last = False
         while not is_last:
             is_last = ended.is_set()
-            pieces = list(live.advance(ended=is_last))
-            behind = len(pieces) - MOST_WHOLE
-            for number, piece in enumerate(pieces):
-                feed.send(piece, thin=not whole and number < behind)
+            send_newest_whole(feed, live.advance(ended=is_last), whole=whole)
             if not is_last:
                 ended.wait(PERIOD_S)
 
@@ -117,7 +126,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     threading.Thread(target=await_end, daemon=True).start()
     sink = RerunSink(options.run.name, url=options.url, file=options.record)
-    follow(RunFolder(options.run), sink, ended, whole=options.url is None)
+    follow(RunFolder(options.run), sink, ended, whole=options.record is not None)
     if not sink.close():
         sys.stderr.write("the viewer is gone\n")
     return 0
