@@ -7,6 +7,7 @@ instants.
 
 import argparse
 import contextlib
+import os
 import sys
 import threading
 from collections import deque
@@ -16,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from antenna.solvers.interface import Backend, BackendUnavailable
+from foundation.system_error import in_words
 from harness.records.live_pieces import LivePieces
 from harness.records.pieces import Piece, pieces_of_tables
 from harness.records.run_folder import RunFolder, read_raw_scenario, read_scenario
@@ -34,6 +36,7 @@ SURFACE_US = 1_000_000
 """Simulated time between two patterns of the antenna"""
 PERIOD_S = 0.05
 """Wall time between two looks at the logs"""
+STDIN = 0
 MOST_WHOLE = 10
 """Pieces that are sent with all instants if more are there at once"""
 
@@ -120,12 +123,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ended = threading.Event()
 
     def await_end() -> None:
+        # not by sys.stdin, whose lock a thread that waits would hold when the process exits
         with contextlib.suppress(OSError):
-            sys.stdin.buffer.read()
+            while os.read(STDIN, 4096):
+                pass
         ended.set()
 
     threading.Thread(target=await_end, daemon=True).start()
-    sink = RerunSink(options.run.name, url=options.url, file=options.record)
+    try:
+        sink = RerunSink(options.run.name, url=options.url, file=options.record)
+    except OSError as error:
+        sys.stderr.write(f"{in_words(error)}\n")
+        return 1
     follow(RunFolder(options.run), sink, ended, whole=options.record is not None)
     if not sink.close():
         sys.stderr.write("the viewer is gone\n")

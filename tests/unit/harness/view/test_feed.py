@@ -58,3 +58,9 @@ def test_a_recording_has_all_instants_also_beside_a_viewer(monkeypatch, options,
     monkeypatch.setattr(feed, "follow", lambda *_, whole: asked.append(whole))
     assert feed.main(["run", *options]) == 0
     assert asked == [whole]
+
+
+def test_a_file_that_cannot_be_written_is_named_in_one_line(tmp_path, capsys):
+    file = tmp_path / "missing" / "a.rrd"
+    assert feed.main(["run", "--record", str(file)]) == 1
+    assert capsys.readouterr().err == f"{file}: No such file or directory\n"
