@@ -90,7 +90,9 @@ def _blueprint(camera: Camera) -> rrb.Blueprint:
         origin="world",
         name="Swarm",
         line_grid=rrb.LineGrid3D(visible=True, spacing=5.0),
-        eye_controls=rrb.EyeControls3D(position=camera.position_ned_m, look_target=camera.target_ned_m),
+        eye_controls=rrb.EyeControls3D(
+            position=camera.position_ned_m, look_target=camera.target_ned_m, eye_up=[0.0, 0.0, -1.0]
+        ),
     )
     plots = rrb.Vertical(
         _plot("Formation error, m", "plots/error", legend=True),
