@@ -1,6 +1,7 @@
 """The view of a flight as the command line requests it: options, lines for the user, the end."""
 
 import contextlib
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -69,5 +70,7 @@ def check_record(path: Path | None) -> None:
         raise ViewerError(f"--record {path}: expected a name that ends in .rrd")
     if not path.parent.is_dir():
         raise ViewerError(f"--record {path}: there is no folder {path.parent}")
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise ViewerError(f"--record {path}: no permission to write into the folder {path.parent}")
     if path.exists():
         raise ViewerError(f"--record {path}: it exists; name a new file")

@@ -119,6 +119,7 @@ class ColumnFile:
                 pq.write_table(table, file, compression="zstd")
         finally:
             pa.set_memory_pool(before)
+            before.release_unused()  # what the encoder has used
 
     def release(self) -> None:
         """Return the memory of what was read to the system; it is read again from the file when needed."""

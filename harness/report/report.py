@@ -4,7 +4,6 @@ Uses the run folder only, so a run that was interrupted is reported like any oth
 """
 
 import errno
-import gc
 import hashlib
 import shutil
 from collections.abc import Callable
@@ -24,6 +23,7 @@ from foundation.records.record_log import count, read, read_blocks, read_rows
 from foundation.records.whole_file import sha256_of, write_whole
 from harness.launch.interrupts import interrupts_deferred
 from harness.records.flight import Flight
+from harness.records.freed_memory import map_large_blocks, return_freed_memory
 from harness.records.manifest import make_manifest, manifest_text, read_outcome
 from harness.records.outcome import RunOutcome
 from harness.records.run_folder import NotARun, RunFolder, read_raw_scenario
@@ -78,6 +78,7 @@ def finish(
     The raw logs are deleted once the manifest is complete, before the figures are drawn. Until then no table
     is left if an error or a signal ends it. Raises OSError if the folder cannot be written.
     """
+    map_large_blocks()
     try:
         results = _write_tables(folder, scenario, outcome)
         with interrupts_deferred():
@@ -100,6 +101,7 @@ def _write_tables(folder: RunFolder, scenario: Scenario, outcome: RunOutcome) ->
     simulated_us = outcome.simulated_us or 0
     add_truth(folder, scenario)
     flight = write_tables(folder, scenario, lambda time_us: plan.places(since_start_s(time_us, start_us)))
+    return_freed_memory()
     whole = flight_in(flight, scenario, start_us=start_us)
     error_m, requested = _sessions(folder)
     hashes = {name: sha256_of(folder.path / name) for name in LOGS}
@@ -109,9 +111,10 @@ def _write_tables(folder: RunFolder, scenario: Scenario, outcome: RunOutcome) ->
     if folder.receptions.exists():
         hashes[folder.receptions.name] = sha256_of(folder.receptions)
     window = _window(whole, outcome.formed_us, scenario)
-    error = _formation_error(window, folder)
+    errors = _errors(whole, window, folder)
     antenna = _antenna(window, scenario)
     antenna_report.write(folder, antenna, scenario)
+    return_freed_memory()
     summary = {
         "scenario": scenario.name,
         "seed": scenario.run.seed,
@@ -124,8 +127,8 @@ def _write_tables(folder: RunFolder, scenario: Scenario, outcome: RunOutcome) ->
         "formed_s": None if outcome.formed_us is None else outcome.formed_us / 1e6,
         "moves_s": None if start_us is None else start_us / 1e6,
         "formation_s": float(window.time_us[-1] - window.time_us[0]) / 1e6 if len(window) else 0.0,
-        "formation_rms_m": _formation(error),
-        "vehicles": _vehicles(whole, error, folder),
+        "formation_rms_m": errors.rms_m,
+        "vehicles": errors.vehicles,
         **_radio(folder, error_m, requested),
         "max_gain_dbi": antenna_report.numbers(antenna),
         "collisions": sum(b'"event":"collision"' in line for line in folder.events.read_bytes().splitlines()),
@@ -137,7 +140,7 @@ def _write_tables(folder: RunFolder, scenario: Scenario, outcome: RunOutcome) ->
     _write_json(folder.summary, summary)
     air = read(folder.raw_air, AIR_RECORD)
     occupancy = _occupancy(air["time_us"], air["busy_ns"])
-    drawn = Drawn(whole, _drawn_error(window, error), antenna, occupancy, error_m, _envelopes(window, error))
+    drawn = Drawn(whole, errors.drawn, antenna, occupancy, error_m, errors.envelopes)
     solver = None if antenna.solver is None else asdict(antenna.solver)
     manifest = make_manifest(scenario, outcome, hashes=hashes, antenna=solver)
     return _Results(summary, manifest, drawn)
@@ -198,13 +201,13 @@ def draw_again(folder: RunFolder, scenario: Scenario, *, formed_us: int | None) 
     """
     whole = read_flight(folder, scenario)
     window = _window(whole, formed_us, scenario)
-    error = _formation_error(window, folder)
+    errors = _errors(whole, window, folder)
     air, sessions = pq.read_table(folder.air), pq.read_table(folder.ftm)
     completed = np.array(sessions["status"].to_pylist(), dtype=np.str_) == "ok"
     error_m = (sessions["distance_m"].to_numpy() - sessions["true_distance_m"].to_numpy())[completed]
     occupancy = _occupancy(air["time_us"].to_numpy(), air["busy_ns"].to_numpy())
-    antenna, envelopes = _antenna(window, scenario), _envelopes(window, error)
-    drawn = Drawn(whole, _drawn_error(window, error), antenna, occupancy, error_m, envelopes)
+    antenna = _antenna(window, scenario)
+    drawn = Drawn(whole, errors.drawn, antenna, occupancy, error_m, errors.envelopes)
     folder.figures.mkdir(exist_ok=True)
     written, patterns = _draw(folder, scenario, drawn)
     manifest = msgspec.json.decode(folder.manifest.read_bytes()) | {"figures": written}
@@ -224,6 +227,25 @@ def _window(whole: Flight, formed_us: int | None, scenario: Scenario) -> Flight:
     return whole.at(slice(int(np.searchsorted(whole.time_us, begin_us)), None))
 
 
+class _Errors(NamedTuple):
+    """What is kept of the errors of all instants in formation, which are large."""
+
+    rms_m: dict[str, float | None]
+    vehicles: list[dict[str, Any]]
+    drawn: tuple[NDArray[np.int64], FormationError] | None
+    envelopes: ErrorEnvelopes | None
+
+
+def _errors(whole: Flight, window: Flight, folder: RunFolder) -> _Errors:
+    error = _formation_error(window, folder)
+    return _Errors(
+        rms_m=_formation(error),
+        vehicles=_vehicles(whole, error, folder),
+        drawn=_drawn_error(window, error),
+        envelopes=None if error is None else ErrorEnvelopes(window.time_us, error),
+    )
+
+
 def _formation_error(window: Flight, folder: RunFolder) -> FormationError | None:
     """Return the error of the formation; None if it was not reached, or the application flies elsewhere."""
     applications = folder.applications()
@@ -238,10 +260,6 @@ def _drawn_error(
         return None
     rows = figures.drawn_instants(len(window))
     return window.time_us[rows], error.at(rows)
-
-
-def _envelopes(window: Flight, error: FormationError | None) -> ErrorEnvelopes | None:
-    return None if error is None else ErrorEnvelopes(window.time_us, error)
 
 
 def _antenna(window: Flight, scenario: Scenario) -> Aperture:
@@ -356,7 +374,7 @@ def _draw(
     for name, make in makers.items():
         written += figures.save(make(), folder.figures / name, title)
         whole.release()
-        gc.collect()  # the figure, whose parts refer to each other
+        return_freed_memory()
     return sorted(written), patterns
 
 

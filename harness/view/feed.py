@@ -7,19 +7,23 @@ instants.
 
 import argparse
 import contextlib
+import os
 import sys
 import threading
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from antenna.solvers.interface import Backend, BackendUnavailable
+from foundation.system_error import in_words
 from harness.records.live_pieces import LivePieces
 from harness.records.pieces import Piece, pieces_of_tables
 from harness.records.run_folder import RunFolder, read_raw_scenario, read_scenario
 from harness.scenario.scenario import Scenario
 from harness.view.antenna_surface import live_solver, surface_at
+from harness.view.camera import overview
 from harness.view.entries import Entry
 from harness.view.rerun_sink import RerunSink
 from harness.view.scene import Scene, scalars, surface_entries
@@ -32,6 +36,7 @@ SURFACE_US = 1_000_000
 """Simulated time between two patterns of the antenna"""
 PERIOD_S = 0.05
 """Wall time between two looks at the logs"""
+STDIN = 0
 MOST_WHOLE = 10
 """Pieces that are sent with all instants if more are there at once"""
 
@@ -45,6 +50,7 @@ class Feed:
         self._solver: Backend | None = None
         self._has_solver = True
         self._surface_us = 0
+        sink.arrange(overview(scenario.places_ned_m()))
         sink.send(self._scene.static())
 
     def send(self, piece: Piece, *, thin: bool = False) -> None:
@@ -75,6 +81,17 @@ class Feed:
         return found
 
 
+def send_newest_whole(feed: Feed, pieces: Iterable[Piece], *, whole: bool) -> None:
+    """Send pieces, without ``whole`` all but the newest `MOST_WHOLE` thin; no more than these are held."""
+    newest: deque[Piece] = deque()
+    for piece in pieces:
+        newest.append(piece)
+        if whole or len(newest) > MOST_WHOLE:
+            feed.send(newest.popleft(), thin=not whole)
+    while newest:
+        feed.send(newest.popleft())
+
+
 def follow(folder: RunFolder, sink: RerunSink, ended: threading.Event, *, whole: bool) -> None:
     """Send a flight that goes on, until ``ended`` and the end of its logs; ``whole``: all its instants."""
     scenario = read_raw_scenario(folder)
@@ -83,10 +100,7 @@ def follow(folder: RunFolder, sink: RerunSink, ended: threading.Event, *, whole:
         is_last = False
         while not is_last:
             is_last = ended.is_set()
-            pieces = list(live.advance(ended=is_last))
-            behind = len(pieces) - MOST_WHOLE
-            for number, piece in enumerate(pieces):
-                feed.send(piece, thin=not whole and number < behind)
+            send_newest_whole(feed, live.advance(ended=is_last), whole=whole)
             if not is_last:
                 ended.wait(PERIOD_S)
 
@@ -109,13 +123,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ended = threading.Event()
 
     def await_end() -> None:
+        # not by sys.stdin, whose lock a thread that waits would hold when the process exits
         with contextlib.suppress(OSError):
-            sys.stdin.buffer.read()
+            while os.read(STDIN, 4096):
+                pass
         ended.set()
 
     threading.Thread(target=await_end, daemon=True).start()
-    sink = RerunSink(options.run.name, url=options.url, file=options.record)
-    follow(RunFolder(options.run), sink, ended, whole=options.url is None)
+    try:
+        sink = RerunSink(options.run.name, url=options.url, file=options.record)
+    except OSError as error:
+        sys.stderr.write(f"{in_words(error)}\n")
+        return 1
+    follow(RunFolder(options.run), sink, ended, whole=options.record is not None)
     if not sink.close():
         sys.stderr.write("the viewer is gone\n")
     return 0

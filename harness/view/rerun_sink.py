@@ -8,6 +8,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from foundation.records.private_files import write_private
+from harness.view.camera import Camera
 from harness.view.entries import Entry
 
 TIMELINE = "simulated_time"
@@ -29,8 +30,12 @@ class RerunSink:
             sinks.append(rr.FileSink(str(file)))
         if url is not None:
             sinks.append(rr.GrpcSink(url))
-        self._recording.set_sinks(*sinks, default_blueprint=_blueprint())
+        self._recording.set_sinks(*sinks)
         self._recording.send_recording_name(name)
+
+    def arrange(self, camera: Camera) -> None:
+        """Send the arrangement of views, with the place from which the scene is seen at first."""
+        self._recording.send_blueprint(_blueprint(camera))
 
     def send(self, entries: Sequence[Entry]) -> None:
         """Send entries."""
@@ -70,30 +75,39 @@ class RerunSink:
         return is_whole
 
 
-def _plot(name: str, origin: str) -> rrb.TimeSeriesView:
-    return rrb.TimeSeriesView(origin=origin, name=name)
+_EVENT_COLUMNS = rrb.TextLogColumns(timeline_columns=[TIMELINE], text_log_columns=["LogLevel", "Body"])
+"""Without the entity's path, which says the same as the text"""
 
 
-def _blueprint() -> rrb.Blueprint:
+def _plot(name: str, origin: str, *, legend: bool = False) -> rrb.TimeSeriesView:
+    """Return a plot; a legend covers part of it, and is left out where title or scene say the same."""
+    shown = rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend)
+    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=shown)
+
+
+def _blueprint(camera: Camera) -> rrb.Blueprint:
     scene = rrb.Spatial3DView(
         origin="world",
         name="Swarm",
         line_grid=rrb.LineGrid3D(visible=True, spacing=5.0),
+        eye_controls=rrb.EyeControls3D(
+            position=camera.position_ned_m, look_target=camera.target_ned_m, eye_up=[0.0, 0.0, -1.0]
+        ),
     )
     plots = rrb.Vertical(
-        _plot("Formation error, m", "plots/error"),
+        _plot("Formation error, m", "plots/error", legend=True),
         _plot("Height, m", "plots/height"),
         _plot("Maximum gain, dBi", "plots/gain"),
         _plot("Channel busy, %", "plots/channel"),
     )
     more = rrb.Vertical(
-        _plot("Receptions of frames, 1/s", "plots/frames"),
-        _plot("Ranging error, m", "plots/ranging"),
+        _plot("Receptions of frames, 1/s", "plots/frames", legend=True),
+        _plot("Ranging error (measured - true), m", "plots/ranging"),
         _plot("Battery, %", "plots/battery"),
     )
     lower = rrb.Horizontal(
         rrb.StateTimelineView(origin="states", name="Modes and failsafes"),
-        rrb.TextLogView(origin="log", name="Events"),
+        rrb.TextLogView(origin="log", name="Events", columns=_EVENT_COLUMNS),
         column_shares=[3, 2],
     )
     return rrb.Blueprint(

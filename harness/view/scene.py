@@ -6,7 +6,6 @@ instants; frames and ranging sessions are drawn at the next instant after their 
 
 import math
 from collections import deque
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +23,7 @@ from harness.scenario.scenario import Scenario
 from harness.view import airframe_shape, links
 from harness.view.antenna_surface import Surface
 from harness.view.entries import Colour, Entry, at_all_times, colour_of
+from harness.view.state_lines import StateLines
 
 TRAIL_US = 20_000_000
 """Length of a trail"""
@@ -38,6 +38,8 @@ WIND_M_PER_N = 0.5
 """The same for a force of the wind"""
 SIGMAS = 1.0
 """Standard deviations that an ellipsoid of a believed position reaches to"""
+HEIGHT_DECIMALS = 3
+"""Of plotted heights, m: a plot's axis extends to the values, also to the rounding of their computation"""
 NEUTRAL: Colour = (110, 110, 110)
 GREY: Colour = (150, 150, 150)
 WIND: Colour = (90, 200, 250)
@@ -55,14 +57,11 @@ class Scene:
     def __init__(self, scenario: Scenario, applications: Layout) -> None:
         self._scenario = scenario
         self._airframes = scenario.airframes()
-        meanings = columns.flight_kind(applications).columns
-        self._modes, self._phases = meanings["mode"].values, meanings["phase"].values
-        self._causes = meanings["causes"].values
+        self._states = StateLines(columns.flight_kind(applications).columns)
         self._colours = np.array([*map(colour_of, vehicle_colours(scenario.agents))], np.uint8)
         self._standing_m = np.array([airframe.standing_height_m for airframe in self._airframes])
         self._start_us: int | None = None
         self._trail: deque[tuple[int, Array]] = deque()
-        self._states: dict[str, str] = {}
         self._empty: set[str] = set()
         """Entities that show nothing now"""
         self._air: tuple[int, int] = (0, 0)
@@ -135,7 +134,7 @@ class Scene:
         found += self._changed(links.range_entries(piece.sessions, flight, times_us))
         found += self._trails(flight, times_us)
         found += self._plots_of_flight(flight, times_us)
-        found += self._state_changes(flight, times_us)
+        found += self._states.entries(flight, times_us)
         return found
 
     def _changed(self, entries: list[Entry]) -> list[Entry]:
@@ -247,7 +246,7 @@ class Scene:
         error = formation_error(self.flight(flight))
         series: dict[str, Array] = {
             "plots/error/uavs": np.where(flight["alive"], error.absolute.error_m, np.nan),
-            "plots/height/uavs": -flight["pos_ned_m"][:, :, 2],
+            "plots/height/uavs": np.round(-flight["pos_ned_m"][:, :, 2], HEIGHT_DECIMALS),
             "plots/battery/uavs": 100.0 * flight["battery_remaining"].astype(np.float64),
         }
         valid = error.shape.valid
@@ -286,35 +285,6 @@ class Scene:
             if len(there):
                 found.append(scalars("plots/gain/maximum", there["time_us"], there["max_gain_dbi"]))
         return found
-
-    def _state_changes(self, flight: Rows, times_us: NDArray[np.int64]) -> list[Entry]:
-        found = []
-        for i in range(flight.shape[1]):
-            for t in range(len(times_us)):
-                for path, text in self._states_of(i, flight[t, i]).items():
-                    if self._states.get(path) != text:
-                        self._states[path] = text
-                        found.append(
-                            Entry(
-                                path=path,
-                                kind="StateChange",
-                                times_us=times_us[t : t + 1],
-                                fields={"state": [text]},
-                            )
-                        )
-        return found
-
-    def _states_of(self, vehicle: int, row: Any) -> dict[str, str]:  # noqa: ANN401  a record
-        if not row["alive"]:
-            return {f"states/uav-{vehicle}/mode": "lost", f"states/uav-{vehicle}/failsafe": "lost"}
-        mode = self._modes.get(str(row["mode"]), f"mode {row['mode']}")
-        phase = self._phases.get(str(row["phase"]), "")
-        causes = [text for bit, text in self._causes.items() if int(row["causes"]) & int(bit)]
-        failsafe = (", ".join(causes) or "active") if row["failsafe"] else "none"
-        return {
-            f"states/uav-{vehicle}/mode": f"{mode}, {phase}" if phase else mode,
-            f"states/uav-{vehicle}/failsafe": failsafe,
-        }
 
     def _text(self, event: Event) -> Entry:
         return Entry(

@@ -47,6 +47,12 @@ def has_display() -> bool:
     return sys.platform != "linux" or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
 
 
+def last_line(log: Path) -> str:
+    """Return the last line of a log with a text, or an empty text."""
+    lines = log.read_text(encoding="utf-8", errors="replace").split("\n")
+    return next((line for line in reversed(lines) if line.strip()), "")
+
+
 class Viewer:
     """Rerun's viewer as a child of this process: a window, or with ``in_browser`` a server for browsers.
 
@@ -126,7 +132,7 @@ class Viewer:
     def address(self) -> str:
         """Address to open in a browser."""
         data = f"rerun%2Bhttp%3A%2F%2F{LOOPBACK}%3A{self.port}%2Fproxy"
-        return f"http://{LOOPBACK}:{self.web_port}/?url={data}"
+        return f"http://{LOOPBACK}:{self.web_port}/?url={data}&hide_welcome_screen"
 
     @property
     def is_open(self) -> bool:
@@ -138,7 +144,8 @@ class Viewer:
         deadline_s = time.monotonic() + START_LIMIT_S
         while time.monotonic() < deadline_s:
             if not self.is_open:
-                raise ViewerError(f"the viewer did not start: {self._last_line()} (log: {self._log})")
+                cause = last_line(self._log) or "it wrote nothing"
+                raise ViewerError(f"the viewer did not start: {cause} (log: {self._log})")
             web, data = self._announced()
             expected = {data, web} if self.in_browser else {data}
             if 0 not in expected and expected <= self._listening():
@@ -164,10 +171,6 @@ class Viewer:
         if other := [address for address in listening if address[0] != LOOPBACK]:
             raise ViewerError(f"the viewer listens at {other[0][0]}, and not only at {LOOPBACK}: it is ended")
         return {address[1] for address in listening}
-
-    def _last_line(self) -> str:
-        lines = self._log.read_text(encoding="utf-8", errors="replace").split("\n")
-        return next((line for line in reversed(lines) if line.strip()), "it wrote nothing")
 
     def wait(self) -> None:
         """Return when its window is closed, or the server has ended."""

@@ -13,6 +13,7 @@ import pytest
 from paths import SCENARIOS
 from supervising import alive, wait_for
 from view_pieces import line_of_vehicles
+from without_privileges import obeying_modes
 
 from autopilot.logs.vehicle_record import VEHICLE_RECORD
 from autopilot.onboard.factory import layout_of
@@ -22,6 +23,7 @@ from harness.launch.swarm import Swarm
 from harness.records.run_folder import RunFolder
 from harness.report.vehicle_colours import vehicle_colours
 from harness.scenario.scenario_file import load
+from harness.view.camera import overview
 from harness.view.entries import colour_of
 
 pytest.importorskip("rerun", reason="the extra coflight[view] is not installed")
@@ -100,6 +102,7 @@ def test_a_flight_whose_viewer_is_killed_ends_as_one_without(plain_hash, tmp_pat
     parts["rerun_cli"].kill()
     output, messages = process.communicate(timeout=LIMIT_S)
     assert process.returncode == 0, messages
+    assert "the viewer was closed, or has ended; the flight goes on" in messages
     assert json.loads(output)["log_sha256"] == plain_hash
     assert not any(alive(child.pid) for child in parts.values())
     recording = tmp_path / "run.rrd"
@@ -118,6 +121,18 @@ def test_a_flight_whose_viewer_is_killed_ends_as_one_without(plain_hash, tmp_pat
         "/log/formed",
     ):
         assert f"{entity}" in printed, entity
+
+
+def test_a_recording_into_a_folder_without_permission_is_refused_before_the_flight(tmp_path):
+    closed = tmp_path / "closed"
+    closed.mkdir(mode=0o555)
+    command = [sys.executable, "-m", "coflight", "fly", "article", "--record", str(closed / "run.rrd")]
+    done = subprocess.run(
+        obeying_modes(*command), cwd=tmp_path, capture_output=True, text=True, check=False, timeout=LIMIT_S
+    )
+    assert done.returncode == 2
+    assert "no permission" in done.stderr.splitlines()[-1]
+    assert not (tmp_path / "runs").exists()
 
 
 def test_a_dead_feed_is_named_and_a_killed_launcher_leaves_nothing(tmp_path):
@@ -160,6 +175,7 @@ def test_the_web_viewer_shows_eight_vehicles(tmp_path):
     with Viewer(tmp_path / "viewer", in_browser=True) as viewer, sync_api.sync_playwright() as playwright:
         sink = RerunSink("test", url=viewer.url)
         scene = Scene(scenario, layout_of(scenario.onboard))
+        sink.arrange(overview(scenario.places_ned_m()))
         sink.send(scene.static())
         sink.send(scene.entries(line_of_vehicles(scenario)))
         browser = playwright.chromium.launch(

@@ -11,7 +11,9 @@ from autopilot.onboard.factory import layout_of
 from harness.scenario.scenario_file import load
 from harness.view.airframe_shape import FAST, SLOW
 from harness.view.antenna_surface import FLOOR_DBI, make_surface
+from harness.view.camera import overview
 from harness.view.scene import SIGMAS, Scene, event_text
+from harness.view.state_lines import RED
 
 AGENTS = 3
 
@@ -88,13 +90,22 @@ def test_states_are_entered_when_they_change(scene, scenario):
     piece.flight["alive"][4:, 1] = False
 
     def states(entries, path):
-        return [(e.times_us[0], e.fields["state"][0]) for e in entries if e.path == path]
+        found = (e for e in entries if e.path == path and e.kind == "StateChange")
+        return [(e.times_us[0], e.fields["state"][0]) for e in found]
+
+    def colours(entries, path):
+        last = [e for e in entries if e.path == path and e.kind == "StateConfiguration"][-1]
+        return dict(zip(last.fields["values"], last.fields["colors"], strict=True))
 
     times_us = piece.flight["time_us"][:, 0]
     entries = scene.entries(piece)
-    assert states(entries, "states/uav-0/failsafe") == [(times_us[0], "none"), (times_us[3], "gps lost")]
+    assert states(entries, "states/uav-0/failsafe") == [(times_us[3], "gps lost")]
     assert states(entries, "states/uav-1/mode")[-1] == (times_us[4], "lost")
     assert states(entries, "states/uav-2/mode") == [(times_us[0], states(entries, "states/uav-2/mode")[0][1])]
+    assert colours(entries, "states/uav-0/failsafe") == {"gps lost": RED}
+    first, second, third = (colours(entries, f"states/uav-{i}/mode") for i in range(AGENTS))
+    assert first == third == {state: colour for state, colour in second.items() if state != "lost"}
+    assert second["lost"] == RED
     again = scene.entries(line_of_vehicles(scenario, after_us=piece.until_us))
     assert not states(again, "states/uav-2/mode")
 
@@ -156,3 +167,21 @@ def test_the_surface_reaches_farthest_along_the_main_lobe(heading_rad):
     assert np.all(np.abs(apart_m[at_half] - 2.0) < 0.2)
     assert surface.triangles.min() == 0
     assert surface.triangles.max() == len(surface.vertices_ned_m) - 1
+
+
+def test_heights_on_the_ground_are_one_line(scene, scenario):
+    piece = line_of_vehicles(scenario)
+    piece.flight["pos_ned_m"][:, :, 2] = -0.055 + 1e-9 * np.arange(AGENTS)
+    heights_m = by_path(scene.entries(piece))["plots/height/uavs"].fields["scalars"]
+    assert set(heights_m.tolist()) == {0.055}
+
+
+def test_the_camera_sees_places_ground_and_pattern_from_the_south():
+    places_ned_m = np.array([[x, y, -10.0] for x in (0.0, 8.0) for y in (-9.0, 9.0)])
+    position_ned_m, target_ned_m = overview(places_ned_m)
+    assert target_ned_m.tolist() == [4.0, 0.0, -10.0]
+    assert position_ned_m[0] < 0.0
+    ahead = (target_ned_m - position_ned_m) / np.linalg.norm(target_ned_m - position_ned_m)
+    for point_ned_m in (*places_ned_m, *(places_ned_m * [1.0, 1.0, 0.0])):
+        towards = point_ned_m - position_ned_m
+        assert ahead @ towards > np.cos(np.radians(0.5 * 55.0)) * np.linalg.norm(towards)
