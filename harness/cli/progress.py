@@ -96,10 +96,10 @@ def describe(message: Message) -> str | None:
             vehicles = "every uav" if message.instance is None else uav(message.instance)
             what = message.what if message.motor is None else f"{message.what} {message.motor}"
             return f"{_at(message.time_us)}: fault {message.number} ({what}) of {vehicles} {message.change}"
-        case ProgramEnded() if message.returncode:
+        case ProgramEnded() if message.returncode and not message.was_stopped:
             how = f"{uav(message.station)}: program {message.name} {ending(message.returncode)}"
             again = message.restart_in_s
-            return how if again is None else f"{how}; it is started again in {again:.0f} s"
+            return how if again is None else f"{how}; it is started again in {again:g} s"
         case Warned():
             return f"{_at(message.time_us)}: {message.name}: {message.text}"
         case ProcessNotice():

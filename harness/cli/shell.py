@@ -15,9 +15,9 @@ import typer
 
 from foundation.exit_status import BAD_INPUT, FINE
 from foundation.system_error import in_words
+from harness.launch.process_commands import python_module
 from harness.launch.vehicle_network import read_holders
 from harness.records.run_folder import NETWORK_FILE, RunFolder
-from netsim.network.vehicle_entry import enter_vehicle
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 _SHELL = "/bin/sh"
@@ -38,7 +38,8 @@ def shell(
     run: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of the running swarm; default: the newest in runs/ that has a network.", metavar="RUN"
+            help="Folder of the running swarm; default: the newest in runs/ that has a network.",
+            metavar="RUN",
         ),
     ] = None,
 ) -> None:
@@ -55,7 +56,9 @@ def shell(
         raise _NoVehicle(f"{folder.path}: its swarm has ended")
     if uav not in holders:
         raise _NoVehicle(f"{folder.path}: there is no UAV {uav} among {len(holders)}")
-    raise typer.Exit(enter_vehicle(holders[uav], command or [os.environ.get("SHELL") or _SHELL]))
+    words = command or [os.environ.get("SHELL") or _SHELL]
+    entry = python_module("netsim.network.vehicle_entry", str(holders[uav]), *words)
+    os.execv(sys.executable, entry)  # noqa: S606  there is no shell
 
 
 def _newest() -> Path:
@@ -80,5 +83,5 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _refuse(line: str) -> int:
-    print(f"coflight: {line}", file=sys.stderr)
+    sys.stderr.write(f"coflight: {line}\n")
     return BAD_INPUT

@@ -270,9 +270,7 @@ class Processes(RunMonitor):
         self._await_ready([RADIO])
         self._ports |= radio.open(self.ready[RADIO].details["endpoint"])
         if radio.packets_endpoint is not None:
-            settings = network_config(
-                scenario, radio.packets_endpoint, run_id=run_id, logs=self._folder.logs
-            )
+            settings = network_config(scenario, radio.packets_endpoint, run_id=run_id, logs=self._folder.logs)
             path = self._folder.write_config(NETWORK, settings)
             self._supervisor.start(NETWORK, bound_module("netsim.network", *supervised(path)))
             self._await_ready([NETWORK])
@@ -379,8 +377,9 @@ class Processes(RunMonitor):
                     pass  # ends that this stop has caused are no events
                 self._remove_files()
                 return
-            for names in ([PHYSICS], [NETWORK, *vehicles], [RADIO, PREFORK]):
-                if NETWORK in names and PREFORK in self._found:
+            # programs first: their last packets are to cross the channel
+            for names in ([NETWORK], [PHYSICS], vehicles, [RADIO, PREFORK]):
+                if names is vehicles and PREFORK in self._found:
                     self._supervisor.continue_or_kill(PREFORK, after_forks_s=ENDS_LIMIT_S)
                 forced += self._supervisor.end(names, grace_s=STOP_LIMIT_S)
             self.forced = (*forced, *self._supervisor.stop())

@@ -227,7 +227,9 @@ class RunMonitor:
 
     def _is_needed(self, name: str) -> bool:
         """Whether the run fails if that process ends: another autopilot's until all have connected, too."""
-        return name in (PHYSICS, RADIO, PREFORK, NETWORK) or (not self._connected and name in self._until_connected)
+        return name in (PHYSICS, RADIO, PREFORK, NETWORK) or (
+            not self._connected and name in self._until_connected
+        )
 
     def cause_of(self, name: str, exited: Exited) -> str:
         """Return a line for the end of a process that is needed, or for that of the radio, its cause."""

@@ -39,6 +39,7 @@ def network_config(scenario: Scenario, endpoint: RadioEndpoint, *, run_id: str, 
         stations=tuple(range(scenario.agents)),
         programs=tuple(
             ProgramConfig(
+                name=program.name,
                 station=uav,
                 command=program.command_of(uav),
                 environment=program.environment_of(uav),
@@ -49,8 +50,6 @@ def network_config(scenario: Scenario, endpoint: RadioEndpoint, *, run_id: str, 
             for uav, program in placed_programs(scenario)
         ),
         window_packets=scenario.radio.queue_frames,
-        mtu_bytes=scenario.network.mtu,
-        late_ms=scenario.network.late_ms,
     )
 
 

@@ -15,16 +15,12 @@ UAV = "{uav}"
 """Stands for the vehicle's number in commands and environments."""
 
 
-class NetworkConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class NetworkTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The ``[network]`` table: the network namespaces of the vehicles."""
 
     enabled: bool = False
     """Every vehicle has a network namespace, whose interface ``wlan0`` is on the emulated channel, also
     without ``[[programs]]``, which imply it."""
-    mtu: Annotated[int, Meta(ge=1_280, le=2_296)] = 1_500
-    """Longest IP packet of ``wlan0``, bytes; IPv6 needs 1280."""
-    late_ms: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 20.0
-    """Wall time after which a packet counts as late at its receiver, milliseconds."""
 
 
 class VehicleProgram(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -42,8 +38,8 @@ class VehicleProgram(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """``at_once``: before the flight; ``armed``: when its vehicle is armed first; ``formed``: when the
     formation is reached."""
     restart: Literal["never", "on_failure", "always"] = "never"
-    """Whether a program that has ended is started again, 1 s later and with each failure twice as late up to
-    30 s."""
+    """Whether a program that has ended is started again: after 0.5 s, and twice as late each time up to 10 s;
+    after 10 s without an end the first delay is valid again."""
     folder: str = ""
     """Working folder; "": that of the scenario's file."""
 

@@ -36,7 +36,7 @@ from harness.scenario import airframe_choice, autopilot_settings, formation_shap
 from harness.scenario import programs as vehicle_programs
 from harness.scenario.airframe_choice import VehicleTable
 from harness.scenario.formation_shape import FormationConfig
-from harness.scenario.programs import NetworkConfig, VehicleProgram
+from harness.scenario.programs import NetworkTable, VehicleProgram
 from harness.world.faults import MOST_TIME_S, AnyFault, check
 from harness.world.physics.environment import EnvironmentConfig
 from harness.world.sensors.config import SensorsConfig
@@ -206,7 +206,7 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Elements, feeds and solver of the antenna."""
     ports: PortsConfig = PortsConfig()
     """TCP and UDP ports."""
-    network: NetworkConfig = NetworkConfig()
+    network: NetworkTable = NetworkTable()
     """Network namespaces of the vehicles."""
     programs: tuple[VehicleProgram, ...] = ()
     """Unmodified programs on the vehicles: tables ``[[programs]]``."""

@@ -8,43 +8,13 @@ limit.
 from collections.abc import Collection, Iterable, Iterator
 
 from netsim.network.ethernet import access_category, build, parse
+from netsim.transport.packet_pace import Lateness
 from netsim.wire.addresses import is_group, mac_address, station_of
 from netsim.wire.messages import Station
 from netsim.wire.packets import MAX_PACKET_BYTES, ReceivedPacket, ReceivedPackets, SentPacket
 
 WINDOW_PACKETS = 64
 """Default of ``window_packets``, the length of a radio's queue."""
-LATE_NS = 20_000_000
-"""Lateness above which a packet counts as late."""
-
-
-class Lateness:
-    """Delays of packets after the time at which they were due, wall time."""
-
-    def __init__(self) -> None:
-        self.count = 0
-        self.late_count = 0
-        """Those that came more than `LATE_NS` after their time."""
-        self.largest_ns = 0
-        self.sum_ns = 0
-
-    def add(self, delay_ns: int) -> None:
-        """Add a packet; one that came before its time has no delay."""
-        delay_ns = max(delay_ns, 0)
-        self.count += 1
-        self.late_count += delay_ns > LATE_NS
-        self.largest_ns = max(self.largest_ns, delay_ns)
-        self.sum_ns += delay_ns
-
-    @property
-    def counters(self) -> dict[str, int | float]:
-        """Return the numbers of packets and late packets, and the mean and largest delay in milliseconds."""
-        return {
-            "packets": self.count,
-            "late": self.late_count,
-            "mean_ms": round(self.sum_ns / self.count / 1e6, 3) if self.count else 0.0,
-            "largest_ms": round(self.largest_ns / 1e6, 3),
-        }
 
 
 class Bridge:

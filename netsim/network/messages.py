@@ -10,7 +10,7 @@ from netsim.wire.messages import Station
 
 NAME = "network"
 """Name of the process in its events."""
-Restart = Literal["never", "on-failure", "always"]
+Restart = Literal["never", "on_failure", "always"]
 Index = Annotated[int, Meta(ge=0)]
 """Position of a program in `NetworkConfig.programs`."""
 
@@ -18,6 +18,7 @@ Index = Annotated[int, Meta(ge=0)]
 class ProgramConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A program on a vehicle."""
 
+    name: str
     station: Station
     command: Annotated[tuple[str, ...], Meta(min_length=1)]
     """Program and arguments, without a shell; the program is searched in PATH."""
@@ -71,6 +72,7 @@ class ProgramEnded(Struct, frozen=True, kw_only=True, tag="program ended", tag_f
     """A program has ended."""
 
     program: int
+    name: str
     station: int
     returncode: int
     """Exit status, or minus the signal that killed it; 126 and 127 as of a shell: it cannot be executed, it
@@ -78,6 +80,8 @@ class ProgramEnded(Struct, frozen=True, kw_only=True, tag="program ended", tag_f
     ran_s: float
     restart_in_s: float | None = None
     """Wall time after which it is started again; None: it is not"""
+    was_stopped: bool = False
+    """Whether it ended after the command to stop"""
 
 
 def check(config: NetworkConfig) -> None:

@@ -27,7 +27,7 @@ def restart_delay_s(restart: Restart, returncode: int, ran_s: float, last_delay_
 
     ``last_delay_s`` is that before its last start, 0 for none.
     """
-    if restart == "never" or (restart == "on-failure" and returncode == 0):
+    if restart == "never" or (restart == "on_failure" and returncode == 0):
         return None
     if ran_s >= STEADY_S or last_delay_s <= 0.0:
         return FIRST_DELAY_S
@@ -148,8 +148,9 @@ class Programs:
             program.delay_s, program.wall_due_s = delay_s, wall_s + delay_s
         self._report(
             ProgramEnded(
-                program=program.index, station=program.config.station, returncode=returncode, ran_s=ran_s,
-                restart_in_s=delay_s,
+                program=program.index, name=program.config.name, station=program.config.station,
+                returncode=returncode, ran_s=ran_s, restart_in_s=delay_s,
+                was_stopped=self._wall_kill_s is not None,
             )
         )  # fmt: skip
 

@@ -1,7 +1,12 @@
-"""Run a command on a vehicle of a running swarm, from another process of the same user."""
+"""Run a command on a vehicle of a running swarm, from another process of the same user.
+
+``python -m netsim.network.vehicle_entry HOLDER_PID COMMAND ...``: a program of its own, because a process
+with several threads cannot enter a user namespace, and numerical libraries start threads.
+"""
 
 import os
 import signal
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -36,3 +41,17 @@ def enter_vehicle(holder_pid: int, command: Sequence[str]) -> int:
         signal.signal(number, signal.SIG_IGN)
     status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
     return status if status >= 0 else 128 - status
+
+
+def main() -> int:
+    """Run the command of the arguments; returns its exit status, or 2 with one line on stderr."""
+    holder_pid, *command = sys.argv[1:]
+    try:
+        return enter_vehicle(int(holder_pid), command)
+    except OSError as error:
+        os.write(2, f"coflight: the vehicle cannot be entered: {error.strerror}\n".encode())
+        return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -39,7 +39,7 @@ class Lateness:
         self.count = 0
         self.late = 0
         """Number that were later than `LATE_MS`."""
-        self.latest_ms = 0.0
+        self.largest_ms = 0.0
         self.sum_ms = 0.0
 
     def add(self, late_ns: float) -> None:
@@ -47,15 +47,15 @@ class Lateness:
         late_ms = max(0.0, late_ns / _NS_PER_MS)
         self.count += 1
         self.late += late_ms > LATE_MS
-        self.latest_ms = max(self.latest_ms, late_ms)
+        self.largest_ms = max(self.largest_ms, late_ms)
         self.sum_ms += late_ms
 
     @property
     def counters(self) -> dict[str, float]:
-        """Counters by name; ``late`` packets are later than `LATE_MS`."""
+        """Numbers of packets and of those later than `LATE_MS`, and the mean and largest lateness, ms."""
         return {
-            "count": self.count,
+            "packets": self.count,
             "late": self.late,
-            "latest_ms": round(self.latest_ms, 3),
-            "sum_ms": round(self.sum_ms, 3),
+            "mean_ms": round(self.sum_ms / self.count, 3) if self.count else 0.0,
+            "largest_ms": round(self.largest_ms, 3),
         }

@@ -214,12 +214,12 @@ def test_programs_see_only_their_vehicle_and_the_host_keeps_its_interfaces():
 
 def test_statuses_of_programs_and_their_restarts():
     programs = [
-        (0, ["sh", "-c", "exit 3"], {"restart": "on-failure"}),
+        (0, ["sh", "-c", "exit 3"], {"restart": "on_failure"}),
         (0, ["sh", "-c", "kill -9 $$"]),
         (1, ["/no/such/program"]),
         (1, ["/etc/passwd"]),
         (1, ["true"], {"log_path": "/no/such/folder/log"}),
-        (1, ["true"], {"restart": "on-failure"}),
+        (1, ["true"], {"restart": "on_failure"}),
     ]
     with programs_on_vehicles(programs) as (_, host):
         host.start()

@@ -152,7 +152,7 @@ class HostProcess:
 
     def _program(self, index, station, command, more=None):
         settings = {"log_path": str(self.folder / f"{index}.log"), "folder": str(self.folder)} | (more or {})
-        return ProgramConfig(station=station, command=tuple(command), **settings)
+        return ProgramConfig(name="program", station=station, command=tuple(command), **settings)
 
     def _read(self):
         for line in self.process.stdout:

@@ -62,7 +62,6 @@ def test_scenario_without_programs_has_no_network(path):
             "ports.radio_link=tcp",
             "ports.radio_link: network namespaces reach the emulator by its Unix socket",
         ),
-        ("network.mtu=1000", "network.mtu: expected `int` >= 1280"),
     ],
 )
 def test_wrong_field_is_named(path, override, line):

@@ -16,9 +16,9 @@ from netsim.network.wakeable_queue import WakeableQueue
     ("restart", "returncode", "restarts"),
     [
         ("never", 1, False),
-        ("on-failure", 0, False),
-        ("on-failure", 1, True),
-        ("on-failure", -9, True),
+        ("on_failure", 0, False),
+        ("on_failure", 1, True),
+        ("on_failure", -9, True),
         ("always", 0, True),
     ],
 )
@@ -36,7 +36,9 @@ def test_delay_doubles_up_to_a_limit_and_begins_again():
 
 
 def config(**changes):
-    program = ProgramConfig(**{"station": 1, "command": ("true",), "log_path": "log"} | changes)
+    program = ProgramConfig(
+        **{"name": "true", "station": 1, "command": ("true",), "log_path": "log"} | changes
+    )
     user = {"user": "u", "password": "p"}
     return NetworkConfig(run_id="r", endpoint="e", **user, stations=(0, 1), programs=(program,))
 

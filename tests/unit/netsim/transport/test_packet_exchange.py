@@ -126,9 +126,9 @@ def test_a_packet_is_on_the_air_when_it_is_read_and_published_when_it_is_receive
     assert world.wall_ns == WALL_NS + 1_000 * STEP_US  # not before the interval's end is due
     counters = world.exchange.counters
     assert (counters["sent"], counters["dropped"]) == (1, 0)
-    assert counters["transmissions"] == {"count": 1, "late": 0, "latest_ms": 0.0, "sum_ms": 0.0}
-    assert counters["receptions"]["count"] == 1
-    assert counters["receptions"]["latest_ms"] <= 0.2
+    assert counters["transmissions"] == {"packets": 1, "late": 0, "mean_ms": 0.0, "largest_ms": 0.0}
+    assert counters["receptions"]["packets"] == 1
+    assert counters["receptions"]["largest_ms"] <= 0.2
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0, 4.0])
@@ -150,7 +150,7 @@ def test_an_unpaced_interval_places_packets_at_its_beginning_and_publishes_at_it
     assert {each.due_ns for _, each in world.received} == {0}
     assert len(world.published) == 1
     assert world.wall_ns == WALL_NS
-    assert world.exchange.counters["receptions"]["count"] == 0
+    assert world.exchange.counters["receptions"]["packets"] == 0
     world.arrive(WALL_NS, packet(WALL_NS, payload=b"c"))
     world.advance(paced=False)
     assert [each.payload for _, each in world.received] == [b"a", b"b", b"c"]
@@ -168,9 +168,9 @@ def test_a_late_interval_does_not_wait_and_keeps_the_packets_places():
         assert received.due_ns - read_ns == pytest.approx(68_000, abs=100)
         assert published_ns == WALL_NS + 100_000_000
     receptions = world.exchange.counters["receptions"]
-    assert (receptions["count"], receptions["late"]) == (2, 2)
-    assert receptions["latest_ms"] == pytest.approx(95.0, abs=0.1)
-    assert receptions["sum_ms"] == pytest.approx(95.0 + 75.0, abs=0.2)
+    assert (receptions["packets"], receptions["late"]) == (2, 2)
+    assert receptions["largest_ms"] == pytest.approx(95.0, abs=0.1)
+    assert receptions["mean_ms"] == pytest.approx((95.0 + 75.0) / 2, abs=0.1)
 
 
 def test_a_packet_that_arrives_late_is_placed_at_the_present_and_counted():
@@ -182,8 +182,8 @@ def test_a_packet_that_arrives_late_is_placed_at_the_present_and_counted():
     ((_, received),) = world.received
     assert received.due_ns == pytest.approx(WALL_NS + 28_068_000, abs=1_000)
     transmissions = world.exchange.counters["transmissions"]
-    assert (transmissions["count"], transmissions["late"]) == (1, 1)
-    assert transmissions["latest_ms"] == pytest.approx(24.0, abs=0.01)
+    assert (transmissions["packets"], transmissions["late"]) == (1, 1)
+    assert transmissions["largest_ms"] == pytest.approx(24.0, abs=0.01)
 
 
 def test_a_packet_read_after_the_interval_waits_for_the_next():
@@ -313,4 +313,4 @@ def test_lateness_counts_what_is_later_than_20_ms():
     lateness = Lateness()
     for late_ns in (-5e6, 1e6, 20e6, 21.5e6):
         lateness.add(late_ns)
-    assert lateness.counters == {"count": 4, "late": 1, "latest_ms": 21.5, "sum_ms": 42.5}
+    assert lateness.counters == {"packets": 4, "late": 1, "mean_ms": 10.625, "largest_ms": 21.5}
