@@ -41,7 +41,7 @@ from harness.launch.in_process_flight import InProcessFlight
 from harness.launch.process_commands import PHYSICS, RADIO, uav
 from harness.launch.processes import Processes
 from harness.launch.run_messages import Message, SetupError, SwarmError, SwarmTimeoutError
-from harness.launch.supervisor import Exited, Supervisor
+from harness.launch.supervisor import ChildCommand, Exited, Supervisor
 from harness.launch.swarm import Swarm
 from harness.launch.swarm_settings import Speed
 from harness.records.run_folder import PhysicsConfig, RunFolder
@@ -50,6 +50,7 @@ from harness.simulator.messages import AnyCommand
 from harness.simulator.server import obey
 from harness.world.faults import AnyFault
 from netsim.model.config import ServerConfig
+from netsim.network.messages import StartPrograms
 
 NAME = "one process"
 """Name of the process in manifest and logs."""
@@ -145,9 +146,10 @@ class _ThreadSupervisor(Supervisor):
         """Id of this process."""
         return {} if self._thread is None else {NAME: os.getpid()}
 
-    def send(self, name: str, command: AnyCommand) -> None:  # noqa: ARG002  there is only one child
+    def send(self, name: str, command: ChildCommand) -> None:  # noqa: ARG002  there is only one child
         """Send the flight a command."""
-        self._inbox.put(command)
+        if not isinstance(command, StartPrograms):  # there is no network in one process
+            self._inbox.put(command)
 
     def kill(self, name: str, *, after_trace: bool = False) -> None:  # noqa: ARG002  it is no process
         """End a vehicle at once; the simulation reports it as lost in the next step."""

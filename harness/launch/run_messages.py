@@ -8,6 +8,7 @@ from foundation.processes.child_protocol import Warned
 from harness.launch.kernel_cache import CompileProgress
 from harness.launch.supervisor import ChildMessage, Exited
 from harness.simulator.messages import AnyEvent
+from netsim.network.messages import ProgramEnded
 
 
 class ProcessNotice(Struct, frozen=True, kw_only=True):
@@ -23,7 +24,7 @@ class Compiling(Struct, frozen=True, kw_only=True):
 
 
 Message = ChildMessage | Exited | ProcessNotice | Compiling
-RunEvent = AnyEvent | Warned | Exited
+RunEvent = AnyEvent | Warned | Exited | ProgramEnded
 
 
 class SwarmError(Exception):

@@ -19,6 +19,7 @@ from harness.launch.supervisor import Exited, Supervisor, SupervisorError
 from harness.records.run_folder import RunFolder
 from harness.simulator.emulator_client import GONE, UNANSWERED
 from harness.simulator.messages import ApplicationLost, Formed, Paused, Progress, Waiting
+from netsim.network.messages import ProgramStarted
 
 CAUSE_LIMIT_S = 0.3
 """Wall time after the end of a process within which that of another is found, which may be its cause."""
@@ -208,7 +209,7 @@ class RunMonitor:
                     self._watch.on_progress(RADIO)
                 self.simulated_us = message.time_us
                 self.wall_paused_s = message.wall_paused_s
-            case Waiting():
+            case Waiting() | ProgramStarted():
                 pass
             case _:
                 self.events.append(message)

@@ -76,6 +76,7 @@ class Exited(Struct, frozen=True, kw_only=True):
         return f"{self.name} (pid {self.pid}) {ending(self.returncode)}"
 
 
+ChildCommand = AnyCommand | StartPrograms
 ChildMessage = Ready | Finished | Influenced | Warned | ProgramStarted | ProgramEnded | AnyEvent
 NamedMessage = tuple[str, ChildMessage | Exited]
 """A child's name, and an event of it or its end."""
@@ -326,7 +327,7 @@ class Supervisor:
         except queue.Empty:
             return None
 
-    def send(self, name: str, command: AnyCommand | StartPrograms) -> None:
+    def send(self, name: str, command: ChildCommand) -> None:
         """Write a command to a child's stdin. No effect if it has ended, which the queue reports.
 
         Raises SupervisorError for a child that was never started.

@@ -111,6 +111,6 @@ def read_holders(path: Path) -> dict[int, int]:
 
 def _is_running(holder: _Holder) -> bool:
     try:
-        return psutil.Process(holder.pid).create_time() == holder.started_s
+        return bool(psutil.Process(holder.pid).create_time() == holder.started_s)
     except psutil.Error:
         return False
