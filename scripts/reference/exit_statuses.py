@@ -94,6 +94,10 @@ STATUSES: Mapping[str, Mapping[int, str]] = {
         "cannot be written.",
         INTERRUPTED: "Ctrl-C before the whole run was sent.",
     },
+    "shell": {
+        FINE: "The shell or command has ended with 0; any other status is that of it, 128 + n for signal n.",
+        BAD_INPUT: "There is no running swarm with a network, or no such vehicle.",
+    },
     "export": {
         FINE: "The deck, the table or the MCAP file is written.",
         BAD_INPUT: "The folder is not of a run that has ended, there is no antenna at that time, or the "

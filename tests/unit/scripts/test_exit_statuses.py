@@ -23,7 +23,7 @@ WRONG = {
     "study article": "--seeds 0", "study vehicle-cost": "--repeats 0", "study radio-cost": "--rate-mbps 7",
     "study chaos": "--flights 0",
     "export": "no-such-run --time 1", "scenarios": "none",
-    "replay": "no-such-run",
+    "replay": "no-such-run", "shell": "0 --run no-such-run",
 }  # fmt: skip
 """Arguments that each command refuses."""
 COMPUTED = {

@@ -16,7 +16,7 @@ def test_the_socket_folder_is_removed_if_the_guests_file_cannot_be(
     guest_access = tmp_path / "guests.json"
     guest_access.mkdir()  # which cannot be unlinked
     scenario: Any = SimpleNamespace(
-        ports=SimpleNamespace(radio_link="unix"), radio=SimpleNamespace(guests=())
+        ports=SimpleNamespace(radio_link="unix"), radio=SimpleNamespace(guests=()), has_network=False
     )
     folder: Any = SimpleNamespace(guest_access=guest_access, radio_config=lambda *_, **__: None)
     link = RadioLink(scenario, folder, run_id="r")
