@@ -63,7 +63,8 @@ def shell(
 
 def _newest() -> Path:
     """Return the folder of the swarm in ``runs/`` that was started last."""
-    found = sorted(Path("runs").glob(f"*/{NETWORK_FILE}"), key=lambda path: path.stat().st_mtime)
+    files = sorted(Path("runs").glob(f"*/{NETWORK_FILE}"), key=lambda path: path.stat().st_mtime)
+    found = [path for path in files if read_holders(path)]  # a killed launcher leaves its file
     if not found:
         raise _NoVehicle("runs/: no running swarm with [[programs]] or [network]; name its folder by --run")
     return found[-1].parent

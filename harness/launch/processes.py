@@ -56,6 +56,7 @@ from harness.simulator.messages import (
     VehicleLost,
 )
 from netsim.network.messages import StartPrograms
+from netsim.network.namespaces import why_not
 
 START_LIMIT_S = 120.0
 """Wall time within which every process must be ready."""
@@ -166,6 +167,8 @@ class Processes(RunMonitor):
         a process that fails.
         """
         try:
+            if self._scenario.has_network and (reason := why_not()) is not None:
+                raise SetupError(reason)
             self._running = True
             self._folder.create()  # first: an error after the kernels are compiled would be late
             free_bytes = shutil.disk_usage(self._folder.path).free
@@ -377,7 +380,7 @@ class Processes(RunMonitor):
                     pass  # ends that this stop has caused are no events
                 self._remove_files()
                 return
-            # programs first: their last packets are to cross the channel
+            # programs first: without the clock their packets would wait
             for names in ([NETWORK], [PHYSICS], vehicles, [RADIO, PREFORK]):
                 if names is vehicles and PREFORK in self._found:
                     self._supervisor.continue_or_kill(PREFORK, after_forks_s=ENDS_LIMIT_S)
@@ -385,7 +388,7 @@ class Processes(RunMonitor):
             self.forced = (*forced, *self._supervisor.stop())
             self._remove_files()
             self.drain()
-            kept = sorted((PHYSICS, RADIO), key=lambda name: name not in self._found)  # causes first
+            kept = sorted((PHYSICS, RADIO, NETWORK), key=lambda name: name not in self._found)  # causes first
             self.records_lost = next(filter(None, map(self._incomplete, kept)), None)
             if self.records_lost is not None:
                 self.note_failure(self.records_lost)

@@ -21,11 +21,16 @@ def speed_factor(speed: Speed) -> float:
     return float(speed)
 
 
+LEAST_PACED_SPEED = 0.001
+"""With it a step takes 4 s of wall time, half of the time within which the emulator must answer."""
+
+
 def check_speed(scenario: Scenario, factor: float) -> None:
-    """Raise SetupError for a factor 0, as fast as possible, of a scenario with programs in wall time."""
-    if scenario.has_network and factor == 0.0:
+    """Raise SetupError for a factor with which programs cannot live in wall time; 0 is without a pace."""
+    if scenario.has_network and factor < LEAST_PACED_SPEED:
+        given = f"{factor:g}" if factor else "max"
         raise SetupError(
-            "speed max: [[programs]] and [network] need wall time; expected a factor, such as 1 or 0.5"
+            f"speed {given}: [[programs]] and [network] need wall time; expected a factor, such as 1 or 0.5"
         )
 
 

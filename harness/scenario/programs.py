@@ -9,6 +9,7 @@ from msgspec import Meta, Struct
 UavNumber = Annotated[int, Meta(ge=0, le=253)]
 Word = Annotated[str, Meta(min_length=1, max_length=4_096, pattern=r"^[^\x00]*$")]
 """An argument of a command: Linux ends it at a NUL."""
+Text = Annotated[str, Meta(max_length=65_536, pattern=r"^[^\x00]*$")]
 VariableName = Annotated[str, Meta(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 Start = Literal["at_once", "armed", "formed"]
 UAV = "{uav}"
@@ -32,7 +33,7 @@ class VehicleProgram(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """Program and arguments; ``{uav}`` stands for the vehicle's number."""
     uav: Literal["all"] | UavNumber | tuple[UavNumber, ...] = "all"
     """Vehicles that it runs on."""
-    environment: dict[VariableName, str] = {}
+    environment: dict[VariableName, Text] = {}
     """Environment variables that are set or replaced; ``{uav}`` stands for the vehicle's number."""
     start: Start = "at_once"
     """``at_once``: before the flight; ``armed``: when its vehicle is armed first; ``formed``: when the
@@ -40,7 +41,7 @@ class VehicleProgram(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     restart: Literal["never", "on_failure", "always"] = "never"
     """Whether a program that has ended is started again: after 0.5 s, and twice as late each time up to 10 s;
     after 10 s without an end the first delay is valid again."""
-    folder: str = ""
+    folder: Text = ""
     """Working folder; "": that of the scenario's file."""
 
     def vehicles(self, agents: int) -> tuple[int, ...]:
@@ -63,7 +64,10 @@ def check(programs: tuple[VehicleProgram, ...], agents: int) -> None:
     numbers: dict[str, int] = {}
     for number, program in enumerate(programs):
         path = f"programs[{number}]"
-        for uav in program.vehicles(agents):
+        vehicles = program.vehicles(agents)
+        if not vehicles or len(set(vehicles)) < len(vehicles):
+            raise ValueError(f"{path}.uav: expected one or more UAVs, each once")
+        for uav in vehicles:
             if uav >= agents:
                 raise ValueError(f"{path}.uav: there is no UAV {uav} among {agents}")
         other = numbers.setdefault(program.name, number)

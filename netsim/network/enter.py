@@ -25,7 +25,7 @@ def main(arguments: list[str]) -> int:
         if options[1:]:
             os.chdir(options[2])
         os.setsid()
-        for number in (signal.SIGPIPE, signal.SIGXFSZ):  # Python ignores them, and a program would inherit it
+        for number in (signal.SIGINT, signal.SIGPIPE, signal.SIGXFSZ):  # ignored here, and it is inherited
             signal.signal(number, signal.SIG_DFL)
         os.execvp(command[0], command)  # noqa: S606  there is no shell
     except OSError as error:

@@ -181,6 +181,7 @@ def run(config_path: Path, outer_proc: int, *, pid: int, supervised: bool) -> No
     """
     config = msgspec.json.decode(config_path.read_bytes(), type=NetworkConfig)
     check(config)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a program could send it; the end comes as a command
     networks = make_networks(config.stations, outer_proc)  # before there are other threads
     inbox: WakeableQueue[Command] = WakeableQueue()
     transport = Transport.connect(config.endpoint, User(config.user, config.password))

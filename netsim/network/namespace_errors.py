@@ -26,7 +26,8 @@ def explained(error: OSError, what: str, read: Callable[[str], str | None] | Non
     ``read`` returns the stripped text of a file, None if there is none.
     """
     remedy = _remedy(error.errno, read or _read)
-    return NamespaceError(f"no {what} for the vehicles' programs: {in_words(error)}{remedy}")
+    cause = "a limit is reached" if error.errno == errno.ENOSPC else in_words(error)
+    return NamespaceError(f"no {what} for the vehicles' programs: {cause}{remedy}")
 
 
 def _remedy(number: int | None, read: Callable[[str], str | None]) -> str:
@@ -37,7 +38,7 @@ def _remedy(number: int | None, read: Callable[[str], str | None]) -> str:
         if read(f"/proc/sys/{name.replace('.', '/')}") == "0":
             return f"; {name} is 0: sudo sysctl {name}=10000"
     if number == errno.ENOSPC:
-        return "; a limit is reached: see sysctl user.max_user_namespaces and user.max_net_namespaces"
+        return "; see sysctl user.max_user_namespaces and user.max_net_namespaces"
     if number in {errno.EINVAL, errno.ENOSYS}:
         return "; the kernel has no such namespaces (CONFIG_USER_NS, CONFIG_NET_NS, CONFIG_PID_NS)"
     if read("/proc/sys/kernel/apparmor_restrict_unprivileged_userns") == "1":

@@ -73,9 +73,27 @@ def run_as_first_process(main: Callable[[int], int]) -> int:
         return main(outer_proc)
     os.close(alive)
     os.close(outer_proc)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # PID 1 receives it too
-    status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
-    return status if status >= 0 else 128 - status
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # PID 1 ends by a command
+    return _status_of(pid)
+
+
+def _status_of(pid: int) -> int:
+    """Return the exit status of PID 1, or end by the signal that killed it; stop when it is stopped.
+
+    So a supervisor that looks at this process sees the state of PID 1.
+    """
+    while True:
+        status = os.waitpid(pid, os.WUNTRACED)[1]
+        if os.WIFSTOPPED(status):
+            os.kill(os.getpid(), signal.SIGSTOP)
+            os.kill(pid, signal.SIGCONT)
+        elif os.WIFSIGNALED(status):
+            number = os.WTERMSIG(status)
+            if number != signal.SIGKILL:
+                signal.signal(number, signal.SIG_DFL)
+            os.kill(os.getpid(), number)
+        else:
+            return os.waitstatus_to_exitcode(status)
 
 
 def outer_pid(outer_proc: int) -> int:

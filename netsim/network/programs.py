@@ -19,6 +19,16 @@ FIRST_DELAY_S, LONGEST_DELAY_S = 0.5, 10.0
 STEADY_S = 10.0
 """Wall time after which a program counts as running: the next delay is the first again."""
 _NAMESPACE_FD = 3
+_KILL_PERIOD_S = 0.05
+"""Wall time between two attempts to kill what has not ended."""
+_OWN_VARIABLES = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "PYTHONFAULTHANDLER",
+    "NUMBA_CACHE_DIR",
+    "ZENOH_RUNTIME",
+)
+"""Settings of coflight's processes, which programs do not inherit."""
 Report = Callable[[ProgramStarted | ProgramEnded], None]
 
 
@@ -77,7 +87,7 @@ class Programs:
 
     @property
     def wall_due_s(self) -> float | None:
-        """Return the wall time at which `continue_` is to be called next; None: at no particular time."""
+        """Return the wall time at which `update` is to be called next; None: at no particular time."""
         if self._wall_kill_s is not None:
             return self._wall_kill_s
         return min((each.wall_due_s for each in self._programs if each.wall_due_s is not None), default=None)
@@ -89,6 +99,7 @@ class Programs:
         if self._wall_kill_s is not None:
             if wall_s >= self._wall_kill_s:
                 _signal_all(signal.SIGKILL)
+                self._wall_kill_s = wall_s + _KILL_PERIOD_S
             return
         for program in self._programs:
             if program.wall_due_s is not None and wall_s >= program.wall_due_s:
@@ -165,7 +176,7 @@ def _spawn(config: ProgramConfig, namespace_fd: int) -> int:
         return os.posix_spawn(
             sys.executable,
             [*python, *folder, "--", *config.command],
-            os.environ | config.environment,
+            inherited_environment() | config.environment,
             file_actions=(
                 (os.POSIX_SPAWN_OPEN, 0, os.devnull, os.O_RDONLY, 0),
                 (os.POSIX_SPAWN_DUP2, log, 1),
@@ -176,6 +187,11 @@ def _spawn(config: ProgramConfig, namespace_fd: int) -> int:
         )
     finally:
         os.close(log)
+
+
+def inherited_environment() -> dict[str, str]:
+    """Return the environment of this process without coflight's own settings."""
+    return {name: text for name, text in os.environ.items() if name not in _OWN_VARIABLES}
 
 
 def _write_reason(log_path: str, error: OSError) -> None:

@@ -30,15 +30,33 @@ def enter_vehicle(holder_pid: int, command: Sequence[str]) -> int:
         set_namespace(namespace)
         os.close(namespace)
     os.chdir(folder)  # the mount namespace has set it to the root
-    pid = os.fork()  # a PID namespace holds the children of the process that enters it
+    # The PID namespace, which holds the children of the process that enters it, ends when all of them are
+    # reaped. The kernel reaps this one by itself, also while this process is stopped.
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    for number in (signal.SIGINT, signal.SIGQUIT):  # they are the command's
+        signal.signal(number, signal.SIG_IGN)
+    reader, writer = os.pipe()
+    if os.fork() == 0:
+        os.close(reader)
+        os.write(writer, bytes([_run(command)]))
+        os._exit(0)
+    os.close(writer)
+    status = os.read(reader, 1)
+    return status[0] if status else 128 + signal.SIGKILL
+
+
+def _run(command: Sequence[str]) -> int:
+    """Run a command as a child of this process and return its exit status, 128 + n for signal n."""
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    pid = os.fork()
     if pid == 0:
+        for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGPIPE):
+            signal.signal(number, signal.SIG_DFL)
         try:
             os.execvp(command[0], list(command))  # noqa: S606  there is no shell
         except OSError as error:
             os.write(2, f"{command[0]}: {error.strerror}\n".encode())
             os._exit(NOT_FOUND if isinstance(error, FileNotFoundError) else CANNOT_EXECUTE)
-    for number in (signal.SIGINT, signal.SIGQUIT):  # they are the command's
-        signal.signal(number, signal.SIG_IGN)
     status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
     return status if status >= 0 else 128 - status
 

@@ -31,8 +31,9 @@ logger = logging.getLogger(__name__)
 MOST_WAITING_PACKETS = 1_024
 """Most packets of a station that wait to leave its radio; further ones are dropped and counted."""
 MOST_WAITING_MESSAGES = 4_096
-MOST_WAITING_BYTES = 1 << 26
-"""Most messages that wait for the emulator, and their bytes; further ones are dropped and counted."""
+MOST_WAITING_BYTES = 1 << 28
+"""Most messages that wait for the emulator, beside one for each packet in the interfaces' windows, and their
+bytes; further ones are dropped and counted. Their packets would never leave the windows."""
 LONGEST_SENT_BYTES = 64 * (MAX_PACKET_BYTES + 64)
 """Longest accepted message: 64 packets of greatest length."""
 LONGEST_RECEIVED_BYTES = 48_000

@@ -109,7 +109,7 @@ class Server:
         transport = self._transport
         inbox = transport.inbox(
             packets_sent_key(config.run_id),
-            most_waiting=MOST_WAITING_MESSAGES,
+            most_waiting=MOST_WAITING_MESSAGES + config.stations * config.radio.queue_frames,
             most_bytes=MOST_WAITING_BYTES,
         )
         return PacketExchange(

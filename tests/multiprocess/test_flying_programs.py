@@ -5,12 +5,13 @@ import subprocess
 import sys
 import time
 
+import psutil
 import pyarrow.parquet as pq
 import pytest
 from paths import ROOT
 
 from harness.cli.progress import describe
-from harness.launch.swarm import Swarm
+from harness.launch.swarm import Swarm, SwarmError
 from netsim.network.interfaces import link_local_address
 from netsim.network.namespaces import why_not
 
@@ -104,6 +105,20 @@ def test_programs_that_fail_are_named_and_restarted(tmp_path):
     assert not any("SIGTERM" in line for line in lines), lines
     log = (tmp_path / "run" / "logs" / "uav-1-failing.log").read_text()
     assert log.count("started") >= 2
+
+
+def test_stopped_network_ends_the_run(tmp_path):
+    path = tmp_path / "network.toml"
+    path.write_text("agents = 2\n[network]\nenabled = true\n")
+    with Swarm(path, speed=1, out=tmp_path / "run") as swarm:
+        swarm.run(until_s=0.5)
+        (first,) = psutil.Process(swarm.pids["network"]).children()
+        first.suspend()
+        with pytest.raises(SwarmError, match=r"network .* is stopped"):
+            swarm.run(until_s=30.0)
+        swarm.stop()
+        assert swarm.leftovers() == []
+    assert not first.is_running() or first.status() == psutil.STATUS_ZOMBIE
 
 
 def test_shell_enters_the_network_of_one_vehicle(tmp_path):

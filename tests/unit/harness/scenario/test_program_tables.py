@@ -54,6 +54,10 @@ def test_scenario_without_programs_has_no_network(path):
     ("override", "line"),
     [
         ("programs.0.uav=3", "programs[0].uav: there is no UAV 3 among 3"),
+        ("programs.0.uav=[1, 1]", "programs[0].uav: expected one or more UAVs, each once"),
+        ("programs.0.uav=[]", "programs[0].uav: expected one or more UAVs, each once"),
+        ('programs.0.environment={A = "a\\u0000"}', "programs[0].environment"),
+        ('programs.0.folder="a\\u0000"', "programs[0].folder"),
         ("programs.1.name=exchange", "programs[1].name: programs[0] is called exchange too"),
         ("programs.0.command=[]", "programs[0].command: expected `array` of length >= 1"),
         ("programs.0.start=later", "programs[0].start: invalid enum value 'later'"),
