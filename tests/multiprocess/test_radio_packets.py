@@ -105,7 +105,7 @@ def test_packets_cross_the_channel_in_real_time(radio):
     assert np.median(delays_ms) < 20.0
     assert details["influences"] == ["programs on the radio"]
     assert details["packets"]["sent"] == 50
-    assert details["packets"]["receptions"]["count"] == 50
+    assert details["packets"]["receptions"]["packets"] == 50
     assert details["counters"]["packets"] == {
         "outcomes": {"acknowledged": 50}, "delivered": 50, "lost_by_hosts": 0,
     }  # fmt: skip
