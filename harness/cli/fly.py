@@ -28,6 +28,7 @@ from harness.launch.interrupts import interruptible
 from harness.launch.profiling import profile_table
 from harness.launch.run_messages import SetupError, SwarmError
 from harness.launch.swarm import Swarm
+from harness.records.freed_memory import map_large_blocks
 from harness.records.run_folder import RunFolder
 from harness.scenario.scenario import Scenario, ScenarioError
 from harness.scenario.scenario_file import load
@@ -318,6 +319,7 @@ def _report(
     """
     interrupted = isinstance(broken_off, KeyboardInterrupt)
     messages.print("writing down what was flown" if interrupted else "computing patterns and figures")
+    map_large_blocks()
     try:
         summary = swarm.summary(
             draw=not interrupted, interrupted=interrupted and not endless, held=interrupted and endless

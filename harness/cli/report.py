@@ -21,6 +21,7 @@ from foundation.system_error import in_words
 from harness.campaign.store import TABLES, is_campaign
 from harness.cli.progress import summary_table
 from harness.launch.interrupts import interruptible
+from harness.records.freed_memory import map_large_blocks
 from harness.records.manifest import altered_tables
 from harness.records.run_folder import NotARun, RunFolder, read_scenario
 
@@ -56,6 +57,7 @@ def report(
     if not was_reported and folder.manifest.exists():
         from harness.report.report import finish_later  # noqa: PLC0415  slow to import, rarely needed
 
+        map_large_blocks()
         try:
             finish_later(folder)
         except OSError as error:

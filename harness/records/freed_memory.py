@@ -16,7 +16,7 @@ def map_large_blocks() -> None:
     """Allocate each large block of memory by itself from now on: its memory is returned when it is freed.
 
     Without this, glibc raises the limit with each large block that is freed, up to 32 MB, and the blocks
-    below it leave gaps.
+    below it leave gaps. For coflight's own commands: it concerns all of the process.
     """
     set_option = _glibc("mallopt")
     if set_option is not None:

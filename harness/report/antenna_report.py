@@ -108,11 +108,11 @@ def write(folder: RunFolder, aperture: Aperture, scenario: Scenario) -> None:
     if series is None or aperture.solver is None:
         return
     write_gains(folder.gains, series, scenario)
-    if not series.patterns:
+    median, snapshot = series.median_index, series.median_snapshot
+    if median is None or snapshot is None:
         return
-    median = series.median_index
     at = f"t = {series.time_us[median] * 1e-6:.3f} s, the instant of median maximum gain"
-    deck = deck_of(series.snapshots[median], config, series.patterns[median], comments=[at])
+    deck = deck_of(snapshot, config, series.patterns[median], comments=[at])
     folder.deck.write_text(deck, encoding="ascii")
     if config.keep_patterns:
         from antenna.analysis.dataset import to_dataset, write_dataset  # noqa: PLC0415  slow to import

@@ -1,7 +1,8 @@
 """The flown antenna array: its snapshots in the antenna's frame, and its gain over time."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -50,18 +51,13 @@ class GainSeries:
     """(K,)"""
     max_gain_dbi: Array
     """(K,)"""
-    snapshots: tuple[Snapshot, ...]
-    """K of them, in the antenna's frame."""
     patterns: tuple[Pattern, ...]
     """K of them."""
+    median_index: int | None
+    """Index of the instant with the median maximum gain; None if K is 0."""
+    median_snapshot: Snapshot | None
+    """The array at that instant, in the antenna's frame."""
     missing: tuple[MissingPattern, ...]
-
-    @property
-    def median_index(self) -> int:
-        """Index of the instant with the median maximum gain; raises ValueError if K is 0."""
-        if len(self.patterns) == 0:
-            raise ValueError("a series without patterns has no median")
-        return int(np.argsort(self.max_gain_dbi, kind="stable")[(len(self.patterns) - 1) // 2])
 
 
 def antenna_from_ned(heading_rad: float) -> Array:
@@ -149,37 +145,39 @@ def gain_series(
     """
     sampled = flight.sampled(config.snapshot_rate_hz)
     missing: list[MissingPattern] = []
-    made: list[tuple[int, Snapshot]] = []
+    found: list[tuple[int, Pattern]] = []
+    snapshots = _snapshots(sampled, config, missing)
+    while part := list(islice(snapshots, _AT_ONCE * max(2, workers))):
+        results = compute_patterns(config, [snapshot for _, snapshot in part], workers=workers)
+        for (t, _), result in zip(part, results, strict=True):
+            if isinstance(result, ElementsTouch):
+                time_us = int(sampled.time_us[t])
+                missing.append(MissingPattern(time_us, describe_touch(result, living(sampled, t))))
+            else:
+                found.append((t, result if with_grids else replace(result, **_NO_GRID)))
+    max_gain_dbi = np.array([pattern.max_gain_dbi for _, pattern in found])
+    median = int(np.argsort(max_gain_dbi, kind="stable")[(len(found) - 1) // 2]) if found else None
+    return GainSeries(
+        time_us=sampled.time_us[[t for t, _ in found]],
+        max_gain_dbi=max_gain_dbi,
+        patterns=tuple(pattern for _, pattern in found),
+        median_index=median,
+        median_snapshot=None if median is None else snapshot_at(sampled, found[median][0], config),
+        missing=tuple(sorted(missing, key=lambda instant: instant.time_us)),
+    )
+
+
+def _snapshots(
+    sampled: Flight, config: AntennaConfig, missing: list[MissingPattern]
+) -> Iterator[tuple[int, Snapshot]]:
+    """Yield index and array of each instant that has one; the others are added to ``missing``."""
     for t, time_us in enumerate(sampled.time_us.tolist()):
         try:
-            made.append((t, snapshot_at(sampled, t, config)))
+            yield t, snapshot_at(sampled, t, config)
         except ElementsTouch as touch:
             missing.append(MissingPattern(time_us, describe_touch(touch, living(sampled, t))))
         except NoFeed as error:
             missing.append(MissingPattern(time_us, str(error)))
-    found: list[tuple[int, Snapshot, Pattern]] = []
-    results: list[Pattern | ElementsTouch] = []
-    at_once = _AT_ONCE * max(2, workers)
-    for first in range(0, len(made), at_once):
-        snapshots = [snapshot for _, snapshot in made[first : first + at_once]]
-        for result in compute_patterns(config, snapshots, workers=workers):
-            if isinstance(result, Pattern) and not with_grids:
-                results.append(replace(result, **_NO_GRID))
-            else:
-                results.append(result)
-    for (t, snapshot), result in zip(made, results, strict=True):
-        time_us = int(sampled.time_us[t])
-        if isinstance(result, ElementsTouch):
-            missing.append(MissingPattern(time_us, describe_touch(result, living(sampled, t))))
-        else:
-            found.append((time_us, snapshot, result))
-    return GainSeries(
-        time_us=np.array([time_us for time_us, _, _ in found], dtype=np.int64),
-        max_gain_dbi=np.array([pattern.max_gain_dbi for _, _, pattern in found]),
-        snapshots=tuple(snapshot for _, snapshot, _ in found),
-        patterns=tuple(pattern for _, _, pattern in found),
-        missing=tuple(sorted(missing, key=lambda instant: instant.time_us)),
-    )
 
 
 def snapshot_at(flight: Flight, t: int, config: AntennaConfig) -> Snapshot:
@@ -227,9 +225,14 @@ def describe_touch(touch: ElementsTouch, vehicles: Sequence[int]) -> str:
 def figure_patterns(
     series: GainSeries, places_ned_m: Array, heading_rad: float, config: AntennaConfig
 ) -> tuple[Pattern, Pattern]:
-    """Return patterns of the ideal formation (N, 3) and of the median instant, on a grid for figures."""
+    """Return patterns of the ideal formation (N, 3) and of the median instant, on a grid for figures.
+
+    Raises ValueError for a series without patterns.
+    """
+    if series.median_snapshot is None:
+        raise ValueError("a series without patterns has no median")
     fine = structs.replace(config, grid_deg=min(config.grid_deg, FIGURE_GRID_DEG))
-    (flown,) = compute_patterns(fine, [series.snapshots[series.median_index]])
+    (flown,) = compute_patterns(fine, [series.median_snapshot])
     if isinstance(flown, ElementsTouch):
         raise flown
     return ideal_pattern(places_ned_m, heading_rad, fine), flown

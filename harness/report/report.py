@@ -23,7 +23,7 @@ from foundation.records.record_log import count, read, read_blocks, read_rows
 from foundation.records.whole_file import sha256_of, write_whole
 from harness.launch.interrupts import interrupts_deferred
 from harness.records.flight import Flight
-from harness.records.freed_memory import map_large_blocks, return_freed_memory
+from harness.records.freed_memory import return_freed_memory
 from harness.records.manifest import make_manifest, manifest_text, read_outcome
 from harness.records.outcome import RunOutcome
 from harness.records.run_folder import NotARun, RunFolder, read_raw_scenario
@@ -78,7 +78,6 @@ def finish(
     The raw logs are deleted once the manifest is complete, before the figures are drawn. Until then no table
     is left if an error or a signal ends it. Raises OSError if the folder cannot be written.
     """
-    map_large_blocks()
     try:
         results = _write_tables(folder, scenario, outcome)
         with interrupts_deferred():

@@ -17,6 +17,7 @@ import threading
 import time
 import weakref
 from collections.abc import Callable, Iterable, Sequence
+from typing import TypeAlias
 
 import psutil
 import zenoh
@@ -49,6 +50,7 @@ _MOST_PENDING = 10_000
 """Connections that the router holds before they have sent a user and password; Zenoh's default is 100."""
 _PENDING_LIMIT_MS = 2_000
 """Wall time after which it closes such a connection. A client tries again within `CONNECT_LIMIT_S`."""
+_Channel: TypeAlias = "zenoh.handlers.FifoChannel[zenoh.Sample] | zenoh.handlers.RingChannel[zenoh.Sample]"
 _CHANNEL_MESSAGES = 4_096
 MOST_WAITING = 64
 """Default number of queries that wait for the handler of a key. Each can hold a receive buffer of 64 KiB."""
@@ -272,12 +274,7 @@ class Transport:
     def inbox(self, key: str, *, most_waiting: int, most_bytes: int) -> Inbox:
         """Declare a subscriber whose messages a thread moves to an `Inbox`."""
         inbox = Inbox(most_waiting, most_bytes)
-        arriving: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(most_waiting)
-        subscriber = self._session.declare_subscriber(key, arriving)
-        name = f"receive {key}"
-        thread = threading.Thread(target=_move, args=(subscriber, inbox), name=name, daemon=True)
-        self._handlers.append(thread)
-        thread.start()
+        self._receive(key, zenoh.handlers.RingChannel(most_waiting), inbox.put)
         return inbox
 
     @property
@@ -301,11 +298,12 @@ class Transport:
 
     def subscribe(self, key: str, handler: Callable[[bytes], None]) -> None:
         """Call the handler with each message to ``key`` from now on, in order, in a thread of this key."""
-        arriving: zenoh.handlers.FifoChannel[zenoh.Sample] = zenoh.handlers.FifoChannel(_CHANNEL_MESSAGES)
+        self._receive(key, zenoh.handlers.FifoChannel(_CHANNEL_MESSAGES), handler)
+
+    def _receive(self, key: str, arriving: _Channel, handler: Callable[[bytes], None]) -> None:
         subscriber = self._session.declare_subscriber(key, arriving)
-        thread = threading.Thread(
-            target=_pass_on, args=(subscriber, handler), name=f"receive {key}", daemon=True
-        )
+        name = f"receive {key}"
+        thread = threading.Thread(target=_pass_on, args=(subscriber, handler), name=name, daemon=True)
         self._handlers.append(thread)
         thread.start()
 
@@ -320,12 +318,6 @@ def _handle(
     """Call the handler for each query until the session is closed."""
     for query in queryable.handler:
         handler(Question(query))
-
-
-def _move(subscriber: zenoh.Subscriber[zenoh.handlers.Handler[zenoh.Sample]], inbox: Inbox) -> None:
-    """Move the messages of a subscriber to an inbox until the session is closed."""
-    for sample in subscriber.handler:
-        inbox.put(sample.payload.to_bytes())
 
 
 def _end(session: zenoh.Session, threads: Iterable[threading.Thread]) -> None:

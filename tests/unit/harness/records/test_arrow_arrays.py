@@ -32,7 +32,8 @@ with ColumnFile(folder, layout, {name: (name, None) for name in layout.names}, r
     found.write(found.table(), folder / "table.parquet")
 missing = (MissingPattern(1, "a reason"),)
 series = GainSeries(
-    time_us=np.empty(0, np.int64), max_gain_dbi=np.empty(0), snapshots=(), patterns=(), missing=missing
+    time_us=np.empty(0, np.int64), max_gain_dbi=np.empty(0), patterns=(), median_index=None,
+    median_snapshot=None, missing=missing,
 )
 write_gains(folder / "gains.parquet", series, Scenario(name="one"))
 gain_density(np.arange(9.0))
