@@ -30,6 +30,7 @@ class Model(IntEnum):
     PATH_LOSS = 13
     ERROR_MODEL = 14
     ANTENNA = 15
+    SERIAL_RADIO = 16
 
 
 class FloatStream:
