@@ -20,7 +20,7 @@ _MOST_WAITING = 1_024
 
 @dataclass(slots=True)
 class FrameCounts:
-    """Counts of the frames between a vehicle and one ground station, at the vehicle's end."""
+    """Counts of the frames between a vehicle and a ground station, at one end."""
 
     sent: int = 0
     """Handed over to the radio, which has not reported all of them yet."""
@@ -28,6 +28,13 @@ class FrameCounts:
     lost: int = 0
     """Given up after the last retry, or too long in the queue, or not taken by it."""
     received: int = 0
+
+    def add(self, sent: Sent) -> None:
+        """Count the outcome of a frame."""
+        if sent.status == "acknowledged":
+            self.acknowledged += 1
+        else:
+            self.lost += 1
 
 
 class RadioCarrier:
@@ -63,11 +70,7 @@ class RadioCarrier:
                 counts.received += 1
                 self._received.append((item.payload, item.source))
             elif isinstance(item, Sent) and item.seq >= FIRST_SEQUENCE:
-                counts = self._counts[item.destination]
-                if item.status == "acknowledged":
-                    counts.acknowledged += 1
-                else:
-                    counts.lost += 1
+                self._counts[item.destination].add(item)
             else:
                 others.append(item)
         return others
