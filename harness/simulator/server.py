@@ -353,7 +353,7 @@ def serve(
             emulator = EmulatorClient(
                 AwaitedLine(line, emulator_watchdog),
                 period_us=scenario.onboard.loop_period_us,
-                asynchronous=bool(scenario.radio.guests) or scenario.has_network,
+                asynchronous=bool(scenario.channel.guests) or scenario.has_network,
                 pace=pacer.pace,
             )
         simulation = stack.enter_context(

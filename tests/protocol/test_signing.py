@@ -15,7 +15,8 @@ from autopilot.mavlink import signing
 from autopilot.mavlink.codec import Encoder, Parser, Sequences
 from autopilot.mavlink.codec import signed as sign_frame
 from autopilot.mavlink.counters import Counters
-from autopilot.mavlink.links import BROADCAST, UdpLink
+from autopilot.mavlink.partners import BROADCAST
+from autopilot.mavlink.udp_link import UdpLink
 from autopilot.mavlink.signing import (
     KEY_BYTES,
     MAX_STREAMS,
