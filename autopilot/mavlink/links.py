@@ -63,7 +63,8 @@ class MavlinkLink(Generic[A]):
 
     With a signer it accepts only frames signed with its key, and signs the frames that it sends. With a
     budget it drops datagrams beyond it. ``tap`` receives each frame that is accepted or sent; one that is
-    sent to several partners, as the first of them gets it.
+    sent to several partners, as the first of them gets it. ``is_stream``: datagrams are pieces of a byte
+    stream, and a frame may continue in the next one.
     """
 
     def __init__(
@@ -74,6 +75,7 @@ class MavlinkLink(Generic[A]):
         signer: Signer | None = None,
         budget: InputBudget | None = None,
         tap: Callable[[bytes], None] | None = None,
+        is_stream: bool = False,
     ) -> None:
         self._carrier = carrier
         self._tap = tap
@@ -82,6 +84,7 @@ class MavlinkLink(Generic[A]):
         self.foreign: A | None = None
         """The first sender whose datagrams were dropped because the carrier does not trust it."""
         self._parser = Parser(signer)
+        self._push = self._parser.push if is_stream else self._parser.push_datagram
         self.counters = self._parser.counters
         """Counts of rejected input, by cause."""
         self._encoder = encoder
@@ -131,7 +134,7 @@ class MavlinkLink(Generic[A]):
     def _parsed(self, data: bytes, address: A, now: int) -> list[tuple[int, Message]]:
         """Return the messages of a datagram, whose sender becomes a partner if there are any."""
         looked_at = self._parser.looked_at
-        received = self._parser.push_datagram(data, now)
+        received = self._push(data, now)
         if self._budget is not None:
             self._budget.spend(address, len(received), self._parser.looked_at - looked_at - len(received))
         if not received:

@@ -215,10 +215,11 @@ class LinksConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     Without this table the vehicles communicate with this machine only.
     """
 
-    telemetry: Literal["wire", "radio"] = "wire"
+    telemetry: Literal["wire", "radio", "serial-radio"] = "wire"
     """Way of MAVLink between vehicles and ground stations. "wire": UDP between the machine's processes,
     without delay and loss. "radio": the emulated 802.11 channel, from each vehicle to each of
-    ``[[stations]]``, where programs of ground stations connect."""
+    ``[[stations]]``, where programs of ground stations connect. "serial-radio": a pair of telemetry modems
+    for each vehicle (``[serial_radio]``), whose other modem is at the first of ``[[stations]]``."""
     host: str = "127.0.0.1"
     """IPv4 address of this machine to which the links are bound; 0.0.0.0: all of its addresses."""
     ground_station_host: str = "127.0.0.1"
@@ -232,7 +233,8 @@ class LinksConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     "any": all, for instance for a ground station that another user runs. The application beside a PX4 or
     ArduPilot accepts, with "own", only the autopilot that the run has started."""
     bandwidth_bytes_s: Annotated[int, Meta(ge=0, le=1_000_000_000)] = 0
-    """Limit of each link's MAVLink bytes per second of simulated time; 0: none."""
+    """Limit of each link's MAVLink bytes per second of simulated time; 0: none, but 1200 at a serial modem,
+    PX4's MAV_0_RATE."""
     signing_key_file: str | None = None
     """File with a passphrase or a key, relative to the scenario. With it the links accept only frames signed
     with the key, and sign the frames that they send."""
@@ -365,6 +367,8 @@ class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     ground_stations: dict[str, Annotated[int, Meta(ge=0, le=65_535)]] = {}
     """Radio station numbers of the ground stations by their names; with any, the ground link is over the
     radio."""
+    serial_modem: bool = False
+    """Whether the ground link is over a serial modem, whose other modem is at the only ground station."""
     places_ned_m: tuple[tuple[Position, Position, Position], ...]
     """The formation: each UAV's initial place from the site's origin."""
     heading_deg: Angle = 0.0

@@ -7,7 +7,7 @@ streams are not starved by fast ones.
 """
 
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from pymavlink.dialects.v20 import common
 
@@ -132,14 +132,17 @@ class Shaper:
 
 
 class Shapers:
-    """The budgets of a vehicle's links; empty, and without any cost, if there is no limit."""
+    """The budgets of a vehicle's links; empty, and without any cost, if there is no limit.
 
-    def __init__(self, links: Sequence[int], bandwidth_bytes_s: int, *, overhead_bytes: int = 0) -> None:
-        self._shapers = (
-            {link: Shaper(bandwidth_bytes_s, overhead_bytes=overhead_bytes) for link in links}
+    ``bandwidths_bytes_s`` are the limits by link; 0: none.
+    """
+
+    def __init__(self, bandwidths_bytes_s: Mapping[int, int], *, overhead_bytes: int = 0) -> None:
+        self._shapers = {
+            link: Shaper(bandwidth_bytes_s, overhead_bytes=overhead_bytes)
+            for link, bandwidth_bytes_s in bandwidths_bytes_s.items()
             if bandwidth_bytes_s
-            else {}
-        )
+        }
 
     def __bool__(self) -> bool:
         """Whether there is a limit."""
@@ -154,7 +157,12 @@ class Shapers:
         streamed: Sequence[Addressed],
     ) -> list[Addressed]:
         """Return what to send of a step's answers, messages sent by timers, and streams."""
-        out: list[Addressed] = []
+        out = [
+            addressed
+            for messages in (answered, timed, streamed)
+            for addressed in messages
+            if addressed.partner.link not in self._shapers
+        ]
         for link, shaper in self._shapers.items():
             answers: list[Addressed] = []
             transfers: list[Addressed] = []

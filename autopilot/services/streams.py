@@ -17,6 +17,8 @@ Builder = Callable[[], Message | list[Message] | None]
 
 _HEARTBEAT = common.MAVLINK_MSG_ID_HEARTBEAT
 SECOND_US = 1_000_000
+FRAME_OVERHEAD_BYTES = 12
+"""Of an unsigned frame of MAVLink 2."""
 STEP_US = 4_000
 """The vehicle's step, which is the shortest interval."""
 
@@ -28,6 +30,15 @@ GROUND_STATION_HZ: dict[int, float] = by_id(
     CURRENT_MODE=0.5, DISTANCE_SENSOR=0.5, PING=0.1, VIBRATION=0.1,
 )  # fmt: skip
 """PX4 v1.17's rates to port 14550."""
+
+SERIAL_HZ: dict[int, float] = by_id(
+    HEARTBEAT=1.0, ATTITUDE=15.0, ATTITUDE_QUATERNION=10.0, GLOBAL_POSITION_INT=5.0, GPS_RAW_INT=5.0,
+    VFR_HUD=4.0, ATTITUDE_TARGET=2.0, POSITION_TARGET_LOCAL_NED=1.5, ALTITUDE=1.0, EXTENDED_SYS_STATE=1.0,
+    GPS_GLOBAL_ORIGIN=1.0, LOCAL_POSITION_NED=1.0, MISSION_CURRENT=1.0, SCALED_PRESSURE=1.0,
+    SERVO_OUTPUT_RAW=1.0, SYS_STATUS=1.0, BATTERY_STATUS=0.5, CURRENT_MODE=0.5, DISTANCE_SENSOR=0.5,
+    ESTIMATOR_STATUS=0.5, HOME_POSITION=0.5, PING=0.1, VIBRATION=0.1,
+)  # fmt: skip
+"""PX4's rates at a telemetry port (MAV_0_MODE = 0, normal), before they are scaled to its data rate."""
 
 COMPANION_HZ: dict[int, float] = by_id(
     HEARTBEAT=1.0, ATTITUDE=100.0, HIGHRES_IMU=50.0, ATTITUDE_QUATERNION=50.0, GLOBAL_POSITION_INT=50.0,
@@ -80,6 +91,9 @@ class MessageStreams:
         }
         self.deadline_us = 0
         """Time of the next stream that is due."""
+        self.rate_factor = 1.0
+        """Factor of all rates but the heartbeat's, 0.05 to 1."""
+        self._needs_bytes_s: tuple[float, float] | None = None
 
     @property
     def active(self) -> bool:
@@ -106,9 +120,12 @@ class MessageStreams:
                 continue
             due_us = stream.due_us
             if now_us >= due_us:
-                due_us += stream.interval_us
+                interval_us = stream.interval_us
+                if self.rate_factor != 1.0 and message_id != _HEARTBEAT:
+                    interval_us = round(interval_us / self.rate_factor)
+                due_us += interval_us
                 if due_us <= now_us:  # the schedule has fallen behind
-                    due_us = now_us + stream.interval_us
+                    due_us = now_us + interval_us
                 stream.due_us = due_us
                 stream.has_new_data = message_id not in ON_NEW_DATA
                 messages += self.form(message_id)
@@ -116,6 +133,21 @@ class MessageStreams:
                 deadline_us = due_us
         self.deadline_us = deadline_us
         return messages
+
+    @property
+    def needs_bytes_s(self) -> tuple[float, float]:
+        """Bytes/s of the heartbeat and of all other streams at a factor of 1, in frames of full length."""
+        if self._needs_bytes_s is None:
+            needs = {
+                message_id: (common.mavlink_map[message_id].unpacker.size + FRAME_OVERHEAD_BYTES)
+                * SECOND_US
+                / stream.interval_us
+                for message_id, stream in self._streams.items()
+                if self.is_supported(message_id)
+            }
+            heartbeat = needs.pop(_HEARTBEAT, 0.0)
+            self._needs_bytes_s = heartbeat, sum(needs.values())
+        return self._needs_bytes_s
 
     def on_new_data(self, message_id: int) -> None:
         """Mark a message of `ON_NEW_DATA` as having new data."""
@@ -161,6 +193,7 @@ class MessageStreams:
             interval_us = self._default_us.get(message_id, -1)
         if message_id == _HEARTBEAT:
             interval_us = interval_us if 0 < interval_us < SECOND_US else SECOND_US
+        self._needs_bytes_s = None
         if interval_us < 0:
             self._streams.pop(message_id, None)
         else:

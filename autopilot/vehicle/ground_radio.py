@@ -4,9 +4,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from typing import Any
 
+from autopilot.mavlink.codec import Message
 from autopilot.mavlink.input_budget import InputBudget
 from autopilot.mavlink.links import MavlinkLink
 from autopilot.mavlink.radio_carrier import RadioCarrier
+from autopilot.mavlink.serial_carrier import SerialCarrier, modem_encoder, radio_status
 from autopilot.parameters.config import VehicleConfig
 from autopilot.services.service import GROUND_STATION, Addressed, Partner
 from autopilot.vehicle.link_settings import LinkSettings
@@ -14,16 +16,23 @@ from netsim.wire.messages import RxItem, TxItem
 
 
 class GroundRadio:
-    """MAVLink between a vehicle and the ground stations of its radio; ``tap`` is that of `MavlinkLink`."""
+    """MAVLink between a vehicle and the ground stations of its radio or modem; ``tap``: see `MavlinkLink`."""
 
     def __init__(
         self, config: VehicleConfig, settings: LinkSettings, *, tap: Callable[[bytes], None] | None
     ) -> None:
-        self._carrier = RadioCarrier(config.ground_stations)
+        self._serial: SerialCarrier | None = None
+        self._carrier: RadioCarrier | SerialCarrier
+        if config.serial_modem:
+            ((name, station),) = config.ground_stations.items()
+            self._carrier = self._serial = SerialCarrier(name, station)
+        else:
+            self._carrier = RadioCarrier(config.ground_stations)
         self._link = MavlinkLink(
             self._carrier, encoder=settings.encoder(), signer=settings.signer(GROUND_STATION),
-            budget=InputBudget(), tap=tap,
+            budget=InputBudget(), tap=tap, is_stream=config.serial_modem,
         )  # fmt: skip
+        self._tap, self._modem_encoder = tap, modem_encoder()
         self._held: list[Addressed] = []
         """Messages that wait for simulated time to go on."""
         self.received = 0
@@ -49,6 +58,19 @@ class GroundRadio:
         self.received += len(messages)
         return messages
 
+    def take_status(self) -> list[Message]:
+        """Return the RADIO_STATUS messages of the vehicle's modem since the last call; none without one.
+
+        They do not pass the link's parser: a modem does not sign.
+        """
+        if self._serial is None:
+            return []
+        messages = [radio_status(report) for report in self._serial.take_reports()]
+        if self._tap is not None:
+            for message in messages:
+                self._tap(self._modem_encoder.encode(message))
+        return messages
+
     def hold(self, messages: Sequence[Addressed]) -> None:
         """Keep the ground link's messages of a pause until the next `send`."""
         self._held += [each for each in messages if each.partner.link == GROUND_STATION]
@@ -69,8 +91,11 @@ class GroundRadio:
         return self._carrier.take_out()
 
     def counts(self) -> dict[str, Any]:
-        """Return the counts of rejected input by cause, and those of frames by ground station."""
+        """Return the counts of rejected input by cause, and those of the carrier by ground station.
+
+        The latter are an entry ``frames`` with those of 802.11, or ``serial`` with those of the modem.
+        """
         counters = self._link.counters
         counters.datagrams_foreign = self._carrier.foreign
-        frames = {name: asdict(counts) for name, counts in self._carrier.counts.items()}
-        return {**asdict(counters), "frames": frames}
+        carried = {name: asdict(counts) for name, counts in self._carrier.counts.items()}
+        return {**asdict(counters), "frames" if self._serial is None else "serial": carried}

@@ -149,6 +149,8 @@ class Host:
         ground = self._ground
         if ground is not None:
             radio_items = ground.take_in(radio_items)
+            for status in ground.take_status():
+                self.vehicle.messaging.on_modem_status(status, now_us)
             link_messages = [*link_messages, *ground.receive(now_us)]
             link_active = (ground.active, *link_active[1:])
         if self._must_log and self._may_log:

@@ -13,13 +13,14 @@ from autopilot.mavlink.signing import SIGNATURE_BYTES
 from autopilot.navigation.plan_store import Plan, PlanStore, PlanType
 from autopilot.parameters.config import VehicleConfig
 from autopilot.parameters.table import ParameterSet
-from autopilot.services import metadata
+from autopilot.services import flow_control, metadata
 from autopilot.services.actions_flight import FlightActions, FlightCommands
 from autopilot.services.actions_system import SystemCommands
 from autopilot.services.calibration import Calibration
 from autopilot.services.clocks import PingService, TimesyncService
 from autopilot.services.command import ACCEPTED, FAILED, CommandService
 from autopilot.services.files import FileStore
+from autopilot.services.flow_control import FlowControl
 from autopilot.services.flight_data import FlightData, Home
 from autopilot.services.manual_control import ManualControlService
 from autopilot.services.mission_progress import MissionProgress
@@ -41,6 +42,7 @@ from autopilot.services.streams import (
     APPLICATION_WITH_ATTITUDE_HZ,
     COMPANION_HZ,
     GROUND_STATION_HZ,
+    SERIAL_HZ,
     MessageStreams,
 )
 from autopilot.services.telemetry import Telemetry
@@ -105,14 +107,19 @@ class Messaging:
         outside = self.telemetry.builders
         within = outside | {common.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self.telemetry.motion.local_position}
         self.streams = {
-            GROUND_STATION: MessageStreams(outside, GROUND_STATION_HZ),
+            GROUND_STATION: MessageStreams(outside, SERIAL_HZ if config.serial_modem else GROUND_STATION_HZ),
             COMPANION: MessageStreams(outside, COMPANION_HZ),
             APPLICATION: MessageStreams(within, application_hz),
         }
         """By link number."""
+        bandwidth_bytes_s = dict.fromkeys(_OUTSIDE, config.links.bandwidth_bytes_s)
+        self._flow: FlowControl | None = None
+        """Of the ground link over a serial modem."""
+        if config.serial_modem:
+            bandwidth_bytes_s[GROUND_STATION] = config.links.bandwidth_bytes_s or flow_control.BYTES_S
+            self._flow = FlowControl(bandwidth_bytes_s[GROUND_STATION])
         self.shapers = Shapers(
-            _OUTSIDE,
-            config.links.bandwidth_bytes_s,
+            bandwidth_bytes_s,
             overhead_bytes=SIGNATURE_BYTES if config.links.signing_key_file is not None else 0,
         )
         self._is_limited = bool(self.shapers)
@@ -120,7 +127,7 @@ class Messaging:
         """By link number, the last value passed to the streams."""
         self.not_addressed = dict.fromkeys(_OUTSIDE, 0)
         """Number of messages for other components, by link number."""
-        self._parameter_service = ParameterService(parameters, self.shapers.has_room)
+        self._parameter_service = ParameterService(parameters, self._has_room)
         calibration = Calibration(flight, wake=self._wake_services)
         self._commands = self._make_commands(offboard, calibration)
         self.services = make_services(
@@ -132,7 +139,7 @@ class Messaging:
                 plans=self.plans,
                 files=self.files,
                 telemetry=self.telemetry,
-                has_room=self.shapers.has_room,
+                has_room=self._has_room,
                 on_file_opened=self._on_file_opened,
                 wake=self._wake_services,
                 offboard=offboard,
@@ -171,6 +178,11 @@ class Messaging:
         """Mark the streams of new readings of range finders as due."""
         for streams in self.streams.values():
             streams.on_new_data(common.MAVLINK_MSG_ID_DISTANCE_SENSOR)
+
+    def on_modem_status(self, status: Message, now_us: int) -> None:
+        """Adapt the rates of the ground link to a RADIO_STATUS of its serial modem."""
+        if self._flow is not None:
+            self._flow.on_radio_status(status.txbuf, now_us)
 
     def on_saved(self, error: str | None) -> None:
         """Reply with the result of the file write that `take_save_request` started; None: success."""
@@ -222,6 +234,9 @@ class Messaging:
             self._link_active = link_active
             for link in _OUTSIDE:
                 self.streams[link].active = link_active[link]
+        if self._flow is not None:
+            streams = self.streams[GROUND_STATION]
+            streams.rate_factor = self._flow.factor(now_us, *streams.needs_bytes_s)
         for link in _OUTSIDE:
             streams = self.streams[link]
             if now_us >= streams.deadline_us:
@@ -279,6 +294,15 @@ class Messaging:
             modes=self._flight.commander.modes,
         )
         return CommandService(flying.table | system.table)
+
+    def _has_room(self, partner: Partner) -> bool:
+        """Whether one more message of a transfer to this partner would be sent soon."""
+        is_low = (
+            self._flow is not None
+            and partner.link == GROUND_STATION
+            and self._flow.is_low(self._flight.now_us)
+        )
+        return not is_low and self.shapers.has_room(partner)
 
     def _wake_services(self) -> None:
         self.services.look_again()

@@ -74,6 +74,10 @@ class Arrivals:
             )  # fmt: skip
             self._received[station].append((end_ns, source, seq, item))
 
+    def add_item(self, station: int, at_ns: int, source: int, seq: int, item: RxItem) -> None:
+        """Add an item that has reached a station."""
+        self._received[station].append((at_ns, source, seq, item))
+
     def add_report(self, station: int, sent: Sent) -> None:
         """Add the report of a station's unicast datagram."""
         if station not in self._silent:

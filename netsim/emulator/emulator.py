@@ -239,6 +239,10 @@ class Emulator:
         """
         return self._arrivals.take(self.queue.now_ns, self._channel.surveyed_ns)
 
+    def add_item(self, station: int, at_ns: int, source: int, seq: int, item: RxItem) -> None:
+        """Add an item that has reached a station in this interval by another way than the channel."""
+        self._arrivals.add_item(station, at_ns, source, seq, item)
+
     @property
     def next_event_ns(self) -> int:
         """Earliest time of the next event if nothing more is submitted."""

@@ -20,11 +20,12 @@ from netsim.emulator.interface import NetworkEmulator
 from netsim.emulator.log_layout import FRAME_LOG, RECEPTION_LOG, SESSION_LOG
 from netsim.emulator.packets import PacketReception
 from netsim.emulator.records import frame_log_rows, reception_log_rows
+from netsim.emulator.serial_modems import SerialModems
 from netsim.model.config import ServerConfig
 from netsim.phy.frames import Transmission
 from netsim.phy.propagation import is_possible
 from netsim.wire.lockstep import LEAD_US, Advance, Advanced, unpack_rows
-from netsim.wire.messages import RxBatch, Station, TxBatch
+from netsim.wire.messages import RxBatch, SerialBytes, Station, TxBatch
 from netsim.wire.packets import SentPacket
 
 Doubles = NDArray[np.float64]
@@ -62,6 +63,16 @@ class EmulatorService:
             seed=np.random.SeedSequence([config.seed, STREAM]),
             on_transmission=self._on_transmission if observed else None,
         )
+        self._modems: SerialModems | None = None
+        if config.serial is not None:
+            self._modems = SerialModems(
+                config.serial,
+                radio=radio,
+                vehicles=config.stations,
+                stations=self.stations,
+                seed=np.random.SeedSequence([config.seed, STREAM]),
+            )
+            self._emulator.set_silent(config.serial.ground_station)  # it has modems only
         self._submitted: list[TxBatch] = []
         self._silent: frozenset[Station] = frozenset()
         self.reached_us = 0
@@ -105,15 +116,18 @@ class EmulatorService:
     def counters(self) -> dict[str, Any]:
         """Counters of the run, by name."""
         counters: dict[str, Any] = msgspec.to_builtins(self._emulator.counters)
-        return counters
+        return counters if self._modems is None else counters | {"serial_radio": self._modems.counters}
 
     def is_guest(self, station: Station) -> bool:
         """Whether the station's host is an external program."""
         return self._config.stations <= station < self.stations
 
     def submit(self, batch: TxBatch) -> bool:
-        """Store a batch until its interval; return False for an unknown station or a time too far ahead."""
-        if batch.station >= self.stations or self._too_early(batch):
+        """Store a batch until its interval.
+
+        Returns False for an unknown station, a modem that it does not have, or a time too far ahead.
+        """
+        if batch.station >= self.stations or self._too_early(batch) or not self._has_modems(batch):
             return False
         if batch.items:
             self._submitted.append(_at_once(batch) if self.is_guest(batch.station) else batch)
@@ -124,6 +138,14 @@ class EmulatorService:
         latest_us = max((item.at_us for item in batch.items), default=0)
         return (
             batch.station < self._config.stations and max(batch.now_us, latest_us) > self.reached_us + LEAD_US
+        )
+
+    def _has_modems(self, batch: TxBatch) -> bool:
+        """Whether the sender has the modems to which it writes."""
+        peers = {item.peer for item in batch.items if isinstance(item, SerialBytes)}
+        modems = self._modems
+        return not peers or (
+            modems is not None and all(modems.has_modem(batch.station, peer) for peer in peers)
         )
 
     def _on_transmission(self, transmission: Transmission) -> None:
@@ -194,8 +216,11 @@ class EmulatorService:
         self._submitted.extend(later)
         due = [batch for batch in batches if batch.now_us < request.to_us]
         for batch in sorted(due, key=_BATCH_ORDER):
-            self._emulator.submit(batch)
+            self._emulator.submit(batch if self._modems is None else _submit_serial(self._modems, batch))
         self._emulator.links.set_extra_attenuation_db(request.extra_attenuation_db)
+        if self._modems is not None:
+            self._modems.set_extra_attenuation_db(request.extra_attenuation_db)
+            self._modems.set_motion(1_000 * request.at_us, pos_ned_m, vel_ned_m_s, q_ned_frd)
         self._emulator.range_offsets_m = dict(request.range_offsets_m)
         self._emulator.begin(
             to_us=request.to_us,
@@ -208,9 +233,14 @@ class EmulatorService:
     def run_until(self, time_ns: int) -> None:
         """Simulate up to and including ``time_ns``, which is within the interval that has begun."""
         self._emulator.run_until(time_ns)
+        if self._modems is not None:
+            self._modems.run_until(time_ns)
 
     def end(self, request: Advance) -> dict[Station, RxBatch]:
         """End the interval, which has been simulated completely; return its deliveries by station."""
+        if self._modems is not None:
+            for received in self._modems.take():
+                self._emulator.add_item(*received)
         arrivals = self._emulator.end()
         self._write_logs()
         if self._capture is not None:
@@ -225,7 +255,8 @@ class EmulatorService:
     @property
     def next_event_ns(self) -> int:
         """Earliest time of the next event on the channel without further submissions."""
-        return self._emulator.next_event_ns
+        next_ns = self._emulator.next_event_ns
+        return next_ns if self._modems is None else min(next_ns, self._modems.next_event_ns)
 
     def submit_packet(self, packet: SentPacket, at_ns: int) -> bool:
         """Queue a packet at ``at_ns`` or now; return False unless its sender is a vehicle."""
@@ -246,7 +277,7 @@ class EmulatorService:
         """Return the reply to the time master after `advance`, or instead of it if senders are missing."""
         return Advanced(
             to_us=self.reached_us,
-            quiet_until_us=self._emulator.next_event_us,
+            quiet_until_us=self.next_event_ns // 1_000,
             busy_ns=self._emulator.busy_ns,
             delivered=delivered,
             missing=missing,
@@ -258,6 +289,17 @@ class EmulatorService:
             self._frame_log.append_array(frame_log_rows(frames))
         if self._session_log is not None:
             self._session_log.append(map(_SESSION_FIELDS, sessions))
+
+
+def _submit_serial(modems: SerialModems, batch: TxBatch) -> TxBatch:
+    """Write the bytes in a batch to the sender's modems; return the batch without them."""
+    serial = [item for item in batch.items if isinstance(item, SerialBytes)]
+    if not serial:
+        return batch
+    modems.submit(batch.station, serial)
+    return msgspec.structs.replace(
+        batch, items=tuple(item for item in batch.items if not isinstance(item, SerialBytes))
+    )
 
 
 def _at_once(batch: TxBatch) -> TxBatch:

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta, Struct
 
 from foundation.records.record_log import BLOCK_ROWS
+from netsim.serial_radio.config import SerialPairsConfig
 
 NonNegative = Annotated[float, Meta(ge=0.0, le=1e6)]
 Positive = Annotated[float, Meta(gt=0.0, le=1e6)]
@@ -251,6 +252,8 @@ class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     packets: bool = False
     """Accept packets of network interfaces; requires ``passwords.packets``."""
     radio: RadioConfig = RadioConfig()
+    serial: SerialPairsConfig | None = None
+    """Serial modems of the vehicles and their ground station, which is a guest of ``radio``; None: none."""
     frame_log_path: str | None = None
     session_log_path: str | None = None
     reception_log_path: str | None = None

@@ -27,7 +27,7 @@ class SerialRadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields
     tx_power_dbm: Annotated[float, Meta(ge=0.0, le=30.0)] = 20.0
     """TXPOWER: transmit power at the antenna port, dBm. Modems with a Si1000 have at most 20 dBm."""
     antenna_gain_dbi: Annotated[float, Meta(ge=-50.0, le=50.0)] = 0.0
-    """Peak gain of each antenna."""
+    """Peak gain of each antenna; that of the ground station may have its own, ``stations.antenna_gain_dbi``."""
     noise_figure_db: Annotated[float, Meta(ge=0.0, le=50.0)] = 7.0
     """Noise figure of each receiver, dB; it determines the reported noise."""
     implementation_loss_db: Annotated[float, Meta(ge=0.0, le=50.0)] = 2.0
@@ -51,3 +51,11 @@ class SerialRadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields
     """DUTY_CYCLE: limit of the mean share of time for which a modem sends."""
     host_buffer_bytes: Annotated[int, Meta(ge=300, le=1_000_000)] = 3_000
     """Transmit buffer of each host's serial port. What does not fit into it is dropped as a whole."""
+
+
+class SerialPairsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Pairs of modems of a run: one for each vehicle, whose other modem is at the ground station."""
+
+    settings: SerialRadioConfig
+    ground_station: Annotated[int, Meta(ge=0, le=65_535)]
+    """Its station number."""

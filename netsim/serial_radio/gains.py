@@ -5,6 +5,7 @@ seeds, shadowing and blockage are the same. Rician fading is drawn for each pair
 the user's own is not used.
 """
 
+from collections.abc import Mapping
 from typing import Protocol
 
 import numpy as np
@@ -45,8 +46,15 @@ class PathGains:
     """
 
     def __init__(
-        self, radio: RadioConfig, serial: SerialRadioConfig, stations: int, seed: np.random.SeedSequence
+        self,
+        radio: RadioConfig,
+        serial: SerialRadioConfig,
+        stations: int,
+        seed: np.random.SeedSequence,
+        *,
+        own_gain_dbi: Mapping[int, float] | None = None,
     ) -> None:
+        """Create the models; ``own_gain_dbi`` are peak gains of single stations instead of the common one."""
         self._config = structs.replace(radio, frequency_mhz=centre_mhz(serial), rician_k_db=None)
         self._k_db = radio.rician_k_db if radio.fading == "rician" else None
         self._doppler_hz = radio.fading_doppler_hz
@@ -58,6 +66,12 @@ class PathGains:
             path_loss = structs.replace(models.path_loss, bandwidth_mhz=span_mhz(serial))
             models = structs.replace(models, path_loss=path_loss)
         self._path = PathGain(self._config, models)
+        own = own_gain_dbi or {}
+        self._relative = [
+            10.0 ** ((own.get(i, serial.antenna_gain_dbi) - serial.antenna_gain_dbi) / 10.0)
+            for i in range(stations)
+        ]
+        """By station: gain of its antenna relative to the common one."""
         self._exponent = self._path.power_law_exponent
         self._fixed_db = 2.0 * serial.antenna_gain_dbi - friis_loss_db(
             REFERENCE_DISTANCE_M, self._config.frequency_mhz
@@ -88,12 +102,15 @@ class PathGains:
         self._trajectories.set(at_ns, pos_ned_m, vel_ned_m_s, q_ned_frd)
 
     def gain(self, a: int, b: int, at_ns: int) -> float:
-        """Return the linear gain of a link, without fading."""
+        """Return the linear gain of a link, without fading; between modems of one station at 1 m."""
+        fixed = self._fixed * self._relative[a] * self._relative[b]
+        if a == b:
+            return fixed
         if self._exponent is not None:
             distance_m = max(self._trajectories.distance_m(a, b, at_ns), REFERENCE_DISTANCE_M)
-            result = self._fixed * float(distance_m**-self._exponent)
+            result = fixed * float(distance_m**-self._exponent)
         else:
-            result = self._fixed * float(self._gains(at_ns)[a, b])
+            result = fixed * float(self._gains(at_ns)[a, b])
         if self._obstruction is not None and self._obstruction.blocked(a, b, at_ns)[0]:
             result *= self._blocked
         return result

@@ -13,7 +13,7 @@ from typing import Annotated, TypeVar
 import msgspec
 from msgspec import Meta, Struct
 
-VERSION = 6
+VERSION = 7
 """First field of every message; incremented with every change of a message's fields."""
 MAX_PAYLOAD_BYTES = 1472
 """Largest UDP payload that fits one 1500-byte IP packet."""
@@ -66,7 +66,17 @@ class Unicast(Struct, frozen=True, kw_only=True, array_like=True, gc=False, tag=
     port: Annotated[int, Meta(ge=1, le=65_535)] = DEFAULT_PORT
 
 
-TxItem = Broadcast | FtmRequest | Unicast
+class SerialBytes(Struct, frozen=True, kw_only=True, array_like=True, gc=False, tag="m"):
+    """Bytes that a station's host writes to one of its serial modems; there is no reply."""
+
+    seq: Seq
+    at_us: TimeUs
+    peer: Station
+    """Station of the pair's other modem."""
+    payload: Annotated[bytes, Meta(max_length=MAX_PAYLOAD_BYTES)]
+
+
+TxItem = Broadcast | FtmRequest | Unicast | SerialBytes
 
 
 class TxBatch(Struct, frozen=True, kw_only=True, array_like=True):
@@ -147,7 +157,41 @@ class Survey(Struct, frozen=True, kw_only=True, array_like=True, gc=False, tag="
     not count."""
 
 
-RxItem = Delivery | FtmResult | Sent | Survey
+class SerialReceived(Struct, frozen=True, kw_only=True, array_like=True, gc=False, tag="m"):
+    """Bytes that a station's serial modem has passed to its host: a MAVLink frame, or what else arrived."""
+
+    peer: Station
+    """Station of the pair's other modem."""
+    seq: Seq
+    """Incremented with each item of this modem."""
+    received_ns: TimeNs
+    """Time of the last byte."""
+    payload: bytes
+
+
+Octet = Annotated[int, Meta(ge=0, le=255)]
+
+
+class SerialReport(Struct, frozen=True, kw_only=True, array_like=True, gc=False, tag="o"):
+    """Fields of a RADIO_STATUS that a station's serial modem has sent to its host.
+
+    They are those of `netsim.serial_radio.modem.RadioStatus`.
+    """
+
+    peer: Station
+    seq: Seq
+    received_ns: TimeNs
+    """Time of its last byte."""
+    rssi: Octet
+    remrssi: Octet
+    txbuf: Octet
+    noise: Octet
+    remnoise: Octet
+    rxerrors: Annotated[int, Meta(ge=0, le=65_535)]
+    fixed: Annotated[int, Meta(ge=0, le=65_535)]
+
+
+RxItem = Delivery | FtmResult | Sent | Survey | SerialReceived | SerialReport
 
 
 class RxBatch(Struct, frozen=True, kw_only=True, array_like=True):

@@ -119,14 +119,14 @@ def test_the_queue_of_transfers_is_bounded_and_has_room_reports_its_state():
 
 
 def test_without_a_limit_there_are_no_shapers():
-    shapers = Shapers((GROUND_STATION, COMPANION), 0)
+    shapers = Shapers(dict.fromkeys((GROUND_STATION, COMPANION), 0))
     assert not shapers
     assert shapers.has_room(CLIENT)
     assert shapers.limited(GROUND_STATION) == 0
 
 
 def test_each_link_has_its_own_budget():
-    shapers = Shapers((GROUND_STATION, COMPANION), BUDGET)
+    shapers = Shapers(dict.fromkeys((GROUND_STATION, COMPANION), BUDGET))
     out = []
     for now_us in range(STEP_US, 1_000_001, STEP_US):
         streamed = [attitude(0), Addressed(Partner(COMPANION), attitude(0).message)]
