@@ -20,6 +20,8 @@ from netsim.wire.messages import TxBatch
 
 SECOND_US = 1_000_000
 LOSS_S, DELAY_S = 5.0, 1.0
+TAKE_OFF = "{command='takeoff', height_m=4.0}"
+FAR_AWAY = "{command='waypoint', north_m=300.0, east_m=0.0, height_m=4.0}"
 # 10 dBm less 46.8 dB at 1 m and 30 dB a decade are -82 dBm, radio.cca_preamble_dbm, at 32 m
 RANGE_M = 32.0
 OVERRIDES = [
@@ -29,8 +31,7 @@ OVERRIDES = [
     "autopilot.params.NAV_DLL_ACT=2", f"autopilot.params.COM_DL_LOSS_T={LOSS_S}",
     f"autopilot.params.COM_FAIL_ACT_T={DELAY_S}", "autopilot.params.RTL_RETURN_ALT=4",
     "autopilot.params.MPC_XY_CRUISE=10",
-    "autopilot.mission=[{command='takeoff', height_m=4.0}, "
-    "{command='waypoint', north_m=300.0, east_m=0.0, height_m=4.0}]",
+    f"autopilot.mission=[{TAKE_OFF}, {FAR_AWAY}]",
 ]  # fmt: skip
 
 
