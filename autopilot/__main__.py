@@ -286,16 +286,19 @@ def _open_links(config: VehicleConfig, host: Host) -> Iterator[tuple[int, UdpLin
     if config.ground_stations:
         del remotes[GROUND_STATION]  # it is over the radio
     for number, (local, remote_host, remote) in remotes.items():
-        yield number, UdpLink(
-            host=links.host,
-            local_port=local,
-            remote_host=remote_host,
-            remote_port=remote,
-            encoder=host.link_settings.encoder(),
-            signer=host.link_settings.signer(number),
-            owners=owners,
-            budget=InputBudget(),
-            tap=host.open_ground_log() if number == GROUND_STATION else None,
+        yield (
+            number,
+            UdpLink(
+                host=links.host,
+                local_port=local,
+                remote_host=remote_host,
+                remote_port=remote,
+                encoder=host.link_settings.encoder(),
+                signer=host.link_settings.signer(number),
+                owners=owners,
+                budget=InputBudget(),
+                tap=host.open_ground_log() if number == GROUND_STATION else None,
+            ),
         )
 
 

@@ -157,7 +157,7 @@ class MavlinkLink(Generic[A]):
         """
         carrier, wall_s = self._carrier, self._carrier.wall_s()
 
-        def may_send(address: A, has_sent: bool) -> bool:  # noqa: FBT001  see `Partners.recipients`
+        def may_send(address: A, /, *, has_sent: bool) -> bool:
             return carrier.may_send(address, wall_s, has_sent=has_sent)
 
         recipients = self._partners.recipients(may_send) if messages else {}

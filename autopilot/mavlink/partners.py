@@ -1,7 +1,7 @@
 """The partners of a link: its default destinations, and the addresses that have sent to it. No I/O."""
 
 from collections.abc import Callable, Sequence
-from typing import Generic, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 MAX_PARTNERS = 8
 """A new partner replaces the one that was silent longest, except default partners."""
@@ -10,6 +10,14 @@ BROADCAST = -1
 
 A = TypeVar("A")
 S = TypeVar("S")
+A_contra = TypeVar("A_contra", contravariant=True)
+
+
+class MaySend(Protocol[A_contra]):
+    """Whether an address may be sent to; ``has_sent``: it has sent something."""
+
+    def __call__(self, address: A_contra, /, *, has_sent: bool) -> bool:
+        """Return the answer."""
 
 
 class Peer(Generic[S]):
@@ -66,13 +74,15 @@ class Partners(Generic[A, S]):
         if address in self._defaults:
             self._listening.add(address)
 
-    def recipients(self, may_send: Callable[[A, bool], bool]) -> dict[A, Peer[S]]:
-        """Return the partners to which ``may_send``, a function of the address and whether it has sent."""
-        chosen = {address: peer for address, peer in self._senders.items() if may_send(address, True)}
+    def recipients(self, may_send: MaySend[A]) -> dict[A, Peer[S]]:
+        """Return the partners that may be sent to."""
+        chosen = {
+            address: peer for address, peer in self._senders.items() if may_send(address, has_sent=True)
+        }
         for address, peer in self._defaults.items():
             if address in self._senders:
                 continue
-            if may_send(address, False):
+            if may_send(address, has_sent=False):
                 chosen[address] = peer
             else:
                 self._listening.discard(address)

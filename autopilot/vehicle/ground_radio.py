@@ -1,4 +1,4 @@
-"""The ground link of a vehicle over its radio, which it shares with the application. No I/O but the link's log."""
+"""The ground link of a vehicle over its radio, which it shares with the application. No sockets."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict

@@ -1,8 +1,8 @@
 """Vehicle host: a vehicle with its simulator link in bytes, its radio and its logs.
 
 `Host.step` does everything of a vehicle's process in a step, except for the UDP links and the transport
-of bytes and radio items: over sockets (``autopilot.__main__``), or by function calls in one process. The radio
-is shared by the application and, with ground stations on the radio, the ground link.
+of bytes and radio items: over sockets (``autopilot.__main__``), or by function calls in one process. The
+radio is shared by the application and, with ground stations on the radio, the ground link.
 """
 
 import contextlib
@@ -131,8 +131,8 @@ class Host:
         """Run one step; return the bytes for the simulator and the messages of all links.
 
         The host sends those of a ground link over the radio itself; ``link_messages`` and ``link_active``
-        are those of the others. A HIL_SENSOR that is not later than the previous one is answered with the previous controls; the other
-        messages are then kept for the next step.
+        are those of the others. A HIL_SENSOR that is not later than the previous one is answered with the
+        previous controls; the other messages are then kept for the next step.
         """
         clock = simulator_messages[-1]
         now_us: int = clock.time_usec
@@ -184,7 +184,8 @@ class Host:
     def serve_while_paused(self, link_messages: Links) -> Links:
         """Return the replies to link messages that arrive while the simulator is silent.
 
-        Those of a ground link over the radio are sent in the next step. Before the first step the vehicle cannot reply: messages are then kept for that step.
+        Those of a ground link over the radio are sent in the next step. Before the first step the vehicle
+        cannot reply: messages are then kept for that step.
         """
         if not self.vehicle.has_begun:
             self._links_waiting = (self._links_waiting + link_messages)[-MOST_WAITING:]
@@ -216,9 +217,10 @@ class Host:
         return 0 if self._ground is None else self._ground.received
 
     def link_counts(self) -> dict[str, Any]:
-        """Return the counts of the ground link over the radio, as an entry ``ground_station``, if it is there.
+        """Return the counts of a ground link over the radio, as an entry ``ground_station``.
 
-        They are of rejected and dropped messages, by cause, and of frames, by ground station.
+        They are of rejected and dropped messages, by cause, and of frames, by ground station. Without such a
+        link there is no entry.
         """
         if self._ground is None:
             return {}

@@ -10,7 +10,7 @@ from autopilot.parameters.config import VehicleConfig
 
 
 class LinkSettings:
-    """Makes encoders and signers of a vehicle's links. Raises OSError and SigningKeyError for its key file."""
+    """Encoders and signers of a vehicle's links. Raises OSError and SigningKeyError for its key file."""
 
     def __init__(self, config: VehicleConfig) -> None:
         path = config.links.signing_key_file

@@ -72,7 +72,7 @@ class ProgramSocket:
         """Send a datagram to all programs."""
         wall_s = self.udp.wall_s()
 
-        def may_send(address: Address, has_sent: bool) -> bool:  # noqa: FBT001  see `Partners.recipients`
+        def may_send(address: Address, /, *, has_sent: bool) -> bool:
             is_due = has_sent or wall_s >= self._wall_retry_s
             return is_due and self.udp.may_send(address, wall_s, has_sent=has_sent)
 
@@ -137,9 +137,8 @@ class GroundStation:
         """Give the radio what programs have sent to the sockets of these vehicles."""
         frames: list[Unicast] = []
         for vehicle in vehicles:
-            for datagram in self._sockets[vehicle].receive(self._now_us):
-                if (frame := self._relay.frame(vehicle, datagram)) is not None:
-                    frames.append(frame)
+            datagrams = self._sockets[vehicle].receive(self._now_us)
+            frames += filter(None, (self._relay.frame(vehicle, each) for each in datagrams))
             self._warn_of_foreign(self._sockets[vehicle].foreign)
         if not frames:
             return

@@ -20,9 +20,7 @@ def link_lines(
     ``local`` are the details of the vehicles' `Ready`, ``stations`` those of the ground stations on the radio
     by their names.
     """
-    return tuple(
-        _link_line(i, local[i], scenario.vehicle_ports(i), stations) for i in range(scenario.agents)
-    )
+    return tuple(_link_line(i, local[i], scenario.vehicle_ports(i), stations) for i in range(scenario.agents))
 
 
 def _link_line(

@@ -75,10 +75,10 @@ _ENVIRONMENT = {
 
 
 class Processes(RunMonitor):
-    """Physics server, 802.11 emulator, and one process per vehicle, per application beside a PX4, and per
-    ground station on the radio.
+    """Physics server, 802.11 emulator, and a process for each vehicle, application and ground station.
 
-    Vehicles, except PX4s, and applications are forked by the prefork server.
+    Applications have one beside a PX4 or ArduPilot, ground stations on the radio. Vehicles, except PX4s, and
+    applications are forked by the prefork server.
 
     ``wall_limit_s`` limits the run's wall time from `start` on, without the compilation of kernels;
     ``on_message`` receives every message that is taken from the queue, on the caller's thread.
@@ -291,13 +291,10 @@ class Processes(RunMonitor):
             self._supervisor.start(NETWORK, bound_module("netsim.network", *supervised(path)))
             self._await_ready([NETWORK])
         for number, each in enumerate(scenario.ground_stations):
-            settings = ground_process.settings(
-                scenario, number, radio.station_login(each.name), endpoint=endpoint, run_id=run_id
-            )
-            path = self._folder.write_config(f"ground-station-{each.name}", settings)
-            self._supervisor.start(
-                settings.name, bound_module("harness.ground_station", *supervised(path))
-            )
+            login = radio.station_login(each.name)
+            ground = ground_process.settings(scenario, number, login, endpoint=endpoint, run_id=run_id)
+            path = self._folder.write_config(f"ground-station-{each.name}", ground)
+            self._supervisor.start(ground.name, bound_module("harness.ground_station", *supervised(path)))
         if self._has_prefork:
             self._await_ready([PREFORK])
         for i in vehicles:

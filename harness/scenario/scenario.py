@@ -142,7 +142,8 @@ class PortsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     def raised(self, offset: int, agents: int) -> "PortsConfig":
         """Return the table with ``offset`` added to each port; 0 stays 0.
 
-        ``agents`` is the greatest number of ports from a base on. Raises ValueError for a negative offset, and for an invalid port.
+        ``agents`` is the greatest number of ports from a base on. Raises ValueError for a negative offset,
+        and for an invalid port.
         """
         most = max(0, 65_535 - max(self.numbers().values()) - (agents - 1))
         if not 0 <= offset <= most:

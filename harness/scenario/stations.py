@@ -125,4 +125,6 @@ def check(
     ports |= {f"onboard.programs[{number}].port": each.port for number, each in enumerate(onboard.programs)}
     for path, port in ports.items():
         if port == TELEMETRY_PORT:
-            raise ValueError(f'{path}: {port} is that of MAVLink with links.telemetry = "radio"; expected another')
+            raise ValueError(
+                f'{path}: {port} is that of MAVLink with links.telemetry = "radio"; expected another'
+            )

@@ -37,8 +37,8 @@ class MixedAntennas:
     def gains(self, directions_ned: Doubles, rotations: Doubles, stations: NDArray[np.int64]) -> Doubles:
         """Return the linear gains (m, n) of m ``stations``, numbers (m,), in directions (m, n, 3).
 
-        ``rotations`` (m, 3, 3) from FRD to NED are those of the m stations; dipoles have that for a partner of
-        unknown polarisation.
+        ``rotations`` (m, 3, 3) from FRD to NED are those of the m stations; dipoles have the gain for a
+        partner of unknown polarisation.
         """
         gains = np.ones(directions_ned.shape[:2])
         antennas = self._of(int(stations.max(initial=0)) + 1)

@@ -274,8 +274,8 @@ class Links:
             10.0 ** ((power_dbm + gain_db + offset_db) / 10.0)
             for power_dbm, offset_db in zip(self._tx_power_dbm, self._gain_offset_db, strict=True)
         ]
-        """By source: power received at `REFERENCE_DISTANCE_M` with the gain of the settings, extra attenuation
-        included."""
+        """By source: power received at `REFERENCE_DISTANCE_M` by an antenna with the common gain, the extra
+        attenuation included."""
         self._powers_version += 1
 
     @property

@@ -33,9 +33,7 @@ class GuestAccess(Struct, frozen=True, kw_only=True):
     """By the guests' names."""
 
 
-def write_guest_access(
-    path: Path, config: ServerConfig, endpoint: str, *, guests: int | None = None
-) -> None:
+def write_guest_access(path: Path, config: ServerConfig, endpoint: str, *, guests: int | None = None) -> None:
     """Write the file of a run's radio, readable for its owner alone; a reader finds all of it or none.
 
     It has the first ``guests`` of the settings, by default all. Raises OSError.

@@ -123,15 +123,14 @@ SUMMARY = {
     "vehicles": "a list: `uav`, `alive`, `lost`, `application_lost`, `absolute_rms_m`, `shape_rms_m`",
     "frames": "frames on the air: `sent`, `delivered`, `collided`, `lost_to_noise`",
     "channel_busy_fraction": "share of time in which the channel was busy",
-    "telemetry_frames": "with ground stations on the radio: frames by station, `sent`, `acknowledged`, "
-    "`lost`, `received`, all of the vehicles",
     "ftm": "ranging sessions: `requested`, `completed`, `failed`, `error_mean_m`, `error_std_m`",
     "max_gain_dbi": "maximum gain: `ideal`, `mean`, `std`, `patterns`, `missing`, `backend`, `accuracy`",
     "collisions": "number of collisions",
     "deterministic": "whether the flight depends on nothing but scenario, seed and sources",
     "log_sha256": "hash of the logs: equal for equal flights",
 }
-"""Keys of the summary of a run, with their meanings; ``profile`` is added by ``--profile``."""
+"""Keys of the summary of a run, with their meanings; ``profile`` is added by ``--profile``, and
+``telemetry_frames`` by ground stations on the radio."""
 
 
 class Result(NamedTuple):

@@ -1,4 +1,4 @@
-"""Ground stations on the radio in real processes: equal logs, a mission over a lossy link, ends of processes."""
+"""Ground stations on the radio in real processes: equal logs, a mission over a lossy link, a death."""
 
 import json
 import os
@@ -96,7 +96,7 @@ def test_a_mission_is_uploaded_over_a_link_that_loses_every_fifth_datagram(swarm
         ARTICLE, agents=1, overrides=overrides, out=tmp_path / "run", processes="many", speed="max"
     )
     assert "uav 0, system 1 (by radio): ground station north UDP " in flight.addresses[0]
-    with pytest.raises(SwarmError, match="there is no ground station east on the radio; .*: north, south"):
+    with pytest.raises(SwarmError, match=r"there is no ground station east on the radio; .*: north, south"):
         flight.mavlink(0, "east")
     client = Client(flight, "south")
     assert client.upload() == common.MAV_MISSION_ACCEPTED

@@ -37,11 +37,10 @@ def test_the_application_gets_all_items_but_those_of_the_link():
         peer=1, seq=3, status="ok", measured_ns=1, ended_ns=1, distance_m=1.0, distance_std_m=0.1,
         rssi_dbm=-60.0, round_trips=7, measurements=8,
     )  # fmt: skip
-    of_application = [delivery(NORTH, port=DEFAULT_PORT), sent(7, NORTH), ranged, Survey(ended_ns=1, busy_ns=0)]
-    items = [
-        delivery(NORTH, b"one"), *of_application[:2], sent(FIRST_SEQUENCE, NORTH), delivery(2, b"of a vehicle"),
-        *of_application[2:], delivery(SOUTH, b"two"),
-    ]  # fmt: skip
+    survey = Survey(ended_ns=1, busy_ns=0)
+    of_application = [delivery(NORTH, port=DEFAULT_PORT), sent(7, NORTH), ranged, survey]
+    of_link = [delivery(NORTH, b"one"), sent(FIRST_SEQUENCE, NORTH), delivery(SOUTH, b"two")]
+    items = [of_link[0], *of_application[:2], of_link[1], delivery(2), *of_application[2:], of_link[2]]
     carrier.counts["north"].sent = 1
     assert carrier.take_in(items) == of_application
     assert [carrier.receive(), carrier.receive(), carrier.receive()] == [

@@ -20,6 +20,8 @@ from netsim.wire.messages import TxBatch
 
 SECOND_US = 1_000_000
 LOSS_S, DELAY_S = 5.0, 1.0
+TAKE_OFF = "{command='takeoff', height_m=4.0}"
+FAR_AWAY = "{command='waypoint', north_m=300.0, east_m=0.0, height_m=4.0}"
 # 10 dBm less 46.8 dB at 1 m and 30 dB a decade are -82 dBm, radio.cca_preamble_dbm, at 32 m
 RANGE_M = 32.0
 OVERRIDES = [
@@ -29,8 +31,7 @@ OVERRIDES = [
     "autopilot.params.NAV_DLL_ACT=2", f"autopilot.params.COM_DL_LOSS_T={LOSS_S}",
     f"autopilot.params.COM_FAIL_ACT_T={DELAY_S}", "autopilot.params.RTL_RETURN_ALT=4",
     "autopilot.params.MPC_XY_CRUISE=10",
-    "autopilot.mission=[{command='takeoff', height_m=4.0}, "
-    "{command='waypoint', north_m=300.0, east_m=0.0, height_m=4.0}]",
+    f"autopilot.mission=[{TAKE_OFF}, {FAR_AWAY}]",
 ]  # fmt: skip
 
 
@@ -113,7 +114,7 @@ def test_a_vehicle_out_of_range_returns_and_the_link_with_it(flight):
     assert not flight.is_lost
     assert flight.frames["lost"] == 0
     flight.until(lambda: flight.is_lost, 30.0)
-    lost_s, heard = flight.time_s, flight.received
+    lost_s, known = flight.time_s, flight.received
     # at 10 m/s or less, the last heartbeat having been received up to a second before the range's end
     assert RANGE_M - 15.0 < flight.north_m < RANGE_M - 15.0 + 10.0 * (LOSS_S + 2.0)
     assert flight.frames["lost"] > 100  # telemetry does not get through either
@@ -121,11 +122,11 @@ def test_a_vehicle_out_of_range_returns_and_the_link_with_it(flight):
     assert flight.time_s - lost_s == pytest.approx(DELAY_S, abs=0.2)
     farthest_m = flight.north_m
     flight.until(lambda: not flight.is_lost, 30.0)
-    assert flight.received == heard + 1  # the first heartbeat that arrives
+    assert flight.received == known + 1  # the first heartbeat that arrives
     assert flight.north_m < farthest_m
     # PX4: a link that is there again leaves the return in effect, until another mode is requested
     acknowledged = flight.frames["acknowledged"]
-    flight.until(lambda: flight.received >= heard + 3, 10.0)
+    flight.until(lambda: flight.received >= known + 3, 10.0)
     assert commander.mode is FlightMode.RETURN
     assert flight.frames["acknowledged"] > acknowledged
     flight.command(common.MAV_CMD_DO_SET_MODE, 1.0, 4.0, 3.0)

@@ -9,7 +9,6 @@ from netsim_swarm import make_links
 from netsim.model.config import InterfererConfig, RadioConfig, RadioModel, StationConfig
 from netsim.phy.propagation import COMPUTED_TOGETHER, Trajectories
 
-
 PLACES = np.array([(0.0, 0.0, -10.0), (40.0, 10.0, -20.0), (-30.0, 25.0, -2.0), (5.0, -60.0, -15.0)])
 ATTITUDES = np.array([(1.0, 0.0, 0.0, 0.0), (0.8, 0.6, 0.0, 0.0), (0.8, 0.0, 0.6, 0.0), (0.6, 0.0, 0.0, 0.8)])
 N = len(PLACES)
@@ -55,7 +54,7 @@ def test_links_are_reciprocal_and_of_other_stations_unchanged(path_loss, common,
 
 
 def test_a_dipole_receives_half_of_a_wave_of_unknown_polarisation():
-    """Station 0 is upright; the gain of a half-wave dipole at an elevation e is (cos(pi/2 sin e) / cos e)^2."""
+    """The gain of an upright half-wave dipole at an elevation e is (cos(pi/2 sin e) / cos e)^2."""
     loss_db = powers_db() - powers_db(own(0, antenna="dipole"))
     away_m = PLACES[1:] - PLACES[0]
     sine = away_m[:, 2] / np.linalg.norm(away_m, axis=1)
