@@ -55,7 +55,11 @@ class Parser:
         """Count of bytes that belonged to no message of the dialect with a right checksum."""
         return self.counters.bytes_bad
 
-    def push(self, data: bytes, now: int = 0) -> list[Message]:
+    def push(self, data: bytes) -> list[Message]:
+        """Messages that are complete after the next ``data`` of a byte stream."""
+        return self.push_piece(data)
+
+    def push_piece(self, data: bytes, now: int = 0) -> list[Message]:
         """Messages that are complete after the next ``data`` of a byte stream; ``now`` as `push_datagram`."""
         self._buffer += data
         return self._parse(ended=False, now=now)

@@ -84,7 +84,7 @@ class MavlinkLink(Generic[A]):
         self.foreign: A | None = None
         """The first sender whose datagrams were dropped because the carrier does not trust it."""
         self._parser = Parser(signer)
-        self._push = self._parser.push if is_stream else self._parser.push_datagram
+        self._push = self._parser.push_piece if is_stream else self._parser.push_datagram
         self.counters = self._parser.counters
         """Counts of rejected input, by cause."""
         self._encoder = encoder

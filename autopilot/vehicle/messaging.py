@@ -20,8 +20,8 @@ from autopilot.services.calibration import Calibration
 from autopilot.services.clocks import PingService, TimesyncService
 from autopilot.services.command import ACCEPTED, FAILED, CommandService
 from autopilot.services.files import FileStore
-from autopilot.services.flow_control import FlowControl
 from autopilot.services.flight_data import FlightData, Home
+from autopilot.services.flow_control import FlowControl
 from autopilot.services.manual_control import ManualControlService
 from autopilot.services.mission_progress import MissionProgress
 from autopilot.services.offboard import OffboardService

@@ -1,8 +1,8 @@
-"""``python -m harness.ground_station --config FILE``: the process of one ground station on the radio.
+"""``python -m harness.ground_station --config FILE``: the process of one ground station.
 
 It has a UDP socket for each vehicle, as vehicles have with telemetry by wire. What a program sends there is
-given to the radio at once, and is on the air in the next interval of simulated time; what the radio receives
-from the vehicle is sent to the default program and to all that have sent to the socket.
+given to the radio or serial modem at once, and is on the air in the next interval of simulated time; what
+the radio receives from the vehicle is sent to the default program and to all that have sent to the socket.
 """
 
 import argparse
@@ -11,6 +11,7 @@ import os
 import selectors
 import sys
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -20,13 +21,14 @@ from autopilot.mavlink.udp_socket import Address, UdpSocket
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Stop, Warned, commands, emit
 from foundation.processes.socket_owners import DatagramOwners
 from harness.ground_station.relay import Relay
+from harness.ground_station.serial_relay import SerialRelay
 from harness.ground_station.settings import GroundStationConfig
 from netsim.network.wakeable_queue import WakeableQueue
 from netsim.transport.access_control import User
 from netsim.transport.asynchronous_radio import AsynchronousRadio
 from netsim.transport.lockstep_radio import RadioFull
 from netsim.transport.zenoh_session import Transport
-from netsim.wire.messages import RxBatch, Unicast
+from netsim.wire.messages import RxBatch
 
 MAX_DATAGRAMS_PER_CALL = 64
 """Datagrams that are read of one socket before the others are looked at."""
@@ -89,7 +91,8 @@ class GroundStation:
 
     def __init__(self, config: GroundStationConfig, stack: contextlib.ExitStack) -> None:
         self._config = config
-        self._relay = Relay(len(config.local_ports))
+        vehicles = len(config.local_ports)
+        self._relay: Relay | SerialRelay = (SerialRelay if config.serial_modems else Relay)(vehicles)
         self._now_us = 0
         """Simulated time up to which the radio has returned deliveries."""
         self._received: WakeableQueue[RxBatch] = WakeableQueue()
@@ -135,7 +138,7 @@ class GroundStation:
 
     def _send_to_vehicles(self, vehicles: list[int]) -> None:
         """Give the radio what programs have sent to the sockets of these vehicles."""
-        frames: list[Unicast] = []
+        frames: list[Any] = []  # of the relay's kind
         for vehicle in vehicles:
             datagrams = self._sockets[vehicle].receive(self._now_us)
             frames += filter(None, (self._relay.frame(vehicle, each) for each in datagrams))
@@ -164,7 +167,7 @@ class GroundStation:
         names = self._sockets[0].counts
         rejected = {name: sum(each.counts[name] for each in self._sockets) for name in names}
         return {
-            "frames": self._relay.counts,
+            "serial" if self._config.serial_modems else "frames": self._relay.counts,
             **rejected,
             "datagrams_too_long": self._relay.too_long,
             "malformed_deliveries": self._radio.malformed,

@@ -28,5 +28,7 @@ class GroundStationConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """Address of the program that is sent to without having sent anything."""
     remote_port: Port
     """Its port; 0: there is none."""
+    serial_modems: bool = False
+    """Whether the station has a serial modem for each vehicle, in place of an 802.11 radio."""
     local_senders: Literal["own", "any"] = "own"
     """See `autopilot.parameters.config.LinksConfig`."""

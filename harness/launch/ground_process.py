@@ -30,5 +30,6 @@ def settings(
         host=links.host,
         remote_host=links.ground_station_host,
         remote_port=ports.gcs_remote_udp + number if ports.gcs_remote_udp else 0,
+        serial_modems=links.telemetry == "serial-radio",
         local_senders=links.local_senders,
     )

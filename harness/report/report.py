@@ -34,7 +34,7 @@ from harness.report.flown_array import figure_patterns
 from harness.report.formation_error import FormationError, formation_error
 from harness.report.page.flight_plots import ErrorEnvelopes
 from harness.report.page.run_page import Computed, write_page
-from harness.report.telemetry import telemetry_frames
+from harness.report.telemetry import telemetry_frames, telemetry_serial
 from harness.report.ulog_truth import add_truth
 from harness.scenario.scenario import Scenario
 from harness.simulator.messages import Formed
@@ -137,6 +137,8 @@ def _write_tables(folder: RunFolder, scenario: Scenario, outcome: RunOutcome) ->
     }
     if frames := telemetry_frames(outcome.processes):
         summary["telemetry_frames"] = frames
+    if serial := telemetry_serial(outcome.processes):
+        summary["telemetry_serial"] = serial
     if outcome.profile:
         summary["profile"] = msgspec.to_builtins(outcome.profile)
     _write_json(folder.summary, summary)

@@ -1,4 +1,4 @@
-"""Counts of the frames that carried MAVLink between vehicles and ground stations on the radio."""
+"""Counts of what carried MAVLink between vehicles and ground stations: 802.11 frames, or serial modems."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
@@ -11,10 +11,22 @@ def telemetry_frames(processes: Iterable[ProcessRecord]) -> dict[str, dict[str, 
 
     They are those of `autopilot.mavlink.radio_carrier.FrameCounts`. A vehicle that was killed reports none.
     """
+    return _sums(processes, "frames")
+
+
+def telemetry_serial(processes: Iterable[ProcessRecord]) -> dict[str, dict[str, int]]:
+    """Return sums over the vehicles' ends of the serial links, by ground station; empty without any.
+
+    They are those of `autopilot.mavlink.serial_carrier.SerialCounts`. A vehicle that was killed reports none.
+    """
+    return _sums(processes, "serial")
+
+
+def _sums(processes: Iterable[ProcessRecord], kind: str) -> dict[str, dict[str, int]]:
     sums: dict[str, dict[str, int]] = {}
     for details in _vehicles(processes):
         link = details.get("links", {}).get("ground_station", {})
-        for station, counts in link.get("frames", {}).items():
+        for station, counts in link.get(kind, {}).items():
             of_station = sums.setdefault(station, dict.fromkeys(counts, 0))
             for name, count in counts.items():
                 of_station[name] += count

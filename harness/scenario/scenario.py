@@ -46,6 +46,9 @@ from harness.world.wind import WindConfig
 from netsim.emulator import settings_checks as radio_settings
 from netsim.ftm.stamps import distance_m, round_trip_std_ps
 from netsim.model.config import RadioConfig
+from netsim.serial_radio.config import SerialPairsConfig, SerialRadioConfig
+from netsim.serial_radio.hopping import channel_count
+from netsim.serial_radio.timing import make_timing
 
 _UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _EPOCH_END = datetime(2500, 1, 1, tzinfo=UTC)
@@ -222,6 +225,8 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Unmodified programs on the vehicles: tables ``[[programs]]``."""
     stations: GroundStations = ()
     """Ground stations on the channel: tables ``[[stations]]``."""
+    serial_radio: SerialRadioConfig = SerialRadioConfig()
+    """Serial modems of the vehicles and their ground station, with ``links.telemetry = "serial-radio"``."""
 
     def __post_init__(self) -> None:
         """Check what no single field can."""
@@ -251,6 +256,8 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             autopilot=self.autopilot,
             agents=self.agents,
         )
+        if self.links.telemetry == "serial-radio":
+            make_timing(self.serial_radio, channel_count(self.serial_radio))
         try:
             radio_settings.check(self.channel, self.agents)
         except ValueError as error:
@@ -359,6 +366,7 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
                 ftm_trip_std_m=distance_m(round_trip_std_ps(self.radio.ftm, self.radio.bandwidth_mhz)),
             ),
             ground_stations=ground_stations.numbers(self.ground_stations, self.radio, self.agents),
+            serial_modem=self.links.telemetry == "serial-radio",
             places_ned_m=tuple((float(n), float(e), float(d)) for n, e, d in self.places_ned_m()),
             heading_deg=self.formation.heading_deg,
             motion=self.formation.motion,
@@ -369,8 +377,18 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     @property
     def ground_stations(self) -> tuple[GroundStation, ...]:
-        """Ground stations that the vehicles reach by radio; none with telemetry by wire."""
+        """Ground stations that the vehicles reach by radio or serial modem; none with telemetry by wire."""
+        if self.links.telemetry == "serial-radio":
+            return self.stations[:1]
         return self.stations if self.links.telemetry == "radio" else ()
+
+    @property
+    def serial_pairs(self) -> SerialPairsConfig | None:
+        """Pairs of serial modems, one for each vehicle; None without any."""
+        if self.links.telemetry != "serial-radio":
+            return None
+        (number,) = ground_stations.numbers(self.ground_stations, self.radio, self.agents).values()
+        return SerialPairsConfig(settings=self.serial_radio, ground_station=number)
 
     @property
     def ground_ports(self) -> int:

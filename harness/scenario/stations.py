@@ -28,7 +28,8 @@ MOST_STATIONS = 8
 class GroundStation(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A ground station with a radio at a fixed place: one of ``[[stations]]``.
 
-    Used with ``links.telemetry = "radio"``. Its station number follows those of the vehicles and of
+    Used with ``links.telemetry = "radio"`` and "serial-radio"; the first one then has modems in place of the
+    radio, and others are not used. Its station number follows those of the vehicles and of
     ``[[radio.guests]]``.
     """
 
@@ -41,7 +42,7 @@ class GroundStation(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     antenna: ModelName | RadioModel | None = None
     """Antenna pattern, as ``radio.antenna``, which is the default."""
     antenna_gain_dbi: GainDbi | None = None
-    """Peak gain; default: that of ``[radio]``."""
+    """Peak gain; default: that of ``[radio]``, or of ``[serial_radio]`` for its modems."""
     tx_power_dbm: PowerDbm | None = None
     """Transmit power at the antenna port; default: that of ``[radio]``."""
 
@@ -101,25 +102,31 @@ def check(
             raise ValueError(f"{path}.name: {names[each.name]} is called {each.name} too")
         names[each.name] = path
         other = overridden.get(of_stations[each.name])
-        if other is not None and each.overrides(0) != StationConfig(station=0) and links.telemetry == "radio":
+        if other is not None and each.overrides(0) != StationConfig(station=0) and links.telemetry != "wire":
             raise ValueError(
                 f"{other}.station: {of_stations[each.name]} is the ground station {each.name}; expected its "
                 f"antenna and power in {path}"
             )
-    if links.telemetry != "radio":
+    if links.telemetry == "wire":
         return
     if not stations:
         raise ValueError(
-            'links.telemetry: "radio" needs a ground station on the channel; expected a table [[stations]] '
+            f'links.telemetry: "{links.telemetry}" needs a ground station; expected a table [[stations]] '
             "with name and pos_ned_m"
+        )
+    is_serial = links.telemetry == "serial-radio"
+    if is_serial and stations[0].tx_power_dbm is not None:
+        raise ValueError(
+            "stations[0].tx_power_dbm: it is that of an 802.11 radio; "
+            'expected serial_radio.tx_power_dbm with links.telemetry = "serial-radio"'
         )
     external = next((i for i in range(agents) if autopilot.is_external(i)), None)
     if external is not None:
         raise ValueError(
-            f'links.telemetry: "radio" is for coflight\'s own autopilots; UAV {external} is flown by '
-            f'{autopilot.kind_of(external)}, whose MAVLink is UDP: expected "wire"'
+            f'links.telemetry: "{links.telemetry}" is for coflight\'s own autopilots; UAV {external} is '
+            f'flown by {autopilot.kind_of(external)}, whose MAVLink is UDP: expected "wire"'
         )
-    if not onboard.enabled:
+    if is_serial or not onboard.enabled:
         return
     ports = {"onboard.port": onboard.port}
     ports |= {f"onboard.programs[{number}].port": each.port for number, each in enumerate(onboard.programs)}

@@ -67,10 +67,8 @@ class SerialModems:
         vehicle, ground = min(station, peer), max(station, peer)
         return vehicle < self._vehicles and ground == self._ground
 
-    def set_motion(
-        self, at_ns: int, pos_ned_m: Doubles, vel_ned_m_s: Doubles, q_ned_frd: Doubles
-    ) -> None:
-        """Set positions (n, 3) at ``at_ns``, velocities (n, 3) and attitudes (n, 4), wxyz, of all stations."""
+    def set_motion(self, at_ns: int, pos_ned_m: Doubles, vel_ned_m_s: Doubles, q_ned_frd: Doubles) -> None:
+        """Set the stations' positions (n, 3) at ``at_ns``, velocities (n, 3) and attitudes (n, 4), wxyz."""
         self._gains.set_motion(at_ns, pos_ned_m, vel_ned_m_s, q_ned_frd)
 
     def set_extra_attenuation_db(self, value: float) -> None:

@@ -27,7 +27,7 @@ class SerialRadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields
     tx_power_dbm: Annotated[float, Meta(ge=0.0, le=30.0)] = 20.0
     """TXPOWER: transmit power at the antenna port, dBm. Modems with a Si1000 have at most 20 dBm."""
     antenna_gain_dbi: Annotated[float, Meta(ge=-50.0, le=50.0)] = 0.0
-    """Peak gain of each antenna; that of the ground station may have its own, ``stations.antenna_gain_dbi``."""
+    """Peak gain of each antenna; ``stations.antenna_gain_dbi`` replaces that of the ground station."""
     noise_figure_db: Annotated[float, Meta(ge=0.0, le=50.0)] = 7.0
     """Noise figure of each receiver, dB; it determines the reported noise."""
     implementation_loss_db: Annotated[float, Meta(ge=0.0, le=50.0)] = 2.0

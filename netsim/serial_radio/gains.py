@@ -67,7 +67,7 @@ class PathGains:
             models = structs.replace(models, path_loss=path_loss)
         self._path = PathGain(self._config, models)
         own = own_gain_dbi or {}
-        self._relative = [
+        self._relative: list[float] = [
             10.0 ** ((own.get(i, serial.antenna_gain_dbi) - serial.antenna_gain_dbi) / 10.0)
             for i in range(stations)
         ]
