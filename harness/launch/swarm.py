@@ -389,8 +389,8 @@ class Swarm:
     def mavlink(self, instance: int, station: str | None = None) -> Any:  # noqa: ANN401  pymavlink has no types
         """Open a pymavlink connection (`mavutil`) to a vehicle, as a ground station; closed with the swarm.
 
-        With ``links.telemetry = "radio"`` it is that of the ground station of this name, by default the
-        first.
+        With ``links.telemetry = "radio"`` or "serial-radio" it is that of the ground station of this name, by
+        default the first.
 
         A vehicle answers the stations that have sent to it, so a first heartbeat is sent here. It also
         answers while simulated time is paused, but its streams follow simulated time. Such a run depends on

@@ -10,6 +10,7 @@ from autopilot.vehicle.extensions import load_extensions
 from harness.scenario import world_checks
 from harness.scenario.scenario import Scenario
 from netsim.radio_models import registry
+from netsim.serial_radio.hopping import centre_mhz
 
 
 def with_code(scenario: Scenario, folder: Path) -> Scenario:
@@ -32,6 +33,9 @@ def with_code(scenario: Scenario, folder: Path) -> Scenario:
     )
     count = scenario.agents + len(radio.guests) + len(stations)
     registry.check_models(radio, count, scenario.places_ned_m())
+    if scenario.serial_pairs is not None:
+        at_modems = msgspec.structs.replace(radio, frequency_mhz=centre_mhz(scenario.serial_radio))
+        registry.check_models(at_modems, count, scenario.places_ned_m())
     for number, station in enumerate(stations):
         if station.antenna is not None:
             registry.check_antenna(radio, count, station.antenna, f"stations[{number}].antenna")

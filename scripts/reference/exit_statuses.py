@@ -130,7 +130,7 @@ SUMMARY = {
     "log_sha256": "hash of the logs: equal for equal flights",
 }
 """Keys of the summary of a run, with their meanings; ``profile`` is added by ``--profile``, and
-``telemetry_frames`` by ground stations on the radio."""
+``telemetry_frames`` by ground stations on the radio, ``telemetry_serial`` by serial modems."""
 
 
 class Result(NamedTuple):

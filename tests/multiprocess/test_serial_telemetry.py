@@ -27,7 +27,10 @@ def test_without_a_program_a_run_is_a_function_of_scenario_and_seed(tmp_path):
         with kind(ARTICLE, agents=2, overrides=["formation.columns=2", *SERIAL], out=out) as swarm:
             swarm.run(until_s=5.0)
             summary = swarm.summary(draw=False)
-        processes = {each["name"]: each["details"] for each in json.loads((out / "manifest.json").read_text())["processes"]}
+        processes = {
+            each["name"]: each["details"]
+            for each in json.loads((out / "manifest.json").read_text())["processes"]
+        }
         found.append((summary, processes))
     (one, _), (many, processes) = found
     assert one["log_sha256"] == many["log_sha256"]

@@ -139,6 +139,14 @@ def test_each_link_has_its_own_budget():
     assert shapers.has_room(Partner(BROADCAST))
 
 
+def test_a_link_without_a_limit_passes_everything_beside_one_that_has_one():
+    shapers = Shapers({GROUND_STATION: BUDGET, COMPANION: 0})
+    to_companion = Addressed(Partner(COMPANION), attitude(0).message)
+    streamed = [attitude(0), to_companion] * 40
+    out = shapers.shape(STEP_US, answered=[to_companion], timed=[to_companion], streamed=streamed)
+    assert [each.partner.link for each in out].count(COMPANION) == 42
+
+
 def vehicle(bandwidth_bytes_s):
     config = VehicleConfig(
         run_id="test",

@@ -12,7 +12,8 @@ from netsim.wire.messages import SerialBytes, SerialReceived, SerialReport, Surv
 GROUND = 3
 BEAT = common.MAVLink_heartbeat_message(common.MAV_TYPE_GCS, 8, 0, 0, 4, 3)
 REPORT = SerialReport(
-    peer=GROUND, seq=9, received_ns=9, rssi=90, remrssi=91, txbuf=100, noise=40, remnoise=41, rxerrors=2, fixed=1
+    peer=GROUND, seq=9, received_ns=9, rssi=90, remrssi=91, txbuf=100, noise=40, remnoise=41, rxerrors=2,
+    fixed=1,
 )  # fmt: skip
 
 
@@ -22,7 +23,8 @@ def make_link(carrier, **settings):
 
 def received(*pieces):
     return [
-        SerialReceived(peer=GROUND, seq=i, received_ns=i, payload=bytes(piece)) for i, piece in enumerate(pieces)
+        SerialReceived(peer=GROUND, seq=i, received_ns=i, payload=bytes(piece))
+        for i, piece in enumerate(pieces)
     ]
 
 
@@ -32,7 +34,13 @@ def test_the_stream_is_parsed_over_the_pieces_and_after_lost_bytes():
     encoder = Encoder(system=255, component=190)
     frames = [encoder.encode(BEAT) for _ in range(6)]
     # one frame in two pieces, one that lost its middle, one without its begin
-    pieces = [frames[0][:7], frames[0][7:] + frames[1], frames[2][:5] + frames[2][9:] + frames[3], frames[4][6:], frames[5]]
+    pieces = [
+        frames[0][:7],
+        frames[0][7:] + frames[1],
+        frames[2][:5] + frames[2][9:] + frames[3],
+        frames[4][6:],
+        frames[5],
+    ]
     survey = Survey(ended_ns=9, busy_ns=0)
     assert carrier.take_in([*received(*pieces), REPORT, survey]) == [survey]
     messages = link.receive(0)

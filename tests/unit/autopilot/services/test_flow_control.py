@@ -4,7 +4,7 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from autopilot.services.flow_control import TIMEOUT_US, FlowControl
-from autopilot.services.streams import SERIAL_HZ, SECOND_US, MessageStreams
+from autopilot.services.streams import SECOND_US, SERIAL_HZ, MessageStreams
 
 UNLIMITED = 10**9
 NEEDS = 20.0, 1_000.0
@@ -44,7 +44,9 @@ def test_rates_return_when_the_modem_no_longer_reports():
 
 
 def test_streams_fit_into_the_data_rate_and_the_heartbeat_keeps_its_own():
-    streams = MessageStreams(dict.fromkeys(SERIAL_HZ, lambda: common.MAVLink_system_time_message(0, 0)), SERIAL_HZ)
+    streams = MessageStreams(
+        dict.fromkeys(SERIAL_HZ, lambda: common.MAVLink_system_time_message(0, 0)), SERIAL_HZ
+    )
     constant_bytes_s, variable_bytes_s = streams.needs_bytes_s
     assert constant_bytes_s == 21.0  # a heartbeat a second
     streams.rate_factor = FlowControl(1_000).factor(0, constant_bytes_s, variable_bytes_s)

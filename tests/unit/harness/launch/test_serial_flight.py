@@ -173,7 +173,10 @@ def test_streams_adapt_to_a_link_that_is_slower_than_they_are(fly):
     flight.run(20.0, note)
     assert max(factors[:2]) == 1.0
     assert max(factors[20:]) < 0.5
-    sent_bytes_s, received_bytes_s = (flight.counts["sent_bytes"] - sent) / 20, (flight.ground_bytes - received) / 20
+    sent_bytes_s, received_bytes_s = (
+        (flight.counts["sent_bytes"] - sent) / 20,
+        (flight.ground_bytes - received) / 20,
+    )
     assert 0.7 * LINK_BYTES_S < received_bytes_s < LINK_BYTES_S
     assert sent_bytes_s == pytest.approx(received_bytes_s, rel=0.1)
     assert flight.count("HEARTBEAT") - heartbeats >= 15
