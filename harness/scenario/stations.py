@@ -111,8 +111,8 @@ def check(
         return
     if not stations:
         raise ValueError(
-            f'links.telemetry: "{links.telemetry}" needs a ground station; expected a table [[stations]] '
-            "with name and pos_ned_m"
+            f'links.telemetry: "{links.telemetry}" needs a ground station at a place; expected a table '
+            "[[stations]] with name and pos_ned_m"
         )
     is_serial = links.telemetry == "serial-radio"
     if is_serial and stations[0].tx_power_dbm is not None:
