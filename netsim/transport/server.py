@@ -14,6 +14,7 @@ import queue
 import socket
 import sys
 import time
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -132,10 +133,16 @@ class Server:
 
         Raises ValueError for an invalid request.
         """
-        while (request := clock.receive()) is not None:
+        later: deque[Advance] = deque()
+        """Requests that arrived before the repetition of an earlier one."""
+        while (request := later.popleft() if later else clock.receive()) is not None:
             # Linux weighs sched_yield among the processes of one session, here the vehicles on this processor
             self._service.set_between_events(os.sched_yield if _shares_a_processor() else None)
-            self.advance(request, clock.send)
+            while not self.advance(request, clock.send):
+                repeated = _repetition(request, clock, later)
+                if repeated is None:
+                    break
+                request = repeated
         packets = {} if self._packets is None else {"packets": self._packets.counters}
         return {"counters": self._service.counters} | self.refused | packets
 
@@ -153,16 +160,18 @@ class Server:
         self._transport.close()
         self._service.close()
 
-    def advance(self, request: Advance, answer: Callable[[Advanced], None] = lambda _: None) -> None:
+    def advance(self, request: Advance, answer: Callable[[Advanced], None] = lambda _: None) -> bool:
         """Simulate the interval of an `Advance`, reply, and deliver; or reply with the missing senders.
 
-        The reply is sent first, so that the time master continues; vehicles wait for announced deliveries.
+        Returns False with missing senders: the request is repeated. The reply is sent first, so that the time
+        master continues; vehicles wait for announced deliveries.
+
         Raises ValueError for an invalid request.
         """
         missing = self._take_in(request)
         if missing:
             answer(self._service.advanced(missing=tuple(sorted(missing))))
-            return
+            return False
         self._intake.begin_interval()
         advance = self._service.advance if self._packets is None else self._packets.advance
         batches = advance(request)
@@ -173,6 +182,7 @@ class Server:
             self._send(self._senders[station], batches.pop(station))
         for station, batch in batches.items():
             self._askers[station].ask(encode(batch))  # without waiting for the reply
+        return True
 
     def _take_in(self, request: Advance) -> set[Station]:
         """Collect the vehicles' batches; return the senders whose batches are missing."""
@@ -246,6 +256,15 @@ class Server:
 _ACK, _FULL = encode(Ack()), encode(Ack(full=True))
 _VEHICLES, _DIRECTORY, _INTERFACES = "vehicles", "directory", "interfaces"
 """Origins of messages beside the guests."""
+
+
+def _repetition(
+    request: Advance, clock: MessageStream[Advanced, Advance], later: deque[Advance]
+) -> Advance | None:
+    """Return the repetition of a request, None at the stream's end; requests before it go to ``later``."""
+    while (other := clock.receive()) is not None and other.to_us != request.to_us:
+        later.append(other)
+    return other
 
 
 def _endpoint(config: ServerConfig) -> str:
