@@ -191,7 +191,8 @@ status whose cell is empty.
 ## Summary of a run
 
 `coflight fly`, `coflight hold` and `coflight report` print it with `--json`; it is `summary.json` of the
-run's folder. `fly --profile` adds `profile`.
+run's folder. `fly --profile` adds `profile`; a run with network namespaces adds `program_packets`: packets
+`sent`, `received` and `late` (by more than 20 ms of wall time), `mean_late_ms` and `largest_late_ms`.
 
 {summary}
 ## JSON of the other commands

@@ -89,6 +89,9 @@ def test_broadcasts_of_two_scripts_arrive_as_the_frame_log_says(scenario, tmp_pa
         leftovers = swarm.leftovers()
     assert leftovers == []
     assert summary["deterministic"] is False
+    packets = summary["program_packets"]
+    assert packets["sent"] >= sent_in_flight
+    assert 0 < packets["late"] + 1 <= packets["received"]
     lines = lines_of(swarm.path)
     assert sent_in_flight > AGENTS * 80
     frames = pq.read_table(swarm.path / "radio.parquet").to_pylist()
