@@ -1,7 +1,7 @@
 """Network namespaces of all vehicles with their interfaces, made by a process that ends afterwards.
 
 A thread that has left the host's network namespace cannot return to it, as it has no privileges there. So a
-child process makes the namespaces, and passes packet sockets and descriptors of the namespaces to this one.
+child process makes the namespaces, and passes sockets and descriptors of the namespaces to this one.
 For each vehicle a small process remains, the holder, by which other processes can enter its namespaces
 (`netsim.network.vehicle_entry`).
 """
@@ -11,12 +11,13 @@ import os
 import signal
 import socket
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple, NoReturn
 
 import msgspec
 
 from foundation.system_error import described
+from netsim.network.companion_sockets import CompanionSockets
 from netsim.network.namespaces import (
     CLONE_NEWNET,
     new_network_namespace,
@@ -40,6 +41,8 @@ class VehicleNetwork(NamedTuple):
     """Packet socket of the bridge's end of the interface"""
     holder_pid: int
     """As the host numbers processes"""
+    companion: CompanionSockets | None
+    """Of ``eth0``, if it has one"""
 
 
 class NetworksNotMade(OSError):
@@ -49,6 +52,8 @@ class NetworksNotMade(OSError):
 class _Made(msgspec.Struct, tag=True):
     station: Station
     holder_pid: int
+    companion_index: int | None
+    """Of ``eth0``. Descriptors: namespace, packet socket, and of ``eth0`` UDP socket and diagnostics."""
 
 
 class _Failed(msgspec.Struct, tag=True):
@@ -58,8 +63,10 @@ class _Failed(msgspec.Struct, tag=True):
 _answers = msgspec.json.Decoder(_Made | _Failed)
 
 
-def make_networks(stations: Sequence[Station], outer_proc: int) -> list[VehicleNetwork]:
-    """Return a network for each station, with interfaces that can send.
+def make_networks(
+    stations: Sequence[Station], companions: Collection[Station], outer_proc: int
+) -> list[VehicleNetwork]:
+    """Return a network for each station, with interfaces that can send, and ``eth0`` for ``companions``.
 
     To be called with one thread in `namespaces.run_as_first_process`, whose descriptor of the host's
     ``/proc`` it takes. Raises NetworksNotMade.
@@ -68,22 +75,19 @@ def make_networks(stations: Sequence[Station], outer_proc: int) -> list[VehicleN
     pid = os.fork()
     if pid == 0:
         ours.close()
-        _make(stations, outer_proc, theirs)
+        _make(stations, companions, outer_proc, theirs)
     theirs.close()
     networks = []
     with ours:
         while True:
-            answer, fds, _, _ = socket.recv_fds(ours, _MOST_BYTES, 2)  # ignores its flags in Python 3.11
+            answer, fds, _, _ = socket.recv_fds(ours, _MOST_BYTES, 4)  # ignores its flags in Python 3.11
             for fd in fds:
                 os.set_inheritable(fd, False)  # noqa: FBT003  or all programs would have them
             if not answer:
                 break
             match _answers.decode(answer):
-                case _Made(station, holder_pid):
-                    namespace_fd, frames_fd = fds
-                    networks.append(
-                        VehicleNetwork(station, namespace_fd, socket.socket(fileno=frames_fd), holder_pid)
-                    )
+                case _Made() as made:
+                    networks.append(_received(made, *fds))
                 case _Failed(reason):
                     raise NetworksNotMade(reason)
     status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
@@ -92,7 +96,19 @@ def make_networks(stations: Sequence[Station], outer_proc: int) -> list[VehicleN
     return networks
 
 
-def _make(stations: Sequence[Station], outer_proc: int, answers: socket.socket) -> NoReturn:
+def _received(made: _Made, namespace_fd: int, frames_fd: int, *companion_fds: int) -> VehicleNetwork:
+    companion = None
+    if made.companion_index is not None:
+        autopilot, *others = (socket.socket(fileno=fd) for fd in companion_fds)
+        companion = CompanionSockets(autopilot, made.companion_index, others[0] if others else None)
+    return VehicleNetwork(
+        made.station, namespace_fd, socket.socket(fileno=frames_fd), made.holder_pid, companion
+    )
+
+
+def _make(
+    stations: Sequence[Station], companions: Collection[Station], outer_proc: int, answers: socket.socket
+) -> NoReturn:
     """Make the networks, send them, and exit; must not return into the parent's code."""
     status = 1
     try:
@@ -101,11 +117,17 @@ def _make(stations: Sequence[Station], outer_proc: int, answers: socket.socket) 
         for station in stations:  # before the import of pyroute2, so that the holders are small
             namespace_fd = new_network_namespace()
             made.append((station, namespace_fd, _start_holder(station, outer_proc)))
-        for (station, namespace_fd, holder_pid), frames in zip(
-            made, _with_interfaces(bridge, [each[:2] for each in made]), strict=True
-        ):
-            answer = msgspec.json.encode(_Made(station, holder_pid))
-            socket.send_fds(answers, [answer], [namespace_fd, frames.fileno()])
+        namespaces = [each[:2] for each in made]
+        interfaces = zip(
+            made, _with_interfaces(bridge, namespaces), _with_companions(namespaces, companions), strict=True
+        )
+        for (station, namespace_fd, holder_pid), frames, companion in interfaces:
+            answer = _Made(station, holder_pid, None if companion is None else companion.interface)
+            files = [frames]
+            if companion is not None:
+                files += filter(None, (companion.autopilot, companion.diagnostics))
+            fds = [namespace_fd, *(each.fileno() for each in files)]
+            socket.send_fds(answers, [msgspec.json.encode(answer)], fds)
         status = 0
     except BaseException as error:  # noqa: BLE001  reported by the parent
         answers.send(msgspec.json.encode(_Failed(described(error))))
@@ -134,6 +156,15 @@ def _with_interfaces(bridge: int, namespaces: Sequence[tuple[Station, int]]) -> 
                 raise NetworksNotMade(f"station {station}: {interfaces.INTERFACE} does not get up")
             time.sleep(_POLL_S)
     return sockets
+
+
+def _with_companions(
+    namespaces: Sequence[tuple[Station, int]], companions: Collection[Station]
+) -> list[CompanionSockets | None]:
+    """Make ``eth0`` of the vehicles that have one and return their sockets."""
+    from netsim.network.companion_interface import make_companion  # noqa: PLC0415  likewise
+
+    return [make_companion(*each) if each[0] in companions else None for each in namespaces]
 
 
 def _start_holder(station: Station, outer_proc: int) -> int:
