@@ -37,9 +37,9 @@ MOST_PACKETS = 64
 """Most packets of a message."""
 FRAMES_PER_TURN = 16
 """Most frames that are read from a station before the others have their turn."""
-DESCRIPTORS_OF_VEHICLE, DESCRIPTORS_BESIDE = 6, 128
-"""Descriptors of a vehicle: namespace, packet socket, three sockets of ``eth0`` and one of a program's other
-port; and of everything else."""
+DESCRIPTORS_OF_VEHICLE, DESCRIPTORS_BESIDE = 7, 128
+"""Descriptors of a vehicle: two namespaces, packet socket, three sockets of ``eth0`` and one of a program's
+other port; and of everything else."""
 EMULATOR_LIMIT_S = 20.0
 """Wall time within which the emulator's declaration has to arrive."""
 
@@ -134,7 +134,7 @@ class Host:
         self._received: WakeableQueue[bytes] = WakeableQueue()
         self._selector = selectors.DefaultSelector()
         self._programs = Programs(
-            config.programs, {each.station: each.namespace_fd for each in networks}, report=emit
+            config.programs, {each.station: each.namespaces for each in networks}, report=emit
         )
         transport.subscribe(packets_received_key(config.run_id), self._received.put)
         sender = transport.sender(packets_sent_key(config.run_id))

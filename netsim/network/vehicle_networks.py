@@ -12,18 +12,22 @@ import signal
 import socket
 import time
 from collections.abc import Collection, Sequence
+from ipaddress import IPv4Address
 from typing import NamedTuple, NoReturn
 
 import msgspec
 
 from foundation.system_error import described
-from netsim.network.companion_sockets import CompanionSockets
+from netsim.network.companion_sockets import AUTOPILOT, CompanionSockets
 from netsim.network.namespaces import (
     CLONE_NEWNET,
     new_network_namespace,
     outer_pid,
+    own_mount_namespace,
     set_namespace,
 )
+from netsim.network.vehicle_files import add_host_names, new_mount_namespace
+from netsim.wire.addresses import ipv4_address
 from netsim.wire.messages import Station
 
 _RUNNING_LIMIT_S = 10.0
@@ -32,11 +36,18 @@ _POLL_S = 0.002
 _MOST_BYTES = 65_536
 
 
+class Namespaces(NamedTuple):
+    """Descriptors of the namespaces of a vehicle's programs."""
+
+    network_fd: int
+    mounts_fd: int
+
+
 class VehicleNetwork(NamedTuple):
     """What this process has of a vehicle's network."""
 
     station: Station
-    namespace_fd: int
+    namespaces: Namespaces
     frames: socket.socket
     """Packet socket of the bridge's end of the interface"""
     holder_pid: int
@@ -53,7 +64,7 @@ class _Made(msgspec.Struct, tag=True):
     station: Station
     holder_pid: int
     companion_index: int | None
-    """Of ``eth0``. Descriptors: namespace, packet socket, and of ``eth0`` UDP socket and diagnostics."""
+    """Of ``eth0``. Descriptors: two namespaces, packet socket, and of ``eth0`` UDP socket and diagnostics."""
 
 
 class _Failed(msgspec.Struct, tag=True):
@@ -68,9 +79,13 @@ def make_networks(
 ) -> list[VehicleNetwork]:
     """Return a network for each station, with interfaces that can send, and ``eth0`` for ``companions``.
 
+    ``/etc/hosts`` of this process and of the vehicles has the names ``uav-0`` and so on.
+
     To be called with one thread in `namespaces.run_as_first_process`, whose descriptor of the host's
     ``/proc`` it takes. Raises NetworksNotMade.
     """
+    names = {f"uav-{each}": str(IPv4Address(ipv4_address(each))) for each in stations}
+    add_host_names(names | ({"autopilot": AUTOPILOT[0]} if companions else {}))
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     pid = os.fork()
     if pid == 0:
@@ -80,7 +95,7 @@ def make_networks(
     networks = []
     with ours:
         while True:
-            answer, fds, _, _ = socket.recv_fds(ours, _MOST_BYTES, 4)  # ignores its flags in Python 3.11
+            answer, fds, _, _ = socket.recv_fds(ours, _MOST_BYTES, 5)  # ignores its flags in Python 3.11
             for fd in fds:
                 os.set_inheritable(fd, False)  # noqa: FBT003  or all programs would have them
             if not answer:
@@ -96,14 +111,15 @@ def make_networks(
     return networks
 
 
-def _received(made: _Made, namespace_fd: int, frames_fd: int, *companion_fds: int) -> VehicleNetwork:
+def _received(
+    made: _Made, network_fd: int, mounts_fd: int, frames_fd: int, *companion_fds: int
+) -> VehicleNetwork:
     companion = None
     if made.companion_index is not None:
         autopilot, *others = (socket.socket(fileno=fd) for fd in companion_fds)
         companion = CompanionSockets(autopilot, made.companion_index, others[0] if others else None)
-    return VehicleNetwork(
-        made.station, namespace_fd, socket.socket(fileno=frames_fd), made.holder_pid, companion
-    )
+    namespaces, frames = Namespaces(network_fd, mounts_fd), socket.socket(fileno=frames_fd)
+    return VehicleNetwork(made.station, namespaces, frames, made.holder_pid, companion)
 
 
 def _make(
@@ -112,21 +128,21 @@ def _make(
     """Make the networks, send them, and exit; must not return into the parent's code."""
     status = 1
     try:
-        bridge = new_network_namespace()
+        bridge, mounts = new_network_namespace(), own_mount_namespace()
         made = []
         for station in stations:  # before the import of pyroute2, so that the holders are small
-            namespace_fd = new_network_namespace()
-            made.append((station, namespace_fd, _start_holder(station, outer_proc)))
-        namespaces = [each[:2] for each in made]
+            namespaces = Namespaces(new_network_namespace(), new_mount_namespace(mounts))
+            made.append((station, namespaces, _start_holder(station, outer_proc)))
+        networks = [(station, namespaces.network_fd) for station, namespaces, _ in made]
         interfaces = zip(
-            made, _with_interfaces(bridge, namespaces), _with_companions(namespaces, companions), strict=True
+            made, _with_interfaces(bridge, networks), _with_companions(networks, companions), strict=True
         )
-        for (station, namespace_fd, holder_pid), frames, companion in interfaces:
+        for (station, namespaces, holder_pid), frames, companion in interfaces:
             answer = _Made(station, holder_pid, None if companion is None else companion.interface)
             files = [frames]
             if companion is not None:
                 files += filter(None, (companion.autopilot, companion.diagnostics))
-            fds = [namespace_fd, *(each.fileno() for each in files)]
+            fds = [*namespaces, *(each.fileno() for each in files)]
             socket.send_fds(answers, [msgspec.json.encode(answer)], fds)
         status = 0
     except BaseException as error:  # noqa: BLE001  reported by the parent

@@ -6,6 +6,7 @@ import struct
 import subprocess
 import sys
 import types
+from pathlib import Path
 
 import psutil
 import pytest
@@ -210,6 +211,34 @@ def test_programs_see_only_their_vehicle_and_the_host_keeps_its_interfaces():
         assert psutil.net_if_addrs() == before
         host.stop()
     assert psutil.net_if_addrs() == before
+
+
+@needs("unshare")
+def test_sysfs_and_host_names_are_those_of_the_vehicle():
+    mount = [
+        "unshare",
+        "--user",
+        "--map-root-user",
+        "--mount",
+        "--net",
+        "mount",
+        "-t",
+        "sysfs",
+        "none",
+        "/sys",
+    ]
+    if subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("sysfs cannot be mounted here")
+    before = sorted(Path("/sys/class/net").iterdir()), Path("/etc/hosts").read_bytes()
+    names = "import socket; print(socket.gethostbyname('uav-3'), socket.gethostbyname('localhost'))"
+    programs = [(1, ["ls", "/sys/class/net"]), (1, script(names)), (1, ["sh", "-c", "echo > /etc/hosts"])]
+    with programs_on_vehicles(programs) as (_, host):
+        host.start()
+        assert host.wait_for_log(0, "wlan0").split() == ["lo", "wlan0"]
+        assert host.wait_for_log(1, "\n") == "10.1.0.3 127.0.0.1\n"
+        assert host.event(ProgramEnded, program=2).returncode != 0  # all vehicles have the same file
+        host.stop()
+    assert before == (sorted(Path("/sys/class/net").iterdir()), Path("/etc/hosts").read_bytes())
 
 
 def test_statuses_of_programs_and_their_restarts():
