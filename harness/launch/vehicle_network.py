@@ -51,6 +51,7 @@ def network_config(scenario: Scenario, endpoint: RadioEndpoint, *, run_id: str, 
             )
             for uav, program in placed_programs(scenario)
         ),
+        interfaces=scenario.network.interfaces,
         window_packets=scenario.radio.queue_frames,
     )
 

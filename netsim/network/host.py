@@ -12,7 +12,7 @@ import resource
 import selectors
 import signal
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from netsim.network.bridge import Bridge
 from netsim.network.messages import NAME, Command, NetworkConfig, StartPrograms, check
 from netsim.network.packet_socket import PacketSocket
 from netsim.network.programs import Programs
+from netsim.network.tap_file import TapFile
 from netsim.network.vehicle_networks import VehicleNetwork, make_networks
 from netsim.network.wakeable_queue import WakeableQueue
 from netsim.transport.access_control import User
@@ -37,9 +38,9 @@ MOST_PACKETS = 64
 """Most packets of a message."""
 FRAMES_PER_TURN = 16
 """Most frames that are read from a station before the others have their turn."""
-DESCRIPTORS_OF_VEHICLE, DESCRIPTORS_BESIDE = 7, 128
-"""Descriptors of a vehicle: two namespaces, packet socket, three sockets of ``eth0`` and one of a program's
-other port; and of everything else."""
+DESCRIPTORS_OF_VEHICLE, DESCRIPTORS_BESIDE = 8, 128
+"""Descriptors of a vehicle: two namespaces, two of ``wlan0``, three sockets of ``eth0`` and one of another
+port; and of everything else."""
 EMULATOR_LIMIT_S = 20.0
 """Wall time within which the emulator's declaration has to arrive."""
 
@@ -55,7 +56,7 @@ class BridgedInterfaces:
 
     def __init__(
         self,
-        sockets: dict[Station, PacketSocket],
+        sockets: Mapping[Station, PacketSocket | TapFile],
         *,
         window_packets: int,
         selector: selectors.BaseSelector,
@@ -141,14 +142,16 @@ class Host:
         if not sender.wait_for_receiver(EMULATOR_LIMIT_S):
             raise TransportError(f"{config.endpoint}: the 802.11 emulator does not accept packets")
         self._interfaces = BridgedInterfaces(
-            {each.station: PacketSocket(each.frames) for each in networks},
+            {each.station: each.frames for each in networks},
             window_packets=config.window_packets,
             selector=self._selector,
             publish=sender.send,
         )
         companions = {each.station: each.companion for each in networks if each.companion is not None}
         self._relay = AutopilotRelay(
-            [(link, companions[link.station]) for link in config.companions], self._selector, time.monotonic
+            [(each, companions[each.station]) for each in config.companions if each.station in companions],
+            self._selector,
+            time.monotonic,
         )
         self.companion_ports = self._relay.companion_ports
         self._child_ended = _child_signals()
@@ -202,7 +205,8 @@ def run(config_path: Path, outer_proc: int, *, pid: int, supervised: bool) -> No
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a program could send it; the end comes as a command
     _allow_descriptors(DESCRIPTORS_OF_VEHICLE * len(config.stations))
     companions = {each.station for each in config.companions}
-    networks = make_networks(config.stations, companions, outer_proc)  # before there are other threads
+    # before there are other threads
+    networks = make_networks(config.stations, companions, outer_proc, config.interfaces)
     inbox: WakeableQueue[Command] = WakeableQueue()
     transport = Transport.connect(config.endpoint, User(config.user, config.password))
     with contextlib.closing(transport):

@@ -1,4 +1,4 @@
-"""Interfaces of vehicles, by netlink: veth pairs, configured without configuration files.
+"""Interfaces of vehicles, by netlink: veth pairs or TAPs, configured without configuration files.
 
 The end ``wlan0`` is in the vehicle's namespace. Its peer is in the bridge's, where packet sockets read it
 (`netsim.network.packet_socket`); the peer has neither addresses nor IPv6. The end ``eth0`` is there too; its
@@ -21,10 +21,11 @@ from pathlib import Path
 
 from pyroute2 import IPRoute, NetlinkError
 
+from netsim.network.messages import INTERFACE
 from netsim.wire.addresses import GROUP_IPV4_ADDRESS, ipv4_address, mac_address
 from netsim.wire.messages import Station
 
-INTERFACE, COMPANION_INTERFACE = "wlan0", "eth0"
+COMPANION_INTERFACE = "eth0"
 MTU_BYTES = 1_500
 COMPANION_PREFIX_BITS = 24
 IPV4_PREFIX_BITS = 8
@@ -50,6 +51,10 @@ _OFFLOADS = {
 
 class InterfaceError(OSError):
     """An interface cannot be made or configured; the text is one line."""
+
+
+class NoVeth(InterfaceError):
+    """The kernel makes no veth pairs."""
 
 
 def peer_name(station: Station) -> str:
@@ -90,6 +95,17 @@ def make_pair(station: Station, namespace_fd: int) -> None:
             with contextlib.suppress(NetlinkError):  # a kernel without IPv6
                 netlink.link("set", index=index, IFLA_AF_SPEC=_NO_ADDRESS)
             netlink.link("set", index=index, arp=False, state="up")
+    except NetlinkError as error:
+        raise _explained(station, error) from None
+
+
+def prepare_tap(station: Station, queue_frames: int) -> None:
+    """Give ``wlan0``, a TAP interface, its MAC address and a transmit queue. Raises InterfaceError."""
+    try:
+        with IPRoute() as netlink:
+            (index,) = netlink.link_lookup(ifname=INTERFACE)
+            address = mac_address(station).hex(":")
+            netlink.link("set", index=index, address=address, mtu=MTU_BYTES, txqlen=queue_frames)
     except NetlinkError as error:
         raise _explained(station, error) from None
 
@@ -170,5 +186,7 @@ def set_offloads_off(name: str) -> None:
 
 
 def _explained(station: Station, error: NetlinkError, interface: str = INTERFACE) -> InterfaceError:
-    hint = "; is the kernel module `veth` available?" if error.code == errno.EOPNOTSUPP else ""
-    return InterfaceError(f"station {station}: cannot make {interface}: {os.strerror(error.code)}{hint}")
+    line = f"station {station}: cannot make {interface}: {os.strerror(error.code)}"
+    if error.code == errno.EOPNOTSUPP:
+        return NoVeth(f"{line}; is the kernel module `veth` available?")
+    return InterfaceError(line)

@@ -10,6 +10,10 @@ from netsim.wire.messages import Station
 
 NAME = "network"
 """Name of the process in its events."""
+INTERFACE = "wlan0"
+"""Name of each vehicle's interface on the radio."""
+Interfaces = Literal["auto", "veth", "tap"]
+"""Kind of ``wlan0``: end of a veth pair, or a TAP interface; "auto": a TAP if the kernel has no pairs."""
 Restart = Literal["never", "on_failure", "always"]
 Index = Annotated[int, Meta(ge=0)]
 """Position of a program in `NetworkConfig.programs`."""
@@ -64,6 +68,7 @@ class NetworkConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Links to autopilots, one at most per station, which has ``eth0`` by it"""
     programs: tuple[ProgramConfig, ...] = ()
     """Programs, which are not started before a command"""
+    interfaces: Interfaces = "auto"
     window_packets: Annotated[int, Meta(ge=1)] = WINDOW_PACKETS
     """Most packets of a station in the emulator"""
 
