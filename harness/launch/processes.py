@@ -272,11 +272,13 @@ class Processes(RunMonitor):
             links.close_server_ends()
         self._await_ready([RADIO])
         self._ports |= radio.open(self.ready[RADIO].details["endpoint"])
+        companion_ports: dict[str, int] = {}
         if radio.packets_endpoint is not None:
             settings = network_config(scenario, radio.packets_endpoint, run_id=run_id, logs=self._folder.logs)
             path = self._folder.write_config(NETWORK, settings)
             self._supervisor.start(NETWORK, bound_module("netsim.network", *supervised(path)))
             self._await_ready([NETWORK])
+            companion_ports = self.ready[NETWORK].details["companion_ports"]
         if self._has_prefork:
             self._await_ready([PREFORK])
         for i in vehicles:
@@ -286,6 +288,7 @@ class Processes(RunMonitor):
                 run_id=run_id,
                 simulator_port=simulator_ports.get(i, 0),
                 radio_endpoint=radio.endpoint,
+                companion_port=companion_ports.get(str(i)),
             )
             if i in self._external:
                 self._start_external(i, simulator_ports[i])
