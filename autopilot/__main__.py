@@ -17,10 +17,11 @@ import socket
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import msgspec
 from pymavlink.dialects.v20 import common
@@ -30,12 +31,10 @@ from foundation.kernels import cache_folder
 if "--supervised" not in sys.argv:  # a supervised process has it from the launcher
     os.environ.update(cache_folder.environment())  # read when numba is imported, which is next
 
-from autopilot.mavlink import signing
-from autopilot.mavlink.codec import Encoder, Message
+from autopilot.mavlink.codec import Message
 from autopilot.mavlink.input_budget import InputBudget
-from autopilot.mavlink.links import UdpLink
 from autopilot.mavlink.signing import SigningKeyError
-from autopilot.mavlink.tlog import TelemetryLog
+from autopilot.mavlink.udp_link import UdpLink
 from autopilot.navigation import plan_file
 from autopilot.navigation.plan_file import PlanFileError
 from autopilot.navigation.site_plan import PlanError
@@ -66,6 +65,7 @@ HEARTBEAT_S = 1.0
 """Wall time after which a heartbeat is sent even if simulated time is paused: stations time out after 3 s."""
 _SILENCE_MS = round(SILENCE_S * 1e3)
 _LINK_NAMES = {GROUND_STATION: "ground_station", COMPANION: "companion"}
+_PORT_NAMES = {GROUND_STATION: "gcs_local_udp", COMPANION: "companion_local_udp"}
 
 
 class SimulatorUnreachable(ConnectionError):
@@ -99,16 +99,6 @@ class VehicleProcess:
     ) -> None:
         ports = config.ports
         self._profile_from_us = config.profile_from_us
-        tap: Callable[[bytes], None] | None = None
-        if config.logging.tlog and config.params_path is not None:
-            path = Path(config.params_path).with_name(f"ground-{config.instance}.tlog")
-            tlog = stack.enter_context(
-                contextlib.closing(TelemetryLog(path, epoch_unix_us=config.epoch_unix_us))
-            )
-            tap = partial(self._record, tlog)
-
-        opened = _open_links(config, ground_tap=tap)
-        self._links = [stack.enter_context(contextlib.closing(link)) for link in opened]
         self._radio: RadioClient | None = None
         if (endpoint := ports.radio_endpoint) is not None:
             self._radio = RadioClient(
@@ -119,6 +109,11 @@ class VehicleProcess:
             )
             stack.enter_context(contextlib.closing(self._radio))
         self._host = stack.enter_context(contextlib.closing(Host(config, self._radio)))
+        self._links = {
+            number: stack.enter_context(contextlib.closing(link))
+            for number, link in _open_links(config, self._host)
+        }
+        """The UDP links by their numbers."""
         self._link_messages = 0
         self._warned_links: set[int] = set()
         """Links of which a foreign sender was reported."""
@@ -137,11 +132,11 @@ class VehicleProcess:
         self._simulator_poll.register(self._simulator, select.POLLIN)
         self._link_poll = select.poll()
         """Reports input on the links: one system call, where reading takes one per link."""
-        for link in self._links:
+        for link in self._links.values():
             self._link_poll.register(link, select.POLLIN)
         self._selector = stack.enter_context(contextlib.closing(selectors.DefaultSelector()))
         self._selector.register(self._simulator, selectors.EVENT_READ)
-        for link in self._links:
+        for link in self._links.values():
             self._selector.register(link, selectors.EVENT_READ)
 
     def run(self) -> None:
@@ -150,10 +145,7 @@ class VehicleProcess:
             Ready(
                 name=self._host.name,
                 pid=os.getpid(),
-                details={
-                    "gcs_local_udp": self._links[GROUND_STATION].local_port,
-                    "companion_local_udp": self._links[COMPANION].local_port,
-                },
+                details={_PORT_NAMES[number]: link.local_port for number, link in self._links.items()},
             )
         )
         # Existing objects live to the end: exempt them from garbage collections in flight.
@@ -176,9 +168,9 @@ class VehicleProcess:
             Finished(
                 name=self._host.name,
                 details={
-                    "ground_messages": self._link_messages,
+                    "ground_messages": self._link_messages + self._host.ground_messages,
                     "malformed_bytes": self._host.bad_bytes
-                    + sum(link.counters.bytes_bad for link in self._links),
+                    + sum(link["bytes_bad"] for link in self._link_counts().values()),
                     "links": self._link_counts(),
                     "malformed_deliveries": 0 if self._radio is None else self._radio.malformed,
                     **self._host.vehicle.troubles(),
@@ -187,13 +179,15 @@ class VehicleProcess:
             )
         )
 
-    def _link_counts(self) -> dict[str, dict[str, int]]:
+    def _link_counts(self) -> dict[str, dict[str, Any]]:
         """Counts of rejected and dropped messages of each link, by cause."""
         vehicle = self._host.vehicle
-        for number, link in enumerate(self._links):
+        counts = self._host.link_counts()
+        for number, link in self._links.items():
             link.counters.not_addressed = vehicle.messaging.not_addressed[number]
             link.counters.rate_limited = vehicle.messaging.shapers.limited(number)
-        return {name: asdict(self._links[number].counters) for number, name in _LINK_NAMES.items()}
+            counts[_LINK_NAMES[number]] = asdict(link.counters)
+        return counts
 
     def _receive_simulator(self) -> int:
         """Read from the simulator and return the number of bytes, 0 at the end of the connection.
@@ -218,7 +212,7 @@ class VehicleProcess:
         now_us = int(self._host.vehicle.flight.now_us)
         incoming = [
             Addressed(Partner(i, number), message)
-            for i, link in enumerate(self._links)
+            for i, link in self._links.items()
             for number, message in link.receive(now_us)
         ]
         self._update_link_active()
@@ -230,7 +224,7 @@ class VehicleProcess:
 
     def _warn_of_foreign(self, now_us: int) -> None:
         """Warn once of each link whose input was dropped because of its sender's user."""
-        for i, link in enumerate(self._links):
+        for i, link in self._links.items():
             if link.foreign is not None and i not in self._warned_links:
                 self._warned_links.add(i)
                 host, port = link.foreign
@@ -240,26 +234,24 @@ class VehicleProcess:
                 )
                 emit(Warned(name=self._host.name, time_us=now_us, text=text))
 
-    def _record(self, tlog: TelemetryLog, frame: bytes) -> None:
-        """Add a frame to the log of the ground link, at the vehicle's time."""
-        tlog.add(self._host.vehicle.flight.now_us, frame)
-
     def _send(self, outgoing: Links) -> None:
-        """Send messages on their links."""
+        """Send messages on their links; the host has sent those of a ground link over the radio."""
         if any(to.link == GROUND_STATION and _is_heartbeat(message) for to, message in outgoing):
             self._wall_heartbeat_s = time.monotonic()
-        for i, link in enumerate(self._links):
+        for i, link in self._links.items():
             link.send([(to.number, message) for to, message in outgoing if to.link == i])
         self._update_link_active()
 
     def _update_link_active(self) -> None:
-        self._link_active = tuple(link.active for link in self._links)
+        self._link_active = tuple(
+            number in self._links and self._links[number].active for number in _LINK_NAMES
+        )
 
     def _send_due_heartbeat(self) -> None:
         """Send a heartbeat if simulated time has been too slow for one."""
         if self._host.vehicle.has_begun and time.monotonic() - self._wall_heartbeat_s >= HEARTBEAT_S:
             beat = self._host.vehicle.heartbeat()
-            self._send([Addressed(Partner(link), beat) for link in range(len(self._links))])
+            self._send([Addressed(Partner(link), beat) for link in self._links])
 
     def _step(self, simulator_messages: list[Message]) -> bytes:
         """Run one step for a HIL_SENSOR and the messages before it; return the answer to the simulator."""
@@ -283,33 +275,30 @@ class VehicleProcess:
         return answer
 
 
-def _open_links(
-    config: VehicleConfig, *, ground_tap: Callable[[bytes], None] | None = None
-) -> Iterator[UdpLink]:
-    """Open the links in the order of their numbers; ``ground_tap`` is that of the ground station link.
-
-    Raises OSError and SigningKeyError.
-    """
+def _open_links(config: VehicleConfig, host: Host) -> Iterator[tuple[int, UdpLink]]:
+    """Open the UDP links; yield them with their numbers. Raises OSError."""
     links, ports = config.links, config.ports
-    key, received = None, signing.SigningStreams()
     owners = DatagramOwners(links.host) if links.local_senders == "own" else None
-    if links.signing_key_file is not None:
-        key = signing.key_of(Path(links.signing_key_file).read_bytes())
-    remotes = (
-        (ports.gcs_local_udp, links.ground_station_host, ports.gcs_remote_udp),
-        (ports.companion_local_udp, links.companion_host, ports.companion_remote_udp),
-    )
-    for number, (local, remote_host, remote) in enumerate(remotes):
-        yield UdpLink(
-            host=links.host,
-            local_port=local,
-            remote_host=remote_host,
-            remote_port=remote,
-            encoder=Encoder(system=config.instance + 1, component=1),
-            signer=None if key is None else signing.Signer(key, link_id=number, received=received),
-            owners=owners,
-            budget=InputBudget(),
-            tap=ground_tap if number == GROUND_STATION else None,
+    remotes = {
+        GROUND_STATION: (ports.gcs_local_udp, links.ground_station_host, ports.gcs_remote_udp),
+        COMPANION: (ports.companion_local_udp, links.companion_host, ports.companion_remote_udp),
+    }
+    if config.ground_stations:
+        del remotes[GROUND_STATION]  # it is over the radio
+    for number, (local, remote_host, remote) in remotes.items():
+        yield (
+            number,
+            UdpLink(
+                host=links.host,
+                local_port=local,
+                remote_host=remote_host,
+                remote_port=remote,
+                encoder=host.link_settings.encoder(),
+                signer=host.link_settings.signer(number),
+                owners=owners,
+                budget=InputBudget(),
+                tap=host.open_ground_log() if number == GROUND_STATION else None,
+            ),
         )
 
 

@@ -1,121 +1,96 @@
-"""A vehicle's UDP link: MAVLink to and from ground stations and companions. The only I/O of its package.
+"""A vehicle's link: MAVLink to and from ground stations and companions, over what carries its datagrams.
 
-Whether a partner listens is reported by the kernel: on Linux a datagram to a closed port causes an error that
-contains the address. So no timeout is needed, and messages are built only while there is a listener.
-
-A port of the loopback interface can be used by every user of the machine. With `DatagramOwners` a link
-communicates there only with sockets of its own user or root.
+`MavlinkLink` has the partners, parses, signs and packs; a `Carrier` transports datagrams: a UDP socket
+(`udp_link.UdpLink`) or the vehicle's radio (`radio_carrier.RadioCarrier`). Signatures have the wall clock.
 """
 
-import contextlib
-import socket
-import sys
 import time
 from collections.abc import Callable, Sequence
+from typing import Generic, Protocol, TypeVar
 
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Encoder, Message, Parser, Sequences, signed
 from autopilot.mavlink.input_budget import InputBudget
+from autopilot.mavlink.partners import BROADCAST, Partners, Peer
 from autopilot.mavlink.signing import EPOCH_UNIX_S, TICKS_PER_S, Signer
-from foundation.processes.socket_owners import DatagramOwners
-
-Address = tuple[str, int]
+from autopilot.mavlink.udp_socket import MAX_RECEIVED_DATAGRAM_BYTES
 
 MAX_DATAGRAM_BYTES = 1400
-"""Messages of one step share datagrams up to this size, which fits one Ethernet frame."""
-MAX_PARTNERS = 8
-"""A new partner replaces the one that was silent longest, except the default partner."""
-BROADCAST = -1
-"""As a partner's number: all partners."""
-MAX_RECEIVED_DATAGRAM_BYTES = 2_048
-"""Longer datagrams are dropped unread: MAVLink senders keep within one Ethernet frame."""
+"""Messages of one step share datagrams up to this size, which fits one Ethernet or 802.11 frame."""
 MAX_DATAGRAMS_PER_CALL = 64
 MAX_BYTES_PER_CALL = 16_384
 MAX_FRAMES_PER_CALL = 256
-"""Limits of one call of `UdpLink.receive`, the first of which ends it, so that a flooded link does not delay
-the swarm. The rest stays in the kernel's buffer, which drops what does not fit."""
+"""Limits of one call of `MavlinkLink.receive`, the first of which ends it, so that a flooded link does not
+delay the swarm. The rest stays in the carrier's buffer, which drops what does not fit."""
 MAX_DROPPED_PER_CALL = 512
 """Datagrams that one call drops unread at most, which costs little; it then ends likewise."""
-_IP_RECVERR = 11  # linux/in.h; not in the socket module of CPython 3.11
 _NS_PER_S = 1_000_000_000
 _US_PER_S = 1_000_000
 _SETUP_SIGNING = common.MAVLINK_MSG_ID_SETUP_SIGNING
 
-
-class _Peer:
-    def __init__(self, number: int) -> None:
-        self.number = number
-        self.sequences = Sequences()
+A = TypeVar("A")
 
 
-class UdpLink:
-    """A non-blocking UDP socket that sends to a default partner and to every partner that has sent to it.
+class Carrier(Protocol[A]):
+    """What carries the datagrams of a link; A is the type of its addresses."""
 
-    With a signer it accepts only frames signed with its key, and signs the frames that it sends. With
-    ``owners`` it communicates, on this machine, only with sockets that these trust. With a budget it drops
-    datagrams beyond it.
+    @property
+    def defaults(self) -> Sequence[A]:
+        """Addresses that are sent to without having sent anything."""
+
+    def wall_s(self) -> float:
+        """Return the wall time for budgets; a constant if simulated time alone counts."""
+
+    def receive(self) -> tuple[bytes, A] | None:
+        """Return the next datagram and its sender, without waiting; None without one."""
+
+    def send(self, datagram: bytes | bytearray, address: A) -> None:
+        """Send a datagram, which may be lost."""
+
+    def take_unreachable(self, *, look: bool = False) -> Sequence[A]:
+        """Return the addresses found to be unreachable since the last call; ``look``: find out first."""
+
+    def trusts(self, sender: A, wall_s: float) -> bool:
+        """Whether a datagram of a sender may be read."""
+
+    def may_send(self, address: A, wall_s: float, *, has_sent: bool) -> bool:
+        """Whether an address may be sent to; ``has_sent``: it is that of a partner that was trusted."""
+
+
+class MavlinkLink(Generic[A]):
+    """A link that sends to the carrier's default partners and to every partner that has sent to it.
+
+    With a signer it accepts only frames signed with its key, and signs the frames that it sends. With a
+    budget it drops datagrams beyond it. ``tap`` receives each frame that is accepted or sent; one that is
+    sent to several partners, as the first of them gets it.
     """
 
     def __init__(
         self,
+        carrier: Carrier[A],
         *,
-        host: str,
-        local_port: int,
-        remote_port: int,
         encoder: Encoder,
-        remote_host: str | None = None,
         signer: Signer | None = None,
-        owners: DatagramOwners | None = None,
         budget: InputBudget | None = None,
         tap: Callable[[bytes], None] | None = None,
     ) -> None:
-        """Bind ``host:local_port`` (0: any free port); the default partner is at ``remote_port`` (0: none).
-
-        Its address is ``remote_host``, by default ``host``; both are IPv4 addresses. ``tap`` receives each
-        frame that is accepted or sent; one that is sent to several partners, as the first of them gets it.
-        Raises OSError if the port is in use.
-        """
+        self._carrier = carrier
         self._tap = tap
         self._signer = signer
-        self._owners, self._budget = owners, budget
-        self.foreign: Address | None = None
-        """The first sender whose datagrams were dropped because of their owner."""
+        self._budget = budget
+        self.foreign: A | None = None
+        """The first sender whose datagrams were dropped because the carrier does not trust it."""
         self._parser = Parser(signer)
         self.counters = self._parser.counters
         """Counts of rejected input, by cause."""
         self._encoder = encoder
-        self._default: Address | None = (remote_host or host, remote_port) if remote_port else None
-        self._default_peer = _Peer(BROADCAST)
-        """Numbered while it is reachable and has sent something; its sequence numbers never restart."""
-        self._default_listens = False
-        self._partners: dict[Address, _Peer] = {}
-        """By address; the most recent sender is last."""
-        self._next_number = 0
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        try:
-            self._socket.settimeout(0.0)  # non-blocking
-            if sys.platform == "linux":
-                self._socket.setsockopt(socket.IPPROTO_IP, _IP_RECVERR, 1)
-            self._socket.bind((host, local_port))
-        except OSError:
-            self._socket.close()
-            raise
-
-    @property
-    def local_port(self) -> int:
-        """The port that the link is bound to."""
-        port: int = self._socket.getsockname()[1]
-        return port
+        self._partners: Partners[A, Sequences] = Partners(carrier.defaults, Sequences)
 
     @property
     def active(self) -> bool:
         """Whether there is a listener; otherwise only heartbeats need to be built."""
-        return self._default_listens or bool(self._partners)
-
-    def fileno(self) -> int:
-        """Return the socket's descriptor, for select and poll."""
-        return self._socket.fileno()
+        return self._partners.any_listens
 
     def receive(self, now_us: int) -> list[tuple[int, Message]]:
         """Return messages that have arrived, with their partners' numbers, without waiting.
@@ -124,23 +99,20 @@ class UdpLink:
         the limits of one call is left for the next. ``now_us`` is the simulated time, for the budget.
         """
         messages: list[tuple[int, Message]] = []
-        now, wall_s = self._now(), time.monotonic()
+        carrier = self._carrier
+        now, wall_s = self._now(), carrier.wall_s()
         if self._budget is not None:
             self._budget.advance(now_us, round(wall_s * _US_PER_S))
         left_bytes, last_frame = MAX_BYTES_PER_CALL, self._parser.looked_at + MAX_FRAMES_PER_CALL
         left_datagrams, left_drops = MAX_DATAGRAMS_PER_CALL, MAX_DROPPED_PER_CALL
-        dropped: set[Address] = set()
+        dropped: set[A] = set()
         """Senders over their budget, which does not grow during the call."""
         while min(left_bytes, left_datagrams, left_drops, last_frame - self._parser.looked_at) > 0:
-            try:
-                # the kernel truncates datagrams, so one extra byte detects those that are too long
-                data, address = self._socket.recvfrom(MAX_RECEIVED_DATAGRAM_BYTES + 1)
-            except BlockingIOError:
+            received = carrier.receive()
+            self._remove_unreachable()  # before a sender that has started again becomes a partner
+            if received is None:
                 break
-            except OSError:  # an earlier datagram was refused; the error queue has its address
-                self._remove_unreachable()
-                left_datagrams -= 1
-                continue
+            data, address = received
             if address in dropped:
                 self.counters.datagrams_over_budget += 1
                 left_drops -= 1
@@ -153,45 +125,52 @@ class UdpLink:
             if len(data) > MAX_RECEIVED_DATAGRAM_BYTES:
                 self.counters.datagrams_too_long += 1
                 continue
-            looked_at = self._parser.looked_at
-            received = self._parser.push_datagram(data, now)
-            if self._budget is not None:
-                self._budget.spend(address, len(received), self._parser.looked_at - looked_at - len(received))
-            if received:
-                number = self._add_partner(address)
-                for message in received:
-                    if self._tap is not None:
-                        self._tap(bytes(message.get_msgbuf()))
-                    if message.get_msgId() == _SETUP_SIGNING:
-                        self.counters.setup_signing += 1
-                    else:
-                        messages.append((number, message))
+            messages += self._parsed(data, address, now)
+        return messages
+
+    def _parsed(self, data: bytes, address: A, now: int) -> list[tuple[int, Message]]:
+        """Return the messages of a datagram, whose sender becomes a partner if there are any."""
+        looked_at = self._parser.looked_at
+        received = self._parser.push_datagram(data, now)
+        if self._budget is not None:
+            self._budget.spend(address, len(received), self._parser.looked_at - looked_at - len(received))
+        if not received:
+            return []
+        number, messages = self._partners.add(address), []
+        for message in received:
+            if self._tap is not None:
+                self._tap(bytes(message.get_msgbuf()))
+            if message.get_msgId() == _SETUP_SIGNING:
+                self.counters.setup_signing += 1
+            else:
+                messages.append((number, message))
         return messages
 
     def send(self, messages: Sequence[tuple[int, Message]]) -> None:
         """Send messages, packed into few datagrams, each to the partner of its number or to BROADCAST.
 
-        BROADCAST includes the default partner, whether it has sent anything or not. Messages to a partner
+        BROADCAST includes the default partners, whether they have sent anything or not. Messages to a partner
         that was removed are dropped.
         """
-        recipients = self._recipients() if messages else {}
+        carrier, wall_s = self._carrier, self._carrier.wall_s()
+
+        def may_send(address: A, /, *, has_sent: bool) -> bool:
+            return carrier.may_send(address, wall_s, has_sent=has_sent)
+
+        recipients = self._partners.recipients(may_send) if messages else {}
         packed: list[bytes | None] = [None] * len(messages)
         now = self._now()
         for address, peer in recipients.items():
             datagrams = self._datagrams(messages, peer, packed, now)
-            if datagrams and address == self._default:
-                self._default_listens = True  # unless the kernel reports it unreachable, below
+            if datagrams:
+                self._partners.note_sent(address)  # unless it is reported unreachable, below
             for datagram in datagrams:
-                self._send_to(datagram, address)
-        self._remove_unreachable()
+                carrier.send(datagram, address)
+        self._remove_unreachable(look=True)
 
-    def close(self) -> None:
-        """Release the port."""
-        self._socket.close()
-
-    def _admits(self, sender: Address, wall_s: float, dropped: set[Address]) -> bool:
+    def _admits(self, sender: A, wall_s: float, dropped: set[A]) -> bool:
         """Whether a datagram is to be read; counts it otherwise, and adds a sender over its budget."""
-        if self._owners is not None and not self._owners.trusts(sender, wall_s, wall_since_s=wall_s):
+        if not self._carrier.trusts(sender, wall_s):
             self.counters.datagrams_foreign += 1
             self.foreign = self.foreign or sender
             return False
@@ -201,29 +180,16 @@ class UdpLink:
             return False
         return True
 
-    def _recipients(self) -> dict[Address, _Peer]:
-        """Return the partners to which messages are sent now, with the default partner."""
-        recipients, default, owners = dict(self._partners), self._default, self._owners
-        if owners is not None:
-            wall_s = time.monotonic()
-            for address in self._partners:
-                if owners.is_foreign(address, wall_s):
-                    del recipients[address]
-            if default is not None and default not in self._partners and not owners.trusts(default, wall_s):
-                default, self._default_listens = None, False
-        if default is not None and default not in self._partners:
-            recipients[default] = self._default_peer
-        return recipients
-
     def _datagrams(
-        self, messages: Sequence[tuple[int, Message]], peer: _Peer, packed: list[bytes | None], now: int
-    ) -> list[bytearray]:
+        self, messages: Sequence[tuple[int, Message]], peer: Peer[Sequences], packed: list[bytes | None],
+        now: int,
+    ) -> list[bytearray]:  # fmt: skip
         """Datagrams for one partner; ``packed`` caches the frames that were packed for another, or None.
 
         A frame is packed once, and renumbered where a partner's sequence number differs.
         """
         datagrams: list[bytearray] = []
-        sequences, encoder, signer = peer.sequences, self._encoder, self._signer
+        sequences, encoder, signer = peer.state, self._encoder, self._signer
         for i, (number, message) in enumerate(messages):
             if number not in {BROADCAST, peer.number}:
                 continue
@@ -242,41 +208,9 @@ class UdpLink:
             datagrams[-1] += frame
         return datagrams
 
-    def _send_to(self, datagram: bytearray, address: Address) -> None:
-        for _ in range(2):
-            try:
-                self._socket.sendto(datagram, address)
-            except BlockingIOError:
-                return  # the buffer is full; the datagram is lost
-            except OSError:
-                # the error is of an earlier datagram, possibly to another partner; this one was not sent
-                self._remove_unreachable()
-                continue
-            return
-
-    def _add_partner(self, address: Address) -> int:
-        peer = self._partners.pop(address, None)
-        if peer is None:
-            peer = self._default_peer if address == self._default else _Peer(BROADCAST)
-            if peer.number == BROADCAST:
-                peer.number = self._next_number
-                self._next_number += 1
-        self._partners[address] = peer
-        if len(self._partners) > MAX_PARTNERS:
-            del self._partners[next(other for other in self._partners if other != self._default)]
-        return peer.number
-
-    def _remove_unreachable(self) -> None:
-        """Remove the partners that the kernel's error queue reports as unreachable."""
-        if sys.platform != "linux":
-            return
-        with contextlib.suppress(BlockingIOError):
-            while True:
-                _, _, _, address = self._socket.recvmsg(1, 512, socket.MSG_ERRQUEUE)
-                self._partners.pop(address, None)
-                if address == self._default:
-                    self._default_listens = False
-                    self._default_peer.number = BROADCAST  # the next partner there gets a new number
+    def _remove_unreachable(self, *, look: bool = False) -> None:
+        for address in self._carrier.take_unreachable(look=look):
+            self._partners.remove(address)
 
     def _now(self) -> int:
         """Wall clock in units of signatures; 0 without a signer, which makes it unused."""

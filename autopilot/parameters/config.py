@@ -215,6 +215,10 @@ class LinksConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     Without this table the vehicles communicate with this machine only.
     """
 
+    telemetry: Literal["wire", "radio"] = "wire"
+    """Way of MAVLink between vehicles and ground stations. "wire": UDP between the machine's processes,
+    without delay and loss. "radio": the emulated 802.11 channel, from each vehicle to each of
+    ``[[stations]]``, where programs of ground stations connect."""
     host: str = "127.0.0.1"
     """IPv4 address of this machine to which the links are bound; 0.0.0.0: all of its addresses."""
     ground_station_host: str = "127.0.0.1"
@@ -358,6 +362,9 @@ class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     logging: LoggingConfig = LoggingConfig()
     onboard: OnboardConfig = OnboardConfig()
     devices: Devices = Devices()
+    ground_stations: dict[str, Annotated[int, Meta(ge=0, le=65_535)]] = {}
+    """Radio station numbers of the ground stations by their names; with any, the ground link is over the
+    radio."""
     places_ned_m: tuple[tuple[Position, Position, Position], ...]
     """The formation: each UAV's initial place from the site's origin."""
     heading_deg: Angle = 0.0

@@ -2,5 +2,5 @@
 
 Import `host.Host` for a vehicle with its links, `vehicle.Vehicle` for one without. This package composes the
 other packages of `autopilot`; processes are in `autopilot.process` and
-`autopilot.__main__`, UDP sockets in `autopilot.mavlink.links`.
+`autopilot.__main__`, UDP sockets in `autopilot.mavlink.udp_socket`.
 """

@@ -1,13 +1,15 @@
 """Vehicle host: a vehicle with its simulator link in bytes, its radio and its logs.
 
-`Host.step` does everything of a vehicle's process in a step, except for the external links and the transport
-of bytes and radio items: over sockets (``autopilot.__main__``), or by function calls in one process.
+`Host.step` does everything of a vehicle's process in a step, except for the UDP links and the transport
+of bytes and radio items: over sockets (``autopilot.__main__``), or by function calls in one process. The
+radio is shared by the application and, with ground stations on the radio, the ground link.
 """
 
+import contextlib
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import common
 
@@ -16,12 +18,15 @@ from autopilot.logs.vehicle_record import record, vehicle_record
 from autopilot.mavlink.codec import Encoder, Message
 from autopilot.mavlink.components import AUTOPILOT_COMPONENT
 from autopilot.mavlink.hil import TO_VEHICLE, HilActuatorControls, HilEncoder, HilParser, HilSensor
+from autopilot.mavlink.tlog import TelemetryLog
 from autopilot.parameters import parameter_file
 from autopilot.parameters.airframe_settings import mav_type
 from autopilot.parameters.config import VehicleConfig
 from autopilot.services.service import GROUND_STATION, NEVER_US, Addressed
 from autopilot.services.status import TEXT_BYTES
 from autopilot.vehicle.fast_step import FastSteps
+from autopilot.vehicle.ground_radio import GroundRadio
+from autopilot.vehicle.link_settings import LinkSettings, ground_log
 from autopilot.vehicle.vehicle import Vehicle
 from foundation.records.record_log import RecordLog
 from netsim.wire.lockstep import BATCH_DELIVERED, BATCH_HANDED_OVER
@@ -46,13 +51,14 @@ class Radio(Protocol):
 
 
 class Host:
-    """One vehicle, to be closed; without a radio it has no beacons.
+    """One vehicle, to be closed; without a radio it has no beacons, and no ground stations on the radio.
 
-    Raises OSError for a log, and the errors of `Vehicle`.
+    Raises OSError for a log or a key file, SigningKeyError, and the errors of `Vehicle`.
     """
 
     def __init__(self, config: VehicleConfig, radio: Radio | None) -> None:
         self._config = config
+        self.link_settings = LinkSettings(config)
         self.name = f"uav {config.instance}"
         self.vehicle = Vehicle(config)
         self._radio = radio
@@ -69,6 +75,10 @@ class Host:
         self.record = vehicle_record(self.vehicle.columns)
         """Layout of the log"""
         self._log = self._open_log()
+        self._ground_log: TelemetryLog | None = None
+        self._ground: GroundRadio | None = None
+        if config.ground_stations and radio is not None:
+            self._ground = GroundRadio(config, self.link_settings, tap=self.open_ground_log())
         self._flight_log: FlightLog | None = None
         self._may_log = config.params_path is not None
         self._must_log = self._may_log and config.logging.ulog
@@ -78,6 +88,14 @@ class Host:
         if config.log_path is None:
             return None
         return RecordLog(config.log_path, self.record, block_rows=config.log_block_rows)
+
+    def open_ground_log(self) -> Callable[[bytes], None] | None:
+        """Create the log of the ground link; return a function that adds a frame to it, None without a log.
+
+        To be called for a ground link over UDP. Raises OSError.
+        """
+        self._ground_log = log = ground_log(self._config)
+        return None if log is None else lambda frame: log.add(self.vehicle.flight.now_us, frame)
 
     def introduction(self) -> bytes:
         """Return the heartbeat that identifies the vehicle when it connects to the simulator."""
@@ -110,10 +128,11 @@ class Host:
     def step(
         self, simulator_messages: list[Message], *, link_messages: Links, link_active: tuple[bool, ...]
     ) -> tuple[bytes, Links]:
-        """Run one step; return the bytes for the simulator and the messages for the links.
+        """Run one step; return the bytes for the simulator and the messages of all links.
 
-        A HIL_SENSOR that is not later than the previous one is answered with the previous controls; the other
-        messages are then kept for the next step.
+        The host sends those of a ground link over the radio itself; ``link_messages`` and ``link_active``
+        are those of the others. A HIL_SENSOR that is not later than the previous one is answered with the
+        previous controls; the other messages are then kept for the next step.
         """
         clock = simulator_messages[-1]
         now_us: int = clock.time_usec
@@ -127,6 +146,11 @@ class Host:
         radio_items: Sequence[RxItem] = ()
         if self._radio is not None and clock.fields_updated & BATCH_DELIVERED:
             radio_items = self._radio.receive(now_us)
+        ground = self._ground
+        if ground is not None:
+            radio_items = ground.take_in(radio_items)
+            link_messages = [*link_messages, *ground.receive(now_us)]
+            link_active = (ground.active, *link_active[1:])
         if self._must_log and self._may_log:
             self._begin_flight_log(now_us)
         output = self.vehicle.step(
@@ -142,8 +166,9 @@ class Host:
         actuators = output.actuators
         if output.save_parameters:
             self._save_parameters()  # the result is reported in the next step
-        if output.radio and self._radio is not None:
-            self._radio.send(now_us, output.radio)
+        to_radio = output.radio if ground is None else output.radio + ground.send(now_us, output.links)
+        if to_radio and self._radio is not None:
+            self._radio.send(now_us, to_radio)
             time_us, controls, mode, flags = actuators
             actuators = HilActuatorControls(time_us, controls, mode, flags | BATCH_HANDED_OVER)
         if self._log is not None and now_us % self._config.record_period_us == 0:
@@ -157,7 +182,8 @@ class Host:
     def serve_while_paused(self, link_messages: Links) -> Links:
         """Return the replies to link messages that arrive while the simulator is silent.
 
-        Before the first step the vehicle cannot reply: messages are then kept for that step.
+        Those of a ground link over the radio are sent in the next step. Before the first step the vehicle
+        cannot reply: messages are then kept for that step.
         """
         if not self.vehicle.has_begun:
             self._links_waiting = (self._links_waiting + link_messages)[-MOST_WAITING:]
@@ -171,6 +197,8 @@ class Host:
             answers += messaging.take_outgoing()
         if self._flight_log is not None:
             self._flight_log.on_texts(self.vehicle.flight.now_us, answers)
+        if self._ground is not None:
+            self._ground.hold(answers)
         return answers
 
     def _begin_fast_steps(self, now_us: int, answer: bytes) -> None:
@@ -182,18 +210,36 @@ class Host:
         self.vehicle.begin_fast_steps(self._inertial, answer, next_record_us)
 
     @property
+    def ground_messages(self) -> int:
+        """Number of messages received from ground stations over the radio."""
+        return 0 if self._ground is None else self._ground.received
+
+    def link_counts(self) -> dict[str, Any]:
+        """Return the counts of a ground link over the radio, as an entry ``ground_station``.
+
+        They are of rejected and dropped messages, by cause, and of frames, by ground station. Without such a
+        link there is no entry.
+        """
+        if self._ground is None:
+            return {}
+        messaging = self.vehicle.messaging
+        of_vehicle = {
+            "not_addressed": messaging.not_addressed[GROUND_STATION],
+            "rate_limited": messaging.shapers.limited(GROUND_STATION),
+        }
+        return {"ground_station": self._ground.counts() | of_vehicle}
+
+    @property
     def bad_bytes(self) -> int:
         """Number of bytes from the simulator that did not belong to a message."""
         return self._parser.bad_bytes
 
     def close(self) -> None:
         """Write the rest of the logs; repeated calls have no effect. Raises OSError."""
-        try:
-            if self._flight_log is not None:
-                self._flight_log.close()
-        finally:
-            if self._log is not None:
-                self._log.close()
+        with contextlib.ExitStack() as stack:  # closes each even if another fails
+            for log in (self._flight_log, self._ground_log, self._log):
+                if log is not None:
+                    stack.callback(log.close)
 
     def _begin_flight_log(self, now_us: int) -> None:
         """Start the ULog, once, next to the parameter file. Raises OSError if the scenario requires it."""

@@ -76,7 +76,7 @@ class _Run:
         manifest = _decoded(folder.manifest)
         self._start_us = flown_start_us(folder.events)
         self._formed_us = _formed_us(self._summary, manifest)
-        self._stations = scenario.agents + len(scenario.radio.guests)
+        self._stations = scenario.agents + len(scenario.channel.guests)
         self._links = LinkTable(self._stations)
         self._receptions = _Receptions(folder.receptions) if folder.receptions.is_file() else None
         self._vehicles = VehicleMessages(

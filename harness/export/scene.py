@@ -48,7 +48,7 @@ class Scene:
 
     def __init__(self, scenario: Scenario, *, epoch_ns: int) -> None:
         self._airframes, self._epoch_ns = scenario.airframes(), epoch_ns
-        self._guests = scenario.radio.guests
+        self._guests = scenario.channel.guests
         standing_m = np.array([airframe.standing_height_m for airframe in self._airframes])
         self._over_place_enu_m = np.zeros((scenario.agents, 3))
         self._over_place_enu_m[:, 2] = standing_m

@@ -12,22 +12,31 @@ from autopilot.parameters.config import LinksConfig, VehiclePorts
 from harness.scenario.scenario import Scenario
 
 
-def link_lines(scenario: Scenario, local: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
-    """Return a line per vehicle with its MAVLink addresses; ``local`` are the details of its `Ready`."""
-    return tuple(_link_line(i, local[i], scenario.vehicle_ports(i)) for i in range(scenario.agents))
+def link_lines(
+    scenario: Scenario, local: Sequence[Mapping[str, Any]], stations: Mapping[str, Mapping[str, Any]]
+) -> tuple[str, ...]:
+    """Return a line per vehicle with its MAVLink addresses.
+
+    ``local`` are the details of the vehicles' `Ready`, ``stations`` those of the ground stations on the radio
+    by their names.
+    """
+    return tuple(_link_line(i, local[i], scenario.vehicle_ports(i), stations) for i in range(scenario.agents))
 
 
-def _link_line(instance: int, local: Mapping[str, Any], ports: VehiclePorts) -> str:
-    """Return a vehicle's MAVLink addresses: the local ports that its process reported, and remote ports."""
-    ends = {
-        "ground station": ("gcs_local_udp", ports.gcs_remote_udp),
-        "companion": ("companion_local_udp", ports.companion_remote_udp),
-    }
-    links = [
-        f"{link} UDP {local.get(name, 'its own')}" + (f" -> {remote}" if remote else "")
-        for link, (name, remote) in ends.items()
+def _link_line(
+    instance: int, local: Mapping[str, Any], ports: VehiclePorts, stations: Mapping[str, Mapping[str, Any]]
+) -> str:
+    """Return a vehicle's MAVLink addresses: the local ports that were reported, and remote ports."""
+    ends = [
+        (f"ground station {name} UDP {details['gcs_local_udp'][instance]}", details["gcs_remote_udp"])
+        for name, details in stations.items()
     ]
-    return f"uav {instance}, system {instance + 1}: {', '.join(links)}"
+    if not ends:
+        ends = [(f"ground station UDP {local.get('gcs_local_udp', 'its own')}", ports.gcs_remote_udp)]
+    ends.append((f"companion UDP {local.get('companion_local_udp', 'its own')}", ports.companion_remote_udp))
+    links = [link + (f" -> {remote}" if remote else "") for link, remote in ends]
+    way = " (by radio)" if stations else ""
+    return f"uav {instance}, system {instance + 1}{way}: {', '.join(links)}"
 
 
 def connect(links: LinksConfig, port: int) -> Any:  # noqa: ANN401  pymavlink has no types

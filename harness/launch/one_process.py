@@ -114,7 +114,7 @@ class _ThreadSupervisor(Supervisor):
             "time_us": simulation.time_us,
             "formed": simulation.reports.formed,
             RADIO: {"counters": flight.emulator.counters},
-            **{link.host.name: link.troubles() for link in flight.links},
+            **{link.host.name: link.counts() for link in flight.links},
         }
         emit(Finished(name=PHYSICS, details=details))
 
@@ -261,7 +261,7 @@ class OneProcessSwarm(Swarm):
             live_records=live_records,
         )
 
-    def mavlink(self, instance: int) -> Any:  # noqa: ANN401  see `Swarm.mavlink`
+    def mavlink(self, instance: int, station: str | None = None) -> Any:  # noqa: ANN401, ARG002  see `Swarm`
         """Raise SwarmError: the vehicles have no links to the outside."""
         raise SwarmError(f"{uav(instance)} has no link to the outside in a swarm of one process: {MANY}")
 

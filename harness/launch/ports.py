@@ -74,7 +74,7 @@ def claim(scenario: Scenario, *, search: bool) -> Claim:
             ) from None
     for offset in OFFSETS:
         try:
-            ports = scenario.ports.raised(offset, scenario.agents)
+            ports = scenario.ports.raised(offset, scenario.ground_ports)
         except ValueError:
             break
         raised = msgspec.structs.replace(scenario, ports=ports)
@@ -90,7 +90,7 @@ def claim(scenario: Scenario, *, search: bool) -> Claim:
 
 def _claim(scenario: Scenario) -> Claim:
     """Return the simulator's sockets if all other ports are free too. Raises ResourceError."""
-    ports, vehicles = scenario.ports, range(scenario.agents)
+    ports = scenario.ports
     with contextlib.ExitStack() as stack:
         base, with_states = ports.simulator_tcp, scenario.ardupilots
         listeners: dict[int, socket.socket] = {}
@@ -105,9 +105,12 @@ def _claim(scenario: Scenario) -> Claim:
         for port in external_autopilots.application_ports(scenario):
             bind(socket.SOCK_DGRAM, ports.host, port).close()
         reserved: dict[int, socket.socket] = {}
-        for base in (ports.gcs_local_udp, ports.companion_local_udp):
-            for i in vehicles if base else ():
-                if i in listeners or i in reserved:
+        for base, count in (
+            (ports.gcs_local_udp, scenario.ground_ports),
+            (ports.companion_local_udp, scenario.agents),
+        ):
+            for i in range(count) if base else ():
+                if i in listeners or i in reserved or i >= scenario.agents:
                     bind(socket.SOCK_DGRAM, scenario.links.host, base + i).close()
                 else:
                     reserved[i] = stack.enter_context(reserve_udp(scenario.links.host, base + i))

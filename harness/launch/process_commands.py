@@ -17,6 +17,11 @@ def application(instance: int) -> str:
     return f"application {instance}"
 
 
+def ground_station(name: str) -> str:
+    """Return the name of the process of a ground station on the radio."""
+    return f"ground station {name}"
+
+
 def python_module(module: str, *arguments: str) -> list[str]:
     """Return the command that runs one of coflight's processes."""
     # -P: no file of the working folder may shadow a module

@@ -18,7 +18,7 @@ from autopilot.process.iteration import APPLICATION
 from foundation.processes.prefork import FIRST_DESCRIPTOR
 from foundation.records.record_log import cut_to_blocks
 from foundation.system_error import in_words
-from harness.launch import cpu_affinity, external_autopilots, kernel_cache, ports
+from harness.launch import cpu_affinity, external_autopilots, ground_process, kernel_cache, ports
 from harness.launch.cpu_affinity import CpuAffinity
 from harness.launch.disk_space import space_warning
 from harness.launch.external_process import AutopilotError
@@ -30,6 +30,7 @@ from harness.launch.process_commands import (
     RADIO,
     application,
     bound_module,
+    ground_station,
     supervised,
     uav,
 )
@@ -74,9 +75,10 @@ _ENVIRONMENT = {
 
 
 class Processes(RunMonitor):
-    """Physics server, 802.11 emulator, and one process per vehicle and per application beside a PX4.
+    """Physics server, 802.11 emulator, and a process for each vehicle, application and ground station.
 
-    Vehicles, except PX4s, and applications are forked by the prefork server.
+    Applications have one beside a PX4 or ArduPilot, ground stations on the radio. Vehicles, except PX4s, and
+    applications are forked by the prefork server.
 
     ``wall_limit_s`` limits the run's wall time from `start` on, without the compilation of kernels;
     ``on_message`` receives every message that is taken from the queue, on the caller's thread.
@@ -101,10 +103,16 @@ class Processes(RunMonitor):
         """Whether the ports and instance numbers are this swarm's."""
         self._applications = self._external if scenario.onboard.enabled else ()
         """Vehicles whose application is a process of its own."""
+        self._grounds = [ground_station(each.name) for each in scenario.ground_stations]
+        """Processes of the ground stations on the radio."""
         super().__init__(
             self._make_supervisor(folder),
             folder,
-            starting=[*map(uav, range(scenario.agents)), *map(application, self._applications)],
+            starting=[
+                *map(uav, range(scenario.agents)),
+                *map(application, self._applications),
+                *self._grounds,
+            ],
             until_connected=[*map(uav, self._external)],
             call_limit_s=scenario.run.silence_limit_s,
             wall_limit_s=wall_limit_s,
@@ -150,6 +158,7 @@ class Processes(RunMonitor):
                 if event.instance not in killed
             ),
             *filter(None, [self.records_lost, *(self._incomplete(uav(i)) for i in others)]),
+            *filter(None, map(self._incomplete, self._grounds)),
             *(f"{event.name} received messages from {event.by}" for event in self.influences),
             *(
                 f"{uav(i)} is flown by {external_autopilots.TITLES[self._scenario.autopilot.kind_of(i)]}, "
@@ -201,7 +210,8 @@ class Processes(RunMonitor):
 
     def _start(self) -> None:
         vehicles = range(self._scenario.agents)
-        allow_descriptors(len((PHYSICS, RADIO, PREFORK)) + len(vehicles) + 3 * len(self._applications))
+        single = len((PHYSICS, RADIO, PREFORK)) + len(self._grounds)
+        allow_descriptors(single + len(vehicles) + 3 * len(self._applications))
         own = set(vehicles) - set(ports.tcp_vehicles(self._scenario))
         # both ends of each link to the simulator, until the two processes have them
         with (
@@ -216,6 +226,8 @@ class Processes(RunMonitor):
             self.send(SetPid(instance=i, pid=self.ready[uav(i)].pid))
         for i in self._applications:
             self.send(SetPid(instance=i, pid=self.ready[application(i)].pid, is_application=True))
+        for name in self._grounds:
+            self._ports.update(self.ready[name].details["gcs_local_udp"])
         self.send(SetRadioPid(pid=self.ready[RADIO].pid))
         self._pin()
         if NETWORK in self.ready:
@@ -271,7 +283,8 @@ class Processes(RunMonitor):
         for links in (own_links, application_links):
             links.close_server_ends()
         self._await_ready([RADIO])
-        self._ports |= radio.open(self.ready[RADIO].details["endpoint"])
+        endpoint = self.ready[RADIO].details["endpoint"]
+        self._ports |= radio.open(endpoint)
         companion_ports: dict[str, int] = {}
         if radio.packets_endpoint is not None:
             settings = network_config(scenario, radio.packets_endpoint, run_id=run_id, logs=self._folder.logs)
@@ -279,6 +292,11 @@ class Processes(RunMonitor):
             self._supervisor.start(NETWORK, bound_module("netsim.network", *supervised(path)))
             self._await_ready([NETWORK])
             companion_ports = self.ready[NETWORK].details["companion_ports"]
+        for number, each in enumerate(scenario.ground_stations):
+            login = radio.station_login(each.name)
+            ground = ground_process.settings(scenario, number, login, endpoint=endpoint, run_id=run_id)
+            path = self._folder.write_config(f"ground-station-{each.name}", ground)
+            self._supervisor.start(ground.name, bound_module("harness.ground_station", *supervised(path)))
         if self._has_prefork:
             self._await_ready([PREFORK])
         for i in vehicles:
@@ -298,7 +316,8 @@ class Processes(RunMonitor):
                 self._fork_linked(uav(i), supervised(config), own_links, i)
             if i in self._applications:
                 self._fork_linked(application(i), (APPLICATION, *supervised(config)), application_links, i)
-        self._await_ready([PHYSICS, *map(uav, vehicles), *map(application, self._applications)])
+        applications = map(application, self._applications)
+        self._await_ready([PHYSICS, *map(uav, vehicles), *applications, *self._grounds])
 
     def _pin(self) -> None:
         """Pin the processes to processors while other processes are idle, applications to their vehicle's."""
@@ -384,7 +403,7 @@ class Processes(RunMonitor):
                 self._remove_files()
                 return
             # programs first: without the clock their packets would wait
-            for names in ([NETWORK], [PHYSICS], vehicles, [RADIO, PREFORK]):
+            for names in ([NETWORK, *self._grounds], [PHYSICS], vehicles, [RADIO, PREFORK]):
                 if names is vehicles and PREFORK in self._found:
                     self._supervisor.continue_or_kill(PREFORK, after_forks_s=ENDS_LIMIT_S)
                 forced += self._supervisor.end(names, grace_s=STOP_LIMIT_S)

@@ -8,10 +8,11 @@ from pathlib import Path
 
 from autopilot.parameters.config import RadioEndpoint
 from harness.records.run_folder import RunFolder
+from harness.scenario import stations as ground_stations
 from harness.scenario.scenario import Scenario
 from netsim.model.config import ServerConfig
-from netsim.transport.guest_access import write_guest_access
-from netsim.transport.radio_users import new_passwords
+from netsim.transport.guest_access import GuestLogin, write_guest_access
+from netsim.transport.radio_users import guest_user, new_passwords
 from netsim.transport.socket_folder import SOCKET, SocketFolder
 
 
@@ -25,7 +26,9 @@ class RadioLink:
         self._guest_access = folder.guest_access
         self._socket_folder = SocketFolder() if scenario.ports.radio_link == "unix" else None
         path = None if self._socket_folder is None else str(self._socket_folder.path / SOCKET)
-        passwords = new_passwords(len(scenario.radio.guests), packets=scenario.has_network)
+        self._guests = len(scenario.radio.guests)
+        self._stations = ground_stations.numbers(scenario.ground_stations, scenario.radio, scenario.agents)
+        passwords = new_passwords(self._guests + len(self._stations), packets=scenario.has_network)
         self.config: ServerConfig = folder.radio_config(
             scenario, run_id=run_id, socket_path=path, passwords=passwords
         )
@@ -44,9 +47,15 @@ class RadioLink:
         self.endpoint = RadioEndpoint(locator=locator, password=self._passwords.vehicles)
         if self._passwords.packets is not None:
             self.packets_endpoint = RadioEndpoint(locator=locator, password=self._passwords.packets)
-        if self.config.radio.guests:
-            write_guest_access(self._guest_access, self.config, locator)
+        if self._guests:
+            write_guest_access(self._guest_access, self.config, locator, guests=self._guests)
         return {int(locator.rpartition(":")[2])} if locator.startswith("tcp/") else set()
+
+    def station_login(self, name: str) -> GuestLogin:
+        """Return station number, user and password of a ground station."""
+        number, of_guests = self._stations[name], self._passwords.guests
+        user = guest_user(number, of_guests[self._guests + [*self._stations].index(name)])
+        return GuestLogin(station=number, user=user.name, password=user.password)
 
     def remove(self) -> None:
         """Remove the socket's folder and the guests' file as far as possible; harmless when repeated."""

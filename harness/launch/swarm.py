@@ -28,7 +28,7 @@ from foundation.profiling.profiler import KindProfile
 from foundation.system_error import in_words
 from harness.launch import ground_links, profiling
 from harness.launch.interrupts import interrupts_deferred
-from harness.launch.process_commands import application, uav
+from harness.launch.process_commands import application, ground_station, uav
 from harness.launch.processes import Processes
 from harness.launch.run_course import RunCourse
 from harness.launch.run_messages import (
@@ -386,18 +386,34 @@ class Swarm:
     def _intervene(self, what: str) -> None:
         self._course.interventions.append(f"{self.truth.t_s:.3f} s: {what}")
 
-    def mavlink(self, instance: int) -> Any:  # noqa: ANN401  pymavlink has no types
+    def mavlink(self, instance: int, station: str | None = None) -> Any:  # noqa: ANN401  pymavlink has no types
         """Open a pymavlink connection (`mavutil`) to a vehicle, as a ground station; closed with the swarm.
+
+        With ``links.telemetry = "radio"`` it is that of the ground station of this name, by default the
+        first.
 
         A vehicle answers the stations that have sent to it, so a first heartbeat is sent here. It also
         answers while simulated time is paused, but its streams follow simulated time. Such a run depends on
         more than scenario and seed, which its manifest states. The connection signs if the scenario has a
         key.
         """
-        port = self._processes.ready[uav(instance)].details["gcs_local_udp"]
+        port = self._ground_port(instance, station)
         link = ground_links.connect(self.scenario.links, port)
         self._links.callback(link.close)
         return link
+
+    def _ground_port(self, instance: int, station: str | None) -> int:
+        """Return the local UDP port of a vehicle's ground link. Raises SwarmError."""
+        names = [each.name for each in self.scenario.ground_stations]
+        if station is not None and station not in names:
+            has = f"its ground stations: {', '.join(names)}" if names else "its telemetry is by wire"
+            raise SwarmError(f"there is no ground station {station} on the radio; {has}")
+        if not names:
+            port: int = self._processes.ready[uav(instance)].details["gcs_local_udp"]
+        else:
+            details = self._processes.ready[ground_station(station or names[0])].details
+            port = details["gcs_local_udp"][instance]
+        return port
 
     # --- what happened
 
@@ -409,8 +425,11 @@ class Swarm:
     @property
     def addresses(self) -> tuple[str, ...]:
         """A line for each vehicle with its MAVLink addresses, once the swarm is started."""
-        details = [self._processes.ready[uav(i)].details for i in range(self.scenario.agents)]
-        return ground_links.link_lines(self.scenario, details)
+        ready = self._processes.ready
+        details = [ready[uav(i)].details for i in range(self.scenario.agents)]
+        names = [each.name for each in self.scenario.ground_stations]
+        stations = {name: ready[ground_station(name)].details for name in names}
+        return ground_links.link_lines(self.scenario, details, stations)
 
     @property
     def events(self) -> tuple[RunEvent, ...]:

@@ -40,7 +40,7 @@ def with_ports(scenario: Scenario, ports: Ports, offset: PortOffset) -> Scenario
         return scenario
     try:
         own = scenario.ports
-        changed = own.raised(int(offset), scenario.agents) if ports == "scenario" else own.free()
+        changed = own.raised(int(offset), scenario.ground_ports) if ports == "scenario" else own.free()
     except ValueError as error:
         raise SetupError(str(error)) from None
     return msgspec.structs.replace(scenario, ports=changed)

@@ -64,7 +64,7 @@ def make_manifest(
             for field, (name, group) in (
                 extensions.named(scenario.autopilot)
                 | factory.named(scenario.onboard)
-                | registry.named(scenario.radio)
+                | registry.named(scenario.channel)
                 | user_models.named(scenario.sensors.extra, scenario.faults)
             ).items()
         },

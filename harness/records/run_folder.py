@@ -257,7 +257,7 @@ class RunFolder:
             stations=scenario.agents,
             seed=scenario.run.seed,
             packets=scenario.has_network,
-            radio=scenario.radio,
+            radio=scenario.channel,
             frame_log_path=str(self.raw_frames),
             session_log_path=str(self.raw_sessions),
             reception_log_path=str(self.raw_receptions) if scenario.radio.log_receptions else None,

@@ -35,6 +35,7 @@ from harness.report.formation_error import FormationError, formation_error
 from harness.report.page.flight_plots import ErrorEnvelopes
 from harness.report.page.run_page import Computed, write_page
 from harness.report.program_packets import program_packets
+from harness.report.telemetry import telemetry_frames
 from harness.report.ulog_truth import add_truth
 from harness.scenario.scenario import Scenario
 from harness.simulator.messages import Formed
@@ -138,6 +139,8 @@ def _write_tables(folder: RunFolder, scenario: Scenario, outcome: RunOutcome) ->
     packets = program_packets(outcome.processes)
     if packets is not None:
         summary["program_packets"] = packets
+    if frames := telemetry_frames(outcome.processes):
+        summary["telemetry_frames"] = frames
     if outcome.profile:
         summary["profile"] = msgspec.to_builtins(outcome.profile)
     _write_json(folder.summary, summary)

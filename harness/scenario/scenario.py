@@ -34,9 +34,11 @@ from autopilot.parameters.onboard_config import OnboardConfig
 from foundation.airframe.description import Airframe
 from harness.scenario import airframe_choice, autopilot_settings, formation_shape, world_checks
 from harness.scenario import programs as vehicle_programs
+from harness.scenario import stations as ground_stations
 from harness.scenario.airframe_choice import VehicleTable
 from harness.scenario.formation_shape import FormationConfig
 from harness.scenario.programs import NetworkTable, VehicleProgram
+from harness.scenario.stations import GroundStation, GroundStations
 from harness.world.faults import MOST_TIME_S, AnyFault, check
 from harness.world.physics.environment import EnvironmentConfig
 from harness.world.sensors.config import SensorsConfig
@@ -102,10 +104,12 @@ class PortsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     manifest. "any": all, for a command that has a PX4 or ArduPilot started by another program, such as a
     container's."""
     gcs_local_udp: Port = 18570
-    """Local UDP port of the ground station link."""
+    """Local UDP port of the ground station link. With ``links.telemetry = "radio"`` it is that of the first
+    of ``[[stations]]`` for vehicle 0; those of the next one for all vehicles follow, and so on."""
     gcs_remote_udp: Port = 14550
-    """Port of the ground station, common to all vehicles. 0: vehicles send only to stations that have sent to
-    them."""
+    """Port of the ground station's program, common to all vehicles. 0: none; messages are sent only to
+    programs that have sent some. With ``links.telemetry = "radio"`` the second of ``[[stations]]`` uses the
+    next port, and so on."""
     companion_local_udp: Port = 14580
     """Local UDP port of the companion link."""
     companion_remote_udp: Port = 14540
@@ -138,7 +142,8 @@ class PortsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     def raised(self, offset: int, agents: int) -> "PortsConfig":
         """Return the table with ``offset`` added to each port; 0 stays 0.
 
-        Raises ValueError for a negative offset, and for an invalid port.
+        ``agents`` is the greatest number of ports from a base on. Raises ValueError for a negative offset,
+        and for an invalid port.
         """
         most = max(0, 65_535 - max(self.numbers().values()) - (agents - 1))
         if not 0 <= offset <= most:
@@ -146,22 +151,27 @@ class PortsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
         changed = {name: base + offset if base else 0 for name, base in self.numbers().items()}
         return msgspec.structs.replace(self, **changed)
 
-    def check(self, agents: int) -> None:
-        """Check that ports are valid and do not overlap. Raises ValueError with the field's path."""
-        for field in ("simulator_tcp", "gcs_local_udp", "companion_local_udp", "companion_remote_udp"):
+    def check(self, agents: int, stations: int = 1) -> None:
+        """Check that ports are valid and do not overlap. Raises ValueError with the field's path.
+
+        ``stations`` is the number of ground stations that have a port for each of the ``agents``.
+        """
+        counts = dict.fromkeys(("simulator_tcp", "companion_local_udp", "companion_remote_udp"), agents)
+        counts["gcs_local_udp"] = agents * stations
+        for field, count in counts.items():
             base = getattr(self, field)
-            if base and base + agents - 1 > 65_535:
-                raise ValueError(f"ports.{field}: {base} + {agents - 1} vehicles is over 65535")
+            if base and base + count - 1 > 65_535:
+                raise ValueError(f"ports.{field}: {base} + {count - 1} vehicles is over 65535")
         for first, others in (
-            ("gcs_local_udp", (("companion_local_udp", agents), ("gcs_remote_udp", 1))),
-            ("companion_local_udp", (("gcs_remote_udp", 1),)),
+            ("gcs_local_udp", (("companion_local_udp", agents), ("gcs_remote_udp", stations))),
+            ("companion_local_udp", (("gcs_remote_udp", stations),)),
             ("simulator_tcp", (("radio_tcp", 1),) if self.radio_link == "tcp" else ()),
         ):
             begin = getattr(self, first)
             for second, count in others:
                 other = getattr(self, second)
                 port = max(begin, other)
-                if begin and other and port < min(begin + agents, other + count):
+                if begin and other and port < min(begin + counts[first], other + count):
                     of_uav = f" of UAV {port - other}" if count > 1 else ""
                     raise ValueError(
                         f"ports.{first} of UAV {port - begin} and ports.{second}{of_uav} are both {port}; "
@@ -210,6 +220,8 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Network namespaces of the vehicles."""
     programs: tuple[VehicleProgram, ...] = ()
     """Unmodified programs on the vehicles: tables ``[[programs]]``."""
+    stations: GroundStations = ()
+    """Ground stations on the channel: tables ``[[stations]]``."""
 
     def __post_init__(self) -> None:
         """Check what no single field can."""
@@ -231,8 +243,16 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         for number, fault in enumerate(self.faults):
             check(fault, self.rotors(), path=f"faults[{number}]", other_compasses=self.ardupilots)
         world_checks.check_sensors(self.sensors.extra, self.agents)
+        ground_stations.check(
+            self.stations,
+            radio=self.radio,
+            links=self.links,
+            onboard=self.onboard,
+            autopilot=self.autopilot,
+            agents=self.agents,
+        )
         try:
-            radio_settings.check(self.radio, self.agents)
+            radio_settings.check(self.channel, self.agents)
         except ValueError as error:
             raise ValueError(f"radio.{error}") from None
         session_s = (2**self.radio.ftm.bursts_exponent - 1) * self.radio.ftm.burst_period_ms * 1e-3
@@ -249,7 +269,7 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
                 formation_plan.check(places_ned_m, self.formation.motion)
             except ValueError as error:
                 raise ValueError(f"formation.motion.{error}") from None
-        self.ports.check(self.agents)
+        self.ports.check(self.agents, max(1, len(self.ground_stations)))
         vehicle_programs.check(self.programs, self.agents)
         if self.has_network and self.ports.radio_link != "unix":
             raise ValueError(
@@ -280,10 +300,11 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         """Return the port of a vehicle's companion; 0: none, because another process uses that port."""
         p, links = self.ports, self.links
         port = p.companion_remote_udp + instance if p.companion_remote_udp else 0
-        if port == p.gcs_remote_udp and links.companion_host == links.ground_station_host:
+        of_stations = range(p.gcs_remote_udp, p.gcs_remote_udp + max(1, len(self.ground_stations)))
+        if port in of_stations and links.companion_host == links.ground_station_host:
             return 0
-        own = (p.gcs_local_udp, p.companion_local_udp)
-        is_own = any(base and base <= port < base + self.agents for base in own)
+        own = ((p.gcs_local_udp, self.ground_ports), (p.companion_local_udp, self.agents))
+        is_own = any(base and base <= port < base + count for base, count in own)
         return 0 if is_own and IPv4Address(links.companion_host).is_loopback else port
 
     def airframes(self) -> tuple[Airframe, ...]:
@@ -337,6 +358,7 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
                 gps_delay_s=self.sensors.gps_model().delay_s,
                 ftm_trip_std_m=distance_m(round_trip_std_ps(self.radio.ftm, self.radio.bandwidth_mhz)),
             ),
+            ground_stations=ground_stations.numbers(self.ground_stations, self.radio, self.agents),
             places_ned_m=tuple((float(n), float(e), float(d)) for n, e, d in self.places_ned_m()),
             heading_deg=self.formation.heading_deg,
             motion=self.formation.motion,
@@ -344,6 +366,21 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             call_limit_s=self.run.silence_limit_s,
             record_period_us=self.record_period_us,
         )
+
+    @property
+    def ground_stations(self) -> tuple[GroundStation, ...]:
+        """Ground stations that the vehicles reach by radio; none with telemetry by wire."""
+        return self.stations if self.links.telemetry == "radio" else ()
+
+    @property
+    def ground_ports(self) -> int:
+        """Number of local UDP ports of the ground links, from ``ports.gcs_local_udp`` on."""
+        return self.agents * max(1, len(self.ground_stations))
+
+    @property
+    def channel(self) -> RadioConfig:
+        """Settings of the 802.11 channel: `radio` with the ground stations as the last guests."""
+        return ground_stations.channel(self.radio, self.ground_stations, self.agents)
 
     @property
     def has_network(self) -> bool:

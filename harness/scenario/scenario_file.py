@@ -27,7 +27,9 @@ from harness.scenario.validation_errors import InvalidTable, convert
 from harness.world.faults import EXPECTED
 from netsim.radio_models import registry
 
-ARRAYS_OF_TABLES = ("faults", "wind.gusts", "sensors.extra", "sensors.boxes", "onboard.programs", "programs")
+ARRAYS_OF_TABLES = (
+    "faults", "wind.gusts", "sensors.extra", "sensors.boxes", "onboard.programs", "programs", "stations",
+)  # fmt: skip
 _EXPECTED = {
     **EXPECTED,
     **registry.EXPECTED,

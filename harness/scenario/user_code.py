@@ -26,7 +26,15 @@ def with_code(scenario: Scenario, folder: Path) -> Scenario:
     load_extensions(autopilot)
     layout_of(onboard)
     radio = registry.with_folder(scenario.radio, folder)
-    registry.check_models(radio, scenario.agents + len(radio.guests), scenario.places_ned_m())
+    stations = tuple(
+        msgspec.structs.replace(each, antenna=registry.antenna_with_folder(each.antenna, folder))
+        for each in scenario.stations
+    )
+    count = scenario.agents + len(radio.guests) + len(stations)
+    registry.check_models(radio, count, scenario.places_ned_m())
+    for number, station in enumerate(stations):
+        if station.antenna is not None:
+            registry.check_antenna(radio, count, station.antenna, f"stations[{number}].antenna")
     sensors, faults = world_checks.with_folder(scenario.sensors, scenario.faults, folder)
     world_checks.check_models(
         sensors,
@@ -39,5 +47,11 @@ def with_code(scenario: Scenario, folder: Path) -> Scenario:
         ardupilots=scenario.ardupilots,
     )
     return msgspec.structs.replace(
-        scenario, autopilot=autopilot, onboard=onboard, radio=radio, sensors=sensors, faults=faults
+        scenario,
+        autopilot=autopilot,
+        onboard=onboard,
+        radio=radio,
+        stations=stations,
+        sensors=sensors,
+        faults=faults,
     )

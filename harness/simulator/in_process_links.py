@@ -5,6 +5,7 @@ They replace the sockets and the Zenoh session of a run of many processes.
 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import msgspec
 
@@ -19,7 +20,7 @@ from netsim.wire.lockstep import Advance, Advanced
 from netsim.wire.messages import TxBatch, TxItem
 
 LINKS_INACTIVE = (False, False)
-"""Activity of the links to ground station and companion, which do not exist here."""
+"""Activity of the UDP links to ground station and companion, which do not exist here."""
 
 
 class InProcessRadio:
@@ -109,6 +110,11 @@ class InProcessLink:
                 self._has_failed = True
                 self._on_failure(self.host.name, failure)
         return {}
+
+    def counts(self) -> Mapping[str, Any]:
+        """Return `troubles`, and the counts of its ground link over the radio if there is one."""
+        links = self.host.link_counts()
+        return {**self.troubles(), "links": links} if links else self.troubles()
 
     def _step(self, data: bytes | memoryview) -> None:
         host = self.host

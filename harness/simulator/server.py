@@ -363,7 +363,7 @@ def serve(
             emulator = EmulatorClient(
                 AwaitedLine(line, emulator_watchdog),
                 period_us=scenario.onboard.loop_period_us,
-                asynchronous=bool(scenario.radio.guests) or scenario.has_network,
+                asynchronous=bool(scenario.channel.guests) or scenario.has_network,
                 lead_steps=lead_steps,
                 pace=pacer.pace,
             )

@@ -21,6 +21,7 @@ Mode = Literal[
 AccessCategory = Literal["vo", "vi", "be", "bk"]
 Metres = Annotated[float, Meta(ge=-1e5, le=1e5)]
 PowerDbm = Annotated[float, Meta(ge=-50.0, le=50.0)]
+GainDbi = Annotated[float, Meta(ge=-50.0, le=50.0)]
 ModelName = Annotated[str, Meta(min_length=1, max_length=200)]
 
 
@@ -79,13 +80,29 @@ class InterfererConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """Mean length of a burst; bursts and pauses are exponentially distributed."""
 
 
+class RadioModel(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A model of the radio with its settings, such as the table ``[radio.path_loss]``."""
+
+    model: ModelName
+    """A built-in name, a name of an installed package's entry points, or ``package.module:Class``."""
+    settings: dict[str, Any] = {}
+    """Settings of the model, checked against its own type."""
+    folder: str = ""
+    """Folder where the module is looked up first and to which paths in the settings are relative; "": that of
+    the scenario's file."""
+
+
 class StationConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of one station that override the common ones; None: no override."""
 
     station: Annotated[int, Meta(ge=0, le=65_535)]
-    """Number of the station: vehicles from 0, then guests."""
+    """Number of the station: vehicles from 0, then guests, then ground stations."""
     tx_power_dbm: PowerDbm | None = None
     """Transmit power, dBm."""
+    antenna: ModelName | RadioModel | None = None
+    """Antenna pattern, as that of ``[radio]``."""
+    antenna_gain_dbi: GainDbi | None = None
+    """Peak gain."""
     data_mode: Mode | Literal["adaptive"] | None = None
     """Mode of datagrams to one station."""
     broadcast_mode: Mode | None = None
@@ -102,18 +119,6 @@ class GuestConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Name of the station; each guest has its own."""
     pos_ned_m: tuple[Metres, Metres, Metres]
     """Position in the site's NED frame, metres."""
-
-
-class RadioModel(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A model of the radio with its settings, such as the table ``[radio.path_loss]``."""
-
-    model: ModelName
-    """A built-in name, a name of an installed package's entry points, or ``package.module:Class``."""
-    settings: dict[str, Any] = {}
-    """Settings of the model, checked against its own type."""
-    folder: str = ""
-    """Folder where the module is looked up first and to which paths in the settings are relative; "": that of
-    the scenario's file."""
 
 
 class RadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -133,7 +138,7 @@ class RadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     antenna: ModelName | RadioModel = "isotropic"
     """Antenna pattern: ``isotropic``; ``dipole``, a half-wave dipole along the body's z axis, which tilts
     with the vehicle; or a model of one's own."""
-    antenna_gain_dbi: Annotated[float, Meta(ge=-50.0, le=50.0)] = 0.0
+    antenna_gain_dbi: GainDbi = 0.0
     """Peak gain."""
     noise_figure_db: Annotated[float, Meta(ge=0.0, le=50.0)] = 7.0
     """Noise figure of each receiver, dB."""

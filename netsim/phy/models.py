@@ -4,6 +4,8 @@ Built-in models with a faster or a combined computation are classes of their own
 protocol of `netsim.phy.interfaces`.
 """
 
+from collections.abc import Mapping
+
 from msgspec import Struct
 
 from netsim.phy.antenna import Dipole
@@ -18,6 +20,8 @@ class RadioModels(Struct, frozen=True, kw_only=True):
     path_loss: PathLoss | PowerLaw | TwoRay
     antenna: AntennaPattern | Dipole | None
     """None: isotropic."""
+    own_antennas: Mapping[int, AntennaPattern | Dipole | None] = {}
+    """Those of stations that have another one, by number."""
     shadowing: Shadowing | None
     fading: RicianFading | SampledFading | None
     error_model: ErrorModel

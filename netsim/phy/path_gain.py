@@ -16,6 +16,7 @@ from netsim.phy.antenna import (
     unpolarised_source_coupling,
 )
 from netsim.phy.interfaces import AntennaPattern, PathLoss
+from netsim.phy.mixed_antennas import MixedAntennas
 from netsim.phy.models import RadioModels
 from netsim.phy.path_loss import (
     REFERENCE_DISTANCE_M,
@@ -40,7 +41,10 @@ class PathGain:
         self._shadowing = models.shadowing
         self._dipole = isinstance(models.antenna, Dipole)
         self._pattern: AntennaPattern | None = None if isinstance(models.antenna, Dipole) else models.antenna
-        self.uses_attitudes = models.antenna is not None
+        self._mixed = MixedAntennas(models.antenna, models.own_antennas) if models.own_antennas else None
+        self.uses_attitudes = (
+            models.antenna is not None if self._mixed is None else self._mixed.any_directional
+        )
         """Whether gains depend on attitudes; budgets are then computed again when an attitude changes."""
         self._reference_db = friis_loss_db(REFERENCE_DISTANCE_M, config.frequency_mhz)
 
@@ -64,18 +68,13 @@ class PathGain:
         from_ned_m = pos_ned_m if sources == ALL else pos_ned_m[sources]
         away_m = pos_ned_m - from_ned_m[:, None]
         distances_m = np.sqrt(np.einsum("ijk,ijk->ij", away_m, away_m))
+        if self._mixed is not None and rotations is not None:
+            gains = self._between_mixed(self._mixed, sources, pos_ned_m, rotations, distances_m)
+            return self._shadowed(gains, from_ned_m, pos_ned_m, distances_m), distances_m
         axes_ned: Doubles | None = None
         if self._dipole and rotations is not None:
             axes_ned = np.ascontiguousarray(rotations[:, :, 2])
-        loss = self._loss
-        if isinstance(loss, TwoRay):
-            gains = _two_rays(loss, from_ned_m, pos_ned_m, distances_m, sources, axes_ned)
-        else:
-            gains = self._direct(loss, from_ned_m, pos_ned_m, distances_m)
-            if axes_ned is not None:
-                directions = away_m / np.maximum(distances_m, 1e-9)[..., None]
-                field, beside = direct_coupling(directions, axes_ned[sources], axes_ned)
-                gains = (field * field + beside) * gains
+        gains = self._coupled(sources, pos_ned_m, distances_m, axes_ned)
         if self._pattern is not None and rotations is not None:
             directions = _directions(away_m, distances_m)
             towards_db = pattern_gain_db(self._pattern, directions, rotations[sources])
@@ -85,6 +84,43 @@ class PathGain:
                 back_db = pattern_gain_db(self._pattern, -directions.swapaxes(0, 1), rotations).T
             gains = gains * 10.0 ** ((towards_db + back_db) / 10.0)
         return self._shadowed(gains, from_ned_m, pos_ned_m, distances_m), distances_m
+
+    def _coupled(
+        self, sources: slice, pos_ned_m: Doubles, distances_m: Doubles, axes_ned: Doubles | None
+    ) -> Doubles:
+        """Return the gains (m, n) of the path loss between isotropic antennas or dipoles.
+
+        ``axes_ned`` (n, 3) are the dipoles' axes; None: isotropic.
+        """
+        from_ned_m = pos_ned_m if sources == ALL else pos_ned_m[sources]
+        loss = self._loss
+        if isinstance(loss, TwoRay):
+            gains = _two_rays(loss, from_ned_m, pos_ned_m, distances_m, sources, axes_ned)
+        else:
+            gains = self._direct(loss, from_ned_m, pos_ned_m, distances_m)
+            if axes_ned is not None:
+                away_m = pos_ned_m - from_ned_m[:, None]
+                directions = away_m / np.maximum(distances_m, 1e-9)[..., None]
+                field, beside = direct_coupling(directions, axes_ned[sources], axes_ned)
+                gains = (field * field + beside) * gains
+        return gains
+
+    def _between_mixed(
+        self, mixed: MixedAntennas, sources: slice, pos_ned_m: Doubles, rotations: Doubles,
+        distances_m: Doubles,
+    ) -> Doubles:  # fmt: skip
+        """Return the gains (m, n) of path loss and antennas that differ."""
+        numbers = np.arange(len(pos_ned_m))
+        directions = _directions(pos_ned_m - pos_ned_m[sources][:, None], distances_m)
+        gains = self._coupled(sources, pos_ned_m, distances_m, None)
+        gains = gains * mixed.gains(directions, rotations[sources], numbers[sources])
+        gains = gains * mixed.gains(-directions.swapaxes(0, 1), rotations, numbers).T
+        dipoles = mixed.dipoles(len(numbers))
+        pairs = dipoles[sources][:, None] & dipoles
+        if pairs.any():
+            axes_ned = np.ascontiguousarray(rotations[:, :, 2])
+            gains = np.where(pairs, self._coupled(sources, pos_ned_m, distances_m, axes_ned), gains)
+        return gains
 
     def from_others(
         self, from_ned_m: Doubles, to_ned_m: Doubles, to_rotations: Doubles | None
@@ -101,11 +137,14 @@ class PathGain:
             gains = _two_rays(loss, from_ned_m, to_ned_m, distances_m, ALL, None)
         else:
             gains = self._direct(loss, from_ned_m, to_ned_m, distances_m)
-        if self._dipole and to_rotations is not None:
+        if self._mixed is not None and to_rotations is not None:
+            back = -_directions(away_m, distances_m).swapaxes(0, 1)
+            gains = gains * self._mixed.gains(back, to_rotations, np.arange(len(to_ned_m))).T
+        elif self._dipole and to_rotations is not None:
             directions = away_m / np.maximum(distances_m, 1e-9)[..., None]
             axes_ned = np.ascontiguousarray(to_rotations[:, :, 2])
             gains = gains * unpolarised_source_coupling(directions, axes_ned)
-        if self._pattern is not None and to_rotations is not None:
+        elif self._pattern is not None and to_rotations is not None:
             back = -_directions(away_m, distances_m).swapaxes(0, 1)
             gains = gains * 10.0 ** (pattern_gain_db(self._pattern, back, to_rotations).T / 10.0)
         return self._shadowed(gains, from_ned_m, to_ned_m, distances_m), distances_m

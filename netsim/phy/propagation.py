@@ -217,7 +217,15 @@ class Links:
         self._rows: dict[int, tuple[int, LinkRow]] = {}
         """By source: `version` and link budget."""
         self._propagation = PathGain(config, models)
-        self._exponent = self._propagation.power_law_exponent
+        offset_db = np.zeros(stations)
+        for station in config.stations:
+            if station.antenna_gain_dbi is not None:
+                offset_db[station.station] = station.antenna_gain_dbi - config.antenna_gain_dbi
+        self._gain_offset_db: list[float] = offset_db.tolist()
+        """By station: gain relative to that of the settings."""
+        self._receiver_gain = 10.0 ** (offset_db / 10.0) if offset_db.any() else None
+        """The same (n,), linear; None: all are equal."""
+        self._exponent = None if offset_db.any() else self._propagation.power_law_exponent
         self._uses_attitudes = self._propagation.uses_attitudes
         self._together = stations <= COMPUTED_TOGETHER
         self._poses_of: tuple[int, int] | None = None
@@ -262,8 +270,12 @@ class Links:
     def _update_powers(self) -> None:
         loss_db = friis_loss_db(REFERENCE_DISTANCE_M, self._config.frequency_mhz) + self._extra_db
         gain_db = 2.0 * self._config.antenna_gain_dbi - loss_db
-        self._at_reference_mw = [10.0 ** ((power_dbm + gain_db) / 10.0) for power_dbm in self._tx_power_dbm]
-        """By source: power received at `REFERENCE_DISTANCE_M`, antenna gains and attenuation included."""
+        self._at_reference_mw = [
+            10.0 ** ((power_dbm + gain_db + offset_db) / 10.0)
+            for power_dbm, offset_db in zip(self._tx_power_dbm, self._gain_offset_db, strict=True)
+        ]
+        """By source: power received at `REFERENCE_DISTANCE_M` by an antenna with the common gain, the extra
+        attenuation included."""
         self._powers_version += 1
 
     @property
@@ -303,6 +315,8 @@ class Links:
                 until_ns = since_ns + ROW_LIFETIME_NS - 1
             gains, distances_m = self._paths_from(source)
             powers_mw = self._at_reference_mw[source] * gains
+            if self._receiver_gain is not None:
+                powers_mw *= self._receiver_gain
             if self._obstruction is not None:
                 blocked, same_until_ns = self._obstruction.row(source, at_ns)
                 powers_mw[blocked] *= self._blocked_gain
@@ -319,6 +333,8 @@ class Links:
             config = self._config
             places = np.array([interferer.pos_ned_m for interferer in config.interferers])
             gains, distances = self._propagation.from_others(places, *self._poses)
+            if self._receiver_gain is not None:
+                gains = gains * self._receiver_gain
             gain_db = config.antenna_gain_dbi - friis_loss_db(REFERENCE_DISTANCE_M, config.frequency_mhz)
             self._interferer_rows = [
                 self._finish(10.0 ** ((interferer.eirp_dbm + gain_db) / 10.0) * gains[i], distances[i], inf)

@@ -113,7 +113,12 @@ def make_models(config: RadioConfig, stations: int, streams: RandomStreams) -> R
     models: dict[str, Any] = {kind: create(kind) for kind in STREAMS}
     if isinstance(models["fading"], CheckedFading):
         models["fading"] = SampledFading(models["fading"], stations)
-    return RadioModels(**models)
+    own_antennas: dict[int, Any] = {
+        each.station: create("antenna", each.antenna, f"radio.stations[{number}].antenna")
+        for number, each in enumerate(config.stations)
+        if each.antenna is not None
+    }
+    return RadioModels(**models, own_antennas=own_antennas)
 
 
 def with_folder(config: RadioConfig, folder: Path) -> RadioConfig:
@@ -124,7 +129,23 @@ def with_folder(config: RadioConfig, folder: Path) -> RadioConfig:
         if choice.model not in BUILT_IN[kind]:
             absolute = str((folder / choice.folder).resolve())
             changes[kind] = msgspec.structs.replace(choice, folder=absolute)
-    return msgspec.structs.replace(config, **changes) if changes else config
+    stations = tuple(
+        msgspec.structs.replace(each, antenna=antenna_with_folder(each.antenna, folder))
+        for each in config.stations
+    )
+    if not changes and stations == config.stations:
+        return config
+    return msgspec.structs.replace(config, stations=stations, **changes)
+
+
+def antenna_with_folder(antenna: str | RadioModel | None, folder: Path) -> str | RadioModel | None:
+    """Return the model of a station's antenna with the folder in which it is looked up, if it may need it."""
+    if antenna is None:
+        return None
+    choice = _table(antenna)
+    if choice.model in BUILT_IN["antenna"]:
+        return antenna
+    return msgspec.structs.replace(choice, folder=str((folder / choice.folder).resolve()))
 
 
 def check_models(config: RadioConfig, stations: int, places_ned_m: Doubles) -> None:
@@ -142,6 +163,27 @@ def check_models(config: RadioConfig, stations: int, places_ned_m: Doubles) -> N
             )
         else:
             _create(config, stations, RandomStreams(np.random.SeedSequence(0)), kind)
+    for number, each in enumerate(config.stations):
+        if each.antenna is not None:
+            check_antenna(config, stations, each.antenna, f"radio.stations[{number}].antenna")
+
+
+def check_antenna(config: RadioConfig, stations: int, antenna: str | RadioModel, field: str) -> None:
+    """Create a station's antenna, and call its methods, as `check_models`; lines begin with ``field``."""
+
+    def try_it() -> None:
+        streams = RandomStreams(np.random.SeedSequence(0))
+        _try_antenna(_create(config, stations, streams, "antenna", antenna, field))
+
+    if _table(antenna).model in BUILT_IN["antenna"]:
+        try_it()
+    else:
+        check_bounded(try_it, f"{field}: {_table(antenna).model}")
+
+
+def _try_antenna(model: object) -> None:
+    if isinstance(model, CheckedAntennaPattern):
+        model.gain_db(np.stack((np.eye(3), -np.eye(3))))
 
 
 def _check_model(config: RadioConfig, stations: int, kind: str, places_ned_m: Doubles) -> None:
@@ -157,7 +199,7 @@ def _check_model(config: RadioConfig, stations: int, kind: str, places_ned_m: Do
         case CheckedShadowing() as model:
             model.check_reciprocity("gain_db", from_ned_m, to_ned_m, distance_m)
         case CheckedAntennaPattern() as model:
-            model.gain_db(np.stack((np.eye(3), -np.eye(3))))
+            _try_antenna(model)
         case CheckedFading() as model:
             model.move(0, np.zeros((stations, 3)), np.zeros((stations, 3)))
             model.gains(0, 0)
@@ -169,7 +211,10 @@ def _check_model(config: RadioConfig, stations: int, kind: str, places_ned_m: Do
 
 def chosen(config: RadioConfig, kind: str) -> RadioModel:
     """Return the table of a kind of model; a name alone is one without settings."""
-    choice: str | RadioModel = getattr(config, kind)
+    return _table(getattr(config, kind))
+
+
+def _table(choice: str | RadioModel) -> RadioModel:
     return RadioModel(model=choice) if isinstance(choice, str) else choice
 
 
@@ -180,6 +225,10 @@ def named(config: RadioConfig) -> dict[str, tuple[str, str]]:
         name = chosen(config, kind).model
         if name not in BUILT_IN[kind] and name not in SHIPPED.get(kind, {}):
             found[f"radio.{kind}"] = (name if is_path(name) else f"{kind}.{name}", GROUP)
+    for number, each in enumerate(config.stations):
+        if each.antenna is not None and (name := _table(each.antenna).model) not in BUILT_IN["antenna"]:
+            path = name if is_path(name) else f"antenna.{name}"
+            found[f"radio.stations[{number}].antenna"] = (path, GROUP)
     return found
 
 
@@ -194,10 +243,16 @@ def _installed(kind: str) -> dict[str, str]:
     return {name: path for point_kind, _, name, path in points if point_kind == kind}
 
 
-def _create(config: RadioConfig, stations: int, streams: RandomStreams, kind: str) -> object:
-    """Return the model of a kind; a user's is wrapped by a class of `netsim.radio_models.checked`."""
-    choice = chosen(config, kind)
-    field, name = f"radio.{kind}", choice.model
+def _create(
+    config: RadioConfig, stations: int, streams: RandomStreams, kind: str,
+    own: str | RadioModel | None = None, own_field: str = "",
+) -> object:  # fmt: skip
+    """Return the model of a kind; a user's is wrapped by a class of `netsim.radio_models.checked`.
+
+    ``own`` and its field replace that of the settings, for one station.
+    """
+    choice = chosen(config, kind) if own is None else _table(own)
+    field, name = own_field or f"radio.{kind}", choice.model
     context = RadioContext(
         config=config, stations=stations, folder=Path(choice.folder), streams=streams, stream=STREAMS[kind]
     )

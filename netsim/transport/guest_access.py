@@ -33,15 +33,15 @@ class GuestAccess(Struct, frozen=True, kw_only=True):
     """By the guests' names."""
 
 
-def write_guest_access(path: Path, config: ServerConfig, endpoint: str) -> None:
+def write_guest_access(path: Path, config: ServerConfig, endpoint: str, *, guests: int | None = None) -> None:
     """Write the file of a run's radio, readable for its owner alone; a reader finds all of it or none.
 
-    Raises OSError.
+    It has the first ``guests`` of the settings, by default all. Raises OSError.
     """
     passwords = () if config.passwords is None else config.passwords.guests
     logins = {}
     for station, (guest, password) in enumerate(
-        zip(config.radio.guests, passwords, strict=True), start=config.stations
+        zip(config.radio.guests[:guests], passwords[:guests], strict=True), start=config.stations
     ):
         user = guest_user(station, password)
         logins[guest.name] = GuestLogin(station=station, user=user.name, password=user.password)

@@ -129,7 +129,8 @@ SUMMARY = {
     "deterministic": "whether the flight depends on nothing but scenario, seed and sources",
     "log_sha256": "hash of the logs: equal for equal flights",
 }
-"""Keys of the summary of a run, with their meanings; ``profile`` is added by ``--profile``."""
+"""Keys of the summary of a run, with their meanings; ``profile`` is added by ``--profile``, and
+``telemetry_frames`` by ground stations on the radio."""
 
 
 class Result(NamedTuple):

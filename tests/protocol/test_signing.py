@@ -15,7 +15,7 @@ from autopilot.mavlink import signing
 from autopilot.mavlink.codec import Encoder, Parser, Sequences
 from autopilot.mavlink.codec import signed as sign_frame
 from autopilot.mavlink.counters import Counters
-from autopilot.mavlink.links import BROADCAST, UdpLink
+from autopilot.mavlink.partners import BROADCAST
 from autopilot.mavlink.signing import (
     KEY_BYTES,
     MAX_STREAMS,
@@ -28,6 +28,7 @@ from autopilot.mavlink.signing import (
     SigningStreams,
     key_of,
 )
+from autopilot.mavlink.udp_link import UdpLink
 from autopilot.parameters.config import LinksConfig
 
 KEY = hashlib.sha256(b"correct horse").digest()

@@ -10,15 +10,14 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Encoder, Parser
 from autopilot.mavlink.links import (
-    BROADCAST,
     MAX_BYTES_PER_CALL,
     MAX_DATAGRAM_BYTES,
     MAX_DATAGRAMS_PER_CALL,
     MAX_FRAMES_PER_CALL,
-    MAX_PARTNERS,
-    MAX_RECEIVED_DATAGRAM_BYTES,
-    UdpLink,
 )
+from autopilot.mavlink.partners import BROADCAST, MAX_PARTNERS
+from autopilot.mavlink.udp_link import UdpLink
+from autopilot.mavlink.udp_socket import MAX_RECEIVED_DATAGRAM_BYTES
 
 DEADLINE_S = 5.0
 KERNEL_KEEPS_BYTES = 60_000

@@ -10,7 +10,9 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Encoder
 from autopilot.mavlink.input_budget import InputBudget
-from autopilot.mavlink.links import BROADCAST, MAX_DROPPED_PER_CALL, UdpLink
+from autopilot.mavlink.links import MAX_DROPPED_PER_CALL
+from autopilot.mavlink.partners import BROADCAST
+from autopilot.mavlink.udp_link import UdpLink
 from foundation.processes.socket_owners import DatagramOwners
 
 HERE = "127.0.0.1"

@@ -10,9 +10,10 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Encoder, Parser, signed
-from autopilot.mavlink.links import BROADCAST, UdpLink
+from autopilot.mavlink.partners import BROADCAST
 from autopilot.mavlink.signing import Signer, SigningStreams, key_of
 from autopilot.mavlink.tlog import MOST_BUFFERED, TIME, TelemetryLog
+from autopilot.mavlink.udp_link import UdpLink
 
 DEADLINE_S = 20.0
 EPOCH_US = 1_700_000_000_000_000

@@ -16,8 +16,9 @@ def test_the_socket_folder_is_removed_if_the_guests_file_cannot_be(
     guest_access = tmp_path / "guests.json"
     guest_access.mkdir()  # which cannot be unlinked
     scenario: Any = SimpleNamespace(
-        ports=SimpleNamespace(radio_link="unix"), radio=SimpleNamespace(guests=()), has_network=False
-    )
+        ports=SimpleNamespace(radio_link="unix"), radio=SimpleNamespace(guests=()), has_network=False,
+        agents=1, ground_stations=(),
+    )  # fmt: skip
     folder: Any = SimpleNamespace(guest_access=guest_access, radio_config=lambda *_, **__: None)
     link = RadioLink(scenario, folder, run_id="r")
     (sockets,) = tmp_path.glob("coflight-radio-*")
