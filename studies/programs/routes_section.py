@@ -206,13 +206,13 @@ def judge(_plan: ProgramsPlan, results: Results) -> Section:
         title="Routes of babeld",
         conditions=filled(
             f"{len(UAVS)} vehicles in a line, {SPACING_M:.0f} m apart, of which each receives its neighbours "
-            f"only, each with `babeld -h 1 -H 1 wlan0`, at speed 1. The middle vehicle is killed at "
+            "only, each with `babeld -h 1 -H 1 wlan0`, at speed 1. The middle vehicle is killed at "
             f"{KILL_S:.0f} s. In other flights the line is {CLOSE_SPACING_M:.0f} m apart with 25 dB less "
-            f"power, and closes up to 4.5 m from {CLOSE_S:.0f} s on. babeld smooths the metric of a route with a "
-            "half-life of 4 s from infinity (65,535) on, so a direct path of metric 96 replaces one of two hops "
-            "38 s after its first announcement. A program on each vehicle reads the kernel's routes every "
-            f"{1e3 * route_watch.PERIOD_S:.0f} ms; times are of the wall clock, in which babeld lives. Median "
-            f"convergence {typical:.1f} s."
+            f"power, and closes up to 4.5 m from {CLOSE_S:.0f} s on. babeld smooths the metric of a route "
+            "with a half-life of 4 s from infinity (65,535) on, so a direct path of metric 96 replaces one of "
+            "two hops 38 s after its first announcement. A program on each vehicle reads the kernel's routes "
+            f"every {1e3 * route_watch.PERIOD_S:.0f} ms; times are of the wall clock, in which babeld lives. "
+            f"Median convergence {typical:.1f} s."
         )
         + "\n",
         checks=(
