@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from harness.launch.swarm import Swarm
+from harness.launch.swarm import Swarm, SwarmTimeoutError
 from netsim.model.config import RadioConfig
 
 NO_APPLICATION = """
@@ -22,6 +22,8 @@ enabled = false
 SNAP_AND_MAC_BYTES = 8 + 28
 """LLC/SNAP header, and MAC header with check sequence, of a packet's frame."""
 UDP_AND_IP_BYTES = 8 + 20
+_PIECE_S = 0.5
+"""Simulated time between two looks at the output of a program"""
 
 
 class Lateness(Struct, frozen=True, kw_only=True):
@@ -80,6 +82,16 @@ def fly(scenario: str, *, speed: float, seed: int, course: Callable[[Swarm], obj
             course(swarm)
         swarm.summary(draw=False)
         return read(swarm.path, swarm.scenario.radio)
+
+
+def run_until_report(swarm: Swarm, uav: int, name: str, *, limit_s: float) -> None:
+    """Fly until a program has written its output, as iperf3 does at its end. Raises SwarmTimeoutError."""
+    log = swarm.path / "logs" / f"uav-{uav}-{name}.log"
+    end_s = swarm.truth.t_s + limit_s
+    while not log.exists() or not log.read_bytes().rstrip().endswith(b"}"):
+        if swarm.truth.t_s >= end_s:
+            raise SwarmTimeoutError(f"{name} of uav {uav} has not ended within {limit_s:g} s")
+        swarm.run_for(_PIECE_S)
 
 
 def read(run: Path, radio: RadioConfig) -> Flown:

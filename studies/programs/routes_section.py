@@ -84,8 +84,8 @@ def routed(scenario: str, *, folder: str) -> str:
     return scenario + program("babeld", "all", babeld) + program("routes", "all", watch)
 
 
-def line_scenario(*, folder: str) -> str:
-    """Return the scenario of a line whose vehicles reach their neighbours only."""
+def line_scenario(*, folder: str, ping_after_s: float = PING_AFTER_S, pings: int = PINGS) -> str:
+    """Return the scenario of a line whose vehicles reach their neighbours only; the first pings the last."""
     text = f"""agents = {len(UAVS)}
 [formation]
 shape = "line"
@@ -96,8 +96,8 @@ hold = true
 {_RADIO}tx_power_dbm = 30.0
 """
     last = UAVS[-1]
-    ping = ("ping", "-c", PINGS, "-i", 0.2, f"10.1.0.{last}")
-    return routed(text, folder=folder) + program("ping", UAVS[0], after(PING_AFTER_S, *ping))
+    ping = ("ping", "-c", pings, "-i", 0.2, f"10.1.0.{last}")
+    return routed(text, folder=folder) + program("ping", UAVS[0], after(ping_after_s, *ping))
 
 
 def closing_scenario(*, folder: str) -> str:
@@ -209,9 +209,9 @@ def judge(_plan: ProgramsPlan, results: Results) -> Section:
             "only, each with `babeld -h 1 -H 1 wlan0`, at speed 1. The middle vehicle is killed at "
             f"{KILL_S:.0f} s. In other flights the line is {CLOSE_SPACING_M:.0f} m apart with 25 dB less "
             f"power, and closes up to 4.5 m from {CLOSE_S:.0f} s on. babeld smooths the metric of a route "
-            "with a half-life of 4 s from infinity (65,535) on, so a direct path of metric 96 replaces one of "
-            "two hops 38 s after its first announcement. A program on each vehicle reads the kernel's routes "
-            f"every {1e3 * route_watch.PERIOD_S:.0f} ms; times are of the wall clock, in which babeld lives. "
+            "with a half-life of 4 s from infinity (65,535) on, so a direct path of metric 96 replaces one "
+            "of two hops 38 s after its first announcement. A program on each vehicle reads the kernel's "
+            f"routes every {1e3 * route_watch.PERIOD_S:.0f} ms; times are of the wall clock, in which babeld lives. "
             f"Median convergence {typical:.1f} s."
         )
         + "\n",

@@ -16,6 +16,7 @@ from studies.programs.flight import (
     data_frames,
     fly,
     program,
+    run_until_report,
 )
 from studies.programs.plan import ProgramsPlan
 
@@ -80,7 +81,10 @@ settings = {settings}
 def measure(loss: float, retry_limit: int, wall_s: float) -> Transfer:
     """Fly one case. Raises SwarmError."""
     text = scenario(loss, retry_limit, wall_s)
-    flown = fly(text, speed=1.0, seed=1, course=lambda swarm: swarm.run(until_s=wall_s + 4.0))
+    limit_s = 3.0 * wall_s + 20.0
+    flown = fly(
+        text, speed=1.0, seed=1, course=lambda swarm: run_until_report(swarm, 0, "client", limit_s=limit_s)
+    )
     end = json.loads(flown.logs[0, "client"])["end"]
     segments = data_frames(flown.frames, SEGMENT_IP_BYTES, source=0, to=1)
     return Transfer(
