@@ -1,12 +1,15 @@
 """iperf3 with full queues: what its servers report, what the frame log has, and what the lab computes."""
 
 import json
+import time
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
 from msgspec import Struct
 
+from harness.launch.swarm import Swarm
 from netsim.lab.saturation import UNLIMITED, saturate
 from netsim.model.config import Mode
 from studies.common.report import Check, ReportTable, Section, filled
@@ -101,14 +104,20 @@ def measure(senders: int, wall_s: float, speed: float) -> Saturated:
     """Fly, and simulate the same channel in the lab. Raises SwarmError."""
     lab = saturate(stations=senders, rts=False, mode=MODE, payload_bytes=PAYLOAD_BYTES, seconds=LAB_S, seed=1)
     text = scenario(senders, wall_s, speed, OFFERED * lab.throughput_mbps / senders)
-    until_s = (wall_s + 2.0) * speed
-    flown = fly(text, speed=speed, seed=1, course=lambda swarm: swarm.run(until_s=until_s))
+    marks: list[tuple[float, float]] = []
+
+    def course(swarm: Swarm) -> None:
+        while not marks or marks[-1][1] < (wall_s + 2.0) * speed:
+            swarm.run_for(speed)
+            marks.append((time.time(), swarm.truth.t_s))
+
+    flown = fly(text, speed=speed, seed=1, course=course)
     servers = [json.loads(flown.logs[senders, f"server{sender}"]) for sender in range(senders)]
     delivered = data_frames(flown.frames, PAYLOAD_BYTES + UDP_AND_IP_BYTES, to=senders)
     delivered &= flown.frames["delivered"] > 0
     return Saturated(
         senders=senders,
-        reported_mbps=reported_bps(servers, EDGE_WALL_S) / speed / 1e6,
+        reported_mbps=1e-6 * reported_bps(servers, marks, EDGE_WALL_S),
         logged_mbps=8e-6
         * PAYLOAD_BYTES
         * rate_hz(flown.frames["start_ns"][delivered] * 1e-9, EDGE_WALL_S * speed),
@@ -120,28 +129,26 @@ def measure(senders: int, wall_s: float, speed: float) -> Saturated:
     )
 
 
-def reported_bps(servers: list[dict[str, Any]], edge_s: float) -> float:
-    """Return the sum of the servers' rates while all of them receive, in wall time.
+def reported_bps(servers: list[dict[str, Any]], marks: Sequence[tuple[float, float]], edge_s: float) -> float:
+    """Return the sum of the servers' rates while all of them receive, in simulated time.
 
-    ``servers`` are reports of iperf3; ``edge_s`` is left out after the last one has begun, and before the
-    first one ends.
+    ``servers`` are reports of iperf3; ``marks`` are UNIX times and the simulated times that were reached
+    then. ``edge_s`` of wall time is left out after the last server has begun, and before the first one ends.
     """
     spans = []
     for server in servers:
         begin_s = server["start"]["timestamp"]["timesecs"]
-        spans.append(
-            [
-                (begin_s + each["sum"]["start"], begin_s + each["sum"]["end"], each["sum"]["bytes"])
-                for each in server["intervals"]
-            ]
-        )
+        sums = [each["sum"] for each in server["intervals"]]
+        spans.append([(begin_s + each["start"], begin_s + each["end"], each["bytes"]) for each in sums])
     first_s = max(intervals[0][0] for intervals in spans) + edge_s
     last_s = min(intervals[-1][1] for intervals in spans) - edge_s
-    total = 0.0
+    walls_s, reached_s = zip(*marks, strict=True)
+    total_bps = 0.0
     for intervals in spans:
         inside = [each for each in intervals if each[0] >= first_s and each[1] <= last_s]
-        total += 8 * sum(each[2] for each in inside) / sum(each[1] - each[0] for each in inside)
-    return total
+        begin_s, end_s = np.interp((inside[0][0], inside[-1][1]), walls_s, reached_s)
+        total_bps += 8 * sum(each[2] for each in inside) / float(end_s - begin_s)
+    return total_bps
 
 
 def rate_hz(times_s: np.ndarray[Any, np.dtype[np.float64]], edge_s: float) -> float:
@@ -173,8 +180,8 @@ def judge(plan: ProgramsPlan, results: Results) -> Section:
         conditions=filled(
             f"Vehicles send UDP datagrams of {PAYLOAD_BYTES} B to one more vehicle by `iperf3 --udp`, each "
             f"{OFFERED:g} times its share of the channel for {plan.saturated_wall_s:g} s, at `--speed "
-            f"{plan.saturated_speed:g}`: rates in simulated time are those of iperf3 divided by the speed. "
-            f"Mode {MODE}, DCF, equal received powers, no retry limit, no application. The lab is "
+            f"{plan.saturated_speed:g}`: the rates of iperf3 are divided by the simulated time that passed per "
+            f"second. Mode {MODE}, DCF, equal received powers, no retry limit, no application. The lab is "
             f"`coflight radio saturation` with the same settings: a core without processes, time and "
             f"sockets. The first and last {EDGE_WALL_S:g} s of wall time are left out. Datagrams that are on "
             "the way when the programs end are in the frame log alone."

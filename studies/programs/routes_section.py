@@ -52,7 +52,7 @@ class Line(Struct, frozen=True, kw_only=True):
     answered: int
     """Echo requests over four hops"""
     withdrawn_s: float | None
-    """From the end of the middle vehicle until nobody has a route across the gap"""
+    """From the end of the middle vehicle until no vehicle has a route across the gap"""
     lateness: Lateness
 
 
@@ -206,20 +206,22 @@ def judge(_plan: ProgramsPlan, results: Results) -> Section:
         title="Routes of babeld",
         conditions=filled(
             f"{len(UAVS)} vehicles in a line, {SPACING_M:.0f} m apart, of which each receives its neighbours "
-            "only, each with `babeld -h 1 -H 1 wlan0`, at speed 1. The middle vehicle is killed at "
-            f"{KILL_S:.0f} s. In other flights the line is {CLOSE_SPACING_M:.0f} m apart with 25 dB less "
-            f"power, and closes up to 4.5 m from {CLOSE_S:.0f} s on. babeld smooths the metric of a route "
+            "only, each with `babeld -h 1 -H 1 wlan0`, at speed 1. With a margin of 3.3 dB and Rician fading "
+            "(K of 12 dB) a link is too weak for 3.9 % of the time, each time for longer than all retries "
+            "take: 73 % of the pings over four hops and back are expected to be answered. The middle vehicle "
+            f"is killed at {KILL_S:.0f} s. In other flights the line is {CLOSE_SPACING_M:.0f} m apart with 25 dB "
+            f"less power, and closes up to 4.5 m from {CLOSE_S:.0f} s on. babeld smooths the metric of a route "
             "with a half-life of 4 s from infinity (65,535) on, so a direct path of metric 96 replaces one "
             "of two hops 38 s after its first announcement. A program on each vehicle reads the kernel's "
-            f"routes every {1e3 * route_watch.PERIOD_S:.0f} ms; times are of the wall clock, in which babeld lives. "
-            f"Median convergence {typical:.1f} s."
+            f"routes every {1e3 * route_watch.PERIOD_S:.0f} ms; times are of the wall clock, in which "
+            f"babeld lives. Median convergence {typical:.1f} s."
         )
         + "\n",
         checks=(
             Check("slowest convergence", _largest(converged), "s", at_most=MOST_CONVERGENCE_S),
             Check(
                 f"least answers of {PINGS} over four hops", min(each.answered for each in lines),
-                at_least=0.8 * PINGS,
+                at_least=0.5 * PINGS,
             ),
             Check("slowest withdrawal", _largest(withdrawn), "s", at_most=MOST_WITHDRAWAL_S),
             Check("slowest shortening, from in range", _largest(shortened), "s", at_most=MOST_SHORTENING_S),

@@ -60,7 +60,8 @@ def server(begin_s, rates_bps):
 def test_reported_rate_is_that_of_the_time_in_which_all_servers_receive():
     alone = [9e6] * 3  # the second server begins 3 s later
     servers = [server(100, [*alone, *[2e6] * 7]), server(103, [*[1e6] * 7, *alone])]
-    assert reported_bps(servers, 1.0) == pytest.approx(3e6)
+    marks = [(90.0, 0.0), (120.0, 6.0)]  # at a fifth of the wall clock
+    assert reported_bps(servers, marks, 1.0) == pytest.approx(5 * 3e6)
 
 
 def test_rate_leaves_the_edges_out():
