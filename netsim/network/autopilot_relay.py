@@ -74,16 +74,16 @@ class Flow:
         counts = self._vehicle.counts
         for _ in range(DATAGRAMS_PER_TURN):
             try:
-                data, (host, port) = self._socket.recvfrom(MOST_BYTES + 1)
+                data, sender = self._socket.recvfrom(MOST_BYTES + 1)
             except OSError:  # none, or the autopilot does not listen
                 return
-            if not self._vehicle.autopilot_port:
-                if not self._vehicle.trusts((host, port)):
-                    counts.foreign += 1
-                    continue
-                self._vehicle.autopilot_port = port
+            if not self._vehicle.autopilot_port and self._vehicle.trusts(sender):
+                self._vehicle.autopilot_port = sender[1]
                 self.open()
-            self._vehicle.to_program(data, self._port)
+            if sender == (self._vehicle.link.autopilot_host, self._vehicle.autopilot_port):
+                self._vehicle.to_program(data, self._port)
+            else:  # arrived before the socket was connected
+                counts.foreign += 1
 
     def send(self, data: bytes) -> bool:
         """Send a datagram to the autopilot; False if it is lost."""
@@ -113,7 +113,7 @@ class Vehicle:
         self._flows: dict[int, Flow] = {}
         """By port of the program, that which sent last is last."""
         self._left = DATAGRAMS_PER_PERIOD
-        self._is_warned = False
+        self._is_paused = self._is_warned = False
         selector.register(sockets.autopilot, selectors.EVENT_READ, self)
         self.companion_port = link.companion_port
         """The port to which the autopilot is to send."""
@@ -127,6 +127,7 @@ class Vehicle:
         for _ in range(DATAGRAMS_PER_TURN):
             if self._left <= 0:
                 self.counts.pauses += 1
+                self._is_paused = True
                 self._selector.unregister(self._sockets.autopilot)
                 return
             try:
@@ -151,12 +152,15 @@ class Vehicle:
 
     def trusts(self, sender: Address) -> bool:
         """Whether a sender on the loopback can be the autopilot, whose port is not known."""
+        if sender[0] != self.link.autopilot_host:
+            return False
         wall_s = self._clock_s()
         return self._owners is None or self._owners.trusts(sender, wall_s, wall_since_s=wall_s)
 
     def update(self) -> None:
         """Open and close flows by what receives at present, and read again what was left in the kernel."""
-        if self._left <= 0:
+        if self._is_paused:
+            self._is_paused = False
             self._selector.register(self._sockets.autopilot, selectors.EVENT_READ, self)
         self._left = DATAGRAMS_PER_PERIOD
         if self._sockets.receives(PROGRAM[1]):

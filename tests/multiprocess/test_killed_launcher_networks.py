@@ -46,10 +46,12 @@ while True:
 KINDS = ("net", "mnt", "pid", "user")
 MARK = "COFLIGHT_TEST"
 SEED = 5
+START_S = 60.0
+"""Wall time that a start may take on a busy machine."""
 MOMENTS = (
-    *(("start", 3.0),) * 4,  # while modules are imported and processes start
+    *(("start", 3.0),) * 5,  # while modules are imported and processes start
     *(("config/network.json", 1.0),) * 3,  # while namespaces are made
-    *(("logs/uav-1-companion.log", 1.5),) * 3,  # in flight, with MAVLink on eth0
+    *(("logs/uav-1-companion.log", 1.5),) * 2,  # in flight, with MAVLink on eth0
 )
 """Files of the run's folder, with content, and the longest random wall time in seconds after it has them."""
 
@@ -105,10 +107,12 @@ def test_nothing_outlives_a_launcher_that_is_killed_at_ten_random_moments(
         with errors.open("wb") as stderr:
             launcher = subprocess.Popen(command, cwd=work, stdout=subprocess.DEVNULL, stderr=stderr)
         try:
-            if file != "start":
-                wait_for(lambda path=run / file: has_content(path), file)
+            wall_end_s = time.monotonic() + START_S
+            while file != "start" and not has_content(run / file) and time.monotonic() < wall_end_s:
+                time.sleep(0.01)
             time.sleep(generator.uniform(0.0, longest_s))
             assert launcher.poll() is None, errors.read_text()
+            assert file == "start" or has_content(run / file)
             namespaces = namespaces_of(marked(mark))
         finally:
             launcher.send_signal(signal.SIGKILL)
@@ -122,4 +126,4 @@ def test_nothing_outlives_a_launcher_that_is_killed_at_ten_random_moments(
         # the folder of the radio's socket is removed by the next launcher, network.json remains in the run's
         assert len([each.name.startswith("coflight-radio-") for each in short_folder.iterdir()]) <= 1
         seen += bool(namespaces)
-    assert seen >= 3  # at least those in flight had some
+    assert seen >= 2  # at least those in flight had some
