@@ -266,7 +266,7 @@ class LoggingConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     it from the first message of a ground station on."""
     tlog: bool = False
     """Whether the messages on each ground link are written to ``ground-N.tlog``, as ground stations do. A
-    swarm in one process has no links."""
+    swarm in one process has ground links only with ``links.telemetry = "radio"``."""
 
 
 class TrackMotion(

@@ -28,15 +28,17 @@ def _link_line(
 ) -> str:
     """Return a vehicle's MAVLink addresses: the local ports that were reported, and remote ports."""
     ends = [
-        (f"ground station {name} UDP {details['gcs_local_udp'][instance]}", details["gcs_remote_udp"])
+        (
+            f"ground station {name} by radio, UDP {details['gcs_local_udp'][instance]}",
+            details["gcs_remote_udp"],
+        )
         for name, details in stations.items()
     ]
     if not ends:
         ends = [(f"ground station UDP {local.get('gcs_local_udp', 'its own')}", ports.gcs_remote_udp)]
     ends.append((f"companion UDP {local.get('companion_local_udp', 'its own')}", ports.companion_remote_udp))
     links = [link + (f" -> {remote}" if remote else "") for link, remote in ends]
-    way = " (by radio)" if stations else ""
-    return f"uav {instance}, system {instance + 1}{way}: {', '.join(links)}"
+    return f"uav {instance}, system {instance + 1}: {', '.join(links)}"
 
 
 def connect(links: LinksConfig, port: int) -> Any:  # noqa: ANN401  pymavlink has no types

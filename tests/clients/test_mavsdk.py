@@ -39,3 +39,16 @@ def test_three_clients_on_three_vehicles_at_once(hold, client) -> None:
     swarm.end()
     # the swarm keeps real time, if the machine has idle time
     assert statistics.median(swarm.pace) > 0.9 or idle < LEAST_IDLE, f"{swarm.pace}, {idle:.0%} idle"
+
+
+def test_a_link_over_the_radio_is_lost_and_comes_back(hold, client) -> None:
+    swarm = hold(
+        "--set", "links.telemetry=radio",
+        "--set", "stations=[{name='ground', pos_ned_m=[0.0, -10.0, 0.0]}]",
+        "--set", "faults=[{kind='radio_attenuation', attenuation_db=200.0, start_s=30.0, duration_s=10.0}]",
+    )  # fmt: skip
+    found = findings(client("mavsdk_link.py", swarm.ground_station_port), wall_limit_s=280.0)
+    assert failures(found) == []
+    assert len(found) == 6
+    manifest = swarm.end()
+    assert "ground station ground received messages from a program over UDP" in manifest["nondeterminism"]

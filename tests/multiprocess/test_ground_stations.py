@@ -95,7 +95,7 @@ def test_a_mission_is_uploaded_over_a_link_that_loses_every_fifth_datagram(swarm
     flight = swarm(
         ARTICLE, agents=1, overrides=overrides, out=tmp_path / "run", processes="many", speed="max"
     )
-    assert "uav 0, system 1 (by radio): ground station north UDP " in flight.addresses[0]
+    assert "uav 0, system 1: ground station north by radio, UDP " in flight.addresses[0]
     with pytest.raises(SwarmError, match=r"there is no ground station east on the radio; .*: north, south"):
         flight.mavlink(0, "east")
     client = Client(flight, "south")
