@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from harness.launch.swarm import Swarm, SwarmTimeoutError
+from harness.launch.swarm import Swarm, SwarmError, SwarmTimeoutError
 from netsim.model.config import RadioConfig
 
 NO_APPLICATION = """
@@ -92,6 +92,17 @@ def run_until_report(swarm: Swarm, uav: int, name: str, *, limit_s: float) -> No
         if swarm.truth.t_s >= end_s:
             raise SwarmTimeoutError(f"{name} of uav {uav} has not ended within {limit_s:g} s")
         swarm.run_for(_PIECE_S)
+
+
+def iperf_report(log: str) -> dict[str, Any]:
+    """Return the report of an iperf3 with ``--json``. Raises SwarmError if it has failed."""
+    try:
+        report: dict[str, Any] = json.loads(log)
+    except ValueError:
+        raise SwarmError(f"iperf3: {log.strip() or 'no report'}") from None
+    if not report["intervals"]:
+        raise SwarmError(f"iperf3: {report.get('error', 'no intervals')}")
+    return report
 
 
 def read(run: Path, radio: RadioConfig) -> Flown:

@@ -1,6 +1,5 @@
 """iperf3 with full queues: what its servers report, what the frame log has, and what the lab computes."""
 
-import json
 import time
 from collections.abc import Sequence
 from functools import partial
@@ -22,6 +21,7 @@ from studies.programs.flight import (
     after,
     data_frames,
     fly,
+    iperf_report,
     program,
 )
 from studies.programs.plan import ProgramsPlan
@@ -96,7 +96,7 @@ host_jitter_us = 0
             "--bitrate", rate_bps, "--time", round(wall_s), "--json",
         )  # fmt: skip
         text += program(f"server{sender}", senders, server)
-        text += program(f"client{sender}", sender, after(1.0, *client))
+        text += program(f"client{sender}", sender, after(2.0, *client))
     return text
 
 
@@ -107,13 +107,13 @@ def measure(senders: int, wall_s: float, speed: float) -> Saturated:
     marks: list[tuple[float, float]] = []
 
     def course(swarm: Swarm) -> None:
-        while not marks or marks[-1][1] < (wall_s + 2.0) * speed:
+        while not marks or marks[-1][1] < (wall_s + 3.0) * speed:
             swarm.run_for(speed)
             wall_unix_s = time.time()  # noqa: TID251  as iperf3's own times
             marks.append((wall_unix_s, swarm.truth.t_s))
 
     flown = fly(text, speed=speed, seed=1, course=course)
-    servers = [json.loads(flown.logs[senders, f"server{sender}"]) for sender in range(senders)]
+    servers = [iperf_report(flown.logs[senders, f"server{sender}"]) for sender in range(senders)]
     delivered = data_frames(flown.frames, PAYLOAD_BYTES + UDP_AND_IP_BYTES, to=senders)
     delivered &= flown.frames["delivered"] > 0
     return Saturated(

@@ -1,6 +1,5 @@
 """TCP over a link that loses frames, with and without retries of the MAC."""
 
-import json
 from functools import partial
 
 import numpy as np
@@ -15,6 +14,7 @@ from studies.programs.flight import (
     after,
     data_frames,
     fly,
+    iperf_report,
     program,
     run_until_report,
 )
@@ -28,6 +28,8 @@ CASES = ((0.0, RETRY_LIMIT), (LOSS, RETRY_LIMIT), (LOSS, 0))
 """Loss of frames, and retry limit"""
 LEAST_WITH_RETRIES, MOST_WITHOUT = 0.75, 0.6
 """Goodput over that without losses"""
+START_WALL_S = 2.0
+"""From the start of the server to that of its client"""
 _GROUP = "tcp"
 
 
@@ -75,7 +77,7 @@ settings = {settings}
 """
     client = ("iperf3", "--client", "10.1.0.1", "--time", round(wall_s), "--json")
     text += program("server", 1, ("iperf3", "--server", "--one-off", "--json"))
-    return text + program("client", 0, after(0.5, *client))
+    return text + program("client", 0, after(START_WALL_S, *client))
 
 
 def measure(loss: float, retry_limit: int, wall_s: float) -> Transfer:
@@ -85,7 +87,7 @@ def measure(loss: float, retry_limit: int, wall_s: float) -> Transfer:
     flown = fly(
         text, speed=1.0, seed=1, course=lambda swarm: run_until_report(swarm, 0, "client", limit_s=limit_s)
     )
-    end = json.loads(flown.logs[0, "client"])["end"]
+    end = iperf_report(flown.logs[0, "client"])["end"]
     segments = data_frames(flown.frames, SEGMENT_IP_BYTES, source=0, to=1)
     return Transfer(
         loss=loss,
