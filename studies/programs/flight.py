@@ -68,6 +68,15 @@ def program(
     return "\n".join(lines) + "\n"
 
 
+def until_success(*command: object) -> list[str]:
+    """Return a command that repeats another one until it succeeds, and then prints its output.
+
+    So a client waits for its server.
+    """
+    script = 'until report=$("$@"); do sleep 0.5; done; echo "$report"'
+    return ["sh", "-c", script, "sh", *map(str, command)]
+
+
 def after(wall_s: float, *command: object) -> list[str]:
     """Return a command that starts another one after ``wall_s``."""
     return ["sh", "-c", f'sleep {wall_s:g}; exec "$@"', "sh", *map(str, command)]

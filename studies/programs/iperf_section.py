@@ -18,11 +18,11 @@ from studies.programs.flight import (
     NO_APPLICATION,
     UDP_AND_IP_BYTES,
     Lateness,
-    after,
     data_frames,
     fly,
     iperf_report,
     program,
+    until_success,
 )
 from studies.programs.plan import ProgramsPlan
 
@@ -96,7 +96,7 @@ host_jitter_us = 0
             "--bitrate", rate_bps, "--time", round(wall_s), "--json",
         )  # fmt: skip
         text += program(f"server{sender}", senders, server)
-        text += program(f"client{sender}", sender, after(2.0, *client))
+        text += program(f"client{sender}", sender, until_success(*client))
     return text
 
 
