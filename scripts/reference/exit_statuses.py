@@ -79,6 +79,7 @@ STATUSES: Mapping[str, Mapping[int, str]] = {
     },
     "study soak": {**_CHECKS, INTERRUPTED: _CONTINUES_WITH_RECORDS},
     "study attacks": _CHECKS,
+    "study programs": _CHECKS,
     "study chaos": {
         FINE: "All flights ended as required.",
         FAILED: "Some did not.",
@@ -163,7 +164,7 @@ RESULTS = (
     Result("bench", _keys(FlightBench)),
     *(
         Result(f"study {name}", ("checks",), (_CHECK_FIELDS,))
-        for name in ("vehicle", "radio", "antenna", "codesign", "soak", "attacks")
+        for name in ("vehicle", "radio", "antenna", "codesign", "soak", "attacks", "programs")
     ),
     Result(
         "study article", ("agree", "differ", "not_told_apart", "not_measured", "failed", "page", "statements")

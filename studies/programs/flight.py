@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from harness.launch.swarm import Swarm, SwarmTimeoutError
+from harness.launch.swarm import Swarm, SwarmError, SwarmTimeoutError
 from netsim.model.config import RadioConfig
 
 NO_APPLICATION = """
@@ -68,6 +68,15 @@ def program(
     return "\n".join(lines) + "\n"
 
 
+def until_success(*command: object) -> list[str]:
+    """Return a command that repeats another one until it succeeds, and then prints its output.
+
+    So a client waits for its server.
+    """
+    script = 'until report=$("$@"); do sleep 0.5; done; echo "$report"'
+    return ["sh", "-c", script, "sh", *map(str, command)]
+
+
 def after(wall_s: float, *command: object) -> list[str]:
     """Return a command that starts another one after ``wall_s``."""
     return ["sh", "-c", f'sleep {wall_s:g}; exec "$@"', "sh", *map(str, command)]
@@ -92,6 +101,17 @@ def run_until_report(swarm: Swarm, uav: int, name: str, *, limit_s: float) -> No
         if swarm.truth.t_s >= end_s:
             raise SwarmTimeoutError(f"{name} of uav {uav} has not ended within {limit_s:g} s")
         swarm.run_for(_PIECE_S)
+
+
+def iperf_report(log: str) -> dict[str, Any]:
+    """Return the report of an iperf3 with ``--json``. Raises SwarmError if it has failed."""
+    try:
+        report: dict[str, Any] = json.loads(log)
+    except ValueError:
+        raise SwarmError(f"iperf3: {log.strip() or 'no report'}") from None
+    if not report["intervals"]:
+        raise SwarmError(f"iperf3: {report.get('error', 'no intervals')}")
+    return report
 
 
 def read(run: Path, radio: RadioConfig) -> Flown:

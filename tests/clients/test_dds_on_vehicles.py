@@ -1,4 +1,4 @@
-"""The DDS block of docs/how-to/middleware.md on two vehicles: participants that find each other by multicast."""
+"""The DDS block of docs/how-to/middleware.md on two vehicles, which find each other by multicast."""
 
 import sys
 

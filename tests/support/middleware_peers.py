@@ -1,4 +1,4 @@
-"""Middleware on two vehicles: the blocks of docs/how-to/middleware.md, flown until each receives from the other."""
+"""Middleware on two vehicles: the blocks of docs/how-to/middleware.md, flown until each receives."""
 
 import json
 import re
