@@ -50,6 +50,7 @@ from harness.simulator.profile_groups import PROFILE_GROUPS
 from harness.simulator.response_watchdog import ResponseWatchdog
 from harness.simulator.simulation import Simulation, run
 from harness.simulator.slot_guard import UNGUARDED, RejectedPeer, SlotGuard
+from harness.world.physics.warm_up import warm_up
 from netsim.radio_models import registry
 from netsim.transport.interval_stream import time_masters_end
 
@@ -378,6 +379,8 @@ def serve(
                 )
             )
         )
+        if scenario.has_network:  # it will follow wall time, and loading a kernel takes milliseconds
+            warm_up()
         emit(Ready(name="physics", pid=os.getpid()))
         with profiled(
             PROFILE_GROUPS, now_us=lambda: simulation.time_us, from_us=config.profile_from_us

@@ -26,6 +26,7 @@ from foundation.processes.message_stream import MessageStream
 from foundation.profiling.profiler import profiled
 from netsim.emulator.interface import NetworkEmulator
 from netsim.emulator.service import make_emulator
+from netsim.emulator.warm_up import warm_up
 from netsim.model.config import ServerConfig
 from netsim.transport.guest_intake import LONGEST_GUEST_BATCH_BYTES, GuestIntake
 from netsim.transport.interval_stream import BATCH_LIMIT_S, emulators_end
@@ -289,6 +290,8 @@ def run(config_path: Path, interval_fd: int, *, supervised: bool) -> None:
     with contextlib.ExitStack() as stack:
         clock = emulators_end(stack.enter_context(socket.socket(fileno=interval_fd)))
         config = msgspec.json.decode(config_path.read_bytes(), type=ServerConfig)
+        if config.packets:  # the channel will follow wall time, and loading a kernel takes milliseconds
+            warm_up()
         server = Server(config, on_influence=lambda cause: emit(Influenced(name="radio", by=cause)))
         stack.enter_context(contextlib.closing(server))
         inbox: queue.SimpleQueue[Stop] = queue.SimpleQueue()
