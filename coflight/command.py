@@ -57,6 +57,7 @@ STUDIES = {
     "soak": Command("what grows in long flights and many swarms", "studies.soak.cli", "soak_app"),
     "chaos": Command("how flights end whose processes fail", "studies.chaos.cli", "chaos_app"),
     "attacks": Command("flights that are attacked from outside", "studies.attacks.cli", "attacks_app"),
+    "programs": Command("iperf3, ping, babeld against the channel", "studies.programs.cli", "programs_app"),
     "vehicle-cost": Command("what a step of one vehicle costs", "studies.vehicle.bench_cli", "bench_app"),
     "radio-cost": Command("what the radio costs", "studies.radio.bench_cli", "bench_radio_app"),
 }

@@ -52,7 +52,7 @@ LOCKS = (
     ),
     Lock(
         "requirements-clients.lock",
-        "The dependency group `clients`: ground stations.",
+        "The dependency group `clients`: ground stations and middleware.",
         ("--group", "clients"),
     ),
 )

@@ -37,6 +37,7 @@ from harness.simulator.messages import (
     VehicleTruth,
 )
 from netsim.network.messages import ProgramEnded
+from netsim.transport.packet_pace import LATE_MS
 
 LINE_PERIOD_S, COMPILING_LINE_PERIOD_S = 3.0, 10.0
 """Wall time between two plain lines, in flight and while kernels compile."""
@@ -374,6 +375,7 @@ def summary_table(summary: Mapping[str, Any]) -> Table:
         "computed by": ": ".join(filter(None, (gain.get("backend"), gain.get("accuracy")))) or "-",
         "collisions": str(summary["collisions"]),
         **{title: "; ".join(lost) for title, lost in losses.items() if lost},
+        **_packets_row(summary.get("program_packets")),
         "deterministic": "yes" if summary["deterministic"] else "no",
         "log sha256": str(summary["log_sha256"])[:16],
     }
@@ -381,6 +383,15 @@ def summary_table(summary: Mapping[str, Any]) -> Table:
     for name, value in rows.items():
         table.add_row(name, value)
     return table
+
+
+def _packets_row(packets: Mapping[str, Any] | None) -> dict[str, str]:
+    if not packets:
+        return {}
+    late = f"{packets['late']} more than {LATE_MS:g} ms late"
+    mean_ms, largest_ms = packets["mean_late_ms"], packets["largest_late_ms"]
+    received = f"{packets['received']} received"
+    return {"packets of programs": f"{received}, {late}; {mean_ms:.1f} ms mean, {largest_ms:.0f} ms at most"}
 
 
 def _at(time_us: int) -> str:

@@ -285,11 +285,13 @@ class Processes(RunMonitor):
         self._await_ready([RADIO])
         endpoint = self.ready[RADIO].details["endpoint"]
         self._ports |= radio.open(endpoint)
+        companion_ports: dict[str, int] = {}
         if radio.packets_endpoint is not None:
             settings = network_config(scenario, radio.packets_endpoint, run_id=run_id, logs=self._folder.logs)
             path = self._folder.write_config(NETWORK, settings)
             self._supervisor.start(NETWORK, bound_module("netsim.network", *supervised(path)))
             self._await_ready([NETWORK])
+            companion_ports = self.ready[NETWORK].details["companion_ports"]
         for number, each in enumerate(scenario.ground_stations):
             login = radio.station_login(each.name)
             ground = ground_process.settings(scenario, number, login, endpoint=endpoint, run_id=run_id)
@@ -304,6 +306,7 @@ class Processes(RunMonitor):
                 run_id=run_id,
                 simulator_port=simulator_ports.get(i, 0),
                 radio_endpoint=radio.endpoint,
+                companion_port=companion_ports.get(str(i)),
             )
             if i in self._external:
                 self._start_external(i, simulator_ports[i])

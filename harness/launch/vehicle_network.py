@@ -4,6 +4,7 @@
 """
 
 from collections.abc import Iterator
+from ipaddress import IPv4Address
 from pathlib import Path
 
 import msgspec
@@ -16,7 +17,7 @@ from harness.launch.run_messages import Message
 from harness.scenario.programs import Start, VehicleProgram
 from harness.scenario.scenario import Scenario
 from harness.simulator.messages import Formed, Paused, Progress
-from netsim.network.messages import NetworkConfig, ProgramConfig
+from netsim.network.messages import CompanionLink, NetworkConfig, ProgramConfig
 from netsim.transport.radio_users import packets_user
 
 
@@ -37,6 +38,7 @@ def network_config(scenario: Scenario, endpoint: RadioEndpoint, *, run_id: str, 
         user=user.name,
         password=user.password,
         stations=tuple(range(scenario.agents)),
+        companions=tuple(filter(None, (companion_link(scenario, uav) for uav in range(scenario.agents)))),
         programs=tuple(
             ProgramConfig(
                 name=program.name,
@@ -49,7 +51,33 @@ def network_config(scenario: Scenario, endpoint: RadioEndpoint, *, run_id: str, 
             )
             for uav, program in placed_programs(scenario)
         ),
+        interfaces=scenario.network.interfaces,
         window_packets=scenario.radio.queue_frames,
+    )
+
+
+def companion_link(scenario: Scenario, uav: int) -> CompanionLink | None:
+    """Return the companion link of a vehicle's autopilot that its programs use by ``eth0``.
+
+    Port 0 of the companion, of an autopilot of coflight, is any free one. None if there is no link, or if it
+    is of the application beside a PX4 or ArduPilot, or to another machine.
+    """
+    ports, links, kind = scenario.vehicle_ports(uav), scenario.links, scenario.autopilot.kind_of(uav)
+    companion = autopilot = ports.host
+    if kind == "own":
+        companion = links.companion_host
+        if not (IPv4Address(companion).is_loopback or companion == links.host):
+            return None
+        autopilot = companion if IPv4Address(links.host).is_unspecified else links.host
+    elif scenario.onboard.enabled or not ports.companion_remote_udp:
+        return None
+    return CompanionLink(
+        station=uav,
+        companion_host=companion,
+        companion_port=ports.companion_remote_udp,
+        autopilot_host=autopilot,
+        autopilot_port=0 if kind == "ardupilot" else ports.companion_local_udp,
+        checks_owner=links.local_senders == "own",
     )
 
 

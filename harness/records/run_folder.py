@@ -301,15 +301,19 @@ class RunFolder:
         run_id: str,
         simulator_port: int,
         radio_endpoint: RadioEndpoint | None,
+        companion_port: int | None = None,
     ) -> Path:
         """Write the settings of one UAV's process; returns the path.
 
-        ``simulator_port`` is the simulator's actual TCP port, 0 if the process inherits its connection.
+        ``simulator_port`` is the simulator's actual TCP port, 0 if the process inherits its connection, and
+        ``companion_port`` the UDP port to which the companion link sends, None: the scenario's.
         """
         config = scenario.vehicle_config(
             instance, run_id=run_id, radio_endpoint=radio_endpoint, log_path=str(self.raw_vehicle(instance))
         )
         ports = msgspec.structs.replace(config.ports, simulator_tcp=simulator_port)
+        if companion_port is not None:
+            ports = msgspec.structs.replace(ports, companion_remote_udp=companion_port)
         params_path = str(self.path / f"uav-{instance}.params")
         config = msgspec.structs.replace(
             config,

@@ -34,6 +34,7 @@ from harness.report.flown_array import figure_patterns
 from harness.report.formation_error import FormationError, formation_error
 from harness.report.page.flight_plots import ErrorEnvelopes
 from harness.report.page.run_page import Computed, write_page
+from harness.report.program_packets import program_packets
 from harness.report.telemetry import telemetry_frames, telemetry_serial
 from harness.report.ulog_truth import add_truth
 from harness.scenario.scenario import Scenario
@@ -135,6 +136,9 @@ def _write_tables(folder: RunFolder, scenario: Scenario, outcome: RunOutcome) ->
         "deterministic": not outcome.nondeterminism,
         "log_sha256": log_sha256,
     }
+    packets = program_packets(outcome.processes)
+    if packets is not None:
+        summary["program_packets"] = packets
     if frames := telemetry_frames(outcome.processes):
         summary["telemetry_frames"] = frames
     if serial := telemetry_serial(outcome.processes):

@@ -6,6 +6,8 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta, Struct
 
+from netsim.network.messages import Interfaces
+
 UavNumber = Annotated[int, Meta(ge=0, le=253)]
 Word = Annotated[str, Meta(min_length=1, max_length=4_096, pattern=r"^[^\x00]*$")]
 """An argument of a command: Linux ends it at a NUL."""
@@ -22,6 +24,8 @@ class NetworkTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     enabled: bool = False
     """Every vehicle has a network namespace, whose interface ``wlan0`` is on the emulated channel, also
     without ``[[programs]]``, which imply it."""
+    interfaces: Interfaces = "auto"
+    """Kind of ``wlan0``: "veth" or "tap"; "auto": a veth pair, or a TAP where the kernel makes no pairs."""
 
 
 class VehicleProgram(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

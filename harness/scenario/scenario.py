@@ -118,7 +118,7 @@ class PortsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     companion_remote_udp: Port = 14540
     """Vehicle i sends to this port plus i, unless that is the ground station's port or bound by a vehicle of
     the swarm: with PX4's numbers 14550 for vehicle 10, and 14580 for vehicle 40 and so on. Those vehicles
-    send only to a companion that has sent to them."""
+    send only to a companion that has sent to them, and to programs on the vehicle."""
     radio_link: Literal["unix", "tcp"] = "unix"
     """Where vehicles and guests reach the 802.11 emulator. "unix": a Unix socket in a folder that only the
     user of the run may enter. "tcp": a TCP port of ``host``, for guests on other machines, with the same

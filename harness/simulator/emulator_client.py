@@ -1,5 +1,6 @@
 """Client of the 802.11 emulator in the time master: requests intervals of simulated time."""
 
+from collections import deque
 from collections.abc import Callable, Collection, Mapping
 from typing import NamedTuple, Protocol
 
@@ -52,9 +53,9 @@ class EmulatorClient:
     emulator runs in parallel with the steps in between. Quiet intervals are skipped, up to `MAX_QUIET_US`.
 
     ``asynchronous``: some radios belong to hosts outside the lockstep and may transmit at any time. Intervals
-    are then as long as a step and none is skipped; deliveries are released one step after the interval's
-    end, so that the emulator can run in parallel with that step. ``pace`` returns the pace at a simulated
-    time, for the packets of programs, which live in wall time.
+    are then as long as a step and none is skipped; deliveries are released ``lead_steps`` after the
+    interval's end, so that the steps can be that far ahead of the channel. ``pace`` returns the pace at a
+    simulated time, for the packets of programs, which live in wall time.
     """
 
     def __init__(
@@ -63,14 +64,16 @@ class EmulatorClient:
         *,
         period_us: int,
         asynchronous: bool = False,
+        lead_steps: int = 1,
         pace: Callable[[int], Pace] = lambda _: UNPACED,
     ) -> None:
         self._period_us = period_us
         self._asynchronous = asynchronous
+        self._lead_steps = lead_steps
         self._pace = pace
         self._line = line
-        self._request: Advance | None = None
-        """Request that the emulator has not answered yet."""
+        self._requests: deque[Advance] = deque()
+        """Requests that the emulator has not answered yet, in their order."""
         self._quiet_until_us = 0
         self._requested_us = 0
         """End of the last interval requested."""
@@ -78,17 +81,28 @@ class EmulatorClient:
         """Vehicles with a delivery, by time of release."""
         self.busy_ns = 0
         """Time for which the channel was occupied until the end of the last completed interval."""
+        self._completed_us = 0
+        """End of the last completed interval."""
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether the emulator has yet to complete an interval."""
+        return bool(self._requests)
 
     def is_pending(self, time_us: int) -> bool:
-        """Whether the emulator has yet to complete the interval whose deliveries are due at ``time_us``."""
-        return self._request is not None and self._request.release_us <= time_us
+        """Whether the emulator has yet to complete an interval whose deliveries are due at ``time_us``."""
+        return bool(self._requests) and self._requests[0].release_us <= time_us
+
+    def settled_us(self, time_us: int) -> int:
+        """Return the time up to which `busy_ns` holds, at most ``time_us``, the present time."""
+        return self._completed_us if self._requests else time_us
 
     def delivered(self, time_us: int) -> tuple[int, ...]:
         """Return the vehicles whose radio has a delivery for the step of ``time_us``; call once a step."""
         return self._delivered.pop(time_us, ()) if self._delivered else ()
 
     def begins_at(self, time_us: int) -> bool:
-        """Whether an interval begins with the step of ``time_us``; its predecessor must be complete."""
+        """Whether an interval begins with the step of ``time_us``."""
         return self._asynchronous or time_us % self._period_us == 0
 
     def begin(
@@ -115,9 +129,9 @@ class EmulatorClient:
             return
         self._requested_us = to_us
         due_ns, speed = self._pace(to_us)
-        self._request = Advance(
+        request = Advance(
             to_us=to_us,
-            release_us=to_us + step_us if self._asynchronous else to_us,
+            release_us=to_us + self._lead_steps * step_us if self._asynchronous else to_us,
             at_us=time_us,
             pos_ned_m=pack_rows(truth.pos_ned_m),
             vel_ned_m_s=pack_rows(truth.vel_ned_m_s),
@@ -129,15 +143,15 @@ class EmulatorClient:
             due_ns=due_ns,
             speed=speed,
         )
-        self._line.send(self._request)
+        self._requests.append(request)
+        self._line.send(request)
 
     def end(self) -> tuple[int, ...]:
-        """Wait until the emulator has completed the requested interval, if there is one.
+        """Wait until the emulator has completed the first of the requested intervals, if there is one.
 
         Returns the vehicles whose batches are missing; continue with `wait_on`. Raises RadioSilent.
         """
-        request = self._request
-        if request is None:
+        if not self._requests:
             return ()
         try:
             advanced = self._line.receive()
@@ -147,7 +161,8 @@ class EmulatorClient:
             raise RadioSilent(GONE)
         if advanced.missing:
             return advanced.missing
-        self._request = None
+        request = self._requests.popleft()
+        self._completed_us = request.to_us
         self._quiet_until_us = advanced.quiet_until_us
         self.busy_ns = advanced.busy_ns
         if advanced.delivered:
@@ -160,8 +175,9 @@ class EmulatorClient:
         Those of ``silent`` vehicles, whose radios are off, and of vehicles ``without`` their application are
         not waited for.
         """
-        if self._request is not None:
-            senders = tuple(sender for sender in self._request.senders if sender not in without)
-            self._request = msgspec.structs.replace(self._request, silent=silent, senders=senders)
-            self._line.send(self._request)
+        if self._requests:
+            first = self._requests[0]
+            senders = tuple(sender for sender in first.senders if sender not in without)
+            self._requests[0] = msgspec.structs.replace(first, silent=silent, senders=senders)
+            self._line.send(self._requests[0])
         return self.end()

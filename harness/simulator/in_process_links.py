@@ -3,6 +3,7 @@
 They replace the sockets and the Zenoh session of a run of many processes.
 """
 
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -46,7 +47,7 @@ class InProcessEmulatorLine:
     def __init__(self, emulator: NetworkEmulator, radios: Sequence[InProcessRadio]) -> None:
         self._emulator = emulator
         self._radios = radios
-        self._advanced: Advanced | None = None
+        self._advanced: deque[Advanced] = deque()
 
     def send(self, message: Advance) -> None:
         """Let the emulator simulate the requested interval and deliver its frames.
@@ -58,11 +59,11 @@ class InProcessEmulatorLine:
             if station < len(self._radios):  # not for guests
                 self._radios[station].deliveries.put(batch)
                 delivered.append(station)
-        self._advanced = self._emulator.advanced(delivered=tuple(sorted(delivered)))
+        self._advanced.append(self._emulator.advanced(delivered=tuple(sorted(delivered))))
 
     def receive(self) -> Advanced | None:
-        """Return the emulator's answer to the last request."""
-        return self._advanced
+        """Return the emulator's answer to the first request that `receive` has not answered."""
+        return self._advanced.popleft()
 
 
 class InProcessLink:

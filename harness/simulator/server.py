@@ -50,12 +50,16 @@ from harness.simulator.profile_groups import PROFILE_GROUPS
 from harness.simulator.response_watchdog import ResponseWatchdog
 from harness.simulator.simulation import Simulation, run
 from harness.simulator.slot_guard import UNGUARDED, RejectedPeer, SlotGuard
+from harness.world.physics.warm_up import warm_up
 from netsim.radio_models import registry
 from netsim.transport.interval_stream import time_masters_end
 
 PROGRESS_PERIOD_S = 0.2
 MOST_LAG_S = 0.1
 """A run that is later than this does not catch up: its vehicles would leap before an observer or pilot."""
+NETWORK_LEAD_STEPS = 3
+"""Steps by which the vehicles are ahead of a channel with packets of programs, which follows wall time: a
+step that takes three times its share does not delay the packets."""
 NAP_S = 0.02
 """Longest wall time to sleep before a step that is early; a longer wait serves commands."""
 
@@ -63,16 +67,20 @@ NAP_S = 0.02
 class Pacer:
     """Synchronises simulated time to wall time. Each step has an absolute time, so errors do not add up.
 
+    With ``lead_us`` steps begin by this simulated time earlier than due: an emulator that follows the pace
+    then has the request of its next interval when that begins.
+
     Attributes:
         lag_s: total wall time lost by steps that took longer than their share.
 
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, lead_us: int = 0) -> None:
         self.lag_s = 0.0
+        self._lead_us = lead_us
         self._speed = 0.0
         self._anchor: tuple[int, float] | None = None
-        """A simulated time and its wall time."""
+        """A simulated time and the wall time at which it is due."""
 
     def begin(self, speed: float, time_us: int, wall_s: float) -> None:
         """Continue at a speed, 0: as fast as possible; the time since the last step does not count as lag."""
@@ -86,17 +94,18 @@ class Pacer:
         self._anchor = None
 
     def ahead_s(self, time_us: int, wall_s: float, *, note: bool = True) -> float:
-        """Return the wall time by which a step that ends at ``time_us`` is early; negative: late."""
+        """Return the wall time by which the step of ``time_us`` would begin early; negative: late."""
         if self._speed <= 0.0:
             return 0.0
+        due_s = wall_s + self._lead_us * 1e-6 / self._speed  # of ``time_us``, if its step begins now
         if self._anchor is None:
-            self._anchor = (time_us, wall_s)
+            self._anchor = (time_us, due_s)
             return 0.0
         anchor_us, wall_anchor_s = self._anchor
-        ahead_s = (time_us - anchor_us) * 1e-6 / self._speed - (wall_s - wall_anchor_s)
+        ahead_s = (time_us - anchor_us) * 1e-6 / self._speed - (due_s - wall_anchor_s)
         if note and ahead_s < -MOST_LAG_S:
             self.lag_s -= ahead_s
-            self._anchor = (time_us, wall_s)
+            self._anchor = (time_us, due_s)
         return ahead_s
 
     def pace(self, time_us: int) -> Pace:
@@ -347,13 +356,16 @@ def serve(
             guard.set_pid(command.instance, command.pid)
 
     with contextlib.ExitStack() as stack:
-        emulator, pacer = None, Pacer()
+        emulator = None
+        lead_steps = NETWORK_LEAD_STEPS if scenario.has_network else 1
+        pacer = Pacer(lead_us=lead_steps * scenario.run.step_us if scenario.has_network else 0)
         if clock is not None:
             line = time_masters_end(stack.enter_context(clock), limit_s=POLL_S)
             emulator = EmulatorClient(
                 AwaitedLine(line, emulator_watchdog),
                 period_us=scenario.onboard.loop_period_us,
                 asynchronous=bool(scenario.channel.guests) or scenario.has_network,
+                lead_steps=lead_steps,
                 pace=pacer.pace,
             )
         simulation = stack.enter_context(
@@ -367,6 +379,8 @@ def serve(
                 )
             )
         )
+        if scenario.has_network:  # it will follow wall time, and loading a kernel takes milliseconds
+            warm_up()
         emit(Ready(name="physics", pid=os.getpid()))
         with profiled(
             PROFILE_GROUPS, now_us=lambda: simulation.time_us, from_us=config.profile_from_us

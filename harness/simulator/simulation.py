@@ -200,8 +200,8 @@ class Simulation:
         sent_truth = truth if sends_truth else None
         delivered: tuple[int, ...] = ()
         if emulator is not None:
-            if emulator.is_pending(self.time_us):
-                self.settle()
+            while emulator.is_pending(self.time_us):
+                self._settle_interval(emulator)
             delivered = emulator.delivered(self.time_us)
         alive = [slot.alive for slot in self.lockstep.slots] if recorded else []
         announced = tuple(vehicle for vehicle in delivered if vehicle not in self._external)
@@ -222,16 +222,14 @@ class Simulation:
         self._sensors.draw_ahead()
         inbox = self._inbox = self.lockstep.receive(self.time_us)
         applied = () if applications is None else applications.finish(self.reports.lost)
-        interval_begins = emulator is not None and emulator.begins_at(self.time_us)
-        if interval_begins:
-            self.settle()
         if self.reports.lost:
             inbox.armed[list(self.reports.lost)] = False
-        if emulator is not None and interval_begins:
-            if self.time_us >= self._air_record_us:
+        if emulator is not None and emulator.begins_at(self.time_us):
+            settled_us = emulator.settled_us(self.time_us)
+            if settled_us >= self._air_record_us:
                 period_us = self._record_period_us
-                self._air_record_us = self.time_us - self.time_us % period_us + period_us
-                self._air_log.append([(self.time_us, emulator.busy_ns)])
+                self._air_record_us = settled_us - settled_us % period_us + period_us
+                self._air_log.append([(settled_us, emulator.busy_ns)])
             emulator.begin(
                 self.time_us,
                 self._step_us,
@@ -307,15 +305,19 @@ class Simulation:
         return self._escs.statuses(self.time_us, truth.rotor_speed_rad_s, effectiveness, density_ratio)
 
     def settle(self) -> None:
-        """Wait until the emulator has completed the requested interval."""
-        if self._emulator is not None:
-            missing = self._emulator.end()
-            while missing:
-                without: tuple[int, ...] = ()
-                if self._applications is not None:
-                    without = self._applications.check([i for i in missing if i in self._external])
-                self.lockstep.check(i for i in missing if i not in self._external)
-                missing = self._emulator.wait_on(self.reports.lost, without)
+        """Wait until the emulator has completed the requested intervals."""
+        while self._emulator is not None and self._emulator.is_busy:
+            self._settle_interval(self._emulator)
+
+    def _settle_interval(self, emulator: EmulatorClient) -> None:
+        """Wait until the emulator has completed the first of the requested intervals."""
+        missing = emulator.end()
+        while missing:
+            without: tuple[int, ...] = ()
+            if self._applications is not None:
+                without = self._applications.check([i for i in missing if i in self._external])
+            self.lockstep.check(i for i in missing if i not in self._external)
+            missing = emulator.wait_on(self.reports.lost, without)
 
     def vehicles(self) -> tuple[VehicleTruth, ...]:
         """Return the present truth of all vehicles."""

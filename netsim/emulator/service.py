@@ -207,7 +207,7 @@ class EmulatorService:
         pos_ned_m, vel_ned_m_s, q_ned_frd = self._motion(request)
         for station in frozenset(request.silent) - self._silent:
             self._emulator.set_silent(station)
-        self._silent = frozenset(request.silent)
+        self._silent |= frozenset(request.silent)  # a request may be older than the loss of a vehicle
         # other threads append to the list meanwhile: copy and delete the same leading part
         count = len(self._submitted)
         batches = self._submitted[:count]

@@ -1,27 +1,30 @@
 """The process that hosts interfaces and programs of vehicles: PID 1 of their namespace.
 
-One thread waits for packet sockets, received packets, commands and ended programs. What packet sockets hold
-is sent in few messages; what is received is delivered at once.
+One thread waits for packet sockets, received packets, commands, ended programs and MAVLink of ``eth0``. What
+packet sockets hold is sent in few messages; what is received is delivered at once.
 """
 
 import contextlib
 import gc
 import logging
 import os
+import resource
 import selectors
 import signal
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from foundation.processes.child_protocol import Finished, Ready, Stop, commands, emit
+from netsim.network.autopilot_relay import AutopilotRelay, Flow, Vehicle
 from netsim.network.bridge import Bridge
 from netsim.network.messages import NAME, Command, NetworkConfig, StartPrograms, check
 from netsim.network.packet_socket import PacketSocket
 from netsim.network.programs import Programs
+from netsim.network.tap_file import TapFile
 from netsim.network.vehicle_networks import VehicleNetwork, make_networks
 from netsim.network.wakeable_queue import WakeableQueue
 from netsim.transport.access_control import User
@@ -35,6 +38,9 @@ MOST_PACKETS = 64
 """Most packets of a message."""
 FRAMES_PER_TURN = 16
 """Most frames that are read from a station before the others have their turn."""
+DESCRIPTORS_OF_VEHICLE, DESCRIPTORS_BESIDE = 8, 128
+"""Descriptors of a vehicle: two namespaces, two of ``wlan0``, three sockets of ``eth0`` and one of another
+port; and of everything else."""
 EMULATOR_LIMIT_S = 20.0
 """Wall time within which the emulator's declaration has to arrive."""
 
@@ -50,7 +56,7 @@ class BridgedInterfaces:
 
     def __init__(
         self,
-        sockets: dict[Station, PacketSocket],
+        sockets: Mapping[Station, PacketSocket | TapFile],
         *,
         window_packets: int,
         selector: selectors.BaseSelector,
@@ -129,18 +135,25 @@ class Host:
         self._received: WakeableQueue[bytes] = WakeableQueue()
         self._selector = selectors.DefaultSelector()
         self._programs = Programs(
-            config.programs, {each.station: each.namespace_fd for each in networks}, report=emit
+            config.programs, {each.station: each.namespaces for each in networks}, report=emit
         )
         transport.subscribe(packets_received_key(config.run_id), self._received.put)
         sender = transport.sender(packets_sent_key(config.run_id))
         if not sender.wait_for_receiver(EMULATOR_LIMIT_S):
             raise TransportError(f"{config.endpoint}: the 802.11 emulator does not accept packets")
         self._interfaces = BridgedInterfaces(
-            {each.station: PacketSocket(each.frames) for each in networks},
+            {each.station: each.frames for each in networks},
             window_packets=config.window_packets,
             selector=self._selector,
             publish=sender.send,
         )
+        companions = {each.station: each.companion for each in networks if each.companion is not None}
+        self._relay = AutopilotRelay(
+            [(each, companions[each.station]) for each in config.companions if each.station in companions],
+            self._selector,
+            time.monotonic,
+        )
+        self.companion_ports = self._relay.companion_ports
         self._child_ended = _child_signals()
         for source in (self._received, self._inbox, self._child_ended):
             self._selector.register(source, selectors.EVENT_READ)
@@ -151,17 +164,25 @@ class Host:
             keys = [key for key, _ in self._selector.select(self._timeout_s())]
             for payload in self._received.take_all():
                 self._interfaces.deliver(payload)
-            self._interfaces.read([key.data for key in keys if key.data is not None])
+            self._interfaces.read([key.data for key in keys if isinstance(key.data, int)])
+            for key in keys:
+                if isinstance(key.data, Flow | Vehicle):
+                    key.data.read()
             if any(key.fd == self._child_ended for key in keys):
                 os.read(self._child_ended, 4_096)
             for command in self._inbox.take_all():
                 self._on_command(command)
             self._programs.update(time.monotonic())
-        return {"bridge": self._interfaces.counters, "programs": self._programs.counters}
+            self._relay.update(time.monotonic())
+        return {
+            "bridge": self._interfaces.counters,
+            "programs": self._programs.counters,
+            "autopilot_links": self._relay.counters,
+        }
 
     def _timeout_s(self) -> float | None:
-        wall_due_s = self._programs.wall_due_s
-        return None if wall_due_s is None else max(wall_due_s - time.monotonic(), 0.0)
+        due_s = [each for each in (self._programs.wall_due_s, self._relay.wall_due_s) if each is not None]
+        return max(min(due_s) - time.monotonic(), 0.0) if due_s else None
 
     def _on_command(self, command: Command) -> None:
         wall_s = time.monotonic()
@@ -182,7 +203,10 @@ def run(config_path: Path, outer_proc: int, *, pid: int, supervised: bool) -> No
     config = msgspec.json.decode(config_path.read_bytes(), type=NetworkConfig)
     check(config)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a program could send it; the end comes as a command
-    networks = make_networks(config.stations, outer_proc)  # before there are other threads
+    _allow_descriptors(DESCRIPTORS_OF_VEHICLE * len(config.stations))
+    companions = {each.station for each in config.companions}
+    # before there are other threads
+    networks = make_networks(config.stations, companions, outer_proc, config.interfaces)
     inbox: WakeableQueue[Command] = WakeableQueue()
     transport = Transport.connect(config.endpoint, User(config.user, config.password))
     with contextlib.closing(transport):
@@ -194,9 +218,19 @@ def run(config_path: Path, outer_proc: int, *, pid: int, supervised: bool) -> No
         gc.collect()
         gc.freeze()  # what exists is permanent
         holders = {str(each.station): each.holder_pid for each in networks}
-        emit(Ready(name=NAME, pid=pid, details={"holders": holders}))
+        details = {"holders": holders, "companion_ports": host.companion_ports}
+        emit(Ready(name=NAME, pid=pid, details=details))
         details = host.serve()
     emit(Finished(name=NAME, details=details))
+
+
+def _allow_descriptors(number: int) -> None:
+    """Raise the limit of descriptors as far as the system allows; one that is missing is an error later."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    needed = DESCRIPTORS_BESIDE + number
+    if soft != resource.RLIM_INFINITY and soft < needed:
+        most = needed if hard == resource.RLIM_INFINITY else min(needed, hard)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
 
 
 def _child_signals() -> int:

@@ -1,7 +1,8 @@
-"""Interfaces of vehicles, by netlink: a veth pair per vehicle, configured without configuration files.
+"""Interfaces of vehicles, by netlink: veth pairs or TAPs, configured without configuration files.
 
 The end ``wlan0`` is in the vehicle's namespace. Its peer is in the bridge's, where packet sockets read it
-(`netsim.network.packet_socket`); the peer has neither addresses nor IPv6. The only module that imports
+(`netsim.network.packet_socket`); the peer has neither addresses nor IPv6. The end ``eth0`` is there too; its
+peer has the autopilot's address (`netsim.network.companion_interface`). The only module that imports
 pyroute2, which takes 0.4 s. All functions act in the calling thread's network namespace.
 
 Sources: veth(4), ip-link(8), packet(7), linux/ethtool.h, linux/sockios.h, netdevice(7); RFC 4291, appendix A
@@ -20,11 +21,13 @@ from pathlib import Path
 
 from pyroute2 import IPRoute, NetlinkError
 
+from netsim.network.messages import INTERFACE
 from netsim.wire.addresses import GROUP_IPV4_ADDRESS, ipv4_address, mac_address
 from netsim.wire.messages import Station
 
-INTERFACE = "wlan0"
+COMPANION_INTERFACE = "eth0"
 MTU_BYTES = 1_500
+COMPANION_PREFIX_BITS = 24
 IPV4_PREFIX_BITS = 8
 """So that the broadcast address is 10.255.255.255, as of `netsim.wire.addresses`."""
 _LOOPBACK_INDEX = 1
@@ -48,6 +51,10 @@ _OFFLOADS = {
 
 class InterfaceError(OSError):
     """An interface cannot be made or configured; the text is one line."""
+
+
+class NoVeth(InterfaceError):
+    """The kernel makes no veth pairs."""
 
 
 def peer_name(station: Station) -> str:
@@ -92,6 +99,17 @@ def make_pair(station: Station, namespace_fd: int) -> None:
         raise _explained(station, error) from None
 
 
+def prepare_tap(station: Station, queue_frames: int) -> None:
+    """Give ``wlan0``, a TAP interface, its MAC address and a transmit queue. Raises InterfaceError."""
+    try:
+        with IPRoute() as netlink:
+            (index,) = netlink.link_lookup(ifname=INTERFACE)
+            address = mac_address(station).hex(":")
+            netlink.link("set", index=index, address=address, mtu=MTU_BYTES, txqlen=queue_frames)
+    except NetlinkError as error:
+        raise _explained(station, error) from None
+
+
 def configure(station: Station) -> None:
     """Give ``wlan0`` its addresses and routes, and let it and the loopback up. Raises InterfaceError."""
     address, broadcast = IPv4Address(ipv4_address(station)), IPv4Address(GROUP_IPV4_ADDRESS)
@@ -99,13 +117,7 @@ def configure(station: Station) -> None:
         set_offloads_off(INTERFACE)
         with IPRoute() as netlink:
             netlink.link("set", index=_LOOPBACK_INDEX, state="up")
-            (index,) = netlink.link_lookup(ifname=INTERFACE)
-            with contextlib.suppress(NetlinkError):
-                netlink.link("set", index=index, IFLA_AF_SPEC=_NO_ADDRESS)
-            netlink.link("set", index=index, state="up")
-            netlink.addr(
-                "add", index=index, address=str(address), prefixlen=IPV4_PREFIX_BITS, broadcast=str(broadcast)
-            )
+            index = _set_up(netlink, INTERFACE, str(address), IPV4_PREFIX_BITS, broadcast=str(broadcast))
             for destination in (_MULTICAST_IPV4, _LIMITED_BROADCAST):
                 netlink.route("add", dst=destination, oif=index, scope="link")
             with contextlib.suppress(NetlinkError):
@@ -113,6 +125,42 @@ def configure(station: Station) -> None:
                 netlink.addr("add", index=index, address=local, prefixlen=64, flags=_IFA_F_NODAD)
     except NetlinkError as error:
         raise _explained(station, error) from None
+
+
+def make_companion_pair(station: Station, namespace_fd: int, address: str) -> None:
+    """Make a vehicle's second pair: the autopilot's end here, and ``eth0`` in another namespace.
+
+    The autopilot's end is up and has an IPv4 address. Raises InterfaceError.
+    """
+    name = COMPANION_INTERFACE
+    try:
+        with IPRoute() as netlink:
+            netlink.link(
+                "add", kind="veth", ifname=name, mtu=MTU_BYTES,
+                peer={"ifname": name, "net_ns_fd": namespace_fd, "mtu": MTU_BYTES},
+            )  # fmt: skip
+            _set_up(netlink, name, address, COMPANION_PREFIX_BITS)
+    except NetlinkError as error:
+        raise _explained(station, error, name) from None
+
+
+def configure_companion(station: Station, address: str) -> None:
+    """Give ``eth0`` an IPv4 address and let it up. Raises InterfaceError."""
+    try:
+        with IPRoute() as netlink:
+            _set_up(netlink, COMPANION_INTERFACE, address, COMPANION_PREFIX_BITS)
+    except NetlinkError as error:
+        raise _explained(station, error, COMPANION_INTERFACE) from None
+
+
+def _set_up(netlink: IPRoute, name: str, address: str, prefix_bits: int, **settings: str) -> int:
+    """Let an interface up with one IPv4 address and no IPv6; return its index."""
+    (index,) = netlink.link_lookup(ifname=name)
+    with contextlib.suppress(NetlinkError):  # a kernel without IPv6
+        netlink.link("set", index=index, IFLA_AF_SPEC=_NO_ADDRESS)
+    netlink.link("set", index=index, state="up")
+    netlink.addr("add", index=index, address=address, prefixlen=prefix_bits, **settings)
+    return int(index)
 
 
 def is_running(name: str) -> bool:
@@ -137,6 +185,8 @@ def set_offloads_off(name: str) -> None:
                 fcntl.ioctl(any_socket, _SIOCETHTOOL, request)
 
 
-def _explained(station: Station, error: NetlinkError) -> InterfaceError:
-    hint = "; is the kernel module `veth` available?" if error.code == errno.EOPNOTSUPP else ""
-    return InterfaceError(f"station {station}: cannot make {INTERFACE}: {os.strerror(error.code)}{hint}")
+def _explained(station: Station, error: NetlinkError, interface: str = INTERFACE) -> InterfaceError:
+    line = f"station {station}: cannot make {interface}: {os.strerror(error.code)}"
+    if error.code == errno.EOPNOTSUPP:
+        return NoVeth(f"{line}; is the kernel module `veth` available?")
+    return InterfaceError(line)

@@ -10,9 +10,14 @@ from netsim.wire.messages import Station
 
 NAME = "network"
 """Name of the process in its events."""
+INTERFACE = "wlan0"
+"""Name of each vehicle's interface on the radio."""
+Interfaces = Literal["auto", "veth", "tap"]
+"""Kind of ``wlan0``: end of a veth pair, or a TAP interface; "auto": a TAP if the kernel has no pairs."""
 Restart = Literal["never", "on_failure", "always"]
 Index = Annotated[int, Meta(ge=0)]
 """Position of a program in `NetworkConfig.programs`."""
+Port = Annotated[int, Meta(ge=0, le=65_535)]
 
 
 class ProgramConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -32,6 +37,22 @@ class ProgramConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """When it is started again: after an exit status other than 0 or a signal, or after every end."""
 
 
+class CompanionLink(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The companion link of a vehicle's autopilot, over UDP on the host's loopback interface."""
+
+    station: Station
+    companion_host: str
+    """IPv4 address to which the autopilot sends"""
+    companion_port: Port
+    """0: a free one, which `Ready.details` has, ``companion_ports``"""
+    autopilot_host: str
+    """IPv4 address at which the autopilot receives"""
+    autopilot_port: Port
+    """0: that from which it sends"""
+    checks_owner: bool = True
+    """Whether, with ``autopilot_port`` 0, the sender has to be of this user or of root"""
+
+
 class NetworkConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of the process."""
 
@@ -43,8 +64,11 @@ class NetworkConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     password: str
     stations: Annotated[tuple[Station, ...], Meta(min_length=1)]
     """Stations that have an interface, each once"""
+    companions: tuple[CompanionLink, ...] = ()
+    """Links to autopilots, one at most per station, which has ``eth0`` by it"""
     programs: tuple[ProgramConfig, ...] = ()
     """Programs, which are not started before a command"""
+    interfaces: Interfaces = "auto"
     window_packets: Annotated[int, Meta(ge=1)] = WINDOW_PACKETS
     """Most packets of a station in the emulator"""
 
@@ -88,6 +112,9 @@ def check(config: NetworkConfig) -> None:
     """Raise ValueError if settings are inconsistent."""
     if len(set(config.stations)) != len(config.stations):
         raise ValueError("stations: each may occur once")
+    companions = [each.station for each in config.companions]
+    if len(set(companions)) != len(companions) or not set(companions) <= set(config.stations):
+        raise ValueError("companions: each is of another station that has an interface")
     for index, program in enumerate(config.programs):
         if program.station not in config.stations:
             raise ValueError(f"programs[{index}].station: {program.station} has no interface")

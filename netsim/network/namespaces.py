@@ -23,7 +23,9 @@ from netsim.network.namespace_errors import NETWORK, PIPE, USER, NamespaceError,
 
 CLONE_NEWNS, CLONE_NEWUSER, CLONE_NEWPID, CLONE_NEWNET = 0x00020000, 0x10000000, 0x20000000, 0x40000000
 """linux/sched.h: mount, user, PID and network namespaces."""
-_MS_NOSUID, _MS_NODEV, _MS_NOEXEC, _MS_REC, _MS_PRIVATE = 0x2, 0x4, 0x8, 0x4000, 0x40000  # linux/mount.h
+MS_RDONLY, MS_NOSUID, MS_NODEV, MS_NOEXEC, MS_REMOUNT, MS_BIND, MS_REC = 1, 2, 4, 8, 0x20, 0x1000, 0x4000
+"""linux/mount.h, flags of `mount`."""
+_MS_PRIVATE = 0x40000
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _libc = ctypes.CDLL(None, use_errno=True) if sys.platform == "linux" else None
 
@@ -40,7 +42,22 @@ def set_namespace(fd: int, kind: int = 0) -> None:
 
 def own_network_namespace() -> int:
     """Return a file descriptor of this thread's network namespace, which exists as long as it is open."""
-    return os.open("/proc/thread-self/ns/net", os.O_RDONLY | os.O_CLOEXEC)
+    return _own_namespace("net")
+
+
+def own_mount_namespace() -> int:
+    """Return a file descriptor of this thread's mount namespace, which exists as long as it is open."""
+    return _own_namespace("mnt")
+
+
+def mount(source: str, target: str, kind: str, flags: int) -> None:
+    """Mount a file system of a kind, or, with MS_BIND, a file or folder. Raises OSError."""
+    _call("mount", *(each.encode() for each in (source, target, kind)), flags, None)
+
+
+def unmount(target: str) -> None:
+    """Unmount the last mount at a place. Raises OSError."""
+    _call("umount2", target.encode(), 0)
 
 
 def new_network_namespace() -> int:
@@ -164,10 +181,14 @@ def _mount_own_proc() -> None:
     It does so in containers that mask parts of ``/proc`` (mount_namespaces(7)).
     """
     try:
-        _call("mount", b"none", b"/", None, _MS_REC | _MS_PRIVATE, None)
-        _call("mount", b"proc", b"/proc", b"proc", _MS_NOSUID | _MS_NODEV | _MS_NOEXEC, None)
+        mount("none", "/", "", MS_REC | _MS_PRIVATE)
+        mount("proc", "/proc", "proc", MS_NOSUID | MS_NODEV | MS_NOEXEC)
     except OSError:
         pass
+
+
+def _own_namespace(kind: str) -> int:
+    return os.open(f"/proc/thread-self/ns/{kind}", os.O_RDONLY | os.O_CLOEXEC)
 
 
 def _call(name: str, *arguments: object) -> None:

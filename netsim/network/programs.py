@@ -18,7 +18,8 @@ FIRST_DELAY_S, LONGEST_DELAY_S = 0.5, 10.0
 """Wall time before a restart: doubled with each, up to the longest."""
 STEADY_S = 10.0
 """Wall time after which a program counts as running: the next delay is the first again."""
-_NAMESPACE_FD = 3
+_NETWORK_FD, _MOUNTS_FD = 3, 4
+"""In the program's process; in this one both are of other files, which were opened first."""
 _KILL_PERIOD_S = 0.05
 """Wall time between two attempts to kill what has not ended."""
 _OWN_VARIABLES = (
@@ -29,6 +30,8 @@ _OWN_VARIABLES = (
     "ZENOH_RUNTIME",
 )
 """Settings of coflight's processes, which programs do not inherit."""
+Namespaces = tuple[int, int]
+"""Descriptors of a vehicle's network and mount namespaces."""
 Report = Callable[[ProgramStarted | ProgramEnded], None]
 
 
@@ -45,8 +48,8 @@ def restart_delay_s(restart: Restart, returncode: int, ran_s: float, last_delay_
 
 
 class _Program:
-    def __init__(self, index: int, config: ProgramConfig, namespace_fd: int) -> None:
-        self.index, self.config, self.namespace_fd = index, config, namespace_fd
+    def __init__(self, index: int, config: ProgramConfig, namespaces: Namespaces) -> None:
+        self.index, self.config, self.namespaces = index, config, namespaces
         self.wall_started_s = 0.0
         self.wall_due_s: float | None = None
         """When it is to be started."""
@@ -58,11 +61,11 @@ class _Program:
 class Programs:
     """All programs, for one thread. ``report`` is called with each start and end.
 
-    ``namespaces`` are descriptors of the vehicles' network namespaces.
+    ``namespaces`` are the vehicles'.
     """
 
     def __init__(
-        self, configs: Sequence[ProgramConfig], namespaces: Mapping[Station, int], report: Report
+        self, configs: Sequence[ProgramConfig], namespaces: Mapping[Station, Namespaces], report: Report
     ) -> None:
         self._programs = [
             _Program(index, config, namespaces[config.station]) for index, config in enumerate(configs)
@@ -132,7 +135,7 @@ class Programs:
         program.wall_due_s, program.wall_started_s = None, wall_s
         program.starts += 1
         try:
-            pid = _spawn(program.config, program.namespace_fd)
+            pid = _spawn(program.config, *program.namespaces)
         except OSError as error:
             _write_reason(program.config.log_path, error)
             status = enter.NOT_FOUND if error.errno == errno.ENOENT else enter.CANNOT_EXECUTE
@@ -166,13 +169,13 @@ class Programs:
         )  # fmt: skip
 
 
-def _spawn(config: ProgramConfig, namespace_fd: int) -> int:
+def _spawn(config: ProgramConfig, network_fd: int, mounts_fd: int) -> int:
     """Start a program by `netsim.network.enter` and return its process id. Raises OSError."""
     log = os.open(config.log_path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
     try:
         folder = [] if config.folder is None else ["--folder", config.folder]
         # -I -S: without the site packages, whose set-up takes several times as long
-        python = [sys.executable, "-I", "-S", enter.__file__, str(_NAMESPACE_FD)]
+        python = [sys.executable, "-I", "-S", enter.__file__, str(_NETWORK_FD), str(_MOUNTS_FD)]
         return os.posix_spawn(
             sys.executable,
             [*python, *folder, "--", *config.command],
@@ -181,7 +184,8 @@ def _spawn(config: ProgramConfig, namespace_fd: int) -> int:
                 (os.POSIX_SPAWN_OPEN, 0, os.devnull, os.O_RDONLY, 0),
                 (os.POSIX_SPAWN_DUP2, log, 1),
                 (os.POSIX_SPAWN_DUP2, log, 2),
-                (os.POSIX_SPAWN_DUP2, namespace_fd, _NAMESPACE_FD),
+                (os.POSIX_SPAWN_DUP2, network_fd, _NETWORK_FD),
+                (os.POSIX_SPAWN_DUP2, mounts_fd, _MOUNTS_FD),
             ),
             setsigmask=(),
         )

@@ -14,6 +14,7 @@ import queue
 import socket
 import sys
 import time
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from foundation.processes.message_stream import MessageStream
 from foundation.profiling.profiler import profiled
 from netsim.emulator.interface import NetworkEmulator
 from netsim.emulator.service import make_emulator
+from netsim.emulator.warm_up import warm_up
 from netsim.model.config import ServerConfig
 from netsim.transport.guest_intake import LONGEST_GUEST_BATCH_BYTES, GuestIntake
 from netsim.transport.interval_stream import BATCH_LIMIT_S, emulators_end
@@ -132,10 +134,16 @@ class Server:
 
         Raises ValueError for an invalid request.
         """
-        while (request := clock.receive()) is not None:
+        later: deque[Advance] = deque()
+        """Requests that arrived before the repetition of an earlier one."""
+        while (request := later.popleft() if later else clock.receive()) is not None:
             # Linux weighs sched_yield among the processes of one session, here the vehicles on this processor
             self._service.set_between_events(os.sched_yield if _shares_a_processor() else None)
-            self.advance(request, clock.send)
+            while not self.advance(request, clock.send):
+                repeated = _repetition(request, clock, later)
+                if repeated is None:
+                    break
+                request = repeated
         packets = {} if self._packets is None else {"packets": self._packets.counters}
         return {"counters": self._service.counters} | self.refused | packets
 
@@ -153,16 +161,18 @@ class Server:
         self._transport.close()
         self._service.close()
 
-    def advance(self, request: Advance, answer: Callable[[Advanced], None] = lambda _: None) -> None:
+    def advance(self, request: Advance, answer: Callable[[Advanced], None] = lambda _: None) -> bool:
         """Simulate the interval of an `Advance`, reply, and deliver; or reply with the missing senders.
 
-        The reply is sent first, so that the time master continues; vehicles wait for announced deliveries.
+        Returns False with missing senders: the request is repeated. The reply is sent first, so that the time
+        master continues; vehicles wait for announced deliveries.
+
         Raises ValueError for an invalid request.
         """
         missing = self._take_in(request)
         if missing:
             answer(self._service.advanced(missing=tuple(sorted(missing))))
-            return
+            return False
         self._intake.begin_interval()
         advance = self._service.advance if self._packets is None else self._packets.advance
         batches = advance(request)
@@ -173,6 +183,7 @@ class Server:
             self._send(self._senders[station], batches.pop(station))
         for station, batch in batches.items():
             self._askers[station].ask(encode(batch))  # without waiting for the reply
+        return True
 
     def _take_in(self, request: Advance) -> set[Station]:
         """Collect the vehicles' batches; return the senders whose batches are missing."""
@@ -248,6 +259,15 @@ _VEHICLES, _DIRECTORY, _INTERFACES = "vehicles", "directory", "interfaces"
 """Origins of messages beside the guests."""
 
 
+def _repetition(
+    request: Advance, clock: MessageStream[Advanced, Advance], later: deque[Advance]
+) -> Advance | None:
+    """Return the repetition of a request, None at the stream's end; requests before it go to ``later``."""
+    while (other := clock.receive()) is not None and other.to_us != request.to_us:
+        later.append(other)
+    return other
+
+
 def _endpoint(config: ServerConfig) -> str:
     if config.socket_path is not None:
         return unix_endpoint(config.socket_path)
@@ -270,6 +290,8 @@ def run(config_path: Path, interval_fd: int, *, supervised: bool) -> None:
     with contextlib.ExitStack() as stack:
         clock = emulators_end(stack.enter_context(socket.socket(fileno=interval_fd)))
         config = msgspec.json.decode(config_path.read_bytes(), type=ServerConfig)
+        if config.packets:  # the channel will follow wall time, and loading a kernel takes milliseconds
+            warm_up()
         server = Server(config, on_influence=lambda cause: emit(Influenced(name="radio", by=cause)))
         stack.enter_context(contextlib.closing(server))
         inbox: queue.SimpleQueue[Stop] = queue.SimpleQueue()

@@ -17,7 +17,6 @@ import threading
 import time
 import weakref
 from collections.abc import Callable, Iterable, Sequence
-from typing import TypeAlias
 
 import psutil
 import zenoh
@@ -31,8 +30,10 @@ RUNTIME = """(
 )"""
 """One thread for all of Zenoh's thread pools: a query wakes one thread at each end instead of two or three.
 
-Python handlers run in other threads, one per served key. Queries wait for them in a buffer that drops the
-oldest one when it is full, so this thread never waits for Python: while it waits, its tasks fill the memory.
+Python handlers of queries run in other threads, one per served key. Queries wait for them in a buffer that
+drops the oldest one when it is full, so this thread does not wait for Python: while it waits, its tasks fill
+the memory. Messages of trusted users (`Transport.subscribe`) are handled in this thread, which saves waking
+another; their handlers must return at once.
 """
 
 LONGEST_DIRECT_BYTES = 49_000
@@ -50,7 +51,6 @@ _MOST_PENDING = 10_000
 """Connections that the router holds before they have sent a user and password; Zenoh's default is 100."""
 _PENDING_LIMIT_MS = 2_000
 """Wall time after which it closes such a connection. A client tries again within `CONNECT_LIMIT_S`."""
-_Channel: TypeAlias = "zenoh.handlers.FifoChannel[zenoh.Sample] | zenoh.handlers.RingChannel[zenoh.Sample]"
 _CHANNEL_MESSAGES = 4_096
 MOST_WAITING = 64
 """Default number of queries that wait for the handler of a key. Each can hold a receive buffer of 64 KiB."""
@@ -201,6 +201,7 @@ class Transport:
         self._session = session
         self.endpoint = endpoint
         """Endpoint that this process listens on, or is connected to."""
+        self._subscribers: list[zenoh.Subscriber[None]] = []
         self._handlers: list[threading.Thread] = []
         # a thread that is still in Zenoh when the interpreter has ended aborts the process
         self._end = weakref.finalize(self, _end, session, self._handlers)
@@ -272,9 +273,9 @@ class Transport:
         return Mailbox(self._session.declare_subscriber(key, zenoh.handlers.FifoChannel(_CHANNEL_MESSAGES)))
 
     def inbox(self, key: str, *, most_waiting: int, most_bytes: int) -> Inbox:
-        """Declare a subscriber whose messages a thread moves to an `Inbox`."""
+        """Declare a subscriber whose messages are put into an `Inbox`."""
         inbox = Inbox(most_waiting, most_bytes)
-        self._receive(key, zenoh.handlers.RingChannel(most_waiting), inbox.put)
+        self.subscribe(key, inbox.put)
         return inbox
 
     @property
@@ -297,15 +298,16 @@ class Transport:
         thread.start()
 
     def subscribe(self, key: str, handler: Callable[[bytes], None]) -> None:
-        """Call the handler with each message to ``key`` from now on, in order, in a thread of this key."""
-        self._receive(key, zenoh.handlers.FifoChannel(_CHANNEL_MESSAGES), handler)
+        """Call the handler with each message to ``key`` from now on, in order, in Zenoh's thread.
 
-    def _receive(self, key: str, arriving: _Channel, handler: Callable[[bytes], None]) -> None:
-        subscriber = self._session.declare_subscriber(key, arriving)
-        name = f"receive {key}"
-        thread = threading.Thread(target=_pass_on, args=(subscriber, handler), name=name, daemon=True)
-        self._handlers.append(thread)
-        thread.start()
+        The handler must return at once; ``key`` must be one that trusted users alone may publish to.
+        """
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            handler(sample.payload.to_bytes())
+
+        arriving: zenoh.handlers.Callback[zenoh.Sample] = zenoh.handlers.Callback(on_sample, indirect=False)
+        self._subscribers.append(self._session.declare_subscriber(key, arriving))
 
     def close(self) -> None:
         """Close the session, and wait for handlers; repeated calls have no effect."""
@@ -326,14 +328,6 @@ def _end(session: zenoh.Session, threads: Iterable[threading.Thread]) -> None:
     for thread in threads:
         if thread is not threading.current_thread():
             thread.join(_END_LIMIT_S)
-
-
-def _pass_on(
-    subscriber: zenoh.Subscriber[zenoh.handlers.Handler[zenoh.Sample]], handler: Callable[[bytes], None]
-) -> None:
-    """Call the handler with each message until the session is closed."""
-    for sample in subscriber.handler:
-        handler(sample.payload.to_bytes())
 
 
 def _router_config(endpoint: str, rights: Sequence[Rights], dictionary_path: str) -> zenoh.Config:

@@ -79,6 +79,7 @@ STATUSES: Mapping[str, Mapping[int, str]] = {
     },
     "study soak": {**_CHECKS, INTERRUPTED: _CONTINUES_WITH_RECORDS},
     "study attacks": _CHECKS,
+    "study programs": _CHECKS,
     "study chaos": {
         FINE: "All flights ended as required.",
         FAILED: "Some did not.",
@@ -163,7 +164,7 @@ RESULTS = (
     Result("bench", _keys(FlightBench)),
     *(
         Result(f"study {name}", ("checks",), (_CHECK_FIELDS,))
-        for name in ("vehicle", "radio", "antenna", "codesign", "soak", "attacks")
+        for name in ("vehicle", "radio", "antenna", "codesign", "soak", "attacks", "programs")
     ),
     Result(
         "study article", ("agree", "differ", "not_told_apart", "not_measured", "failed", "page", "statements")
@@ -192,7 +193,8 @@ status whose cell is empty.
 ## Summary of a run
 
 `coflight fly`, `coflight hold` and `coflight report` print it with `--json`; it is `summary.json` of the
-run's folder. `fly --profile` adds `profile`.
+run's folder. `fly --profile` adds `profile`; a run with network namespaces adds `program_packets`: packets
+`sent`, `received` and `late` (by more than 20 ms of wall time), `mean_late_ms` and `largest_late_ms`.
 
 {summary}
 ## JSON of the other commands

@@ -20,7 +20,7 @@ from harness.records.versions import checkout
 from studies.common.job_records import JobRecords
 from studies.common.record_lines import RecordsError
 from studies.common.report import Section, show, write_csv, write_page
-from studies.common.runner import Subject, run_subjects
+from studies.common.runner import WORKERS, Subject, run_subjects
 
 WIDTH = 120
 """Columns of the output if it is not a terminal."""
@@ -52,6 +52,8 @@ class Validation(Struct, Generic[P], frozen=True, kw_only=True):
     """In the order of the page"""
     stages: tuple[tuple[str, ...], ...] = ()
     """Order of execution: a stage starts when the one before is complete; by default all are one stage"""
+    workers: int = WORKERS
+    """Jobs that run at a time"""
     has_kernels: bool = True
     has_bullet: bool = False
     """Whether PyBullet is used, which prints on standard output"""
@@ -76,7 +78,7 @@ class Validation(Struct, Generic[P], frozen=True, kw_only=True):
             subjects = {name: self.subjects[name] for name in stage if name in names}
             if subjects:
                 with progress_lines(messages) as note, _refused(self.program, messages):
-                    judged |= run_subjects(plan, subjects, progress=note, records=kept)
+                    judged |= run_subjects(plan, subjects, progress=note, records=kept, workers=self.workers)
         sections = [judged[name] for name in self.subjects if name in judged]
         page = self.page
         if kept is not None:

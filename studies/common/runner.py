@@ -33,16 +33,18 @@ def run_subjects(
     *,
     progress: Callable[[str, int, int], None],
     records: JobRecords | None = None,
+    workers: int = WORKERS,
 ) -> dict[str, Section]:
     """Run the jobs of the subjects and judge their results.
 
-    ``progress`` is called with the subject, the number of its finished jobs and their total. Jobs whose
-    results are in ``records`` are not run, and the results of the others are added. Raises RecordsError,
-    and the first error of a job: with records once all jobs have ended, else without those that wait.
+    ``progress`` is called with the subject, the number of its finished jobs and their total;
+    ``workers`` jobs run at a time. Jobs whose results are in ``records`` are not run, and the results of the
+    others are added. Raises RecordsError, and the first error of a job: with records once all jobs have
+    ended, else without those that wait.
     """
     results: dict[str, Results] = {}
     done = dict.fromkeys(subjects, 0)
-    with ProcessPoolExecutor(WORKERS) as pool:
+    with ProcessPoolExecutor(workers) as pool:
         waiting = {}
         for name, subject in subjects.items():
             groups = subject.jobs(plan)

@@ -14,7 +14,7 @@ from swarms import Held
 
 from harness.launch import kernel_cache
 
-PACKAGES = {"mavsdk": "mavsdk", "MAVProxy": "MAVProxy", "serial": "pyserial"}
+PACKAGES = {"mavsdk": "mavsdk", "MAVProxy": "MAVProxy", "serial": "pyserial", "cyclonedds": "cyclonedds"}
 REQUIRED = os.environ.get("COFLIGHT_CLIENTS") == "required"
 """Set where the clients must be installed: then none of these tests is skipped."""
 

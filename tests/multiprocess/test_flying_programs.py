@@ -1,6 +1,7 @@
 """Unmodified programs in the network namespaces of flying vehicles, whose datagrams cross the channel."""
 
 import collections
+import json
 import subprocess
 import sys
 import time
@@ -12,6 +13,7 @@ from paths import ROOT
 
 from harness.cli.progress import describe
 from harness.launch.swarm import Swarm, SwarmError
+from harness.simulator.messages import Paused
 from netsim.network.interfaces import link_local_address
 from netsim.network.namespaces import why_not
 
@@ -89,6 +91,9 @@ def test_broadcasts_of_two_scripts_arrive_as_the_frame_log_says(scenario, tmp_pa
         leftovers = swarm.leftovers()
     assert leftovers == []
     assert summary["deterministic"] is False
+    packets = summary["program_packets"]
+    assert packets["sent"] >= sent_in_flight
+    assert 0 < packets["late"] + 1 <= packets["received"]
     lines = lines_of(swarm.path)
     assert sent_in_flight > AGENTS * 80
     frames = pq.read_table(swarm.path / "radio.parquet").to_pylist()
@@ -159,3 +164,42 @@ def test_shell_enters_the_network_of_one_vehicle(tmp_path):
         wall_end_s = time.monotonic() + DEADLINE_S
         while swarm.simulated_s < 1.0 and time.monotonic() < wall_end_s:
             swarm.run_for(0.5)
+
+
+def test_program_arms_its_own_vehicle_by_the_autopilots_link(tmp_path):
+    code = tmp_path / "arm.py"
+    code.write_text(
+        "from pymavlink import mavutil\n"
+        "link = mavutil.mavlink_connection('udpin:0.0.0.0:14540', source_system=255)\n"
+        "systems = set()\n"
+        "while not link.motors_armed():\n"
+        "    beat = link.recv_match(type='HEARTBEAT', blocking=True)\n"
+        "    systems.add(beat.get_srcSystem())\n"
+        "    print(systems, flush=True)\n"
+        "    link.target_system = beat.get_srcSystem()\n"
+        "    link.arducopter_arm()\n"
+        "print('armed', *systems, flush=True)\n"
+    )
+    path = tmp_path / "arming.toml"
+    path.write_text(
+        "agents = 2\n[onboard]\nenabled = false\n"
+        f'[[programs]]\nname = "arm"\nuav = 1\ncommand = ["{sys.executable}", "{code}"]\n'
+    )
+    messages = []
+    with Swarm(path, speed=1, out=tmp_path / "run", on_message=messages.append) as swarm:
+        log = swarm.path / "logs" / "uav-1-arm.log"
+        wall_end_s = time.monotonic() + DEADLINE_S
+        while "armed" not in log.read_text() and time.monotonic() < wall_end_s:
+            swarm.run_for(0.5)
+        assert log.read_text().splitlines()[-1] == "armed 2"
+        summary = swarm.summary(draw=False)
+        assert swarm.leftovers() == []
+    *_, last = [each for each in messages if isinstance(each, Paused)]
+    assert [each.armed for each in last.vehicles] == [False, True]
+    assert summary["deterministic"] is False
+    processes = json.loads((swarm.path / "manifest.json").read_text())["processes"]
+    (network,) = [each for each in processes if each["name"] == "network"]
+    relayed = network["details"]["autopilot_links"]
+    assert relayed["to_programs"] > 100
+    # on the air are some multicasts of the kernel alone
+    assert pq.read_table(swarm.path / "radio.parquet").num_rows < relayed["to_programs"] / 2

@@ -190,6 +190,19 @@ def test_missing_batch_blocks_the_channel_until_it_arrives_or_its_sender_is_lost
         assert (done.to_us, done.missing, done.delivered) == (8000, (), (0, 1))
 
 
+def test_requests_behind_one_with_a_missing_batch_wait_for_its_repetition(radio):
+    with contextlib.closing(radio.client(0)) as sender:
+        radio.request(8000, senders=(0,))
+        radio.request(12_000, senders=(0,))
+        assert radio.clock.receive().missing == (0,)
+        sender.send(8000, [Broadcast(seq=2, at_us=8000, payload=b"y")])
+        sender.send(4000, [Broadcast(seq=1, at_us=4000, payload=b"x")])
+        replies = [radio.advance(8000, senders=(0,)), radio.clock.receive(), radio.advance(16_000)]
+        assert [(each.to_us, each.missing, each.delivered) for each in replies] == [
+            (8000, (), (1, 2)), (12_000, (), (1, 2)), (16_000, (), ()),
+        ]  # fmt: skip
+
+
 def test_last_batch_of_a_killed_vehicle_is_delivered(radio):
     with (
         contextlib.closing(radio.client(1)) as receiver,

@@ -1,4 +1,4 @@
-"""``python mavsdk_link.py PORT``: MAVSDK whose link over the radio is lost and comes back."""
+"""``python mavsdk_link.py PORT``: MAVSDK at a ground station on the radio; its link is lost and returns."""
 
 import asyncio
 import sys

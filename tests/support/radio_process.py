@@ -84,6 +84,12 @@ class Radio:
         return contextlib.closing(Transport.connect(self.endpoint, user))
 
     def advance(self, to_us, **changes):
+        """Request an interval and return its reply."""
+        self.request(to_us, **changes)
+        return self.clock.receive()
+
+    def request(self, to_us, **changes):
+        """Request an interval, whose reply is to be received from `clock`."""
         fields = {"release_us": to_us + 4000, "at_us": to_us - 4000, "extra_attenuation_db": 0.0} | changes
         request = Advance(
             to_us=to_us,
@@ -93,7 +99,6 @@ class Radio:
             **fields,
         )
         self.clock.send(request)
-        return self.clock.receive()
 
     def stop(self):
         """Stop the process; returns the details of its last message and what influenced the run."""

@@ -20,6 +20,7 @@ WRONG = {
     "study radio": "--only none", "study antenna": "--only none", "study codesign": "--only none",
     "study soak": "--only none",
     "study attacks": "--only none",
+    "study programs": "--only none",
     "study article": "--seeds 0", "study vehicle-cost": "--repeats 0", "study radio-cost": "--rate-mbps 7",
     "study chaos": "--flights 0",
     "export": "no-such-run --time 1", "scenarios": "none",

@@ -250,6 +250,7 @@ def test_summary_table_shows_values_and_dashes_for_missing_ones() -> None:
     console = Console(record=True, width=100, quiet=False)
     console.print(summary_table(summary))
     text = console.export_text()
+    assert "packets of programs" not in text
     assert re.search(r"lost +│ uav 1 \(its connection broke, t = 1\.00 s\)", text)
     assert "article, seed 7: not_formed" in text
     assert "- absolute, 0.123 m shape" in text
@@ -260,6 +261,7 @@ def test_summary_table_shows_values_and_dashes_for_missing_ones() -> None:
 
 
 def test_a_hold_has_no_formation_in_the_table() -> None:
+    packets = {"sent": 9, "received": 50, "late": 3, "mean_late_ms": 1.34, "largest_late_ms": 61.2}
     nothing = dict.fromkeys(("absolute", "shape", "mean", "std", "ideal"))
     summary = {
         "scenario": "article", "seed": 1, "status": "held", "simulated_s": 12.0, "wall_s": 12.0,
@@ -267,10 +269,12 @@ def test_a_hold_has_no_formation_in_the_table() -> None:
         "frames": {"sent": 0, "collided": 0, "lost_to_noise": 0}, "vehicles": [],
         "ftm": {"requested": 0, "completed": 0, "error_mean_m": None, "error_std_m": None},
         "channel_busy_fraction": 0.0, "collisions": 0, "deterministic": False, "log_sha256": "f" * 64,
+        "program_packets": packets,
     }  # fmt: skip
     console = Console(record=True, width=100, quiet=False)
     console.print(summary_table(summary))
     text = console.export_text()
+    assert "50 received, 3 more than 20 ms late; 1.3 ms mean, 61 ms at most" in text
     assert "article, seed 1: held" in text
     for row in ("formation error, rms", "maximum gain", "FTM error"):
         assert re.search(rf"{row} +│ - +│", text)

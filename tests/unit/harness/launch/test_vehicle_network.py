@@ -6,10 +6,17 @@ import msgspec
 import psutil
 import pytest
 
-from autopilot.parameters.config import RadioEndpoint
-from harness.launch.vehicle_network import ProgramStarts, network_config, read_holders, write_holders
+from autopilot.parameters.config import AutopilotConfig, LinksConfig, RadioEndpoint
+from autopilot.parameters.onboard_config import OnboardConfig
+from harness.launch.vehicle_network import (
+    ProgramStarts,
+    companion_link,
+    network_config,
+    read_holders,
+    write_holders,
+)
 from harness.scenario.programs import VehicleProgram
-from harness.scenario.scenario import Scenario
+from harness.scenario.scenario import PortsConfig, Scenario
 from harness.simulator.messages import Formed, Progress, VehicleTruth
 
 PROGRAMS = (
@@ -18,6 +25,7 @@ PROGRAMS = (
     VehicleProgram(name="third", command=("three",), start="formed", uav=1),
 )
 RUN = "7f"
+ANY = "0.0.0.0"  # noqa: S104  a setting
 SCENARIO = Scenario(name="programs", agents=3, programs=PROGRAMS)
 FORMED = Formed(time_us=9_000_000)
 
@@ -77,3 +85,32 @@ def test_content_of_another_kind_is_an_error(tmp_path):
     path.write_text("[]")
     with pytest.raises(msgspec.DecodeError):
         read_holders(path)
+
+
+def link_of(uav, *, agents=3, **settings):
+    link = companion_link(Scenario(name="links", agents=agents, programs=PROGRAMS, **settings), uav)
+    return None if link is None else (
+        f"{link.autopilot_host}:{link.autopilot_port}", f"{link.companion_host}:{link.companion_port}"
+    )  # fmt: skip
+
+
+def test_each_own_autopilot_has_a_link_to_its_programs():
+    assert link_of(2) == ("127.0.0.1:14582", "127.0.0.1:14542")
+    # the port is the ground station's, or a vehicle's own
+    assert link_of(10, agents=50) == ("127.0.0.1:14590", "127.0.0.1:0")
+    assert link_of(40, agents=50) == ("127.0.0.1:14620", "127.0.0.1:0")
+    free = PortsConfig(companion_local_udp=0, companion_remote_udp=0)
+    assert link_of(0, ports=free) == ("127.0.0.1:0", "127.0.0.1:0")
+    everywhere = LinksConfig(host=ANY)
+    assert link_of(0, links=everywhere) == ("127.0.0.1:14580", "127.0.0.1:14540")
+    assert link_of(0, links=LinksConfig(host=ANY, companion_host="10.0.0.9")) is None
+
+
+def test_links_of_other_autopilots_are_of_their_applications():
+    autopilot = AutopilotConfig(kind="px4", px4_build="/px4", px4_vehicles=(1,))
+    assert link_of(0, autopilot=autopilot) is not None
+    assert link_of(1, autopilot=autopilot) is None
+    without = OnboardConfig(enabled=False)
+    assert link_of(1, autopilot=autopilot, onboard=without) == ("127.0.0.1:14581", "127.0.0.1:14541")
+    autopilot = AutopilotConfig(kind="ardupilot", ardupilot_program="/arducopter")
+    assert link_of(1, autopilot=autopilot, onboard=without) == ("127.0.0.1:0", "127.0.0.1:14541")

@@ -118,6 +118,39 @@ def test_with_asynchronous_radios_intervals_are_steps_and_none_is_skipped(emulat
     assert [request.release_us for request in emulator.requests] == [8_000, 12_000, 16_000]
 
 
+def test_steps_ahead_of_the_channel_release_its_deliveries_that_much_later(emulator):
+    client = EmulatorClient(emulator, period_us=PERIOD_US, asynchronous=True, lead_steps=3)
+    for time_us in range(0, 16_000, STEP_US):
+        assert not client.is_pending(time_us)
+        client.begin(time_us, STEP_US, TRUTH, **RADIO)
+    assert [request.release_us for request in emulator.requests] == [16_000, 20_000, 24_000, 28_000]
+    assert client.settled_us(16_000) == 0
+    assert client.is_pending(16_000)
+    emulator.answers = [advanced(4_000, delivered=(1,), busy_ns=700)]
+    client.end()
+    assert client.delivered(16_000) == (1,)
+    assert not client.is_pending(16_000)
+    assert (client.settled_us(16_000), client.busy_ns) == (4_000, 700)
+    emulator.answers = [advanced(to_us) for to_us in (8_000, 12_000, 16_000)]
+    while client.is_busy:
+        client.end()
+    assert client.settled_us(16_000) == 16_000
+
+
+def test_a_missing_batch_repeats_the_first_of_several_requests(emulator):
+    client = EmulatorClient(emulator, period_us=PERIOD_US, asynchronous=True, lead_steps=3)
+    client.begin(0, STEP_US, TRUTH, senders=(0,), **RADIO)
+    client.begin(4_000, STEP_US, TRUTH, **RADIO)
+    emulator.answers = [advanced(0, missing=(0,)), advanced(4_000), advanced(8_000)]
+    assert client.end() == (0,)
+    assert client.wait_on((0,)) == ()
+    assert client.end() == ()
+    assert not client.is_busy
+    assert [(request.to_us, request.silent) for request in emulator.requests] == [
+        (4_000, ()), (8_000, ()), (4_000, (0,)),
+    ]  # fmt: skip
+
+
 def test_attenuation_acts_on_the_intervals_that_begin_after_it(client, emulator):
     for time_us, attenuation_db in ((0, 0.0), (20_000, 30.0), (40_000, 30.0), (60_000, 0.0)):
         interval(client, emulator, time_us, radio=RADIO | {"extra_attenuation_db": attenuation_db})

@@ -121,6 +121,23 @@ def test_a_second_at_speed_two_takes_half_a_second_however_inexact_sleeps_are(cl
     assert clock.wall_s - begin_s == pytest.approx(0.001 + 0.5, abs=0.0021)
 
 
+@pytest.mark.parametrize("speed", [1.0, 0.5])
+def test_steps_with_a_lead_begin_before_their_time_is_due_by_it(speed: float) -> None:
+    pacer = Pacer(lead_us=3 * STEP_US)
+    pacer.begin(speed, STEP_US, 10.0)
+    assert pacer.ahead_s(STEP_US, 10.0) == 0.0
+    # a step that begins now is due after the lead
+    lead_ns = 3 * STEP_US * 1e3 / speed
+    assert pacer.pace(STEP_US).due_ns == pytest.approx(10e9 + lead_ns)
+    later_us = STEP_US + 400_000
+    assert pacer.ahead_s(later_us, 10.0) == pytest.approx(0.4 / speed)
+    # after a stall, its due time is that of a step that begins then, again
+    stalled_s = 10.0 + 0.4 / speed + 2 * MOST_LAG_S
+    assert pacer.ahead_s(later_us, stalled_s) == pytest.approx(-2 * MOST_LAG_S)
+    assert pacer.pace(later_us).due_ns == pytest.approx(stalled_s * 1e9 + lead_ns)
+    assert pacer.lag_s == pytest.approx(2 * MOST_LAG_S)
+
+
 def flown_then_stop(world: World, *commands: AnyCommand) -> list[object]:
     """Execute commands one after the other, each when the previous run is done, and then stop."""
     inbox: queue.SimpleQueue[AnyCommand] = queue.SimpleQueue()

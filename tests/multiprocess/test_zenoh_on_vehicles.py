@@ -1,0 +1,22 @@
+"""The Zenoh block of docs/how-to/middleware.md on two vehicles: peers that find each other by multicast."""
+
+import sys
+
+import pytest
+from middleware_peers import block, receives_from_the_other
+
+from netsim.network.namespaces import why_not
+
+pytestmark = [
+    pytest.mark.multiprocess,
+    pytest.mark.skipif(why_not() is not None, reason=str(why_not())),
+]
+
+
+def test_zenoh_peers_of_two_vehicles_find_each_other(tmp_path):
+    script = tmp_path / "zenoh_peer.py"
+    script.write_text(block("import zenoh"))
+    texts = [f"received swarm/{uav}/state" for uav in range(2)]
+    frames = receives_from_the_other(tmp_path, [sys.executable, str(script), "{uav}"], texts)
+    assert frames["group"] > 0
+    assert frames["acknowledged"] > 0
