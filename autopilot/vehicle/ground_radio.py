@@ -14,6 +14,8 @@ from autopilot.services.service import GROUND_STATION, Addressed, Partner
 from autopilot.vehicle.link_settings import LinkSettings
 from netsim.wire.messages import RxItem, TxItem
 
+MOST_HELD = 256
+
 
 class GroundRadio:
     """MAVLink between a vehicle and the ground stations of its radio or modem; ``tap``: see `MavlinkLink`."""
@@ -34,7 +36,7 @@ class GroundRadio:
         )  # fmt: skip
         self._tap, self._modem_encoder = tap, modem_encoder()
         self._held: list[Addressed] = []
-        """Messages that wait for simulated time to go on."""
+        """Messages that wait for simulated time to go on, at most `MOST_HELD`; the oldest are dropped."""
         self.received = 0
         """Number of messages received."""
 
@@ -73,7 +75,8 @@ class GroundRadio:
 
     def hold(self, messages: Sequence[Addressed]) -> None:
         """Keep the ground link's messages of a pause until the next `send`."""
-        self._held += [each for each in messages if each.partner.link == GROUND_STATION]
+        own = [each for each in messages if each.partner.link == GROUND_STATION]
+        self._held = (self._held + own)[-MOST_HELD:]
 
     def send(self, now_us: int, messages: Sequence[Addressed]) -> tuple[TxItem, ...]:
         """Return the frames with the ground link's messages, and those held, as of ``now_us``."""

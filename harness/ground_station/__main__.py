@@ -20,10 +20,10 @@ from autopilot.mavlink.partners import Partners
 from autopilot.mavlink.udp_socket import Address, UdpSocket
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Stop, Warned, commands, emit
 from foundation.processes.socket_owners import DatagramOwners
+from foundation.processes.wakeable_queue import WakeableQueue
 from harness.ground_station.relay import Relay
 from harness.ground_station.serial_relay import SerialRelay
 from harness.ground_station.settings import GroundStationConfig
-from netsim.network.wakeable_queue import WakeableQueue
 from netsim.transport.access_control import User
 from netsim.transport.asynchronous_radio import AsynchronousRadio
 from netsim.transport.lockstep_radio import RadioFull

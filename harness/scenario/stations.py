@@ -3,6 +3,7 @@
 To the emulator a ground station is a guest whose program is a process of the run (`harness.ground_station`).
 """
 
+import re
 from typing import Annotated
 
 import msgspec
@@ -23,6 +24,7 @@ from netsim.model.config import (
 )
 
 MOST_STATIONS = 8
+_VEHICLE_NAME = re.compile(r"uav-[0-9]+")
 
 
 class GroundStation(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -98,6 +100,8 @@ def check(
     of_stations = numbers(stations, radio, agents)
     for number, each in enumerate(stations):
         path = f"stations[{number}]"
+        if _VEHICLE_NAME.fullmatch(each.name):
+            raise ValueError(f"{path}.name: {each.name} is the name of a vehicle; expected another")
         if each.name in names:
             raise ValueError(f"{path}.name: {names[each.name]} is called {each.name} too")
         names[each.name] = path

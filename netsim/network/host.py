@@ -19,6 +19,7 @@ from typing import Any
 import msgspec
 
 from foundation.processes.child_protocol import Finished, Ready, Stop, commands, emit
+from foundation.processes.wakeable_queue import WakeableQueue
 from netsim.network.autopilot_relay import AutopilotRelay, Flow, Vehicle
 from netsim.network.bridge import Bridge
 from netsim.network.messages import NAME, Command, NetworkConfig, StartPrograms, check
@@ -26,7 +27,6 @@ from netsim.network.packet_socket import PacketSocket
 from netsim.network.programs import Programs
 from netsim.network.tap_file import TapFile
 from netsim.network.vehicle_networks import VehicleNetwork, make_networks
-from netsim.network.wakeable_queue import WakeableQueue
 from netsim.transport.access_control import User
 from netsim.transport.lockstep_radio import packets_received_key, packets_sent_key
 from netsim.transport.malformed import MalformedCount

@@ -50,6 +50,7 @@ def test_ports_of_a_second_ground_station_follow_those_of_the_first():
             r'links\.telemetry: .*UAV 0 is flown by px4.*expected "wire"',
         ),
         ([*RADIO, "onboard.port=14550"], r"onboard\.port: 14550 is that of MAVLink"),
+        ([*RADIO, "stations.1.name=uav-1"], r"stations\[1\]\.name: uav-1 is the name of a vehicle"),
         ([*RADIO, "stations.1.name=north"], r"stations\[1\]\.name: stations\[0\] is called north too"),
         (
             [*RADIO, "radio.guests=[{name='south', pos_ned_m=[0.0, 0.0, 0.0]}]"],

@@ -6,10 +6,10 @@ import threading
 import msgspec
 import pytest
 
+from foundation.processes.wakeable_queue import WakeableQueue
 from netsim.network.interfaces import link_local_address
 from netsim.network.messages import NetworkConfig, ProgramConfig, check
 from netsim.network.programs import FIRST_DELAY_S, LONGEST_DELAY_S, STEADY_S, restart_delay_s
-from netsim.network.wakeable_queue import WakeableQueue
 
 
 @pytest.mark.parametrize(
