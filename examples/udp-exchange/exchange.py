@@ -17,11 +17,12 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--id", type=int, required=True, help="number in the datagrams")
     parser.add_argument("--bytes", type=int, default=500, help="length of a datagram")
+    parser.add_argument("--wait-s", type=float, default=0.0, help="time before the first datagram")
     arguments = parser.parse_args()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         link.bind(("", PORT))
-        sent, next_s = 0, time.monotonic()
+        sent, next_s = 0, time.monotonic() + arguments.wait_s
         while True:
             wait_s = next_s - time.monotonic()
             if wait_s <= 0.0:

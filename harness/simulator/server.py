@@ -59,8 +59,8 @@ MOST_LAG_S = 0.1
 """A run that is later than this does not catch up: its vehicles would leap before an observer or pilot."""
 NETWORK_LEAD_STEPS = 10
 """Steps by which the vehicles are ahead of a channel with packets of programs, which follows wall time: steps
-that take longer than their share do not delay the packets. Arrivals are released that much later: after 40 ms,
-the length of an interval without programs."""
+that take longer than their share do not delay the packets. Arrivals are released that much later: after
+40 ms, the length of an interval without programs."""
 NAP_S = 0.02
 """Longest wall time to sleep before a step that is early; a longer wait serves commands."""
 

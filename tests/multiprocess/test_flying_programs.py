@@ -34,7 +34,8 @@ fading = "rician"
 extra_attenuation_db = 8.0
 [[programs]]
 name = "exchange"
-command = ["{sys.executable}", "exchange.py", "--id", "{{uav}}", "--bytes", "{PAYLOAD_BYTES}"]
+# the programs of all vehicles listen before the first one sends
+command = ["{sys.executable}", "exchange.py", "--id={{uav}}", "--bytes={PAYLOAD_BYTES}", "--wait-s=2"]
 folder = "{ROOT / "examples" / "udp-exchange"}"
 """
 DEADLINE_S = 20.0
