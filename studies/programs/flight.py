@@ -71,9 +71,10 @@ def program(
 def until_success(*command: object) -> list[str]:
     """Return a command that repeats another one until it succeeds, and then prints its output.
 
-    So a client waits for its server.
+    So a client waits for its server. The status of iperf3 with ``--json`` is 0 although it has failed.
     """
-    script = 'until report=$("$@"); do sleep 0.5; done; echo "$report"'
+    failed = """printf %s "$report" | grep -q '"error"'"""
+    script = f'until report=$("$@") && ! {failed}; do sleep 0.5; done; echo "$report"'
     return ["sh", "-c", script, "sh", *map(str, command)]
 
 
