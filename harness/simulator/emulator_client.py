@@ -35,6 +35,15 @@ class Pace(NamedTuple):
 UNPACED = Pace(0, 0.0)
 
 
+class Occupancy(NamedTuple):
+    """How long the channel was occupied."""
+
+    until_us: int
+    """Simulated time up to which it counts"""
+    busy_ns: int
+    """Time since the start for which it carried at least one transmission"""
+
+
 class EmulatorLine(Protocol):
     """Connection to the emulator: see `netsim.transport.interval_stream`."""
 
@@ -81,8 +90,9 @@ class EmulatorClient:
         """Vehicles with a delivery, by time of release."""
         self.busy_ns = 0
         """Time for which the channel was occupied until the end of the last completed interval."""
-        self._completed_us = 0
-        """End of the last completed interval."""
+        self._unreleased: deque[tuple[int, Occupancy]] = deque()
+        """Of completed intervals: time of release, and the occupancy at their end."""
+        self._released = Occupancy(0, 0)
 
     @property
     def is_busy(self) -> bool:
@@ -93,9 +103,16 @@ class EmulatorClient:
         """Whether the emulator has yet to complete an interval whose deliveries are due at ``time_us``."""
         return bool(self._requests) and self._requests[0].release_us <= time_us
 
-    def settled_us(self, time_us: int) -> int:
-        """Return the time up to which `busy_ns` holds, at most ``time_us``, the present time."""
-        return self._completed_us if self._requests else time_us
+    def occupancy(self, time_us: int) -> Occupancy:
+        """Return the occupancy of the channel that is released at ``time_us``, the present time.
+
+        It does not depend on how far ahead of that the emulator is, which it is after a pause.
+        """
+        if not self._asynchronous:
+            return Occupancy(time_us, self.busy_ns)
+        while self._unreleased and self._unreleased[0][0] <= time_us:
+            _, self._released = self._unreleased.popleft()
+        return self._released
 
     def delivered(self, time_us: int) -> tuple[int, ...]:
         """Return the vehicles whose radio has a delivery for the step of ``time_us``; call once a step."""
@@ -162,7 +179,8 @@ class EmulatorClient:
         if advanced.missing:
             return advanced.missing
         request = self._requests.popleft()
-        self._completed_us = request.to_us
+        if self._asynchronous:
+            self._unreleased.append((request.release_us, Occupancy(request.to_us, advanced.busy_ns)))
         self._quiet_until_us = advanced.quiet_until_us
         self.busy_ns = advanced.busy_ns
         if advanced.delivered:

@@ -225,11 +225,11 @@ class Simulation:
         if self.reports.lost:
             inbox.armed[list(self.reports.lost)] = False
         if emulator is not None and emulator.begins_at(self.time_us):
-            settled_us = emulator.settled_us(self.time_us)
-            if settled_us >= self._air_record_us:
+            until_us, busy_ns = emulator.occupancy(self.time_us)
+            if until_us >= self._air_record_us:
                 period_us = self._record_period_us
-                self._air_record_us = settled_us - settled_us % period_us + period_us
-                self._air_log.append([(settled_us, emulator.busy_ns)])
+                self._air_record_us = until_us - until_us % period_us + period_us
+                self._air_log.append([(until_us, busy_ns)])
             emulator.begin(
                 self.time_us,
                 self._step_us,

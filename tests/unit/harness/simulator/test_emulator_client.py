@@ -124,17 +124,19 @@ def test_steps_ahead_of_the_channel_release_its_deliveries_that_much_later(emula
         assert not client.is_pending(time_us)
         client.begin(time_us, STEP_US, TRUTH, **RADIO)
     assert [request.release_us for request in emulator.requests] == [16_000, 20_000, 24_000, 28_000]
-    assert client.settled_us(16_000) == 0
+    assert client.occupancy(16_000) == (0, 0)
     assert client.is_pending(16_000)
     emulator.answers = [advanced(4_000, delivered=(1,), busy_ns=700)]
     client.end()
     assert client.delivered(16_000) == (1,)
     assert not client.is_pending(16_000)
-    assert (client.settled_us(16_000), client.busy_ns) == (4_000, 700)
-    emulator.answers = [advanced(to_us) for to_us in (8_000, 12_000, 16_000)]
-    while client.is_busy:
+    assert (client.occupancy(16_000), client.busy_ns) == ((4_000, 700), 700)
+    emulator.answers = [advanced(to_us, busy_ns=to_us // 10) for to_us in (8_000, 12_000, 16_000)]
+    while client.is_busy:  # as before a pause
         client.end()
-    assert client.settled_us(16_000) == 16_000
+    assert [client.occupancy(time_us) for time_us in (16_000, 20_000, 24_000)] == [
+        (4_000, 700), (8_000, 800), (12_000, 1_200),
+    ]  # fmt: skip
 
 
 def test_a_missing_batch_repeats_the_first_of_several_requests(emulator):
