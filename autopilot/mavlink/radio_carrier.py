@@ -4,18 +4,14 @@ A datagram is one unicast frame to a ground station, from and to UDP port `TELEM
 retries. Nothing reports over the air that a station's program has ended, so no station is unreachable.
 """
 
-from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from netsim.wire.messages import Delivery, RxItem, Sent, TxItem, Unicast
+from autopilot.mavlink.station_carrier import FIRST_SEQUENCE, StationCarrier
+from netsim.wire.messages import Delivery, RxItem, Sent, Unicast
 
 TELEMETRY_PORT = 14_550
 """UDP port of MAVLink on the radio, which applications of a vehicle with such a link cannot use."""
-FIRST_SEQUENCE = 2**62
-"""Sequence number of the link's first frame; those of the applications count from 0."""
-_MOST_WAITING = 1_024
-"""Received datagrams that wait for the link; the oldest are dropped."""
 
 
 @dataclass(slots=True)
@@ -37,26 +33,14 @@ class FrameCounts:
             self.lost += 1
 
 
-class RadioCarrier:
+class RadioCarrier(StationCarrier):
     """The carrier of a link to ground stations, whose numbers ``stations`` has by their names."""
 
     def __init__(self, stations: Mapping[str, int]) -> None:
+        super().__init__(tuple(stations.values()))
         self.counts = {name: FrameCounts() for name in stations}
         """By the station's name."""
         self._counts = {station: self.counts[name] for name, station in stations.items()}
-        self.defaults = tuple(stations.values())
-        self.now_us = 0
-        """Simulated time of the frames that are sent next."""
-        self.foreign = 0
-        """Number of datagrams to the port from other stations, which are dropped."""
-        self._received: deque[tuple[bytes, int]] = deque(maxlen=_MOST_WAITING)
-        self._items: list[TxItem] = []
-        self._sequence = FIRST_SEQUENCE
-
-    @property
-    def has_received(self) -> bool:
-        """Whether there are datagrams for `receive`."""
-        return bool(self._received)
 
     def take_in(self, items: Sequence[RxItem]) -> list[RxItem]:
         """Take what is of the link among the items that the radio returned; return the others."""
@@ -75,44 +59,12 @@ class RadioCarrier:
                 others.append(item)
         return others
 
-    def take_out(self) -> tuple[TxItem, ...]:
-        """Return the frames to be sent, and forget them."""
-        items, self._items = tuple(self._items), []
-        return items
-
-    # ---- see `autopilot.mavlink.links.Carrier`
-
-    @staticmethod
-    def wall_s() -> float:
-        """Return 0: budgets follow simulated time, so that a flight depends on nothing else."""
-        return 0.0
-
-    def receive(self) -> tuple[bytes, int] | None:
-        """Return the next datagram and the number of the station that sent it."""
-        return self._received.popleft() if self._received else None
-
     def send(self, datagram: bytes | bytearray, address: int) -> None:
         """Hand over a datagram for a station."""
-        self._items.append(
+        self._queue(
             Unicast(
                 seq=self._sequence, at_us=self.now_us, destination=address, payload=bytes(datagram),
                 port=TELEMETRY_PORT,
             )
         )  # fmt: skip
-        self._sequence += 1
         self._counts[address].sent += 1
-
-    @staticmethod
-    def take_unreachable(*, look: bool = False) -> Sequence[int]:  # noqa: ARG004  as any carrier
-        """Return none."""
-        return ()
-
-    @staticmethod
-    def trusts(sender: int, wall_s: float) -> bool:  # noqa: ARG004  as any carrier
-        """Return True: datagrams of other stations than the link's were dropped."""
-        return True
-
-    @staticmethod
-    def may_send(address: int, wall_s: float, *, has_sent: bool) -> bool:  # noqa: ARG004  as any carrier
-        """Return True."""
-        return True
