@@ -74,7 +74,7 @@ $(CLIENTS): requirements-clients.lock $(DEV)
 	@touch $@
 
 # one after the other, as each keeps pace with the wall clock; in all no longer than this
-CLIENTS_LIMIT_S := 480
+CLIENTS_LIMIT_S := 900
 test-clients: $(CLIENTS)
 	COFLIGHT_CLIENTS=required $(BIN)/python -m pytest -m clients --session-timeout=$(CLIENTS_LIMIT_S) tests/clients $(ARGS)
 
