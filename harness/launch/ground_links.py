@@ -1,7 +1,7 @@
 """A swarm's MAVLink links to ground stations: their addresses, and a pymavlink connection."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from ipaddress import IPv4Address
 from pathlib import Path
 from typing import Any
@@ -9,18 +9,36 @@ from typing import Any
 from autopilot.mavlink import dialect  # noqa: F401  # registers the messages that vehicles send
 from autopilot.mavlink.signing import key_of
 from autopilot.parameters.config import LinksConfig, VehiclePorts
+from foundation.processes.child_protocol import Ready
+from harness.launch.process_commands import ground_station, uav
+from harness.launch.run_messages import SwarmError
 from harness.scenario.scenario import Scenario
 
 
-def link_lines(
-    scenario: Scenario, local: Sequence[Mapping[str, Any]], stations: Mapping[str, Mapping[str, Any]]
-) -> tuple[str, ...]:
-    """Return a line per vehicle with its MAVLink addresses.
+def link_lines(scenario: Scenario, ready: Mapping[str, Ready]) -> tuple[str, ...]:
+    """Return a line per vehicle with its MAVLink addresses; ``ready`` are the reports of the processes."""
+    stations = {each.name: ready[ground_station(each.name)].details for each in scenario.ground_stations}
+    return tuple(
+        _link_line(i, ready[uav(i)].details, scenario.vehicle_ports(i), stations)
+        for i in range(scenario.agents)
+    )
 
-    ``local`` are the details of the vehicles' `Ready`, ``stations`` those of the ground stations on the radio
-    by their names.
+
+def local_port(
+    scenario: Scenario, ready: Mapping[str, Ready], instance: int, station: str | None = None
+) -> int:
+    """Return the UDP port of this machine at which a ground station program reaches a vehicle.
+
+    With ground stations on the radio it is that of the one called ``station``, by default the first. Raises
+    SwarmError if there is none of that name.
     """
-    return tuple(_link_line(i, local[i], scenario.vehicle_ports(i), stations) for i in range(scenario.agents))
+    names = [each.name for each in scenario.ground_stations]
+    if station is not None and station not in names:
+        has = f"its ground stations: {', '.join(names)}" if names else "its telemetry is by wire"
+        raise SwarmError(f"there is no ground station {station} on the radio; {has}")
+    if not names:
+        return int(ready[uav(instance)].details["gcs_local_udp"])
+    return int(ready[ground_station(station or names[0])].details["gcs_local_udp"][instance])
 
 
 def _link_line(

@@ -28,7 +28,7 @@ from foundation.profiling.profiler import KindProfile
 from foundation.system_error import in_words
 from harness.launch import ground_links, profiling
 from harness.launch.interrupts import interrupts_deferred
-from harness.launch.process_commands import application, ground_station, uav
+from harness.launch.process_commands import application, uav
 from harness.launch.processes import Processes
 from harness.launch.run_course import RunCourse
 from harness.launch.run_messages import (
@@ -397,23 +397,10 @@ class Swarm:
         more than scenario and seed, which its manifest states. The connection signs if the scenario has a
         key.
         """
-        port = self._ground_port(instance, station)
+        port = ground_links.local_port(self.scenario, self._processes.ready, instance, station)
         link = ground_links.connect(self.scenario.links, port)
         self._links.callback(link.close)
         return link
-
-    def _ground_port(self, instance: int, station: str | None) -> int:
-        """Return the local UDP port of a vehicle's ground link. Raises SwarmError."""
-        names = [each.name for each in self.scenario.ground_stations]
-        if station is not None and station not in names:
-            has = f"its ground stations: {', '.join(names)}" if names else "its telemetry is by wire"
-            raise SwarmError(f"there is no ground station {station} on the radio; {has}")
-        if not names:
-            port: int = self._processes.ready[uav(instance)].details["gcs_local_udp"]
-        else:
-            details = self._processes.ready[ground_station(station or names[0])].details
-            port = details["gcs_local_udp"][instance]
-        return port
 
     # --- what happened
 
@@ -425,11 +412,7 @@ class Swarm:
     @property
     def addresses(self) -> tuple[str, ...]:
         """A line for each vehicle with its MAVLink addresses, once the swarm is started."""
-        ready = self._processes.ready
-        details = [ready[uav(i)].details for i in range(self.scenario.agents)]
-        names = [each.name for each in self.scenario.ground_stations]
-        stations = {name: ready[ground_station(name)].details for name in names}
-        return ground_links.link_lines(self.scenario, details, stations)
+        return ground_links.link_lines(self.scenario, self._processes.ready)
 
     @property
     def events(self) -> tuple[RunEvent, ...]:

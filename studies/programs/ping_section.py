@@ -19,7 +19,7 @@ from studies.programs.plan import ProgramsPlan
 PERIOD_S = 0.02
 SIZES_BYTES = (56, 1_400)
 """Lengths of the data in the echo requests"""
-MOST_EXCESS_MS = 10.0
+MOST_EXCESS_MS = 1.0
 """Median round trip beyond that of the channel, at speed 1"""
 _ICMP_AND_IP_BYTES = 8 + 20
 _IPV4 = 0x0800

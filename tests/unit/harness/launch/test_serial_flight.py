@@ -2,28 +2,16 @@
 
 import contextlib
 
-import msgspec
 import pytest
-from paths import SCENARIOS
-from pymavlink.dialects.v20 import common
+from ground_flight import GROUND, GroundFlight, in_process
 
-from autopilot.commander.failsafe import Cause
-from autopilot.mavlink.codec import Encoder, Parser
+from autopilot.mavlink.codec import Parser
 from autopilot.mavlink.modes import FlightMode
 from autopilot.mavlink.serial_carrier import MODEM_COMPONENT, MODEM_SYSTEM
-from autopilot.parameters.config import VehicleConfig
 from autopilot.services.flow_control import BYTES_S
 from autopilot.services.service import GROUND_STATION
 from harness.ground_station.serial_relay import SerialRelay
-from harness.launch.in_process_flight import InProcessFlight
-from harness.launch.one_process import RUN_ID
-from harness.records.run_folder import PhysicsConfig, RunFolder
-from harness.scenario.scenario_file import load
-from netsim.wire.messages import TxBatch
 
-SECOND_US = 1_000_000
-GROUND = 1
-"""Station number of the ground station."""
 LINK_BYTES_S = 3_300
 """More than one modem of 64 kbit/s transports of short MAVLink frames (docs/concepts/radio.md)."""
 LOSS_S, DELAY_S = 5.0, 1.0
@@ -44,14 +32,12 @@ OUT_OF_RANGE = [
 ]  # fmt: skip
 
 
-class SerialFlight:
-    """One vehicle in this process, and a scripted ground station."""
+class SerialFlight(GroundFlight):
+    """The ground station's modem."""
 
     def __init__(self, flight):
-        self._flight = flight
-        self._relay, self._encoder = SerialRelay(1), Encoder(system=255, component=190)
+        super().__init__(flight, SerialRelay(1))
         self._parser = Parser()
-        self.vehicle = flight.links[0].host.vehicle
         self.received = []
         """Messages that the ground station has received."""
         advance = flight.emulator.advance
@@ -59,53 +45,22 @@ class SerialFlight:
         def observed(request):
             batches = advance(request)
             if GROUND in batches:
-                for _, datagram in self._relay.datagrams(batches[GROUND].items):
+                for _, datagram in self.relay.datagrams(batches[GROUND].items):
                     self.received += self._parser.push(datagram)
             return batches
 
         flight.emulator.advance = observed
 
     @property
-    def time_s(self):
-        return self._flight.simulation.time_us / SECOND_US
-
-    @property
-    def north_m(self):
-        return self._flight.simulation.truth.pos_ned_m[0, 0]
-
-    @property
-    def is_lost(self):
-        return bool(self.vehicle.flight.causes & int(Cause.GCS_LOST))
-
-    @property
     def counts(self):
-        return self._flight.links[0].host.link_counts()["ground_station"]["serial"]["ground"]
+        return self.link_counts["serial"]["ground"]
 
     @property
     def ground_bytes(self):
-        return self._relay.counts["uav 0"]["received_bytes"]
+        return self.relay.counts["uav 0"]["received_bytes"]
 
     def count(self, kind):
         return sum(message.get_type() == kind for message in self.received)
-
-    def command(self, command, *params):
-        padded = (*params, *[0.0] * (7 - len(params)))
-        self.send(common.MAVLink_command_long_message(1, 1, command, 0, *padded))
-
-    def send(self, message):
-        item = self._relay.frame(0, self._encoder.encode(message))
-        assert self._flight.emulator.submit(TxBatch(station=GROUND, now_us=0, items=(item,)))
-
-    def until(self, condition, limit_s, each_second=lambda: None):
-        """Step until the condition holds, with a heartbeat of the station every second."""
-        end_us = self._flight.simulation.time_us + round(limit_s * SECOND_US)
-        while not condition():
-            time_us = self._flight.simulation.time_us
-            assert time_us < end_us
-            if time_us % SECOND_US == 0:
-                self.send(common.MAVLink_heartbeat_message(common.MAV_TYPE_GCS, 8, 0, 0, 4, 3))
-                each_second()
-            self._flight.simulation.step()
 
     def run(self, seconds, each_second=lambda: None):
         end_s = self.time_s + seconds
@@ -115,27 +70,9 @@ class SerialFlight:
 @pytest.fixture
 def fly(tmp_path):
     with contextlib.ExitStack() as stack:
-
-        def start(*overrides):
-            scenario = load(SCENARIOS / "article.toml", [*SERIAL, *overrides])
-            folder = RunFolder(tmp_path / "run").create()
-            stack.callback(folder.release)
-
-            def read(path, kind):
-                return msgspec.json.decode(path.read_bytes(), type=kind)
-
-            physics = read(folder.write_physics_config(scenario, run_id=RUN_ID), PhysicsConfig)
-            path = folder.write_vehicle_config(
-                scenario, 0, run_id=RUN_ID, simulator_port=0, radio_endpoint=None
-            )
-            flown = InProcessFlight(
-                physics, folder.radio_config(scenario, run_id=RUN_ID), [read(path, VehicleConfig)],
-                emit=lambda *_: None, on_failure=lambda *_: None,
-            )  # fmt: skip
-            stack.enter_context(contextlib.closing(flown))
-            return SerialFlight(flown)
-
-        yield start
+        yield lambda *overrides: SerialFlight(
+            stack.enter_context(in_process(tmp_path / "run", [*SERIAL, *overrides]))
+        )
 
 
 def test_telemetry_keeps_to_the_data_rate_of_a_telemetry_port(fly):
@@ -187,12 +124,7 @@ def test_a_vehicle_out_of_range_of_its_modem_returns(fly):
     flight = fly(*OUT_OF_RANGE)
     commander = flight.vehicle.commander
 
-    def begin_mission():
-        if not commander.armed and flight.time_s > 6.0:
-            flight.command(common.MAV_CMD_DO_SET_MODE, 1.0, 4.0, 4.0)
-            flight.command(common.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
-
-    flight.until(lambda: commander.armed, 20.0, begin_mission)
+    flight.until(lambda: commander.armed, 20.0, flight.begin_mission)
     assert not flight.is_lost
     flight.until(lambda: flight.is_lost, 30.0)
     lost_s = flight.time_s
