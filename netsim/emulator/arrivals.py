@@ -9,7 +9,7 @@ import msgspec
 from netsim.emulator.packets import Packets
 from netsim.emulator.records import Tally
 from netsim.ftm.initiator import Ranging
-from netsim.mac.jobs import GroupReception
+from netsim.mac.jobs import DatagramReception
 from netsim.model.random_streams import FloatStream, Model, RandomStreams
 from netsim.phy.frames import Datagram, Packet
 from netsim.wire.messages import Delivery, FtmResult, RxItem, Sent, Survey
@@ -50,7 +50,7 @@ class Arrivals:
         self._received: list[list[_Received]] = [[] for _ in range(stations)]
         """Items by receiving station."""
 
-    def add_datagram(self, received: GroupReception) -> None:
+    def add_datagram(self, received: DatagramReception) -> None:
         """Add a datagram to the deliveries of its receivers, except where the host loses it.
 
         A packet is passed to `Packets` instead.

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from netsim.emulator.arrivals import Arrivals
+from netsim.emulator.datagrams import Datagrams
 from netsim.emulator.ideal_channel import IdealChannel, undisturbed
 from netsim.emulator.packets import PacketReception, Packets
 from netsim.emulator.records import EmulatorCounters, FrameRecord, Tally, frame_records
@@ -22,7 +23,7 @@ from netsim.ftm.initiator import Ranging
 from netsim.ftm.port import Port
 from netsim.ftm.session import FtmRadio
 from netsim.ftm.stamps import Clock
-from netsim.mac.jobs import FrameSender, GroupReception, Job, JobOutcome, Reception
+from netsim.mac.jobs import FrameSender, JobOutcome
 from netsim.mac.radios import Radios
 from netsim.mac.rates import DatagramModes, datagram_modes
 from netsim.model.config import RadioConfig, StationConfig
@@ -30,16 +31,11 @@ from netsim.model.event_queue import EventQueue
 from netsim.model.random_streams import Model, RandomStreams
 from netsim.model.tables import Integers
 from netsim.phy.frames import (
-    DATA_OVERHEAD_BYTES,
-    GROUP,
-    UDP_OVERHEAD_BYTES,
-    Datagram,
-    FrameKind,
     Transmission,
 )
 from netsim.phy.propagation import Links, Trajectories, is_possible
 from netsim.radio_models.registry import make_models
-from netsim.wire.messages import Broadcast, FtmRequest, RxItem, Sent, TxBatch, TxItem, Unicast
+from netsim.wire.messages import Broadcast, FtmRequest, RxItem, TxBatch, TxItem, Unicast
 from netsim.wire.packets import SentPacket
 
 NOTHING_PENDING_US = 2**62 // 1_000
@@ -91,6 +87,15 @@ class Emulator:
             silent=self._silent,
             packets=self._packets,
         )
+        self._datagrams = Datagrams(
+            config=config,
+            queue=self.queue,
+            macs=self._macs,
+            modes=self._modes,
+            arrivals=self._arrivals,
+            tally=self._tally,
+            silent=self._silent,
+        )
         self.trajectories = Trajectories(stations)
         self._level = np.tile([1.0, 0.0, 0.0, 0.0], (stations, 1))
         """Default attitudes (n, 4), wxyz."""
@@ -104,7 +109,7 @@ class Emulator:
             queue=self.queue,
             links=self.links,
             stations=stations,
-            on_group_frame=self._arrivals.add_datagram,
+            on_datagram=self._arrivals.add_datagram,
             on_ended=on_transmission,
         )
         self._host_jitter = [self._streams.uniforms(Model.HOST, i) for i in range(stations)]
@@ -136,7 +141,6 @@ class Emulator:
             port,
             self._streams.generator(Model.NLOS_BIAS, station),
             on_result=self._on_ranged,
-            on_datagram=partial(self._on_datagram, station),
         )
         mac = self._channel.join(station, ftm)
         port.attach(mac)
@@ -224,7 +228,13 @@ class Emulator:
         self.trajectories.set(1_000 * at_us, positions, velocities, q_ned_frd)
         self._submitted.sort(key=_ORDER)
         for ready_ns, station, _, item in self._submitted:
-            self.queue.at(ready_ns, self._on_ready, (station, item))
+            match item:
+                case Broadcast():
+                    self._datagrams.broadcast(station, ready_ns, item)
+                case Unicast():
+                    self._datagrams.send(station, ready_ns, item)
+                case FtmRequest():
+                    self.queue.at(ready_ns, self._request_ranging, (station, item))
         self._submitted.clear()
 
     def run_until(self, time_ns: int) -> None:
@@ -254,85 +264,34 @@ class Emulator:
         """Earliest time of the next event if nothing more is submitted; rounded down."""
         return self.next_event_ns // 1_000
 
-    def _on_ready(self, entry: tuple[int, TxItem]) -> None:
+    def _request_ranging(self, entry: tuple[int, FtmRequest]) -> None:
         station, item = entry
         if station in self._silent:
             return
-        match item:
-            case Broadcast():
-                self._broadcast(station, item)
-            case Unicast():
-                self._unicast(station, item)
-            case FtmRequest():
-                self._tally.ftm_requested += 1
-                config = self._config
-                # a guest has no simulation time: its request begins on arrival
-                latest_us = config.host_latency_us + config.host_jitter_us
-                requested_ns = max(1_000 * item.at_us, self.queue.now_ns - 1_000 * latest_us)
-                timeout_ns = requested_ns + 1_000 * config.ftm.request_timeout_us
-                self._ftm[station].initiator.request(item.peer, item.seq, timeout_ns)
-
-    def _broadcast(self, station: int, item: Broadcast) -> None:
+        self._tally.ftm_requested += 1
         config = self._config
-        job = Job(
-            kind=FrameKind.DATA,
-            destination=GROUP,
-            mode=self._modes[station].broadcast,
-            frame_bytes=len(item.payload) + UDP_OVERHEAD_BYTES + DATA_OVERHEAD_BYTES,
-            expires_ns=self.queue.now_ns + 1_000 * config.queue_lifetime_us,
-            retry_limit=config.rts_retry_limit,
-            done=self._on_broadcast_done,
-            seq=item.seq,
-            body=Datagram(item.port, item.payload),
-            rts=config.broadcast_rts,
-        )
-        self._macs[station].enqueue(config.broadcast_access_category, job)
+        # a guest has no simulation time: its request begins on arrival
+        latest_us = config.host_latency_us + config.host_jitter_us
+        requested_ns = max(1_000 * item.at_us, self.queue.now_ns - 1_000 * latest_us)
+        timeout_ns = requested_ns + 1_000 * config.ftm.request_timeout_us
+        self._ftm[station].initiator.request(item.peer, item.seq, timeout_ns)
 
-    def _on_broadcast_done(self, _job: Job, outcome: JobOutcome) -> None:
-        if outcome is not JobOutcome.SENT:
-            self._tally.drops[outcome.value] += 1
+    def saturate(self, station: int, destination: int, payload_bytes: int) -> None:
+        """Keep a station's queue filled with datagrams to another station from now on.
 
-    def _unicast(self, station: int, item: Unicast) -> None:
-        config = self._config
-        if item.destination == station or item.destination >= self._stations:
-            self._report_sent(station, item.destination, item.seq, "rejected", 0, self.queue.now_ns)
-            return
-        frame_bytes = len(item.payload) + UDP_OVERHEAD_BYTES + DATA_OVERHEAD_BYTES
-        job = Job(
-            kind=FrameKind.DATA,
-            destination=item.destination,
-            mode=self._modes[station].data,
-            rates=self._modes[station].rates,
-            frame_bytes=frame_bytes,
-            expires_ns=self.queue.now_ns + 1_000 * config.queue_lifetime_us,
-            retry_limit=config.retry_limit,
-            done=partial(self._on_unicast_done, station),
-            seq=item.seq,
-            body=Datagram(item.port, item.payload),
-            rts=frame_bytes > config.rts_threshold_bytes,
-        )
-        self._macs[station].enqueue(config.data_access_category, job)
+        They never expire. Only their frames are recorded, and their ends counted (`saturation`). Raises
+        ValueError for an ideal channel, which has no queues, and for a station with an adaptive mode.
+        """
+        if self._config.channel == "ideal":
+            raise ValueError('channel: the "ideal" channel has no queues to saturate, "emulated" has')
+        self._datagrams.saturate(station, destination, payload_bytes)
 
-    def _on_unicast_done(self, station: int, job: Job, outcome: JobOutcome) -> None:
-        ack = job.ack
-        ended_ns = self.queue.now_ns if ack is None else ack.end_ns
-        self._report_sent(station, job.destination, job.seq, outcome.value, job.attempts, ended_ns)
-
-    def _report_sent(
-        self, station: int, destination: int, seq: int, status: str, attempts: int, ended_ns: int
-    ) -> None:
-        self._tally.unicasts[status] += 1
-        self._arrivals.add_report(
-            station,
-            Sent(destination=destination, seq=seq, ended_ns=ended_ns, status=status, attempts=attempts),
-        )
-
-    def _on_datagram(self, station: int, reception: Reception) -> None:
-        if not reception.duplicate:
-            source, seq, body = reception.source, reception.seq, reception.body
-            self._arrivals.add_datagram(
-                GroupReception(source, seq, body, [station], [reception.end_ns], [reception.power_mw])
-            )
+    @property
+    def saturation(self) -> Integers:
+        """Ended datagrams of `saturate` (n, outcomes), in the order of `netsim.mac.jobs.JobOutcome`."""
+        if isinstance(self._channel, Radios):
+            return self._channel.repeated()
+        return np.zeros((self._stations, len(JobOutcome)), np.int64)
 
     def _on_ranged(self, ranging: Ranging) -> None:
         offset_m = self.range_offsets_m.get(ranging.initiator)

@@ -17,7 +17,7 @@ import numpy as np
 
 from netsim.emulator.records import FrameRecord
 from netsim.mac.access_parameters import SIFS_NS
-from netsim.mac.jobs import GroupReception, Job, JobOutcome, OnGroupFrame, Reception, Upper
+from netsim.mac.jobs import DatagramReception, Job, JobOutcome, OnDatagram, Reception, Upper
 from netsim.mac.station import RESPONSE_TIMEOUT_NS
 from netsim.model import codes as c
 from netsim.model.config import RadioConfig
@@ -44,11 +44,11 @@ class IdealChannel:
         queue: EventQueue,
         links: Links,
         stations: int,
-        on_group_frame: OnGroupFrame,
+        on_datagram: OnDatagram,
         on_ended: Callable[[Transmission], None] | None,
     ) -> None:
         self.queue = queue
-        self.on_group_frame = on_group_frame
+        self.on_datagram = on_datagram
         self._stations = stations
         self._on_ended = on_ended
         self._sent = [0] * len(KINDS)
@@ -135,8 +135,8 @@ class IdealChannel:
         if stations:
             ends_ns = [transmission.end_ns + transmission.delays_ns.item(i) for i in stations]
             powers_mw = [transmission.powers_mw.item(i) for i in stations]
-            self.on_group_frame(
-                GroupReception(frame.source, frame.seq, frame.body, stations, ends_ns, powers_mw)
+            self.on_datagram(
+                DatagramReception(frame.source, frame.seq, frame.body, stations, ends_ns, powers_mw)
             )
 
 
@@ -164,6 +164,7 @@ class IdealRadio:
 
     def enqueue(self, _category: str, job: Job, /) -> None:
         """Send a frame now; the access category has no effect."""
+        job.ended_ns = self._queue.now_ns
         if self.silent:
             job.done(job, JobOutcome.OVERFLOW)
             return
@@ -180,6 +181,14 @@ class IdealRadio:
             exchange = _Exchange(job)
             self._exchanges.append(exchange)
             self._attempt(exchange)
+
+    def enqueue_at(self, at_ns: int, category: str, job: Job, /) -> None:
+        """See `netsim.mac.jobs.FrameSender`."""
+        self._queue.at(at_ns, self._enqueue_planned, (category, job))
+
+    def _enqueue_planned(self, planned: tuple[str, Job]) -> None:
+        if not self.silent:
+            self.enqueue(*planned)
 
     def cancel(self, job: Job, /) -> None:
         """See `netsim.mac.jobs.FrameSender`."""
@@ -239,8 +248,19 @@ class IdealRadio:
         else:
             duplicate, exchange.arrived = exchange.arrived, True
             self._queue.at(self._queue.now_ns + SIFS_NS, self._send_ack, (exchange, sent))
-            radio.upper.on_frame(_reception(sent, radio.index, duplicate=duplicate))
+            self._deliver(exchange.job, _reception(sent, radio.index, duplicate=duplicate), radio)
         self._channel.note_end(sent)
+
+    def _deliver(self, job: Job, reception: Reception, to: "IdealRadio") -> None:
+        if not job.deferred:
+            to.upper.on_frame(reception)
+        elif not reception.duplicate:
+            self._channel.on_datagram(
+                DatagramReception(
+                    reception.source, reception.seq, reception.body, [to.index], [reception.end_ns],
+                    [reception.power_mw],
+                )
+            )  # fmt: skip
 
     def _send_ack(self, attempt: tuple[_Exchange, Transmission]) -> None:
         """Send the ACK, unless the responder's radio is off."""
@@ -268,6 +288,7 @@ class IdealRadio:
         elif not exchange.over:
             job = exchange.job
             job.ack = _reception(ack, self.index)
+            job.ended_ns = job.ack.end_ns
             if job.rates is not None:
                 job.rates.report(job.destination, job.mode, acknowledged=True)
             self._finish(exchange, JobOutcome.ACKNOWLEDGED)
@@ -294,6 +315,8 @@ class IdealRadio:
 
     def _finish(self, exchange: _Exchange, outcome: JobOutcome) -> None:
         exchange.over = True
+        if outcome is not JobOutcome.ACKNOWLEDGED:
+            exchange.job.ended_ns = self._queue.now_ns
         self._exchanges.remove(exchange)
         exchange.job.done(exchange.job, outcome)
 

@@ -10,7 +10,7 @@ from functools import partial
 from typing import NamedTuple
 
 from netsim.emulator.records import PacketCounters
-from netsim.mac.jobs import FrameSender, GroupReception, Job, JobOutcome
+from netsim.mac.jobs import DatagramReception, FrameSender, Job, JobOutcome
 from netsim.mac.rates import DatagramModes
 from netsim.model.config import RadioConfig
 from netsim.model.event_queue import EventQueue
@@ -74,7 +74,7 @@ class Packets:
         self._submitted += 1
         self._queue.at(max(at_ns, self._queue.now_ns), self._enqueue, packet)
 
-    def add(self, packet: Packet, received: GroupReception, lost: Sequence[bool]) -> None:
+    def add(self, packet: Packet, received: DatagramReception, lost: Sequence[bool]) -> None:
         """Add a packet's reception; the hosts of the stations with ``lost`` have lost it."""
         reached = [
             (station, end_ns)
@@ -131,6 +131,7 @@ class Packets:
             done=partial(self._on_done, source),
             body=Packet(packet.destination, packet.ether_type, packet.payload),
             rts=frame_bytes > config.rts_threshold_bytes,
+            deferred=True,
         )
         if to == GROUP:
             job.mode, job.rates = modes.broadcast, None

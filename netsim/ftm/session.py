@@ -40,7 +40,6 @@ class FtmRadio:
     """Fine Time Measurement of one station; see `netsim.mac.jobs.Upper`.
 
     ``nlos_generator`` draws the excess range of a blocked line of sight for each session that it initiates.
-    ``on_datagram`` is called with all other received frames.
     """
 
     def __init__(
@@ -49,9 +48,7 @@ class FtmRadio:
         nlos_generator: np.random.Generator,
         *,
         on_result: Callable[[Ranging], None],
-        on_datagram: Callable[[Reception], None],
     ) -> None:
-        self._on_datagram = on_datagram
         self.initiator = Initiator(port, nlos_generator, on_result)
         self._responder = Responder(port)
 
@@ -60,9 +57,7 @@ class FtmRadio:
         body = reception.body
         if isinstance(body, Measurement):
             self.initiator.on_measurement(reception, body)
-        elif not isinstance(body, Request):
-            self._on_datagram(reception)
-        elif not reception.duplicate:
+        elif isinstance(body, Request) and not reception.duplicate:
             self._responder.on_request(reception.source, body)
 
     def silence(self) -> None:

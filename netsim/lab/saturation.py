@@ -8,15 +8,13 @@ limit is `netsim.model.config.RadioConfig.retry_limit`.
 
 from msgspec import Struct
 
+from netsim.emulator.records import frame_log_rows
 from netsim.lab.bench import CLOSE_M, RadioBench, ring_ned_m
+from netsim.mac.jobs import JobOutcome
 from netsim.model.config import Mode, RadioConfig
 from netsim.phy.frames import FrameKind
-from netsim.wire.messages import Sent, Unicast
 
-STEP_US = 5_000
 WARM_UP_US = 500_000
-QUEUED_FRAMES = 32
-"""More than a station can send in a step."""
 UNLIMITED = 2**31
 
 
@@ -51,46 +49,21 @@ def saturate(
         data_mode=mode,
         rts_threshold_bytes=0 if rts else 65_535,
         retry_limit=retry_limit,
-        queue_frames=2 * QUEUED_FRAMES,
-        queue_lifetime_us=60_000_000,
-        host_latency_us=0,
-        host_jitter_us=0,
     )
     bench = RadioBench(config, ring_ned_m(stations + 1, CLOSE_M), seed)
-    sink, payload = stations, bytes(payload_bytes)
     for station in range(stations):
-        _feed(bench, station, sink, payload, QUEUED_FRAMES)
-    end_us = WARM_UP_US + round(seconds * 1e6)
-    acknowledged = dropped = contended = collided = 0
-    while bench.now_us < end_us:
-        measured = bench.now_us >= WARM_UP_US
-        done = [0] * stations
-        for station, item in bench.run(min(bench.now_us + STEP_US, end_us)):
-            if isinstance(item, Sent):
-                done[station] += 1
-                if measured:
-                    acknowledged += item.status == "acknowledged"
-                    dropped += item.status != "acknowledged"
-        for station, count in enumerate(done):
-            if count:
-                _feed(bench, station, sink, payload, count)
-        contends = FrameKind.RTS if rts else FrameKind.DATA
-        for frame in bench.emulator.take_frames():
-            if measured and frame.kind == contends:
-                contended += 1
-                collided += frame.collided
+        bench.emulator.saturate(station, stations, payload_bytes)
+    bench.run(WARM_UP_US)
+    bench.emulator.take_frame_rows()
+    before = bench.emulator.saturation.sum(axis=0)
+    measured_us = round(seconds * 1e6)
+    bench.run(WARM_UP_US + measured_us)
+    ended = dict(zip(JobOutcome, (bench.emulator.saturation.sum(axis=0) - before).tolist(), strict=True))
+    frames = frame_log_rows(bench.emulator.take_frame_rows())
+    contending = frames[frames["kind"] == (FrameKind.RTS if rts else FrameKind.DATA).value.encode()]
+    acknowledged = ended[JobOutcome.ACKNOWLEDGED]
     return SaturationResult(
-        throughput_mbps=acknowledged * payload_bytes * 8 / (end_us - WARM_UP_US),
-        collisions_fraction=collided / contended if contended else 0.0,
-        dropped=dropped,
-    )
-
-
-def _feed(bench: RadioBench, station: int, sink: int, payload: bytes, count: int) -> None:
-    bench.submit(
-        station,
-        *(
-            Unicast(seq=bench.next_seq(station), at_us=bench.now_us, destination=sink, payload=payload)
-            for _ in range(count)
-        ),
+        throughput_mbps=acknowledged * payload_bytes * 8 / measured_us,
+        collisions_fraction=float(contending["collided"].mean()) if len(contending) else 0.0,
+        dropped=sum(ended.values()) - acknowledged,
     )

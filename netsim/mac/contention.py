@@ -22,7 +22,7 @@ from netsim.model import tables as t
 from netsim.model.event_queue import NEVER_NS
 from netsim.model.events import schedule
 from netsim.model.records import MediumHeader
-from netsim.model.tables import add_call, draw_backoff
+from netsim.model.tables import add_call, add_ended_job, draw_backoff
 
 # --- queues
 
@@ -41,21 +41,30 @@ def push(air: MediumHeader, q: int, job: int) -> None:
 
 
 @inner
-def give_up(air: MediumHeader, q: int, outcome: int) -> None:
-    """Remove the first job of a queue and report its outcome."""
+def give_up(air: MediumHeader, q: int, outcome: int, ended_ns: int) -> None:
+    """Remove the first job of a queue and report its outcome and end."""
     queue = t.queue(air, q)
     job = queue.first_job
     queue.first_job = t.job(air, job).next_job
     t.station(air, q // air.categories).queued_frames -= 1
     if queue.first_job == c.NOTHING:
         unwatch(air, q)
-    _report_done(air, q, job, outcome)
+    _report_done(air, q, job, outcome, ended_ns)
 
 
 @inner
-def _report_done(air: MediumHeader, q: int, job: int, outcome: int) -> None:
-    call = add_call(air, c.DONE, q // air.categories, job)
-    call.detail, call.source = outcome, c.NOTHING
+def _report_done(air: MediumHeader, q: int, job: int, outcome: int, ended_ns: int) -> None:
+    ended, station = t.job(air, job), t.station(air, q // air.categories)
+    if ended.repeats and not station.radio_off:
+        station.repeated[outcome] += 1
+        ended.attempts = ended.failures = 0
+        ended.seq += 1
+        push(air, q, job)
+    elif ended.deferred:
+        add_ended_job(air, job, outcome, ended_ns)
+    else:
+        call = add_call(air, c.DONE, q // air.categories, job)
+        call.detail, call.source = outcome, c.NOTHING
 
 
 @inner
@@ -66,7 +75,7 @@ def drop_expired(air: MediumHeader, q: int) -> None:
         job = t.job(air, queue.first_job)
         if job.expires_ns > air.now_ns and not job.cancelled:
             break
-        give_up(air, q, c.EXPIRED)
+        give_up(air, q, c.EXPIRED, air.now_ns)
 
 
 @inner
@@ -115,7 +124,7 @@ def on_deadline(air: MediumHeader, q: int) -> None:
             else:
                 t.job(air, before).next_job = behind
             station.queued_frames -= 1
-            _report_done(air, q, job, c.EXPIRED)
+            _report_done(air, q, job, c.EXPIRED, air.now_ns)
         job = behind
     queue.last_job = before
     if next_ns < NEVER_NS:
@@ -153,12 +162,12 @@ def fail(air: MediumHeader, q: int) -> None:
     job.failures += 1
     if job.failures > job.retry_limit:
         succeeded(air, q)
-        give_up(air, q, c.RETRY_LIMIT)
+        give_up(air, q, c.RETRY_LIMIT, air.now_ns)
         return
     queue.window = min(2 * queue.window + 1, queue.window_max)
     _back_off(air, q)
     if job.expires_ns <= air.now_ns:
-        give_up(air, q, c.EXPIRED)
+        give_up(air, q, c.EXPIRED, air.now_ns)
 
 
 @inner

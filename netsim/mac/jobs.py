@@ -1,6 +1,6 @@
 """Interface of a station's MAC: jobs to send and their outcomes, received frames."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 from typing import Protocol
 
@@ -40,17 +40,17 @@ class Reception(Struct, frozen=True):
     """The frame has been received before."""
 
 
-class GroupReception(Struct, frozen=True):
-    """A received group datagram; lists have one entry per receiver."""
+class DatagramReception(Struct, frozen=True):
+    """A received datagram; lists have one entry per receiver."""
 
     source: int
     seq: int
     """The host's sequence number."""
     body: object
-    stations: list[int]
-    ends_ns: list[int]
+    stations: Sequence[int]
+    ends_ns: Sequence[int]
     """End of the frame at their antennas."""
-    powers_mw: list[float]
+    powers_mw: Sequence[float]
 
 
 class Job(Struct, kw_only=True, eq=False):
@@ -71,6 +71,12 @@ class Job(Struct, kw_only=True, eq=False):
     body: object = None
     rts: bool = False
     """Send RTS first: to the destination, or for a group frame to a neighbour."""
+    deferred: bool = False
+    """Report its end and its reception by the end of the simulated time span instead of at once, since no
+    frame depends on them; its reception goes to `OnDatagram`."""
+    repeats: bool = False
+    """Append it to its queue again whenever it ends, without reports, while its radio is on; for deferred
+    jobs."""
     cancelled: bool = False
     attempts: int = 0
     """Transmissions of the frame itself; this and the following fields are set at the end of the job."""
@@ -79,7 +85,9 @@ class Job(Struct, kw_only=True, eq=False):
     sent_ns: int | None = None
     """Time of the last transmission."""
     ack: Reception | None = None
-    """The acknowledgement that ended the job."""
+    """The acknowledgement that ended the job; None for a deferred one."""
+    ended_ns: int = 0
+    """End of a deferred job: of its ACK, or of the group frame, or time at which it was dropped."""
     row: int | None = None
     """Row in the sender's table of jobs; None when it has none."""
 
@@ -89,6 +97,9 @@ class FrameSender(Protocol):
 
     def enqueue(self, category: str, job: Job, /) -> None:
         """Enqueue a frame in an access category; ``job.done`` reports its outcome, possibly at once."""
+
+    def enqueue_at(self, at_ns: int, category: str, job: Job, /) -> None:
+        """Enqueue a deferred job later, unless the radio is off then: that is not reported."""
 
     def cancel(self, job: Job, /) -> None:
         """Remove a frame from its queue before it is sent; no effect after its end."""
@@ -104,8 +115,8 @@ class Upper(Protocol):
     """Layer above the MAC of a station."""
 
     def on_frame(self, reception: Reception) -> None:
-        """Process a received data or action frame."""
+        """Process the received frame of a job that is not deferred."""
 
 
-OnGroupFrame = Callable[[GroupReception], None]
-"""Processes a group frame for all stations that have received it."""
+OnDatagram = Callable[[DatagramReception], None]
+"""Processes a group frame, or the frame of a deferred job, for all stations that have received it."""

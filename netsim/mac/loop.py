@@ -13,9 +13,9 @@ from netsim.mac import station as mac
 from netsim.mac.contention import contend, is_full, on_deadline
 from netsim.model import codes as c
 from netsim.model import tables as t
-from netsim.model.events import drop_next, is_off
-from netsim.model.records import MediumHeader
-from netsim.model.tables import Integers, add_call, end_signal, take_signal
+from netsim.model.events import drop_next, insert, is_off
+from netsim.model.records import MediumHeader, NewJob
+from netsim.model.tables import Integers, Records, add_call, add_ended_job, end_signal, take_signal
 from netsim.phy import medium, sensing
 from netsim.phy.frames import GROUP
 from netsim.phy.path_loss import Doubles
@@ -97,6 +97,8 @@ def _run_next(air: MediumHeader, fading: Doubles) -> int:
     elif what == c.ON_UNUSED:
         if medium.drop_reservation(air, about, first, second):
             mac.on_unused(air, about)
+    elif what == c.ENQUEUE:
+        _enqueue_planned(air, about, first)
     else:
         _act(air, what, about)
     return REACHED
@@ -136,6 +138,7 @@ def has_room(air: MediumHeader) -> bool:
         and air.free_signal != c.NOTHING
         and air.events + t.spare_events(air.stations, air.categories) <= air.event_rows
         and air.records < c.RECORD_ROWS
+        and air.arrivals < c.RECORD_ROWS
     )
 
 
@@ -197,44 +200,58 @@ def set_budget(
 
 
 @njit(cache=True)
-def enqueue(
-    block: Block,
-    now_ns: int,
-    scheduled: int,
-    q: int,
-    row: int,
-    kind: int,
-    to: int,
-    mode: int,
-    frame_bytes: int,
-    expires_ns: int,
-    retries: int,
-    rts: int,
-    adapts: int,
-    seq: int,
-    cancelled: int,
-) -> tuple[int, int, int]:
-    """Fill a free row of jobs and append it to a queue.
+def enqueue(block: Block, now_ns: int, scheduled: int, new_jobs: Records) -> tuple[int, int, int]:
+    """Append a job, the only one of ``new_jobs`` (`netsim.model.records.NewJob`), to its queue now.
 
     Returns the result, the number of scheduled events and the number of calls. The result is `REJECTED` if
     the station's queues are full or its radio is off, and `LACKS_ROOM`, without any change, if `has_room` is
     False.
     """
-    air = t.open_air(block)
+    air, new = t.open_air(block), new_jobs[0]
     air.now_ns, air.scheduled = now_ns, scheduled
     if not has_room(air):
         return LACKS_ROOM, air.scheduled, air.calls
-    job = t.job(air, row)
-    job.next_job, job.kind, job.to, job.mode = c.NOTHING, kind, to, mode
-    job.frame_bytes, job.expires_ns, job.retry_limit = frame_bytes, expires_ns, retries
-    job.rts, job.adapts, job.cancelled = rts != 0, adapts != 0, cancelled != 0
-    job.seq, job.sequence, job.attempts, job.failures, job.sent_ns = seq, 0, 0, 0, 0
-    station, result = q // air.categories, ACCEPTED
+    _fill_job(air, new)
+    station, result = new.queue // air.categories, ACCEPTED
     if t.station(air, station).radio_off or is_full(air, station):
         result = REJECTED
     else:
-        contend(air, station, q, row)
+        contend(air, station, new.queue, new.row)
     return result, air.scheduled, air.calls
+
+
+@njit(cache=True)
+def plan(block: Block, new_jobs: Records) -> None:
+    """Schedule the events at which deferred jobs are appended to their queues.
+
+    The caller ensures that there are rows for the events.
+    """
+    air = t.open_air(block)
+    for k in range(len(new_jobs)):
+        new = new_jobs[k]
+        _fill_job(air, new)
+        insert(air, new.at_ns, new.order, c.ENQUEUE, new.queue, new.row)
+
+
+@inner
+def _fill_job(air: MediumHeader, new: NewJob) -> None:
+    job = t.job(air, new.row)
+    job.next_job, job.kind, job.to, job.mode = c.NOTHING, new.kind, new.to, new.mode
+    job.frame_bytes, job.expires_ns, job.retry_limit = new.frame_bytes, new.expires_ns, new.retry_limit
+    job.rts, job.adapts, job.cancelled = new.rts, new.adapts, new.cancelled
+    job.deferred, job.repeats = new.deferred, new.repeats
+    job.seq, job.sequence, job.attempts, job.failures, job.sent_ns = new.seq, 0, 0, 0, 0
+
+
+@inner
+def _enqueue_planned(air: MediumHeader, q: int, job: int) -> None:
+    station = q // air.categories
+    if t.station(air, station).radio_off:
+        add_ended_job(air, job, c.RADIO_OFF, air.now_ns)
+    elif is_full(air, station):
+        add_ended_job(air, job, c.OVERFLOW, air.now_ns)
+    else:
+        contend(air, station, q, job)
 
 
 @njit(cache=True)

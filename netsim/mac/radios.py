@@ -6,23 +6,25 @@ adaptive modes, interferers, random streams) and dispatches calls to the upper l
 
 from collections.abc import Callable
 from functools import partial
+from itertools import groupby
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 
-from foundation.kernels.records import Block
+from foundation.kernels.records import Block, new_records, record_dtype
 from netsim.mac import loop
 from netsim.mac.access_parameters import DCF, EDCA
 from netsim.mac.initial_state import silent_block
 from netsim.mac.interference import Bursts
-from netsim.mac.jobs import GroupReception, Job, JobOutcome, OnGroupFrame, Reception, Upper
+from netsim.mac.jobs import DatagramReception, Job, JobOutcome, OnDatagram, Reception, Upper
 from netsim.model import codes as c
 from netsim.model import tables as t
 from netsim.model.config import RadioConfig
 from netsim.model.event_queue import NEVER_NS, EventQueue
 from netsim.model.random_streams import FloatStream, Model, RandomStreams
-from netsim.model.records import BUFFERED_DRAWS
-from netsim.model.tables import Integers
+from netsim.model.records import BUFFERED_DRAWS, NewJob
+from netsim.model.tables import Integers, Records
 from netsim.phy.errors import ERRORS
 from netsim.phy.fading import SampledFading
 from netsim.phy.frames import KINDS, Frame, Transmission
@@ -36,13 +38,17 @@ KIND_ROWS = {kind: row for row, kind in enumerate(KINDS)}
 OUTCOMES = list(JobOutcome)
 _NO_FADING = np.empty(0)
 _AT_END = ["sequence", "attempts", "failures", "sent_ns"]
+_COUNTS = ["calls", "arrivals", "ended_jobs"]
+_NEW_JOB = record_dtype(NewJob)
+_FRAME = itemgetter(0)
 
 
 class Radios:
     """Stations that contend for one medium.
 
-    ``on_group_frame`` is called with received group frames; unicast frames go to the stations. ``on_ended``
-    is called with every frame that has ended at all stations.
+    ``on_datagram`` is called with received group frames and frames of deferred jobs
+    (`netsim.mac.jobs.Job.deferred`); other frames go to the stations. ``on_ended`` is called with every frame
+    that has ended at all stations.
     """
 
     def __init__(
@@ -53,14 +59,14 @@ class Radios:
         links: Links,
         stations: int,
         streams: RandomStreams,
-        on_group_frame: OnGroupFrame,
+        on_datagram: OnDatagram,
         on_ended: Callable[[Transmission], None] | None,
         errors: ErrorModel = ERRORS,
     ) -> None:
         self._config = config
         self._queue = queue
         self._links = links
-        self._on_group_frame = on_group_frame
+        self._on_datagram = on_datagram
         self._on_ended = on_ended
         edca = config.access == "edca"
         parameters = list(EDCA.values()) if edca else [DCF]
@@ -80,6 +86,9 @@ class Radios:
         self._jobs: list[Job] = []
         """Jobs by row; a free row holds its previous job."""
         self._free_jobs: list[int] = []
+        self._planned: list[tuple[int | bool, ...]] = []
+        """Fields of `NewJob` of the jobs to be enqueued later that the table has not yet."""
+        self._new_job = new_records(NewJob)
         self._taken: list[Integers] = []
         """Blocks of records moved out of the full table."""
         self._bursts = Bursts(config, queue, streams, self._start_burst)
@@ -94,28 +103,50 @@ class Radios:
 
     def enqueue(self, station: int, category: str, job: Job) -> None:
         """See `netsim.mac.jobs.FrameSender`."""
+        queue = self._queue
+        self._new_job[0] = self._fields_of_new(station, category, job, queue.now_ns, 0)
+        end, queue.scheduled, calls = loop.enqueue(self._block, queue.now_ns, queue.scheduled, self._new_job)
+        if end == loop.LACKS_ROOM:
+            self._make_ready()
+            end, queue.scheduled, calls = loop.enqueue(
+                self._block, queue.now_ns, queue.scheduled, self._new_job
+            )
+        if calls:
+            self._dispatch_calls()
+        if end == loop.REJECTED and job.row is not None:
+            self._free_jobs.append(job.row)
+            job.row, job.ended_ns = None, queue.now_ns
+            job.done(job, JobOutcome.OVERFLOW)
+
+    def enqueue_at(self, station: int, at_ns: int, category: str, job: Job) -> None:
+        """See `netsim.mac.jobs.FrameSender`."""
+        self._queue.scheduled += 1
+        self._planned.append(self._fields_of_new(station, category, job, at_ns, self._queue.scheduled))
+
+    def _fields_of_new(
+        self, station: int, category: str, job: Job, at_ns: int, order: int
+    ) -> tuple[int | bool, ...]:
+        """Give a job a row of the table, and return its fields of `NewJob`."""
         if self._free_jobs:
             row = self._free_jobs.pop()
             self._jobs[row] = job
         else:
             row = self._new_job_row(job)
         job.row = row
-        queue = self._queue
-        what = (
-            station * self._queues_each + self._categories[category], row,
+        return (
+            at_ns, order, station * self._queues_each + self._categories[category], row,
             KIND_ROWS[job.kind], job.destination, self._modes[job.mode], job.frame_bytes, job.expires_ns,
-            job.retry_limit, job.rts, job.rates is not None, job.seq, job.cancelled,
+            job.retry_limit, job.rts, job.rates is not None, job.deferred, job.repeats, job.seq,
+            job.cancelled,
         )  # fmt: skip
-        end, queue.scheduled, calls = loop.enqueue(self._block, queue.now_ns, queue.scheduled, *what)
-        if end == loop.LACKS_ROOM:
-            self._make_ready()
-            end, queue.scheduled, calls = loop.enqueue(self._block, queue.now_ns, queue.scheduled, *what)
-        if calls:
-            self._dispatch_calls()
-        if end == loop.REJECTED:
-            job.row = None
-            self._free_jobs.append(row)
-            job.done(job, JobOutcome.OVERFLOW)
+
+    def _plan(self) -> None:
+        """Put the jobs to be enqueued later into the table."""
+        planned, self._planned = self._planned, []
+        events = int(self.tables.air["events"][0]) + len(planned)
+        if events > len(self.tables.events):
+            self._grow(events=2 * events)
+        loop.plan(self._block, np.array(planned, _NEW_JOB))
 
     def _new_job_row(self, job: Job) -> int:
         row = len(self._jobs)
@@ -139,6 +170,7 @@ class Radios:
     def silence(self, station: int) -> None:
         """See `netsim.mac.jobs.FrameSender`."""
         self._make_ready()
+        self._report_deferred()
         loop.silence(self._block, station)
         # a frame of the station may be on the air: its receivers still need the job's body
         self._dispatch_calls(keep=True)
@@ -164,6 +196,10 @@ class Radios:
         """Return broadcast datagrams (n, 3) by receiver: delivered, collided, lost to noise."""
         return self.tables.stations["broadcasts"].copy()
 
+    def repeated(self) -> Integers:
+        """Return the ends of jobs that repeat (n, outcomes), in the order of `netsim.mac.jobs.JobOutcome`."""
+        return self.tables.stations["repeated"][:, : len(OUTCOMES)].copy()
+
     def take_frames(self) -> Integers:
         """Return the frames that ended since the last call: see `netsim.emulator.records`."""
         self._put_records_aside()
@@ -179,10 +215,14 @@ class Radios:
 
     def next_ns(self) -> int:
         """See `netsim.model.event_queue.EventSource`."""
+        if self._planned:
+            self._plan()
         return int(loop.next_ns(self._block, NEVER_NS))
 
     def begin(self) -> None:
         """See `netsim.model.event_queue.EventSource`."""
+        if self._planned:
+            self._plan()
         version = self._links.version
         if version != self._links_version:
             self._links_version = version
@@ -209,6 +249,10 @@ class Radios:
             else:
                 self._make_ready()
 
+    def end(self) -> None:
+        """See `netsim.model.event_queue.EventSource`."""
+        self._report_deferred()
+
     def _make_ready(self) -> None:
         """Provide random draws and free rows for the next event, and set the clock."""
         tables = self.tables
@@ -219,6 +263,8 @@ class Radios:
             self._draw_ahead()
         if air.records == c.RECORD_ROWS:
             self._put_records_aside()
+        if air.arrivals >= c.RECORD_ROWS:
+            self._report_deferred()
         events = int(air.events) + t.spare_events(len(tables.stations), self._queues_each)
         if events > len(tables.events):
             self._grow(events=2 * events)
@@ -245,11 +291,8 @@ class Radios:
         self._block, self._modes.tables = block, tables
         self.tables = tables
         """The current tables, which are replaced when they grow."""
-        self._call_count: Integers = tables.air["calls"]
+        self._counts: Records = tables.air[_COUNTS]
         self._jobs_at_end = tables.jobs[_AT_END]
-        self._outcomes: Integers = tables.ends["outcome"]
-        self._delays_ns: Integers = tables.paths["delay_ns"]
-        self._powers_mw: Doubles = tables.paths["power_mw"]
 
     def _update_budget(self, source: int, at_ns: int) -> None:
         row = self._links.row(source, at_ns)
@@ -289,12 +332,17 @@ class Radios:
     # --- calls to the upper layers
 
     def _dispatch_calls(self, *, keep: bool = False) -> None:
-        """Dispatch the calls of the last event; ``keep`` does not free the rows of ended jobs."""
+        """Dispatch the calls of the last event; ``keep`` does not free the rows of ended jobs.
+
+        Deferred receptions and ends come first, as they have happened.
+        """
         tables = self.tables
-        count = self._call_count.item(0)
+        count, arrivals, ended_jobs = self._counts.item(0)
+        if arrivals or ended_jobs:
+            self._report_deferred(keep=keep)
         if not count:
             return
-        self._call_count[0] = 0
+        self._counts["calls"] = 0
         pending: list[tuple[Any, Job | None]] = []
         # free the rows first: a callback may enqueue a frame at once
         for call in tables.calls[:count].tolist():
@@ -312,8 +360,6 @@ class Radios:
                 seq, body = (0, None) if job is None else (job.seq, job.body)
                 reception = Reception(source, start_ns, end_ns, power_mw, seq, body, bool(detail))
                 self._uppers[station].on_frame(reception)
-            elif what == c.GROUP_FRAME:
-                self._report_group_frame(job, detail, source, end_ns)
             elif what == c.FRAME_ENDED:
                 self._report_ended(job)
             elif what == c.DONE and job is not None:
@@ -326,23 +372,27 @@ class Radios:
             elif what == c.FAILED and job is not None and job.rates is not None:
                 job.rates.report(job.destination, job.mode, acknowledged=False)
 
-    def _report_group_frame(self, job: Job | None, frame: int, source: int, end_ns: int) -> None:
-        """Report a group frame that has just ended to its receivers."""
-        seq, body = (0, None) if job is None else (job.seq, job.body)
-        stations = [
-            station for station, outcome in enumerate(self._outcomes.tolist()) if outcome == c.RECEIVED
-        ]
-        delays_ns, powers_mw = self._delays_ns[frame].tolist(), self._powers_mw[frame].tolist()
-        self._on_group_frame(
-            GroupReception(
-                source,
-                seq,
-                body,
-                stations,
-                [end_ns + delays_ns[station] for station in stations],
-                [powers_mw[station] for station in stations],
-            )
-        )
+    def _report_deferred(self, *, keep: bool = False) -> None:
+        """Report received datagrams, then deferred jobs that have ended, each in their order."""
+        tables, jobs = self.tables, self._jobs
+        _, arrivals, ended_jobs = self._counts.item(0)
+        self._counts["arrivals"] = self._counts["ended_jobs"] = 0
+        received, ended = tables.arrivals[:arrivals].tolist(), tables.ended_jobs[:ended_jobs].tolist()
+        for _, of_frame in groupby(received, key=_FRAME):
+            _, rows, stations, sources, ends_ns, powers_mw = zip(*of_frame, strict=True)
+            seq, body = (jobs[rows[0]].seq, jobs[rows[0]].body) if rows[0] >= 0 else (0, None)
+            self._on_datagram(DatagramReception(sources[0], seq, body, stations, ends_ns, powers_mw))
+        for row, outcome, attempts, ended_ns in ended:
+            job = jobs[row]
+            job.row = None
+            if not keep:
+                self._free_jobs.append(row)
+            if outcome == c.RADIO_OFF:
+                continue
+            job.attempts, job.ended_ns = attempts, ended_ns
+            if outcome == c.ACKNOWLEDGED and job.rates is not None:
+                job.rates.report(job.destination, job.mode, acknowledged=True)
+            job.done(job, OUTCOMES[outcome])
 
     def _report_ended(self, job: Job | None) -> None:
         """Report the frame that has ended, and free its row."""
@@ -388,6 +438,7 @@ class RadioStation:
 
     def __init__(self, index: int, radios: Radios) -> None:
         self.enqueue = partial(radios.enqueue, index)
+        self.enqueue_at = partial(radios.enqueue_at, index)
         self.cancel = radios.cancel
         self.has_begun = radios.has_begun
         self.silence = partial(radios.silence, index)

@@ -199,7 +199,7 @@ def _succeed(air: MediumHeader, station: int, outcome: int, end_ns: int) -> None
     if q == c.NOTHING:
         return
     _stop_waiting(air, station)
-    give_up(air, q, outcome)
+    give_up(air, q, outcome, end_ns)
     if not (t.queue(air, q).txop_ns and _goes_on(air, station, q, end_ns + SIFS_NS)):
         leave(air, q)
 
@@ -318,10 +318,12 @@ def _receive_own(air: MediumHeader, frame: int, station: int) -> None:
             schedule(air, end_ns + SIFS_NS, c.SEND_JOB, row.current_queue)
     elif kind == c.ACK:
         if row.phase == AWAITING_ACK and row.current_queue != c.NOTHING:
+            deferred = t.job(air, t.queue(air, row.current_queue).first_job).deferred
             done = t.call(air, air.calls)
             _succeed(air, station, c.ACKNOWLEDGED, end_ns)
-            done.source, done.start_ns, done.end_ns = source, sent.start_ns, end_ns
-            done.power_mw = path.power_mw
+            if not deferred:
+                done.source, done.start_ns, done.end_ns = source, sent.start_ns, end_ns
+                done.power_mw = path.power_mw
     elif kind == c.RTS:
         # no CTS while the NAV is set, unless the sender of the RTS set it (10.22.2.4)
         free = row.nav_until_ns <= end_ns or row.nav_set_by == source
@@ -337,19 +339,31 @@ def _receive_own(air: MediumHeader, frame: int, station: int) -> None:
 
 @inner
 def report_group_frame(air: MediumHeader, frame: int) -> None:
-    """Report a group frame that has ended to the upper layer if any station has received it."""
+    """Add the arrivals of a group frame that has ended."""
+    job = t.signal(air, frame).job
+    if job != c.NOTHING and t.job(air, job).repeats:
+        return
     for station in range(air.stations):
         if t.end(air, station).outcome == c.RECEIVED:
-            sent = t.signal(air, frame)
-            call = add_call(air, c.GROUP_FRAME, c.NOTHING, sent.job)
-            call.detail, call.source, call.end_ns = frame, sent.source, sent.end_ns
-            return
+            _add_arrival(air, frame, station)
+
+
+@inner
+def _add_arrival(air: MediumHeader, frame: int, station: int) -> None:
+    sent, path, arrival = t.signal(air, frame), t.path(air, frame, station), t.arrival(air, air.arrivals)
+    air.arrivals += 1
+    arrival.frame, arrival.job, arrival.station, arrival.source = sent.number, sent.job, station, sent.source
+    arrival.end_ns, arrival.power_mw = sent.end_ns + path.delay_ns, path.power_mw
 
 
 @inner
 def _report_frame(air: MediumHeader, frame: int, station: int, again: int) -> None:
-    """Report a frame to the upper layer of a station; ``again``: it is a duplicate."""
+    """Report a unicast frame to the upper layer of a station; ``again``: it is a duplicate."""
     sent, path = t.signal(air, frame), t.path(air, frame, station)
+    if sent.job != c.NOTHING and t.job(air, sent.job).deferred:
+        if not (again or t.job(air, sent.job).repeats):
+            _add_arrival(air, frame, station)
+        return
     call = add_call(air, c.FRAME, station, sent.job)
     call.detail, call.source = again, sent.source
     call.start_ns, call.end_ns = sent.start_ns, sent.end_ns + path.delay_ns
@@ -417,4 +431,4 @@ def silence(air: MediumHeader, station: int) -> None:
             job = t.job(air, t.queue(air, q).first_job)
             # a group frame in the queue with an attempt is on the air and is completed
             gone = job.to == GROUP and job.attempts > 0
-            give_up(air, q, c.SENT if gone else c.EXPIRED)
+            give_up(air, q, c.SENT if gone else c.EXPIRED, air.now_ns)

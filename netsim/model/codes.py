@@ -10,16 +10,17 @@ DATA, RTS, CTS, ACK, FTM_REQUEST, FTM, KINDS = range(7)
 # --- events
 
 ON_ACCESS, ON_DEADLINE, ON_TIMEOUT, START_EXCHANGE, SEND_JOB, SEND_FRAME = range(6)
-DETECT, END_FRAME, LOOK_FOR_UNUSED, ON_UNUSED, END_BURST = range(6, 11)
+DETECT, END_FRAME, LOOK_FOR_UNUSED, ON_UNUSED, END_BURST, ENQUEUE = range(6, 12)
 
 # --- calls to Python
 
-FRAME, GROUP_FRAME, DONE, FAILED, FRAME_ENDED = range(5)
-"""FRAME: a unicast data or action frame was received (detail: 1 if a duplicate). GROUP_FRAME: a group frame
-has ended; its receivers are in `records.End.outcome` (detail: its row of signals). DONE: a job has ended
-(detail: its outcome, in the order of `netsim.mac.jobs.JobOutcome`). FAILED: an attempt with rate control was
-not acknowledged. FRAME_ENDED: a frame has ended at all stations."""
-SENT, ACKNOWLEDGED, RETRY_LIMIT, EXPIRED = range(4)
+FRAME, DONE, FAILED, FRAME_ENDED = range(4)
+"""FRAME: a unicast frame was received (detail: 1 if a duplicate). DONE: a job has ended (detail: its
+outcome). FAILED: an attempt with rate control was not acknowledged. FRAME_ENDED: a frame has ended at all
+stations."""
+SENT, ACKNOWLEDGED, RETRY_LIMIT, EXPIRED, OVERFLOW, RADIO_OFF, OUTCOMES = range(7)
+"""Outcomes of a job: those of `netsim.mac.jobs.JobOutcome` in its order; the radio was off before it reached
+the queue."""
 
 # --- outcome of a frame: at any station, and at an intended receiver
 
@@ -34,6 +35,6 @@ FRAMES, BURSTS = range(2)
 # --- sizes
 
 RECORD_ROWS = 256
-"""Buffered records of ended frames."""
+"""Buffered records of ended frames, and of arrivals besides one for each station."""
 MODES, RATIOS = 18, 1_102
 """Number of 802.11 modes up to 80 MHz, and of entries of a mode's table of hazards."""

@@ -33,6 +33,9 @@ class EventSource(Protocol):
         Return False if it stopped early, since its callbacks may have scheduled an earlier call.
         """
 
+    def end(self) -> None:
+        """Report what may be reported after the last `run` of a time span; it schedules nothing."""
+
 
 class EventQueue:
     """Runs calls in order of (time, order of scheduling); its clock is the time of the running call.
@@ -94,3 +97,5 @@ class EventQueue:
             event[_ACTION] = None
             action(argument)
         self.now_ns = max(self.now_ns, time_ns)
+        if machine is not None:
+            machine.end()

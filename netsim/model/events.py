@@ -38,13 +38,27 @@ def begin_event(air: MediumHeader, at_ns: int, what: int, about: int) -> Schedul
 @inner
 def end_event(air: MediumHeader) -> int:
     """Add the event of `begin_event` to the heap; return its order, which is unique."""
+    air.scheduled += 1
+    _add_last(air)
+    return air.scheduled
+
+
+@inner
+def insert(air: MediumHeader, at_ns: int, order: int, what: int, about: int, first: int) -> None:
+    """Add an event with an order that has been counted as scheduled before."""
+    event = t.event(air, air.events)
+    event.at_ns, event.order, event.what, event.about, event.first = at_ns, order, what, about, first
+    _add_last(air)
+
+
+@inner
+def _add_last(air: MediumHeader) -> None:
+    """Move the event behind the heap to its place in it."""
     i = air.events
     air.events += 1
-    air.scheduled += 1
     while i and _comes_before(air, i, (i - 1) // 2):
         _swap(air, i, (i - 1) // 2)
         i = (i - 1) // 2
-    return air.scheduled
 
 
 @inner

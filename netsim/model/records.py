@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from netsim.model.codes import KINDS, RATIOS
+from netsim.model.codes import KINDS, OUTCOMES, RATIOS
 
 BUFFERED_DRAWS, LEAST_DRAWS = 64, 16
 """Random draws buffered per station, and the most that one event uses."""
@@ -32,9 +32,11 @@ class MediumHeader:
     scheduled: int
     """Number of scheduled events."""
     events: int
-    """Rows in use; also the next four."""
+    """Rows in use; also the next six."""
     calls: int
     records: int
+    arrivals: int
+    ended_jobs: int
     frames_on_air: int
     bursts_on_air: int
     free_signal: int
@@ -78,6 +80,8 @@ class MediumHeader:
     event_at: int
     job_at: int
     call_at: int
+    arrival_at: int
+    ended_job_at: int
     signal_at: int
     overlap_at: int
     on_air_at: int
@@ -141,6 +145,8 @@ class Station:
     """Longest delay to a station that can sense it."""
     broadcasts: Annotated[NDArray[np.int64], 3]
     """Broadcast datagrams to this receiver: delivered, collided, lost to noise."""
+    repeated: Annotated[NDArray[np.int64], OUTCOMES]
+    """Ends of jobs that repeat, by outcome."""
 
 
 class Draws:
@@ -244,7 +250,7 @@ class ScheduledEvent:
     at_ns: int
     order: int
     what: int
-    """`codes.ON_ACCESS` to `codes.END_BURST`."""
+    """`codes.ON_ACCESS` to `codes.ENQUEUE`."""
     about: int
     """A station, a queue or a signal."""
     first: int
@@ -252,6 +258,31 @@ class ScheduledEvent:
     second: int
     third: int
     fourth: int
+
+
+class NewJob:
+    """A job for the table of jobs, and the queue that it goes to."""
+
+    at_ns: int
+    """Time at which it is appended to its queue."""
+    order: int
+    """Order of scheduling of that event."""
+    queue: int
+    row: int
+    """Row of the table of jobs."""
+    kind: int
+    """This and the following fields are those of `JobRow`."""
+    to: int
+    mode: int
+    frame_bytes: int
+    expires_ns: int
+    retry_limit: int
+    rts: bool
+    adapts: bool
+    deferred: bool
+    repeats: bool
+    seq: int
+    cancelled: bool
 
 
 class JobRow:
@@ -268,6 +299,10 @@ class JobRow:
     rts: bool
     adapts: bool
     """Its mode is selected before each attempt."""
+    deferred: bool
+    """Its end is reported in `EndedJob`, and its reception in `Arrival`, instead of by calls."""
+    repeats: bool
+    """It is appended to its queue again when it ends: its ends are counted in `Station.repeated`."""
     seq: int
     sequence: int
     cancelled: bool
@@ -289,6 +324,31 @@ class UpperCall:
     start_ns: int
     end_ns: int
     power_mw: float
+
+
+class Arrival:
+    """A group frame, or the frame of a deferred job, at a station that has received it."""
+
+    frame: int
+    """Number of the frame; frames of several receivers are in consecutive rows."""
+    job: int
+    """`codes.NOTHING` for a frame without a job."""
+    station: int
+    source: int
+    end_ns: int
+    """End of the frame at the station's antenna."""
+    power_mw: float
+
+
+class EndedJob:
+    """A deferred job that has ended."""
+
+    job: int
+    outcome: int
+    """`codes.SENT` to `codes.RADIO_OFF`."""
+    attempts: int
+    ended_ns: int
+    """End of its ACK, or of the group frame at its sender, or time at which it was dropped."""
 
 
 class Signal:

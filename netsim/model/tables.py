@@ -21,9 +21,11 @@ from netsim.model import codes as c
 from netsim.model.records import (
     BUFFERED_DRAWS,
     LEAST_DRAWS,
+    Arrival,
     Draws,
     End,
     EndedFrame,
+    EndedJob,
     JobRow,
     Link,
     MediumHeader,
@@ -58,6 +60,8 @@ event = table("event_at", ScheduledEvent)
 """Event heap."""
 job = table("job_at", JobRow)
 call = table("call_at", UpperCall)
+arrival = table("arrival_at", Arrival)
+ended_job = table("ended_job_at", EndedJob)
 signal = table("signal_at", Signal)
 """Signals that are or were on the air."""
 overlap = table("overlap_at", SignalReference, columns="signal_rows")
@@ -95,6 +99,8 @@ class Tables(NamedTuple):
     events: Records
     jobs: Records
     calls: Records
+    arrivals: Records
+    ended_jobs: Records
     signals: Records
     overlaps: Records
     """(signals, signals)"""
@@ -112,8 +118,8 @@ def _shapes(stations: int, categories: int, events: int, jobs: int, signals: int
     return [
         (Station, n), (Draws, n), (Queue, n * categories), (End, n), (Link, (n, n)), (Path, (n, n)),
         (PhyModeRow, c.MODES), (EndedFrame, c.RECORD_ROWS), (ScheduledEvent, events), (JobRow, jobs),
-        (UpperCall, calls), (Signal, signals), (SignalReference, (signals, signals)),
-        (SignalReference, (2, signals)), (Path, (signals, n)),
+        (UpperCall, calls), (Arrival, c.RECORD_ROWS + n), (EndedJob, jobs), (Signal, signals),
+        (SignalReference, (signals, signals)), (SignalReference, (2, signals)), (Path, (signals, n)),
     ]  # fmt: skip
 
 
@@ -193,6 +199,15 @@ def add_call(air: MediumHeader, what: int, station: int, job: int) -> UpperCall:
     air.calls += 1
     added.what, added.station, added.job = what, station, job
     return added
+
+
+@inner
+def add_ended_job(air: MediumHeader, row: int, outcome: int, ended_ns: int) -> None:
+    """Report the outcome and the end of a deferred job."""
+    added = ended_job(air, air.ended_jobs)
+    air.ended_jobs += 1
+    added.job, added.outcome, added.ended_ns = row, outcome, ended_ns
+    added.attempts = job(air, row).attempts
 
 
 @inner

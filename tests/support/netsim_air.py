@@ -5,7 +5,7 @@ from itertools import chain
 
 import numpy as np
 
-from netsim.mac.jobs import GroupReception, Job, JobOutcome, Reception
+from netsim.mac.jobs import DatagramReception, Job, JobOutcome, Reception
 from netsim.mac.radios import Radios
 from netsim.mac.rates import AdaptiveRate
 from netsim.model.config import Mode, RadioConfig
@@ -93,7 +93,7 @@ class Air:
             links=self.links,
             stations=stations,
             streams=streams,
-            on_group_frame=self._on_group_frame,
+            on_datagram=self._on_group_frame,
             on_ended=self.transmissions.append,
         )
         self.stations = [self.radios.join(i, _Upper(self, i)) for i in range(stations)]
@@ -136,7 +136,7 @@ class Air:
         assert all(t.start_ns % 1_000 == 0 for t in order)
         return [(t.start_ns // 1_000, t.end_ns // 1_000, t.source, t.frame.kind.value) for t in order]
 
-    def _on_group_frame(self, received: GroupReception) -> None:
+    def _on_group_frame(self, received: DatagramReception) -> None:
         assert min(received.powers_mw) > 0.0
         assert len(received.stations) == len(received.ends_ns) == len(received.powers_mw)
         self.arrivals += [(station, received.source, False) for station in received.stations]

@@ -10,7 +10,7 @@ from netsim.ftm.initiator import Ranging
 from netsim.ftm.port import Port
 from netsim.ftm.session import FtmRadio
 from netsim.ftm.stamps import Clock
-from netsim.mac.jobs import Job, Reception
+from netsim.mac.jobs import Job
 from netsim.mac.radios import Radios
 from netsim.model.config import FtmConfig, RadioConfig
 from netsim.model.event_queue import EventQueue
@@ -75,7 +75,6 @@ class FtmAir:
         )
         self.transmissions: list[Transmission] = []
         self.results: list[Ranging] = []
-        self.datagrams: list[Reception] = []
         self._bias_m = bias_m
         self._blocked_ways = blocked_ways
         self._blocked_from_ns = blocked_from_ns
@@ -86,7 +85,7 @@ class FtmAir:
             links=LossyLinks(stations, lost_us or {}, round(distance_m / 0.299792458)),
             stations=stations,
             streams=streams,
-            on_group_frame=lambda _: None,
+            on_datagram=lambda _: None,
             on_ended=self.transmissions.append,
         )
         clocks = [Clock(ftm.clock_ppm, streams.generator(Model.CLOCK, i)) for i in range(stations)]
@@ -106,7 +105,6 @@ class FtmAir:
                 port,
                 streams.generator(Model.NLOS_BIAS, i),
                 on_result=self.results.append,
-                on_datagram=self.datagrams.append,
             )
             for i, port in enumerate(ports)
         ]

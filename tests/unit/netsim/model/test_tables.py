@@ -16,8 +16,8 @@ HEADER_WORDS = t.AIR.itemsize // 8
 ACCESSORS = {
     "stations": t.station, "draws": t.draws, "queues": t.queue, "ends": t.end, "links": t.link,
     "budgets": t.budget, "modes": t.mode, "records": t.record, "events": t.event, "jobs": t.job,
-    "calls": t.call, "signals": t.signal, "overlaps": t.overlap, "on_air": t.on_air,
-    "paths": t.path,
+    "calls": t.call, "arrivals": t.arrival, "ended_jobs": t.ended_job, "signals": t.signal,
+    "overlaps": t.overlap, "on_air": t.on_air, "paths": t.path,
 }  # fmt: skip
 
 

@@ -73,7 +73,7 @@ class Channel:
             links=links or Powers(stations, powers_dbm or {}, delay_ns),
             stations=stations,
             streams=RandomStreams(np.random.SeedSequence(seed)),
-            on_group_frame=self._on_group_frame,
+            on_datagram=self._on_group_frame,
             on_ended=self.ended.append,
         )
         self.listeners = [Listener() for _ in range(stations)]
