@@ -28,6 +28,10 @@ class GroundStationConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """Address of the program that is sent to without having sent anything."""
     remote_port: Port
     """Its port; 0: there is none."""
+    queue_frames: int
+    """Length of the radio's queue: ``radio.queue_frames``."""
+    queue_lifetime_us: int
+    """Simulated time after which the radio drops a frame that is still queued: ``radio.queue_lifetime_us``."""
     serial_modems: bool = False
     """Whether the station has a serial modem for each vehicle, in place of an 802.11 radio."""
     local_senders: Literal["own", "any"] = "own"

@@ -30,6 +30,8 @@ def settings(
         host=links.host,
         remote_host=links.ground_station_host,
         remote_port=ports.gcs_remote_udp + number if ports.gcs_remote_udp else 0,
+        queue_frames=scenario.radio.queue_frames,
+        queue_lifetime_us=scenario.radio.queue_lifetime_us,
         serial_modems=links.telemetry == "serial-radio",
         local_senders=links.local_senders,
     )
