@@ -106,7 +106,8 @@ def describe(message: Message) -> str | None:
         case ProcessNotice():
             return message.text
         case Exited() if message.returncode:
-            return message.describe() + (f": {message.last_words}" if message.last_words else "")
+            how = f"{message.describe()} {message.sequel}".rstrip()
+            return f"{how}: {message.last_words}" if message.last_words else how
         case _:
             return None
 
