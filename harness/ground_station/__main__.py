@@ -20,6 +20,7 @@ from autopilot.mavlink.input_budget import InputBudget
 from autopilot.mavlink.partners import Partners
 from autopilot.mavlink.udp_socket import Address, UdpSocket
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Stop, Warned, commands, emit
+from foundation.processes.prefork import show_name
 from foundation.processes.socket_owners import DatagramOwners
 from foundation.processes.wakeable_queue import WakeableQueue
 from harness.ground_station.relay import Relay
@@ -109,7 +110,11 @@ class GroundStation:
         transport = Transport.connect(config.endpoint, User(config.user, config.password))
         stack.callback(transport.close)
         self._radio = AsynchronousRadio(
-            transport, run_id=config.run_id, station=config.station, put=self._received.put
+            transport,
+            run_id=config.run_id,
+            station=config.station,
+            put=self._received.put,
+            answer_limit_s=config.answer_limit_s,
         )
         self._is_influenced = self._has_warned = False
 
@@ -164,8 +169,8 @@ class GroundStation:
         emit(Warned(name=self._config.name, time_us=self._now_us, text=text))
 
     def _counts(self) -> dict[str, object]:
-        names = self._sockets[0].counts
-        rejected = {name: sum(each.counts[name] for each in self._sockets) for name in names}
+        counts = [each.counts | {"datagrams_over_buffer": each.udp.dropped} for each in self._sockets]
+        rejected = {name: sum(each[name] for each in counts) for name in counts[0]}
         return {
             "serial" if self._config.serial_modems else "frames": self._relay.counts,
             **rejected,
@@ -196,6 +201,7 @@ def main() -> int:
     given = parser.parse_args()
     try:
         config = msgspec.json.decode(given.config.read_bytes(), type=GroundStationConfig)
+        show_name(config.name.replace(" station", "", 1))  # 8 characters of the station's name remain
         inbox: WakeableQueue[Stop] = WakeableQueue()
         if given.supervised:
             commands(Stop, inbox)

@@ -139,7 +139,13 @@ class RunMonitor:
             return
         self._wall_look_s = wall_s
         expendable = self._expendable.keys() - self._descriptions.keys()
-        names = [PHYSICS, RADIO, PREFORK, NETWORK, *(sorted(expendable) if self._connected else self._starting)]
+        names = [
+            PHYSICS,
+            RADIO,
+            PREFORK,
+            NETWORK,
+            *(sorted(expendable) if self._connected else self._starting),
+        ]
         progressing = [PHYSICS] if self._awaits_progress else []
         stepping = [RADIO] if self._awaits_progress and self._connected else []
         states = self._supervisor.states(names)
