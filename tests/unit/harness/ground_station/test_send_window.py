@@ -8,7 +8,7 @@ LIFETIME_US = 500_000
 
 
 class Radio:
-    """A radio that reports what it is told to, behind a window."""
+    """A radio behind a window, whose outcomes a test reports."""
 
     def __init__(self, vehicles=1, queue_frames=64):
         self.window = SendWindow(vehicles, queue_frames=queue_frames, queue_lifetime_us=LIFETIME_US)
