@@ -9,6 +9,7 @@ communicates there only with sockets of its own user or root.
 
 import contextlib
 import socket
+import struct
 import sys
 import time
 
@@ -21,6 +22,8 @@ MAX_RECEIVED_DATAGRAM_BYTES = 2_048
 _MOST_ERRORS = 64
 """Errors of earlier datagrams that one call passes over at most."""
 _IP_RECVERR = 11  # linux/in.h; not in the socket module of CPython 3.11
+_SO_MEMINFO = 55  # asm-generic/socket.h
+_MEMINFO = struct.Struct("=9I")  # linux/sock_diag.h: the last is SK_MEMINFO_DROPS
 
 
 class UdpSocket:
@@ -55,6 +58,18 @@ class UdpSocket:
         """The port that the socket is bound to."""
         port: int = self._socket.getsockname()[1]
         return port
+
+    @property
+    def dropped(self) -> int:
+        """Number of datagrams that the kernel has dropped because the socket's buffer was full."""
+        if sys.platform != "linux":
+            return 0
+        try:
+            return int(
+                _MEMINFO.unpack(self._socket.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size))[-1]
+            )
+        except (OSError, struct.error):  # an old kernel
+            return 0
 
     def fileno(self) -> int:
         """Return the socket's descriptor, for select and poll."""

@@ -106,7 +106,8 @@ def describe(message: Message) -> str | None:
         case ProcessNotice():
             return message.text
         case Exited() if message.returncode:
-            return message.describe() + (f": {message.last_words}" if message.last_words else "")
+            how = f"{message.describe()} {message.sequel}".rstrip()
+            return f"{how}: {message.last_words}" if message.last_words else how
         case _:
             return None
 
@@ -376,6 +377,7 @@ def summary_table(summary: Mapping[str, Any]) -> Table:
         "collisions": str(summary["collisions"]),
         **{title: "; ".join(lost) for title, lost in losses.items() if lost},
         **_packets_row(summary.get("program_packets")),
+        **_telemetry_rows(summary),
         "deterministic": "yes" if summary["deterministic"] else "no",
         "log sha256": str(summary["log_sha256"])[:16],
     }
@@ -392,6 +394,19 @@ def _packets_row(packets: Mapping[str, Any] | None) -> dict[str, str]:
     mean_ms, largest_ms = packets["mean_late_ms"], packets["largest_late_ms"]
     received = f"{packets['received']} received"
     return {"packets of programs": f"{received}, {late}; {mean_ms:.1f} ms mean, {largest_ms:.0f} ms at most"}
+
+
+def _telemetry_rows(summary: Mapping[str, Any]) -> dict[str, str]:
+    """Return a row for each ground station: counts at the vehicles' ends of its links."""
+    rows = {}
+    for kind in ("telemetry_frames", "telemetry_serial"):
+        for station, counts in summary.get(kind, {}).items():
+            shown = [
+                f"{count} B {name.removesuffix('_bytes')}" if name.endswith("_bytes") else f"{count} {name}"
+                for name, count in counts.items()
+            ]
+            rows[f"telemetry, {station}"] = ", ".join(shown).replace("_", " ")
+    return rows
 
 
 def _at(time_us: int) -> str:

@@ -1,8 +1,9 @@
 """``python -m harness.ground_station --config FILE``: the process of one ground station.
 
 It has a UDP socket for each vehicle, as vehicles have with telemetry by wire. What a program sends there is
-given to the radio or serial modem at once, and is on the air in the next interval of simulated time; what
-the radio receives from the vehicle is sent to the default program and to all that have sent to the socket.
+given to the serial modem at once, to the radio as far as it holds few frames (`send_window`), and is on the
+air in the next interval of simulated time. What the radio receives from the vehicle is sent to the default
+program and to all that have sent to the socket.
 """
 
 import argparse
@@ -19,6 +20,7 @@ from autopilot.mavlink.input_budget import InputBudget
 from autopilot.mavlink.partners import Partners
 from autopilot.mavlink.udp_socket import Address, UdpSocket
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Stop, Warned, commands, emit
+from foundation.processes.prefork import show_name
 from foundation.processes.socket_owners import DatagramOwners
 from foundation.processes.wakeable_queue import WakeableQueue
 from harness.ground_station.relay import Relay
@@ -28,7 +30,7 @@ from netsim.transport.access_control import User
 from netsim.transport.asynchronous_radio import AsynchronousRadio
 from netsim.transport.lockstep_radio import RadioFull
 from netsim.transport.zenoh_session import Transport
-from netsim.wire.messages import RxBatch
+from netsim.wire.messages import MOST_GUEST_ITEMS, RxBatch
 
 MAX_DATAGRAMS_PER_CALL = 64
 """Datagrams that are read of one socket before the others are looked at."""
@@ -91,8 +93,7 @@ class GroundStation:
 
     def __init__(self, config: GroundStationConfig, stack: contextlib.ExitStack) -> None:
         self._config = config
-        vehicles = len(config.local_ports)
-        self._relay: Relay | SerialRelay = (SerialRelay if config.serial_modems else Relay)(vehicles)
+        self._relay = _relay(config)
         self._now_us = 0
         """Simulated time up to which the radio has returned deliveries."""
         self._received: WakeableQueue[RxBatch] = WakeableQueue()
@@ -109,7 +110,11 @@ class GroundStation:
         transport = Transport.connect(config.endpoint, User(config.user, config.password))
         stack.callback(transport.close)
         self._radio = AsynchronousRadio(
-            transport, run_id=config.run_id, station=config.station, put=self._received.put
+            transport,
+            run_id=config.run_id,
+            station=config.station,
+            put=self._received.put,
+            answer_limit_s=config.answer_limit_s,
         )
         self._is_influenced = self._has_warned = False
 
@@ -133,16 +138,16 @@ class GroundStation:
     def _send_to_programs(self) -> None:
         for batch in self._received.take_all():
             self._now_us = batch.release_us
-            for vehicle, datagram in self._relay.datagrams(batch.items):
+            for vehicle, datagram in self._relay.datagrams(batch):
                 self._sockets[vehicle].send(datagram)
 
     def _send_to_vehicles(self, vehicles: list[int]) -> None:
-        """Give the radio what programs have sent to the sockets of these vehicles."""
-        frames: list[Any] = []  # of the relay's kind
+        """Give the radio what programs have sent to the sockets of these vehicles, and what has waited."""
         for vehicle in vehicles:
-            datagrams = self._sockets[vehicle].receive(self._now_us)
-            frames += filter(None, (self._relay.frame(vehicle, each) for each in datagrams))
+            for datagram in self._sockets[vehicle].receive(self._now_us):
+                self._relay.put(vehicle, datagram)
             self._warn_of_foreign(self._sockets[vehicle].foreign)
+        frames: list[Any] = [*self._relay.take()]  # of the relay's kind
         if not frames:
             return
         if not self._is_influenced:
@@ -164,14 +169,26 @@ class GroundStation:
         emit(Warned(name=self._config.name, time_us=self._now_us, text=text))
 
     def _counts(self) -> dict[str, object]:
-        names = self._sockets[0].counts
-        rejected = {name: sum(each.counts[name] for each in self._sockets) for name in names}
+        counts = [each.counts | {"datagrams_over_buffer": each.udp.dropped} for each in self._sockets]
+        rejected = {name: sum(each[name] for each in counts) for name in counts[0]}
         return {
             "serial" if self._config.serial_modems else "frames": self._relay.counts,
             **rejected,
-            "datagrams_too_long": self._relay.too_long,
+            **self._relay.dropped,
             "malformed_deliveries": self._radio.malformed,
         }
+
+
+def _relay(config: GroundStationConfig) -> Relay | SerialRelay:
+    vehicles = len(config.local_ports)
+    if config.serial_modems:
+        return SerialRelay(vehicles)
+    return Relay(
+        vehicles,
+        # what the emulator takes while simulated time rests is limited too
+        queue_frames=min(config.queue_frames, MOST_GUEST_ITEMS),
+        queue_lifetime_us=config.queue_lifetime_us,
+    )
 
 
 def main() -> int:
@@ -184,6 +201,7 @@ def main() -> int:
     given = parser.parse_args()
     try:
         config = msgspec.json.decode(given.config.read_bytes(), type=GroundStationConfig)
+        show_name(config.name.replace(" station", "", 1))  # 8 characters of the station's name remain
         inbox: WakeableQueue[Stop] = WakeableQueue()
         if given.supervised:
             commands(Stop, inbox)

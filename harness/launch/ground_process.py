@@ -7,7 +7,12 @@ name, and another is not affected.
 from harness.ground_station.settings import GroundStationConfig
 from harness.launch.process_commands import ground_station
 from harness.scenario.scenario import Scenario
+from harness.simulator.response_watchdog import COMPUTING_LIMIT_S
 from netsim.transport.guest_access import GuestLogin
+
+GIVE_UP_MARGIN_S = 10.0
+"""Wall time for which a ground station waits longer for the emulator than physics and the launcher do: those
+name the emulator and end the run, of which a dead ground station would only be a consequence."""
 
 
 def settings(
@@ -26,10 +31,13 @@ def settings(
         user=login.user,
         password=login.password,
         station=login.station,
+        answer_limit_s=max(COMPUTING_LIMIT_S, scenario.run.silence_limit_s) + GIVE_UP_MARGIN_S,
         local_ports=tuple(first + i if ports.gcs_local_udp else 0 for i in range(agents)),
         host=links.host,
         remote_host=links.ground_station_host,
         remote_port=ports.gcs_remote_udp + number if ports.gcs_remote_udp else 0,
+        queue_frames=scenario.radio.queue_frames,
+        queue_lifetime_us=scenario.radio.queue_lifetime_us,
         serial_modems=links.telemetry == "serial-radio",
         local_senders=links.local_senders,
     )

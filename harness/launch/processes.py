@@ -114,6 +114,7 @@ class Processes(RunMonitor):
                 *self._grounds,
             ],
             until_connected=[*map(uav, self._external)],
+            expendable=dict.fromkeys(self._grounds, "the flight goes on without its programs"),
             call_limit_s=scenario.run.silence_limit_s,
             wall_limit_s=wall_limit_s,
             on_message=on_message,

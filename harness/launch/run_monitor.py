@@ -7,8 +7,10 @@ while it waits (`harness.launch.process_watch`), and describes how they ended (`
 import contextlib
 import signal
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any
+
+import msgspec
 
 from foundation.processes.child_protocol import Finished, Influenced, Ready
 from harness.launch.death_report import is_full, memory_kills, recorded_bytes
@@ -32,10 +34,12 @@ class RunMonitor:
     """What has arrived from the processes of ``supervisor``.
 
     ``starting`` are the processes, besides the indispensable ones, that are looked at until all vehicles have
-    connected; those of them in ``until_connected`` must not end before. A call of a user's models may take
-    ``call_limit_s`` of wall time. ``wall_limit_s`` limits the run's
-    wall time from the start on, without the compilation of kernels; ``on_message`` receives every message
-    that is taken from the queue, on the caller's thread.
+    connected; those of them in ``until_connected`` must not end before. ``expendable`` are those whose end
+    or stop does not end the run afterwards, each with a clause that states what follows; one that is stopped
+    is killed, so that it does not go on with a part of the run missing. A call of a user's models may take
+    ``call_limit_s`` of wall time. ``wall_limit_s`` limits the run's wall time from the start on, without the
+    compilation of kernels; ``on_message`` receives every message that is taken from the queue, on the
+    caller's thread.
     """
 
     def __init__(
@@ -45,6 +49,7 @@ class RunMonitor:
         *,
         starting: Collection[str],
         until_connected: Collection[str],
+        expendable: Mapping[str, str],
         call_limit_s: float,
         wall_limit_s: float | None,
         on_message: Callable[[Message], None] | None,
@@ -53,6 +58,7 @@ class RunMonitor:
         self._folder = folder
         self._starting = starting
         self._until_connected = until_connected
+        self._expendable = expendable
         self._wall_limit_s = wall_limit_s
         self._wall_start_s = time.monotonic()
         self._on_message = on_message or (lambda _: None)
@@ -132,7 +138,14 @@ class RunMonitor:
         if wall_s - self._wall_look_s < LOOK_PERIOD_S:
             return
         self._wall_look_s = wall_s
-        names = [PHYSICS, RADIO, PREFORK, NETWORK, *([] if self._connected else self._starting)]
+        expendable = self._expendable.keys() - self._descriptions.keys()
+        names = [
+            PHYSICS,
+            RADIO,
+            PREFORK,
+            NETWORK,
+            *(sorted(expendable) if self._connected else self._starting),
+        ]
         progressing = [PHYSICS] if self._awaits_progress else []
         stepping = [RADIO] if self._awaits_progress and self._connected else []
         states = self._supervisor.states(names)
@@ -142,12 +155,22 @@ class RunMonitor:
             if not found.given_up:
                 self._on_message(ProcessNotice(text=line))
                 return
+            if self._connected and found.name in self._expendable:
+                self._give_up(found.name, line)
+                return
             self._found[found.name] = found
             if not found.is_stopped:
                 line += f" (traces of its threads: {self._supervisor.log_path(found.name)})"
             self._descriptions[found.name] = line
             self._on_message(ProcessNotice(text=f"{line}: the run ends"))
             raise self.fatal(SwarmError(line))
+
+    def _give_up(self, name: str, line: str) -> None:
+        """Kill a process that is stopped, which ``line`` states, and without which the run goes on."""
+        self._descriptions[name] = line
+        self._on_message(ProcessNotice(text=f"{line}: it is killed, and {self._expendable[name]}"))
+        with contextlib.suppress(SupervisorError):
+            self._supervisor.kill(name)
 
     def _kill_found(self) -> None:
         """Kill what was found to be stopped or to hang; of what hangs, with a trace in its log.
@@ -193,6 +216,8 @@ class RunMonitor:
         if received is None:
             return None
         name, message = received
+        if isinstance(message, Exited):
+            message = self._with_sequel(message)
         if name == PHYSICS:
             self._watch.on_progress(PHYSICS)
         match message:
@@ -226,6 +251,16 @@ class RunMonitor:
         self._on_message(message)
         return message
 
+    def _with_sequel(self, exited: Exited) -> Exited:
+        """Return the end of a process without which the run goes on, with its time and what follows."""
+        name = exited.name
+        if name not in self._expendable or name in self._descriptions:
+            return exited
+        if self.failure is not None or not self._running:
+            return exited
+        sequel = f"{self._when()}, and {self._expendable[name]}" if self._connected else self._when()
+        return msgspec.structs.replace(exited, sequel=sequel)
+
     def _is_needed(self, name: str) -> bool:
         """Whether the run fails if that process ends: another autopilot's until all have connected, too."""
         return name in (PHYSICS, RADIO, PREFORK, NETWORK) or (
@@ -255,8 +290,11 @@ class RunMonitor:
         """Return a line: the process, how it ended, when, why, and where its log is."""
         line, words = exited.describe(), exited.last_words
         log = f"(log: {self._supervisor.log_path(exited.name)})"
-        if exited.returncode is None or exited.returncode < 0:
+        if exited.sequel:
+            line += f" {exited.sequel}"
+        elif exited.returncode is None or exited.returncode < 0:
             line += f" {self._when()}"
+        if exited.returncode is None or exited.returncode < 0:
             if exited.returncode == -signal.SIGKILL and memory_kills() > self._memory_kills:
                 line += ", perhaps for lack of memory: the kernel killed processes for it during the run"
             return f"{line}: {words} {log}" if words else f"{line} {log}"

@@ -70,6 +70,8 @@ class Exited(Struct, frozen=True, kw_only=True):
     last_words: str = ""
     """What the child itself wrote about its end on stderr (`harness.launch.death_report.last_words`): some
     libraries print on stdout, for instance when imported."""
+    sequel: str = ""
+    """When it ended and what follows from it, if the run goes on; from the launcher."""
 
     def describe(self) -> str:
         """Return one line: the process and how it ended."""

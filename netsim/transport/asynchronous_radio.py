@@ -18,19 +18,26 @@ _MOST_WAITING = 1_024
 class AsynchronousRadio:
     """One station's radio; ``put`` is called with each delivery, in a thread of its own.
 
+    ``answer_limit_s`` is the wall time within which the emulator acknowledges transmissions.
     Raises RadioLost if the emulator does not respond. A station number in use is not rejected: the deliveries
     go to the first client.
     """
 
     def __init__(
-        self, transport: Transport, *, run_id: str, station: int, put: Callable[[RxBatch], None]
+        self,
+        transport: Transport,
+        *,
+        run_id: str,
+        station: int,
+        put: Callable[[RxBatch], None],
+        answer_limit_s: float = ANSWER_LIMIT_S,
     ) -> None:
         self._station = station
         self._put = put
         self._newest_us = -1
         self._malformed = MalformedCount("delivery")
         transport.serve(receive_key(run_id, station), self._take, most_waiting=_MOST_WAITING)
-        self._asker = transport.asker(guest_transmit_key(run_id, station), timeout_s=ANSWER_LIMIT_S)
+        self._asker = transport.asker(guest_transmit_key(run_id, station), timeout_s=answer_limit_s)
         self.hand_over(())  # its acknowledgement shows that the key above is declared at the emulator
 
     @property

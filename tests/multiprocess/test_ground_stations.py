@@ -1,14 +1,19 @@
-"""Ground stations on the radio in real processes: equal logs, a mission over a lossy link, a death."""
+"""Ground stations on the radio in real processes: equal logs, a lossy link, a pause, a stop, a death."""
 
 import json
 import os
+import re
 import signal
+import time
+from pathlib import Path
 
 import pytest
 from paths import SCENARIOS
 from pymavlink.dialects.v20 import common
 
+from harness.ground_station.send_window import MOST_UNREPORTED, MOST_WAITING
 from harness.launch.one_process import OneProcessSwarm
+from harness.launch.run_messages import ProcessNotice
 from harness.launch.supervisor import Exited
 from harness.launch.swarm import Swarm, SwarmError
 
@@ -111,7 +116,8 @@ def test_a_mission_is_uploaded_over_a_link_that_loses_every_fifth_datagram(swarm
     assert (summary["status"], summary["deterministic"]) == ("completed", False)
     manifest = json.loads((flight.path / "manifest.json").read_text())
     lines = "\n".join(manifest["nondeterminism"])
-    assert "ground station north (pid " in lines
+    killed = r"^ground station north \(pid \d+\) was killed by SIGKILL at \d+\.\d{3} s, and the flight goes"
+    assert re.search(killed, lines, re.MULTILINE)
     assert "ground station south received messages from a program over UDP" in lines
     processes = {each["name"]: each["details"] for each in manifest["processes"]}
     up = processes["ground station south"]["frames"]["uav 0"]
@@ -121,3 +127,65 @@ def test_a_mission_is_uploaded_over_a_link_that_loses_every_fifth_datagram(swarm
     assert 0.5 * up["sent"] < down["received"] < up["sent"]
     assert down["received"] == processes["uav 0"]["ground_messages"]
     assert 0.75 < up["received"] / down["acknowledged"] < 0.85
+
+
+def unread_bytes(port):
+    """Return what waits in the socket at a port of this machine."""
+    for line in Path("/proc/net/udp").read_text().splitlines()[1:]:
+        fields = line.split()
+        if int(fields[1].partition(":")[2], 16) == port:
+            return int(fields[4].partition(":")[2], 16)
+    return 0
+
+
+def test_after_a_pause_the_newest_datagrams_count_and_a_stopped_station_is_named(swarm, tmp_path):
+    notes = []
+    overrides = ["onboard.enabled=false", "formation.columns=1", *RADIO]
+    flight = swarm(
+        ARTICLE, agents=1, overrides=overrides, out=tmp_path / "run", processes="many", speed="max",
+        on_message=lambda message: notes.append(message.text) if isinstance(message, ProcessNotice) else None,
+    )  # fmt: skip
+    title = Path(f"/proc/{flight.pids['ground station north']}/comm").read_text()
+    assert title == "ground north\n"
+    link = flight.mavlink(0, "north")
+    flight.run_for(2.0)
+
+    def set_cruise(speed_m_s):
+        link.mav.param_set_send(1, 1, b"MPC_XY_CRUISE", speed_m_s, common.MAV_PARAM_TYPE_REAL32)
+
+    # simulated time rests; each number is exact in binary
+    speeds_m_s = [3.0 + number / 64 for number in range(150)]
+    for speed_m_s in speeds_m_s:
+        set_cruise(speed_m_s)
+    port, end_s = link.destination_addr[1], time.monotonic() + 20.0
+    while unread_bytes(port) and time.monotonic() < end_s:
+        time.sleep(0.01)
+    reported = []
+    end_s = flight.truth.t_s + LIMIT_S
+    while speeds_m_s[-1] not in reported:
+        assert flight.truth.t_s < end_s
+        flight.run_for(0.1)
+        while (message := link.recv_match(type="PARAM_VALUE")) is not None:
+            reported.append(message.param_value)
+    assert reported == sorted(reported)
+
+    pid = flight.pids["ground station south"]
+    os.kill(pid, signal.SIGSTOP)
+    while not any(isinstance(event, Exited) for event in flight.events):
+        flight.run_for(0.1)
+    line = rf"ground station south \(pid {pid}\) is stopped \(SIGSTOP\) at \d+\.\d{{3}} s"
+    end = ": it is killed, and the flight goes on without its programs"
+    assert [note for note in notes if re.fullmatch(line + end, note)]
+    flight.run_for(1.0)
+    summary = flight.summary(draw=False)
+    assert not flight.forced
+    assert (summary["status"], summary["deterministic"]) == ("completed", False)
+    manifest = json.loads((flight.path / "manifest.json").read_text())
+    assert any(re.match(line, cause) for cause in manifest["nondeterminism"])
+    (details,) = [each["details"] for each in manifest["processes"] if each["name"] == "ground station north"]
+    frames = details["frames"]["uav 0"]
+    # the connection's heartbeat, too
+    assert frames["sent"] + details["datagrams_overtaken"] == 1 + len(speeds_m_s)
+    assert details["datagrams_overtaken"] <= len(speeds_m_s) - MOST_UNREPORTED - MOST_WAITING
+    assert (frames["acknowledged"], frames["lost"]) == (frames["sent"], 0)
+    assert (details["datagrams_over_budget"], details["datagrams_over_buffer"]) == (0, 0)

@@ -3,6 +3,7 @@
 import contextlib
 import select
 import socket
+import sys
 import time
 
 import pytest
@@ -17,7 +18,7 @@ from autopilot.mavlink.links import (
 )
 from autopilot.mavlink.partners import BROADCAST, MAX_PARTNERS
 from autopilot.mavlink.udp_link import UdpLink
-from autopilot.mavlink.udp_socket import MAX_RECEIVED_DATAGRAM_BYTES
+from autopilot.mavlink.udp_socket import MAX_RECEIVED_DATAGRAM_BYTES, UdpSocket
 
 DEADLINE_S = 5.0
 KERNEL_KEEPS_BYTES = 60_000
@@ -275,3 +276,19 @@ def test_garbage_costs_a_call_little_more_than_valid_messages(sockets, garbage):
     assert MAX_RECEIVED_DATAGRAM_BYTES == 8 * MAX_FRAMES_PER_CALL
     assert sorted(costs_s)[len(costs_s) // 2] < 8.0 * sorted(fair_s)[len(fair_s) // 2]
     assert link.counters.bytes_bad == 5 * (KERNEL_KEEPS_BYTES // len(garbage_bytes)) * len(garbage_bytes)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the kernel's count is Linux's")
+def test_datagrams_that_find_the_buffer_full_are_counted():
+    with (
+        contextlib.closing(UdpSocket("127.0.0.1", 0)) as receiver,
+        socket.socket(type=socket.SOCK_DGRAM) as sender,
+    ):
+        assert receiver.dropped == 0
+        sent, received = 0, 0
+        while not receiver.dropped and sent < 20_000:
+            sender.sendto(bytes(1400), ("127.0.0.1", receiver.local_port))
+            sent += 1
+        while receiver.receive() is not None:
+            received += 1
+        assert 0 < received == sent - receiver.dropped < sent

@@ -47,6 +47,19 @@ class GroundFlight:
         self.flight, self.relay = flight, relay
         self._encoder = Encoder(system=255, component=190)
         self.vehicle = flight.links[0].host.vehicle
+        advance = flight.emulator.advance
+
+        def observed(request):
+            batches = advance(request)
+            if GROUND in batches:
+                for _, datagram in self.relay.datagrams(batches[GROUND]):
+                    self.on_datagram(datagram)
+            return batches
+
+        flight.emulator.advance = observed
+
+    def on_datagram(self, datagram):
+        """Take a datagram that the ground station has received."""
 
     @property
     def time_s(self):
@@ -66,8 +79,10 @@ class GroundFlight:
 
     def send(self, message):
         """Send a message of the ground station."""
-        item = self.relay.frame(0, self._encoder.encode(message))
-        assert self.flight.emulator.submit(TxBatch(station=GROUND, now_us=0, items=(item,)))
+        self.relay.put(0, self._encoder.encode(message))
+        items = tuple(self.relay.take())
+        assert len(items) == 1
+        assert self.flight.emulator.submit(TxBatch(station=GROUND, now_us=0, items=items))
 
     def command(self, command, *params):
         """Send a COMMAND_LONG."""

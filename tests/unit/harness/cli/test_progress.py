@@ -270,12 +270,16 @@ def test_a_hold_has_no_formation_in_the_table() -> None:
         "ftm": {"requested": 0, "completed": 0, "error_mean_m": None, "error_std_m": None},
         "channel_busy_fraction": 0.0, "collisions": 0, "deterministic": False, "log_sha256": "f" * 64,
         "program_packets": packets,
+        "telemetry_frames": {"north": {"sent": 90, "acknowledged": 80, "lost": 10, "received": 7}},
+        "telemetry_serial": {"pair": {"sent_bytes": 900, "received_bytes": 70, "radio_status": 3}},
     }  # fmt: skip
     console = Console(record=True, width=100, quiet=False)
     console.print(summary_table(summary))
     text = console.export_text()
     assert "50 received, 3 more than 20 ms late; 1.3 ms mean, 61 ms at most" in text
     assert "article, seed 1: held" in text
+    assert re.search(r"telemetry, north +│ 90 sent, 80 acknowledged, 10 lost, 7 received", text)
+    assert re.search(r"telemetry, pair +│ 900 B sent, 70 B received, 3 radio status", text)
     for row in ("formation error, rms", "maximum gain", "FTM error"):
         assert re.search(rf"{row} +│ - +│", text)
 

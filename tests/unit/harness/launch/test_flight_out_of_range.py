@@ -38,7 +38,7 @@ class Flight(GroundFlight):
 @pytest.fixture
 def flight(tmp_path):
     with in_process(tmp_path / "run", OVERRIDES) as flown:
-        yield Flight(flown, Relay(1))
+        yield Flight(flown, Relay(1, queue_frames=64, queue_lifetime_us=500_000))
 
 
 def test_a_vehicle_out_of_range_returns_and_the_link_with_it(flight):

@@ -1,4 +1,4 @@
-"""What the launcher makes of the end of the physics server, with a supervisor that is a script."""
+"""What the launcher makes of the ends and stops of processes, with a supervisor that is a script."""
 
 import re
 from pathlib import Path
@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 import psutil
 import pytest
 
+from harness.cli.progress import describe
 from harness.launch.run_messages import ProcessNotice, SwarmError
 from harness.launch.run_monitor import START_CAUSE_LIMIT_S, RunMonitor
 from harness.launch.supervisor import Exited
@@ -53,6 +54,7 @@ def test_an_emulator_that_does_not_answer_physics_is_killed_with_a_trace(
         RunFolder(tmp_path),
         starting=[],
         until_connected=[],
+        expendable={},
         call_limit_s=5.0,
         wall_limit_s=None,
         on_message=None,
@@ -95,6 +97,7 @@ def test_a_radio_that_computes_while_simulated_time_stands_still_is_named(
         RunFolder(tmp_path),
         starting=[],
         until_connected=[],
+        expendable={},
         call_limit_s=5.0,
         wall_limit_s=None,
         on_message=messages.append,
@@ -143,6 +146,7 @@ def test_an_emulator_that_ends_in_the_start_is_the_cause_of_a_vehicle_without_ra
         RunFolder(tmp_path),
         starting=["uav 0"],
         until_connected=["uav 0"],
+        expendable={},
         call_limit_s=5.0,
         wall_limit_s=None,
         on_message=None,
@@ -150,3 +154,79 @@ def test_an_emulator_that_ends_in_the_start_is_the_cause_of_a_vehicle_without_ra
     monitor._running = True
     with pytest.raises(SwarmError, match=rf"^{named} \(pid "):
         monitor.next(1.0, "nothing")
+
+
+STATION, SEQUEL = "ground station north", "the flight goes on without its programs"
+
+
+class StationFails(Processes):
+    """Physics makes progress, and a ground station is stopped, or has ended with this message."""
+
+    pids: ClassVar = {"physics": 1, "radio": 2, STATION: 4}
+
+    def __init__(self, ended: Exited | None) -> None:
+        super().__init__("")
+        self.wall_s = 1_000.0
+        self._ended = ended
+        self.messages = []
+
+    def receive(self, timeout_s: float) -> Any:
+        self.wall_s += timeout_s
+        if self.wall_s >= 1_003.0 and self._ended is not None:
+            ended, self._ended = self._ended, None
+            return STATION, ended
+        if timeout_s == 0.0:
+            return None
+        return "physics", Progress(
+            time_us=round((self.wall_s - 1_000.0) * 1e6), wall_s=self.wall_s, channel_busy_fraction=0.0,
+            vehicles=(),
+        )  # fmt: skip
+
+    def states(self, names: list[str]) -> dict[str, ProcessState]:
+        stopped = ProcessState(psutil.STATUS_STOPPED, 0.0)
+        return {name: stopped for name in names if name == STATION and not self.killed and not self._ended}
+
+    def kill(self, name: str, *, after_trace: bool = False) -> None:
+        self.killed.append((name, after_trace))
+        self._ended = Exited(name=name, pid=4, returncode=-9, log_tail="")
+
+
+@pytest.mark.parametrize(
+    ("ended", "lines"),
+    [
+        (None, [rf"{STATION} \(pid 4\) is stopped \(SIGSTOP\) at \d\.\d\d\d s: it is killed, and {SEQUEL}",
+                rf"{STATION} \(pid 4\) was killed by SIGKILL"]),
+        (Exited(name=STATION, pid=4, returncode=-9, log_tail=""),
+         [rf"{STATION} \(pid 4\) was killed by SIGKILL at 2\.\d\d\d s, and {SEQUEL}"]),
+        (Exited(name=STATION, pid=4, returncode=2, log_tail="", last_words="no file"),
+         [rf"{STATION} \(pid 4\) ended with status 2 at 2\.\d\d\d s, and {SEQUEL}: no file"]),
+    ],
+)  # fmt: skip
+def test_a_ground_station_that_is_stopped_or_ends_is_named_and_the_run_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ended: Exited | None, lines: list[str]
+) -> None:
+    supervisor = StationFails(ended)
+    monkeypatch.setattr("time.monotonic", lambda: supervisor.wall_s)
+    messages: list[Any] = []
+    monitor = RunMonitor(
+        supervisor,  # type: ignore[arg-type]
+        RunFolder(tmp_path),
+        starting=[],
+        until_connected=[],
+        expendable={STATION: SEQUEL},
+        call_limit_s=5.0,
+        wall_limit_s=None,
+        on_message=messages.append,
+    )
+    monitor._running = True
+    while supervisor.wall_s < 1_020.0:
+        monitor.next(1.0, "nothing")
+    assert monitor.failure is None
+    assert supervisor.killed == ([(STATION, False)] if ended is None else [])
+    shown = [line for message in messages if (line := describe(message)) is not None]
+    assert len(shown) == len(lines)
+    for line, pattern in zip(shown, lines, strict=True):
+        assert re.fullmatch(pattern, line)
+    (kept,) = monitor.failed_processes()
+    assert kept.startswith(lines[0].split(" \\(")[0])
+    assert (" at " in kept) and ("is stopped" in kept) == (ended is None)  # noqa: PT018

@@ -3,7 +3,7 @@
 import contextlib
 
 import pytest
-from ground_flight import GROUND, GroundFlight, in_process
+from ground_flight import GroundFlight, in_process
 
 from autopilot.mavlink.codec import Parser
 from autopilot.mavlink.modes import FlightMode
@@ -40,16 +40,9 @@ class SerialFlight(GroundFlight):
         self._parser = Parser()
         self.received = []
         """Messages that the ground station has received."""
-        advance = flight.emulator.advance
 
-        def observed(request):
-            batches = advance(request)
-            if GROUND in batches:
-                for _, datagram in self.relay.datagrams(batches[GROUND].items):
-                    self.received += self._parser.push(datagram)
-            return batches
-
-        flight.emulator.advance = observed
+    def on_datagram(self, datagram):
+        self.received += self._parser.push(datagram)
 
     @property
     def counts(self):
