@@ -41,6 +41,7 @@ from netsim.transport.lockstep_radio import (
 )
 from netsim.transport.malformed import MalformedCount
 from netsim.transport.packet_exchange import MOST_WAITING_BYTES, MOST_WAITING_MESSAGES, PacketExchange
+from netsim.transport.packet_inbox import PacketInbox
 from netsim.transport.profile_groups import PROFILE_GROUPS
 from netsim.transport.radio_users import rights
 from netsim.transport.socket_folder import unix_endpoint
@@ -109,20 +110,20 @@ class Server:
 
     def _packet_exchange(self, config: ServerConfig) -> PacketExchange:
         transport = self._transport
-        inbox = transport.inbox(
-            packets_sent_key(config.run_id),
-            most_waiting=MOST_WAITING_MESSAGES + config.stations * config.radio.queue_frames,
-            most_bytes=MOST_WAITING_BYTES,
-        )
-        return PacketExchange(
+        exchange = PacketExchange(
             self._service,
-            inbox,
+            PacketInbox(
+                most_waiting=MOST_WAITING_MESSAGES + config.stations * config.radio.queue_frames,
+                most_bytes=MOST_WAITING_BYTES,
+            ),
             vehicles=config.stations,
             publish=transport.sender(packets_received_key(config.run_id)).send,
             now_ns=time.monotonic_ns,
             on_packets=lambda: self._influence(PROGRAMS),
             on_malformed=lambda: self._influence(FOREIGN),
         )
+        transport.subscribe(packets_sent_key(config.run_id), exchange.receive)
+        return exchange
 
     @property
     def reached_us(self) -> int:
