@@ -23,6 +23,7 @@ import msgspec
 
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Stop, commands, emit
 from foundation.processes.message_stream import MessageStream
+from foundation.processes.scheduling import end_waits_on_time
 from foundation.profiling.profiler import profiled
 from netsim.emulator.interface import NetworkEmulator
 from netsim.emulator.service import make_emulator
@@ -293,6 +294,7 @@ def run(config_path: Path, interval_fd: int, *, supervised: bool) -> None:
         config = msgspec.json.decode(config_path.read_bytes(), type=ServerConfig)
         if config.packets:  # the channel will follow wall time, and loading a kernel takes milliseconds
             warm_up()
+            end_waits_on_time()
         server = Server(config, on_influence=lambda cause: emit(Influenced(name="radio", by=cause)))
         stack.enter_context(contextlib.closing(server))
         inbox: queue.SimpleQueue[Stop] = queue.SimpleQueue()
