@@ -21,7 +21,8 @@ class NetworkEmulator(Protocol):
     end `close`. `submit` may be called from any thread, all other methods from one.
 
     A run with packets of network interfaces replaces `advance` by `begin`, any number of `run_until` up to
-    the interval's end, with `submit_packet`, `take_packets` and `take_ended` between them, and `end`.
+    the interval's end, with `submit_packet`, `take_packets` and `take_ended` between them, and `end`. Those
+    between `begin` and `end` are called from two threads, one at a time.
 
     Simulated time is the only clock, in us; it is given by `Advance` and never decreases. Equal settings,
     seeds, batches and intervals give equal deliveries, in whatever order the batches of an interval arrive.

@@ -1,7 +1,8 @@
 """The process that hosts interfaces and programs of vehicles: PID 1 of their namespace.
 
-One thread waits for packet sockets, received packets, commands, ended programs and MAVLink of ``eth0``. What
-packet sockets hold is sent in few messages; what is received is delivered at once.
+One thread waits for packet sockets, commands, ended programs and MAVLink of ``eth0``. What packet sockets
+hold is sent in few messages. Received packets are written to the interfaces in Zenoh's thread as they arrive:
+waking another thread takes longer than the delivery.
 """
 
 import contextlib
@@ -30,12 +31,19 @@ from netsim.network.vehicle_networks import VehicleNetwork, make_networks
 from netsim.transport.access_control import User
 from netsim.transport.lockstep_radio import packets_received_key, packets_sent_key
 from netsim.transport.malformed import MalformedCount
-from netsim.transport.zenoh_session import Transport, TransportError
+from netsim.transport.zenoh_session import LONGEST_DIRECT_BYTES, Transport, TransportError
 from netsim.wire.messages import Station
-from netsim.wire.packets import SentPacket, SentPackets, decode_received, encode_packets
+from netsim.wire.packets import (
+    MAX_PACKET_BYTES,
+    PacketCounts,
+    SentPacket,
+    SentPackets,
+    decode_received,
+    encode_packets,
+)
 
-MOST_PACKETS = 64
-"""Most packets of a message."""
+MOST_PACKETS = LONGEST_DIRECT_BYTES // (MAX_PACKET_BYTES + 64)
+"""Most packets of a message, so that packets of greatest length with their fields fit."""
 FRAMES_PER_TURN = 16
 """Most frames that are read from a station before the others have their turn."""
 DESCRIPTORS_OF_VEHICLE, DESCRIPTORS_BESIDE = 8, 128
@@ -48,10 +56,11 @@ logger = logging.getLogger(__name__)
 
 
 class BridgedInterfaces:
-    """Packet sockets of all vehicles and the bridge, for one thread.
+    """Packet sockets of all vehicles and the bridge, for two threads.
 
     ``publish`` sends the bytes of a message to the emulator. The owner of ``selector`` calls `read` with the
-    stations whose sockets are ready, which are the keys' data.
+    stations whose sockets are ready, which are the keys' data, and `end`. The other thread calls `deliver`;
+    it shares no changing state with the first.
     """
 
     def __init__(
@@ -80,15 +89,22 @@ class BridgedInterfaces:
         if batch:
             self._send(batch)
 
-    def deliver(self, payload: bytes) -> None:
-        """Deliver the packets of a message of the emulator; counts bytes that are none."""
+    def deliver(self, payload: bytes) -> PacketCounts:
+        """Deliver the packets of a message of the emulator; return its ended packets, for `end`.
+
+        Counts bytes that are no message.
+        """
         message = decode_received(payload)
         if message is None:
             self._malformed.add(len(payload))
-            return
+            return ()
         for station, frame in self._bridge.receive(message, self._clock_ns()):
             self._sockets[station].write(frame)
-        for station in self._bridge.end(message.ended):
+        return message.ended
+
+    def end(self, ended: PacketCounts) -> None:
+        """Take packets out of the windows, and read the interfaces whose windows have room again."""
+        for station in self._bridge.end(ended):
             self._watch(station)
 
     @property
@@ -132,12 +148,11 @@ class Host:
         inbox: WakeableQueue[Command],
     ) -> None:  # fmt: skip
         self._inbox = inbox
-        self._received: WakeableQueue[bytes] = WakeableQueue()
+        self._ended: WakeableQueue[PacketCounts] = WakeableQueue()
         self._selector = selectors.DefaultSelector()
         self._programs = Programs(
             config.programs, {each.station: each.namespaces for each in networks}, report=emit
         )
-        transport.subscribe(packets_received_key(config.run_id), self._received.put)
         sender = transport.sender(packets_sent_key(config.run_id))
         if not sender.wait_for_receiver(EMULATOR_LIMIT_S):
             raise TransportError(f"{config.endpoint}: the 802.11 emulator does not accept packets")
@@ -147,6 +162,7 @@ class Host:
             selector=self._selector,
             publish=sender.send,
         )
+        transport.subscribe(packets_received_key(config.run_id), self._on_received)
         companions = {each.station: each.companion for each in networks if each.companion is not None}
         self._relay = AutopilotRelay(
             [(each, companions[each.station]) for each in config.companions if each.station in companions],
@@ -155,16 +171,16 @@ class Host:
         )
         self.companion_ports = self._relay.companion_ports
         self._child_ended = _child_signals()
-        for source in (self._received, self._inbox, self._child_ended):
+        for source in (self._ended, self._inbox, self._child_ended):
             self._selector.register(source, selectors.EVENT_READ)
 
     def serve(self) -> dict[str, Any]:
         """Bridge packets and run programs until all have ended after a command to stop; return counters."""
         while not self._programs.have_ended:
             keys = [key for key, _ in self._selector.select(self._timeout_s())]
-            for payload in self._received.take_all():
-                self._interfaces.deliver(payload)
             self._interfaces.read([key.data for key in keys if isinstance(key.data, int)])
+            for ended in self._ended.take_all():
+                self._interfaces.end(ended)
             for key in keys:
                 if isinstance(key.data, Flow | Vehicle):
                     key.data.read()
@@ -179,6 +195,12 @@ class Host:
             "programs": self._programs.counters,
             "autopilot_links": self._relay.counters,
         }
+
+    def _on_received(self, payload: bytes) -> None:
+        """Deliver a message of the emulator, in Zenoh's thread."""
+        ended = self._interfaces.deliver(payload)
+        if ended:
+            self._ended.put(ended)
 
     def _timeout_s(self) -> float | None:
         due_s = [each for each in (self._programs.wall_due_s, self._relay.wall_due_s) if each is not None]
@@ -208,7 +230,7 @@ def run(config_path: Path, outer_proc: int, *, pid: int, supervised: bool) -> No
     # before there are other threads
     networks = make_networks(config.stations, companions, outer_proc, config.interfaces)
     inbox: WakeableQueue[Command] = WakeableQueue()
-    transport = Transport.connect(config.endpoint, User(config.user, config.password))
+    transport = Transport.connect(config.endpoint, User(config.user, config.password), direct=True)
     with contextlib.closing(transport):
         host = Host(config, networks, transport, inbox)
         if supervised:

@@ -1,13 +1,15 @@
 """Exchange of packets with the host of network interfaces while an interval is simulated.
 
 With a pace, simulated time follows wall time within the interval: the channel waits for the time of its next
-event, or for a packet, and publishes what is received at once. A packet is placed at the simulated time at
-which it was read from its interface; an interval that is late is simulated without waiting, with the packets
-at their places as far as the channel has not passed them. Without a pace, packets are placed at the beginning
-of an interval, and receptions are published at its end.
+event, or for a packet, and publishes what is received at once. During such a wait the thread in which a
+packet arrives simulates up to the present and publishes, since waking the other thread takes longer. A packet
+is placed at the simulated time at which it was read from its interface; an interval that is late is simulated
+without waiting, with the packets at their places as far as the channel has not passed them. Without a pace,
+packets are placed at the beginning of an interval, and receptions are published at its end.
 """
 
 import logging
+import threading
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from typing import Any, Protocol
@@ -45,14 +47,23 @@ _OVERHEAD_BYTES, _STATION_BYTES = 40, 3
 _NS_PER_S = 1e9
 
 
-class PacketInbox(Protocol):
-    """Messages of the host of network interfaces."""
+class Inbox(Protocol):
+    """Messages of the host of network interfaces: see `netsim.transport.packet_inbox`."""
 
     dropped: int
     """Number of messages that were dropped as too many waited."""
 
-    def take(self, wall_limit_s: float, /) -> bytes | None:
-        """Return the next message, waiting at most ``wall_limit_s``; None without any."""
+    def put(self, payload: bytes, /) -> None:
+        """Add a message."""
+
+    def take(self) -> bytes | None:
+        """Return the next message at once; None without any."""
+
+    def wait(self, wall_limit_s: float, /) -> None:
+        """Wait for `wake` or for ``wall_limit_s``."""
+
+    def wake(self) -> None:
+        """End the present or the next wait."""
 
 
 class PacketExchange:
@@ -61,12 +72,15 @@ class PacketExchange:
     ``vehicles`` is the number of stations with interfaces; ``publish`` sends a message; ``now_ns`` is the
     machine's monotonic clock. ``on_packets`` is called for every message with packets, and ``on_malformed``
     for every invalid message.
+
+    One thread calls `advance`, another one `receive`; one of them at a time uses the emulator and the
+    functions, also ``publish``.
     """
 
     def __init__(
         self,
         emulator: NetworkEmulator,
-        inbox: PacketInbox,
+        inbox: Inbox,
         *,
         vehicles: int,
         publish: Callable[[bytes], None],
@@ -82,6 +96,12 @@ class PacketExchange:
         self._on_packets = on_packets
         self._on_malformed = on_malformed
         self.malformed = MalformedCount("message of the network interfaces")
+        self._in_use = threading.Lock()
+        """Locked by the thread that uses the emulator and the fields below."""
+        self._awaited: Pace | None = None
+        """Pace of the interval while `advance` waits in it."""
+        self._error: Exception | None = None
+        """Error of the emulator in `receive`, to be raised by `advance`."""
         self._reached_ns = 0
         """Time up to which the channel has been simulated."""
         self._unplaced: deque[tuple[int, SentPacket]] = deque()
@@ -117,17 +137,34 @@ class PacketExchange:
         an invalid request.
         """
         emulator, to_ns, pace = self._emulator, 1_000 * request.to_us, pace_of(request)
-        emulator.begin(request)
-        self._accept_all(0.0)
-        if pace is None:
-            self._place_all()
-        else:
-            self._follow(pace)
-        emulator.run_until(to_ns)
-        self._reached_ns = to_ns
-        deliveries = emulator.end(request)
-        self._publish_receptions(pace)
+        with self._in_use:
+            emulator.begin(request)
+            self._accept_all()
+            if pace is None:
+                self._place_all()
+            else:
+                self._follow(pace)
+            emulator.run_until(to_ns)
+            self._reached_ns = to_ns
+            deliveries = emulator.end(request)
+            self._publish_receptions(pace)
         return deliveries
+
+    def receive(self, payload: bytes) -> None:
+        """Add a message; exchange its packets at once if `advance` waits in a paced interval.
+
+        Does not wait for the other thread, which otherwise takes the message before it waits again.
+        """
+        self._inbox.put(payload)
+        if self._in_use.acquire(blocking=False):
+            try:
+                if self._awaited is not None:
+                    self._exchange(self._awaited)
+            except Exception as error:  # noqa: BLE001  # of a user's emulator or model: for the other thread
+                self._error = error
+            finally:
+                self._in_use.release()
+        self._inbox.wake()  # the next event may be earlier
 
     def _follow(self, pace: Pace) -> None:
         """Simulate up to the end of the interval as it becomes due."""
@@ -136,24 +173,41 @@ class PacketExchange:
         while self._reached_ns < to_ns:
             next_ns = max(self._emulator.next_event_ns, self._reached_ns + LEAST_STEP_NS)
             wait_ns = pace.wall_ns(min(next_ns, to_ns)) - self._now_ns()
-            self._accept_all(max(0.0, wait_ns / _NS_PER_S))
-            self._place_due(pace)
-            present_ns = min(max(pace.simulated_ns(self._now_ns()), self._reached_ns), to_ns)
-            self._emulator.run_until(present_ns)
-            self._reached_ns = present_ns
-            if present_ns < to_ns:
-                self._publish_receptions(pace)
+            if wait_ns > 0:
+                self._wait(pace, wait_ns / _NS_PER_S)
+            self._exchange(pace)
+
+    def _wait(self, pace: Pace, wall_limit_s: float) -> None:
+        """Wait for packets and leave the emulator to `receive` meanwhile."""
+        self._awaited = pace
+        self._in_use.release()
+        try:
+            self._inbox.wait(wall_limit_s)
+        finally:
+            self._in_use.acquire()
+            self._awaited = None
+        if self._error is not None:
+            raise self._error
+
+    def _exchange(self, pace: Pace) -> None:
+        """Place the packets that have arrived, simulate up to the present, and publish what is received."""
+        self._accept_all()
+        self._place_due(pace)
+        present_ns = min(max(pace.simulated_ns(self._now_ns()), self._reached_ns), pace.to_ns)
+        self._emulator.run_until(present_ns)
+        self._reached_ns = present_ns
+        if present_ns < pace.to_ns:
+            self._publish_receptions(pace)
 
     # --- packets sent
 
-    def _accept_all(self, wall_limit_s: float) -> None:
-        """Accept the packets of messages that have arrived, waiting for the first one."""
+    def _accept_all(self) -> None:
+        """Accept the packets of messages that have arrived."""
         for _ in range(MOST_WAITING_MESSAGES):  # a sender without pauses must not stop the channel
-            payload = self._inbox.take(wall_limit_s)
+            payload = self._inbox.take()
             if payload is None:
                 return
             self._accept(payload)
-            wall_limit_s = 0.0
 
     def _accept(self, payload: bytes) -> None:
         message = decode_sent(payload) if len(payload) <= LONGEST_SENT_BYTES else None

@@ -23,6 +23,7 @@ import msgspec
 
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Stop, commands, emit
 from foundation.processes.message_stream import MessageStream
+from foundation.processes.scheduling import end_waits_on_time
 from foundation.profiling.profiler import profiled
 from netsim.emulator.interface import NetworkEmulator
 from netsim.emulator.service import make_emulator
@@ -41,6 +42,7 @@ from netsim.transport.lockstep_radio import (
 )
 from netsim.transport.malformed import MalformedCount
 from netsim.transport.packet_exchange import MOST_WAITING_BYTES, MOST_WAITING_MESSAGES, PacketExchange
+from netsim.transport.packet_inbox import PacketInbox
 from netsim.transport.profile_groups import PROFILE_GROUPS
 from netsim.transport.radio_users import rights
 from netsim.transport.socket_folder import unix_endpoint
@@ -109,20 +111,20 @@ class Server:
 
     def _packet_exchange(self, config: ServerConfig) -> PacketExchange:
         transport = self._transport
-        inbox = transport.inbox(
-            packets_sent_key(config.run_id),
-            most_waiting=MOST_WAITING_MESSAGES + config.stations * config.radio.queue_frames,
-            most_bytes=MOST_WAITING_BYTES,
-        )
-        return PacketExchange(
+        exchange = PacketExchange(
             self._service,
-            inbox,
+            PacketInbox(
+                most_waiting=MOST_WAITING_MESSAGES + config.stations * config.radio.queue_frames,
+                most_bytes=MOST_WAITING_BYTES,
+            ),
             vehicles=config.stations,
             publish=transport.sender(packets_received_key(config.run_id)).send,
             now_ns=time.monotonic_ns,
             on_packets=lambda: self._influence(PROGRAMS),
             on_malformed=lambda: self._influence(FOREIGN),
         )
+        transport.subscribe(packets_sent_key(config.run_id), exchange.receive)
+        return exchange
 
     @property
     def reached_us(self) -> int:
@@ -292,6 +294,7 @@ def run(config_path: Path, interval_fd: int, *, supervised: bool) -> None:
         config = msgspec.json.decode(config_path.read_bytes(), type=ServerConfig)
         if config.packets:  # the channel will follow wall time, and loading a kernel takes milliseconds
             warm_up()
+            end_waits_on_time()
         server = Server(config, on_influence=lambda cause: emit(Influenced(name="radio", by=cause)))
         stack.enter_context(contextlib.closing(server))
         inbox: queue.SimpleQueue[Stop] = queue.SimpleQueue()

@@ -4,14 +4,13 @@ One process of a run listens (the 802.11 emulator, as router), and all others co
 endpoint with user and password (`netsim.transport.access_control`). There is no scouting, so runs on one
 machine or network are separate. TCP connections are not encrypted.
 
-Processes in lockstep publish one way, since both ends expect every message, over connections without Zenoh's
+Processes in lockstep and the host of network interfaces publish one way, over connections without Zenoh's
 buffers (`Transport.connect`, ``direct``): the message is in the receiver's socket when `TopicSender.send`
 returns, and is not lost even if the sender is killed. All others use queries with replies.
 """
 
 import json
 import os
-import queue
 import socket
 import threading
 import time
@@ -33,7 +32,7 @@ RUNTIME = """(
 Python handlers of queries run in other threads, one per served key. Queries wait for them in a buffer that
 drops the oldest one when it is full, so this thread does not wait for Python: while it waits, its tasks fill
 the memory. Messages of trusted users (`Transport.subscribe`) are handled in this thread, which saves waking
-another; their handlers must return at once.
+another; all other messages wait until their handlers return.
 """
 
 LONGEST_DIRECT_BYTES = 49_000
@@ -139,39 +138,6 @@ class Mailbox:
         return sample
 
 
-class Inbox:
-    """Messages published to a key, in order, for one Python thread that is woken as soon as one arrives.
-
-    At most ``most_waiting`` messages with ``most_bytes`` wait: further ones are dropped and counted.
-    """
-
-    def __init__(self, most_waiting: int, most_bytes: int) -> None:
-        self._most_waiting, self._most_bytes = most_waiting, most_bytes
-        self._messages: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-        self._put_bytes = self._taken_bytes = 0
-        """Each is written by one thread."""
-        self.dropped = 0
-        """Number of messages that found it full."""
-
-    def put(self, payload: bytes) -> None:
-        """Add a message, or drop and count it."""
-        waiting_bytes = self._put_bytes - self._taken_bytes + len(payload)
-        if self._messages.qsize() >= self._most_waiting or waiting_bytes > self._most_bytes:
-            self.dropped += 1
-            return
-        self._put_bytes += len(payload)
-        self._messages.put(payload)
-
-    def take(self, wall_limit_s: float) -> bytes | None:
-        """Return the next message, waiting at most ``wall_limit_s``; None without any."""
-        try:
-            payload = self._messages.get(block=wall_limit_s > 0.0, timeout=max(0.0, wall_limit_s))
-        except queue.Empty:
-            return None
-        self._taken_bytes += len(payload)
-        return payload
-
-
 class Question:
     """A query from another process, which takes one reply."""
 
@@ -240,7 +206,7 @@ class Transport:
 
         On a ``direct`` connection the sending thread writes to the socket, with messages of at most
         `LONGEST_DIRECT_BYTES`. It takes half the time, but a receiver that does not read blocks all senders,
-        so it is only for processes in lockstep.
+        so it is only for processes in lockstep and the host of network interfaces, without which a run ends.
         """
         _check_listener(endpoint, limit_s)
         config = _config("client", "connect", endpoint, limit_s=limit_s, direct=direct)
@@ -272,12 +238,6 @@ class Transport:
         """Declare a subscriber that stores messages to ``key`` from now on."""
         return Mailbox(self._session.declare_subscriber(key, zenoh.handlers.FifoChannel(_CHANNEL_MESSAGES)))
 
-    def inbox(self, key: str, *, most_waiting: int, most_bytes: int) -> Inbox:
-        """Declare a subscriber whose messages are put into an `Inbox`."""
-        inbox = Inbox(most_waiting, most_bytes)
-        self.subscribe(key, inbox.put)
-        return inbox
-
     @property
     def connected(self) -> bool:
         """Whether a router is connected; for sessions opened with `connect`."""
@@ -300,7 +260,8 @@ class Transport:
     def subscribe(self, key: str, handler: Callable[[bytes], None]) -> None:
         """Call the handler with each message to ``key`` from now on, in order, in Zenoh's thread.
 
-        The handler must return at once; ``key`` must be one that trusted users alone may publish to.
+        All messages of this process wait for the handler, which must not wait for one of them; ``key`` must
+        be one that trusted users alone may publish to.
         """
 
         def on_sample(sample: zenoh.Sample) -> None:

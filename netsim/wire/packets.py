@@ -18,6 +18,8 @@ MAX_PACKET_BYTES = 2_296
 MacAddress = Annotated[bytes, Meta(min_length=6, max_length=6)]
 EtherType = Annotated[int, Meta(ge=0x0600, le=0xFFFF)]
 WallNs = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+PacketCounts = tuple[tuple[Station, int], ...]
+"""Numbers of packets by station."""
 
 
 class SentPacket(Struct, frozen=True, kw_only=True, array_like=True, gc=False):
@@ -60,7 +62,7 @@ class ReceivedPackets(Struct, frozen=True, kw_only=True, array_like=True):
 
     version: int = VERSION
     packets: tuple[ReceivedPacket, ...]
-    ended: tuple[tuple[Station, int], ...] = ()
+    ended: PacketCounts = ()
     """Numbers of packets that have left the radios' queues, sent or dropped, by sender"""
 
 

@@ -1,5 +1,7 @@
 """Packets during an interval, with a clock that only waiting advances: times, order, limits, lateness."""
 
+import threading
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -20,6 +22,7 @@ from netsim.wire.lockstep import Advance, pack_rows
 from netsim.wire.packets import SentPacket, SentPackets, decode_received, encode_packets
 
 STEP_US = 40_000
+DEADLINE_S = 20.0
 WALL_NS = 7_000_000_000
 """Wall time of simulated time 0"""
 PLACES = np.array([(0.0, 0.0, -10.0), (0.0, 8.5, -10.0), (2.5, 0.0, -10.0)])
@@ -36,10 +39,17 @@ class World:
         self.service = EmulatorService(config)
         self.wall_ns = WALL_NS
         self.work_ns = work_ns
-        """Wall time that passes with each look at the messages"""
+        """Wall time that passes each time when all messages have been taken"""
         self.arriving = []
+        self.messages = []
+        """Messages that have arrived"""
+        self.receives_in_another_thread = False
+        """Whether messages that arrive during a wait are given to `PacketExchange.receive`"""
+        self.wakes = 0
         self.published = []
         """Wall time and message"""
+        self.publishers = []
+        """Threads that have published the messages"""
         self.dropped = 0
         self.looks = 0
         self.calls = []
@@ -54,22 +64,42 @@ class World:
         )
         self.to_us = 0
 
-    def take(self, wall_limit_s):
-        self.looks += 1
+    def take(self):
+        if self.messages:
+            return self.messages.pop(0)
+        if self.arriving and self.arriving[0][0] <= self.wall_ns:
+            return self.arriving.pop(0)[1]
         self.wall_ns += self.work_ns
+        return None
+
+    def put(self, payload):
+        self.messages.append(payload)
+
+    def wait(self, wall_limit_s):
+        self.looks += 1
         until_ns = self.wall_ns + round(1e9 * wall_limit_s)
         if self.arriving and self.arriving[0][0] <= until_ns:
             at_ns, payload = self.arriving.pop(0)
             self.wall_ns = max(self.wall_ns, at_ns)
-            return payload
+            if self.receives_in_another_thread:
+                thread = threading.Thread(target=self.exchange.receive, args=(payload,))
+                thread.start()
+                thread.join(DEADLINE_S)
+                assert not thread.is_alive()
+            else:
+                self.messages.append(payload)
+            return
         self.wall_ns = until_ns
-        return None
+
+    def wake(self):
+        self.wakes += 1
 
     def publish(self, payload):
         assert len(payload) <= LONGEST_RECEIVED_BYTES + 1_000
         message = decode_received(payload)
         assert message is not None
         self.published.append((self.wall_ns, message))
+        self.publishers.append(threading.current_thread())
 
     def arrive(self, wall_ns, *packets):
         self.arriving.append((wall_ns, encode_packets(SentPackets(packets=packets))))
@@ -214,6 +244,45 @@ def test_a_quiet_channel_waits_once_for_the_end_of_the_interval():
     assert world.published == []
 
 
+def test_a_packet_that_arrives_during_a_wait_is_exchanged_where_it_arrives():
+    world = World()
+    world.receives_in_another_thread = True
+    read_ns = WALL_NS + 12_000_000
+    world.arrive(read_ns + AIR_NS, packet(read_ns))
+    world.advance()
+    ((published_ns, received),) = world.received
+    assert published_ns == read_ns + AIR_NS  # its frame has ended: no further wait
+    assert received.due_ns - read_ns == pytest.approx(68_000, abs=100)
+    (thread,) = world.publishers
+    assert thread is not threading.main_thread()
+    assert world.wakes == 1
+    assert world.ended == [1, 0, 0]
+
+
+def test_a_message_between_intervals_or_without_a_pace_waits_for_the_interval():
+    world = World()
+    for paced in (True, False):
+        world.exchange.receive(encode_packets(SentPackets(packets=(packet(world.wall_ns),))))
+        assert len(world.messages) == 1
+        assert world.exchange.counters["sent"] == (0 if paced else 1)
+        world.advance(paced=paced)
+    assert len(world.received) == 2
+    assert set(world.publishers) == {threading.main_thread()}
+
+
+def test_an_error_of_the_emulator_where_a_packet_arrives_ends_the_interval(monkeypatch):
+    world = World()
+    world.receives_in_another_thread = True
+    world.arrive(WALL_NS + 5_000_000, packet(WALL_NS))
+
+    def fail(_packet, _at_ns):
+        raise ValueError("of a user's model")
+
+    monkeypatch.setattr(world.service, "submit_packet", fail)
+    with pytest.raises(ValueError, match="of a user's model"):
+        world.advance()
+
+
 def test_malformed_messages_are_counted_and_change_nothing():
     world = World()
     stranger = encode_packets(SentPackets(packets=(packet(0, station=3), packet(0))))
@@ -271,9 +340,11 @@ def test_many_receptions_are_published_in_messages_of_limited_length():
     reads=st.lists(st.tuples(st.integers(0, 119_000_000), st.integers(0, 2)), max_size=30),
     delay_ns=st.integers(0, 3_000_000),
     work_ns=st.integers(0, 50_000),
+    another_thread=st.booleans(),
 )
-def test_packets_are_never_early_and_of_a_station_in_order(reads, delay_ns, work_ns):
+def test_packets_are_never_early_and_of_a_station_in_order(reads, delay_ns, work_ns, another_thread):
     world = World(work_ns=work_ns, channel="ideal")  # without collisions
+    world.receives_in_another_thread = another_thread
     for number, (at_ns, station) in enumerate(sorted(reads)):
         one = packet(WALL_NS + at_ns, station=station, payload=number.to_bytes(2, "big"))
         world.arrive(WALL_NS + at_ns + delay_ns, one)
