@@ -1,8 +1,8 @@
 """Timelines by band and coverage class, in microseconds: time-outs, interframe spaces, slots.
 
-Expected times follow from IEEE 802.11-2016: tables 17-21 and 18-5, 9.4.2.9, 10.3.2.3, 10.3.2.9, 10.3.7, 10.3.8.
-100 bytes at 6 Mbit/s last 160 us and their ACK 44 us; RTS and CTS at 24 Mbit/s last 28 us; at 2.4 GHz each
-frame lasts 6 us more. A second.
+Expected times follow from IEEE 802.11-2016: tables 17-21 and 18-5, 9.4.2.9, 10.3.2.3, 10.3.2.9, 10.3.7 and
+10.3.8. 100 bytes at 6 Mbit/s last 160 us and their ACK 44 us; RTS and CTS at 24 Mbit/s last 28 us; at 2.4 GHz
+each frame lasts 6 us more. A second.
 """
 
 from itertools import pairwise
@@ -53,7 +53,8 @@ def test_acknowledgement_follows_after_sifs(settings, slot_us, sifs_us, extensio
     end_us = 1160 + extension_us
     ack_us = end_us + sifs_us
     assert air.run() == [(1000, end_us, A, "data"), (ack_us, ack_us + 44 + extension_us, B, "ack")]
-    assert ack_us == 1176  # 16 us after the last symbol in either band
+    assert ack_us == 1160 + 16  # after the last symbol, in either band and with any slot
+    assert timing_of(air.config).slot_ns == 1_000 * slot_us
     # the Duration field reaches to the end of the ACK
     assert air.transmissions[0].frame.nav_ns == 1_000 * (sifs_us + 44 + extension_us)
     assert air.outcomes == [JobOutcome.ACKNOWLEDGED]
@@ -93,8 +94,8 @@ def test_response_counts_if_its_reception_begins_within_the_time_out(settings, s
 
 @pytest.mark.parametrize(("begins_us", "failed_us"), [(1185, 1185 + 160), (1186, 1205)])
 def test_time_out_waits_for_the_end_of_a_frame_whose_reception_has_begun(begins_us, failed_us):
-    #  1000   1160  1185           1205          1345     A, to which nobody responds, is locked on to C's frame
-    #  A data |     C data ...     | time-out    |        from 1205 on
+    #  1000   1160  1185           1205          1345     no response to A; A is locked on to C's frame at
+    #  A data |     C data ...     | time-out    |        its time-out
     air = Air(3, powers_dbm=dict.fromkeys([(A, B), (A, C)], UNDETECTED_DBM))
     air.send(1000, A, B, retry_limit=0)
     air.send(begins_us, C)
