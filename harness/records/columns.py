@@ -236,7 +236,7 @@ RECEPTIONS = TableKind(
         "source": Column(description="Number of the transmitting station."),
         "receiver": Column(description="Number of the receiving station."),
         "rx_power_dbm": Column(
-            description="Received power, with fading; -inf beyond 4.8 km, where no frame arrives."
+            description="Received power, with fading; -inf beyond 4.8 km (3.0 km at 2.4 GHz)."
         ),
         "sinr_db": Column(
             description="Least ratio during the frame of its power to noise and all signals of others; -inf "

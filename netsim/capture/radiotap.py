@@ -14,6 +14,7 @@ to its own size, counted from the header's first byte.
 from struct import Struct as Layout
 
 from netsim.phy.modes import PhyMode
+from netsim.phy.timing import is_2_4_ghz
 
 _TSFT, _FLAGS, _RATE, _CHANNEL, _SIGNAL, _NOISE, _TX_POWER, _VHT, _TIMESTAMP = (
     1 << bit for bit in (0, 1, 2, 3, 5, 6, 10, 21, 22)
@@ -21,7 +22,6 @@ _TSFT, _FLAGS, _RATE, _CHANNEL, _SIGNAL, _NOISE, _TX_POWER, _VHT, _TIMESTAMP = (
 _FLAGS_FCS_AT_END, _FLAGS_BAD_FCS = 0x10, 0x40
 _CHANNEL_OFDM, _CHANNEL_2_GHZ, _CHANNEL_5_GHZ = 0x0040, 0x0080, 0x0100
 _BAND_5_GHZ_FROM_MHZ = 4_900.0
-_BAND_2_GHZ_MHZ = (2_400.0, 2_500.0)
 _FREQUENCY_MAX_MHZ = 65_535
 _POWER_MAX_DBM = 127
 _VHT_KNOWN = 0x0001 | 0x0004 | 0x0020 | 0x0040
@@ -64,7 +64,7 @@ class Radiotap:
         channel_flags = _CHANNEL_OFDM
         if frequency_mhz >= _BAND_5_GHZ_FROM_MHZ:
             channel_flags |= _CHANNEL_5_GHZ
-        elif _BAND_2_GHZ_MHZ[0] <= frequency_mhz <= _BAND_2_GHZ_MHZ[1]:
+        elif is_2_4_ghz(frequency_mhz):
             channel_flags |= _CHANNEL_2_GHZ
         self._properties = _PROPERTIES.pack(
             _FLAGS_FCS_AT_END | _FLAGS_BAD_FCS if bad_fcs else _FLAGS_FCS_AT_END,

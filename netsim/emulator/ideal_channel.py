@@ -2,9 +2,9 @@
 
 A frame is sent as soon as it is enqueued, regardless of other transmissions, also of the same station, and
 takes its normal air time. A station receives it after the propagation delay if path loss, antennas and extra
-attenuation leave at least ``cca_preamble_dbm``. A unicast frame is acknowledged after SIFS; without an ACK it
-is sent again at the time-out, up to the retry limit. Ranging (`netsim.ftm`) runs on top: its frames have
-their normal air time and its time stamps their noise.
+attenuation leave at least ``cca_preamble_dbm``. A unicast frame is acknowledged after SIFS; without an ACK
+that begins in time it is sent again at the time-out, up to the retry limit. Ranging (`netsim.ftm`) runs on
+top: its frames have their normal air time and its time stamps their noise.
 
 Not modelled, whatever the settings: contention, reservations (no RTS, no NAV), queues, collisions, noise,
 fading, shadowing, blocked lines of sight and interferers. The medium is never busy.
@@ -16,9 +16,7 @@ import msgspec
 import numpy as np
 
 from netsim.emulator.records import FrameRecord
-from netsim.mac.access_parameters import SIFS_NS
 from netsim.mac.jobs import DatagramReception, Job, JobOutcome, OnDatagram, Reception, Upper
-from netsim.mac.station import RESPONSE_TIMEOUT_NS
 from netsim.model import codes as c
 from netsim.model.config import RadioConfig
 from netsim.model.event_queue import EventQueue
@@ -27,6 +25,7 @@ from netsim.phy.frames import ACK_BYTES, GROUP, KINDS, Frame, FrameKind, Transmi
 from netsim.phy.modes import MODE_NAMES, response_mode
 from netsim.phy.propagation import Links
 from netsim.phy.receptions import OUTCOMES, Receptions, without_noise
+from netsim.phy.timing import RX_START_DELAY_NS, timing_of
 
 
 def undisturbed(config: RadioConfig) -> RadioConfig:
@@ -49,6 +48,7 @@ class IdealChannel:
     ) -> None:
         self.queue = queue
         self.on_datagram = on_datagram
+        self.timing = timing_of(config)
         self._stations = stations
         self._on_ended = on_ended
         self._sent = [0] * len(KINDS)
@@ -158,6 +158,7 @@ class IdealRadio:
         self.upper = upper
         self._channel = channel
         self._queue = channel.queue
+        self._timing = channel.timing
         self._sequence = 0
         self._exchanges: list[_Exchange] = []
         """Unfinished exchanges."""
@@ -212,7 +213,7 @@ class IdealRadio:
             destination=job.destination,
             mode=job.mode,
             frame_bytes=job.frame_bytes,
-            nav_ns=0 if job.destination == GROUP else SIFS_NS + ack_ns,
+            nav_ns=0 if job.destination == GROUP else self._timing.sifs_ns + ack_ns,
             seq=job.seq,
             sequence=job.sequence,
             body=job.body,
@@ -247,7 +248,7 @@ class IdealRadio:
             self._await_time_out(exchange, sent)
         else:
             duplicate, exchange.arrived = exchange.arrived, True
-            self._queue.at(self._queue.now_ns + SIFS_NS, self._send_ack, (exchange, sent))
+            self._queue.at(self._queue.now_ns + self._timing.sifs_ns, self._send_ack, (exchange, sent))
             self._deliver(exchange.job, _reception(sent, radio.index, duplicate=duplicate), radio)
         self._channel.note_end(sent)
 
@@ -279,13 +280,19 @@ class IdealRadio:
                 frame_bytes=ACK_BYTES,
             )
         )
-        self._queue.at(ack.end_ns + ack.delays_ns.item(self.index), self._on_ack, (exchange, sent, ack))
-
-    def _on_ack(self, attempt: tuple[_Exchange, Transmission, Transmission]) -> None:
-        exchange, sent, ack = attempt
-        if self._channel.reach(ack, self.index) is None:
+        delay_ns = ack.delays_ns.item(self.index)
+        in_time = ack.start_ns + delay_ns + RX_START_DELAY_NS <= self._timed_out_ns(sent)
+        if not in_time:
             self._await_time_out(exchange, sent)
-        elif not exchange.over:
+        self._queue.at(ack.end_ns + delay_ns, self._on_ack, (exchange, sent, ack, in_time))
+
+    def _on_ack(self, attempt: tuple[_Exchange, Transmission, Transmission, bool]) -> None:
+        """Process the end of an ACK, whose reception may have begun after the time-out."""
+        exchange, sent, ack, in_time = attempt
+        received = self._channel.reach(ack, self.index) is not None
+        if in_time and not received:
+            self._await_time_out(exchange, sent)
+        elif in_time and not exchange.over:
             job = exchange.job
             job.ack = _reception(ack, self.index)
             job.ended_ns = job.ack.end_ns
@@ -295,9 +302,10 @@ class IdealRadio:
         self._channel.note_end(ack)
 
     def _await_time_out(self, exchange: _Exchange, sent: Transmission) -> None:
-        self._queue.at(
-            max(self._queue.now_ns, sent.end_ns + RESPONSE_TIMEOUT_NS), self._on_time_out, exchange
-        )
+        self._queue.at(max(self._queue.now_ns, self._timed_out_ns(sent)), self._on_time_out, exchange)
+
+    def _timed_out_ns(self, sent: Transmission) -> int:
+        return sent.end_ns + self._timing.response_timeout_ns
 
     def _on_time_out(self, exchange: _Exchange) -> None:
         job = exchange.job

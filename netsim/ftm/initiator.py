@@ -12,7 +12,6 @@ from netsim.ftm.elements import Measurement, Parameters, Request, Status
 from netsim.ftm.negotiation import TIME_UNIT_NS, Schedule, requested_parameters
 from netsim.ftm.port import ObservedRequest, Port
 from netsim.ftm.stamps import measured_m
-from netsim.mac.access_parameters import SIFS_NS
 from netsim.mac.jobs import Job, JobOutcome, Reception
 from netsim.model.event_queue import Event
 
@@ -194,7 +193,7 @@ class Initiator:
         session.arrival = _Arrival(
             token=body.token,
             t2_ps=self._port.arrival_ps(reception, session.excess_m)[0],
-            t3_ps=self._port.clock.stamp_ps(1_000 * (end_ns + SIFS_NS)),
+            t3_ps=self._port.clock.stamp_ps(1_000 * (end_ns + self._port.sifs_ns)),
             rate_ratio=self._port.rate_ratio(peer, power_mw),
             at_ns=end_ns,
             true_distance_m=self._port.distance_m(peer),

@@ -25,10 +25,9 @@ LONGEST_BURST_US = SHORTEST_BURST_US << len(BURST_DURATION_CODES) - 1
 LONGEST_RETRY_S = 31
 _PARTIAL_TSF = 2**16
 _FORMATS_WITHIN = {
-    widest: {NON_HT_FORMAT, *(code for width, code in VHT_FORMATS.items() if width <= widest)}
-    for widest in VHT_FORMATS
+    widest: {code for width, code in VHT_FORMATS.items() if width <= widest} for widest in VHT_FORMATS
 }
-"""Format codes that fit into a channel, by its width in MHz."""
+"""Codes of VHT formats that fit into a channel, by its width in MHz."""
 
 
 def requested_parameters(config: FtmConfig, format_and_bandwidth: int) -> Parameters:
@@ -47,10 +46,10 @@ def requested_parameters(config: FtmConfig, format_and_bandwidth: int) -> Parame
     )
 
 
-def can_measure(requested: Parameters, bandwidth_mhz: BandwidthMhz) -> bool:
-    """Whether frames of the requested format fit into the responder's channel."""
+def can_measure(requested: Parameters, bandwidth_mhz: BandwidthMhz, *, vht: bool = True) -> bool:
+    """Whether frames of the requested format fit into the responder's channel, which may have no VHT."""
     code = requested.format_and_bandwidth
-    return code is None or code in _FORMATS_WITHIN[bandwidth_mhz]
+    return code in (None, NON_HT_FORMAT) or (vht and code in _FORMATS_WITHIN[bandwidth_mhz])
 
 
 def grant(requested: Parameters, config: FtmConfig, format_and_bandwidth: int, now_ns: int) -> Parameters:

@@ -18,9 +18,10 @@ from netsim.model.config import BandwidthMhz, FtmConfig, RadioConfig
 from netsim.model.event_queue import EventQueue
 from netsim.model.random_streams import FloatStream
 from netsim.phy.frames import DATA_OVERHEAD_BYTES, FrameKind
-from netsim.phy.modes import PhyMode, phy_mode
+from netsim.phy.modes import PhyMode
 from netsim.phy.path_loss import SPEED_OF_LIGHT_M_S
 from netsim.phy.propagation import Trajectories, thermal_noise_mw
+from netsim.phy.timing import channel_mode, is_2_4_ghz, timing_of
 
 PS_PER_M = 1e12 / SPEED_OF_LIGHT_M_S
 
@@ -62,7 +63,10 @@ class Port:
         self.stations = stations
         self.config: FtmConfig = config.ftm
         self.bandwidth_mhz: BandwidthMhz = config.bandwidth_mhz
-        self.mode: PhyMode = phy_mode(config.ftm.mode, config.bandwidth_mhz)
+        self.vht = not is_2_4_ghz(config.frequency_mhz)
+        """Whether the channel has VHT modes."""
+        self.sifs_ns = timing_of(config).sifs_ns
+        self.mode: PhyMode = channel_mode(config, config.ftm.mode)
         self.format_and_bandwidth = format_and_bandwidth(self.mode)
         self.queue = environment.queue
         self.clock = clocks[station]

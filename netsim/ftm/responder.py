@@ -72,7 +72,7 @@ class Responder:
         before = self._sessions.get(initiator)
         if before is not None:
             self._end(before)  # a new request of an initiator ends its previous session
-        if not can_measure(requested, port.bandwidth_mhz):
+        if not can_measure(requested, port.bandwidth_mhz, vht=port.vht):
             self._reject(initiator, rejection(Status.INCAPABLE))
             return
         if len(self._sessions) >= port.config.responder_sessions:

@@ -5,9 +5,10 @@ from msgspec import Struct
 
 from netsim.emulator.records import FrameRecord
 from netsim.lab.bench import HEIGHT_M, RadioBench, ring_ned_m
-from netsim.mac.access_parameters import EDCA, SIFS_NS, SLOT_NS
+from netsim.mac.access_parameters import EDCA
 from netsim.model.config import BandwidthMhz, FtmConfig, Mode, RadioConfig
 from netsim.phy.frames import FrameKind
+from netsim.phy.timing import timing_of
 from netsim.wire.messages import FtmRequest, FtmResult
 
 STEP_US = 1_000
@@ -94,13 +95,13 @@ def range_pair(
 
 
 def airtime_of_ns(frames: list[FrameRecord]) -> int:
-    """Return the time for which ranging frames occupy the medium, contention included."""
-    access = EDCA["vo"]
-    contention_ns = access.aifs_ns + SLOT_NS * access.cw_min // 2
+    """Return the time for which ranging frames occupy the medium at 5 GHz, contention included."""
+    access, timing = EDCA["vo"], timing_of(RadioConfig())
+    contention_ns = access.aifs_ns(timing) + timing.slot_ns * access.cw_min // 2
     total_ns = 0
     for frame in frames:
         total_ns += frame.end_ns - frame.start_ns
-        total_ns += SIFS_NS if frame.kind == FrameKind.ACK else contention_ns
+        total_ns += timing.sifs_ns if frame.kind == FrameKind.ACK else contention_ns
     return total_ns
 
 

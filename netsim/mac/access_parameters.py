@@ -1,19 +1,18 @@
 """Interframe spaces and contention windows of the access categories.
 
-Source: IEEE 802.11-2016, 10.3.4 (DCF) and 10.22.2 (EDCA); 5 GHz OFDM timing of table 17-21.
+Source: IEEE 802.11-2016, 10.3.4 (DCF) and 10.22.2 (EDCA). Their values are the same for OFDM and ERP-OFDM;
+slot and SIFS are in `netsim.phy.timing`.
 """
 
 from msgspec import Struct
 
-from netsim.phy.frames import ACK_BYTES
-from netsim.phy.modes import phy_mode
+from netsim.phy.timing import PhyTiming
 
-SLOT_NS = 9_000
-SIFS_NS = 16_000
-EIFS_EXTRA_NS = SIFS_NS + phy_mode("ofdm6", 20).duration_ns(ACK_BYTES)
-"""EIFS minus DIFS: time for an ACK at the lowest rate that this station may not receive."""
 CCA_NS = 4_000
-"""aCCATime: energy is detected after this time; until then a planned transmission still begins."""
+"""aCCATime: energy is detected after this time; until then a planned transmission still begins.
+
+Table 18-5 permits up to 15 us with the long slot; the receiver is the same with both slots.
+"""
 
 
 class AccessParameters(Struct, frozen=True, kw_only=True):
@@ -27,10 +26,9 @@ class AccessParameters(Struct, frozen=True, kw_only=True):
     edca: bool = True
     """EDCA backoff is decremented at slot boundaries, DCF backoff (False) after idle slots."""
 
-    @property
-    def aifs_ns(self) -> int:
-        """Arbitration interframe space: SIFS + AIFSN slots."""
-        return SIFS_NS + self.aifsn * SLOT_NS
+    def aifs_ns(self, timing: PhyTiming) -> int:
+        """Return the arbitration interframe space: SIFS + AIFSN slots."""
+        return timing.sifs_ns + self.aifsn * timing.slot_ns
 
 
 DCF = AccessParameters(aifsn=2, cw_min=15, cw_max=1023, edca=False)

@@ -4,7 +4,6 @@ The functions are compiled and work on the tables of `netsim.model.tables`.
 """
 
 from foundation.kernels.inner import constant, inner
-from netsim.mac.access_parameters import SIFS_NS
 from netsim.model import tables as t
 from netsim.model.records import MediumHeader
 from netsim.phy.frames import ACK_BYTES, CTS_BYTES, GROUP, RTS_BYTES
@@ -19,7 +18,7 @@ def duration_ns(air: MediumHeader, mode: int, frame_bytes: int) -> int:
     phy = t.mode(air, mode)
     length = frame_bytes + VHT_DELIMITER_BYTES * phy.vht
     symbols = -(-(SERVICE_AND_TAIL_BITS + 8 * length) // phy.bits_per_symbol)
-    return phy.preamble_ns + SYMBOL_NS * symbols
+    return phy.preamble_ns + SYMBOL_NS * symbols + air.signal_extension_ns
 
 
 @inner
@@ -28,7 +27,7 @@ def response_ns(air: MediumHeader, job: int) -> int:
     if t.job(air, job).to == GROUP:
         return 0
     mode = t.mode(air, t.job(air, job).mode).response_mode
-    return SIFS_NS + duration_ns(air, mode, _ACK)
+    return air.sifs_ns + duration_ns(air, mode, _ACK)
 
 
 @inner
@@ -51,4 +50,4 @@ def exchange_ns(air: MediumHeader, job: int) -> int:
     if not t.job(air, job).rts:
         return data_ns(air, job)
     rts_ns = duration_ns(air, air.control_mode, _RTS)
-    return rts_ns + SIFS_NS + cts_ns(air) + SIFS_NS + data_ns(air, job)
+    return rts_ns + air.sifs_ns + cts_ns(air) + air.sifs_ns + data_ns(air, job)

@@ -16,7 +16,7 @@ The functions are compiled and work on the tables of `netsim.model.tables`. Fram
 """
 
 from foundation.kernels.inner import inner
-from netsim.mac.access_parameters import CCA_NS, EIFS_EXTRA_NS, SLOT_NS
+from netsim.mac.access_parameters import CCA_NS
 from netsim.model import codes as c
 from netsim.model import tables as t
 from netsim.model.event_queue import NEVER_NS
@@ -193,7 +193,7 @@ def _freeze_queue(air: MediumHeader, q: int, from_ns: int) -> None:
             queue.slots_from_ns = NEVER_NS
             return
     if queue.backoff_slots and from_ns >= queue.slots_from_ns:
-        passed_slots = (from_ns - queue.slots_from_ns) // SLOT_NS + queue.slot_offset
+        passed_slots = (from_ns - queue.slots_from_ns) // air.slot_ns + queue.slot_offset
         queue.backoff_slots = max(0, queue.backoff_slots - passed_slots)
     queue.slots_from_ns = NEVER_NS
 
@@ -213,7 +213,7 @@ def contend(air: MediumHeader, station: int, q: int, job: int) -> None:
     if not first or t.station(air, station).current_queue == q:
         return
     busy = _is_busy(air, station)
-    remaining_ns = queue.backoff_slots * SLOT_NS
+    remaining_ns = queue.backoff_slots * air.slot_ns
     if remaining_ns == 0 or (not busy and now >= queue.slots_from_ns + remaining_ns):
         queue.backoff_slots = 0
         queue.found_idle = not busy
@@ -250,7 +250,7 @@ def resume(air: MediumHeader, station: int) -> None:
         idle_ns = row.idle_before_ns
     idle_ns = max(idle_ns, row.sending_until_ns, row.nav_until_ns, row.wait_until_ns)
     if row.last_error_ns:
-        idle_ns = max(idle_ns, row.last_error_ns + EIFS_EXTRA_NS)
+        idle_ns = max(idle_ns, row.last_error_ns + air.eifs_extra_ns)
     row.planned = True
     k = air.categories
     for q in range(station * k, station * k + k):
@@ -270,7 +270,7 @@ def _plan(air: MediumHeader, q: int, base_ns: int) -> None:
     queue.slots_from_ns = base_ns
     if queue.first_job == c.NOTHING:
         return
-    access_ns = max(base_ns + queue.backoff_slots * SLOT_NS, air.now_ns)
+    access_ns = max(base_ns + queue.backoff_slots * air.slot_ns, air.now_ns)
     if not queue.access_event or queue.access_ns != access_ns:
         queue.access_ns = access_ns
         queue.access_event = schedule(air, access_ns, c.ON_ACCESS, q)

@@ -13,8 +13,9 @@ from netsim.model.tables import Tables
 from netsim.phy.errors import error_table
 from netsim.phy.interfaces import ErrorModel
 from netsim.phy.medium import PREAMBLE_SINR
-from netsim.phy.modes import MODE_NAMES, PhyMode, phy_mode, response_mode
+from netsim.phy.modes import MODE_NAMES, PhyMode, response_mode
 from netsim.phy.propagation import thermal_noise_mw
+from netsim.phy.timing import channel_mode, timing_of
 
 
 class ModeRows(dict[PhyMode, int]):
@@ -54,7 +55,12 @@ def silent_block(
     air.noise_mw, air.energy_mw, air.preamble_mw = noise_mw, energy_mw, preamble_mw
     air.sensed_mw = min(energy_mw, preamble_mw)
     air.queue_frames = config.queue_frames
-    air.control_mode = modes[phy_mode(config.control_mode, config.bandwidth_mhz)]
+    timing = timing_of(config)
+    air.slot_ns, air.sifs_ns, air.signal_extension_ns = (
+        timing.slot_ns, timing.sifs_ns, timing.signal_extension_ns
+    )  # fmt: skip
+    air.eifs_extra_ns, air.response_timeout_ns = timing.eifs_extra_ns, timing.response_timeout_ns
+    air.control_mode = modes[channel_mode(config, config.control_mode)]
     air.observed, air.draws_low, air.due_queue = observed, True, c.NOTHING
     for name in ("sending_from_ns", "sending_until_ns", "last_detection_ns", "budget_until_ns"):
         idle[name] = -1
@@ -65,7 +71,7 @@ def silent_block(
     for k, each in enumerate(queues):
         of_category = empty[k :: len(queues)]
         of_category["window"] = of_category["window_min"] = each.cw_min
-        of_category["window_max"], of_category["aifs_ns"] = each.cw_max, each.aifs_ns
+        of_category["window_max"], of_category["aifs_ns"] = each.cw_max, each.aifs_ns(timing)
         of_category["txop_ns"], of_category["slot_offset"] = each.txop_ns, each.edca
     tables.links["last_received_ns"] = -NEVER_NS
     return block, modes

@@ -272,6 +272,7 @@ def start_burst(
     signal = t.signal(air, burst)
     signal.source, signal.longest_delay_ns = source, longest_delay_ns
     signal.start_ns, signal.end_ns = air.now_ns, end_ns
+    signal.radiated_until_ns = end_ns
     for r in range(air.stations):
         path = t.path(air, burst, r)
         path.power_mw, path.delay_ns = powers_mw[r], delays_ns[r]

@@ -29,10 +29,11 @@ from netsim.phy.errors import ERRORS
 from netsim.phy.fading import SampledFading
 from netsim.phy.frames import KINDS, Frame, Transmission
 from netsim.phy.interfaces import ErrorModel
-from netsim.phy.modes import MODE_NAMES, phy_mode
+from netsim.phy.modes import MODE_NAMES
 from netsim.phy.path_loss import Doubles
 from netsim.phy.propagation import Links
 from netsim.phy.receptions import receptions_of
+from netsim.phy.timing import channel_mode
 
 KIND_ROWS = {kind: row for row, kind in enumerate(KINDS)}
 OUTCOMES = list(JobOutcome)
@@ -403,7 +404,7 @@ class Radios:
             kind=KINDS[signal.kind],
             source=int(signal.source),
             destination=int(signal.to),
-            mode=phy_mode(MODE_NAMES[signal.mode], self._config.bandwidth_mhz),
+            mode=channel_mode(self._config, MODE_NAMES[signal.mode]),
             frame_bytes=int(signal.frame_bytes),
             nav_ns=int(signal.nav_ns),
             seq=int(signal.seq),

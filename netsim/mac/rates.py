@@ -11,13 +11,15 @@ from typing import NamedTuple
 
 from msgspec import Struct
 
+from netsim.mac.access_parameters import DCF
 from netsim.model.config import BandwidthMhz, RadioConfig, StationConfig
 from netsim.model.random_streams import FloatStream, Model, RandomStreams
 from netsim.phy.frames import ACK_BYTES
 from netsim.phy.modes import MODE_NAMES, PhyMode, phy_mode, response_mode
+from netsim.phy.timing import channel_mode, is_2_4_ghz, timing_of
 
 OVERHEAD_NS = 34_000 + 67_500 + 16_000
-"""Share of an exchange that no mode shortens: DIFS, the mean of the smallest backoff, SIFS."""
+"""Share of an exchange that no mode shortens, at 5 GHz: DIFS, the mean of the smallest backoff, SIFS."""
 HOPELESS = 0.1
 """Success probability below which a mode's throughput counts as 0."""
 LONGEST_REST = 15
@@ -35,12 +37,14 @@ LOOKAROUND_RATIO = 0.05
 """Share of frames that may sample another mode."""
 
 
-def channel_modes(bandwidth_mhz: BandwidthMhz, *, vht: bool) -> tuple[PhyMode, ...]:
+def channel_modes(
+    bandwidth_mhz: BandwidthMhz, *, vht: bool, signal_extension_ns: int = 0
+) -> tuple[PhyMode, ...]:
     """Return all VHT or non-HT modes of a channel width in order of rate."""
     names = [name for name in MODE_NAMES if name.startswith("vht") is vht]
     if bandwidth_mhz == 20 and vht:
         names.remove("vht_mcs9")
-    return tuple(phy_mode(name, bandwidth_mhz) for name in names)
+    return tuple(phy_mode(name, bandwidth_mhz, signal_extension_ns) for name in names)
 
 
 class _Mode(Struct, eq=False):
@@ -101,11 +105,15 @@ class _Destination:
 class AdaptiveRate:
     """Rate control of one station.
 
-    It selects among ``modes``, the most robust first; ``uniforms`` draws the order of samples.
+    It selects among ``modes``, the most robust first; ``uniforms`` draws the order of samples. An exchange
+    takes ``overhead_ns`` more than its frame and ACK.
     """
 
-    def __init__(self, modes: tuple[PhyMode, ...], uniforms: FloatStream) -> None:
+    def __init__(
+        self, modes: tuple[PhyMode, ...], uniforms: FloatStream, *, overhead_ns: int = OVERHEAD_NS
+    ) -> None:
         self._modes = modes
+        self._overhead_ns = overhead_ns
         self._uniforms = uniforms
         self._destinations: dict[int, _Destination] = {}
 
@@ -141,7 +149,7 @@ class AdaptiveRate:
         for each in known.modes:
             mode = each.mode
             ack_ns = response_mode(mode).duration_ns(ACK_BYTES)
-            each.time_ns = OVERHEAD_NS + mode.duration_ns(frame_bytes) + ack_ns
+            each.time_ns = self._overhead_ns + mode.duration_ns(frame_bytes) + ack_ns
             each.update()
         by_throughput = sorted(known.modes, key=_Mode.throughput, reverse=True)
         lowest = known.modes[0]
@@ -188,11 +196,16 @@ class DatagramModes(NamedTuple):
 
 def datagram_modes(config: RadioConfig, own: StationConfig, streams: RandomStreams) -> DatagramModes:
     """Return the modes of a station from its own settings, else from the common ones."""
-    width_mhz = config.bandwidth_mhz
-    broadcast = phy_mode(own.broadcast_mode or config.broadcast_mode, width_mhz)
+    broadcast = channel_mode(config, own.broadcast_mode or config.broadcast_mode)
     data_mode = own.data_mode or config.data_mode
     if data_mode != "adaptive":
-        return DatagramModes(broadcast, phy_mode(data_mode, width_mhz), None)
-    modes = channel_modes(width_mhz, vht=True)
-    rates = AdaptiveRate(modes, streams.uniforms(Model.RATE, own.station))
+        return DatagramModes(broadcast, channel_mode(config, data_mode), None)
+    timing = timing_of(config)
+    modes = channel_modes(
+        config.bandwidth_mhz,
+        vht=not is_2_4_ghz(config.frequency_mhz),
+        signal_extension_ns=timing.signal_extension_ns,
+    )
+    overhead_ns = DCF.aifs_ns(timing) + DCF.cw_min * timing.slot_ns // 2 + timing.sifs_ns
+    rates = AdaptiveRate(modes, streams.uniforms(Model.RATE, own.station), overhead_ns=overhead_ns)
     return DatagramModes(broadcast, modes[0], rates)

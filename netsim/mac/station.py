@@ -19,7 +19,7 @@ The functions are compiled and work on the tables of `netsim.model.tables`.
 """
 
 from foundation.kernels.inner import constant, inner
-from netsim.mac.access_parameters import CCA_NS, SIFS_NS, SLOT_NS
+from netsim.mac.access_parameters import CCA_NS
 from netsim.mac.airtime import cts_ns, data_ns, duration_ns, exchange_ns, response_ns
 from netsim.mac.contention import drop_expired, fail, freeze, give_up, resume, succeeded, unwatch, win
 from netsim.model import codes as c
@@ -29,11 +29,9 @@ from netsim.model.records import MediumHeader
 from netsim.model.tables import add_call, take_signal
 from netsim.phy import medium
 from netsim.phy.frames import ACK_BYTES, CTS_BYTES, GROUP, RTS_BYTES
-from netsim.phy.modes import NON_HT_PREAMBLE_NS
 from netsim.phy.path_loss import Doubles
+from netsim.phy.timing import RX_START_DELAY_NS
 
-RESPONSE_TIMEOUT_NS = SIFS_NS + SLOT_NS + NON_HT_PREAMBLE_NS
-"""Time from the end of a frame to the latest begin of its CTS or ACK (10.3.2.9)."""
 NEIGHBOUR_LIFETIME_NS = 1_000_000_000
 
 _RTS, _RTS_BYTES = constant(c.RTS), constant(RTS_BYTES)
@@ -107,9 +105,9 @@ def begin(air: MediumHeader, fading: Doubles, q: int) -> None:
         return
     t.station(air, station).phase = AWAITING_CTS
     rts = _frame(air, _RTS, station, target, air.control_mode, _RTS_BYTES)
-    sent, cts_end_ns = t.signal(air, rts), SIFS_NS + cts_ns(air)
-    sent.nav_ns = cts_end_ns + SIFS_NS + data_ns(air, job)
-    sent.lapse_ns = cts_end_ns + SIFS_NS + NON_HT_PREAMBLE_NS + 2 * SLOT_NS
+    sent, cts_end_ns = t.signal(air, rts), air.sifs_ns + cts_ns(air)
+    sent.nav_ns = cts_end_ns + air.sifs_ns + data_ns(air, job)
+    sent.lapse_ns = cts_end_ns + air.sifs_ns + RX_START_DELAY_NS + 2 * air.slot_ns
     _send(air, fading, rts)
     _await_response(air, station, rts)
 
@@ -134,7 +132,7 @@ def send_job(air: MediumHeader, fading: Doubles, q: int) -> None:
         job.sequence = row.sequence
     nav_ns = response_ns(air, which)
     if queue.txop_ns and job.next_job != c.NOTHING:
-        next_ns = SIFS_NS + exchange_ns(air, job.next_job)
+        next_ns = air.sifs_ns + exchange_ns(air, job.next_job)
         if air.now_ns + data_ns(air, which) + next_ns <= row.txop_end_ns:
             nav_ns += next_ns
     frame = _frame(air, job.kind, station, job.to, job.mode, job.frame_bytes)
@@ -158,6 +156,7 @@ def _frame(air: MediumHeader, kind: int, source: int, to: int, mode: int, frame_
     frame.mode, frame.frame_bytes = mode, frame_bytes
     frame.start_ns = air.now_ns
     frame.end_ns = frame.start_ns + duration_ns(air, mode, frame_bytes)
+    frame.radiated_until_ns = frame.end_ns - air.signal_extension_ns
     frame.nav_ns, frame.lapse_ns, frame.seq, frame.sequence = 0, 0, 0, 0
     frame.job = c.NOTHING
     return row
@@ -182,7 +181,7 @@ def on_busy(air: MediumHeader, signal: int, count: int) -> None:
 def _await_response(air: MediumHeader, station: int, frame: int) -> None:
     row = t.station(air, station)
     row.timed_out = False
-    at_ns = t.signal(air, frame).end_ns + RESPONSE_TIMEOUT_NS
+    at_ns = t.signal(air, frame).end_ns + air.response_timeout_ns
     row.timeout_event = schedule(air, at_ns, c.ON_TIMEOUT, station)
 
 
@@ -200,7 +199,7 @@ def _succeed(air: MediumHeader, station: int, outcome: int, end_ns: int) -> None
         return
     _stop_waiting(air, station)
     give_up(air, q, outcome, end_ns)
-    if not (t.queue(air, q).txop_ns and _goes_on(air, station, q, end_ns + SIFS_NS)):
+    if not (t.queue(air, q).txop_ns and _goes_on(air, station, q, end_ns + air.sifs_ns)):
         leave(air, q)
 
 
@@ -250,11 +249,14 @@ def _fail_exchange(air: MediumHeader, station: int) -> None:
 
 @inner
 def on_timeout(air: MediumHeader, station: int) -> None:
-    """Handle the time-out of a response: the exchange fails unless a frame is being received."""
+    """Handle the time-out of a response: the exchange fails unless a reception has begun in time.
+
+    It begins with PHY-RXSTART.indication, at the end of the L-SIG field.
+    """
     row = t.station(air, station)
     row.timeout_event = 0
-    if row.locked_frame != c.NOTHING:
-        # a frame has begun in time: it is decided at its end whether it is the response
+    if row.locked_frame != c.NOTHING and row.lock_arrived_ns + RX_START_DELAY_NS <= air.now_ns:
+        # it is decided at the end of the frame whether it is the response
         row.timed_out = True
     else:
         _fail_exchange(air, station)
@@ -299,9 +301,6 @@ def on_sent(air: MediumHeader, frame: int) -> None:
     row = t.station(air, station)
     if row.phase == SENDING and sent.kind not in (c.CTS, c.ACK):
         _succeed(air, station, c.SENT, sent.end_ns)
-    elif row.timed_out and row.locked_frame == c.NOTHING:
-        # its own transmission has aborted a reception that might have been the response
-        _fail_exchange(air, station)
     else:
         resume(air, station)
 
@@ -315,7 +314,7 @@ def _receive_own(air: MediumHeader, frame: int, station: int) -> None:
         if row.phase == AWAITING_CTS and row.current_queue != c.NOTHING:
             _stop_waiting(air, station)
             row.phase = SENDING
-            schedule(air, end_ns + SIFS_NS, c.SEND_JOB, row.current_queue)
+            schedule(air, end_ns + air.sifs_ns, c.SEND_JOB, row.current_queue)
     elif kind == c.ACK:
         if row.phase == AWAITING_ACK and row.current_queue != c.NOTHING:
             deferred = t.job(air, t.queue(air, row.current_queue).first_job).deferred
@@ -382,9 +381,9 @@ def _respond(air: MediumHeader, frame: int, end_ns: int, station: int) -> None:
         kind, frame_bytes = c.CTS, CTS_BYTES
     else:
         kind, frame_bytes = c.ACK, ACK_BYTES
-    nav_ns = max(0, received.nav_ns - SIFS_NS - duration_ns(air, mode, frame_bytes))
+    nav_ns = max(0, received.nav_ns - air.sifs_ns - duration_ns(air, mode, frame_bytes))
     what = kind * c.MODES + mode
-    schedule_frame(air, end_ns + SIFS_NS, station, received.source, what, frame_bytes, nav_ns)
+    schedule_frame(air, end_ns + air.sifs_ns, station, received.source, what, frame_bytes, nav_ns)
 
 
 @inner

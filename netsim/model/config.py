@@ -131,9 +131,15 @@ class RadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     drop_fraction: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
     """Fraction of received datagrams and of ranging results that the hosts lose, besides the channel."""
     frequency_mhz: Annotated[float, Meta(ge=100.0, le=100_000.0)] = 5210.0
-    """Centre frequency of the channel, MHz."""
+    """Centre frequency of the channel, MHz. From 2400 to 2500 MHz it is that of a channel of the 2.4 GHz
+    band, with its timing (ERP-OFDM) and without VHT; any other frequency has the timing of 5 GHz."""
     bandwidth_mhz: BandwidthMhz = 80
-    """Bandwidth of the channel, MHz."""
+    """Bandwidth of the channel, MHz; at 2.4 GHz 20 or 40."""
+    coverage_class: Annotated[int, Meta(ge=0, le=31)] = 0
+    """Coverage class (IEEE 802.11-2016, 9.4.2.9): each adds 3 us to the slot time, and so 450 m to the
+    distance up to which responses are in time."""
+    short_slot: bool = False
+    """Slot time at 2.4 GHz: 9 us, or 20 us as in an ad-hoc network (18.4.5). 5 GHz always has 9 us."""
     tx_power_dbm: PowerDbm = 16.0
     """Transmit power of each radio at its antenna port, dBm."""
     antenna: ModelName | RadioModel = "isotropic"

@@ -56,6 +56,12 @@ class MediumHeader:
     queue_frames: int
     """Most frames in a station's queues."""
     control_mode: int
+    slot_ns: int
+    """This and the next four are those of `netsim.phy.timing.PhyTiming`."""
+    sifs_ns: int
+    signal_extension_ns: int
+    eifs_extra_ns: int
+    response_timeout_ns: int
     observed: bool
     """The end of every frame is reported."""
     ended_frame: int
@@ -358,6 +364,9 @@ class Signal:
     """Negative for a burst."""
     start_ns: int
     end_ns: int
+    """End at the sender, with the signal extension."""
+    radiated_until_ns: int
+    """End of its power: the same without the signal extension."""
     longest_delay_ns: int
     number: int
     kind: int

@@ -10,8 +10,11 @@ ThresholdPreambleDetection. A frame that is 5 dB stronger and begins within 16 u
 captures the receiver, as in its SimpleFrameCaptureModel.
 
 Not modelled: adjacent channels; secondary channels, as every frame occupies the whole channel; propagation
-delays above SIFS (4.8 km), for which the timing of 802.11 fails and no signal is received; abort of a
+delays above SIFS (4.8 km, at 2.4 GHz 3.0 km), beyond which no signal is received or sensed; abort of a
 reception after a failed signal field: the receiver stays locked until the frame ends with errors.
+
+During the signal extension of a frame (`netsim.phy.timing`) no power is on the air. Stations that have sensed
+the frame by its preamble treat the medium as busy until its end.
 
 The functions are compiled and work on the tables of `netsim.model.tables`. Records of `tables.end` report
 which MACs are affected: ``newly_busy`` at the begin of a signal, ``outcome`` and ``replan`` at its end.
@@ -139,15 +142,18 @@ def _radiate(air: MediumHeader, which: int, sensed_mw: float) -> int:
     """
     signal = t.signal(air, which)
     start_ns, end_ns = signal.start_ns, signal.end_ns
-    if end_ns > air.busy_until_ns:
-        air.busy_ns += end_ns - max(start_ns, air.busy_until_ns)
-        air.busy_until_ns = end_ns
+    radiated_until_ns = signal.radiated_until_ns
+    if radiated_until_ns > air.busy_until_ns:
+        air.busy_ns += radiated_until_ns - max(start_ns, air.busy_until_ns)
+        air.busy_until_ns = radiated_until_ns
     count = 0
     for r in range(air.stations):
         row, path = t.station(air, r), t.path(air, which, r)
         if r == signal.source or row.radio_off:
             continue
-        arrival_ns, until_ns = start_ns + path.delay_ns, end_ns + path.delay_ns
+        arrival_ns = start_ns + path.delay_ns
+        # power alone says nothing about a signal extension
+        until_ns = path.delay_ns + (end_ns if path.power_mw >= air.preamble_mw else radiated_until_ns)
         if path.power_mw < sensed_mw:
             if signal.overlap_count == 0 and path.power_mw < air.energy_mw:
                 continue
@@ -204,7 +210,7 @@ def _floor_mw(air: MediumHeader, frame: int, r: int, arrival_ns: int) -> float:
         if (
             other.source != r
             and other.start_ns + path.delay_ns < arrival_ns + air.now_ns - sent.start_ns
-            and other.end_ns + path.delay_ns > arrival_ns
+            and other.radiated_until_ns + path.delay_ns > arrival_ns
         ):
             floor_mw += path.power_mw
     return floor_mw

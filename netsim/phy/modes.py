@@ -44,21 +44,23 @@ class PhyMode(Struct, frozen=True, kw_only=True, eq=False):
     bits_per_symbol: int
     """Data bits in one OFDM symbol, N_DBPS."""
     preamble_ns: int
+    signal_extension_ns: int = 0
+    """Time at the end of a frame in which nothing is sent: 6 us at 2.4 GHz (10.3.8)."""
 
     def duration_ns(self, frame_bytes: int) -> int:
         """Return the air time of a frame; ``frame_bytes`` includes MAC header and FCS.
 
-        Non-HT: 20 us + 4 us ceil((22 + 8 L) / N_DBPS), equation 17-29. VHT: 40 us + 4 us ceil((22 + 8 (L +
-        4)) / N_DBPS), equation 21-107 with one encoder.
+        Non-HT: 20 us + 4 us ceil((22 + 8 L) / N_DBPS), equation 17-29, and the signal extension (18.5.3).
+        VHT: 40 us + 4 us ceil((22 + 8 (L + 4)) / N_DBPS), equation 21-107 with one encoder.
         """
         length = frame_bytes + VHT_DELIMITER_BYTES if self.vht else frame_bytes
         symbols = -(-(SERVICE_AND_TAIL_BITS + 8 * length) // self.bits_per_symbol)
-        return self.preamble_ns + SYMBOL_NS * symbols
+        return self.preamble_ns + SYMBOL_NS * symbols + self.signal_extension_ns
 
 
 @cache
-def phy_mode(name: Mode, bandwidth_mhz: BandwidthMhz) -> PhyMode:
-    """Return the mode at a channel width.
+def phy_mode(name: Mode, bandwidth_mhz: BandwidthMhz, signal_extension_ns: int = 0) -> PhyMode:
+    """Return the mode at a channel width; `netsim.phy.timing.channel_mode` takes both from the settings.
 
     A non-HT frame on a wider channel is a non-HT duplicate (17.3.9): the same bits in every 20 MHz, with the
     duration of 20 MHz and the power spread over the channel. Raises ValueError for VHT MCS 9 at 20 MHz, which
@@ -77,6 +79,7 @@ def phy_mode(name: Mode, bandwidth_mhz: BandwidthMhz) -> PhyMode:
         code_rate=(numerator, denominator),
         bits_per_symbol=subcarriers * bits * numerator // denominator,
         preamble_ns=VHT_PREAMBLE_NS if vht else NON_HT_PREAMBLE_NS,
+        signal_extension_ns=signal_extension_ns,
     )
 
 
@@ -88,4 +91,5 @@ def response_mode(of: PhyMode) -> PhyMode:
     non-HT rate of its modulation (10.7.6.5.2, 10.7.10).
     """
     bits = of.bits_per_subcarrier
-    return phy_mode("ofdm6" if bits == 1 else "ofdm12" if bits == 2 else "ofdm24", of.bandwidth_mhz)
+    name: Mode = "ofdm6" if bits == 1 else "ofdm12" if bits == 2 else "ofdm24"
+    return phy_mode(name, of.bandwidth_mhz, of.signal_extension_ns)

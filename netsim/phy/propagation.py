@@ -21,6 +21,7 @@ from netsim.phy.models import RadioModels
 from netsim.phy.obstruction import Obstruction
 from netsim.phy.path_gain import ALL, PathGain
 from netsim.phy.path_loss import REFERENCE_DISTANCE_M, SPEED_OF_LIGHT_M_S, Doubles, friis_loss_db
+from netsim.phy.timing import timing_of
 
 BOLTZMANN_J_K = 1.380649e-23
 REFERENCE_TEMPERATURE_K = 290.0
@@ -32,8 +33,6 @@ AUDIBLE_BELOW_NOISE = 0.01
 """Power ratio to the noise, and to the sensing thresholds, below which a signal is ignored: -20 dB."""
 FARTHEST_PLACE_M, FASTEST_M_S, NORM_TOLERANCE = 1e8, 1e5, 1e-3
 """Limits of a station's state, to reject invalid numbers."""
-FARTHEST_M = 16e-6 * SPEED_OF_LIGHT_M_S
-"""Range limit, a delay of SIFS or 4.8 km: beyond it a response could begin before the frame has ended."""
 
 
 def thermal_noise_mw(bandwidth_mhz: float, noise_figure_db: float) -> float:
@@ -65,6 +64,7 @@ def _power_law(
     source: int,
     at_reference_mw: float,
     exponent: float,
+    farthest_m: float,
     audible_mw: float,
     powers_mw: Doubles,
     distances_m: Doubles,
@@ -83,7 +83,7 @@ def _power_law(
         distances_m[r] = sqrt(square_m2)
         powers_mw[r] = at_reference_mw * max(distances_m[r], REFERENCE_DISTANCE_M) ** -exponent
     powers_mw[source] = 0.0
-    return _reach(powers_mw, distances_m, FARTHEST_M, audible_mw, delays_ns)
+    return _reach(powers_mw, distances_m, farthest_m, audible_mw, delays_ns)
 
 
 @njit(cache=True)
@@ -181,7 +181,7 @@ class Trajectories:
 class LinkRow(Struct, frozen=True):
     """Link budget from one transmitter to every station, by station.
 
-    Entries of the transmitter itself and of stations beyond `FARTHEST_M` (4.8 km) are zero.
+    Entries of the transmitter itself and of stations beyond `PhyTiming.farthest_m` are zero.
     """
 
     powers_mw: Doubles
@@ -208,6 +208,7 @@ class Links:
         self._trajectories = trajectories
         self._stations = stations
         self._extra_db = config.extra_attenuation_db
+        self._farthest_m = timing_of(config).farthest_m
         # stations that may sense a signal must process its end
         self._audible_mw = min(
             AUDIBLE_BELOW_NOISE * thermal_noise_mw(config.bandwidth_mhz, config.noise_figure_db),
@@ -303,6 +304,7 @@ class Links:
                 source,
                 self._at_reference_mw[source],
                 self._exponent,
+                self._farthest_m,
                 self._audible_mw,
                 powers_mw,
                 self._distances_m,
@@ -322,7 +324,7 @@ class Links:
                 powers_mw[blocked] *= self._blocked_gain
                 until_ns = min(until_ns, same_until_ns - 1)
             powers_mw[source] = 0.0
-            row = self._finish(powers_mw, distances_m, FARTHEST_M, until_ns)
+            row = self._finish(powers_mw, distances_m, self._farthest_m, until_ns)
         self._rows[source] = version, row
         return row
 

@@ -67,9 +67,9 @@ def _others(tables: Tables, frame: int) -> tuple[Doubles, NDArray[np.bool_]]:
     which = tables.overlaps["signal"][frame, :count]
     delay_ns = paths["delay_ns"][which]
     begin_ns = signals["start_ns"][which, None] + delay_ns
-    end_ns = signals["end_ns"][which, None] + delay_ns
+    end_ns = signals["radiated_until_ns"][which, None] + delay_ns
     from_ns = signals["start_ns"][frame] + paths["delay_ns"][frame]
-    until_ns = signals["end_ns"][frame] + paths["delay_ns"][frame]
+    until_ns = signals["radiated_until_ns"][frame] + paths["delay_ns"][frame]
     during = (begin_ns < until_ns) & (end_ns > from_ns)
     own = signals["source"][which, None] == np.arange(stations)
     power_mw = np.where(during & ~own, paths["power_mw"][which], 0.0)

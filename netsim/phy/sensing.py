@@ -47,7 +47,7 @@ def energy_until_ns(air: MediumHeader, signal: int, r: int, arrival_ns: int, las
     for k in range(others):
         which = t.overlap(air, signal, k).signal
         other, path = t.signal(air, which), t.path(air, which, r)
-        end_ns = other.end_ns + path.delay_ns
+        end_ns = other.radiated_until_ns + path.delay_ns
         if other.source == r or end_ns <= arrival_ns:
             continue
         power_mw = path.power_mw

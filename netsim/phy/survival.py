@@ -59,7 +59,7 @@ def among_others(air: MediumHeader, frame: int, r: int) -> float:
 def _hazard(air: MediumHeader, frame: int, r: int, power_mw: float) -> float:
     sent, delay_ns = t.signal(air, frame), t.path(air, frame, r).delay_ns
     signal_mode, mode = t.mode(air, SIGNAL_MODE), t.mode(air, sent.mode)
-    start_ns, end_ns = sent.start_ns + delay_ns, sent.end_ns + delay_ns
+    start_ns, end_ns = sent.start_ns + delay_ns, sent.radiated_until_ns + delay_ns
     # the signal fields end where the payload begins; L-SIG is the last 4 us of the non-HT preamble
     signal_from_ns = start_ns + NON_HT_PREAMBLE_NS - 4_000
     payload_from_ns = start_ns + mode.preamble_ns
@@ -73,7 +73,8 @@ def _hazard(air: MediumHeader, frame: int, r: int, power_mw: float) -> float:
     for k in range(sent.overlap_count):
         which = t.overlap(air, frame, k).signal
         other, path = t.signal(air, which), t.path(air, which, r)
-        other_start_ns, other_end_ns = other.start_ns + path.delay_ns, other.end_ns + path.delay_ns
+        other_start_ns = other.start_ns + path.delay_ns
+        other_end_ns = other.radiated_until_ns + path.delay_ns
         if other.source == r or other_end_ns <= start_ns or other_start_ns >= end_ns:
             continue
         for when_ns, change_mw in (

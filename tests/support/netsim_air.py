@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from itertools import chain
+from typing import Any
 
 import numpy as np
 
@@ -12,8 +13,8 @@ from netsim.model.config import Mode, RadioConfig
 from netsim.model.event_queue import EventQueue
 from netsim.model.random_streams import FloatStream, RandomStreams
 from netsim.phy.frames import GROUP, FrameKind, Transmission
-from netsim.phy.modes import phy_mode
 from netsim.phy.propagation import LinkRow
+from netsim.phy.timing import channel_mode
 
 UNDETECTED_DBM = -200.0
 A, B, C, D = range(4)
@@ -62,7 +63,7 @@ def give_backoffs(radios: Radios, backoffs: Mapping[int, Sequence[tuple[int, int
 
 
 class Air:
-    """Stations 0..n-1 at 20 MHz, DCF by default; times in microseconds."""
+    """Stations 0..n-1 at 20 MHz, DCF by default; times in microseconds. ``settings``: of `RadioConfig`."""
 
     def __init__(
         self,
@@ -74,11 +75,13 @@ class Air:
         access: str = "dcf",
         control_mode: Mode = "ofdm24",
         seed: int = 1,
+        **settings: Any,
     ) -> None:
         config = RadioConfig(
             bandwidth_mhz=20, rician_k_db=None, control_mode=control_mode, queue_frames=10, access=access,
-            log_receptions=True,
+            log_receptions=True, **settings,
         )  # fmt: skip
+        self.config = config
         streams = RandomStreams(np.random.SeedSequence(seed))
         self.queue = EventQueue()
         self.transmissions: list[Transmission] = []
@@ -117,7 +120,7 @@ class Air:
         job = Job(
             kind=FrameKind.DATA,
             destination=to,
-            mode=phy_mode(mode, 20),
+            mode=channel_mode(self.config, mode),
             frame_bytes=frame_bytes,
             expires_ns=1_000 * (at_us + lifetime_us),
             retry_limit=retry_limit,

@@ -140,6 +140,20 @@ def test_overrides_accept_numbers_strings_words_and_new_tables():
             "radio.ftm.burst_duration_us: 500 us is too short for two measurement frames, which take 516 us",
         ),
         (
+            "radio={coverage_class=31, ftm={burst_duration_us=250, min_delta_us=100}}",
+            # the slot is 9 + 31 * 3 us, so AIFS 16 + 2 * 102
+            "radio.ftm.burst_duration_us: 250 us is too short for two measurement frames, which take 456 us",
+        ),
+        ("radio.coverage_class=32", "radio.coverage_class: expected `int` <= 31"),
+        (
+            "radio.frequency_mhz=2437",
+            "radio.bandwidth_mhz: a channel at 2.4 GHz has 20 or 40 MHz, not 80",
+        ),
+        (
+            "radio={frequency_mhz=2437, bandwidth_mhz=20}",
+            "radio.ftm.mode: vht_mcs0 is VHT, which 2.4 GHz does not have; choose ofdm6 to ofdm54",
+        ),
+        (
             "radio.stations=[{station=8}]",
             "radio.stations[0].station: 8 is out of range for 8 stations",
         ),

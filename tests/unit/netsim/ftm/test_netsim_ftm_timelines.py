@@ -53,6 +53,43 @@ def test_burst_of_three():
     assert air.queue.next_ns() > 10**18
 
 
+@pytest.mark.parametrize(("short_slot", "slot_us"), [(True, 9), (False, 20)])
+def test_burst_at_2_4_ghz(short_slot, slot_us):
+    """SIFS is 10 us and frames last 6 us more: t3 is as long after t2, and the distance is the true one."""
+    air = FtmAir(
+        distance_m=299.792458,  # 1 us
+        backoffs={B: [(1, 3)]},
+        ftm=quiet(ftms_per_burst=2, clock_ppm=0.0),
+        frequency_mhz=2437.0,
+        short_slot=short_slot,
+        access="edca",
+    )
+    air.request(1_000)
+    request_us, first_us, frame_us, ack_us = (6 + each for each in (REQUEST_US, FIRST_US, FRAME_US, ACK_US))
+    acknowledged_us = 1_000 + request_us + 1 + 10 + ack_us  # at B
+    burst_us = acknowledged_us + 10 + 2 * slot_us + slot_us
+    assert air.run(10_000) == [
+        (1_000, 1_000 + request_us, A, "request"),
+        (acknowledged_us - ack_us, acknowledged_us, B, "ack"),
+        (burst_us, burst_us + first_us, B, "1!"),
+        (burst_us + first_us + 11, burst_us + first_us + 11 + ack_us, A, "ack"),
+        (burst_us + 200, burst_us + 200 + frame_us, B, "0<1"),
+        (burst_us + 200 + frame_us + 11, burst_us + 200 + frame_us + 11 + ack_us, A, "ack"),
+    ]
+    (result,) = air.results
+    assert (result.status, result.round_trips) == ("ok", 1)
+    assert result.distance_m == pytest.approx(299.792458, abs=0.05)
+
+
+def test_vht_format_at_2_4_ghz_is_rejected():
+    air = FtmAir(ftm=quiet(), frequency_mhz=2437.0)
+    requested = Parameters(format_and_bandwidth=10, ftms_per_burst=8, asap=True)
+    air.send(1_000, A, B, Request(parameters=requested))
+    air.run(40_000)
+    assert air.transmissions[2].frame.body.parameters.status is Status.INCAPABLE
+    assert air.transmissions[2].frame.mode.name == "ofdm24"
+
+
 def test_responder_that_needs_more_time_sends_fewer_frames_farther_apart():
     #  1114     1414      asked: 8 frames 200 us apart in 250 us; granted: 2, 300 us apart in 1 ms
     #  B 1!     B 0<1

@@ -276,12 +276,11 @@ def test_ack_that_begins_in_time_is_awaited():
 
 
 @pytest.mark.parametrize("begins_us", [1195, 1198, 1200])
-def test_exchange_fails_if_an_own_response_aborts_the_awaited_frame(begins_us):
+def test_exchange_fails_at_its_time_out_despite_a_frame_that_begins_too_late(begins_us):
     #  1000   1160 1161   1189  1205  1233  1355 1389    1407
-    #  A data |    C data |     A ack |     |difs|2 slots| A data     B misses C. At 1205 A's time-out
-    #                       1195 D data     |                         finds D's frame begun, and A's ACK to C
-    #                                                                 breaks that off: at 1233 nothing is left
-    #                                                                 to wait for
+    #  A data |    C data |     A ack |     |difs|2 slots| A data     B misses C. At 1205, A's time-out, D's
+    #                       1195 D data     |                         frame is there for less than 20 us; A's
+    #                                                                 ACK to C breaks it off
     hidden = [(A, B), (A, C), (A, D), (C, D), (D, C)]
     air = Air(4, powers_dbm=dict.fromkeys(hidden, UNDETECTED_DBM), backoffs={A: [(2, 31)]})
     air.send(1000, A, B, retry_limit=1)

@@ -10,16 +10,19 @@ from netsim_air import UNDETECTED_DBM, A, Air, B, C, D
 
 from netsim.mac.access_parameters import DCF, EDCA
 from netsim.mac.jobs import JobOutcome
+from netsim.model.config import RadioConfig
 from netsim.phy.modes import phy_mode
+from netsim.phy.timing import timing_of
 
 SLOT_US, SIFS_US, AIFS_VO_US, AIFS_BE_US = 9, 16, 34, 43
 EXCHANGE_US = 160 + SIFS_US + 44
 
 
 def test_interframe_spaces_and_limits_are_those_of_5_ghz_ofdm():
-    assert (DCF.aifs_ns, DCF.txop_ns) == (34_000, 0)
+    timing = timing_of(RadioConfig())
+    assert (DCF.aifs_ns(timing), DCF.txop_ns) == (34_000, 0)
     assert {
-        name: (p.aifs_ns // 1_000, p.cw_min, p.cw_max, p.txop_ns // 1_000) for name, p in EDCA.items()
+        name: (p.aifs_ns(timing) // 1_000, p.cw_min, p.cw_max, p.txop_ns // 1_000) for name, p in EDCA.items()
     } == {
         "vo": (34, 3, 7, 1504),
         "vi": (34, 7, 15, 3008),
