@@ -52,7 +52,8 @@ def silent_block(
     energy_mw = 10.0 ** (config.cca_energy_dbm / 10.0)
     air, idle, empty = tables.air[0], tables.stations, tables.queues
     air.noise_mw, air.energy_mw, air.preamble_mw = noise_mw, energy_mw, preamble_mw
-    air.sensed_mw = min(energy_mw, preamble_mw)
+    missed_mw = max(10.0 ** (config.cca_missed_dbm / 10.0), preamble_mw)
+    air.missed_mw = min(missed_mw, energy_mw)
     air.queue_frames = config.queue_frames
     air.control_mode = modes[phy_mode(config.control_mode, config.bandwidth_mhz)]
     air.observed, air.draws_low, air.due_queue = observed, True, c.NOTHING

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from itertools import chain
+from typing import Any
 
 import numpy as np
 
@@ -74,10 +75,11 @@ class Air:
         access: str = "dcf",
         control_mode: Mode = "ofdm24",
         seed: int = 1,
+        **settings: Any,
     ) -> None:
         config = RadioConfig(
             bandwidth_mhz=20, rician_k_db=None, control_mode=control_mode, queue_frames=10, access=access,
-            log_receptions=True,
+            log_receptions=True, **settings,
         )  # fmt: skip
         streams = RandomStreams(np.random.SeedSequence(seed))
         self.queue = EventQueue()
