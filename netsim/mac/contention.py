@@ -1,12 +1,16 @@
 """Channel access: contention of a station's queues by physical carrier sense, NAV and backoff.
 
 The medium is busy from `CCA_NS` after energy arrives, while the station sends, while the NAV is set, and for
-EIFS after a frame with errors. A frame is sent at once if the medium has been idle for AIFS and the backoff
-is 0 (10.3.4.2). EDCA's alignment of this access to slots since the last busy period is not modelled: after a
-long idle time the slots of different stations would not coincide.
+EIFS after a frame with errors. A station with empty queues completes its last backoff.
 
-DCF decrements the backoff after an idle slot. EDCA decrements it at slot boundaries, so also for a slot in
-which another station begins to send (10.22.2.4). A station with empty queues completes its last backoff.
+DCF decrements the backoff after an idle slot. With a backoff of 0 it sends at once if the medium has been
+idle for DIFS, and backs off if the medium becomes busy before (10.3.4.2).
+
+EDCA acts at slot boundaries alone: AIFS after the end of the last busy period, and every slot after that
+(10.22.2.4). It decrements the backoff there, so also for a slot in which another station begins to send. A
+frame with a backoff of 0 waits for the next boundary, however long the medium has been idle. If the medium
+becomes busy first, it is sent AIFS after the busy period: a backoff is drawn only for a frame that finds the
+medium busy, after transmissions and after collisions inside the station (10.22.2.2).
 
 A frame whose lifetime is over leaves its queue at once, at any position and also while the medium is busy;
 only an exchange that has begun is completed.
@@ -216,7 +220,7 @@ def contend(air: MediumHeader, station: int, q: int, job: int) -> None:
     remaining_ns = queue.backoff_slots * air.slot_ns
     if remaining_ns == 0 or (not busy and now >= queue.slots_from_ns + remaining_ns):
         queue.backoff_slots = 0
-        queue.found_idle = not busy
+        queue.found_idle = not busy and not queue.slot_offset
         if busy:
             _back_off(air, q)
     resume(air, station)
@@ -270,7 +274,10 @@ def _plan(air: MediumHeader, q: int, base_ns: int) -> None:
     queue.slots_from_ns = base_ns
     if queue.first_job == c.NOTHING:
         return
-    access_ns = max(base_ns + queue.backoff_slots * air.slot_ns, air.now_ns)
+    access_ns = base_ns + queue.backoff_slots * air.slot_ns
+    late_ns = air.now_ns - access_ns
+    if late_ns > 0:
+        access_ns += -(-late_ns // air.slot_ns) * air.slot_ns if queue.slot_offset else late_ns
     if not queue.access_event or queue.access_ns != access_ns:
         queue.access_ns = access_ns
         queue.access_event = schedule(air, access_ns, c.ON_ACCESS, q)

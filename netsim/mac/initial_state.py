@@ -53,7 +53,8 @@ def silent_block(
     energy_mw = 10.0 ** (config.cca_energy_dbm / 10.0)
     air, idle, empty = tables.air[0], tables.stations, tables.queues
     air.noise_mw, air.energy_mw, air.preamble_mw = noise_mw, energy_mw, preamble_mw
-    air.sensed_mw = min(energy_mw, preamble_mw)
+    missed_mw = max(10.0 ** (config.cca_missed_dbm / 10.0), preamble_mw)
+    air.missed_mw = min(missed_mw, energy_mw)
     air.queue_frames = config.queue_frames
     timing = timing_of(config)
     air.slot_ns, air.sifs_ns, air.signal_extension_ns = (

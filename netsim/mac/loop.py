@@ -148,7 +148,7 @@ def _act(air: MediumHeader, what: int, about: int) -> None:
     if what == c.END_FRAME:
         _end_frame(air, about)
     elif what == c.DETECT:
-        medium.detect_preambles(air, about)
+        mac.on_busy(air, about, medium.detect_preambles(air, about))
     elif what == c.ON_ACCESS:
         mac.on_access(air, about)
     elif what == c.START_EXCHANGE:

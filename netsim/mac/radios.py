@@ -14,7 +14,7 @@ import numpy as np
 
 from foundation.kernels.records import Block, new_records, record_dtype
 from netsim.mac import loop
-from netsim.mac.access_parameters import DCF, EDCA
+from netsim.mac.access_parameters import DCF, EDCA, edca_parameters
 from netsim.mac.initial_state import silent_block
 from netsim.mac.interference import Bursts
 from netsim.mac.jobs import DatagramReception, Job, JobOutcome, OnDatagram, Reception, Upper
@@ -70,7 +70,7 @@ class Radios:
         self._on_datagram = on_datagram
         self._on_ended = on_ended
         edca = config.access == "edca"
-        parameters = list(EDCA.values()) if edca else [DCF]
+        parameters = list(edca_parameters(config.edca_edition).values()) if edca else [DCF]
         self._categories = {category: k if edca else 0 for k, category in enumerate(EDCA)}
         """Queue by access category; with DCF all share one."""
         self._queues_each = len(parameters)

@@ -182,8 +182,15 @@ class RadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     cca_preamble_dbm: Annotated[float, Meta(ge=-100.0, le=0.0)] = -82.0
     """Preamble detection threshold: power in the channel from which a frame is sensed and can be received, if
     it is also at least 4 dB above the noise."""
+    cca_missed_dbm: Annotated[float, Meta(ge=-100.0, le=0.0)] = -82.0
+    """Power in the channel from which a frame is sensed whose preamble was missed: while the station was
+    sending or receiving another frame, or because several frames began at once. -82 dBm as in ns-3; the
+    standard requires -62 dBm. At most ``cca_energy_dbm`` and at least ``cca_preamble_dbm`` count."""
     access: Literal["edca", "dcf"] = "edca"
     """``dcf``: one queue with DIFS for all access categories, as before 802.11e."""
+    edca_edition: Literal[2016, 2020] = 2016
+    """Edition of IEEE 802.11 whose default EDCA parameters apply. 2020 has longer TXOP limits, and limits of
+    2.528 ms for best effort and background, which have one exchange in 2016."""
     control_mode: Mode = "ofdm24"
     """Mode of RTS. A CTS or ACK uses the highest of 6, 12, 24 Mbit/s not above the frame it responds to."""
     broadcast_mode: Mode = "ofdm24"

@@ -71,8 +71,8 @@ class MediumHeader:
     """Least total power at which energy is detected."""
     preamble_mw: float
     """Least power at which a preamble is detected."""
-    sensed_mw: float
-    """Least power at which a single frame is sensed."""
+    missed_mw: float
+    """Least power at which a single frame without a detected preamble is sensed."""
     sent: Annotated[NDArray[np.int64], KINDS]
     """Number of ended frames by kind."""
     station_at: int
@@ -178,7 +178,7 @@ class Queue:
     """Order of the planned access event; 0 when frozen or empty."""
     access_ns: int
     found_idle: bool
-    """The frame found the medium idle and has no backoff."""
+    """The frame found the medium idle and has no backoff, by DCF."""
     deadline_event: int
     """Order of the check for expired frames; 0: none."""
     deadline_ns: int
@@ -188,6 +188,7 @@ class Queue:
     window_max: int
     txop_ns: int
     slot_offset: int
+    """1: EDCA, which acts at slot boundaries; 0: DCF."""
 
 
 class End:

@@ -5,9 +5,9 @@ A frame takes three passes over all stations. At its start the carrier sense of 
 determined from all overlapping signals. All times at a receiver include the propagation delay. Interferers'
 bursts are signals without a preamble. Clear channel assessment is in `netsim.phy.sensing`.
 
-A preamble is detected from -82 dBm and 4 dB above noise and interference, as in ns-3's
-ThresholdPreambleDetection. A frame that is 5 dB stronger and begins within 16 us of the one being received
-captures the receiver, as in its SimpleFrameCaptureModel.
+A receiver that does not send detects a preamble from -82 dBm and 4 dB above noise and interference, as in
+ns-3's ThresholdPreambleDetection. A frame that is 5 dB stronger and begins within 16 us of the one being
+received captures the receiver, as in its SimpleFrameCaptureModel.
 
 Not modelled: adjacent channels; secondary channels, as every frame occupies the whole channel; propagation
 delays above SIFS (4.8 km, at 2.4 GHz 3.0 km), beyond which no signal is received or sensed; abort of a
@@ -17,7 +17,8 @@ During the signal extension of a frame (`netsim.phy.timing`) no power is on the 
 the frame by its preamble treat the medium as busy until its end.
 
 The functions are compiled and work on the tables of `netsim.model.tables`. Records of `tables.end` report
-which MACs are affected: ``newly_busy`` at the begin of a signal, ``outcome`` and ``replan`` at its end.
+which MACs are affected: ``newly_busy`` at the begin of a signal and at the detection of a preamble,
+``outcome`` and ``replan`` at the end.
 """
 
 from math import inf
@@ -31,7 +32,7 @@ from netsim.model.tables import draw_reception, end_signal, release
 from netsim.phy.fading import gain
 from netsim.phy.frames import GROUP
 from netsim.phy.path_loss import Doubles
-from netsim.phy.sensing import begin_sending, end_sending, energy_until_ns, occupy
+from netsim.phy.sensing import begin_sending, break_off, end_sending, energy_until_ns, occupy
 from netsim.phy.survival import alone, among_others, clean_mw
 
 PREAMBLE_DETECTION_NS = 4_000
@@ -65,8 +66,9 @@ def start(air: MediumHeader, fading: Doubles, frame: int) -> int:
         _add_overlap(air, frame, t.on_air(air, c.BURSTS, k).signal)
     t.on_air(air, c.FRAMES, air.frames_on_air).signal = frame
     air.frames_on_air += 1
+    break_off(air, frame, sent.source, now)
     begin_sending(sender, now, sent.end_ns)
-    newly_busy = _radiate(air, frame, air.sensed_mw)
+    newly_busy = _radiate(air, frame, air.missed_mw)
     schedule(air, now + PREAMBLE_DETECTION_NS, c.DETECT, frame)
     schedule(air, sent.end_ns + sent.longest_delay_ns, c.END_FRAME, frame)
     return newly_busy
@@ -83,7 +85,7 @@ def start_burst(air: MediumHeader, burst: int) -> int:
             _add_overlap(air, burst, other)
     t.on_air(air, c.BURSTS, air.bursts_on_air).signal = burst
     air.bursts_on_air += 1
-    newly_busy = _radiate(air, burst, inf)
+    newly_busy = _radiate(air, burst, air.energy_mw)
     # its overlaps are needed only now; if kept, each burst would keep all previous ones
     for k in range(signal.overlap_count):
         release(air, t.overlap(air, burst, k).signal)
@@ -134,11 +136,11 @@ def _add_overlap(air: MediumHeader, signal: int, other: int) -> None:
 
 
 @inner
-def _radiate(air: MediumHeader, which: int, sensed_mw: float) -> int:
+def _radiate(air: MediumHeader, which: int, alone_mw: float) -> int:
     """Update the carrier sense of all stations for a signal that begins now.
 
-    The signal is sensed by itself from ``sensed_mw``. Returns the number of `newly_busy` stations: those
-    where the medium becomes busy beyond the NAV.
+    The signal is sensed by itself from ``alone_mw``, preamble or not. Returns the number of `newly_busy`
+    stations: those where the medium becomes busy beyond the NAV.
     """
     signal = t.signal(air, which)
     start_ns, end_ns = signal.start_ns, signal.end_ns
@@ -154,10 +156,10 @@ def _radiate(air: MediumHeader, which: int, sensed_mw: float) -> int:
         arrival_ns = start_ns + path.delay_ns
         # power alone says nothing about a signal extension
         until_ns = path.delay_ns + (end_ns if path.power_mw >= air.preamble_mw else radiated_until_ns)
-        if path.power_mw < sensed_mw:
-            if signal.overlap_count == 0 and path.power_mw < air.energy_mw:
+        if path.power_mw < alone_mw:
+            if signal.overlap_count == 0:
                 continue
-            until_ns = energy_until_ns(air, which, r, arrival_ns, until_ns)
+            until_ns = energy_until_ns(air, which, r, arrival_ns)
             if until_ns == 0:
                 continue
         if occupy(row, arrival_ns, until_ns) and row.busy_until_ns > row.nav_until_ns:
@@ -167,13 +169,15 @@ def _radiate(air: MediumHeader, which: int, sensed_mw: float) -> int:
 
 
 @inner
-def detect_preambles(air: MediumHeader, frame: int) -> None:
-    """Detect a frame's preamble at all receivers, now.
+def detect_preambles(air: MediumHeader, frame: int) -> int:
+    """Detect a frame's preamble at all receivers, now; return the number of `newly_busy` stations.
 
     Detection requires the least power, and 4 dB above the noise and all other signals since the arrival. A
-    receiver that is locked on to another frame changes to a stronger one that began soon after it.
+    receiver that is locked on to another frame changes to a stronger one that began soon after it. A detected
+    frame keeps the medium busy from its arrival to its end.
     """
     sent = t.signal(air, frame)
+    count = 0
     for r in range(air.stations):
         row, path = t.station(air, r), t.path(air, frame, r)
         arrival_ns = sent.start_ns + path.delay_ns
@@ -193,10 +197,17 @@ def detect_preambles(air: MediumHeader, frame: int) -> None:
                 or arrival_ns > row.lock_arrived_ns + CAPTURE_WINDOW_NS
             ):
                 continue
+        end_here_ns = sent.end_ns + path.delay_ns
+        sensed = path.power_mw < air.missed_mw and occupy(row, arrival_ns, end_here_ns)
+        if sensed and row.busy_until_ns > row.nav_until_ns:
+            t.end(air, count).newly_busy = r
+            count += 1
+        break_off(air, frame, r, end_here_ns)
         row.locked_frame = sent.number
         row.lock_arrived_ns = arrival_ns
         row.last_detection_ns = air.now_ns
         row.lock_mw = path.power_mw
+    return count
 
 
 @inner

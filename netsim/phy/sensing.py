@@ -1,11 +1,16 @@
 """Carrier sense of a station: the current busy period and the accumulated busy time.
 
-Clear channel assessment (IEEE 802.11-2016, 17.3.10.6): the medium is busy while the total power is above -62
-dBm, and during a frame above -82 dBm and 4 dB above the noise. Such a frame counts from its arrival,
-regardless of other signals and of its reception: the short training fields of colliding frames are also
-detected by a correlator, and ns-3 treats frames as busy from its CCA sensitivity. The detection time of 4 us
-is applied by the MAC (`netsim.mac.access_parameters.CCA_NS`). Both thresholds apply to the power in the whole
-channel, which is more sensitive than the standard requires for wide channels.
+Clear channel assessment (IEEE 802.11-2016, 17.3.10.6): the medium is busy during a frame whose preamble was
+detected (`netsim.phy.medium.detect_preambles`), and while the total power of all signals is at least the
+energy threshold. A frame whose preamble was missed, because the station sent, received another frame or found
+several preambles at once, counts by itself from `MediumHeader.missed_mw` on. So does one whose reception was
+broken off by an own transmission or a stronger frame, before its length was known. The standard requires
+this for 20 dB above the sensitivity, -62 dBm; ns-3 3.37 has -82 dBm, the default of
+`netsim.model.config.RadioConfig.cca_missed_dbm`.
+
+A frame counts from its arrival, also if it is detected 4 us later. This detection time is applied by the MAC
+(`netsim.mac.access_parameters.CCA_NS`). All thresholds apply to the power in the whole channel, which is more
+sensitive than the standard requires for wide channels.
 """
 
 import numpy as np
@@ -24,7 +29,7 @@ def occupy(row: Station, from_ns: int, until_ns: int) -> bool:
         row.idle_before_ns = row.busy_until_ns
         row.busy_from_ns = from_ns
     elif from_ns < row.busy_from_ns:
-        row.busy_from_ns = from_ns
+        row.busy_from_ns = max(from_ns, row.idle_before_ns)
     elif until_ns <= row.busy_until_ns:
         return False
     row.busy_until_ns = max(until_ns, row.busy_until_ns)
@@ -32,27 +37,21 @@ def occupy(row: Station, from_ns: int, until_ns: int) -> bool:
 
 
 @inner
-def energy_until_ns(air: MediumHeader, signal: int, r: int, arrival_ns: int, last_ns: int) -> int:
+def energy_until_ns(air: MediumHeader, signal: int, r: int, at_ns: int) -> int:
     """Return the time until which the total power at ``r`` exceeds the energy threshold; 0 if it does not.
 
-    To be called for a signal that arrives now, lasts until ``last_ns`` and is not sensed by itself. The
-    total power without this signal was checked at the arrival of the others.
+    The total is that of a signal, unless ``r`` sends it, and of all that overlap it and end after ``at_ns``.
     """
     others = t.signal(air, signal).overlap_count
-    count = 1
+    count = 0
     ends_ns = np.empty(others + 1, np.int64)
     powers_mw = np.empty(others + 1)
-    ends_ns[0], powers_mw[0] = last_ns, t.path(air, signal, r).power_mw
-    last_mw = powers_mw[0]
-    for k in range(others):
-        which = t.overlap(air, signal, k).signal
+    for k in range(-1, others):
+        which = signal if k < 0 else t.overlap(air, signal, k).signal
         other, path = t.signal(air, which), t.path(air, which, r)
-        end_ns = other.radiated_until_ns + path.delay_ns
-        if other.source == r or end_ns <= arrival_ns:
+        end_ns, power_mw = other.radiated_until_ns + path.delay_ns, path.power_mw
+        if other.source == r or end_ns <= at_ns:
             continue
-        power_mw = path.power_mw
-        if end_ns > last_ns:
-            last_ns, last_mw = end_ns, power_mw
         # sorted by falling end, then by falling power
         i = count
         while i and (ends_ns[i - 1], powers_mw[i - 1]) < (end_ns, power_mw):
@@ -60,8 +59,6 @@ def energy_until_ns(air: MediumHeader, signal: int, r: int, arrival_ns: int, las
             i -= 1
         ends_ns[i], powers_mw[i] = end_ns, power_mw
         count += 1
-    if last_mw >= air.energy_mw:
-        return last_ns
     total_mw = 0.0
     for i in range(count):
         total_mw += powers_mw[i]
@@ -71,9 +68,26 @@ def energy_until_ns(air: MediumHeader, signal: int, r: int, arrival_ns: int, las
 
 
 @inner
-def begin_sending(row: Station, from_ns: int, until_ns: int) -> None:
-    """Record the begin of a station's transmission; a reception under way is aborted."""
+def break_off(air: MediumHeader, signal: int, r: int, from_ns: int) -> None:
+    """End the reception under way at ``r``, if any, because of a signal that ``r`` sends or receives instead.
+
+    The medium stays busy until ``from_ns``, and as long as other signals are sensed without their preambles.
+    """
+    row = t.station(air, r)
+    if row.locked_frame != c.NOTHING and row.lock_mw < air.missed_mw:
+        until_ns = max(from_ns, row.busy_from_ns, energy_until_ns(air, signal, r, air.now_ns))
+        for k in range(t.signal(air, signal).overlap_count):
+            which = t.overlap(air, signal, k).signal
+            other, path = t.signal(air, which), t.path(air, which, r)
+            if r != other.source >= 0 and path.power_mw >= air.missed_mw:
+                until_ns = max(until_ns, other.end_ns + path.delay_ns)
+        row.busy_until_ns = until_ns
     row.locked_frame = c.NOTHING
+
+
+@inner
+def begin_sending(row: Station, from_ns: int, until_ns: int) -> None:
+    """Record the begin of a station's transmission; see also `break_off`."""
     row.sending_from_ns = from_ns
     row.sending_until_ns = until_ns
     row.sensed_at_start_ns = _sensed_ns(row, from_ns)

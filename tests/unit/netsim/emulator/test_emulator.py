@@ -79,7 +79,7 @@ def test_arrivals_come_in_order_and_within_their_interval():
 
 def test_a_datagram_arrives_after_latency_access_and_air_time():
     # 100 bytes and 64 of headers at 24 Mbit/s last 76 us; 28.4 m take 95 ns
-    swarm = Swarm([(0.0, 0.0, 0.0), (28.4, 0.0, 0.0)], host_latency_us=300, rician_k_db=None)
+    swarm = Swarm([(0.0, 0.0, 0.0), (28.4, 0.0, 0.0)], host_latency_us=300, rician_k_db=None, access="dcf")
     seq = swarm.broadcast(0, 1_000)
     ((station, item),) = swarm.run(4_000)
     assert (station, item.source, item.seq) == (1, 0, seq)
@@ -89,7 +89,7 @@ def test_a_datagram_arrives_after_latency_access_and_air_time():
 
 
 def test_host_jitter_is_uniform_between_its_bounds():
-    swarm = Swarm([(0.0, 0.0, 0.0), (5.0, 0.0, 0.0)], host_latency_us=50, host_jitter_us=100)
+    swarm = Swarm([(0.0, 0.0, 0.0), (5.0, 0.0, 0.0)], host_latency_us=50, host_jitter_us=100, access="dcf")
     for i in range(400):
         swarm.broadcast(0, 4_000 * i + 1_000)
     swarm.run(1_604_000)
@@ -281,7 +281,7 @@ def test_a_channel_without_stations_runs():
 
 
 def test_busy_time_is_the_union_of_what_was_on_the_air():
-    swarm = Swarm(FORMATION[:3], rician_k_db=None, broadcast_rts=False)
+    swarm = Swarm(FORMATION[:3], rician_k_db=None, broadcast_rts=False, access="dcf")
     swarm.broadcast(0, 1_000)
     swarm.broadcast(1, 1_000)
     swarm.broadcast(2, 3_950)

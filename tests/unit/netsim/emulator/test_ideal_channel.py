@@ -27,8 +27,8 @@ DISTURBED = {
 
 
 def both(places, **settings):
-    """An ideal and an emulated swarm whose links do not fade."""
-    settings = {"rician_k_db": None, "broadcast_rts": False, **settings}
+    """An ideal and an emulated swarm whose links do not fade, with DCF: EDCA waits for slot boundaries."""
+    settings = {"rician_k_db": None, "broadcast_rts": False, "access": "dcf", **settings}
     return (Swarm(places, channel=channel, **settings) for channel in ("ideal", "emulated"))
 
 

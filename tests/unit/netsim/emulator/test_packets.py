@@ -50,7 +50,7 @@ def test_addresses_are_those_of_stations():
 @CHANNELS
 def test_a_group_packet_reaches_all_other_stations_once(channel):
     frames = []
-    swarm = swarm_of(channel=channel, on_transmission=frames.append)
+    swarm = swarm_of(channel=channel, on_transmission=frames.append, access="dcf")
     swarm.emulator.submit_packet(packet(1, MULTICAST), 1_000_000)
     assert swarm.run(8_000) == []  # no datagram
     (reception,) = swarm.emulator.take_packets()

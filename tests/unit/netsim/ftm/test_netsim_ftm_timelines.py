@@ -2,8 +2,10 @@
 
 At 24 Mbit/s a request of 42 bytes lasts 20 + 4 ceil((22 + 336) / 96) = 36 us, a trigger of 31 bytes 32, the
 first measurement frame of 59 bytes 44, the others of 48 bytes 40 and an ACK 28. SIFS 16, slot 9, AIFS of VO
-34. The station that answers a request draws a backoff, for its ACK comes between. Costs a second.
+34, as DIFS. The station that answers a request draws a backoff, for its ACK comes between. Costs a second.
 """
+
+from functools import partial
 
 import numpy as np
 import pytest
@@ -16,6 +18,10 @@ SLOT_US, SIFS_US, AIFS_US = 9, 16, 34
 REQUEST_US, TRIGGER_US, FIRST_US, FRAME_US, ACK_US = 36, 32, 44, 40, 28
 TIMEOUT_US = SIFS_US + SLOT_US + 20
 TIME_UNIT_US = 1_024
+DcfAir = partial(FtmAir, access="dcf")
+"""Stations that send at once on an idle medium; EDCA waits for a slot boundary."""
+NO_SLOTS = (0, 1023)
+"""A backoff that is 0 in every window."""
 
 
 def exchange(start_us, duration_us, source, to, what):
@@ -35,7 +41,7 @@ def test_burst_of_three():
     #  1000         1052  1080      1123                  1323              1523
     #  A request |sifs| B ack |aifs+1| B 1! |sifs| A ack    B 2<1 |.| A ack   B 0<2 |.| A ack
     #                                   <--- min delta 200 --><---- 200 ------>
-    air = FtmAir(backoffs={B: [(1, 3)]}, ftm=quiet(ftms_per_burst=3))
+    air = DcfAir(backoffs={B: [(1, 15), *[NO_SLOTS] * 9]}, ftm=quiet(ftms_per_burst=3))
     air.request(1_000)
     first_us = 1_080 + AIFS_US + SLOT_US
     assert first_us == 1_123
@@ -94,7 +100,7 @@ def test_responder_that_needs_more_time_sends_fewer_frames_farther_apart():
     #  1114     1414      asked: 8 frames 200 us apart in 250 us; granted: 2, 300 us apart in 1 ms
     #  B 1!     B 0<1
     ftm = quiet(burst_duration_us=250, responder_ftms_per_burst=2, responder_min_delta_us=300)
-    air = FtmAir(backoffs={B: [(0, 3)]}, ftm=ftm)
+    air = DcfAir(backoffs={B: [NO_SLOTS]}, ftm=ftm)
     air.request(1_000)
     assert air.run(10_000)[2:] == [
         *exchange(1_114, FIRST_US, B, A, "1!"),
@@ -108,8 +114,9 @@ def test_responder_that_needs_more_time_sends_fewer_frames_farther_apart():
 def test_second_burst_begins_on_schedule_with_the_last_stamps_of_the_first():
     #  request at 1000..1036 | 1024 + 100 ms: TSF of the request, cut to a time unit, and the burst period
     #  B 1!   B 2<1           A trigger |.| B ack |aifs+2| B 3<2   B 0<3
-    air = FtmAir(
-        backoffs={B: [(0, 3), (0, 3), (0, 3), (2, 3)]}, ftm=quiet(bursts_exponent=1, ftms_per_burst=2)
+    air = DcfAir(
+        backoffs={B: [NO_SLOTS, NO_SLOTS, NO_SLOTS, (2, 15)]},
+        ftm=quiet(bursts_exponent=1, ftms_per_burst=2),
     )
     air.request(1_000)
     second_us = TIME_UNIT_US + 100_000
@@ -131,7 +138,7 @@ def test_second_burst_begins_on_schedule_with_the_last_stamps_of_the_first():
 def test_first_burst_without_asap_begins_on_schedule():
     #  1000        1114              12288: 10 ms after the request came, rounded up to a time unit
     #  A request   B 1! (announces)  A trigger |.| B ack |aifs| B 2   B 3<2   B 0<3
-    air = FtmAir(backoffs={B: [(0, 3), (0, 3), (0, 3)]}, ftm=quiet(asap=False, ftms_per_burst=3))
+    air = DcfAir(backoffs={B: [*[NO_SLOTS] * 9]}, ftm=quiet(asap=False, ftms_per_burst=3))
     air.request(1_000)
     begin_us = -(-(1_000 + REQUEST_US + 10_000) // TIME_UNIT_US) * TIME_UNIT_US
     first_us = begin_us + TRIGGER_US + SIFS_US + ACK_US + AIFS_US
@@ -159,9 +166,9 @@ def test_responder_without_asap_grants_a_later_time():
 def test_last_transmission_of_a_frame_with_lost_ack_counts():
     #  1114          1174 lost    1203        1158 + 45: no ACK; then AIFS and 4 slots of CW 7
     #  B 1! |.| A ack ~~~~ | no answer | aifs + 4 | B 1! |.| A ack     B 0<1
-    air = FtmAir(
+    air = DcfAir(
         distance_m=30.0,
-        backoffs={B: [(0, 3), (4, 7)]},
+        backoffs={B: [NO_SLOTS, (4, 31)]},
         lost_us={A: [(1_150, 1_190)]},
         ftm=quiet(ftms_per_burst=2, clock_ppm=0.0),
     )
@@ -186,8 +193,8 @@ def test_last_transmission_of_a_frame_with_lost_ack_counts():
 def test_frame_lost_after_all_retries_costs_its_round_trips_and_the_grant_is_repeated():
     #  1114          1237                1852          2052: min delta
     #  B 1! ~~~ aifs B 1! ~~~ aifs ..... B 1! ~~~      B 2! |.| A ack     B 3<2 |.| A ack    B 0<3 |.| A ack
-    air = FtmAir(
-        backoffs={B: [(0, 3), *[(0, 7)] * 6, (0, 3)]},
+    air = DcfAir(
+        backoffs={B: [*[NO_SLOTS] * 19]},
         lost_us={B: [(1_100, 1_900)]},
         retry_limit=6,
         ftm=quiet(ftms_per_burst=4),
@@ -203,8 +210,8 @@ def test_frame_lost_after_all_retries_costs_its_round_trips_and_the_grant_is_rep
 def test_frame_lost_in_the_middle_costs_two_round_trips():
     #  1114          1314        1437              2252
     #  B 1! |.| A ack  B 2<1 ~~~ aifs B 2<1 ~~~ ... B 3 |.| A ack   B 4<3 |.| A ack   B 0<4 |.| A ack
-    air = FtmAir(
-        backoffs={B: [(0, 3), (0, 3), *[(0, 7)] * 6, (0, 3)]},
+    air = DcfAir(
+        backoffs={B: [*[NO_SLOTS] * 19]},
         lost_us={B: [(1_200, 2_100)]},
         ftm=quiet(ftms_per_burst=5),
     )
@@ -253,7 +260,7 @@ def test_format_wider_than_the_channel_is_rejected():
 
 def test_lost_triggers_cost_their_burst_and_no_other():
     # A is not received around the second of four bursts; the first one's last stamps are sent in the third
-    air = FtmAir(
+    air = DcfAir(
         lost_us={A: [(99_000, 180_000)]},
         ftm=quiet(bursts_exponent=2, ftms_per_burst=3, burst_duration_us=4_000),
     )
@@ -268,7 +275,7 @@ def test_lost_triggers_cost_their_burst_and_no_other():
 
 
 def test_every_burst_begins_on_schedule():
-    air = FtmAir(ftm=quiet(bursts_exponent=6, ftms_per_burst=5, burst_period_ms=200))
+    air = DcfAir(ftm=quiet(bursts_exponent=6, ftms_per_burst=5, burst_period_ms=200))
     air.request(5_000)
     timeline = air.run(14_000_000)
     first_us = 5_000 // TIME_UNIT_US * TIME_UNIT_US

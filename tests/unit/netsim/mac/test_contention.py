@@ -104,6 +104,45 @@ def test_energy_is_not_sensed_within_cca_time(after_us, starts_us):
     assert len(air.arrivals) == (0 if after_us == 4 else 2)
 
 
+@pytest.mark.parametrize(("after_us", "starts_us"), [(4, 1004), (5, 1160 + DIFS_US)])
+def test_preamble_is_detected_after_cca_time(after_us, starts_us):
+    # as above, but A is below the energy threshold: B senses the frame when it has detected the preamble
+    air = Air(2, powers_dbm={(A, B): -70.0}, backoffs={B: [(0, 15)]}, cca_missed_dbm=-62.0)
+    air.send(1000, A)
+    air.send(1000 + after_us, B)
+    assert air.run()[1][:3] == (starts_us, starts_us + 160, B)
+
+
+@pytest.mark.parametrize(
+    ("missed_dbm", "power_dbm", "retry_us"),
+    [
+        (-62.0, -70.0, 1205 + DIFS_US + 2 * SLOT_US),
+        (-62.0, -61.9, 2376 + DIFS_US + 2 * SLOT_US),
+        (-82.0, -70.0, 2376 + DIFS_US + 2 * SLOT_US),
+    ],
+)
+def test_retry_after_a_collision_with_a_longer_frame(missed_dbm, power_dbm, retry_us):
+    #  1000   1160  1205             2376           A's frame and B's to C collide. A has missed B's preamble:
+    #  A data |     time-out                        by the standard it senses B's rest from -62 dBm on, and
+    #  B data                        |              otherwise retries after the time-out
+    powers_dbm = {(A, B): power_dbm, (B, A): power_dbm}
+    air = Air(3, powers_dbm=powers_dbm, backoffs={A: [(2, 31)]}, cca_missed_dbm=missed_dbm)
+    air.send(1000, A, C, retry_limit=1)
+    air.send(1000, B, frame_bytes=1014)
+    assert [start for start, _, source, _ in air.run() if source == A] == [1000, retry_us]
+
+
+@pytest.mark.parametrize(("missed_dbm", "starts_us"), [(-62.0, 1050), (-82.0, 1160 + DIFS_US)])
+def test_frame_during_a_collision_of_weak_frames(missed_dbm, starts_us):
+    # C finds neither preamble, and -70 dBm twice are -67
+    powers_dbm = {(A, C): -70.0, (B, C): -70.0}
+    air = Air(3, powers_dbm=powers_dbm, backoffs={C: [(0, 15)]}, cca_missed_dbm=missed_dbm)
+    air.send(1000, A)
+    air.send(1000, B)
+    air.send(1050, C)
+    assert air.run()[2][:3] == (starts_us, starts_us + 160, C)
+
+
 def test_equal_backoffs_collide_despite_propagation():
     # 300 m: a microsecond between any two, a tenth of a slot
     delays_ns = {(i, j): 1_000 for i in range(3) for j in range(3) if i != j}

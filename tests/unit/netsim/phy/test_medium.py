@@ -180,6 +180,80 @@ def test_station_that_sends_while_receiving_senses_the_rest(power_dbm, busy_us):
     assert (channel.listeners[C].received, channel.row(C).last_error_ns) == ([], 0)
 
 
+# --- missed preambles, by 17.3.10.6: frames of 100 bytes last 160 us, of 1014 bytes 1376 us
+
+MISSED = {"cca_missed_dbm": -62.0}
+
+
+@pytest.mark.parametrize(("power_dbm", "until_us"), [(-62.1, None), (-61.9, 2476)])
+def test_frame_that_begins_during_an_own_transmission_is_sensed_by_its_energy(power_dbm, until_us):
+    #   C  |======|             1000..1160
+    #   A      |=============|  1100..2476
+    channel = Channel({(A, C): power_dbm}, **MISSED)
+    channel.send(1000, C)
+    channel.send(1100, A, frame_bytes=1014)
+    channel.queue.run_until(1_300_000)
+    assert channel.busy_us(C) == ((1100, until_us) if until_us else (0, 0))
+
+
+@pytest.mark.parametrize(("power_dbm", "until_us"), [(-64.0, 1160), (-61.9, 2476)])
+def test_frame_that_outlasts_the_received_one_is_sensed_by_its_energy(power_dbm, until_us):
+    #   A  |======|             1000..1160, with -60 dBm
+    #   B      |=============|  1100..2476
+    channel = Channel({(A, C): -60.0, (B, C): power_dbm}, **MISSED)
+    channel.send(1000, A)
+    channel.send(1100, B, frame_bytes=1014)
+    channel.queue.run_until(1_300_000)
+    assert channel.busy_us(C) == (1000, until_us)
+
+
+@pytest.mark.parametrize(("power_dbm", "busy_us"), [(-65.1, (0, 0)), (-64.9, (1000, 1160))])
+def test_colliding_preambles_are_sensed_by_their_total_energy(power_dbm, busy_us):
+    channel = Channel({(A, C): power_dbm, (B, C): power_dbm}, **MISSED)
+    channel.send(1000, A)
+    channel.send(1000, B, frame_bytes=1014)
+    channel.queue.run_until(1_110_000)
+    assert channel.busy_us(C) == busy_us
+    assert channel.row(C).locked_frame == NOTHING
+
+
+@pytest.mark.parametrize("power_dbm", [-62.1, -81.9])
+def test_detected_frame_is_sensed_from_its_arrival_on(power_dbm):
+    channel = Channel({(A, C): power_dbm}, delay_ns=300, **MISSED)
+    channel.send(1000, A)
+    channel.queue.run_until(1_003_999)
+    assert channel.busy_us(C) == (0, 0)
+    channel.queue.run_until(1_004_000)
+    assert channel.busy_us(C) == (1000.3, 1160.3)
+
+
+def test_captured_receiver_senses_the_aborted_frame_by_its_energy():
+    #   A  |=============|  1000..2376, with -75 dBm
+    #   B    |====|         1008..1168
+    channel = Channel(
+        {(A, C): -75.0, (B, C): -50.0, (A, B): UNDETECTED_DBM, (B, A): UNDETECTED_DBM}, **MISSED
+    )
+    channel.send(1000, A, frame_bytes=1014)
+    channel.send(1008, B)
+    channel.queue.run_until(1_010_000)
+    assert channel.busy_us(C) == (1000, 2376)
+    channel.queue.run_until(1_100_000)
+    assert channel.busy_us(C) == (1000, 1168)
+    channel.queue.run_until(3_000_000)
+    assert channel.listeners[C].received == [(B, 1168.0)]
+
+
+def test_station_that_sends_while_receiving_senses_the_rest_by_its_energy():
+    channel = Channel({(A, C): -75.0}, **MISSED)
+    channel.send(1000, A, frame_bytes=1014)
+    channel.send(1100, C)
+    channel.queue.run_until(1_300_000)
+    assert channel.busy_us(C) == (1000, 1100)
+    channel.queue.run_until(3_000_000)
+    # the rest of the own transmission counts as busy, and nothing after it
+    assert channel.radios.surveyed_ns()[C] == 260_000
+
+
 @pytest.mark.parametrize(
     ("margin_db", "later_us", "captured"), [(5.1, 16, True), (4.9, 16, False), (5.1, 17, False)]
 )
