@@ -6,7 +6,7 @@ share of frames. There are three differences. The average is weighted by attempt
 few samples do not dominate. A mode that keeps failing is sampled less and less often. And losses by collision
 do not lower the mode.
 
-A sender cannot tell a collision from noise by one missing acknowledgement, but by the losses of several
+XX
 modes: collisions take the same share of the frames of all modes, noise takes less of those of slower modes. A
 collision therefore leaves the order of the modes as it is, except by chance, and a retry in a slower mode
 does not avoid the next one. Two rules follow:
@@ -44,7 +44,7 @@ UNUSUAL = 0.01
 CONFIDENCE = 1.0
 """Standard deviations between the average success probability of a mode and its confidence limits."""
 ALIKE = 0.95
-"""Share of the highest success probability from which a mode counts as equally probable; Minstrel: 0.95 of 1."""
+"""Share of the highest success probability from which modes count as equally probable; Minstrel: of 1."""
 
 # Rate of adaptation. Minstrel has the same interval, memory 0.75 and lookaround ratio 0.1.
 INTERVAL_NS = 100_000_000
@@ -222,6 +222,8 @@ class AdaptiveRate:
             return None
         if sample.skips:
             sample.skips -= 1
+            if sample.time_ns > best.time_ns:
+                known.samples += 0.5  # the turn counts, or failing faster modes would have more of them
             return None
         if sample.time_ns > best.time_ns and sample.possible / sample.time_ns <= best.throughput():
             known.sample = sample

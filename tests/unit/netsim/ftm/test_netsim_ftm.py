@@ -16,6 +16,7 @@ from netsim.ftm.stamps import (
     Clock,
     arrival_std_ps,
     distance_m,
+    format_name,
     frequency_ratio_std,
     measured_m,
     round_trip_std_ps,
@@ -185,6 +186,25 @@ def test_excess_lasts_as_long_as_the_obstacle_and_is_the_same_both_ways():
 def test_80_mhz_scales_with_the_inverse_of_the_bandwidth():
     assert round_trip_std_ps(FtmConfig(), 80) == 1075.0 / 2
     assert round_trip_std_ps(FtmConfig(round_trip_std_ps=9.0), 80) == 9.0
+
+
+@pytest.mark.parametrize(
+    ("mode", "channel_mhz", "round_trip_m"),
+    [
+        # Zubow et al., WONS 2022: 2563 ps at 20 MHz and 1075 ps at 40 MHz; c/2 of them
+        ("ofdm6", 20, 0.384), ("ofdm6", 40, 0.384), ("ofdm6", 80, 0.384), ("ofdm24", 80, 0.384),
+        ("vht_mcs0", 20, 0.384), ("vht_mcs0", 40, 0.161), ("vht_mcs0", 80, 0.081), ("vht_mcs4", 80, 0.081),
+    ],
+)  # fmt: skip
+def test_noise_of_ranging_is_that_of_the_format(mode, channel_mhz, round_trip_m):
+    ftm = FtmConfig(mode=mode)
+    assert distance_m(round_trip_std_ps(ftm, channel_mhz)) == pytest.approx(round_trip_m, abs=6e-4)
+    assert round_trip_std_ps(FtmConfig(mode=mode, round_trip_std_ps=9.0), channel_mhz) == 9.0
+
+
+def test_format_of_ranging_is_named():
+    assert format_name(FtmConfig(mode="ofdm24"), 80) == "non-HT, 20 MHz"
+    assert format_name(FtmConfig(mode="vht_mcs0"), 40) == "VHT, 40 MHz"
 
 
 def test_noise_of_an_arrival_grows_as_the_signal_fades():

@@ -31,7 +31,9 @@ def acknowledged(stations, data_mode):
     count = 0
     while bench.now_us < END_US:
         measured = bench.now_us >= WARM_UP_US
-        ended = [(station, item) for station, item in bench.run(bench.now_us + STEP_US) if isinstance(item, Sent)]
+        ended = [
+            (station, item) for station, item in bench.run(bench.now_us + STEP_US) if isinstance(item, Sent)
+        ]
         for station, item in ended:
             count += measured and item.status == "acknowledged"
             feed(station, 1)
