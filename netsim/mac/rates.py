@@ -6,8 +6,8 @@ share of frames. There are three differences. The average is weighted by attempt
 few samples do not dominate. A mode that keeps failing is sampled less and less often. And losses by collision
 do not lower the mode.
 
-XX
-modes: collisions take the same share of the frames of all modes, noise takes less of those of slower modes. A
+One missing acknowledgement does not distinguish a collision from noise, but the losses of several modes do:
+collisions take the same share of the frames of all modes, noise takes less of those of slower modes. A
 collision therefore leaves the order of the modes as it is, except by chance, and a retry in a slower mode
 does not avoid the next one. Two rules follow:
 
