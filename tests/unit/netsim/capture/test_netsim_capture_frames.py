@@ -247,7 +247,7 @@ def test_a_received_frame_has_signal_and_noise_and_no_transmit_power(name):
 @pytest.mark.parametrize("name", ["ofdm6", "vht_mcs4"])
 def test_a_receiver_without_noise_states_the_signal_alone(name):
     header = Radiotap(phy_mode(name, 80), frequency_mhz=5210.0, power_dbm=-71.4, is_received=True).header(
-        1_000
+        1_000, 7
     )
     fields, rest = radiotap(header)
     assert rest == b""
