@@ -82,8 +82,14 @@ def test_airtime_of_a_session_of_eight(width, mode, sheet_ms):
     assert 1e-3 * (np.mean(took_us) + 34 + 1.5 * 9) == pytest.approx(sheet_ms, rel=0.05)
 
 
+def mode_of(width):
+    """Return a mode whose time stamps have the precision of the channel's width."""
+    return "ofdm24" if width == 20 else "vht_mcs4"
+
+
 def session_statistics(width, *, sessions=300, places=TWENTY_METRES, **ftm):
-    swarm = Swarm(places, bandwidth_mhz=width, rician_k_db=None, ftm=FtmConfig(mode="ofdm24", **ftm))
+    config = FtmConfig(mode=mode_of(width), **ftm)
+    swarm = Swarm(places, bandwidth_mhz=width, rician_k_db=None, ftm=config)
     for i in range(sessions):
         swarm.request(0, 1, 4_000 * i)
     swarm.run(4_000 * (sessions + 2))
@@ -138,7 +144,7 @@ def test_calibration_bias_belongs_to_the_pair():
 @pytest.mark.parametrize(("width", "single_m", "bias_m"), [(20, 0.384, -2.5), (40, 0.161, 40.0)])
 def test_mean_error_of_2000_sessions_is_the_configured_bias(width, single_m, bias_m):
     """Within 1 cm; 7 round trips and 2000 sessions leave 0.384 m / sqrt(14000) = 3.2 mm of noise."""
-    ftm = FtmConfig(mode="ofdm24", min_delta_us=100)
+    ftm = FtmConfig(mode=mode_of(width), min_delta_us=100)
     air = FtmAir(distance_m=20.0, bandwidth_mhz=width, bias_m=bias_m, ftm=ftm)
     for i in range(2_000):
         air.request(4_000 * i)
