@@ -43,6 +43,9 @@ RESULTS = {
     "channel_busy_fraction": Column(
         description="Fraction of the time in which the channel carried a signal."
     ),
+    "ftm.format": Column(
+        description="Format of the ranging frames and bandwidth of their time stamps.", unit=""
+    ),
     "ftm.requested": Column(description="Number of ranging requests that ended."),
     "ftm.completed": Column(description="Number of these with a distance."),
     "ftm.failed": Column(description="Number of these without a distance."),

@@ -358,6 +358,7 @@ def summary_table(summary: Mapping[str, Any]) -> Table:
     frame_counts = [
         f"{frames[kind]} {kind.replace('_', ' ')}" for kind in ("sent", "collided", "lost_to_noise")
     ]
+    ftm_format = f" ({ftm['format']})" if ftm.get("format") else ""
     ftm_error = _numbers({kind: (ftm[f"error_{kind}_m"], ".3f", "m") for kind in ("mean", "std")})
     units = {"mean": "dBi", "ideal": "dBi", "std": "dB"}
     gains = _numbers({kind: (gain[kind], ".2f", unit) for kind, unit in units.items()})
@@ -370,7 +371,7 @@ def summary_table(summary: Mapping[str, Any]) -> Table:
         "formation error, rms": formation_rms,
         "frames": ", ".join(frame_counts),
         "channel busy": _number(summary["channel_busy_fraction"], ".1%"),
-        "FTM sessions": f"{ftm['completed']} of {ftm['requested']} completed",
+        "FTM sessions": f"{ftm['completed']} of {ftm['requested']} completed{ftm_format}",
         "FTM error": ftm_error,
         "maximum gain": gains,
         "computed by": ": ".join(filter(None, (gain.get("backend"), gain.get("accuracy")))) or "-",

@@ -42,6 +42,7 @@ from harness.simulator.messages import Formed
 from harness.simulator.motion_start import flown_start_us, since_start_s
 from harness.simulator.truth_record import AIR_RECORD, truth_record
 from netsim.emulator.log_layout import FRAME_LOG, SESSION_LOG
+from netsim.ftm.stamps import format_name
 
 LOGS = ("events.jsonl", "flight.parquet", "radio.parquet", "ftm.parquet", "air.parquet")
 """Files that a seed determines byte for byte, in their order in ``log_sha256``."""
@@ -130,7 +131,7 @@ def _write_tables(folder: RunFolder, scenario: Scenario, outcome: RunOutcome) ->
         "formation_s": float(window.time_us[-1] - window.time_us[0]) / 1e6 if len(window) else 0.0,
         "formation_rms_m": errors.rms_m,
         "vehicles": errors.vehicles,
-        **_radio(folder, error_m, requested),
+        **_radio(folder, scenario, error_m, requested),
         "max_gain_dbi": antenna_report.numbers(antenna),
         "collisions": sum(b'"event":"collision"' in line for line in folder.events.read_bytes().splitlines()),
         "deterministic": not outcome.nondeterminism,
@@ -316,7 +317,9 @@ def _vehicles(whole: Flight, error: FormationError | None, folder: RunFolder) ->
     ]
 
 
-def _radio(folder: RunFolder, error_m: NDArray[np.float64], requested: int) -> dict[str, Any]:
+def _radio(
+    folder: RunFolder, scenario: Scenario, error_m: NDArray[np.float64], requested: int
+) -> dict[str, Any]:
     receivers = dict.fromkeys(("delivered", "collided", "lost_to_noise"), 0)
     for frames in read_blocks(folder.raw_frames, FRAME_LOG):
         for name in receivers:
@@ -327,6 +330,7 @@ def _radio(folder: RunFolder, error_m: NDArray[np.float64], requested: int) -> d
         "frames": {"sent": count(folder.raw_frames, FRAME_LOG), **receivers},
         "channel_busy_fraction": round(busy, 5),
         "ftm": {
+            "format": format_name(scenario.radio.ftm, scenario.radio.bandwidth_mhz),
             "requested": requested,
             "completed": len(error_m),
             "failed": requested - len(error_m),

@@ -74,6 +74,8 @@ class Capture:
         """Headers by mode, bandwidth and transmitter."""
         self._received: dict[tuple[str, int, int, bool], Radiotap] = {}
         """Headers by mode, bandwidth, signal in dBm and whether there are errors."""
+        self._packets = 0
+        """Number of packets added to the file so far."""
         self._newest_sequence: dict[int, int] = {}
         self._held: list[tuple[int, int, bytes]] = []
         """Heap of (time, station, block); a station sends one frame at a time."""
@@ -97,7 +99,7 @@ class Capture:
         start_ns = transmission.start_ns
         content = mpdu(frame, retry=self._is_retry(frame))
         comment = _losses(transmission) if transmission.collided or transmission.lost_to_noise else ""
-        self._hold(start_ns, frame.source, self._header(frame, start_ns) + content, comment)
+        self._hold(start_ns, frame.source, self._sent_header(frame), content, comment)
         if self._of_receivers:
             for station in transmission.received:
                 self._hold_received(transmission, station, content, bad_fcs=False)
@@ -132,7 +134,11 @@ class Capture:
         finally:
             self._file.close()
 
-    def _hold(self, time_ns: int, station: int, packet: bytes, comment: str = "") -> None:
+    def _hold(
+        self, time_ns: int, station: int, radiotap: Radiotap, content: bytes, comment: str = ""
+    ) -> None:
+        packet = radiotap.header(time_ns, self._packets) + content
+        self._packets += 1
         interface = station if self._of_receivers else 0
         block = enhanced_packet(self._epoch_ns + time_ns, packet, interface=interface, comment=comment)
         heappush(self._held, (time_ns, station, block))
@@ -156,10 +162,10 @@ class Capture:
             )
             self._received[key] = radiotap
         arrival_ns = transmission.start_ns + transmission.delays_ns.item(station)
-        self._hold(arrival_ns, station, radiotap.header(arrival_ns) + content)
+        self._hold(arrival_ns, station, radiotap, content)
 
-    def _header(self, frame: Frame, start_ns: int) -> bytes:
-        """Return the radiotap header of a frame as sent."""
+    def _sent_header(self, frame: Frame) -> Radiotap:
+        """Return the radiotap headers of a frame as sent."""
         mode = frame.mode
         key = (mode.name, mode.bandwidth_mhz, frame.source)
         radiotap = self._sent.get(key)
@@ -167,7 +173,7 @@ class Capture:
             power_dbm = self._power_of_dbm.get(frame.source, self._power_dbm)
             radiotap = Radiotap(mode, frequency_mhz=self._frequency_mhz, power_dbm=power_dbm)
             self._sent[key] = radiotap
-        return radiotap.header(start_ns)
+        return radiotap
 
     def _is_retry(self, frame: Frame) -> bool:
         """Whether a data or action frame is a retransmission.

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from netsim.ftm.elements import Measurement, Request, format_and_bandwidth
-from netsim.ftm.stamps import Clock, arrival_std_ps, frequency_ratio_std, round_trip_std_ps
+from netsim.ftm.stamps import Clock, arrival_std_ps, frequency_ratio_std, round_trip_std_ps, stamped_mhz
 from netsim.mac.jobs import FrameSender, Job, JobOutcome, Reception
 from netsim.model.config import BandwidthMhz, FtmConfig, RadioConfig
 from netsim.model.event_queue import EventQueue
@@ -86,6 +86,7 @@ class Port:
         self._retry_limit = config.retry_limit
         self._noise_mw = thermal_noise_mw(config.bandwidth_mhz, config.noise_figure_db)
         self._floor_ps = round_trip_std_ps(config.ftm, config.bandwidth_mhz) / sqrt(2.0)
+        self._stamped_mhz = stamped_mhz(config.ftm, config.bandwidth_mhz)
         self._errors = FloatStream(generator.standard_normal)
 
     def attach(self, mac: FrameSender) -> None:
@@ -111,14 +112,14 @@ class Port:
         bias_m = self._bias_m[source]
         if excess_m and self._blocked(source, self.station, start_ns):
             bias_m += excess_m
-        std_ps = arrival_std_ps(self._floor_ps, self.bandwidth_mhz, reception.power_mw / self._noise_mw)
+        std_ps = arrival_std_ps(self._floor_ps, self._stamped_mhz, reception.power_mw / self._noise_mw)
         error_ps = std_ps * self._errors.draw() + bias_m * PS_PER_M
         return self.clock.stamp_ps(true_ps + round(error_ps)), std_ps
 
     def rate_ratio(self, peer: int, power_mw: float) -> float:
         """Return the rate of a peer's clock relative to the own, estimated from a frame's carrier offset."""
         snr_linear = power_mw / self._noise_mw
-        std = frequency_ratio_std(self._carrier_hz, self.bandwidth_mhz, snr_linear)
+        std = frequency_ratio_std(self._carrier_hz, self._stamped_mhz, snr_linear)
         return self._clocks[peer].rate / self.clock.rate + std * self._errors.draw()
 
     def job(

@@ -10,6 +10,7 @@ from math import pi, sqrt
 import numpy as np
 
 from netsim.model.config import BandwidthMhz, FtmConfig
+from netsim.phy.modes import phy_mode
 from netsim.phy.path_loss import SPEED_OF_LIGHT_M_S
 
 FIELD_PS = 2**48
@@ -23,14 +24,30 @@ LONG_TRAINING_S = 6.4e-6
 """The two repetitions of L-LTF, from which time of arrival and carrier offset are estimated."""
 
 
-def round_trip_std_ps(config: FtmConfig, bandwidth_mhz: BandwidthMhz) -> float:
-    """Return the standard deviation of a round trip at high SNR.
+def stamped_mhz(config: FtmConfig, channel_mhz: BandwidthMhz) -> BandwidthMhz:
+    """Return the bandwidth that time stamps are taken from, MHz: that of the format of ``config.mode``.
+
+    It is the channel's width for a VHT frame and 20 for a non-HT frame, of which a wider channel has a copy
+    in every 20 MHz: a receiver with the format non-HT 20 MHz takes the time of one of them.
+    """
+    return channel_mhz if phy_mode(config.mode, channel_mhz).vht else 20
+
+
+def format_name(config: FtmConfig, channel_mhz: BandwidthMhz) -> str:
+    """Return the format and bandwidth of the time stamps: "VHT, 80 MHz", "non-HT, 20 MHz"."""
+    kind = "VHT" if phy_mode(config.mode, channel_mhz).vht else "non-HT"
+    return f"{kind}, {stamped_mhz(config, channel_mhz)} MHz"
+
+
+def round_trip_std_ps(config: FtmConfig, channel_mhz: BandwidthMhz) -> float:
+    """Return the standard deviation of a round trip at high SNR, by the format of the measurement frames.
 
     80 MHz has not been measured: the value of 40 MHz is scaled by the inverse of the bandwidth, as the
     Cramér-Rao bound for a given energy. (From 20 to 40 MHz the measured gain is higher, 2.4.)
     """
     if config.round_trip_std_ps is not None:
         return config.round_trip_std_ps
+    bandwidth_mhz = stamped_mhz(config, channel_mhz)
     measured = MEASURED_ROUND_TRIP_STD_PS.get(bandwidth_mhz)
     return MEASURED_ROUND_TRIP_STD_PS[40] * 40.0 / bandwidth_mhz if measured is None else measured
 

@@ -313,7 +313,7 @@ class Radios:
         job.mode = job.rates.mode_for(
             job.destination,
             frame_bytes=job.frame_bytes,
-            failures=int(tables.jobs["failures"][row]),
+            failures=int(tables.jobs["attempts"][row]),
             now_ns=self._queue.now_ns,
         )
         tables.jobs["mode"][row] = self._modes[job.mode]

@@ -2,11 +2,25 @@
 
 The algorithm is Minstrel of Linux mac80211: it keeps a moving average of the success probability by mode and
 destination, sends in the mode of highest expected throughput first, and samples other modes with a fixed
-share of frames. There are two differences. The average is weighted by attempts, not by intervals, so that a
-few samples do not dominate. And a mode that keeps failing is sampled less and less often. Losses by collision
-are not distinguished from other losses.
+share of frames. There are three differences. The average is weighted by attempts, not by intervals, so that a
+few samples do not dominate. A mode that keeps failing is sampled less and less often. And losses by collision
+do not lower the mode.
+
+One missing acknowledgement does not distinguish a collision from noise, but the losses of several modes do:
+collisions take the same share of the frames of all modes, noise takes less of those of slower modes. A
+collision therefore leaves the order of the modes as it is, except by chance, and a retry in a slower mode
+does not avoid the next one. Two rules follow:
+
+- A slower mode replaces the one in use only if it is better beyond chance: it counts with the lower
+  confidence limit of its success probability, a faster mode with the upper one (E. B. Wilson, "Probable
+  inference, the law of succession, and statistical inference", JASA, 1927). Averages of a few samples would
+  often favour one of the many slower modes.
+- A frame falls back to slower modes after as many failures as are improbable at the loss that even the most
+  successful mode has: two without collisions, more with them. Losses that are usual are no reason to fall
+  back.
 """
 
+from math import ceil, log, sqrt
 from typing import NamedTuple
 
 from msgspec import Struct
@@ -22,9 +36,17 @@ OVERHEAD_NS = 34_000 + 67_500 + 16_000
 """Share of an exchange that no mode shortens, at 5 GHz: DIFS, the mean of the smallest backoff, SIFS."""
 HOPELESS = 0.1
 """Success probability below which a mode's throughput counts as 0."""
+RETRY_SAMPLE_REST = 3
+"""Sampling turns that a mode skips after a sample with a retry."""
 LONGEST_REST = 15
 """Most consecutive sampling turns that a failing mode skips."""
-FAILURES_PER_STAGE = 2
+LEAST_FAILURES_PER_STAGE = 2
+UNUSUAL = 0.01
+"""Probability of a sequence of failures from which it counts as a change of the channel."""
+CONFIDENCE = 1.0
+"""Standard deviations between the average success probability of a mode and its confidence limits."""
+ALIKE = 0.95
+"""Share of the highest success probability from which modes count as equally probable; Minstrel: of 1."""
 
 # Rate of adaptation. Minstrel has the same interval, memory 0.75 and lookaround ratio 0.1.
 INTERVAL_NS = 100_000_000
@@ -33,6 +55,8 @@ MEMORY = 0.9
 """Factor by which the weight of an attempt decays per update."""
 MOST_EVIDENCE = 300.0
 """Largest weight of all attempts; limits the time to detect a change of a mode in use."""
+LEAST_EVIDENCE = 5.0
+"""Weight below which the decay does not reduce the attempts of a mode that has been sampled."""
 LOOKAROUND_RATIO = 0.05
 """Share of frames that may sample another mode."""
 
@@ -64,13 +88,35 @@ class _Mode(Struct, eq=False):
     rest: int = 0
     """Sampling turns left to skip, and the last number of turns to skip."""
 
+    credible: float = 0.0
+    """Success probability that counts: the average of the mode in use, the lower confidence limit of slower
+    modes and the upper one of faster modes."""
+    possible: float = 1.0
+    """Upper confidence limit."""
+
     def throughput(self) -> float:
         """Return the expected frames per nanosecond."""
-        success = self.success
-        return success / self.time_ns if success is not None and success >= HOPELESS else 0.0
+        return self.credible / self.time_ns if self.credible >= HOPELESS else 0.0
+
+    def rate(self, in_use_ns: int) -> None:
+        """Update ``credible`` and ``possible``; the mode in use has exchanges of ``in_use_ns``."""
+        success, attempts = self.success, self.evidence
+        if success is None:
+            self.credible, self.possible = 0.0, 1.0
+            return
+        squared = CONFIDENCE**2
+        spread = CONFIDENCE * sqrt(attempts * success * (1.0 - success) + 0.25 * squared)
+        centre = attempts * success + 0.5 * squared
+        self.possible = (centre + spread) / (attempts + squared)
+        if self.time_ns == in_use_ns:
+            self.credible = success
+        elif self.time_ns < in_use_ns:
+            self.credible = self.possible
+        else:
+            self.credible = (centre - spread) / (attempts + squared)
 
     def update(self) -> None:
-        self.evidence *= MEMORY
+        self.evidence = max(self.evidence * MEMORY, min(self.evidence, LEAST_EVIDENCE))
         if not self.attempts:
             return
         kept = (self.success or 0.0) * self.evidence
@@ -93,6 +139,8 @@ class _Destination:
         self.by_name = {each.mode.name: each for each in self.modes}
         self.chain = [self.modes[0]] * 4
         """Modes of the stages of a frame: best throughput, second best, most probable, lowest."""
+        self.stage_failures = LEAST_FAILURES_PER_STAGE
+        """Failures of a frame in each stage."""
         self.update_ns = 0
         self.frames = 0
         self.samples = 0.0
@@ -118,7 +166,7 @@ class AdaptiveRate:
         self._destinations: dict[int, _Destination] = {}
 
     def mode_for(self, destination: int, *, frame_bytes: int, failures: int, now_ns: int) -> PhyMode:
-        """Return the mode of the next attempt of a frame that has failed ``failures`` times."""
+        """Return the mode of the next attempt of a frame that was sent ``failures`` times without an ACK."""
         known = self._destinations.get(destination)
         if known is None:
             known = self._destinations[destination] = _Destination(self._modes)
@@ -135,7 +183,7 @@ class AdaptiveRate:
                     return sample.mode
         elif failures == 1 and known.sample is not None:
             return known.sample.mode
-        return known.chain[min(failures // FAILURES_PER_STAGE, 3)].mode
+        return known.chain[min(failures // known.stage_failures, 3)].mode
 
     def report(self, destination: int, mode: PhyMode, *, acknowledged: bool) -> None:
         """Record the outcome of an attempt in which the frame itself was sent."""
@@ -151,22 +199,28 @@ class AdaptiveRate:
             ack_ns = response_mode(mode).duration_ns(ACK_BYTES)
             each.time_ns = self._overhead_ns + mode.duration_ns(frame_bytes) + ack_ns
             each.update()
+        in_use_ns = known.chain[0].time_ns
+        for each in known.modes:
+            each.rate(in_use_ns)
         by_throughput = sorted(known.modes, key=_Mode.throughput, reverse=True)
         lowest = known.modes[0]
+        known.stage_failures = LEAST_FAILURES_PER_STAGE
         if by_throughput[0].throughput() > 0.0:
+            ceiling = max(each.credible for each in known.modes)
             best, second = by_throughput[0], by_throughput[1 if len(by_throughput) > 1 else 0]
             if second.throughput() == 0.0:
                 second = lowest
-            most_probable = max(by_throughput, key=lambda each: min(each.success or 0.0, 0.95))
+            most_probable = next(each for each in known.modes[::-1] if each.credible >= ALIKE * ceiling)
             known.chain = [best, second, most_probable, lowest]
+            known.stage_failures = usual_failures(ceiling)
         else:
             known.chain = [lowest] * 4
 
     def _next_sample(self, known: _Destination) -> _Mode | None:
         """Return the mode to sample now, in random order; None if it is not worth sampling.
 
-        A mode that cannot exceed the best throughput even without failures is sampled with the first retry of
-        this frame.
+        A slower mode that would not exceed the best throughput at the upper limit of its success probability
+        is sampled with the first retry of this frame, and less often.
         """
         if not known.turns:
             known.turns = sorted(known.modes, key=lambda _: self._uniforms.draw())[::-1]
@@ -176,12 +230,26 @@ class AdaptiveRate:
             return None
         if sample.skips:
             sample.skips -= 1
+            if sample.time_ns > best.time_ns:
+                known.samples += 0.5  # the turn counts, or failing faster modes would have more of them
             return None
-        if 1.0 / sample.time_ns <= best.throughput():
+        if sample.time_ns > best.time_ns and sample.possible / sample.time_ns <= best.throughput():
             known.sample = sample
             known.samples += 0.5
+            sample.skips = RETRY_SAMPLE_REST
             return None
         return sample
+
+
+def usual_failures(success: float) -> int:
+    """Return the number of failures of one frame from which they are not usual.
+
+    Independent losses of probability 1 - ``success`` in (0, 1] cause more with probability `UNUSUAL` or less.
+    """
+    loss = 1.0 - success
+    if loss <= UNUSUAL ** (1.0 / LEAST_FAILURES_PER_STAGE):
+        return LEAST_FAILURES_PER_STAGE
+    return ceil(log(UNUSUAL) / log(loss))
 
 
 class DatagramModes(NamedTuple):

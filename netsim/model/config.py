@@ -36,7 +36,8 @@ class FtmConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     burst_duration_us: Literal[250, 500, 1_000, 2_000, 4_000, 8_000, 16_000, 32_000, 64_000, 128_000] = 16_000
     """Longest duration of a burst, after which its remaining frames are not sent."""
     mode: Mode = "vht_mcs0"
-    """Mode of the measurement frames; the precision of time stamps depends on the channel bandwidth."""
+    """Mode of the measurement frames. Time stamps have the precision of its format: that of the channel's
+    bandwidth with a VHT mode, that of 20 MHz with a non-HT mode on a channel of any bandwidth."""
     access_category: AccessCategory = "vo"
     """EDCA access category of the frames of a session."""
     bursts_exponent: Annotated[int, Meta(ge=0, le=6)] = 0
@@ -57,7 +58,8 @@ class FtmConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     clock_ppm: Annotated[float, Meta(ge=0.0, le=100.0)] = 20.0
     """Largest clock error; each radio's error is drawn uniformly from +- this value."""
     round_trip_std_ps: NonNegative | None = None
-    """Standard deviation of one round trip at high SNR; None: the measured value for the bandwidth."""
+    """Standard deviation of one round trip at high SNR; None: the measured value for the bandwidth of the
+    format of ``mode``."""
     responder_sessions: Annotated[int, Meta(ge=1, le=64)] = 8
     """Concurrent sessions of a radio as responder; further requests are rejected."""
     calibration_bias_m: Annotated[float, Meta(ge=-1_000.0, le=1_000.0)] = 0.0

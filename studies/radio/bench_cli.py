@@ -29,7 +29,11 @@ def bench_radio(
     seconds: Annotated[float, typer.Option(help="Simulated time.", min=0.5)] = 10.0,
     peer: Annotated[
         str,
-        typer.Option(help="Program that simulates the same case; run in turn with ours.", metavar="COMMAND"),
+        typer.Option(
+            help="Program that simulates the same case; run in turn with ours. The ratio of speeds depends "
+            "on what it spends time on, such as traffic that its queues drop.",
+            metavar="COMMAND",
+        ),
     ] = "",
     peer_seconds: Annotated[
         float | None, typer.Option(help="Simulated time of the peer, if not --seconds.", min=0.5)

@@ -170,6 +170,23 @@ def test_payloads_addresses_and_retries_match_the_frames(run):
     assert 0 < sum(retry == "1" for _, _, retry in rows) < len(rows) / 2
 
 
+def test_a_vht_frame_is_an_a_mpdu_of_its_own(run):
+    """Each has one MPDU, which is the last, in a subframe with the EOF bit, and a reference number."""
+    for path in (run.path, run.receivers_path):
+        rows = tshark(
+            path, "radiotap.present.ampdu", "radiotap.present.vht", "radiotap.ampdu.reference",
+            "radiotap.ampdu.flags.lastknown", "radiotap.ampdu.flags.last", "radiotap.ampdu.flags.eof",
+            "radiotap.ampdu.flags.delim_crc_error", "radiotap.vht.mcs.0", "radiotap.vht.nss.0",
+            "radiotap.vht.bw", "wlan.fc.type_subtype",
+        )  # fmt: skip
+        vht = [row for row in rows if row[1] == "1"]
+        assert {int(row[10], 0) for row in vht} == {13}  # ranging
+        assert {tuple(row[3:10]) for row in vht} == {("1", "1", "1", "0", "0", "1", "4")}
+        assert len({row[2] for row in vht}) == len(vht) > 20
+        assert {tuple(row[:1] + row[2:10]) for row in rows if row[1] != "1"} == {("0", *[""] * 8)}
+    assert tshark(run.path, "frame.number", condition="_ws.malformed") == []
+
+
 def test_wireshark_computes_the_same_durations_and_gaps(run):
     """Durations of non-HT frames follow from rate and length; Wireshark's for VHT are rough estimates.
 

@@ -198,7 +198,7 @@ def test_stations_have_unique_addresses():
 @pytest.mark.parametrize("name", NON_HT)
 def test_a_non_ht_frame_has_its_rate_on_every_width(name, width_mhz):
     mode = phy_mode(name, width_mhz)
-    header = Radiotap(mode, frequency_mhz=5210.0, power_dbm=16.4).header(5_000_000_123)
+    header = Radiotap(mode, frequency_mhz=5210.0, power_dbm=16.4).header(5_000_000_123, 7)
     fields, rest = radiotap(header)
     assert rest == b""
     assert fields.pop("rate") == (2 * int(name.removeprefix("ofdm")),)
@@ -216,12 +216,14 @@ def test_a_non_ht_frame_has_its_rate_on_every_width(name, width_mhz):
 def test_a_vht_frame_has_its_mcs_and_width(width_mhz, code):
     for mcs in range(9 if width_mhz == 20 else 10):
         mode = phy_mode(f"vht_mcs{mcs}", width_mhz)
-        fields, rest = radiotap(Radiotap(mode, frequency_mhz=5210.0, power_dbm=-3.0).header(999))
+        fields, rest = radiotap(Radiotap(mode, frequency_mhz=5210.0, power_dbm=-3.0).header(999, 7))
         assert rest == b""
         known, flags, bandwidth, users, coding, group, partial_aid = fields["vht"]
         assert (known, flags, bandwidth) == (0x65, 0, code)
         assert users == bytes((mcs << 4 | 1, 0, 0, 0))
         assert (coding, group, partial_aid) == (0, 0, 0)
+        # radiotap.org, "A-MPDU status": last subframe and its bit known, EOF and its bit known; CRC unknown
+        assert fields["ampdu"] == (7, 0x04 | 0x08 | 0x40 | 0x80, 0, 0)
         assert "rate" not in fields
         assert fields["tsft"] == (40,)
         assert fields["tx_power"] == (-3,)
@@ -233,7 +235,7 @@ def test_a_received_frame_has_signal_and_noise_and_no_transmit_power(name):
     for bad_fcs, flags in ((False, 0x10), (True, 0x50)):
         header = Radiotap(
             mode, frequency_mhz=5210.0, power_dbm=-71.4, is_received=True, noise_dbm=-87.97, bad_fcs=bad_fcs
-        ).header(1_000)
+        ).header(1_000, 7)
         fields, rest = radiotap(header)
         assert rest == b""
         assert (fields["signal"], fields["noise"], fields["flags"]) == ((-71,), (-88,), (flags,))
@@ -245,7 +247,7 @@ def test_a_received_frame_has_signal_and_noise_and_no_transmit_power(name):
 @pytest.mark.parametrize("name", ["ofdm6", "vht_mcs4"])
 def test_a_receiver_without_noise_states_the_signal_alone(name):
     header = Radiotap(phy_mode(name, 80), frequency_mhz=5210.0, power_dbm=-71.4, is_received=True).header(
-        1_000
+        1_000, 7
     )
     fields, rest = radiotap(header)
     assert rest == b""
@@ -261,5 +263,5 @@ def test_a_channel_is_of_its_band():
         (868.3, (868, 0x0040)),
         (1e5, (65_535, 0x0140)),
     ):
-        header = Radiotap(OFDM24, frequency_mhz=frequency_mhz, power_dbm=0.0).header(0)
+        header = Radiotap(OFDM24, frequency_mhz=frequency_mhz, power_dbm=0.0).header(0, 7)
         assert radiotap(header)[0]["channel"] == shown

@@ -16,6 +16,7 @@ from netsim.ftm.stamps import (
     Clock,
     arrival_std_ps,
     distance_m,
+    format_name,
     frequency_ratio_std,
     measured_m,
     round_trip_std_ps,
@@ -81,8 +82,14 @@ def test_airtime_of_a_session_of_eight(width, mode, sheet_ms):
     assert 1e-3 * (np.mean(took_us) + 34 + 1.5 * 9) == pytest.approx(sheet_ms, rel=0.05)
 
 
+def mode_of(width):
+    """Return a mode whose time stamps have the precision of the channel's width."""
+    return "ofdm24" if width == 20 else "vht_mcs4"
+
+
 def session_statistics(width, *, sessions=300, places=TWENTY_METRES, **ftm):
-    swarm = Swarm(places, bandwidth_mhz=width, rician_k_db=None, ftm=FtmConfig(mode="ofdm24", **ftm))
+    config = FtmConfig(mode=mode_of(width), **ftm)
+    swarm = Swarm(places, bandwidth_mhz=width, rician_k_db=None, ftm=config)
     for i in range(sessions):
         swarm.request(0, 1, 4_000 * i)
     swarm.run(4_000 * (sessions + 2))
@@ -137,7 +144,7 @@ def test_calibration_bias_belongs_to_the_pair():
 @pytest.mark.parametrize(("width", "single_m", "bias_m"), [(20, 0.384, -2.5), (40, 0.161, 40.0)])
 def test_mean_error_of_2000_sessions_is_the_configured_bias(width, single_m, bias_m):
     """Within 1 cm; 7 round trips and 2000 sessions leave 0.384 m / sqrt(14000) = 3.2 mm of noise."""
-    ftm = FtmConfig(mode="ofdm24", min_delta_us=100)
+    ftm = FtmConfig(mode=mode_of(width), min_delta_us=100)
     air = FtmAir(distance_m=20.0, bandwidth_mhz=width, bias_m=bias_m, ftm=ftm)
     for i in range(2_000):
         air.request(4_000 * i)
@@ -185,6 +192,25 @@ def test_excess_lasts_as_long_as_the_obstacle_and_is_the_same_both_ways():
 def test_80_mhz_scales_with_the_inverse_of_the_bandwidth():
     assert round_trip_std_ps(FtmConfig(), 80) == 1075.0 / 2
     assert round_trip_std_ps(FtmConfig(round_trip_std_ps=9.0), 80) == 9.0
+
+
+@pytest.mark.parametrize(
+    ("mode", "channel_mhz", "round_trip_m"),
+    [
+        # Zubow et al., WONS 2022: 2563 ps at 20 MHz and 1075 ps at 40 MHz; c/2 of them
+        ("ofdm6", 20, 0.384), ("ofdm6", 40, 0.384), ("ofdm6", 80, 0.384), ("ofdm24", 80, 0.384),
+        ("vht_mcs0", 20, 0.384), ("vht_mcs0", 40, 0.161), ("vht_mcs0", 80, 0.081), ("vht_mcs4", 80, 0.081),
+    ],
+)  # fmt: skip
+def test_noise_of_ranging_is_that_of_the_format(mode, channel_mhz, round_trip_m):
+    ftm = FtmConfig(mode=mode)
+    assert distance_m(round_trip_std_ps(ftm, channel_mhz)) == pytest.approx(round_trip_m, abs=6e-4)
+    assert round_trip_std_ps(FtmConfig(mode=mode, round_trip_std_ps=9.0), channel_mhz) == 9.0
+
+
+def test_format_of_ranging_is_named():
+    assert format_name(FtmConfig(mode="ofdm24"), 80) == "non-HT, 20 MHz"
+    assert format_name(FtmConfig(mode="vht_mcs0"), 40) == "VHT, 40 MHz"
 
 
 def test_noise_of_an_arrival_grows_as_the_signal_fades():

@@ -89,11 +89,18 @@ def test_stations_that_broadcast_in_the_same_instant_all_collide():
     assert (result.mean_delay_ms, result.p50_ms, result.p95_ms, result.p99_ms) == (None, None, None, None)
 
 
-@pytest.mark.parametrize(("width_mhz", "round_trip_m"), [(20, 0.384), (40, 0.161)])
-def test_ranging_has_the_measured_noise_and_no_bias(width_mhz, round_trip_m):
+@pytest.mark.parametrize(
+    ("width_mhz", "mode", "round_trip_m"), [(20, None, 0.384), (40, None, 0.161), (80, "ofdm24", 0.384)]
+)
+def test_ranging_has_the_measured_noise_and_no_bias(width_mhz, mode, round_trip_m):
     bias_m, sessions, frames = 0.7, 2000, 4
     result = range_pair(
-        distance_m=30.0, width_mhz=width_mhz, sessions=sessions, ftms_per_burst=frames, bias_m=bias_m
+        distance_m=30.0,
+        width_mhz=width_mhz,
+        sessions=sessions,
+        ftms_per_burst=frames,
+        bias_m=bias_m,
+        mode=mode,
     )
     assert result.completed == sessions
     assert result.round_trip_std_m == pytest.approx(round_trip_m, rel=0.10)

@@ -5,7 +5,7 @@ import pytest
 from netsim_air import UNDETECTED_DBM, A, Air, B
 
 from netsim.mac.jobs import Job, JobOutcome
-from netsim.mac.rates import LOOKAROUND_RATIO, OVERHEAD_NS, AdaptiveRate, channel_modes
+from netsim.mac.rates import LOOKAROUND_RATIO, OVERHEAD_NS, AdaptiveRate, channel_modes, usual_failures
 from netsim.model.random_streams import FloatStream
 from netsim.phy.frames import ACK_BYTES, FrameKind
 from netsim.phy.modes import phy_mode, response_mode
@@ -96,6 +96,31 @@ def test_other_modes_are_sampled_with_few_frames_and_failing_ones_rarely():
     assert 0 < link.used.count("ofdm54") < link.used.count("ofdm48")
 
 
+@pytest.mark.parametrize("collided", [0.2, 0.4, 0.5])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_loss_that_is_the_same_in_all_modes_does_not_lower_the_mode(collided, seed):
+    link = Link(seed)
+    success = good(*[1.0 - collided] * len(MODES))
+    link.delivered_per_s(success, 2)
+    link.used.clear()
+    assert link.delivered_per_s(success, 4) > 0.95 * best_per_s(success)
+    assert link.used.count("ofdm54") > 0.85 * len(link.used)
+
+
+def test_noise_lowers_the_mode_also_with_collisions():
+    link = Link()
+    link.delivered_per_s(good(*[0.6] * len(MODES)), 2)
+    noisy = {name: 0.6 * success for name, success in MIDDLE.items()}
+    link.delivered_per_s(noisy, 3)
+    assert link.delivered_per_s(noisy, 4) > 0.93 * best_per_s(noisy)
+
+
+@pytest.mark.parametrize(("success", "failures"), [(1.0, 2), (0.9, 2), (0.8, 3), (0.65, 5), (0.5, 7)])
+def test_failures_are_unusual_from_a_probability_of_1_percent(success, failures):
+    assert usual_failures(success) == failures
+    assert (1 - success) ** failures <= 0.0100001
+
+
 def test_destinations_have_separate_statistics():
     link = Link()
     for _ in range(10):
@@ -146,7 +171,7 @@ def test_lost_rts_does_not_count_for_a_mode():
     air = Air(2, powers_dbm={(A, B): UNDETECTED_DBM})
     air.send(1000, A, B, retry_limit=1, rts=True, rates=rates)
     air.run()
-    assert len(rates.asked) == 2
+    assert [failures for _, _, failures, _ in rates.asked] == [0, 0]
     assert rates.reports == []
 
 
