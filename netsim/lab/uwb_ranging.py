@@ -85,16 +85,18 @@ def uwb_range_mesh(
 ) -> UwbMeshResult:
     """Simulate ranging from every station to every other once in a period.
 
-    A station's requests are spread evenly over the period, from a random phase. ``each_pair_once``: only the
-    station with the lower number ranges. The stations are on a circle of 30 m diameter. Raises ValueError for
-    inconsistent settings.
+    A station's requests are spread evenly over the period, from a random phase. With
+    ``each_pair_once`` it ranges to the half of the others that follows it only. The stations are on a circle of
+    30 m diameter. Raises ValueError for inconsistent settings.
     """
     rng = np.random.default_rng(seed)
     requests_us: list[tuple[int, int, int]] = []
     periods = max(1, round(seconds / period_s))
     for station in range(stations):
-        first = station + 1 if each_pair_once else 0
-        peers = [peer for peer in range(first, stations) if peer != station]
+        ahead = range(1, stations)
+        if each_pair_once:
+            ahead = range(1, (stations + 1) // 2 + (stations % 2 == 0 and station < stations // 2))
+        peers = [(station + k) % stations for k in ahead]
         phase_s = rng.uniform(0.0, period_s)
         requests_us += [
             (station, peer, round(1e6 * (phase_s + period_s * (period + k / len(peers)))))
