@@ -420,7 +420,7 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         """Number of round trips whose mean a distance is, without losses."""
         if self.uwb_radios is not None:
             return 1
-        return max(self.radio.ftm.ftms_per_burst - 1, 1) * 2**self.radio.ftm.bursts_exponent
+        return max(self.radio.ftm.ftms_per_burst - 1, 1) << self.radio.ftm.bursts_exponent
 
     @property
     def ground_ports(self) -> int:

@@ -85,9 +85,9 @@ def uwb_range_mesh(
 ) -> UwbMeshResult:
     """Simulate ranging from every station to every other once in a period.
 
-    A station's requests are spread evenly over the period, from a random phase. With
-    ``each_pair_once`` it ranges to the half of the others that follows it only. The stations are on a circle of
-    30 m diameter. Raises ValueError for inconsistent settings.
+    The requests of a station are spread evenly over the period, from a random phase.
+    With ``each_pair_once`` it ranges to the half of the others that follows it only. The stations are on a
+    circle of 30 m diameter. Raises ValueError for inconsistent settings.
     """
     rng = np.random.default_rng(seed)
     requests_us: list[tuple[int, int, int]] = []

@@ -1,4 +1,4 @@
-"""UWB ranging radios in a scenario: who has them, and settings that contradict each other."""
+"""UWB ranging radios in a scenario: their settings, and ones that contradict each other."""
 
 import pytest
 from paths import SCENARIOS
