@@ -9,7 +9,9 @@ from netsim.wire.messages import DEFAULT_PORT
 
 FORMATION = "formation"
 """Name of the built-in application."""
-_OF_ALL = ("enabled", "application", "settings", "folder", "port", "programs", "loop_period_ms")
+_OF_ALL = (
+    "enabled", "application", "settings", "folder", "port", "programs", "loop_period_ms", "ranging_radio",
+)  # fmt: skip
 """Fields that do not configure the formation."""
 UdpPort = Annotated[int, Meta(ge=1, le=65_535)]
 Seconds = Annotated[float, Meta(ge=0.0, le=1e5)]
@@ -55,10 +57,13 @@ class OnboardConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     loop_period_ms: Annotated[int, Meta(ge=4, le=40)] = 40
     """Period of the loop of all programs, which exchange data with autopilot and radio at multiples of it: a
     whole number of steps. The channel advances in equal intervals."""
+    ranging_radio: Literal["wifi", "uwb"] = "wifi"
+    """Radio that measures the distances: the 802.11 radio by Fine Time Measurement, or a UWB radio beside it,
+    of the table ``[uwb]``."""
     hold: bool = False
     """Run beacons and ranging only; take off when a ground station sends component 191 MAV_CMD_USER_1."""
     localisation: Literal["gps", "ftm", "truth"] = "ftm"
-    """Source of the position estimate. ftm: the own position corrected by all vehicles' GPS and the FTM
+    """Source of the position estimate. ftm: the own position corrected by all vehicles' GPS and the measured
     distances. gps: the own GPS alone. truth: the simulator. The last two are references for the first."""
     beacon_period_ms: Annotated[int, Meta(ge=10, le=1_000)] = 100
     """Period of a UAV's beacons, milliseconds."""

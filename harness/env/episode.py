@@ -49,8 +49,9 @@ class Episode:
             event_log_path=os.devnull,
         )  # fmt: skip
         radio = ServerConfig(
-            run_id=RUN_ID, stations=scenario.agents, seed=scenario.run.seed, radio=scenario.radio
-        )
+            run_id=RUN_ID, stations=scenario.agents, seed=scenario.run.seed, radio=scenario.radio,
+            uwb=scenario.uwb_radios,
+        )  # fmt: skip
         vehicle = partial(scenario.vehicle_config, run_id=RUN_ID, radio_endpoint=None, log_path=None)
         self._flight = InProcessFlight(
             physics, radio, [vehicle(i) for i in range(scenario.agents)], emit=self._on_event,

@@ -259,6 +259,7 @@ class RunFolder:
             packets=scenario.has_network,
             radio=scenario.channel,
             serial=scenario.serial_pairs,
+            uwb=scenario.uwb_radios,
             frame_log_path=str(self.raw_frames),
             session_log_path=str(self.raw_sessions),
             reception_log_path=str(self.raw_receptions) if scenario.radio.log_receptions else None,

@@ -23,7 +23,6 @@ from autopilot.onboard.predicted_shape import (
 )
 from autopilot.parameters.onboard_config import FORMATION, OnboardConfig
 from harness.scenario.scenario import Scenario
-from netsim.ftm.stamps import distance_m, round_trip_std_ps
 
 PAGE = "docs/concepts/ranging-and-localisation.md#formations-that-ranging-does-not-determine"
 """The explanation for users."""
@@ -115,11 +114,9 @@ def warning(scenario: Scenario) -> str | None:
 
 def _distance_std_m(scenario: Scenario) -> float:
     """Return one sigma of what one round of ranging measures of a pair."""
-    ftm, floor_m = scenario.radio.ftm, scenario.onboard.range_floor_std_m
-    trips = max(ftm.ftms_per_burst - 1, 1) * 2**ftm.bursts_exponent
-    trip_m = distance_m(round_trip_std_ps(ftm, scenario.radio.bandwidth_mhz))
+    trip_m, floor_m = scenario.round_trip_std_m, scenario.onboard.range_floor_std_m
     both_ends = 2 if scenario.onboard.ranging == "all_pairs" else 1
-    return math.sqrt((trip_m**2 / trips + floor_m**2) / both_ends)
+    return math.sqrt((trip_m**2 / scenario.round_trips + floor_m**2) / both_ends)
 
 
 def _all_neighbours_localise(scenario: Scenario) -> bool:

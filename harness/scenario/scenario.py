@@ -49,6 +49,10 @@ from netsim.model.config import RadioConfig
 from netsim.serial_radio.config import SerialPairsConfig, SerialRadioConfig
 from netsim.serial_radio.hopping import channel_count
 from netsim.serial_radio.timing import make_timing
+from netsim.uwb import access as uwb_access
+from netsim.uwb import frames as uwb_frames
+from netsim.uwb.config import UwbConfig
+from netsim.uwb.time_of_flight import distance_std_m
 
 _UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _EPOCH_END = datetime(2500, 1, 1, tzinfo=UTC)
@@ -227,6 +231,8 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Ground stations on the channel: tables ``[[stations]]``."""
     serial_radio: SerialRadioConfig = SerialRadioConfig()
     """Serial modems of the vehicles and their ground station, with ``links.telemetry = "serial-radio"``."""
+    uwb: UwbConfig = UwbConfig()
+    """Ranging radios of the vehicles, with ``onboard.ranging_radio = "uwb"``."""
 
     def __post_init__(self) -> None:
         """Check what no single field can."""
@@ -262,8 +268,15 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             radio_settings.check(self.channel, self.agents)
         except ValueError as error:
             raise ValueError(f"radio.{error}") from None
+        if self.uwb_radios is not None:
+            try:
+                uwb_frames.check(self.uwb)
+                uwb_access.check_stations(self.uwb, self.agents + len(self.channel.guests))
+            except ValueError as error:
+                raise ValueError(f"uwb.{error}") from None
         session_s = (2**self.radio.ftm.bursts_exponent - 1) * self.radio.ftm.burst_period_ms * 1e-3
-        if self.onboard.localisation == "ftm" and session_s > LONGEST_SESSION_S:
+        by_ftm = self.onboard.localisation == "ftm" and self.uwb_radios is None
+        if by_ftm and session_s > LONGEST_SESSION_S:
             raise ValueError(
                 f"radio.ftm.bursts_exponent: sessions of {session_s:g} s; the application stores the "
                 f"vehicle's positions of {REMEMBERED_S:g} s, of which beacons take some: "
@@ -363,7 +376,7 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             onboard=self.onboard,
             devices=Devices(
                 gps_delay_s=self.sensors.gps_model().delay_s,
-                ftm_trip_std_m=distance_m(round_trip_std_ps(self.radio.ftm, self.radio.bandwidth_mhz)),
+                ftm_trip_std_m=self.round_trip_std_m,
             ),
             ground_stations=ground_stations.numbers(self.ground_stations, self.radio, self.agents),
             serial_modem=self.links.telemetry == "serial-radio",
@@ -389,6 +402,25 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             return None
         (number,) = ground_stations.numbers(self.ground_stations, self.radio, self.agents).values()
         return SerialPairsConfig(settings=self.serial_radio, ground_station=number)
+
+    @property
+    def uwb_radios(self) -> UwbConfig | None:
+        """Settings of the UWB radios that measure the distances; None: the 802.11 radios measure them."""
+        return self.uwb if self.onboard.ranging_radio == "uwb" else None
+
+    @property
+    def round_trip_std_m(self) -> float:
+        """Standard deviation of a distance from one round trip, or one UWB exchange, at high SNR."""
+        if self.uwb_radios is not None:
+            return distance_std_m(self.uwb)
+        return distance_m(round_trip_std_ps(self.radio.ftm, self.radio.bandwidth_mhz))
+
+    @property
+    def round_trips(self) -> int:
+        """Number of round trips whose mean a distance is, without losses."""
+        if self.uwb_radios is not None:
+            return 1
+        return max(self.radio.ftm.ftms_per_burst - 1, 1) << self.radio.ftm.bursts_exponent
 
     @property
     def ground_ports(self) -> int:

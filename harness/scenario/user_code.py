@@ -11,6 +11,7 @@ from harness.scenario import world_checks
 from harness.scenario.scenario import Scenario
 from netsim.radio_models import registry
 from netsim.serial_radio.hopping import centre_mhz
+from netsim.uwb.link_budget import at_channel
 
 
 def with_code(scenario: Scenario, folder: Path) -> Scenario:
@@ -36,6 +37,8 @@ def with_code(scenario: Scenario, folder: Path) -> Scenario:
     if scenario.serial_pairs is not None:
         at_modems = msgspec.structs.replace(radio, frequency_mhz=centre_mhz(scenario.serial_radio))
         registry.check_models(at_modems, count, scenario.places_ned_m())
+    if scenario.uwb_radios is not None:
+        registry.check_models(at_channel(radio, scenario.uwb), count, scenario.places_ned_m())
     for number, station in enumerate(stations):
         if station.antenna is not None:
             registry.check_antenna(radio, count, station.antenna, f"stations[{number}].antenna")

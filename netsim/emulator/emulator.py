@@ -35,6 +35,8 @@ from netsim.phy.frames import (
 )
 from netsim.phy.propagation import Links, Trajectories, is_possible
 from netsim.radio_models.registry import make_models
+from netsim.uwb.config import UwbConfig
+from netsim.uwb.exchanges import UwbRadios
 from netsim.wire.messages import Broadcast, FtmRequest, RxItem, TxBatch, TxItem, Unicast
 from netsim.wire.packets import SentPacket
 
@@ -49,7 +51,8 @@ _ITEM_ORDER = attrgetter("at_us", "seq")
 class Emulator:
     """All radios of a run and the channel between them.
 
-    ``seed`` seeds the emulator; every model and link has a separate stream derived from it.
+    ``seed`` seeds the emulator; every model and link has a separate stream derived from it. With ``uwb`` the
+    requests of ranging are those of UWB radios beside the 802.11 channel, otherwise of Fine Time Measurement.
     ``on_transmission`` is called with every frame that has ended. Raises ValueError for inconsistent settings
     (`netsim.emulator.settings_checks`), and for models that cannot be created
     (`netsim.radio_models.registry`).
@@ -62,6 +65,7 @@ class Emulator:
         stations: int,
         seed: np.random.SeedSequence,
         on_transmission: Callable[[Transmission], None] | None = None,
+        uwb: UwbConfig | None = None,
     ) -> None:
         self._vehicles = stations - len(config.guests)
         check(config, self._vehicles)
@@ -124,6 +128,13 @@ class Emulator:
             own_config = own.get(i, StationConfig(station=i))
             self._modes.append(datagram_modes(config, own_config, self._streams))
             self._add_station(i, clocks)
+        self._uwb: UwbRadios | None = None
+        if uwb is not None:
+            self._uwb = UwbRadios(
+                uwb, radio=config, stations=stations, environment=self, streams=self._streams,
+                on_result=self._on_ranged,
+            )  # fmt: skip
+        self._ranging_timeout_us = (config.ftm if uwb is None else uwb).request_timeout_us
         self._submitted: list[tuple[int, int, int, TxItem]] = []
         self._ready_ns = [0] * stations
         """Time by station at which its last item reaches the radio."""
@@ -273,8 +284,11 @@ class Emulator:
         # a guest has no simulation time: its request begins on arrival
         latest_us = config.host_latency_us + config.host_jitter_us
         requested_ns = max(1_000 * item.at_us, self.queue.now_ns - 1_000 * latest_us)
-        timeout_ns = requested_ns + 1_000 * config.ftm.request_timeout_us
-        self._ftm[station].initiator.request(item.peer, item.seq, timeout_ns)
+        timeout_ns = requested_ns + 1_000 * self._ranging_timeout_us
+        if self._uwb is None:
+            self._ftm[station].initiator.request(item.peer, item.seq, timeout_ns)
+        else:
+            self._uwb.request(station, item.peer, item.seq, timeout_ns)
 
     def saturate(self, station: int, destination: int, payload_bytes: int) -> None:
         """Keep a station's queue filled with datagrams to another station from now on.
@@ -308,6 +322,14 @@ class Emulator:
         self._silent.add(station)
         self._macs[station].silence()
         self._ftm[station].silence()
+        if self._uwb is not None:
+            self._uwb.silence(station)
+
+    def set_extra_attenuation_db(self, value: float) -> None:
+        """Set the extra attenuation of all links, dB. Raises ValueError as `Links`."""
+        self.links.set_extra_attenuation_db(value)
+        if self._uwb is not None:
+            self._uwb.set_extra_attenuation_db(value)
 
     @property
     def busy_ns(self) -> int:
@@ -318,8 +340,9 @@ class Emulator:
     def counters(self) -> EmulatorCounters:
         """Counters since the start of the run."""
         return self._tally.counters(
-            self._channel.frames_sent(), self._channel.broadcasts(), self._packets.counters
-        )
+            self._channel.frames_sent(), self._channel.broadcasts(), self._packets.counters,
+            None if self._uwb is None else self._uwb.counters,
+        )  # fmt: skip
 
     def take_frames(self) -> list[FrameRecord]:
         """Return the transmissions that ended since the last call, in order of their end."""

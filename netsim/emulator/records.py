@@ -12,6 +12,7 @@ from netsim.ftm.initiator import Ranging
 from netsim.model.tables import Integers
 from netsim.phy.frames import KINDS, Transmission
 from netsim.phy.modes import MODE_NAMES
+from netsim.uwb.exchanges import UwbCounters
 
 
 class FrameRecord(NamedTuple):
@@ -83,6 +84,8 @@ class EmulatorCounters(Struct, frozen=True, kw_only=True, omit_defaults=True):
     ftm: FtmCounters
     packets: PacketCounters | None = None
     """None, and omitted when encoded, in a run without packets."""
+    uwb: UwbCounters | None = None
+    """None, and omitted when encoded, in a run without UWB radios."""
 
 
 _KIND_BYTES = np.array([kind.value for kind in KINDS], "S16")
@@ -147,8 +150,9 @@ class Tally:
         self._sessions.append(ranging)
 
     def counters(
-        self, frames_sent: list[int], broadcasts: Integers, packets: PacketCounters | None
-    ) -> EmulatorCounters:
+        self, frames_sent: list[int], broadcasts: Integers, packets: PacketCounters | None,
+        uwb: UwbCounters | None,
+    ) -> EmulatorCounters:  # fmt: skip
         """Return all counters; a channel supplies its frames by kind and its group data frames (n, 3)."""
         delivered, collided, lost = (tuple(column) for column in broadcasts.T.tolist())
         return EmulatorCounters(
@@ -167,6 +171,7 @@ class Tally:
                 error_square_sum_m2=self._error_square_sum_m2,
             ),
             packets=packets,
+            uwb=uwb,
         )
 
     def take_sessions(self) -> list[Ranging]:

@@ -62,6 +62,7 @@ class EmulatorService:
             stations=self.stations,
             seed=np.random.SeedSequence([config.seed, STREAM]),
             on_transmission=self._on_transmission if observed else None,
+            uwb=config.uwb,
         )
         self._modems: SerialModems | None = None
         if config.serial is not None:
@@ -217,7 +218,7 @@ class EmulatorService:
         due = [batch for batch in batches if batch.now_us < request.to_us]
         for batch in sorted(due, key=_BATCH_ORDER):
             self._emulator.submit(batch if self._modems is None else _submit_serial(self._modems, batch))
-        self._emulator.links.set_extra_attenuation_db(request.extra_attenuation_db)
+        self._emulator.set_extra_attenuation_db(request.extra_attenuation_db)
         if self._modems is not None:
             self._modems.set_extra_attenuation_db(request.extra_attenuation_db)
             self._modems.set_motion(1_000 * request.at_us, pos_ned_m, vel_ned_m_s, q_ned_frd)

@@ -9,6 +9,7 @@ import numpy as np
 from foundation.types import Vector
 from netsim.emulator.emulator import Emulator
 from netsim.model.config import RadioConfig
+from netsim.uwb.config import UwbConfig
 from netsim.wire.messages import RxItem, TxBatch, TxItem
 
 HEIGHT_M = 10.0
@@ -33,9 +34,14 @@ class RadioBench:
     Raises ValueError for settings that are out of range or inconsistent.
     """
 
-    def __init__(self, config: RadioConfig, places_ned_m: Sequence[Vector], seed: int) -> None:
+    def __init__(
+        self, config: RadioConfig, places_ned_m: Sequence[Vector], seed: int, uwb: UwbConfig | None = None
+    ) -> None:
         self.emulator = Emulator(
-            config=validated(config), stations=len(places_ned_m), seed=np.random.SeedSequence([seed])
+            config=validated(config),
+            stations=len(places_ned_m),
+            seed=np.random.SeedSequence([seed]),
+            uwb=None if uwb is None else msgspec.convert(msgspec.to_builtins(uwb), UwbConfig),
         )
         self.now_us = 0
         self._places_ned_m = np.array(places_ned_m)

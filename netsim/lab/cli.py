@@ -20,10 +20,12 @@ from foundation.system_error import in_words
 from netsim.lab.broadcast import broadcast as run_broadcast
 from netsim.lab.ranging import MeshResult, range_mesh, range_pair
 from netsim.lab.saturation import UNLIMITED, saturate
+from netsim.lab.uwb_ranging import uwb_range_mesh, uwb_range_pair
 from netsim.model.config import BandwidthMhz, Mode, RadioConfig, ServerConfig
 from netsim.phy.errors import packet_error_rate
 from netsim.phy.frames import MAX_MSDU_BYTES, UDP_OVERHEAD_BYTES
 from netsim.phy.modes import phy_mode
+from netsim.uwb.config import UwbConfig, UwbMethod
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, no_args_is_help=True)
 
@@ -40,6 +42,26 @@ Width = Annotated[int, typer.Option(help="Channel width, MHz: 20, 40 or 80.")]
 ModeName = Annotated[
     str | None, typer.Option(help="Mode: ofdm6 .. ofdm54, vht_mcs0 .. vht_mcs9.", metavar="MODE")
 ]
+
+
+UwbMethodName = Annotated[
+    str, typer.Option("--method", help="Two-way ranging: ss (single-sided) or ds (double-sided).")
+]
+UwbSettings = Annotated[
+    Path | None, typer.Option(help="JSON file of settings, with the fields of [uwb].", metavar="JSON")
+]
+
+
+def _uwb(method: str, settings: Path | None) -> UwbConfig:
+    if method not in get_args(UwbMethod):
+        raise typer.BadParameter(f"--method {method}: expected ss or ds")
+    config = UwbConfig()
+    if settings is not None:
+        try:
+            config = msgspec.json.decode(settings.read_bytes(), type=UwbConfig)
+        except ValueError as error:
+            raise typer.BadParameter(f"{settings}: {error}") from None
+    return msgspec.structs.replace(config, method=cast("UwbMethod", method))
 
 
 def _mode(name: str) -> Mode:
@@ -243,6 +265,57 @@ def ftm_mesh(
             f"{result.busy_fraction:.1%}",
         )
     Console(highlight=False).print(table)
+
+
+@app.command()
+def uwb(
+    *,
+    distance: Annotated[
+        float, typer.Option(help="Distance of the pair, metres.", min=0.0, max=4_000.0)
+    ] = 10.0,
+    exchanges: Annotated[
+        int, typer.Option(help="Exchanges, one after the other.", min=1, max=1_000_000)
+    ] = 200,
+    method: UwbMethodName = "ds",
+    settings: UwbSettings = None,
+    seed: Seed = 1,
+    json: Json = False,
+) -> None:
+    """Two-way ranging by UWB between two stations."""
+    result = uwb_range_pair(distance_m=distance, exchanges=exchanges, uwb=_uwb(method, settings), seed=seed)
+    _show(result, as_json=json, title=f"{exchanges} exchanges ({method}) over {distance:g} m")
+
+
+@app.command()
+def uwb_mesh(
+    *,
+    stations: Annotated[int, typer.Option(help="Number of stations.", min=2, max=200)] = 8,
+    period: Annotated[
+        float,
+        typer.Option(help="Period in which each station ranges to all others, seconds.", min=1e-3, max=1e4),
+    ] = 0.1,
+    seconds: Seconds = 10.0,
+    each_pair_once: Annotated[
+        bool, typer.Option("--each-pair-once", help="Only one end of each pair ranges to the other.")
+    ] = False,
+    method: UwbMethodName = "ds",
+    access: Annotated[str, typer.Option(help="aloha or slots.")] = "slots",
+    settings: UwbSettings = None,
+    seed: Seed = 1,
+    json: Json = False,
+) -> None:
+    """Two-way ranging by UWB between all pairs of stations."""
+    if access not in ("aloha", "slots"):
+        raise typer.BadParameter(f"--access {access}: expected aloha or slots")
+    result = uwb_range_mesh(
+        stations=stations,
+        period_s=period,
+        seconds=seconds,
+        uwb=msgspec.structs.replace(_uwb(method, settings), access=access),
+        each_pair_once=each_pair_once,
+        seed=seed,
+    )
+    _show(result, as_json=json, title=f"{stations} stations range ({method}, {access}) every {period:g} s")
 
 
 @app.command()

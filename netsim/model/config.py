@@ -10,6 +10,7 @@ from msgspec import Meta, Struct
 
 from foundation.records.record_log import BLOCK_ROWS
 from netsim.serial_radio.config import SerialPairsConfig
+from netsim.uwb.config import UwbConfig
 
 NonNegative = Annotated[float, Meta(ge=0.0, le=1e6)]
 Positive = Annotated[float, Meta(gt=0.0, le=1e6)]
@@ -269,6 +270,8 @@ class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     radio: RadioConfig = RadioConfig()
     serial: SerialPairsConfig | None = None
     """Serial modems of the vehicles and their ground station, which is a guest of ``radio``; None: none."""
+    uwb: UwbConfig | None = None
+    """UWB radios of all stations, to which requests of ranging go; None: they go to ``radio``."""
     frame_log_path: str | None = None
     session_log_path: str | None = None
     reception_log_path: str | None = None

@@ -31,6 +31,7 @@ class Model(IntEnum):
     ERROR_MODEL = 14
     ANTENNA = 15
     SERIAL_RADIO = 16
+    UWB = 17
 
 
 class FloatStream:

@@ -11,6 +11,7 @@ from foundation.exit_status import BAD_INPUT, FAILED, FINE, INTERRUPTED
 from netsim.lab.broadcast import BroadcastResult
 from netsim.lab.ranging import FtmResultSummary, MeshResult
 from netsim.lab.saturation import SaturationResult
+from netsim.lab.uwb_ranging import UwbMeshResult, UwbPairResult
 from reference.markdown import table
 from studies.bench.bench import FlightBench
 
@@ -156,6 +157,8 @@ RESULTS = (
     Result("radio per", ("per",)),
     Result("radio ftm", _keys(FtmResultSummary)),
     Result("radio ftm-mesh", _keys(MeshResult)),
+    Result("radio uwb", _keys(UwbPairResult)),
+    Result("radio uwb-mesh", _keys(UwbMeshResult)),
     Result("antenna pattern", _keys(PatternReport)),
     Result("antenna statistics", _keys(StatisticsReport)),
     Result("antenna benchmark", _keys(Benchmark)),

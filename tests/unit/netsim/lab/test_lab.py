@@ -154,6 +154,11 @@ def test_ranging_of_all_pairs_saturates_at_the_predicted_airtime():
             "ftm-mesh --stations 3 --period 0.1 --seconds 0.5",
             {"completed_fraction", "mean_delay_ms", "busy_fraction"},
         ),
+        ("uwb --distance 20 --exchanges 3", {"error_mean_m", "error_std_m", "rx_power_dbm", "exchange_ms"}),
+        (
+            "uwb-mesh --stations 3 --seconds 0.5 --method ss --access aloha --each-pair-once",
+            {"completed_fraction", "noise_std_m", "collided_fraction", "airtime_fraction"},
+        ),
     ],
 )
 def test_every_command_prints_json_and_a_table(command, fields, capsys):
@@ -189,6 +194,9 @@ def test_every_command_prints_json_and_a_table(command, fields, capsys):
         ("ftm --distance nan", "'--distance'"),
         ("ftm --width 20 --mode vht_mcs9", "VHT MCS 9 does not exist on a 20 MHz channel"),
         ("ftm-mesh --period 1e300", "'--period'"),
+        ("uwb --method tdoa", "--method tdoa: expected ss or ds"),
+        ("uwb-mesh --access csma", "--access csma: expected aloha or slots"),
+        ("uwb --settings /nowhere/uwb.json", "/nowhere/uwb.json: No such file"),
         ("serve --port 0 --radius inf", "'--radius'"),
         ("serve --port 0 --speed inf", "'--speed'"),
         ("serve --port 70000", "'--port'"),
@@ -274,6 +282,7 @@ def test_shortest_accepted_bursts_complete_a_round_trip(width_mhz, ftm):
     [
         ("ftm --distance 4000 --sessions 2", {"error_mean_m", "error_std_m", "round_trip_std_m"}),
         ("ftm --sessions 1 --ftms-per-burst 2", {"error_std_m", "round_trip_std_m"}),
+        ("uwb --distance 500 --exchanges 2", {"error_mean_m", "error_std_m", "rx_power_dbm"}),
         ("broadcast --seconds 0.5", {"mean_delay_ms", "p50_ms", "p95_ms", "p99_ms"}),
         # 380 sessions in a millisecond, the duration of one: none completes
         ("ftm-mesh --stations 20 --period 0.001 --seconds 0.003", {"mean_delay_ms"}),
