@@ -1,10 +1,12 @@
 // Saturated A-MPDU: best effort (EDCA, no TXOP limit), immediate Block Ack with a window of 64 frames, long
-// guard interval, equal power at all stations and no noise errors. Every sender keeps its queue full for one
-// sink. --loss makes the sink lose each data MPDU by itself with that probability (its preamble and the other
-// MPDUs are received). --hidden: senders receive nothing of each other, only the sink. --amsdu: greatest A-MSDU.
-// Prints standard, width_mhz, streams, mcs, senders, payload_bytes, ampdu_bytes, amsdu_bytes, loss, hidden, rts,
-// run, seconds, received payload in Mbit/s, PPDUs with data per second, MPDUs per such PPDU, their mean air time
-// in us, Block Acks and Block Ack requests per second, RTS per second, MPDUs dropped per second.
+// guard interval, equal power at all stations and no noise errors. Every sender keeps its queue full for
+// one sink. --loss makes the sink lose each data MPDU by itself with that probability (its preamble and the
+// other MPDUs are received). --hidden: senders receive nothing of each other, only the sink. --amsdu:
+// greatest A-MSDU.
+// Prints standard, width_mhz, streams, mcs, senders, payload_bytes, ampdu_bytes, amsdu_bytes, loss, hidden,
+// rts, run, seconds, received payload in Mbit/s, PPDUs with data per second, MPDUs per such PPDU, their
+// mean air time in us, Block Acks and Block Ack requests per second, RTS per second, MPDUs dropped per
+// second.
 #include "network.h"
 
 #include <memory>

@@ -87,8 +87,9 @@ def tables() -> tuple[Table, ...]:
             name="ns3_lean",
             program="lean",
             columns=(
-                "traffic", "stations", "mode", "payload_bytes", "period_s", "sessions_per_s", "run", "seconds",
-                "cpu_s", "wall_s", "ppdus_per_s", "received_mbps", "sessions_completed_per_s", "events_per_s",
+                "traffic", "stations", "mode", "payload_bytes", "period_s", "sessions_per_s", "run",
+                "seconds", "cpu_s", "wall_s", "ppdus_per_s", "received_mbps", "sessions_completed_per_s",
+                "events_per_s",
             ),
             runs=tuple(_lean()),
             alone=True,
@@ -100,7 +101,14 @@ def _mixed() -> Iterator[Arguments]:
     for layout, senders, run in product(("centre", "ring"), (9, 10), RUNS):
         yield {"layout": layout, "senders": senders, "radius": 50, "seconds": 30, "RngRun": run}
     for run in RUNS:
-        yield {"layout": "centre", "senders": 10, "radius": 50, "undetected": -62, "seconds": 30, "RngRun": run}
+        yield {
+            "layout": "centre",
+            "senders": 10,
+            "radius": 50,
+            "undetected": -62,
+            "seconds": 30,
+            "RngRun": run,
+        }
 
 
 def _range() -> Iterator[Arguments]:
@@ -110,9 +118,8 @@ def _range() -> Iterator[Arguments]:
     for slot_us, distances_m in slots_m.items():
         for distance_m in distances_m:
             yield {"slot": slot_us, "distance": distance_m, "datagrams": 50, "RngRun": 1}
-    for options, distance_m in product(
-        ({"rts": 1}, {"mode": "OfdmRate54Mbps"}, {"vht": 1, "mode": "VhtMcs0"}), (1340, 1348, 1349, 1360)
-    ):
+    others: tuple[Arguments, ...] = ({"rts": 1}, {"mode": "OfdmRate54Mbps"}, {"vht": 1, "mode": "VhtMcs0"})
+    for options, distance_m in product(others, (1340, 1348, 1349, 1360)):
         yield {**options, "distance": distance_m, "datagrams": 50, "RngRun": 1}
 
 
@@ -126,9 +133,9 @@ def _ampdu() -> Iterator[Arguments]:
     pairs: list[Arguments] = [{"rts": 1}, {"ampdu": 1_048_575}, {"ampdu": 0}]
     pairs += [{"amsdu": amsdu_bytes} for amsdu_bytes in (3_839, 7_935)]
     pairs += [{"streams": streams} for streams in (2, 4)]
-    for settings, runs in ((several, RUNS), (pairs, FEW_RUNS)):
-        for setting, mcs, run in product(settings, _MCS, runs):
-            yield {**setting, "mcs": mcs, "seconds": 1, "RngRun": run}
+    both = [*product(several, _MCS, RUNS), *product(pairs, _MCS, FEW_RUNS)]
+    for setting, mcs, run in both:
+        yield {**setting, "mcs": mcs, "seconds": 1, "RngRun": run}
     for streams, mcs, run in product((1, 2, 4), (0, 4, 7), FEW_RUNS):
         yield {"standard": "ht", "width": 40, "streams": streams, "mcs": mcs, "seconds": 1, "RngRun": run}
 
@@ -138,7 +145,8 @@ def _he_airtimes() -> Iterator[Arguments]:
         (20, 80), (1, 2), (0, 5, 11), (800, 1600, 3200), (1, 3, 10, 40)
     ):
         yield {
-            "what": "airtime", "width": width, "streams": streams, "mcs": mcs, "gi": interval_ns, "mpdus": mpdus,
+            "what": "airtime", "width": width, "streams": streams, "mcs": mcs, "gi": interval_ns,
+            "mpdus": mpdus,
         }  # fmt: skip
 
 

@@ -1,11 +1,11 @@
-// 802.11ax, HE SU at 5 GHz. --what=airtime prints the air time of one PPDU with `mpdus` MPDUs of 1400 B of UDP
-// (by ns-3's formula, no simulation): its preamble and header, and the whole. --what=saturation simulates one
-// sender that keeps its queue full for one sink: best effort (EDCA, no TXOP limit), equal power, no noise errors;
-// single MPDUs with normal ACK, or A-MPDUs with Block Ack.
+// 802.11ax, HE SU at 5 GHz. --what=airtime prints the air time of one PPDU with `mpdus` MPDUs of 1400 B of
+// UDP (by ns-3's formula, no simulation): its preamble and header, and the whole. --what=saturation
+// simulates one sender that keeps its queue full for one sink: best effort (EDCA, no TXOP limit), equal
+// power, no noise errors; single MPDUs with normal ACK, or A-MPDUs with Block Ack.
 // airtime prints width_mhz, streams, mcs, guard_interval_ns, payload_bytes, mpdus, psdu_bytes, preamble_us,
 // air_us. saturation prints width_mhz, streams, mcs, guard_interval_ns, payload_bytes, ampdu_bytes,
-// block_ack_frames, run, seconds, received payload in Mbit/s, PPDUs with data per second, MPDUs per such PPDU,
-// their mean air time in us.
+// block_ack_frames, run, seconds, received payload in Mbit/s, PPDUs with data per second, MPDUs per such
+// PPDU, their mean air time in us.
 #include "network.h"
 
 using namespace reference;
@@ -110,8 +110,9 @@ main(int argc, char* argv[])
     });
     Simulator::Stop(Seconds(1 + seconds));
     Simulator::Run();
-    std::cout << widthMhz << "," << streams << "," << mcs << "," << guardIntervalNs << "," << payloadBytes << ","
-              << ampduBytes << "," << blockAckFrames << "," << RngSeedManager::GetRun() << "," << seconds << ","
+    std::cout << widthMhz << "," << streams << "," << mcs << "," << guardIntervalNs << ","
+              << payloadBytes << "," << ampduBytes << "," << blockAckFrames << ","
+              << RngSeedManager::GetRun() << "," << seconds << ","
               << sink.PayloadMbps(payloadBytes, seconds) << "," << data / seconds << ","
               << double(frames) / data << "," << Microseconds(air) / data << std::endl;
     Simulator::Destroy();

@@ -1,15 +1,16 @@
 // What ns-3 costs in its leanest form: no IP stack, no traffic generator whose packets are dropped by full
-// queues, a fixed received power for all stations. Processor time of this process per simulated second, in steady
-// state: building the network and `warmup` simulated seconds are not part of it.
-// --traffic=saturated: 802.11a, DCF; every sender gives its device the next packet when one has ended; one sink.
-// --traffic=swarm: 802.11a with EDCA at 24 Mbit/s; every station broadcasts a packet every `period` seconds (best
-// effort, phases drawn once), and `sessions` times a second one station exchanges frames of Fine Time
-// Measurement's lengths with another one (AC_VO): a request of 42 B; then eight measurement frames, the first of
-// 59 B and the others of 48 B, at least 200 us apart, each sent when the former is acknowledged. (Not 802.11ac:
-// there 3.37 first sets up a Block Ack agreement between each pair of stations.)
-// Prints traffic, stations, mode, payload_bytes, period_s, sessions_per_s, run, seconds, cpu_s per simulated
-// second, wall_s per simulated second, PPDUs sent per simulated second, received payload of data in Mbit/s,
-// completed sessions per simulated second, events of the simulator per simulated second.
+// queues, a fixed received power for all stations. Processor time of this process per simulated second, in
+// steady state: building the network and `warmup` simulated seconds are not part of it.
+// --traffic=saturated: 802.11a, DCF; every sender gives its device the next packet when one has ended; one
+// sink.
+// --traffic=swarm: 802.11a with EDCA at 24 Mbit/s; every station broadcasts a packet every `period` seconds
+// (best effort, phases drawn once), and `sessions` times a second one station exchanges frames of Fine Time
+// Measurement's lengths with another one (AC_VO): a request of 42 B; then eight measurement frames, the
+// first of 59 B and the others of 48 B, at least 200 us apart, each sent when the former is acknowledged.
+// (Not 802.11ac: there 3.37 first sets up a Block Ack agreement between each pair of stations.)
+// Prints traffic, stations, mode, payload_bytes, period_s, sessions_per_s, run, seconds, cpu_s per
+// simulated second, wall_s per simulated second, PPDUs sent per simulated second, received payload of data
+// in Mbit/s, completed sessions per simulated second, events of the simulator per simulated second.
 #include "network.h"
 
 #include <chrono>

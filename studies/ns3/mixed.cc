@@ -1,13 +1,16 @@
-// Short and long frames on one channel: 802.11a, DCF without RTS. Saturated senders send UDP-size packets to
-// one sink; those with even numbers send short packets, those with odd numbers long ones. Free-space path loss
-// at 5180 MHz, 16 dBm, noise figure 7 dB, NIST error model, no capture model, seven transmissions of a frame.
-// --layout=centre: senders on a circle, the sink in its centre. --layout=ring: senders and sink on one circle.
-// --undetected sets ns-3's CcaSensitivity, from which a frame makes the medium busy whose preamble a station has
-// not received because it was sending or receiving; by default the -82 dBm of ns-3. (In 3.37 the same threshold
-// also holds after a frame with an unreadable header, so that -62 dBm is not the standard's rule either.)
-// Prints layout, senders, radius_m, mode, short_bytes, long_bytes, undetected_dbm, run, seconds, received payload
-// of short and of long packets in Mbit/s, and of both kinds the transmissions without acknowledgement and the
-// packets dropped at the retry limit.
+// Short and long frames on one channel: 802.11a, DCF without RTS. Saturated senders send UDP-size packets
+// to one sink; those with even numbers send short packets, those with odd numbers long ones. Free-space
+// path loss at 5180 MHz, 16 dBm, noise figure 7 dB, NIST error model, no capture model, seven transmissions
+// of a frame.
+// --layout=centre: senders on a circle, the sink in its centre. --layout=ring: senders and sink on one
+// circle.
+// --undetected sets ns-3's CcaSensitivity, from which a frame makes the medium busy whose preamble a
+// station has not received because it was sending or receiving; by default the -82 dBm of ns-3. (In 3.37
+// the same threshold also holds after a frame with an unreadable header, so that -62 dBm is not the
+// standard's rule either.)
+// Prints layout, senders, radius_m, mode, short_bytes, long_bytes, undetected_dbm, run, seconds, received
+// payload of short and of long packets in Mbit/s, and of both kinds the transmissions without
+// acknowledgement and the packets dropped at the retry limit.
 #include "network.h"
 
 #include <memory>

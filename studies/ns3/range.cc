@@ -1,10 +1,10 @@
 // Acknowledged unicast over distance. One 802.11 station sends datagrams to another one with a power that
-// leaves no errors by noise; the only limit is the time for which the sender waits for the acknowledgement to
-// begin at its receiver: SIFS + slot + preamble and header of the ACK, which 3.37 begins to count at the end of
-// the data frame. --slot lengthens the slot as a coverage class does (3 us a class).
+// leaves no errors by noise; the only limit is the time for which the sender waits for the acknowledgement
+// to begin at its receiver: SIFS + slot + preamble and header of the ACK, which 3.37 begins to count at the
+// end of the data frame. --slot lengthens the slot as a coverage class does (3 us a class).
 // Prints standard, mode, rts, slot_us, distance_m, run, datagrams, transmissions (of data frames, retries
-// included), received (by the peer, duplicates excluded), acknowledged (datagrams), timed_out (transmissions of
-// data frames, or with --rts of RTS).
+// included), received (by the peer, duplicates excluded), acknowledged (datagrams), timed_out
+// (transmissions of data frames, or with --rts of RTS).
 #include "network.h"
 
 using namespace reference;
@@ -59,9 +59,10 @@ main(int argc, char* argv[])
             [&](WifiConstPsduMap psdus, WifiTxVector, double) {
                 sent += psdus.begin()->second->GetHeader(0).IsData();
             }));
-    mac->TraceConnectWithoutContext("AckedMpdu", Callback<void, Ptr<const WifiMpdu>>([&](Ptr<const WifiMpdu> mpdu) {
-                                        acknowledged += mpdu->GetHeader().IsData();
-                                    }));
+    mac->TraceConnectWithoutContext(
+        "AckedMpdu",
+        Callback<void, Ptr<const WifiMpdu>>(
+            [&](Ptr<const WifiMpdu> mpdu) { acknowledged += mpdu->GetHeader().IsData(); }));
     mac->TraceConnectWithoutContext(
         "MpduResponseTimeout",
         Callback<void, uint8_t, Ptr<const WifiMpdu>, const WifiTxVector&>(
@@ -79,8 +80,8 @@ main(int argc, char* argv[])
     }
     Simulator::Stop(MilliSeconds(100 * (datagrams + 2)));
     Simulator::Run();
-    std::cout << (vht ? "80211ac" : "80211a") << "," << mode << "," << rts << "," << slotUs << "," << distanceM
-              << "," << RngSeedManager::GetRun() << "," << datagrams << "," << sent << ","
+    std::cout << (vht ? "80211ac" : "80211a") << "," << mode << "," << rts << "," << slotUs << ","
+              << distanceM << "," << RngSeedManager::GetRun() << "," << datagrams << "," << sent << ","
               << sink.Packets(payloadBytes) << "," << acknowledged << "," << timedOut << std::endl;
     Simulator::Destroy();
 }

@@ -24,9 +24,9 @@ ns3_references_app = typer.Typer(add_completion=False, pretty_exceptions_enable=
 def ns3_references(
     build: Annotated[Path, typer.Option(help="Folder of the built programs.")] = Path("build/ns3"),
     out: Annotated[Path, typer.Option(help="Folder for the tables.")] = Path("studies/reference"),
-    only: Annotated[
-        str, typer.Option(help="Some of the tables.", metavar="NAME,NAME")
-    ] = ",".join(table.name for table in tables()),
+    only: Annotated[str, typer.Option(help="Some of the tables.", metavar="NAME,NAME")] = ",".join(
+        table.name for table in tables()
+    ),
     workers: Annotated[
         int, typer.Option(help="Runs at a time; those that measure time run alone.", min=1)
     ] = os.cpu_count() or 1,
