@@ -15,7 +15,7 @@ ARGS ?=
 # each process would compile every module again
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup swarm view wheel test test-clients validate validate-radio validate-antenna codesign campaign article antenna bench bench-radio docs lock lint format clean
+.PHONY: help setup swarm view wheel test test-clients validate validate-radio validate-antenna codesign campaign article antenna bench bench-radio ns3-references docs lock lint format clean
 help:
 	@echo "make swarm [ARGS='--duration 20 --seed 3']   fly scenarios/article.toml"
 	@echo "make view  [ARGS='--duration 20']            the same flight in the viewer Rerun (docs/how-to/view.md)"
@@ -30,6 +30,7 @@ help:
 	@echo "make antenna ARGS='pattern --wavelength 10'   the antenna alone: pattern, statistics, benchmark (docs/concepts/antenna.md)"
 	@echo "make bench [ARGS='--quick | --agents 8 --json']   measure what flying costs (docs/results/performance.md)"
 	@echo "make bench-radio [ARGS='--peer COMMAND']      measure what the radio costs"
+	@echo "make ns3-references [ARGS='--only ns3_range']   make the tables of ns-3 again, needs libns3-dev (studies/ns3/README.md)"
 	@echo "make docs                                    build the documentation site into build/site"
 	@echo "make wheel                                   build the wheel, install it elsewhere, fly with it, test the examples"
 	@echo "make lock [ARGS=--upgrade]                   write the lock files with the hashes of all packages"
@@ -104,6 +105,12 @@ bench: $(STAMP)
 
 bench-radio: $(STAMP)
 	$(BIN)/python scripts/bench_radio.py $(ARGS)
+
+# built outside of the source tree; ends with CMake's message if libns3-dev is absent
+ns3-references: $(STAMP)
+	cmake -S studies/ns3 -B build/ns3
+	cmake --build build/ns3
+	$(BIN)/python scripts/ns3_references.py $(ARGS)
 
 $(DOCS): requirements-docs.lock $(STAMP)
 	$(LOCKED) requirements-docs.lock --no-deps
