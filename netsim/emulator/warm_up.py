@@ -50,7 +50,7 @@ def warm_up() -> None:
             vel_ned_m_s=velocities_m_s,
         )
     emulator.set_silent(_FAR)
-    if emulator.next_event_us <= STEPS * STEP_US:
+    if emulator.next_event_ns <= 1_000 * STEPS * STEP_US:
         raise WarmUpError("radio warm-up: events are left at the end")
     if not any(frame.delivered for frame in seen) or not any(frame.collided for frame in seen):
         raise WarmUpError("radio warm-up: no frame was delivered, or none collided")

@@ -68,7 +68,6 @@ def test_burst_at_2_4_ghz(short_slot, slot_us):
         ftm=quiet(ftms_per_burst=2, clock_ppm=0.0),
         frequency_mhz=2437.0,
         short_slot=short_slot,
-        access="edca",
     )
     air.request(1_000)
     request_us, first_us, frame_us, ack_us = (6 + each for each in (REQUEST_US, FIRST_US, FRAME_US, ACK_US))

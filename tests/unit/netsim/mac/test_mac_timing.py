@@ -105,6 +105,11 @@ def test_time_out_waits_for_the_end_of_a_frame_whose_reception_has_begun(begins_
     assert JobOutcome.RETRY_LIMIT in air.outcomes
 
 
+def boundary_us(arrives_us, aifs_us, slot_us):
+    """Return the first slot boundary of EDCA from ``arrives_us`` on, of a medium that is idle since 0."""
+    return arrives_us + (aifs_us - arrives_us) % slot_us
+
+
 @TIMINGS
 def test_dcf_backs_off_in_slots_after_difs(settings, slot_us, sifs_us, extension_us):
     air = Air(2, backoffs={B: [(3, 15)]}, **settings)
@@ -122,7 +127,9 @@ def test_edca_backs_off_in_slots_after_aifs(
     assert EDCA[category].aifs_ns(timing_of(air.config)) == 1_000 * (sifs_us + aifsn * slot_us)
     air.send(1000, A)
     air.send(1100, B, category=category)
-    assert air.run()[1][0] == 1160 + extension_us + sifs_us + (aifsn + 2) * slot_us
+    first, second = air.run()
+    assert first[0] == boundary_us(1000, sifs_us + 3 * slot_us, slot_us)
+    assert second[0] == first[0] + 160 + extension_us + sifs_us + (aifsn + 2) * slot_us
 
 
 @TIMINGS
@@ -172,9 +179,10 @@ def test_txop_counts_signal_extensions(settings, fit):
     for _ in range(10):
         air.send(1000, A, B, category="vo")
     starts_us = [start for start, _, source, _ in air.run() if source == A]
-    assert starts_us[:fit] == [1000 + 236 * k for k in range(fit)]
     timing = timing_of(air.config)
     extension_us, difs_us = timing.signal_extension_ns // 1_000, EDCA["vo"].aifs_ns(timing) // 1_000
+    first_us = boundary_us(1000, difs_us, timing.slot_ns // 1_000)
+    assert starts_us[:fit] == [first_us + 236 * k for k in range(fit)]
     assert starts_us[fit] == starts_us[fit - 1] + 220 + extension_us + difs_us
 
 

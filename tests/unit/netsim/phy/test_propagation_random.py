@@ -312,7 +312,9 @@ def test_budgets_and_fading_are_bit_identical_without_the_compiler():
     def budget(kernel, motion, source):
         powers_mw, distances_m = np.empty(count), np.empty(count)
         delays_ns = np.empty(count, np.int64)
-        longest_ns = kernel(*motion, 0.0123, source, 1.7e-4, 2.0, 1e-12, powers_mw, distances_m, delays_ns)
+        longest_ns = kernel(
+            *motion, 0.0123, source, 1.7e-4, 2.0, 4_796.7, 1e-12, powers_mw, distances_m, delays_ns
+        )
         return longest_ns, powers_mw.tobytes(), distances_m.tobytes(), delays_ns.tobytes()
 
     def turned(kernel, motion):

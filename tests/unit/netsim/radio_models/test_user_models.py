@@ -66,8 +66,8 @@ def test_a_power_law_of_a_user_gives_the_frames_of_the_built_in_one(settings):
 
 def test_in_motion_the_frames_differ_by_nanoseconds_of_delay_from_those_of_the_kernel():
     # computed for the beginning of a cell of 4 ms, in which stations move 3 cm, instead of that of the frame
-    frames, powers_dbm, _ = traffic(path_loss_exponent=2.7, motion=moving)
-    of_user, of_user_dbm, _ = traffic(path_loss=POWER_LAW, motion=moving)
+    frames, powers_dbm, _ = traffic(path_loss_exponent=2.7, motion=moving, access="dcf")
+    of_user, of_user_dbm, _ = traffic(path_loss=POWER_LAW, motion=moving, access="dcf")
     assert [(frame[0], *frame[2:]) for frame in of_user] == [(frame[0], *frame[2:]) for frame in frames]
     differences_ns = np.array([frame[1] for frame in of_user]) - [frame[1] for frame in frames]
     assert 0 < np.abs(differences_ns).max() <= 20

@@ -34,7 +34,7 @@ class World:
     """An emulator of three stations, a wall clock, and messages that arrive at wall times."""
 
     def __init__(self, *, work_ns=0, **radio):
-        frames = {"rician_k_db": None, "broadcast_rts": False, **radio}
+        frames = {"rician_k_db": None, "broadcast_rts": False, "access": "dcf", **radio}
         config = ServerConfig(run_id="r", stations=3, seed=1, radio=RadioConfig(**frames))
         self.service = EmulatorService(config)
         self.wall_ns = WALL_NS
