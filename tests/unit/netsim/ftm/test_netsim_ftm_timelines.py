@@ -62,7 +62,7 @@ def test_burst_of_three():
 @pytest.mark.parametrize(("short_slot", "slot_us"), [(True, 9), (False, 20)])
 def test_burst_at_2_4_ghz(short_slot, slot_us):
     """SIFS is 10 us and frames last 6 us more: t3 is as long after t2, and the distance is the true one."""
-    air = FtmAir(
+    air = DcfAir(
         distance_m=299.792458,  # 1 us
         backoffs={B: [(1, 3)]},
         ftm=quiet(ftms_per_burst=2, clock_ppm=0.0),
