@@ -19,15 +19,16 @@ HE_BITS = {0: Fraction(1, 2), 5: Fraction(6 * 2, 3), 11: Fraction(10 * 5, 6)}
 
 
 @pytest.mark.parametrize("table", TABLES.values(), ids=TABLES)
-def test_a_table_has_the_columns_and_at_most_one_row_of_each_run(table: Table) -> None:
+def test_a_table_has_the_columns_and_one_row_of_each_run(table: Table) -> None:
     header = (REFERENCE / f"{table.name}.csv").read_text(encoding="utf-8").splitlines()[0]
     assert tuple(header.split(",")) == table.columns
     rows = reference_table(f"{table.name}.csv")
-    assert 0 < len(rows) <= len(table.runs)
-    results = table.columns.index("seconds") if "seconds" in table.columns else table.columns.index("ppdu_us") if "ppdu_us" in table.columns else 7
-    conditions = [tuple(list(row.values())[:results]) for row in rows]
+    left_out = table.name == "ns3_he_airtime"  # PPDUs that are too long
+    assert len(rows) < len(table.runs) if left_out else len(rows) == len(table.runs)
     if table.name != "ns3_range":
-        assert len(set(conditions)) == len(conditions)
+        results = table.columns.index("psdu_bytes" if table.name == "ns3_he_airtime" else "seconds")
+        conditions = {tuple(row.values())[:results] for row in rows}
+        assert len(conditions) == len(rows)
 
 
 def test_frames_are_acknowledged_while_the_round_trip_is_shorter_than_a_slot() -> None:
