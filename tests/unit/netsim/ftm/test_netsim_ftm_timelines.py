@@ -64,7 +64,7 @@ def test_burst_at_2_4_ghz(short_slot, slot_us):
     """SIFS is 10 us and frames last 6 us more: t3 is as long after t2, and the distance is the true one."""
     air = DcfAir(
         distance_m=299.792458,  # 1 us
-        backoffs={B: [(1, 3)]},
+        backoffs={B: [(1, 15), NO_SLOTS, NO_SLOTS]},
         ftm=quiet(ftms_per_burst=2, clock_ppm=0.0),
         frequency_mhz=2437.0,
         short_slot=short_slot,
