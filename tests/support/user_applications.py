@@ -20,14 +20,15 @@ class EchoSettings(Struct, frozen=True):
 
 
 class Echo(Application):
-    """Sends back each datagram that it receives."""
+    """Sends back each datagram that it receives; greets until one arrives, as greetings may collide."""
 
     Settings = EchoSettings
     reports = Reports(phases=Phase, formed=(Phase.MET,), values=("echoes", "distance_m"))
 
     def __init__(self, settings):
         self.prefix = settings.prefix.encode()
-        self.seen, self.payloads, self.count = set(), [b"hello"] if settings.greets else [], 0
+        self.greets = settings.greets
+        self.seen, self.payloads, self.count = set(), [], 0
 
     def start(self, context):
         self.context = context
@@ -37,9 +38,10 @@ class Echo(Application):
 
     def on_radio(self, items, now_us):
         self.payloads += [item.payload for item in items if isinstance(item, Delivery)]
+        self.greets = self.greets and not self.payloads
 
     def on_timer(self, now_us):
-        for payload in self.payloads:
+        for payload in [b"hello"] if self.greets else self.payloads:
             self.context.radio.broadcast(self.prefix + payload)
             self.count += 1
         self.payloads = []
