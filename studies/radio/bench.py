@@ -51,9 +51,6 @@ class SaturatedCost(Struct, frozen=True, kw_only=True):
     """Complete process"""
     run: RadioCost
     """Without start-up and exit of the process"""
-    floor: RadioCost
-    """Python's event queue only: as many events without effect; the channel's events are compiled"""
-    events: float
     peer: RadioCost | None
     """Complete process of the peer program"""
     faster_wall: float | None
@@ -71,6 +68,7 @@ class ArticleCost(Struct, frozen=True, kw_only=True):
     with_messages: RadioCost
     """Including decoding and encoding of the messages from and to other processes"""
     floor: RadioCost
+    """Python's event queue only: as many events without effect; the channel's events are compiled"""
     events: float
     frames: float
     steps_run: float
@@ -94,21 +92,18 @@ def bench_saturated(
             stations=stations, rts=False, mode=MODES[rate_mbps], payload_bytes=PAYLOAD_BYTES, seconds=seconds
         )
 
-    with _scheduling() as intervals:
-        run()
+    run()
     simulated_s = seconds + 1e-6 * WARM_UP_US
-    processes, runs, floors, peers = [], [], [], []
+    processes, runs, peers = [], [], []
     for _ in range(repeats):
         processes.append(_process_cost(command, simulated_s))
         runs.append(_cost(run, simulated_s))
-        floors.append(_cost(lambda: _play_empty(intervals), simulated_s))
         if peer:
             peers.append(_process_cost(peer, peer_s))
     process, alone = _median(processes), _median(runs)
     other = _median(peers) if peers else None
     return SaturatedCost(
-        stations=stations, rate_mbps=rate_mbps, process=process, run=alone, floor=_median(floors),
-        events=sum(len(times_ns) for _, times_ns in intervals) / simulated_s, peer=other,
+        stations=stations, rate_mbps=rate_mbps, process=process, run=alone, peer=other,
         faster_wall=other.wall_s / process.wall_s if other else None,
         faster_cpu=other.cpu_s / process.cpu_s if other else None,
         faster_run=other.cpu_s / alone.cpu_s if other else None,

@@ -74,9 +74,7 @@ def _saturated_table(cost: bench.SaturatedCost) -> Table:
     )
     for column in ("", "wall, s", "processor, s", "real-time factor", "peer's time over ours"):
         table.add_column(column, justify="left" if not column else "right")
-    rows = [("process", cost.process), ("without start-up", cost.run)]
-    rows.append((f"Python's event queue only ({cost.events:.0f} events)", cost.floor))
-    for name, one in rows:
+    for name, one in (("process", cost.process), ("without start-up", cost.run)):
         table.add_row(name, *_cells(one), f"{cost.peer.wall_s / one.wall_s:.1f}" if cost.peer else "")
     if cost.peer is not None:
         table.add_row("peer's process", *_cells(cost.peer), "")

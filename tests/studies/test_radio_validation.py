@@ -390,9 +390,7 @@ def test_peer_program_is_timed():
     assert cost.peer is not None
     assert 0.15 <= cost.peer.cpu_s < 1.0
     assert cost.faster_cpu == pytest.approx(cost.peer.cpu_s / cost.process.cpu_s)
-    assert 0.0 < cost.floor.cpu_s < cost.run.cpu_s < cost.process.cpu_s
-    # each of 600 frames a second is submitted by Python
-    assert cost.events > 600
+    assert 0.0 < cost.run.cpu_s < cost.process.cpu_s
 
 
 def test_failing_peer_is_a_one_line_error():
