@@ -65,12 +65,12 @@ class SendWindow:
         return vehicle, datagram
 
     def on_sent(self, vehicle: int, seq: int) -> None:
-        """Note a frame that the radio gets."""
+        """Add a frame that is given to the radio."""
         self._unreported[vehicle][seq] = _UNSTAMPED
         self._held += 1
 
     def on_reported(self, vehicle: int, seq: int) -> None:
-        """Note the outcome of a frame."""
+        """Remove a frame, whose outcome is known."""
         if self._unreported[vehicle].pop(seq, None) is not None:
             self._held -= 1
 
@@ -78,7 +78,7 @@ class SendWindow:
         """Release frames whose outcomes are lost; ``now_us`` is the simulated time of a delivery.
 
         The time of a frame counts from the first delivery after it on: without deliveries the station has no
-        simulated time. Vehicles send all the time, so a station in whose range any of them is has deliveries.
+        simulated time. Vehicles send all the time, so a station in range of any has deliveries.
         """
         for frames in self._unreported:
             for seq, until_us in list(frames.items()):

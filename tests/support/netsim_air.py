@@ -96,7 +96,7 @@ class Air:
             links=self.links,
             stations=stations,
             streams=streams,
-            on_datagram=self._on_group_frame,
+            on_datagram=self._on_datagram,
             on_ended=self.transmissions.append,
         )
         self.stations = [self.radios.join(i, _Upper(self, i)) for i in range(stations)]
@@ -139,7 +139,7 @@ class Air:
         assert all(t.start_ns % 1_000 == 0 for t in order)
         return [(t.start_ns // 1_000, t.end_ns // 1_000, t.source, t.frame.kind.value) for t in order]
 
-    def _on_group_frame(self, received: DatagramReception) -> None:
+    def _on_datagram(self, received: DatagramReception) -> None:
         assert min(received.powers_mw) > 0.0
         assert len(received.stations) == len(received.ends_ns) == len(received.powers_mw)
         self.arrivals += [(station, received.source, False) for station in received.stations]

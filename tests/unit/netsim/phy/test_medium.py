@@ -73,7 +73,7 @@ class Channel:
             links=links or Powers(stations, powers_dbm or {}, delay_ns),
             stations=stations,
             streams=RandomStreams(np.random.SeedSequence(seed)),
-            on_datagram=self._on_group_frame,
+            on_datagram=self._on_datagram,
             on_ended=self.ended.append,
         )
         self.listeners = [Listener() for _ in range(stations)]
@@ -100,7 +100,7 @@ class Channel:
             radios._block, frame.source, frame.destination, what, frame.frame_bytes
         )
 
-    def _on_group_frame(self, reception):
+    def _on_datagram(self, reception):
         for station, end_ns in zip(reception.stations, reception.ends_ns, strict=True):
             self.listeners[station].received.append((reception.source, end_ns / 1_000))
 
